@@ -1,0 +1,1 @@
+"""A mobile-robotics lab that runs without Gazebo: numerics, simulation and ROS nodes."""

@@ -1,0 +1,1 @@
+"""Numbers only: angles, SE(2), trajectories, odometry noise and metrics; needs just numpy."""

@@ -1,0 +1,279 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.errors import LabError
+from bullet_lab.numerics import se2
+from bullet_lab.numerics.odometry_noise import (
+    MIN_TRANSLATION,
+    NoiseError,
+    NoisyPath,
+    ProbabilisticRule,
+    RateInvariantRule,
+    ReportRule,
+    decompose,
+    decompose_steps,
+    make_rule,
+    recover_noise,
+)
+
+RULES = [ReportRule(0.1), RateInvariantRule(0.1), ProbabilisticRule(0.02, 0.01, 0.03, 0.005)]
+
+
+def wandering_path(count=400, seed=4):
+    """Forward, backward, sideways, on the spot, and at rest, anywhere on the circle."""
+    generator = np.random.default_rng(seed)
+    moves = generator.normal(0.0, [0.03, 0.01, 0.1], (count, 3))
+    kind = generator.integers(0, 4, count)
+    moves[kind == 1, :2] = 0.0
+    moves[kind == 2, 1:] = 0.0
+    moves[::20] = 0.0
+    poses = [np.array([1.0, -2.0, 3.0])]
+    for move in moves:
+        poses.append(se2.compose(poses[-1], move))
+    return np.array(poses)
+
+
+def run(path, poses):
+    steps = [path.update(*pose) for pose in poses.tolist()]
+    return steps, np.array([step.pose for step in steps])
+
+
+@pytest.mark.parametrize(
+    ("step", "expected"),
+    [
+        ((0.3, 0.0, 0.0), (0.0, 0.3, 0.0)),
+        ((-0.3, 0.0, 0.0), (0.0, -0.3, 0.0)),
+        ((0.0, 0.2, 0.0), (math.pi / 2, 0.2, -math.pi / 2)),
+        ((0.0, -0.2, 0.0), (-math.pi / 2, 0.2, math.pi / 2)),
+        ((0.1, 0.1, 0.5), (math.pi / 4, math.sqrt(0.02), 0.5 - math.pi / 4)),
+        ((-0.1, -0.1, 0.5), (math.pi / 4, -math.sqrt(0.02), 0.5 - math.pi / 4)),
+        ((-0.1, 0.1, 3.0), (-math.pi / 4, -math.sqrt(0.02), 3.0 + math.pi / 4 - 2 * math.pi)),
+        ((0.0, 0.0, 0.7), (0.0, 0.0, 0.7)),
+        ((-0.0, -0.0, 0.7), (0.0, 0.0, 0.7)),
+        ((0.0, 0.9 * MIN_TRANSLATION, 0.7), (0.0, 0.9 * MIN_TRANSLATION, 0.7)),
+        ((-0.9 * MIN_TRANSLATION, 0.0, 0.7), (0.0, -0.9 * MIN_TRANSLATION, 0.7)),
+        ((0.0, 1.1 * MIN_TRANSLATION, 0.0), (math.pi / 2, 1.1 * MIN_TRANSLATION, -math.pi / 2)),
+    ],
+)
+def test_decompose(step, expected):
+    assert decompose(*step) == pytest.approx(expected, abs=1e-15)
+    np.testing.assert_allclose(decompose_steps(step), expected, atol=1e-15)
+
+
+def test_decompose_puts_together_again():
+    steps = np.random.default_rng(5).uniform(-3.0, 3.0, (50, 4, 3))
+    parts = decompose_steps(steps)
+    assert np.abs(parts[..., 0]).max() <= math.pi / 2
+    turn, way = np.zeros_like(steps), np.zeros_like(steps)
+    turn[..., 2], way[..., 0], way[..., 2] = parts[..., 0], parts[..., 1], parts[..., 2]
+    np.testing.assert_allclose(se2.compose(turn, way), steps, atol=1e-12)
+    for step, part in zip(steps.reshape(-1, 3).tolist(), parts.reshape(-1, 3)):
+        np.testing.assert_allclose(decompose(*step), part, rtol=1e-15, atol=1e-15)
+
+
+def test_report_rule_is_proportional_to_each_part():
+    assert ReportRule(0.1).variances(0.2, -0.3, -0.4) == pytest.approx((4e-4, 9e-4, 16e-4))
+
+
+def test_rate_invariant_rule_counts_metres_and_radians():
+    assert RateInvariantRule(0.1).variances(0.0, -0.3, 0.0) == pytest.approx(
+        (0.0015, 0.003, 0.0015)
+    )
+    assert RateInvariantRule(0.1).variances(0.0, 0.0, -0.4) == pytest.approx((0.002, 0.0, 0.002))
+
+
+def test_rate_invariant_rule_takes_strafing_for_no_turn():
+    sideways = RateInvariantRule(0.1).variances(*decompose(0.0, 0.3, 0.0))
+    assert sideways == pytest.approx(RateInvariantRule(0.1).variances(0.0, 0.3, 0.0))
+
+
+def test_probabilistic_rule_is_table_5_6():
+    variances = ProbabilisticRule(1.0, 2.0, 3.0, 4.0).variances(0.1, -0.2, 0.3)
+    assert variances == pytest.approx((0.01 + 0.08, 0.12 + 0.4, 0.09 + 0.08))
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_rules_work_on_arrays(rule):
+    parts = decompose_steps(np.random.default_rng(6).uniform(-3.0, 3.0, (20, 3)))
+    together = np.stack(rule.variances(*parts.T), axis=-1)
+    for part, variances in zip(parts.tolist(), together):
+        np.testing.assert_allclose(rule.variances(*part), variances, rtol=1e-14)
+
+
+def test_make_rule_by_name():
+    assert make_rule("report", 0.2) == ReportRule(0.2)
+    assert make_rule("rate_invariant", 0.2) == RateInvariantRule(0.2)
+    assert make_rule("probabilistic", 0.0, [1, 2, 3, 4]) == ProbabilisticRule(1, 2, 3, 4)
+
+
+@pytest.mark.parametrize("bad", [-0.1, math.nan, math.inf, 1e300, "0.1", None, True])
+def test_bad_parameters_are_refused(bad):
+    with pytest.raises(NoiseError, match="std must be"):
+        make_rule("report", bad)
+    with pytest.raises(NoiseError, match="std must be"):
+        make_rule("probabilistic", bad, [0.1] * 4)
+    with pytest.raises(NoiseError, match="k must be"):
+        RateInvariantRule(bad)
+    with pytest.raises(NoiseError, match="alpha3 must be"):
+        ProbabilisticRule(0.1, 0.1, bad, 0.1)
+
+
+def test_bad_models_and_seeds_are_refused():
+    with pytest.raises(NoiseError, match="'gauss'.*report, rate_invariant, probabilistic"):
+        make_rule("gauss", 0.1)
+    with pytest.raises(NoiseError, match="4 alphas, not 3"):
+        make_rule("probabilistic", 0.1, [0.1] * 3)
+    for seed in (-1, 0.5, "one"):
+        with pytest.raises(NoiseError, match="seed"):
+            NoisyPath(ReportRule(0.1), seed)
+    assert issubclass(NoiseError, LabError)
+
+
+def test_rules_and_steps_are_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        ReportRule(0.1).std = 0.2
+    step = NoisyPath(ReportRule(0.1), 1).update(0.0, 0.0, 0.0)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        step.pose = (1.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="read-only"):
+        step.covariance[0, 0] = 1.0
+
+
+def test_first_pose_is_unchanged():
+    step = NoisyPath(ReportRule(0.1), 1).update(1.0, 2.0, 3.0)
+    assert step.pose == (1.0, 2.0, 3.0)
+    assert step.motion_error == (0.0, 0.0, 0.0)
+    assert not step.covariance.any()
+    assert not step.motion_covariance.any()
+
+
+def test_no_noise_gives_the_perfect_path():
+    poses = wandering_path()
+    crawl = se2.compose(poses[-1], [[0.0, 5e-5 * k, 0.01 * k] for k in range(200)])
+    poses = np.concatenate([poses, crawl])
+    steps, noisy = run(NoisyPath(ReportRule(0.0), 1), poses)
+    np.testing.assert_allclose(se2.between(poses, noisy), 0.0, atol=1e-12)
+    assert not steps[-1].covariance.any()
+
+
+def test_yaw_stays_wrapped():
+    poses = [(0.0, 0.0, 0.3 * k) for k in range(100)]
+    _, noisy = run(NoisyPath(ReportRule(0.1), 2), np.array(poses))
+    assert noisy[:, 2].min() >= -math.pi
+    assert noisy[:, 2].max() < math.pi
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_motion_error_is_the_difference_of_the_steps(rule):
+    poses = wandering_path()
+    steps, noisy = run(NoisyPath(rule, 3), poses)
+    errors = np.array([step.motion_error for step in steps[1:]])
+    expected = se2.steps(noisy) - se2.steps(poses)
+    expected[:, 2] = (expected[:, 2] + math.pi) % (2 * math.pi) - math.pi
+    np.testing.assert_allclose(errors, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_noise_is_recovered_draw_by_draw(rule):
+    poses = wandering_path()
+    _, noisy = run(NoisyPath(rule, 7), poses)
+    recovered = recover_noise(poses, noisy)
+    draws = np.random.default_rng(7).standard_normal((len(poses) - 1, 3))[:, [1, 0, 2]]
+    noise = draws * np.sqrt(np.stack(rule.variances(*recovered.components.T), axis=-1))
+    undirected = np.abs(recovered.components[:, 1]) < MIN_TRANSLATION
+    assert 50 < undirected.sum() < 200
+    noise[undirected, 2] += noise[undirected, 0]
+    noise[undirected, 0] = np.nan
+    np.testing.assert_allclose(recovered.noise, noise, atol=1e-10)
+    np.testing.assert_allclose(recovered.components, decompose_steps(se2.steps(poses)))
+
+
+def test_standardised_noise_is_the_draws():
+    poses = wandering_path()
+    _, noisy = run(NoisyPath(ReportRule(0.1), 7), poses)
+    standardised = recover_noise(poses, noisy).standardised(ReportRule(0.1))
+    draws = np.random.default_rng(7).standard_normal((len(poses) - 1, 3))[:, [1, 0, 2]]
+    known = np.isfinite(standardised)
+    assert known.sum() > 600
+    np.testing.assert_allclose(standardised[known], draws[known], atol=1e-3)
+    assert not known[~poses[1:].any(axis=1)].any()
+
+
+def test_recover_noise_wants_two_paths_alike():
+    with pytest.raises(NoiseError, match="shape"):
+        recover_noise(np.zeros((3, 3)), np.zeros((4, 3)))
+    with pytest.raises(NoiseError, match="shape"):
+        recover_noise(np.zeros((3, 2)), np.zeros((3, 2)))
+
+
+def test_the_same_seed_gives_the_same_path():
+    poses = wandering_path()
+    noisy = [run(NoisyPath(ReportRule(0.1), seed), poses)[1] for seed in (8, 8, 9)]
+    np.testing.assert_array_equal(noisy[0], noisy[1])
+    assert np.abs(noisy[0] - noisy[2]).max() > 0.01
+
+
+def test_each_message_has_its_own_draws_whatever_came_before():
+    # The same last step after a rest and after a drive: the error of the step is the same.
+    errors = []
+    for before in (0.0, 0.1):
+        path = NoisyPath(ReportRule(0.1), 10)
+        path.update(-before, 0.0, 0.0)
+        path.update(0.0, 0.0, 0.0)
+        errors.append(path.update(0.2, 0.1, 0.3).motion_error)
+    assert errors[0] == pytest.approx(errors[1], abs=1e-15)
+
+
+def test_restart_begins_anew_but_draws_on():
+    poses = wandering_path(10)
+    path = NoisyPath(ReportRule(0.1), 11)
+    run(path, poses)
+    path.restart()
+    steps, noisy = run(path, poses)
+    assert steps[0].pose == pytest.approx(poses[0])
+    assert not steps[0].covariance.any()
+    assert steps[1].covariance[2, 2] == steps[1].motion_covariance[2, 2]
+    _, first = run(NoisyPath(ReportRule(0.1), 11), poses)
+    assert np.abs(noisy[-1] - first[-1]).max() > 1e-4
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_pose_that_is_not_finite_changes_nothing(bad):
+    path, untouched = NoisyPath(ReportRule(0.1), 12), NoisyPath(ReportRule(0.1), 12)
+    for each in (path, untouched):
+        each.update(0.0, 0.0, 0.0)
+    for pose in ((bad, 0.0, 0.0), (0.0, bad, 0.0), (0.0, 0.0, bad)):
+        with pytest.raises(NoiseError, match="not finite"):
+            path.update(*pose)
+    assert path.update(0.1, 0.1, 0.1).pose == untouched.update(0.1, 0.1, 0.1).pose
+
+
+def first_order(trans, direction, variances):
+    """Return F and G Q G' as the notes write them."""
+    sin, cos = math.sin(direction), math.cos(direction)
+    f = np.array([[1, 0, -trans * sin], [0, 1, trans * cos], [0, 0, 1]])
+    g = np.array([[-trans * sin, cos, 0], [trans * cos, sin, 0], [1, 0, 1]])
+    return f, g @ np.diag(variances) @ g.T
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_covariance_is_first_order_along_the_noisy_path(rule):
+    poses = wandering_path(100)
+    steps, noisy = run(NoisyPath(rule, 13), poses)
+    recovered = recover_noise(poses, noisy)
+    motions = se2.steps(noisy)
+    covariance = np.zeros((3, 3))
+    for k, step in enumerate(steps[1:]):
+        trans = recovered.components[k, 1] + recovered.noise[k, 1]
+        direction = math.atan2(motions[k, 1], motions[k, 0])
+        trans, direction = (abs(trans), direction) if trans else (0.0, 0.0)
+        variances = rule.variances(*recovered.components[k])
+        _, own = first_order(trans, direction, variances)
+        np.testing.assert_allclose(step.motion_covariance, own, atol=1e-12)
+        f, gain = first_order(trans, direction + noisy[k, 2], variances)
+        covariance = f @ covariance @ f.T + gain
+        np.testing.assert_allclose(step.covariance, covariance, rtol=1e-6, atol=1e-9)
+    assert np.linalg.eigvalsh(steps[-1].covariance).min() > 0.0

@@ -1,0 +1,142 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.errors import LabError
+from bullet_lab.numerics.trajectory import (
+    CSV_HEADER,
+    Trajectory,
+    TrajectoryError,
+    csv_row,
+    read_paths_csv,
+    read_tum,
+    tum_row,
+)
+
+STAMPS = [0.05, 0.1, 1700000000.123456789]
+POSES = [[0.0, 1 / 3, -1e-17], [1e-5, -2.0, 3.0], [math.pi, 7.0, -0.1]]
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write_text(*lines):
+        path = tmp_path / "path.txt"
+        path.write_text("".join(line + "\n" for line in lines))
+        return path
+
+    return write_text
+
+
+def test_length_is_that_of_the_way():
+    trajectory = Trajectory([0, 1, 2, 3], [[0, 0, 0], [3, 4, 1], [3, 4, 2], [3, 3, 2]])
+    np.testing.assert_allclose(trajectory.travelled(), [0.0, 5.0, 5.0, 6.0])
+    assert trajectory.length() == 6.0
+    assert len(trajectory) == 4
+
+
+def test_one_pose_is_a_trajectory():
+    assert Trajectory([1.0], [[1.0, 2.0, 3.0]]).length() == 0.0
+
+
+def test_arrays_are_copied_and_read_only():
+    poses = np.zeros((2, 3))
+    trajectory = Trajectory([0, 1], poses)
+    poses[:] = 1.0
+    assert not trajectory.poses.any()
+    with pytest.raises(ValueError, match="read-only"):
+        trajectory.poses[0, 0] = 1.0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        trajectory.stamps = [0, 2]
+
+
+@pytest.mark.parametrize(
+    ("stamps", "poses", "message"),
+    [
+        ([], [], "no poses"),
+        ([0, 1], [[0, 0, 0]], "shape"),
+        ([0, 1], [[0, 0], [0, 0]], "shape"),
+        ([[0], [1]], [[0, 0, 0]] * 2, "shape"),
+        ([0, math.nan], [[0, 0, 0]] * 2, "not finite"),
+        ([0, 1], [[0, 0, 0], [0, math.inf, 0]], "not finite"),
+        ([0, 1, 1], [[0, 0, 0]] * 3, "1.000000000 follows 1.000000000"),
+        ([0, 2, 1], [[0, 0, 0]] * 3, "1.000000000 follows 2.000000000"),
+        ([0, 1], [[0, 0, 0], [0, 0]], "numbers"),
+        (["zero"], [[0, 0, 0]], "numbers"),
+    ],
+)
+def test_bad_trajectories_are_refused(stamps, poses, message):
+    with pytest.raises(TrajectoryError, match=message):
+        Trajectory(stamps, poses)
+    assert issubclass(TrajectoryError, LabError)
+
+
+def test_tum_row_has_eight_columns():
+    assert tum_row(1.5, 0.1, -2, 0.0) == "1.500000000 0.1 -2.0 0 0 0 0.0 1.0"
+    assert tum_row(0.1 + 0.2, 0, 0, math.pi).startswith("0.300000000 0.0 0.0 0 0 0 1.0 6.1")
+
+
+def test_tum_round_trip(write):
+    lines = [tum_row(stamp, *pose) for stamp, pose in zip(STAMPS, POSES)]
+    trajectory = read_tum(write("# timestamp tx ty", "", *lines))
+    np.testing.assert_array_equal(trajectory.stamps, STAMPS)
+    np.testing.assert_array_equal(trajectory.poses[:, :2], np.array(POSES)[:, :2])
+    np.testing.assert_allclose(trajectory.poses[:, 2], np.array(POSES)[:, 2], atol=1e-15)
+
+
+def test_tum_from_numpy_numbers_is_text_all_the_same():
+    row = tum_row(np.float64(1.0), *np.array([0.5, 0.25, 0.0]))
+    assert row == "1.000000000 0.5 0.25 0 0 0 0.0 1.0"
+    assert csv_row(np.float64(1.0), np.zeros(3), np.ones(3)).endswith("0.0,0.0,0.0,1.0,1.0,1.0")
+
+
+def test_csv_round_trip_is_bit_for_bit(write):
+    noisy = [[value + 0.1 for value in pose] for pose in POSES]
+    rows = [csv_row(*each) for each in zip(STAMPS, POSES, noisy)]
+    true_path, noisy_path = read_paths_csv(write(CSV_HEADER, *rows))
+    np.testing.assert_array_equal(true_path.stamps, STAMPS)
+    np.testing.assert_array_equal(noisy_path.stamps, STAMPS)
+    np.testing.assert_array_equal(true_path.poses, POSES)
+    np.testing.assert_array_equal(noisy_path.poses, noisy)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("1 2 3", "line 2: 8 values needed, not 3"),
+        ("1 0 0 0 0 0 0 one", "line 2: a value is not a number"),
+        ("1 0 0 nan 0 0 0 1", "line 2: a value is not finite"),
+        ("1 0 0 0 0 0 0 0", "line 2: the quaternion is zero"),
+        ("0 0 0 0 0 0 0 1", "must increase"),
+    ],
+)
+def test_bad_tum_files_are_refused(write, line, message):
+    path = write("0 0 0 0 0 0 0 1", line)
+    with pytest.raises(TrajectoryError, match=message) as caught:
+        read_tum(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_csv_files_are_refused(write):
+    with pytest.raises(TrajectoryError, match="first line"):
+        read_paths_csv(write("0,0,0,0,0,0,0"))
+    with pytest.raises(TrajectoryError, match="first line"):
+        read_paths_csv(write())
+    with pytest.raises(TrajectoryError, match="no poses"):
+        read_paths_csv(write(CSV_HEADER))
+    with pytest.raises(TrajectoryError, match="line 3: 7 values needed, not 2"):
+        read_paths_csv(write(CSV_HEADER, "0,0,0,0,0,0,0", "1,0"))
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    for read in (read_tum, read_paths_csv):
+        with pytest.raises(TrajectoryError, match="cannot read .*missing"):
+            read(tmp_path / "missing")
+        with pytest.raises(TrajectoryError, match="cannot read"):
+            read(tmp_path)
+    binary = tmp_path / "binary"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(TrajectoryError, match="not a text file"):
+        read_tum(binary)
