@@ -1,0 +1,151 @@
+"""What the plugin of a robot is made of in this simulation.
+
+A device belongs to one model and stands for one `<plugin>` tag. It may act before each physics
+step, and it produces samples at its own rate. It knows nothing of ROS: it names the topics it
+would use, takes commands through `inputs` and sends samples through `outputs`; whoever wants
+them (the bridge, a test, a script) connects to those. A new kind of device is one class with
+`@device("libgazebo_ros_….so")` above it, imported in `devices/__init__.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Callable, ClassVar, Dict, List, Mapping, Optional, Tuple, Type
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.description import Model, Plugin
+from bullet_lab.simulation.physics import Body
+from bullet_lab.simulation.schedule import Schedule
+from bullet_lab.simulation.xml_input import boolean, number
+
+
+class DeviceError(LabError):
+    """A plugin's tags make no device, or a command is refused."""
+
+
+@dataclass(frozen=True)
+class Mount:
+    """What a device is fixed to: a model, its bodies by root link, and its plugin tag."""
+
+    model: Model
+    bodies: Mapping[str, Body]
+    plugin: Plugin
+    gravity: float
+
+    @property
+    def body(self) -> Body:
+        """The body of the model's first link."""
+        return self.bodies[self.model.root_links()[0].name]
+
+    def text(self, tag: str, default: str = "") -> str:
+        """Return what a tag of the plugin says, or the default."""
+        return self.plugin.tags.get(tag) or default
+
+    def number(self, tag: str, default: float) -> float:
+        """Return the finite number in a tag; raises XmlError."""
+        text = self.plugin.tags.get(tag)
+        return default if not text else number(text, self.where(tag))
+
+    def boolean(self, tag: str, default: bool) -> bool:
+        """Return the truth value in a tag; raises XmlError."""
+        text = self.plugin.tags.get(tag)
+        return default if not text else boolean(text, self.where(tag))
+
+    def topic(self, name: str) -> str:
+        """Return a topic's name within the plugin's robotNamespace."""
+        namespace = self.text("robotNamespace").strip("/")
+        return name if name.startswith("/") or not namespace else f"/{namespace}/{name}"
+
+    def where(self, tag: str) -> str:
+        """Name a tag in messages."""
+        return f"model '{self.model.name}': plugin '{self.plugin.name}': <{tag}>"
+
+
+@dataclass(frozen=True)
+class Input:
+    """A topic that a device listens to; `handle(command)` raises DeviceError to refuse one."""
+
+    topic: str
+    kind: type
+    handle: Callable[[Any], None]
+
+
+class Output:
+    """A topic that a device speaks on; `kind` is the class of its samples."""
+
+    def __init__(self, topic: str, kind: type):
+        self.topic = topic
+        self.kind = kind
+        self._listeners: List[Callable[[Any], None]] = []
+
+    def connect(self, listener: Callable[[Any], None]) -> None:
+        """Call `listener(sample)` with each sample from now on."""
+        self._listeners.append(listener)
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody is connected."""
+        return bool(self._listeners)
+
+    def send(self, sample: Any) -> None:
+        """Give a sample to all that are connected."""
+        for listener in self._listeners:
+            listener(sample)
+
+
+class Device:
+    """Base of all devices.
+
+    Attributes:
+        inputs: topics with commands for it.
+        outputs: topics with what it measures.
+        schedule: when `produce` is due; None for a device that measures nothing.
+        acts: whether `before_step` does anything; the loop skips those that do not.
+    """
+
+    acts: ClassVar[bool] = False
+
+    def __init__(self, mount: Mount):
+        self.mount = mount
+        self.inputs: Tuple[Input, ...] = ()
+        self.outputs: Tuple[Output, ...] = ()
+        self.schedule: Optional[Schedule] = None
+
+    def before_step(self, step: int) -> None:
+        """Act on the model before the physics advances from `step` to `step + 1`."""
+
+    def produce(self, step: int) -> None:
+        """Measure and send, at the simulated time `step`."""
+
+    def reset(self, step: int) -> None:
+        """Start anew after the model was put back; simulated time is now `step`."""
+
+
+_KINDS: Dict[str, Type[Device]] = {}
+
+
+def device(*filenames: str) -> Callable[[Type[Device]], Type[Device]]:
+    """Register a class as what the plugins with these file names do."""
+
+    def register(kind: Type[Device]) -> Type[Device]:
+        _KINDS.update(dict.fromkeys(filenames, kind))
+        return kind
+
+    return register
+
+
+def known_plugins() -> Tuple[str, ...]:
+    """Return the file names of the plugins that are simulated."""
+    return tuple(sorted(_KINDS))
+
+
+def make_device(mount: Mount) -> Optional[Device]:
+    """Return the device for a plugin, or None where its kind is not simulated.
+
+    Raises:
+        LabError: a tag of the plugin cannot be read.
+    """
+    # Gazebo accepts the name without .so as well.
+    filename = mount.plugin.filename
+    kind = _KINDS.get(filename) or _KINDS.get(f"{filename}.so")
+    return None if kind is None else kind(mount)

@@ -1,0 +1,22 @@
+"""The one place that imports PyBullet."""
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.native_output import hidden_native_output
+
+
+class EngineMissingError(LabError):
+    """PyBullet is not installed for this Python."""
+
+
+try:
+    with hidden_native_output():
+        import pybullet
+except ImportError as error:
+    import sys
+
+    raise EngineMissingError(
+        f"PyBullet is not installed for {sys.executable}: run scripts/setup.sh, "
+        "or 'pip install pybullet'"
+    ) from error
+
+__all__ = ["EngineMissingError", "pybullet"]

@@ -1,0 +1,123 @@
+"""Rigid poses in space as plain data."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Tuple
+
+import numpy as np
+
+Vector = Tuple[float, float, float]
+Quaternion = Tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A pose: `position` in metres and unit `quaternion` (x, y, z, w).
+
+    `a * b` is the pose `b`, given in the frame of `a`, seen from the frame that `a` is given in.
+    """
+
+    position: Vector = (0.0, 0.0, 0.0)
+    quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+    @classmethod
+    def from_rpy(cls, position: Vector, rpy: Vector) -> Pose:
+        """Make a pose from roll, pitch and yaw in radians about the fixed axes x, y, z.
+
+        This is the convention of URDF's `rpy` and of SDF's `<pose>`.
+        """
+        roll, pitch, yaw = (0.5 * angle for angle in rpy)
+        cr, sr = math.cos(roll), math.sin(roll)
+        cp, sp = math.cos(pitch), math.sin(pitch)
+        cy, sy = math.cos(yaw), math.sin(yaw)
+        quaternion = (
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        )
+        return cls(_vector(position), quaternion)
+
+    @classmethod
+    def from_matrix(cls, position: Vector, rotation: np.ndarray) -> Pose:
+        """Make a pose from a position and a 3x3 rotation matrix (numerically stable everywhere)."""
+        m = np.asarray(rotation, dtype=float)
+        # Bar-Itzhack's method: the quaternion is the dominant eigenvector of a symmetric matrix.
+        k = np.array(
+            [
+                [m[0, 0] - m[1, 1] - m[2, 2], 0.0, 0.0, 0.0],
+                [m[0, 1] + m[1, 0], m[1, 1] - m[0, 0] - m[2, 2], 0.0, 0.0],
+                [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], m[2, 2] - m[0, 0] - m[1, 1], 0.0],
+                [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], np.trace(m)],
+            ]
+        )
+        values, vectors = np.linalg.eigh(k)
+        x, y, z, w = vectors[:, int(np.argmax(values))]
+        sign = -1.0 if w < 0.0 else 1.0
+        return cls(_vector(position), (sign * x, sign * y, sign * z, sign * w))
+
+    def __mul__(self, other: Pose) -> Pose:
+        rotated = self.rotate(other.position)
+        position = tuple(a + b for a, b in zip(self.position, rotated))
+        return Pose(position, _hamilton(self.quaternion, other.quaternion))
+
+    def inverse(self) -> Pose:
+        """Return the pose of the outer frame seen from this one."""
+        x, y, z, w = self.quaternion
+        turned_back = Pose(quaternion=(-x, -y, -z, w))
+        px, py, pz = turned_back.rotate(self.position)
+        return Pose((-px, -py, -pz), turned_back.quaternion)
+
+    def rotate(self, vector: Vector) -> Vector:
+        """Turn a vector given in this pose's frame into the outer frame (no translation)."""
+        x, y, z, w = self.quaternion
+        vx, vy, vz = vector
+        tx = 2.0 * (y * vz - z * vy)
+        ty = 2.0 * (z * vx - x * vz)
+        tz = 2.0 * (x * vy - y * vx)
+        return (
+            vx + w * tx + y * tz - z * ty,
+            vy + w * ty + z * tx - x * tz,
+            vz + w * tz + x * ty - y * tx,
+        )
+
+    def rotation_matrix(self) -> np.ndarray:
+        """Return the 3x3 rotation matrix."""
+        columns = [self.rotate(axis) for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1))]
+        return np.array(columns, dtype=float).T
+
+    def rpy(self) -> Vector:
+        """Return roll, pitch and yaw in radians about the fixed axes x, y, z."""
+        x, y, z, w = self.quaternion
+        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+        pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+        return (roll, pitch, self.yaw)
+
+    @property
+    def yaw(self) -> float:
+        """Rotation about the vertical axis, in radians within [-pi, pi]."""
+        return yaw_of(self.quaternion)
+
+
+def yaw_of(quaternion: Quaternion) -> float:
+    """Return the yaw in radians of a unit quaternion (x, y, z, w)."""
+    x, y, z, w = quaternion
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def _hamilton(a: Quaternion, b: Quaternion) -> Quaternion:
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def _vector(values: Vector) -> Vector:
+    x, y, z = values
+    return (float(x), float(y), float(z))

@@ -1,0 +1,60 @@
+"""What devices measure and what they are told, as plain data.
+
+Every sample carries the simulated time `step` in whole milliseconds. The ROS side turns each
+kind into its message in `bullet_lab.ros.conversions`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Tuple
+
+from bullet_lab.simulation.pose import Pose
+
+# Row-major diagonals in REP 103 order x, y, z, rotation about x, y, z.
+Diagonal = Tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
+class PlanarCommand:
+    """A wanted body velocity: m/s ahead and to the left, rad/s counter-clockwise."""
+
+    vx: float = 0.0
+    vy: float = 0.0
+    wz: float = 0.0
+
+
+@dataclass(frozen=True)
+class OdometrySample:
+    """Pose of `child_frame` in `frame`, and its velocity in its own frame.
+
+    The pose covariance is diagonal (m² and rad²); the twist's is zero, as Gazebo sends it.
+    """
+
+    step: int
+    frame: str
+    child_frame: str
+    pose: Pose
+    velocity: PlanarCommand
+    pose_variances: Diagonal
+
+
+@dataclass(frozen=True)
+class TransformSample:
+    """Pose of `child_frame` in `frame`, for TF."""
+
+    step: int
+    frame: str
+    child_frame: str
+    pose: Pose
+
+
+@dataclass(frozen=True)
+class JointSample:
+    """States of joints: positions in rad or m, velocities per second, efforts in N m or N."""
+
+    step: int
+    names: Tuple[str, ...]
+    positions: Tuple[float, ...]
+    velocities: Tuple[float, ...]
+    efforts: Tuple[float, ...]

@@ -1,0 +1,50 @@
+"""When things are due, in whole physics steps."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+from bullet_lab.errors import LabError
+
+STEPS_PER_SECOND = 1000
+
+
+class ScheduleError(LabError):
+    """A rate that cannot be kept."""
+
+
+class Schedule:
+    """Something that happens `rate` times per simulated second, on average exactly.
+
+    The k-th occurrence falls on the first step at or after k/rate seconds, so a rate that does
+    not divide 1000 Hz jitters by less than one step and never drifts. (Gazebo waits until more
+    than a period has passed, and so turns 20 Hz into 19.6 Hz.)
+
+    Args:
+        rate: occurrences per second, in (0, 1000]; 0 means every step, as in Gazebo.
+        start: step from which the periods are counted.
+
+    Raises:
+        ScheduleError: any other rate.
+    """
+
+    def __init__(self, rate: float, start: int = 0):
+        if not (math.isfinite(rate) and 0.0 <= rate <= STEPS_PER_SECOND):
+            raise ScheduleError(f"a rate of {rate:g} Hz is not within 0 … {STEPS_PER_SECOND} Hz")
+        self._period = STEPS_PER_SECOND / Fraction(rate or STEPS_PER_SECOND)
+        self.restart(start)
+
+    def restart(self, start: int) -> None:
+        """Count the periods from the given step on."""
+        self._start = start
+        self._count = 1
+        self.next_step = self._due(1)
+
+    def advance(self) -> None:
+        """Note that the present occurrence has happened."""
+        self._count += 1
+        self.next_step = self._due(self._count)
+
+    def _due(self, count: int) -> int:
+        return self._start + math.ceil(count * self._period)

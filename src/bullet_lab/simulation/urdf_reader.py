@@ -1,0 +1,226 @@
+"""Reading robots from URDF, with the tags that Gazebo adds to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Dict, List, Mapping, Optional, Tuple
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from bullet_lab.simulation.description import (
+    WHITE,
+    Box,
+    Collision,
+    Colour,
+    Cylinder,
+    Geometry,
+    Inertia,
+    Joint,
+    Link,
+    Mesh,
+    Model,
+    Plugin,
+    Sphere,
+    Visual,
+)
+from bullet_lab.simulation.inertia import check_inertia, matrix_from_elements
+from bullet_lab.simulation.lumping import lump_fixed_joints
+from bullet_lab.simulation.plugin_tags import plugins_in
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.resources import ResourceFinder
+from bullet_lab.simulation.tree import check_tree, place_links
+from bullet_lab.simulation.xml_input import XmlError, number, numbers, parse_text, read_text
+
+SIMULATED_JOINTS = ("fixed", "revolute", "continuous", "prismatic")
+
+
+class UrdfError(XmlError):
+    """A text is well-formed XML and yet no robot."""
+
+
+def read_urdf_file(path: Path, finder: Optional[ResourceFinder] = None) -> Model:
+    """Read a robot from a URDF file; see `read_urdf`."""
+    return read_urdf(read_text(path), str(path), (finder or ResourceFinder()).beside(path))
+
+
+def read_urdf(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
+    """Read a robot from URDF text.
+
+    As in Gazebo, what hangs on a fixed joint is merged into its parent link, and
+    `<gazebo>` elements say what the robot can do (`<plugin>`) and how its links rub (`<mu1>`).
+
+    Args:
+        text: the URDF.
+        source: names the text in messages.
+        finder: finds the mesh files.
+
+    Raises:
+        XmlError: not XML, or no robot that could exist; the message says what and where.
+        ResourceError: a mesh cannot be found or must not be read.
+    """
+    root = parse_text(text, source)
+    if root.tag != "robot":
+        raise UrdfError(f"{source}: the root element is <{root.tag}>, not <robot>")
+    reader = _Reader(root, source, finder or ResourceFinder())
+    return lump_fixed_joints(reader.model())
+
+
+class _Reader:
+    def __init__(self, root: Element, source: str, finder: ResourceFinder):
+        self._root = root
+        self._source = source
+        self._finder = finder
+        self._colours: Dict[str, Colour] = {}
+        for material in root.iter("material"):
+            colour = material.find("color")
+            if colour is not None:
+                self._colours[material.get("name", "")] = self._colour(colour)
+        self._frictions = self._read_frictions()
+
+    def model(self) -> Model:
+        links = tuple(self._link(element) for element in self._root.findall("link"))
+        joints = tuple(self._joint(element) for element in self._root.findall("joint"))
+        check_tree(links, joints, self._source)
+        name = self._root.get("name") or "robot"
+        return Model(name, place_links(links, joints), joints, self._plugins())
+
+    def _plugins(self) -> Tuple[Plugin, ...]:
+        found: List[Plugin] = []
+        for element in self._root.findall("gazebo"):
+            found.extend(plugins_in(element, element.get("reference", "")))
+        return tuple(found)
+
+    def _read_frictions(self) -> Mapping[str, float]:
+        frictions = {}
+        for element in self._root.findall("gazebo"):
+            mu = element.find("mu1")
+            if mu is not None:
+                link = element.get("reference", "")
+                frictions[link] = number(mu.text, f"{self._source}: <mu1> of '{link}'")
+        return frictions
+
+    def _link(self, element: Element) -> Link:
+        name = self._name(element, "link")
+        friction = self._frictions.get(name, 1.0)
+        return Link(
+            name,
+            inertia=self._inertia(element.find("inertial"), name),
+            visuals=tuple(self._visual(e, name) for e in element.findall("visual")),
+            collisions=tuple(
+                Collision(
+                    self._geometry(e, name), self._origin(e, name), friction, e.get("name", "")
+                )
+                for e in element.findall("collision")
+            ),
+        )
+
+    def _visual(self, element: Element, link: str) -> Visual:
+        colour = WHITE
+        material = element.find("material")
+        if material is not None:
+            colour = self._colours.get(material.get("name", ""), WHITE)
+            own = material.find("color")
+            colour = colour if own is None else self._colour(own)
+        geometry, origin = self._geometry(element, link), self._origin(element, link)
+        return Visual(geometry, origin, colour, element.get("name", ""))
+
+    def _inertia(self, element: Optional[Element], link: str) -> Optional[Inertia]:
+        if element is None:
+            return None
+        where = f"{self._source}: link '{link}'"
+        mass_element, tensor = element.find("mass"), element.find("inertia")
+        if mass_element is None or tensor is None:
+            raise UrdfError(f"{where}: <inertial> needs <mass> and <inertia>")
+        mass = number(mass_element.get("value"), f"{where}: mass")
+        entries = [
+            number(tensor.get(key, "0"), f"{where}: {key}")
+            for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        ]
+        origin = self._origin(element, link)
+        turn = origin.rotation_matrix()
+        matrix = turn @ matrix_from_elements(*entries) @ turn.T
+        inertia = Inertia(mass, origin.position, matrix)
+        check_inertia(inertia, where)
+        return inertia
+
+    def _geometry(self, element: Element, link: str) -> Geometry:
+        where = f"{self._source}: link '{link}'"
+        holder = element.find("geometry")
+        shape = holder[0] if holder is not None and len(holder) else None
+        if shape is None:
+            raise UrdfError(f"{where}: <{element.tag}> without a geometry")
+        if shape.tag == "box":
+            return Box(_positive(numbers(shape.get("size"), 3, f"{where}: box size"), where))
+        if shape.tag == "cylinder":
+            size = [number(shape.get(k), f"{where}: cylinder {k}") for k in ("radius", "length")]
+            return Cylinder(*_positive(size, where))
+        if shape.tag == "sphere":
+            radius = number(shape.get("radius"), f"{where}: sphere radius")
+            return Sphere(*_positive([radius], where))
+        if shape.tag == "mesh":
+            uri = shape.get("filename", "")
+            scale = numbers(shape.get("scale", "1 1 1"), 3, f"{where}: mesh scale")
+            return Mesh(self._finder.find(uri), uri, scale)
+        raise UrdfError(f"{where}: no geometry is called <{shape.tag}>")
+
+    def _joint(self, element: Element) -> Joint:
+        name = self._name(element, "joint")
+        where = f"{self._source}: joint '{name}'"
+        kind = element.get("type", "")
+        if kind not in SIMULATED_JOINTS:
+            raise UrdfError(f"{where}: type '{kind}' is not one of {', '.join(SIMULATED_JOINTS)}")
+        axis, limit, dynamics = (element.find(tag) for tag in ("axis", "limit", "dynamics"))
+        direction = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+        return Joint(
+            name,
+            kind,
+            self._end(element, "parent", where),
+            self._end(element, "child", where),
+            self._origin(element, name),
+            _unit(numbers(direction, 3, f"{where}: axis"), where),
+            {} if limit is None else {k: number(v, f"{where}: {k}") for k, v in limit.items()},
+            _attribute(dynamics, "damping", where),
+            _attribute(dynamics, "friction", where),
+        )
+
+    def _end(self, element: Element, tag: str, where: str) -> str:
+        end = element.find(tag)
+        link = None if end is None else end.get("link")
+        if not link:
+            raise UrdfError(f"{where}: no <{tag} link=…>")
+        return link
+
+    def _origin(self, element: Element, what: str) -> Pose:
+        origin = element.find("origin")
+        if origin is None:
+            return Pose()
+        where = f"{self._source}: origin in '{what}'"
+        position = numbers(origin.get("xyz", "0 0 0"), 3, where)
+        return Pose.from_rpy(position, numbers(origin.get("rpy", "0 0 0"), 3, where))
+
+    def _colour(self, element: Element) -> Colour:
+        return numbers(element.get("rgba"), 4, f"{self._source}: colour")
+
+    def _name(self, element: Element, kind: str) -> str:
+        name = element.get("name")
+        if not name:
+            raise UrdfError(f"{self._source}: a <{kind}> without a name")
+        return name
+
+
+def _attribute(element: Optional[Element], name: str, where: str) -> float:
+    return 0.0 if element is None else number(element.get(name, "0"), f"{where}: {name}")
+
+
+def _positive(values, where: str) -> Tuple[float, ...]:
+    if min(values) <= 0.0:
+        raise UrdfError(f"{where}: a size of {min(values):g} m; sizes are positive")
+    return tuple(values)
+
+
+def _unit(axis, where: str) -> Tuple[float, ...]:
+    length = float(np.linalg.norm(axis))
+    if length == 0.0:
+        raise UrdfError(f"{where}: the axis is a zero vector")
+    return tuple(float(value) / length for value in axis)

@@ -1,0 +1,100 @@
+"""Reading XML that comes from outside, without letting it reach anything else."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Optional, Tuple
+from xml.etree.ElementTree import Element, ParseError
+
+import defusedxml.ElementTree
+from defusedxml.common import DefusedXmlException
+
+from bullet_lab.errors import LabError
+
+# A description of a robot or a world is text for people; meshes are files of their own.
+MAXIMUM_BYTES = 20_000_000
+
+
+class XmlError(LabError):
+    """A document cannot be read or does not say what it must."""
+
+
+def parse_text(text: str, source: str) -> Element:
+    """Parse XML text; `source` names it in messages.
+
+    Document types are refused altogether: entities can read files and the network, and no
+    robot needs them.
+
+    Raises:
+        XmlError: not well formed, too large, or with a document type.
+    """
+    if len(text) > MAXIMUM_BYTES:
+        raise XmlError(f"{source}: larger than {MAXIMUM_BYTES} bytes")
+    try:
+        return defusedxml.ElementTree.fromstring(text.encode(), forbid_dtd=True)
+    except ParseError as error:
+        raise XmlError(f"{source}: not well-formed XML: {error}") from error
+    except DefusedXmlException as error:
+        raise XmlError(f"{source}: document types and entities are refused") from error
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file.
+
+    Raises:
+        XmlError: the file is missing, unreadable or not UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise XmlError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise XmlError(f"{path}: not UTF-8 text") from error
+
+
+def numbers(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
+    """Return the `count` finite numbers in a text.
+
+    Raises:
+        XmlError: other than `count` finite numbers; `what` names the place.
+    """
+    parts = (text or "").split()
+    try:
+        values = tuple(float(part) for part in parts)
+    except ValueError:
+        values = ()
+    if len(values) != count or not all(map(math.isfinite, values)):
+        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise XmlError(f"{what}: '{' '.join(parts)}' is not {wanted}")
+    return values
+
+
+def number(text: Optional[str], what: str) -> float:
+    """Return the one finite number in a text.
+
+    Raises:
+        XmlError: no finite number; `what` names the place.
+    """
+    return numbers(text, 1, what)[0]
+
+
+def child_text(element: Element, tag: str, default: str = "") -> str:
+    """Return the stripped text of a child, or the default where it is missing or empty."""
+    child = element.find(tag)
+    text = (child.text or "").strip() if child is not None else ""
+    return text or default
+
+
+def boolean(text: str, what: str) -> bool:
+    """Return the truth value of true, false, 1 or 0.
+
+    Raises:
+        XmlError: any other text.
+    """
+    lowered = text.strip().lower()
+    if lowered in ("true", "1"):
+        return True
+    if lowered in ("false", "0"):
+        return False
+    raise XmlError(f"{what}: '{text}' is not true or false")
