@@ -1,0 +1,7 @@
+#!/usr/bin/env python3
+"""Run the node; see bullet_lab.ros.plot_beacons."""
+
+from bullet_lab.ros.plot_beacons import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""Recording how far a robot is from beacons, beside the truth."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import IO, Any, Dict, List, Mapping, Optional, Sequence, Tuple
+
+import numpy as np
+
+from bullet_lab.numerics.trajectory import Trajectory
+from bullet_lab.recording.files import make_folder, replace_file
+
+PlanarPose = Tuple[float, float, float]
+NANOSECONDS = 1_000_000_000
+FILE = "distances.csv"
+
+
+class DistancesRecording:
+    """Writes distances.csv while poses and distances come in.
+
+    A row is written once the robot's pose and the distances to all beacons are there for one
+    stamp: `stamp,x,y,yaw,<beacon>…,true_<beacon>…` in s, m and rad. The true distances follow
+    from the pose and from where the beacons stand in the world.
+
+    Args:
+        folder: where the file goes; made if need be.
+        beacons: true positions (m, m) by name.
+    """
+
+    def __init__(self, folder: Path, beacons: Mapping[str, Tuple[float, float]]):
+        self.folder = make_folder(folder)
+        self.beacons = dict(beacons)
+        self._poses: Dict[int, PlanarPose] = {}
+        self._measured: Dict[int, Dict[str, float]] = {}
+        self._rows: Dict[int, List[float]] = {}
+        names = [*self.beacons, *(f"true_{name}" for name in self.beacons)]
+        self._header = ",".join(["stamp", "x", "y", "yaw", *names])
+        self._file: IO[str] = (folder / FILE).open("w", buffering=1)
+        self._file.write(f"{self._header}\n")
+
+    def add_pose(self, stamp: int, pose: PlanarPose) -> None:
+        """Record where the robot is (m, m, rad) at a stamp in ns."""
+        self._poses[stamp] = pose
+        self._complete(stamp)
+
+    def add_distance(self, stamp: int, beacon: str, distance: float) -> None:
+        """Record a measured distance in m at a stamp in ns."""
+        self._measured.setdefault(stamp, {})[beacon] = distance
+        self._complete(stamp)
+
+    @property
+    def newest(self) -> Optional[int]:
+        """Stamp in ns of the newest whole row, or None."""
+        return max(self._rows, default=None)
+
+    def table(self) -> Optional[Tuple[Trajectory, np.ndarray, np.ndarray]]:
+        """Return the robot's path and the measured and the true distances.
+
+        Returns:
+            A trajectory of n poses and two arrays (n, number of beacons) in m; None while there
+            is no row.
+        """
+        stamps = sorted(self._rows)
+        if not stamps:
+            return None
+        rows = np.array([self._rows[stamp] for stamp in stamps])
+        path = Trajectory([stamp / NANOSECONDS for stamp in stamps], rows[:, :3])
+        count = len(self.beacons)
+        return path, rows[:, 3 : 3 + count], rows[:, 3 + count :]
+
+    def finish(self, until: Optional[int] = None) -> None:
+        """Close the file, in the order of the stamps; leave out what came after `until` in ns."""
+        self._file.close()
+        self._rows = {s: row for s, row in self._rows.items() if until is None or s <= until}
+        lines = [self._header] + [_line(stamp, self._rows[stamp]) for stamp in sorted(self._rows)]
+        text = "".join(f"{line}\n" for line in lines)
+        replace_file(self.folder / FILE, lambda part: part.write_text(text))
+
+    def _complete(self, stamp: int) -> None:
+        pose, measured = self._poses.get(stamp), self._measured.get(stamp, {})
+        if pose is None or len(measured) < len(self.beacons):
+            return
+        true = [math.hypot(pose[0] - x, pose[1] - y) for x, y in self.beacons.values()]
+        self._rows[stamp] = [*pose, *(measured[name] for name in self.beacons), *true]
+        del self._poses[stamp], self._measured[stamp]
+        self._file.write(f"{_line(stamp, self._rows[stamp])}\n")
+
+
+def distances_summary(recording: DistancesRecording) -> Dict[str, Any]:
+    """Return the figures of a recording for summary.json; empty lists without a row."""
+    table = recording.table()
+    names = list(recording.beacons)
+    if table is None:
+        return {"rows": 0, "beacons": names, "closest_m": [], "largest_error_m": []}
+    path, measured, true = table
+    return {
+        "rows": len(path),
+        "beacons": names,
+        "closest_m": measured.min(axis=0).tolist(),
+        "largest_error_m": np.abs(measured - true).max(axis=0).tolist(),
+        "path_length_m": path.length(),
+    }
+
+
+def _line(stamp: int, row: Sequence[float]) -> str:
+    return ",".join([f"{stamp / NANOSECONDS:.9f}", *(repr(float(value)) for value in row)])

@@ -1,0 +1,1 @@
+"""ROS adapters: one module per node, parameters, conversions and the launcher of jobs."""

@@ -1,0 +1,181 @@
+"""Makes perfect odometry noisy, as real odometry is.
+
+:ROS Parameters: see `NoisyOdomParameters`.
+:ROS Subscribers: odom (nav_msgs/Odometry)
+:ROS Publishers: noisy_odom (nav_msgs/Odometry), one message for each on odom, with its stamp
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import List, Optional, Tuple
+
+import rospy
+from nav_msgs.msg import Odometry
+from std_msgs.msg import Header
+
+from bullet_lab.numerics.angles import quaternion_from_yaw
+from bullet_lab.numerics.odometry_noise import MODELS, NoisyPath, NoisyStep, make_rule
+from bullet_lab.numerics.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
+from bullet_lab.ros import parameters
+from bullet_lab.ros.lock_step import LockStep
+from bullet_lab.ros.node import (
+    Publisher,
+    Refusals,
+    lossless_publisher,
+    private_parameters,
+    run_node,
+    wait_until,
+)
+from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
+
+# Where x, y and yaw stand in the 6x6 covariances of ROS (REP 103).
+PLANAR_AXES = (0, 1, 5)
+QUEUE_SIZE = 100
+
+
+@dataclass(frozen=True)
+class NoisyOdomParameters:
+    """Private parameters of noisy_odom."""
+
+    std: float = parameters.number(
+        0.10, "standard deviation per metre and per radian (rate_invariant: per root)", minimum=0.0
+    )
+    model: str = parameters.choice("report", "rule of the noise", MODELS)
+    alpha1: float = parameters.number(0.01, "probabilistic: rotation from rotation", minimum=0.0)
+    alpha2: float = parameters.number(0.001, "probabilistic: rotation from distance", minimum=0.0)
+    alpha3: float = parameters.number(0.01, "probabilistic: distance from distance", minimum=0.0)
+    alpha4: float = parameters.number(0.001, "probabilistic: distance from rotation", minimum=0.0)
+    seed: int = parameters.integer(0, "of the random draws", minimum=0)
+    as_published: bool = parameters.boolean(False, "run the report's algorithm, defects and all")
+    rate: float = parameters.number(
+        PUBLISHED_RATE, "Hz at which as_published samples the odometry", above=0.0
+    )
+    lock_step: bool = parameters.boolean(False, "tell the bridge when ready; lose no message")
+
+
+class NoisyOdometry:
+    """Puts noise on odom and publishes noisy_odom."""
+
+    def __init__(self, wanted: NoisyOdomParameters):
+        self.std = wanted.std
+        self.msg: Optional[Odometry] = None
+        self.last_odom: Optional[Odometry] = None
+        self.pose = [0.0, 0.0, 0.0]
+        self._sampler = Sampler(wanted.rate) if wanted.as_published else None
+        self._published = PublishedNoise(wanted.std, wanted.seed)
+        alphas = (wanted.alpha1, wanted.alpha2, wanted.alpha3, wanted.alpha4)
+        self._path = NoisyPath(make_rule(wanted.model, wanted.std, alphas), wanted.seed)
+        self._frames = FrameGuard()
+        self._refusals = Refusals()
+        self.pub = (
+            lossless_publisher("noisy_odom", Odometry)
+            if wanted.lock_step
+            else Publisher("noisy_odom", Odometry, queue_size=QUEUE_SIZE)
+        )
+        # No queue size: a message that is dropped here would be missing in the noisy path.
+        self.sub = rospy.Subscriber("odom", Odometry, self.odom_callback, tcp_nodelay=True)
+
+    def odom_callback(self, msg: Odometry) -> None:
+        """Take the next message; refuse it if it is no pose in the frames of the first."""
+        try:
+            pose = planar_pose(msg)
+            self._frames.check(msg)
+            if self.msg is not None:
+                self._check_time(msg)
+        except OdometryError as error:
+            self._refusals.refuse("odom", str(error))
+            return
+        self.msg = msg
+        if self._sampler is None or self._sampler.due(msg.header.stamp.to_sec()):
+            self.compute_noise(msg, pose)
+
+    def compute_noise(self, msg: Odometry, pose: Tuple[float, float, float]) -> None:
+        """Publish the noisy version of a message, whose pose is (m, m, rad)."""
+        noisy = _copy(msg)
+        if self._sampler is not None:
+            self.pose = list(self._published.update(*pose))
+        else:
+            step = self._path.update(*pose)
+            self.pose = list(step.pose)
+            _set_uncertainty(noisy, step, self._seconds_since_last(msg))
+        _set_pose(noisy, self.pose)
+        self.last_odom = msg
+        self.pub.publish(noisy)
+
+    def _check_time(self, msg: Odometry) -> None:
+        """Start anew where time was set back; raises OdometryError on a repeated stamp."""
+        stamp, last = msg.header.stamp, self.msg.header.stamp
+        if stamp == last:
+            raise OdometryError(f"the stamp {stamp.to_sec():.9f} s came before")
+        if stamp < last:
+            rospy.loginfo("time was set back: the noisy path starts anew")
+            self.last_odom = None
+            self._path.restart()
+            self._published.restart()
+            if self._sampler is not None:
+                self._sampler.restart()
+
+    def _seconds_since_last(self, msg: Odometry) -> Optional[float]:
+        if self.last_odom is None:
+            return None
+        return (msg.header.stamp - self.last_odom.header.stamp).to_sec()
+
+
+def _copy(msg: Odometry) -> Odometry:
+    """Return a message with the same content that shares nothing that will be changed.
+
+    (The published node overwrote the message that it also kept as the last perfect one.)
+    """
+    copy = Odometry(header=Header(0, msg.header.stamp, msg.header.frame_id))
+    copy.child_frame_id = msg.child_frame_id
+    copy.pose.pose.position.z = msg.pose.pose.position.z
+    copy.pose.covariance = list(msg.pose.covariance)
+    copy.twist.covariance = list(msg.twist.covariance)
+    copy.twist.twist.linear.x = msg.twist.twist.linear.x
+    copy.twist.twist.linear.y = msg.twist.twist.linear.y
+    copy.twist.twist.linear.z = msg.twist.twist.linear.z
+    copy.twist.twist.angular.x = msg.twist.twist.angular.x
+    copy.twist.twist.angular.y = msg.twist.twist.angular.y
+    copy.twist.twist.angular.z = msg.twist.twist.angular.z
+    return copy
+
+
+def _set_pose(message: Odometry, pose: List[float]) -> None:
+    position, turn = message.pose.pose.position, message.pose.pose.orientation
+    position.x, position.y = pose[0], pose[1]
+    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(pose[2])
+
+
+def _set_uncertainty(message: Odometry, step: NoisyStep, seconds: Optional[float]) -> None:
+    """Add the noise to the twist, and its covariances to those of the perfect odometry."""
+    _add_covariance(message.pose.covariance, step.covariance, 1.0)
+    if seconds is None:
+        return
+    dx, dy, dyaw = step.motion_error
+    twist = message.twist.twist
+    twist.linear.x += dx / seconds
+    twist.linear.y += dy / seconds
+    twist.angular.z += dyaw / seconds
+    _add_covariance(message.twist.covariance, step.motion_covariance, 1.0 / seconds**2)
+
+
+def _add_covariance(entries: List[float], covariance, factor: float) -> None:
+    values = covariance.tolist()
+    for i, row in enumerate(PLANAR_AXES):
+        for j, column in enumerate(PLANAR_AXES):
+            entries[6 * row + column] += factor * values[i][j]
+
+
+def main() -> None:
+    """Run the node."""
+
+    def body() -> None:
+        wanted = private_parameters(NoisyOdomParameters)
+        odom = NoisyOdometry(wanted)
+        if wanted.lock_step:
+            wait_until(lambda: odom.sub.get_num_connections() > 0, "somebody to publish odom")
+            LockStep().listen_only()
+        rospy.spin()
+
+    run_node("noisy_odom_node", body)

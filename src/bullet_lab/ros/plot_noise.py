@@ -1,0 +1,252 @@
+"""Records and plots the perfect and the noisy odometry.
+
+:ROS Parameters: see `PlotNoiseParameters`.
+:ROS Subscribers: odom, noisy_odom (nav_msgs/Odometry)
+:ROS Publishers: odom_path, noisy_odom_path (nav_msgs/Path), latched
+
+Leaves odom.tum, noisy_odom.tum and paths.csv, written row by row, and paths.png and
+summary.json, which are renewed while it runs.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Any, Mapping, Optional, Tuple
+
+import rospy
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry, Path
+
+from bullet_lab.numerics.trajectory import Trajectory
+from bullet_lab.plotting.noise_figure import noise_figure
+from bullet_lab.plotting.style import save
+from bullet_lab.recording.files import write_json
+from bullet_lab.recording.paths import PathsRecording, RecordingError
+from bullet_lab.recording.squares_summary import squares_summary
+from bullet_lab.ros import parameters
+from bullet_lab.ros.lock_step import LockStep
+from bullet_lab.ros.node import Publisher, Refusals, private_parameters, run_node, wait_until
+from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
+from bullet_lab.ros.recorder import EndOfRecording, Stopwatch, record_until
+
+PATHS_PERIOD_SECONDS = 0.5
+
+
+@dataclass(frozen=True)
+class PlotNoiseParameters:
+    """Private parameters of plot_noise."""
+
+    out: str = parameters.text("results/squares", "folder for the files")
+    until: str = parameters.text("", "topic (std_msgs/Time) that ends it; empty: Ctrl-C does")
+    about: Mapping[str, Any] = parameters.mapping("what else summary.json shall say")
+    show: bool = parameters.boolean(False, "open a window at the end, where there is a screen")
+    plot_period: float = parameters.number(
+        10.0, "wall seconds between two versions of paths.png", above=0.0
+    )
+    lock_step: bool = parameters.boolean(False, "tell the bridge when ready")
+
+
+class PlotNoise:
+    """Pairs the two odometries by stamp and leaves their paths as files."""
+
+    def __init__(self, wanted: PlotNoiseParameters):
+        self._wanted = wanted
+        self._lock = threading.Lock()
+        self._folder = FilePath(wanted.out)
+        self._recording = PathsRecording(self._folder)
+        self._runs = 0
+        self._stopwatch = Stopwatch()
+        self._refusals = Refusals()
+        self._guards = {"odom": FrameGuard(), "noisy_odom": FrameGuard()}
+        self._left_behind: Optional[str] = None
+        self._drawn = 0
+        self.end = EndOfRecording(wanted.until)
+        self._perfect_path = _PathTopic("odom_path")
+        self._noisy_path = _PathTopic("noisy_odom_path")
+        self.sub_noisy = rospy.Subscriber("noisy_odom", Odometry, self.odom_callback_noisy)
+        self.sub_perfect = rospy.Subscriber("odom", Odometry, self.odom_callback_perfect)
+
+    def odom_callback_noisy(self, msg: Odometry) -> None:
+        """Take a message of the noisy odometry."""
+        self.extract_data(msg, None)
+
+    def odom_callback_perfect(self, msg: Odometry) -> None:
+        """Take a message of the perfect odometry."""
+        self.extract_data(None, msg)
+
+    def extract_data(self, msg: Optional[Odometry], msg2: Optional[Odometry]) -> None:
+        """Record a noisy message, a perfect one, or both."""
+        with self._lock:
+            if msg2 is not None:
+                self._record("odom", PathsRecording.PERFECT, msg2, self._perfect_path)
+            if msg is not None:
+                self._record("noisy_odom", PathsRecording.NOISY, msg, self._noisy_path)
+
+    def is_complete(self) -> bool:
+        """Return whether both odometries have come to the announced end."""
+        with self._lock:
+            recorded = (PathsRecording.PERFECT, PathsRecording.NOISY)
+            stamps = [self._recording.last(name) for name in recorded]
+        return self.end.reached(None if None in stamps else min(stamps))
+
+    def is_connected(self) -> bool:
+        """Return whether both odometries have a publisher."""
+        subscribers = (self.sub_noisy, self.sub_perfect)
+        return all(subscriber.get_num_connections() > 0 for subscriber in subscribers)
+
+    def plot_now(self) -> None:
+        """Renew paths.png and summary.json with what there is."""
+        with self._lock:
+            perfect, pairs = self._recording.perfect(), self._recording.pairs()
+        self.plot_noise(pairs, perfect)
+        self._write_summary(perfect, pairs, finished=False)
+
+    def plot_noise(
+        self,
+        noisy_data: Optional[Tuple[Trajectory, Trajectory]],
+        perfect_data: Optional[Trajectory],
+    ) -> None:
+        """Draw both paths into paths.png."""
+        save(noise_figure(perfect_data, noisy_data, self._title()), self._folder / "paths.png")
+
+    def finish(self, complete: bool) -> None:
+        """Write everything for the last time."""
+        self.sub_noisy.unregister()
+        self.sub_perfect.unregister()
+        with self._lock:
+            self._recording.finish(self.end.until if complete else None)
+            perfect, pairs = self._recording.perfect(), self._recording.pairs()
+        self._write_summary(perfect, pairs, finished=complete)
+        self.plot_noise(pairs, perfect)
+        rospy.loginfo("%d pairs of poses in %s", len(pairs[0]) if pairs else 0, self._folder)
+
+    def show(self) -> None:
+        """Show paths.png in a window and wait until it is closed."""
+        if not os.environ.get("DISPLAY"):
+            rospy.logwarn("~show: there is no screen (DISPLAY is not set); see paths.png")
+            return
+        try:
+            from matplotlib import pyplot
+
+            picture = pyplot.imread(str(self._folder / "paths.png"))
+            pyplot.figure("bullet_lab", figsize=(11.0, 6.6))
+            pyplot.axes([0.0, 0.0, 1.0, 1.0]).imshow(picture)
+            pyplot.axis("off")
+            pyplot.show()
+        except ImportError as error:
+            rospy.logwarn("~show: matplotlib has no window toolkit here: %s", error)
+
+    def _record(self, topic: str, name: str, msg: Odometry, path: _PathTopic) -> None:
+        try:
+            pose = planar_pose(msg)
+            self._guards[topic].check(msg)
+            stamp = msg.header.stamp.to_nsec()
+            if not self._belongs_to_this_run(topic, name, stamp):
+                return
+            add = self._recording.add_perfect if name == PathsRecording.PERFECT else None
+            (add or self._recording.add_noisy)(stamp, pose)
+        except (OdometryError, RecordingError) as error:
+            self._refusals.refuse(topic, str(error))
+            return
+        self._stopwatch.note()
+        path.append(msg)
+
+    def _belongs_to_this_run(self, topic: str, name: str, stamp: int) -> bool:
+        """Begin a new run where time was set back; drop what the old run still sends after."""
+        last = self._recording.last(name)
+        if self._left_behind == topic:
+            if stamp > self._reset_from:
+                return False
+            self._left_behind = None
+        elif last is not None and stamp < last:
+            self._begin_new_run(last)
+            self._left_behind = "noisy_odom" if topic == "odom" else "odom"
+        return True
+
+    def _begin_new_run(self, last: int) -> None:
+        self._recording.finish()
+        self._runs += 1
+        old = self._folder / f"run_{self._runs}"
+        old.mkdir(exist_ok=True)
+        for name in (PathsRecording.PERFECT, PathsRecording.NOISY, PathsRecording.PAIRS):
+            (self._folder / name).replace(old / name)
+        rospy.loginfo("time was set back: what was recorded before is in %s", old)
+        self._reset_from = last
+        self._recording = PathsRecording(self._folder)
+        self._stopwatch = Stopwatch()
+        self._perfect_path.clear()
+        self._noisy_path.clear()
+
+    def _write_summary(
+        self,
+        perfect: Optional[Trajectory],
+        pairs: Optional[Tuple[Trajectory, Trajectory]],
+        finished: bool,
+    ) -> None:
+        seconds = 0.0 if perfect is None else float(perfect.stamps[-1] - perfect.stamps[0])
+        values = {
+            **self._wanted.about,
+            "finished": finished,
+            **squares_summary(perfect, pairs),
+            **self._stopwatch.figures(seconds),
+            "refused_messages": self._refusals.total,
+        }
+        write_json(self._folder / "summary.json", values)
+
+    def _title(self) -> str:
+        said = self._wanted.about
+        parts = [f"{key} = {said[key]}" for key in ("std", "model", "mode", "seed") if key in said]
+        if said.get("as_published"):
+            parts.append("as published")
+        return "Noise generated by /noisy_odom" + (f"\n{', '.join(parts)}" if parts else "")
+
+
+class _PathTopic:
+    """A latched path for RViz, published twice a second at most and only if somebody looks."""
+
+    def __init__(self, topic: str):
+        self._path = Path()
+        self._publisher = Publisher(topic, Path, queue_size=1, latch=True)
+        self._timer = threading.Thread(target=self._publish, daemon=True)
+        self._timer.start()
+
+    def append(self, msg: Odometry) -> None:
+        """Add where a message says that the robot is."""
+        self._path.header = msg.header
+        self._path.poses.append(PoseStamped(msg.header, msg.pose.pose))
+
+    def clear(self) -> None:
+        """Start a new path."""
+        self._path.poses = []
+
+    def _publish(self) -> None:
+        published = 0
+        while not rospy.is_shutdown():
+            rospy.rostime.wallsleep(PATHS_PERIOD_SECONDS)
+            poses = list(self._path.poses)
+            if len(poses) != published and self._publisher.get_num_connections() > 0:
+                published = len(poses)
+                self._publisher.publish(Path(self._path.header, poses))
+
+
+def main() -> None:
+    """Run the node."""
+
+    def body() -> None:
+        wanted = private_parameters(PlotNoiseParameters)
+        plotter = PlotNoise(wanted)
+        complete = False
+        try:
+            if wanted.lock_step:
+                wait_until(plotter.is_connected, "somebody to publish odom and noisy_odom")
+                LockStep().listen_only()
+            complete = record_until(plotter.is_complete, plotter.plot_now, wanted.plot_period)
+        finally:
+            plotter.finish(complete)
+        if wanted.show:
+            plotter.show()
+
+    run_node("plot_noise", body)
