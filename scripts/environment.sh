@@ -1,0 +1,40 @@
+# Sourced by the other scripts: where things are, and how to enter the lab's environment.
+# shellcheck shell=bash disable=SC2034 # not all of them use all of it
+
+LAB_ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
+LAB_DIR=$LAB_ROOT/.lab
+LAB_VENV=$LAB_DIR/venv
+LAB_WS=$LAB_DIR/ws
+if [[ -e /opt/ros/noetic/setup.bash ]]; then
+  LAB_ROS=/opt/ros/noetic
+else
+  LAB_ROS=/usr
+fi
+
+# ROS works with the system's Python only: nothing of another one may be in its way,
+# be it first in PATH, in PYTHONPATH or in the user's site-packages.
+use_lab_python() {
+  unset PYTHONPATH PYTHONHOME
+  export PYTHONNOUSERSITE=1
+  PATH=$LAB_VENV/bin:$PATH
+}
+
+# The setup files of catkin read variables that may be unset.
+source_setup_file() {
+  set +u
+  # shellcheck disable=SC1090
+  source "$1"
+  set -u
+}
+
+# The built workspace and the virtual environment, for everything that runs.
+enter_lab() {
+  local given_master=${ROS_MASTER_URI-}
+  use_lab_python
+  source_setup_file "$LAB_WS/devel/setup.bash"
+  PATH=$LAB_VENV/bin:$PATH
+  # catkin's files set a default, which would look like a master that the user named.
+  if [[ -z $given_master ]]; then
+    unset ROS_MASTER_URI
+  fi
+}

@@ -1,0 +1,80 @@
+#!/usr/bin/env bash
+# Checks the sources: scripts/lint.sh [check …], by default all checks. No problem: status 0.
+set -euo pipefail
+
+# shellcheck source=scripts/environment.sh
+source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
+
+CHECKS=(ruff shellcheck catkin_lint xml launch)
+
+# Also where there is no git, whose list of ignored files ruff follows.
+check_ruff() { python -m ruff check --quiet --output-format concise --extend-exclude .lab,results .; }
+
+check_shellcheck() { shellcheck --external-sources scripts/*.sh .ci/run; }
+
+check_catkin_lint() { catkin_lint --offline --quiet --strict .; }
+
+# All XML that is written by hand is well-formed.
+check_xml() {
+  local files
+  mapfile -t files < <(find package.xml launch urdf worlds models meshes test -type f \
+    '(' -name '*.xml' -o -name '*.launch' -o -name '*.test' -o -name '*.urdf' \
+    -o -name '*.world' -o -name '*.sdf' -o -name '*.config' -o -name '*.dae' ')')
+  python - "${files[@]}" <<'PYTHON'
+import sys
+from xml.parsers.expat import ExpatError
+
+import defusedxml.minidom
+from defusedxml import DefusedXmlException
+
+problems = 0
+for path in sys.argv[1:]:
+    try:
+        defusedxml.minidom.parse(path)
+    except (ExpatError, DefusedXmlException) as error:
+        print(f"{path}: {error}")
+        problems += 1
+sys.exit(bool(problems))
+PYTHON
+}
+
+# Everything that a launch file names exists, and its package is depended on.
+check_launch() {
+  local file failed=0
+  for file in launch/*.launch test/rostest/*.test; do
+    [[ -e $file ]] || continue
+    python "$LAB_ROS/share/roslaunch/scripts/roslaunch-check" --use-test-depends \
+      -o "$LAB_DIR/log/roslaunch-check.xml" "$file" || failed=1
+  done
+  return "$failed"
+}
+
+run_check() {
+  local name=$1 log=$LAB_DIR/log/lint-$1.log
+  if "check_$name" >"$log" 2>&1; then
+    echo "lint $name: passed"
+    echo 1 0 >>"${LAB_TALLY:-/dev/null}"
+  else
+    cat "$log"
+    echo "lint $name: FAILED"
+    echo 0 1 >>"${LAB_TALLY:-/dev/null}"
+    return 1
+  fi
+}
+
+main() {
+  local name failed=0
+  "$LAB_ROOT/scripts/setup.sh" --with test
+  enter_lab
+  cd "$LAB_ROOT"
+  for name in "${@:-${CHECKS[@]}}"; do
+    if [[ " ${CHECKS[*]} " != *" $name "* ]]; then
+      echo "lint: there is no check '$name'; checks: ${CHECKS[*]}" >&2
+      exit 2
+    fi
+    run_check "$name" || failed=1
+  done
+  return "$failed"
+}
+
+main "$@"

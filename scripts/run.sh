@@ -1,0 +1,11 @@
+#!/usr/bin/env bash
+# Runs a job of the lab: scripts/run.sh <job> [name:=value …]
+# Without a job it lists them; <job> --help lists a job's arguments.
+set -euo pipefail
+
+# shellcheck source=scripts/environment.sh
+source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
+
+"$LAB_ROOT/scripts/setup.sh"
+enter_lab
+exec python -m bullet_lab.ros.launcher "$@"

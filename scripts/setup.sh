@@ -1,0 +1,300 @@
+#!/usr/bin/env bash
+# Installs and builds what is missing; does nothing, quickly, when nothing is.
+#
+# Usage: scripts/setup.sh [--with rviz] [--with test]
+#
+# Debian packages come by apt-get (through sudo where not root), Python packages into
+# .lab/venv, the catkin workspace is built in .lab/ws. Where /opt/ros/noetic exists it
+# is used instead of Debian's ROS. What ran is in .lab/log.
+set -euo pipefail
+
+# shellcheck source=scripts/environment.sh
+source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
+
+say() { printf 'setup: %s\n' "$*" >&2; }
+
+fail() {
+  say "$*"
+  exit 1
+}
+
+# ---- What there is to install ----
+
+debian_packages() {
+  if [[ $LAB_ROS == /opt/ros/noetic ]]; then
+    noetic_packages "$1"
+    return
+  fi
+  case $1 in
+    base)
+      echo ca-certificates g++ make cmake python3 python3-venv catkin ros-core rosbash \
+        python3-roslaunch python3-rosmaster python3-rospy \
+        ros-message-generation ros-message-runtime \
+        python3-geometry-msgs python3-nav-msgs python3-rosgraph-msgs python3-sensor-msgs \
+        python3-std-msgs python3-std-srvs python3-tf2-msgs python3-tf2-ros python3-visualization-msgs \
+        libgeometry-msgs-dev libnav-msgs-dev libsensor-msgs-dev libstd-msgs-dev \
+        libstd-srvs-dev libtf2-ros-dev libvisualization-msgs-dev libroscpp-dev \
+        ros-robot-state-publisher
+      ;;
+    rviz) echo rviz xvfb libgl1-mesa-dri ;;
+    test) echo shellcheck python3-rostest iproute2 ;;
+  esac
+}
+
+noetic_packages() {
+  local name names=()
+  case $1 in
+    base)
+      names=(catkin geometry-msgs message-generation message-runtime nav-msgs
+        robot-state-publisher rosbash rosgraph-msgs roslaunch rosmaster rospy sensor-msgs
+        std-msgs std-srvs tf2-msgs tf2-ros visualization-msgs)
+      echo ca-certificates g++ make cmake python3 python3-venv
+      ;;
+    rviz)
+      names=(rviz)
+      echo xvfb libgl1-mesa-dri
+      ;;
+    test)
+      names=(rostest)
+      echo shellcheck iproute2
+      ;;
+  esac
+  for name in "${names[@]}"; do
+    echo "ros-noetic-$name"
+  done
+}
+
+# ---- Steps: each has its inputs; it is done again when their checksum changes ----
+
+inputs_of() {
+  echo "$LAB_ROOT $LAB_ROS"
+  case $1 in
+    debian-*) debian_packages "${1#debian-}" ;;
+    python-base)
+      readlink -f /usr/bin/python3
+      cat "$LAB_ROOT/requirements.txt"
+      ;;
+    python-test) cat "$LAB_ROOT/requirements.txt" "$LAB_ROOT/requirements-test.txt" ;;
+    build)
+      cat "$LAB_ROOT"/{CMakeLists.txt,package.xml,setup.py} "$LAB_ROOT"/srv/*.srv
+      ;;
+  esac
+}
+
+checksum_of() { inputs_of "$1" | sha256sum; }
+
+is_done() {
+  local stamp=$LAB_DIR/stamp/$1
+  case $1 in
+    python-*) [[ -x $LAB_VENV/bin/python ]] || return 1 ;;
+    build) [[ -e $LAB_WS/devel/setup.bash ]] || return 1 ;;
+  esac
+  [[ -e $stamp && $(<"$stamp") == "$(checksum_of "$1")" ]]
+}
+
+mark_done() { checksum_of "$1" >"$LAB_DIR/stamp/$1"; }
+
+describe() {
+  case $1 in
+    debian-base) echo "Debian packages" ;;
+    debian-*) echo "Debian packages for ${1#debian-}" ;;
+    python-base) echo "virtual environment" ;;
+    python-*) echo "Python packages for ${1#python-}" ;;
+    build) echo "catkin build" ;;
+  esac
+}
+
+# ---- Running something quietly ----
+
+# On a terminal, shows how long a step has taken and the last line of its log.
+tick() {
+  local title=$1 log=$2 start=$SECONDS line
+  while sleep 1; do
+    line=$(tail -n 1 "$log" 2>/dev/null | tr -cd '[:print:]' || true)
+    printf '\rsetup: %s, %d s: %.60s\033[K' "$title" $((SECONDS - start)) "$line" >&2
+  done
+}
+
+# run_quietly TITLE LOG COMMAND…: output goes to the log, which is shown on failure only.
+run_quietly() {
+  local title=$1 log=$2 ticker="" status=0
+  shift 2
+  if [[ -t 2 ]]; then
+    tick "$title" "$log" 9>&- &
+    ticker=$!
+  fi
+  # Nothing that is started may inherit the lock (fd 9) and hold it for longer than this.
+  "$@" >>"$log" 2>&1 </dev/null 9>&- || status=$?
+  if [[ -n $ticker ]]; then
+    kill "$ticker" 2>/dev/null || true
+    wait "$ticker" 2>/dev/null || true
+    printf '\r\033[K' >&2
+  fi
+  if ((status)); then
+    tail -n 40 "$log" >&2
+    say "$title failed, the whole log is in $log"
+  fi
+  return "$status"
+}
+
+# ---- Debian packages ----
+
+missing_of() {
+  local installed
+  installed=$(dpkg-query -W -f '${Package} ${db:Status-Status}\n' "$@" 2>/dev/null || true)
+  comm -23 <(printf '%s\n' "$@" | sort -u) \
+    <(awk '$2 == "installed" {print $1}' <<<"$installed" | sort -u)
+}
+
+# Fails rather than waits for a password where nobody can type one.
+become_root() {
+  ((EUID)) || return 0
+  if command -v sudo >/dev/null; then
+    if sudo -n true 2>/dev/null; then
+      return 0
+    fi
+    if [[ -t 0 && -z ${CI-} ]]; then
+      say "the password is for installing Debian packages: $*"
+      sudo -v && return 0
+    fi
+  fi
+  fail "Debian packages are missing; as root: apt-get install --no-install-recommends $*"
+}
+
+apt_get() {
+  local command=(env DEBIAN_FRONTEND=noninteractive apt-get -y -o DPkg::Lock::Timeout=600)
+  if ((EUID)); then
+    command=(sudo -n "${command[@]}")
+  fi
+  "${command[@]}" "$@"
+}
+
+# A list that cannot be refreshed may be one that is not needed: the installation tells.
+apt_install() {
+  apt_get update || true
+  apt_get install --no-install-recommends "$@"
+}
+
+step_debian() {
+  local title=$1 log=$2 part=$3 missing
+  read -r -d '' -a packages < <(debian_packages "$part") || true
+  mapfile -t missing < <(missing_of "${packages[@]}")
+  ((${#missing[@]})) || return 0
+  command -v apt-get >/dev/null || fail "no apt-get here; install by hand: ${missing[*]}"
+  say "$title: installing ${missing[*]}"
+  become_root "${missing[@]}"
+  run_quietly "$title" "$log" apt_install "${missing[@]}"
+}
+
+# ---- Python packages ----
+
+pip_install() {
+  PIP_USER=0 "$LAB_VENV/bin/python" -m pip install --disable-pip-version-check --no-input \
+    --no-color --progress-bar off "$@"
+}
+
+# ROS's modules are the system's. An old pip knows too few kinds of wheels.
+create_venv() {
+  /usr/bin/python3 -m venv --system-site-packages "$LAB_VENV" \
+    && pip_install 'pip>=21' \
+    && pip_install -r "$LAB_ROOT/requirements.txt"
+}
+
+step_python() {
+  local title=$1 log=$2 part=$3
+  unset PYTHONPATH PYTHONHOME
+  export PYTHONNOUSERSITE=1
+  if [[ $part == base ]]; then
+    run_quietly "$title" "$log" create_venv
+  else
+    run_quietly "$title" "$log" pip_install -r "$LAB_ROOT/requirements-$part.txt"
+  fi
+}
+
+# ---- The catkin workspace ----
+
+# Leaves out what the user's shell knows of Python and other workspaces: the build keeps it.
+build_workspace() (
+  unset CMAKE_PREFIX_PATH ROS_PACKAGE_PATH
+  use_lab_python
+  PATH=$LAB_VENV/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
+  if [[ $LAB_ROS != /usr ]]; then
+    source_setup_file "$LAB_ROS/setup.bash"
+  fi
+  "$LAB_ROS/bin/catkin_make" -C "$LAB_WS" \
+    -DPYTHON_EXECUTABLE="$LAB_VENV/bin/python" -DCATKIN_ENABLE_TESTING=OFF
+)
+
+step_build() {
+  local title=$1 log=$2
+  mkdir -p "$LAB_WS/src"
+  ln -sfn "$LAB_ROOT" "$LAB_WS/src/bullet_lab"
+  # What was built elsewhere, before the clone was moved, is of no use.
+  if ! grep -qsxF "CMAKE_HOME_DIRECTORY:INTERNAL=$LAB_WS/src" "$LAB_WS/build/CMakeCache.txt"; then
+    rm -rf "$LAB_WS/build" "$LAB_WS/devel"
+  fi
+  run_quietly "$title" "$log" build_workspace
+}
+
+# ---- Main ----
+
+take_step() {
+  local step=$1 number=$2 of=$3 start=$SECONDS title log
+  title="[$number/$of] $(describe "$step")"
+  log=$LAB_DIR/log/$step.log
+  : >"$log"
+  say "$title"
+  case $step in
+    build) step_build "$title" "$log" ;;
+    *) "step_${step%-*}" "$title" "$log" "${step#*-}" ;;
+  esac
+  mark_done "$step"
+  say "$title: done, $((SECONDS - start)) s"
+}
+
+# The steps of those named that are not done yet.
+open_steps() {
+  local step
+  for step in "$@"; do
+    is_done "$step" || echo "$step"
+  done
+}
+
+steps_of() {
+  printf '%s\n' debian-base python-base build
+  while (($#)); do
+    case "$1 ${2-}" in
+      "--with rviz") echo debian-rviz ;;
+      "--with test") printf '%s\n' debian-test python-test ;;
+      *) fail "unknown argument '$*'; usage: setup.sh [--with rviz] [--with test]" ;;
+    esac
+    shift 2
+  done
+}
+
+take_lock() {
+  mkdir -p "$LAB_DIR"/{log,stamp}
+  exec 9>"$LAB_DIR/setup.lock"
+  if ! flock -n 9; then
+    say "waiting for another setup.sh"
+    flock 9
+  fi
+}
+
+main() {
+  local wanted steps i
+  wanted=$(steps_of "$@") || exit 2
+  # shellcheck disable=SC2086
+  [[ -n $(open_steps $wanted) ]] || return 0
+  if [[ $LAB_ROOT =~ [[:space:]] ]]; then
+    fail "catkin cannot build in a folder with a space in its name: $LAB_ROOT"
+  fi
+  take_lock
+  # shellcheck disable=SC2086
+  mapfile -t steps < <(open_steps $wanted)
+  for i in "${!steps[@]}"; do
+    take_step "${steps[i]}" $((i + 1)) ${#steps[@]}
+  done
+}
+
+main "$@"

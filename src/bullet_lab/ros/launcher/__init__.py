@@ -1,0 +1,1 @@
+"""The launcher behind scripts/run.sh: lists jobs, checks their arguments, runs and stops them."""

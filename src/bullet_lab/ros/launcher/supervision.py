@@ -1,0 +1,166 @@
+"""Runs a launch file and tells how it went."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+import xmlrpc.client
+from pathlib import Path
+from typing import Callable
+
+import rosgraph.names
+import roslaunch
+import roslaunch.config
+import roslaunch.parent
+import roslaunch.pmon
+import roslib
+import rospkg
+
+from bullet_lab.errors import LabError
+from bullet_lab.ros.launcher.jobs import Job
+from bullet_lab.ros.launcher.master import RunMaster
+from bullet_lab.ros.launcher.verdict import Death, Verdict, judge
+
+_POLL_PERIOD = 0.05
+_SIGINT_TIMEOUT = 6.0
+_SIGTERM_TIMEOUT = 2.0
+
+
+class SupervisionError(LabError):
+    """The launch file cannot be run."""
+
+
+class Deaths(roslaunch.pmon.ProcessListener):
+    """Collects the ends of nodes in their order, from roslaunch's monitor thread."""
+
+    def __init__(self):
+        self.list: list[Death] = []
+
+    def process_died(self, process_name, exit_code):
+        """Note the end of a node; called by roslaunch."""
+        self.list.append(Death(process_name, 1 if exit_code is None else exit_code))
+
+
+class Launch:
+    """A launch file whose nodes have been started; all of them are stopped at the end."""
+
+    def __init__(self, job: Job, values: dict[str, str], master: RunMaster):
+        self._config = _load(job.path, values)
+        self.required = {node.name for node in self._config.nodes if node.required}
+        # roslaunch would tear down by itself at the end of a required node, and lose
+        # track of nodes that it is about to start.
+        for node in self._config.nodes:
+            node.required = False
+        self._deaths = Deaths()
+        self._parent = roslaunch.parent.ROSLaunchParent(
+            master.run_id,
+            [str(job.path)],
+            show_summary=False,
+            sigint_timeout=_SIGINT_TIMEOUT,
+            sigterm_timeout=_SIGTERM_TIMEOUT,
+        )
+
+    def __enter__(self) -> Launch:
+        """Start the nodes.
+
+        Raises:
+            SupervisionError: one of them cannot be started.
+        """
+        # Interactive programs keep their signal handlers.
+        roslib.set_interactive(True)
+        try:
+            self._start()
+        except roslaunch.RLException as error:
+            self.__exit__()
+            raise SupervisionError(_one_line(error)) from error
+        return self
+
+    def _start(self) -> None:
+        self._parent.config = self._config
+        # The listener that ROSLaunchParent takes would miss nodes that end at once.
+        self._parent.pm = roslaunch.pmon.start_process_monitor()
+        self._parent.pm.add_process_listener(self._deaths)
+        self._parent.start(auto_terminate=False)
+        failed = [node.name for node in self._config.nodes if not node.process_name]
+        if failed:
+            raise roslaunch.RLException(f"cannot start {', '.join(failed)}")
+
+    def __exit__(self, *_) -> None:
+        """Stop all nodes: by SIGINT, then SIGTERM, then SIGKILL."""
+        self._dismiss_newcomers()
+        self._parent.shutdown()
+
+    def _dismiss_newcomers(self) -> None:
+        """End by SIGTERM the nodes that the master does not know yet.
+
+        They may still be importing, where Python answers SIGINT with a traceback.
+        """
+        names = {node.process_name: node for node in self._config.nodes}
+        for process in list(self._parent.pm.procs) if self._parent.pm else []:
+            if process.name in names and not self._is_registered(names[process.name]):
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    if process.pid > 0 and process.is_alive():
+                        os.kill(process.pid, signal.SIGTERM)
+
+    def _is_registered(self, node) -> bool:
+        name = rosgraph.names.ns_join(node.namespace, node.name)
+        try:
+            code, _, _ = self._config.master.get().lookupNode("/roslaunch", name)
+        except (OSError, xmlrpc.client.Error):
+            return False
+        return code == 1
+
+    def wait(
+        self,
+        has_summary: Callable[[], bool],
+        stopped_by: Callable[[], int | None],
+        meanwhile: Callable[[], None],
+    ) -> Verdict:
+        """Wait for the end of the job.
+
+        Args:
+            has_summary: tells whether the summary has been written.
+            stopped_by: tells which signal has asked to stop, if any.
+            meanwhile: called again and again while waiting.
+        """
+        names = {node.process_name: node.name for node in self._config.nodes}
+        while True:
+            deaths = list(self._deaths.list)
+            verdict = judge(deaths, names, self.required, has_summary(), stopped_by())
+            if verdict is not None:
+                return verdict
+            meanwhile()
+            time.sleep(_POLL_PERIOD)
+
+
+def _load(path: Path, values: dict[str, str]) -> roslaunch.config.ROSLaunchConfig:
+    words = [f"{name}:={value}" for name, value in values.items()]
+    with _as_supervision_error():
+        return roslaunch.config.load_config_default([(str(path), words)], None)
+
+
+def resolved_defaults(path: Path) -> dict[str, str]:
+    """The defaults of a launch file's arguments, with the substitutions done.
+
+    Raises:
+        SupervisionError: roslaunch cannot read the file.
+    """
+    import roslaunch.arg_dump
+
+    with _as_supervision_error():
+        args = roslaunch.arg_dump.get_args([str(path)])
+    return {name: str(default) for name, (_, default) in args.items() if default is not None}
+
+
+@contextlib.contextmanager
+def _as_supervision_error():
+    try:
+        yield
+    except (roslaunch.RLException, rospkg.ResourceNotFound) as error:
+        raise SupervisionError(_one_line(error)) from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
