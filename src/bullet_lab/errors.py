@@ -7,3 +7,7 @@ class LabError(Exception):
     Executables catch it, print the line and end with a non-zero status. Each module that
     has errors of its own derives one class from it.
     """
+
+    def __str__(self) -> str:
+        # What a message quotes from outside may hold line ends.
+        return " ".join(super().__str__().split())

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Measures the bridge against the bare engine; run it with scripts/bench.sh.
 
-Needs a ROS master. Prints a table and writes JSON.
+Prints a table and writes JSON. Starts a ROS master of its own unless one is given.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import signal
 import statistics
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any, Dict, List
@@ -23,11 +24,10 @@ import psutil
 import rospy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
-from rosgraph_msgs.msg import Clock
-from tf2_msgs.msg import TFMessage
 
-from bullet_lab.simulation.samples import OdometrySample, PlanarCommand
-from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.ros.bridge import BridgeParameters, PyBulletBridge
+from bullet_lab.ros.launcher.master import prepare_master
+from bullet_lab.simulation.samples import PlanarCommand
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
@@ -66,7 +66,7 @@ rospy.spin()
 
 
 class Bridge:
-    """A bridge of its own process, with one subscriber to each of its topics."""
+    """A bridge in a process of its own, with one subscriber to each of its topics."""
 
     def __init__(self, rtf: float):
         rospy.set_param("/use_sim_time", False)
@@ -138,8 +138,6 @@ def command_delays(count: int) -> List[int]:
     Arrival is when the bridge's subscriber hands the command on; the bridge runs in real time
     in this process, so that both moments can be seen.
     """
-    from bullet_lab.ros.bridge import BridgeParameters, PyBulletBridge
-
     rospy.set_param("/use_sim_time", False)
     wanted = BridgeParameters(world=WORLD, robot=ROBOT, rtf=1.0)
     bridge = PyBulletBridge(wanted)
@@ -178,10 +176,8 @@ def command_delays(count: int) -> List[int]:
             while len(moved) <= number and not rospy.is_shutdown():
                 time.sleep(0.001)
             # Back to rest without a command, so that the next one moves it again.
-            bridge._do(lambda: device.reset(simulation.step))
+            bridge.stepper.do(lambda: device.reset(simulation.step))
         rospy.signal_shutdown("measured")
-
-    import threading
 
     threading.Thread(target=send_commands, daemon=True).start()
     bridge.spin()
@@ -237,6 +233,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=5.0, help="wall seconds of each bridge")
     wanted = parser.parse_args()
+    prepare_master()
     rospy.init_node("bench", disable_signals=True)
     figures = measure(wanted.rounds, wanted.seconds)
     print_table(figures)

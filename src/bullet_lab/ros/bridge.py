@@ -16,16 +16,10 @@
 from __future__ import annotations
 
 import contextlib
-import queue
 import sys
-import threading
-import time
-import xmlrpc.client
-from collections import Counter
 from dataclasses import dataclass
-from typing import Any, Callable, List, Optional, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-import rosgraph
 import rospy
 import rospy.impl.simtime
 import rospy.rostime
@@ -35,6 +29,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty, EmptyResponse
 from visualization_msgs.msg import MarkerArray
 
+from bullet_lab.errors import LabError
 from bullet_lab.ros import parameters
 from bullet_lab.ros.conversions import (
     INPUT_CONVERTERS,
@@ -45,7 +40,6 @@ from bullet_lab.ros.conversions import (
     time_of,
 )
 from bullet_lab.ros.node import (
-    NodeError,
     Publisher,
     Refusals,
     lossless_publisher,
@@ -53,25 +47,23 @@ from bullet_lab.ros.node import (
     run_node,
 )
 from bullet_lab.ros.pace import Pace
+from bullet_lab.ros.simulators import answers, refuse_second_simulator
+from bullet_lab.ros.stepper import Stepper, StepperError
 from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
 from bullet_lab.ros.world_markers import world_markers
+from bullet_lab.simulation.description import Model
 from bullet_lab.simulation.devices import DeviceError, Input, Output
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.resources import ResourceFinder
-from bullet_lab.simulation.samples import OdometrySample, TransformSample
+from bullet_lab.simulation.samples import OdometrySample
+from bullet_lab.simulation.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
 from bullet_lab.simulation.urdf_reader import read_urdf, read_urdf_file
 from bullet_lab.srv import Advance, AdvanceResponse, Step, StepResponse
 
-# Between two looks at what others want, at full speed: about half a millisecond of wall time.
-STEPS_AT_A_TIME = 50
-# Longest sleep while there is nothing to do, so that Ctrl-C is not kept waiting.
-LONGEST_WAIT = 0.2
-# Wall seconds after which whoever holds time back is asked whether it is still alive.
-PATIENCE = 2.0
 # Messages that wait for a slow subscriber while time follows the wall clock.
 QUEUE_SIZE = 100
-# Hz; this costs more than a message on /clock.
+# Hz; setting the time of this node's log costs more than a message on /clock.
 LOG_TIME_RATE = 5.0
 # A grant up to here, the end of ROS time, means "for ever".
 END_OF_TIME = 2**31 - 1
@@ -107,101 +99,43 @@ class BridgeParameters:
 
 
 class PyBulletBridge:
-    """Runs a simulation for ROS. PyBullet is touched by the thread that calls `spin` alone."""
+    """Wires a simulation to ROS."""
 
     def __init__(self, wanted: BridgeParameters):
         self._wanted = wanted
-        self._simulation = Simulation.of(wanted.world)
-        self._pace = Pace(wanted.rtf)
-        self._gate = TimeGate(map(rospy.resolve_name, wanted.lock_step))
+        self.simulation = Simulation.of(wanted.world)
+        self.stepper = Stepper(
+            self.simulation,
+            Pace(wanted.rtf),
+            TimeGate(map(rospy.resolve_name, wanted.lock_step)),
+            tick=max(1, round(STEPS_PER_SECOND / wanted.clock_rate)),
+            paused=wanted.paused,
+            is_over=rospy.is_shutdown,
+            report_stall=self._report_stall,
+        )
         self._refusals = Refusals()
-        self._paused = wanted.paused
-        self._wake = threading.Condition()
-        self._wakeups = 0
-        self._tasks: queue.Queue[_Task] = queue.Queue()
-        self._commands: Counter = Counter()
-        self._stalled_since: Optional[float] = None
         self._subscribers: List[rospy.Subscriber] = []
-        _take_over_the_clock()
+        self._shared_publishers: Dict[str, Publisher] = {}
+        self._static_tf = tf2_ros.StaticTransformBroadcaster()
+        _stop_listening_to_the_clock()
         self._clock = Clock()
         self._clock_publisher = self._publisher("/clock", Clock)
-        self._simulation.every(wanted.clock_rate, self._publish_clock)
-        self._simulation.every(LOG_TIME_RATE, _set_log_time)
-        self._tf_publishers = {}
-        self._static_tf = tf2_ros.StaticTransformBroadcaster()
+        self.simulation.every(wanted.clock_rate, self._publish_clock)
+        self.simulation.every(LOG_TIME_RATE, _set_log_time)
+        robot = self._add_robot()
         self._world_publisher = Publisher(
             "/bullet_lab/world", MarkerArray, queue_size=1, latch=True
         )
-        robot = self._add_robot()
         self._publish_world(robot)
         self._services = self._offer_services()
 
-    @property
-    def simulation(self) -> Simulation:
-        """The simulation; only the thread in `spin` may advance or change it."""
-        return self._simulation
-
     def spin(self) -> None:
         """Run until ROS shuts down."""
-        rospy.on_shutdown(self._notify)
-        self._pace.restart(self._simulation.step)
+        rospy.on_shutdown(self.stepper.wake)
         try:
-            while not rospy.is_shutdown():
-                self._run_tasks()
-                self._go_on()
+            self.stepper.run()
         finally:
-            self._notify()
-            self._simulation.close()
-
-    def _go_on(self) -> None:
-        """Advance as far as is due and allowed, or wait."""
-        # Read before anything is looked at: what changes from here on cuts the wait short.
-        wakeups = self._wakeups
-        step = self._simulation.step
-        limit = -1 if self._paused else self._gate.limit()
-        if limit is None or limit <= step:
-            self._pace.restart(step)
-            self._watch_the_stall()
-            self._wait(LONGEST_WAIT, wakeups)
-            return
-        self._stalled_since = None
-        due = self._pace.due(step)
-        if due <= step:
-            # Sleep to the next tick of the clock; a command or a service call wakes earlier.
-            tick = step + max(1, round(1000 / self._wanted.clock_rate))
-            self._wait(min(LONGEST_WAIT, self._pace.seconds_until(tick)), wakeups)
-            due = self._pace.due(step)
-        self._simulation.run_until(int(min(limit, due, step + STEPS_AT_A_TIME)))
-        self._tell_waiting()
-
-    def _wait(self, seconds: float, wakeups: int) -> None:
-        with self._wake:
-            if self._wakeups == wakeups and not rospy.is_shutdown():
-                self._wake.wait(seconds)
-
-    def _notify(self) -> None:
-        with self._wake:
-            self._wakeups += 1
-            self._wake.notify_all()
-
-    def _tell_waiting(self) -> None:
-        if self._gate.limit() != FOR_EVER:
-            self._notify()
-
-    def _do(self, action: Callable[[], Any]) -> Any:
-        """Have the simulation's thread do something and return what it returns."""
-        task = _Task(action)
-        self._tasks.put(task)
-        self._notify()
-        while not task.done.wait(LONGEST_WAIT):
-            if rospy.is_shutdown():
-                raise rospy.ServiceException("the bridge is shutting down")
-        return task.result
-
-    def _run_tasks(self) -> None:
-        with contextlib.suppress(queue.Empty):
-            while True:
-                self._tasks.get_nowait().run()
+            self.simulation.close()
 
     # Outputs
 
@@ -211,7 +145,7 @@ class PyBulletBridge:
         At full speed nothing may be lost, so the simulation waits for its subscribers. Tied to
         the wall clock it does not wait for anybody, as Gazebo does not.
         """
-        if self._pace.free:
+        if self.stepper.pace.free:
             return lossless_publisher(topic, kind)
         return Publisher(topic, kind, queue_size=QUEUE_SIZE, tcp_nodelay=True)
 
@@ -221,16 +155,15 @@ class PyBulletBridge:
 
     def _connect_output(self, output: Output) -> None:
         converter = OUTPUT_CONVERTERS[output.kind]()
-        publisher = self._tf_publishers.get(output.topic)
+        publisher = self._shared_publishers.get(output.topic)
         if publisher is None:
             publisher = self._publisher(output.topic, converter.message_kind)
-        if output.kind is TransformSample:
-            self._tf_publishers[output.topic] = publisher
+            self._shared_publishers[output.topic] = publisher
         convert, publish = converter.convert, publisher.publish
-        output.connect(lambda sample: publish(convert(sample)))
+        output.connect(lambda sample: publish(convert(sample)), publisher.has_connections)
 
     def _publish_world(self, robot: Optional[ModelInstance]) -> None:
-        things = (m for m in self._simulation.models.values() if m is not robot)
+        things = (m for m in self.simulation.models.values() if m is not robot)
         self._world_publisher.publish(world_markers(things, self._wanted.world_frame))
 
     # Inputs
@@ -240,26 +173,14 @@ class PyBulletBridge:
 
         def receive(message: Any) -> None:
             command = converter.convert(message)
-            if self._pace.free:
-                self._command(entry, command)
-            else:
-                # Simulated time sleeps between ticks: bring it to this moment first, so that
-                # the command acts from now on and not from the last tick.
-                self._do(lambda: self._command_now(entry, command))
-            with self._wake:
-                self._commands[message._connection_header["callerid"]] += 1
-                self._wake.notify_all()
+            # A command that comes as the bridge ends has nothing left to move.
+            with contextlib.suppress(StepperError):
+                self.stepper.do_now(lambda: self._command(entry, command))
+                self.stepper.note_command(message._connection_header["callerid"])
 
         self._subscribers.append(
             rospy.Subscriber(entry.topic, converter.message_kind, receive, tcp_nodelay=True)
         )
-
-    def _command_now(self, entry: Input, command: Any) -> None:
-        step = self._simulation.step
-        limit = self._gate.limit()
-        if not self._paused and limit is not None:
-            self._simulation.run_until(int(max(step, min(limit, self._pace.due(step)))))
-        self._command(entry, command)
 
     def _command(self, entry: Input, command: Any) -> None:
         try:
@@ -275,7 +196,7 @@ class PyBulletBridge:
             return None
         x, y, z, roll, pitch, yaw = self._wanted.robot_pose
         pose = Pose.from_rpy((x, y, z), (roll, pitch, yaw))
-        robot = self._simulation.add(
+        robot = self.simulation.add(
             model, self._wanted.robot_name, pose, self._wanted.robot_namespace
         )
         for device in robot.devices:
@@ -287,16 +208,16 @@ class PyBulletBridge:
             self._publish_odometry_frames(robot)
         return robot
 
-    def _read_robot(self) -> Any:
+    def _read_robot(self) -> Optional[Model]:
         if self._wanted.robot:
             return read_urdf_file(ResourceFinder.anywhere().find(self._wanted.robot))
         text = rospy.get_param("robot_description", "")
         return read_urdf(text, "robot_description") if text else None
 
     def _publish_odometry_frames(self, robot: ModelInstance) -> None:
-        """Say that absolute odometry is given in the world's frame."""
+        """Say that odometry, which is the absolute pose, is given in the world's frame."""
         frames = {
-            device.odometry.frame
+            device.frame
             for device in robot.devices
             if any(output.kind is OdometrySample for output in device.outputs)
         }
@@ -312,118 +233,65 @@ class PyBulletBridge:
     # Services
 
     def _offer_services(self) -> List[rospy.Service]:
-        empty = {
-            "pause_physics": self._pause,
-            "unpause_physics": self._unpause,
-            "reset_world": self._simulation.reset_world,
-            "reset_simulation": self._reset_simulation,
+        actions = {
+            "pause_physics": self.stepper.pause,
+            "unpause_physics": self.stepper.unpause,
+            "reset_world": self.stepper.reset_world,
+            "reset_simulation": self.stepper.reset_simulation,
         }
         services = [
-            rospy.Service(f"/gazebo/{name}", Empty, self._empty_service(action))
-            for name, action in empty.items()
+            _service(f"/gazebo/{name}", Empty, _empty_handler(action))
+            for name, action in actions.items()
         ]
-        services.append(rospy.Service("/bullet_lab/step", Step, self._handle_step))
-        services.append(rospy.Service("/bullet_lab/advance", Advance, self._handle_advance))
+        services.append(_service("/bullet_lab/step", Step, self._handle_step))
+        services.append(_service("/bullet_lab/advance", Advance, self._handle_advance))
         return services
 
-    def _empty_service(self, action: Callable[[], None]) -> Callable[[Any], EmptyResponse]:
-        def handle(_request: Any) -> EmptyResponse:
-            self._do(action)
-            return EmptyResponse()
-
-        return handle
-
-    def _pause(self) -> None:
-        self._paused = True
-
-    def _unpause(self) -> None:
-        self._paused = False
-        self._pace.restart(self._simulation.step)
-
-    def _reset_simulation(self) -> None:
-        self._simulation.reset_simulation()
-        self._gate.restart()
-        self._pace.restart(0)
-
     def _handle_step(self, request: Any) -> StepResponse:
-        def advance() -> int:
-            self._simulation.run_until(self._simulation.step + request.steps)
-            self._pace.restart(self._simulation.step)
-            return self._simulation.step
-
-        now = self._do(advance)
-        return StepResponse(now=time_of(now), success=True, status_message="")
+        reached = self.stepper.advance_by(request.steps)
+        return StepResponse(now=time_of(reached), success=True, status_message="")
 
     def _handle_advance(self, request: Any) -> AdvanceResponse:
-        member = request.node
-        if not self._await_commands(member, request.commands):
-            arrived = self._commands[member]
-            rospy.logwarn("%s sent %d commands, %d arrived", member, request.commands, arrived)
-            self._commands[member] = request.commands
+        if not self.stepper.await_commands(request.node, request.commands):
+            rospy.logwarn("commands of %s were lost on the way", request.node)
         until = FOR_EVER if request.until.secs >= END_OF_TIME else first_step_at(request.until)
-        self._gate.grant(member, until)
-        self._notify()
-        if until != FOR_EVER:
-            self._await_step(until)
-        now = self._simulation.step
-        reached = until == FOR_EVER or now >= until
-        message = "" if reached else "time was set back or the bridge shuts down"
-        return AdvanceResponse(now=time_of(now), success=reached, status_message=message)
+        reached = self.stepper.grant(request.node, until)
+        message = "" if reached else "time was set back, or the bridge shuts down"
+        now = time_of(self.simulation.step)
+        return AdvanceResponse(now=now, success=reached, status_message=message)
 
-    def _await_commands(self, member: str, count: int) -> bool:
-        """Wait for commands that are still under way; False if they do not come."""
-        with self._wake:
-            return self._wake.wait_for(lambda: self._commands[member] >= count, PATIENCE)
-
-    def _await_step(self, step: int) -> None:
-        start = self._simulation.step
-
-        def over() -> bool:
-            now = self._simulation.step
-            return now >= step or now < start or rospy.is_shutdown()
-
-        with self._wake:
-            while not self._wake.wait_for(over, LONGEST_WAIT):
-                pass
-
-    # Stalls
-
-    def _watch_the_stall(self) -> None:
-        """Report who holds time back for long, and go on without those that have died."""
-        if self._paused:
-            return
-        now = time.monotonic()
-        if self._stalled_since is None:
-            self._stalled_since = now
-        if now - self._stalled_since < PATIENCE:
-            return
-        self._stalled_since = now
-        for member in self._gate.holding():
-            started = self._simulation.step > 0
-            if started and not _answers(member):
+    def _report_stall(self, holding: Sequence[str]) -> None:
+        """Say who holds time back; go on without members that have died."""
+        for member in holding:
+            if self.simulation.step > 0 and not answers(member):
                 rospy.logwarn("%s holds simulated time back and is gone: going on", member)
-                self._gate.leave(member)
+                self.stepper.gate.leave(member)
             else:
                 rospy.loginfo("simulated time waits for %s", member)
 
 
-@dataclass
-class _Task:
-    """Something for the simulation's thread to do."""
+def _service(name: str, kind: type, handle: Callable[[Any], Any]) -> rospy.Service:
+    """Offer a service that answers an error made for the user with its line."""
 
-    action: Callable[[], Any]
+    def answer(request: Any) -> Any:
+        try:
+            return handle(request)
+        except LabError as error:
+            raise rospy.ServiceException(str(error)) from error
 
-    def __post_init__(self):
-        self.done = threading.Event()
-        self.result: Any = None
-
-    def run(self) -> None:
-        self.result = self.action()
-        self.done.set()
+    return rospy.Service(name, kind, answer)
 
 
-def _take_over_the_clock() -> None:
-    """Stop this node from listening to the /clock that it sends itself."""
+def _empty_handler(action: Callable[[], None]) -> Callable[[Any], EmptyResponse]:
+    def handle(_request: Any) -> EmptyResponse:
+        action()
+        return EmptyResponse()
+
+    return handle
+
+
+def _stop_listening_to_the_clock() -> None:
+    """Spare this node the messages on /clock, which it sends itself."""
     own = getattr(rospy.impl.simtime, "_clock_sub", None)
     if own is not None:
         own.unregister()
@@ -434,40 +302,12 @@ def _set_log_time(step: int) -> None:
     rospy.rostime._set_rostime(rospy.Time(*divmod(step * NANOSECONDS_PER_STEP, 10**9)))
 
 
-def _answers(node: str) -> bool:
-    """Return whether a node is registered and alive."""
-    master = rosgraph.Master(rospy.get_name() if rospy.core.is_initialized() else "/bullet_lab")
-    try:
-        with xmlrpc.client.ServerProxy(master.lookupNode(node)) as proxy:
-            proxy.getPid(master.caller_id)
-    except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
-        return False
-    return True
-
-
-def refuse_second_simulator() -> None:
-    """Make sure that nobody else gives the time.
-
-    Raises:
-        NodeError: a living node publishes /clock already.
-    """
-    master = rosgraph.Master("/bullet_lab")
-    publishers, _, _ = master.getSystemState()
-    for topic, nodes in publishers:
-        for node in nodes if topic == "/clock" else ():
-            if _answers(node):
-                raise NodeError(
-                    f"{node} publishes /clock already: one simulator is enough for a ROS master"
-                )
-
-
 def main() -> None:
     """Run the node."""
     # A waiting thread gets its turn after this long instead of 5 ms: many steps at full speed.
     sys.setswitchinterval(5e-4)
 
     def body() -> None:
-        bridge = PyBulletBridge(private_parameters(BridgeParameters))
-        bridge.spin()
+        PyBulletBridge(private_parameters(BridgeParameters)).spin()
 
     run_node("pybullet_bridge", body, before=refuse_second_simulator)

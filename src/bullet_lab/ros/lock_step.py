@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import rospy
 
-from bullet_lab.ros.node import NodeError
+from bullet_lab.ros.node import NodeError, Publisher
 from bullet_lab.srv import Advance, AdvanceRequest
 
 SERVICE = "/bullet_lab/advance"
@@ -71,7 +71,7 @@ class LockStep:
 class CountedPublisher:
     """A publisher that knows how many messages it has sent, written out at once."""
 
-    def __init__(self, publisher: rospy.Publisher):
+    def __init__(self, publisher: Publisher):
         self._publisher = publisher
         self.count = 0
 
@@ -83,7 +83,7 @@ class CountedPublisher:
 
     def is_connected(self) -> bool:
         """Return whether anybody listens."""
-        return self._publisher.get_num_connections() > 0
+        return self._publisher.has_connections()
 
 
 class LockStepRate:

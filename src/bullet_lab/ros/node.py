@@ -84,6 +84,10 @@ def private_parameters(kind: Type[T]) -> T:
 class Publisher(rospy.Publisher):
     """A publisher that falls silent, and raises nothing, once the node is shutting down."""
 
+    def has_connections(self) -> bool:
+        """Return whether anybody listens."""
+        return self.impl is not None and self.impl.has_connections()
+
     def publish(self, *args: Any, **kwds: Any) -> None:
         """Publish a message."""
         try:

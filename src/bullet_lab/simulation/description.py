@@ -167,7 +167,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Light:
-    """A light: `kind` is point, directional or spot; `direction` in the world's frame."""
+    """A light: `kind` is point, directional or spot; `direction` in the frame of `pose`."""
 
     name: str
     kind: str

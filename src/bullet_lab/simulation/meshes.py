@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
+from typing import Tuple
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.description import Mesh
-from bullet_lab.simulation.xml_input import parse_text, read_text
+from bullet_lab.simulation.xml_input import number, parse_text, read_text
 
 KNOWN_SUFFIXES = (".dae", ".stl", ".obj")
+MAXIMUM_BYTES = 200_000_000
+UNUSABLE_NUMBER = re.compile(r"nan|inf", re.IGNORECASE)
+COLLADA = "{http://www.collada.org/2005/11/COLLADASchema}"
 
 
 class MeshError(LabError):
@@ -31,23 +38,23 @@ def load_triangles(mesh: Mesh) -> Triangles:
     """Read a mesh with all transforms of its file and the description's scale applied.
 
     The transforms matter: the `<matrix>` of a COLLADA node is where Blender writes the size.
+    So does the length of its `<unit>`; as in Gazebo, its `<up_axis>` does not.
 
     Raises:
-        MeshError: unknown kind of file, malformed, empty, or with coordinates that are not
-            finite.
+        MeshError: unknown kind of file, too large, malformed, empty, or with coordinates that
+            are not finite.
         XmlError: a COLLADA file that is missing, not well-formed or has a document type.
     """
     suffix = mesh.path.suffix.lower()
     if suffix not in KNOWN_SUFFIXES:
         raise MeshError(f"{mesh.path}: a mesh is one of {', '.join(KNOWN_SUFFIXES)}")
-    if suffix == ".dae":
-        # trimesh's own parser would follow entities: the checked parser has the first look.
-        parse_text(read_text(mesh.path), str(mesh.path))
-    triangles = _read(mesh.path, suffix)
-    scaled = Triangles(triangles.vertices * np.asarray(mesh.scale), triangles.faces)
-    if len(scaled.faces) == 0 or not np.isfinite(scaled.vertices).all():
+    vertices, faces = _read(mesh.path, suffix)
+    vertices = vertices * np.asarray(mesh.scale)
+    if len(faces) == 0 or not np.isfinite(vertices).all():
         raise MeshError(f"{mesh.path}: no triangles with finite corners")
-    return scaled
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise MeshError(f"{mesh.path}: a triangle names a corner that is not there")
+    return Triangles(vertices, faces)
 
 
 def write_obj(triangles: Triangles, folder: Path) -> Path:
@@ -64,20 +71,71 @@ def write_obj(triangles: Triangles, folder: Path) -> Path:
     return path
 
 
-def _read(path: Path, suffix: str) -> Triangles:
-    # Costs 100 ms and 30 MB: only worlds with meshes pay for it.
+def _read(path: Path, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
+    # What the libraries below raise on a malformed file can be anything.
+    if suffix == ".dae":
+        root = parse_text(read_text(path), str(path))
+        try:
+            return _read_collada(root, f"{path}: <unit>")
+        except LabError:
+            raise
+        except Exception as error:
+            raise MeshError(f"{path}: not a readable mesh: {error}") from error
+    data = _bytes(path)
+    try:
+        return _read_other(data, suffix)
+    except ImportError as error:
+        # trimesh would guess the encoding with a library that nobody needs.
+        raise MeshError(f"{path}: neither a whole binary mesh nor text") from error
+    except Exception as error:
+        raise MeshError(f"{path}: not a readable mesh: {error}") from error
+
+
+def _read_collada(root: Element, where: str) -> Tuple[np.ndarray, np.ndarray]:
+    import collada
+    from collada.triangleset import BoundTriangleSet
+
+    unit = root.find(f"{COLLADA}asset/{COLLADA}unit")
+    metres = 1.0 if unit is None else number(unit.get("meter", "1"), where)
+    for array in root.iter(f"{COLLADA}float_array"):
+        if UNUSABLE_NUMBER.search(array.text or ""):
+            # pycollada would make zeros of them.
+            raise ValueError("a number is not finite")
+    # Written anew, so that pycollada's own parser sees what was checked and nothing else: no
+    # entities, no encodings. Images are not looked for; they may be missing.
+    optional = [collada.common.DaeBrokenRefError, collada.common.DaeUnsupportedError]
+    document = collada.Collada(BytesIO(tostring(root)), ignore=optional)
+    if document.scene is None:
+        raise ValueError("there is no scene")
+    primitives = (p for g in document.scene.objects("geometry") for p in g.primitives())
+    cut = (p.triangleset() if hasattr(p, "triangleset") else p for p in primitives)
+    # Points and lines are left out.
+    sets = [p for p in cut if isinstance(p, BoundTriangleSet) and len(p)]
+    parts = [(np.asarray(s.vertex, float), np.asarray(s.vertex_index, int)) for s in sets]
+    if not parts:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
+    firsts = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
+    faces = [indices + first for (_, indices), first in zip(parts, firsts)]
+    return metres * np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
+
+
+def _read_other(data: bytes, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
+    # Costs 100 ms and 30 MB: only worlds with such meshes pay for it.
     import trimesh
 
+    # From memory: given a file, trimesh would look beside it for the materials and textures
+    # that a mesh names. Not processed: that would drop corners that are not finite.
+    scene = trimesh.load(BytesIO(data), file_type=suffix[1:], force="scene", process=False)
+    merged = scene.to_geometry() if hasattr(scene, "to_geometry") else scene.dump(True)
+    return np.asarray(merged.vertices, dtype=float), np.asarray(merged.faces, dtype=int)
+
+
+def _bytes(path: Path) -> bytes:
     try:
-        # No resolver: a mesh's materials and textures name files that are none of its business.
         with path.open("rb") as file:
-            scene = trimesh.load(file, file_type=suffix[1:], force="scene", resolver=None)
-        merged = scene.to_geometry() if hasattr(scene, "to_geometry") else scene.dump(True)
-        vertices = np.asarray(merged.vertices, dtype=float)
-        faces = np.asarray(merged.faces, dtype=int)
+            data = file.read(MAXIMUM_BYTES + 1)
     except OSError as error:
         raise MeshError(f"{path}: {error.strerror}") from error
-    except Exception as error:
-        # Whatever trimesh and pycollada raise on a malformed file, and that is anything.
-        raise MeshError(f"{path}: not a readable mesh: {error}".splitlines()[0]) from error
-    return Triangles(vertices, faces)
+    if len(data) > MAXIMUM_BYTES:
+        raise MeshError(f"{path}: larger than {MAXIMUM_BYTES} bytes")
+    return data

@@ -7,7 +7,8 @@ client, so several simulations can live in one process.
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Dict, List, Tuple
 
@@ -40,13 +41,20 @@ class Body:
     """One tree of links in the engine.
 
     The pose of a body is that of its root link's frame in the world; velocities are those of
-    its centre of mass.
+    its centre of mass. `com_place()` returns the position and quaternion of `com_pose` as
+    plain tuples, and `set_velocity(linear, angular)` sets the root link's velocity in m/s and
+    rad/s in the world, both without a detour, for the inner loop.
     """
 
     def __init__(self, client: int, unique_id: int, links: List[Link], joints: List[Joint]):
         self.unique_id = unique_id
         self.links = tuple(links)
         self._client = client
+        # Called at every step: bound once, in C.
+        self.com_place = partial(pybullet.getBasePositionAndOrientation, unique_id, client)
+        self.set_velocity = partial(
+            pybullet.resetBaseVelocity, unique_id, physicsClientId=client
+        )
         root = links[0].inertia
         self._com = Pose() if root is None else principal_axes(root)[1]
         self._com_inverse = self._com.inverse()
@@ -74,7 +82,7 @@ class Body:
 
     def com_pose(self) -> Pose:
         """Return the pose of the root link's principal frame in the world."""
-        return Pose(*pybullet.getBasePositionAndOrientation(self.unique_id, self._client))
+        return Pose(*self.com_place())
 
     def velocity(self) -> Tuple[Vector, Vector]:
         """Return linear (m/s, of the centre of mass) and angular (rad/s) velocity, in the world."""
@@ -89,12 +97,6 @@ class Body:
         self.set_velocity((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         for index in self._joints.values():
             pybullet.resetJointState(self.unique_id, index, 0.0, 0.0, self._client)
-
-    def set_velocity(self, linear: Vector, angular: Vector) -> None:
-        """Give the root link a velocity (m/s, rad/s, in the world)."""
-        pybullet.resetBaseVelocity(
-            self.unique_id, linear, angular, physicsClientId=self._client
-        )
 
     def joint_state(self, name: str) -> JointState:
         """Return the state of a joint; raises KeyError for an unknown name."""
@@ -145,14 +147,12 @@ class Body:
 
 
 class Physics:
-    """A PyBullet world that is stepped 1 ms at a time, headless."""
+    """A PyBullet world, headless; `step()` advances it by 1 ms."""
 
     def __init__(self, gravity: Vector):
         self.gravity = gravity
         self.client = pybullet.connect(pybullet.DIRECT)
-        # Meshes live here for PyBullet; the folder goes with this object.
-        self._folder = tempfile.TemporaryDirectory(prefix="bullet_lab_")
-        self._loaded = 0
+        self.step = partial(pybullet.stepSimulation, self.client)
         pybullet.setGravity(*gravity, physicsClientId=self.client)
         pybullet.setTimeStep(STEP_SECONDS, self.client)
         pybullet.setPhysicsEngineParameter(
@@ -165,11 +165,6 @@ class Physics:
         if self.client >= 0:
             pybullet.disconnect(self.client)
             self.client = -1
-            self._folder.cleanup()
-
-    def step(self) -> None:
-        """Advance by one step of 1 ms."""
-        pybullet.stepSimulation(self.client)
 
     def add(self, model: Model) -> Dict[str, Body]:
         """Load a model at its pose and return its bodies by the name of their root link.
@@ -178,15 +173,22 @@ class Physics:
             PhysicsError: a movable root without mass, or PyBullet's refusal.
             MeshError: a mesh is not usable.
         """
-        bodies = {}
+        bodies: Dict[str, Body] = {}
         by_name = model.links_by_name()
-        for root in model.root_links():
-            names = top_down(root.name, model.joints)
-            links = [by_name[name] for name in names]
-            joints = [joint for joint in model.joints if joint.parent in names]
-            if not model.static:
-                _check_masses(links, model.name)
-            bodies[root.name] = self._load(links, joints, model, model.pose * root.pose)
+        try:
+            for root in model.root_links():
+                names = top_down(root.name, model.joints)
+                links = [by_name[name] for name in names]
+                joints = [joint for joint in model.joints if joint.parent in names]
+                if model.static:
+                    # Without a centre of mass, the body's frame is that of its root link.
+                    links = [replace(link, inertia=None) for link in links]
+                else:
+                    _check_masses(links, model.name)
+                bodies[root.name] = self._load(links, joints, model, model.pose * root.pose)
+        except LabError:
+            self.remove(bodies)
+            raise
         return bodies
 
     def remove(self, bodies: Dict[str, Body]) -> None:
@@ -195,13 +197,20 @@ class Physics:
             pybullet.removeBody(body.unique_id, self.client)
 
     def _load(self, links: List[Link], joints: List[Joint], model: Model, pose: Pose) -> Body:
-        folder = Path(self._folder.name)
-        self._loaded += 1
-        path = folder / f"body_{self._loaded}.urdf"
-        path.write_text(body_urdf(links, joints, model.static, folder))
+        # PyBullet reads files only, and only while it loads.
+        with tempfile.TemporaryDirectory(prefix="bullet_lab_") as name:
+            path = Path(name, "body.urdf")
+            text = body_urdf(links, joints, model.static, path.parent)
+            path.write_text(text, encoding="utf-8")
+            unique_id = self._load_file(path, model, pose)
+        body = Body(self.client, unique_id, links, joints)
+        body.place(pose)
+        return body
+
+    def _load_file(self, path: Path, model: Model, pose: Pose) -> int:
         with hidden_native_output():
             try:
-                unique_id = pybullet.loadURDF(
+                return pybullet.loadURDF(
                     str(path),
                     pose.position,
                     pose.quaternion,
@@ -211,10 +220,6 @@ class Physics:
                 )
             except pybullet.error as error:
                 raise PhysicsError(f"PyBullet cannot load '{model.name}': {error}") from error
-        path.unlink()
-        body = Body(self.client, unique_id, links, joints)
-        body.place(pose)
-        return body
 
 
 def _check_masses(links: List[Link], model: str) -> None:

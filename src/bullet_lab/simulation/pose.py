@@ -11,6 +11,9 @@ import numpy as np
 Vector = Tuple[float, float, float]
 Quaternion = Tuple[float, float, float, float]
 
+# Sine of a pitch less than 1e-6 rad from straight up, where roll and yaw drown in rounding.
+POLE_SINE = 1.0 - 5e-13
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -89,10 +92,17 @@ class Pose:
         return np.array(columns, dtype=float).T
 
     def rpy(self) -> Vector:
-        """Return roll, pitch and yaw in radians about the fixed axes x, y, z."""
+        """Return roll, pitch and yaw in radians about the fixed axes x, y, z.
+
+        Straight up or down, roll and yaw turn about one axis: roll is 0 then.
+        """
         x, y, z, w = self.quaternion
+        sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
+        pitch = math.asin(sine)
+        if abs(sine) > POLE_SINE:
+            yaw = math.copysign(2.0, -sine) * math.atan2(x, w)
+            return (0.0, pitch, math.remainder(yaw, math.tau))
         roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-        pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
         return (roll, pitch, self.yaw)
 
     @property
@@ -105,6 +115,15 @@ def yaw_of(quaternion: Quaternion) -> float:
     """Return the yaw in radians of a unit quaternion (x, y, z, w)."""
     x, y, z, w = quaternion
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def heading_of(quaternion: Quaternion) -> Tuple[float, float]:
+    """Return the cosine and sine of the yaw of a unit quaternion (x, y, z, w)."""
+    x, y, z, w = quaternion
+    cosine, sine = 1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y)
+    # Both are 0 for a body whose x axis points straight up: any heading will do.
+    length = math.hypot(cosine, sine) or 1.0
+    return cosine / length, sine / length
 
 
 def _hamilton(a: Quaternion, b: Quaternion) -> Quaternion:

@@ -93,6 +93,16 @@ class ResourceFinder:
             ResourceError: unknown kind of reference, unknown package or model, a path that
                 leaves its folder, or nothing there.
         """
+        try:
+            return self._find(uri)
+        except (OSError, ValueError) as error:
+            # A name that is too long, a zero byte, half an IPv6 address.
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise ResourceError(f"'{uri[:80]}': {reason}") from error
+
+    def _find(self, uri: str) -> Path:
+        if not uri:
+            raise ResourceError("no file is named")
         parts = urlsplit(uri)
         if parts.scheme == "package":
             return self._in_package(uri, parts.netloc, unquote(parts.path))
@@ -136,10 +146,13 @@ class ResourceFinder:
 class _UserFinder(ResourceFinder):
     """Follows the user's own words: no path is out of bounds for them."""
 
-    def find(self, uri: str) -> Path:
+    def _find(self, uri: str) -> Path:
         if "://" in uri:
-            return super().find(uri)
+            return super()._find(uri)
         return _existing(Path(uri).expanduser().absolute(), uri)
+
+    def _absolute(self, uri: str, path: Path) -> Path:
+        return _existing(path, uri)
 
 
 def _package_above(path: Path) -> Tuple[Path, ...]:

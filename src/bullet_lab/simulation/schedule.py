@@ -32,7 +32,9 @@ class Schedule:
     def __init__(self, rate: float, start: int = 0):
         if not (math.isfinite(rate) and 0.0 <= rate <= STEPS_PER_SECOND):
             raise ScheduleError(f"a rate of {rate:g} Hz is not within 0 … {STEPS_PER_SECOND} Hz")
-        self._period = STEPS_PER_SECOND / Fraction(rate or STEPS_PER_SECOND)
+        # A ratio of whole numbers, since sums of rounded periods would drift.
+        period = STEPS_PER_SECOND / Fraction(rate or STEPS_PER_SECOND)
+        self._numerator, self._denominator = period.numerator, period.denominator
         self.restart(start)
 
     def restart(self, start: int) -> None:
@@ -47,4 +49,4 @@ class Schedule:
         self.next_step = self._due(self._count)
 
     def _due(self, count: int) -> int:
-        return self._start + math.ceil(count * self._period)
+        return self._start - (-count * self._numerator // self._denominator)

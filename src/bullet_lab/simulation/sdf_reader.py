@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Iterator, List, Optional, Tuple, Union
 from xml.etree.ElementTree import Element
 
-import numpy as np
-
 from bullet_lab.simulation.description import (
     Box,
     Collision,
@@ -30,16 +28,21 @@ from bullet_lab.simulation.description import (
 from bullet_lab.simulation.inertia import check_inertia, matrix_from_elements
 from bullet_lab.simulation.lumping import lump_fixed_joints
 from bullet_lab.simulation.plugin_tags import plugins_in
-from bullet_lab.simulation.pose import Pose, Vector
-from bullet_lab.simulation.resources import ResourceFinder
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.resources import ResourceError, ResourceFinder
+from bullet_lab.simulation.tree import check_forest
 from bullet_lab.simulation.xml_input import (
     XmlError,
     boolean,
     child_text,
+    direction,
+    friction,
+    mesh_scale,
     number,
     numbers,
     parse_text,
     read_text,
+    sizes,
 )
 
 LOG = logging.getLogger(__name__)
@@ -81,11 +84,21 @@ def read_model_text(text: str, source: str, finder: Optional[ResourceFinder] = N
 
 @dataclass(frozen=True)
 class _Context:
-    """Where an element comes from: for messages, and to find the files that it names."""
+    """Where an element comes from: for messages, and to find the files that it names.
+
+    `static` is what an <include> says about all models in it, if it says anything.
+    """
 
     source: str
     finder: ResourceFinder
     depth: int = 0
+    static: Optional[bool] = None
+
+    def find(self, uri: str, where: str) -> Path:
+        try:
+            return self.finder.find(uri)
+        except ResourceError as error:
+            raise ResourceError(f"{where}: {error}") from error
 
     def within(self, place: str) -> _Context:
         return replace(self, source=f"{self.source}: {place}")
@@ -142,16 +155,14 @@ def _include(element: Element, context: _Context) -> Iterator[Part]:
     uri = child_text(element, "uri")
     if not uri:
         raise SdfError(f"{context.source}: an <include> without <uri>")
-    path = _model_file(context.finder.find(uri))
-    inner = _Context(str(path), context.finder.beside(path), context.depth + 1)
+    path = _model_file(context.find(uri, f"{context.source}: <include>"))
+    said = child_text(element, "static")
+    static = boolean(said, f"{context.source}: <static>") if said else context.static
+    inner = _Context(str(path), context.finder.beside(path), context.depth + 1, static)
     for part in _parts_of_sdf(parse_text(read_text(path), str(path)), inner):
         name = child_text(element, "name", part.name)
         pose = _pose(element, context) if element.find("pose") is not None else part.pose
-        part = replace(part, name=name, pose=pose)
-        static = child_text(element, "static")
-        if static and isinstance(part, Model):
-            part = replace(part, static=boolean(static, f"{context.source}: <static>"))
-        yield part
+        yield replace(part, name=name, pose=pose)
 
 
 def _model_file(found: Path) -> Path:
@@ -176,13 +187,11 @@ def _model(element: Element, context: _Context) -> Model:
     if element.find("include") is not None or element.find("model") is not None:
         LOG.warning("%s: models inside a model are not read", inner.source)
     static = boolean(child_text(element, "static", "false"), f"{inner.source}: <static>")
+    static = static if context.static is None else context.static
     links = tuple(_link(child, static, inner) for child in element.findall("link"))
-    if not links:
-        raise SdfError(f"{inner.source}: there is no link")
     by_name = {link.name: link for link in links}
-    if len(by_name) != len(links):
-        raise SdfError(f"{inner.source}: two links of one name")
     joints = tuple(_joint(child, by_name, inner) for child in element.findall("joint"))
+    check_forest(links, joints, inner.source)
     model = Model(name, links, joints, _plugins(element), _pose(element, inner), static)
     return lump_fixed_joints(model)
 
@@ -209,7 +218,8 @@ def _link(element: Element, static: bool, context: _Context) -> Link:
     for child in element.findall("collision"):
         geometry = _geometry(child, inner)
         if geometry is not None:
-            mu = number(child_text(child, "surface/friction/ode/mu", "1"), f"{inner.source}: <mu>")
+            mu = child_text(child, "surface/friction/ode/mu", "1")
+            mu = friction(mu, f"{inner.source}: <mu>")
             collisions.append(Collision(geometry, _pose(child, inner), mu, child.get("name", "")))
     inertia = None if static else _inertia(element.find("inertial"), inner)
     return Link(name, _pose(element, inner), inertia, tuple(visuals), tuple(collisions))
@@ -243,10 +253,6 @@ def _joint(element: Element, links: dict, context: _Context) -> Joint:
     for end in (parent, child):
         if end not in links:
             raise SdfError(f"{inner.source}: names no link '{end}'")
-    axis = numbers(child_text(element, "axis/xyz", "0 0 1"), 3, f"{inner.source}: <xyz>")
-    length = float(np.linalg.norm(axis))
-    if length == 0.0:
-        raise SdfError(f"{inner.source}: the axis is a zero vector")
     pose = links[parent].pose.inverse() * links[child].pose
     return Joint(
         element.get("name", ""),
@@ -254,7 +260,7 @@ def _joint(element: Element, links: dict, context: _Context) -> Joint:
         parent,
         child,
         pose,
-        tuple(value / length for value in axis),
+        direction(child_text(element, "axis/xyz", "0 0 1"), f"{inner.source}: <xyz>"),
         _limits(element, inner),
         number(child_text(element, "axis/dynamics/damping", "0"), f"{inner.source}: <damping>"),
     )
@@ -279,15 +285,15 @@ def _geometry(element: Element, context: _Context) -> Optional[Geometry]:
     if shape is None:
         raise SdfError(f"{where} without a geometry")
     if shape.tag == "box":
-        return Box(_sizes(child_text(shape, "size"), 3, where))
+        return Box(sizes(child_text(shape, "size"), 3, f"{where}: <size>"))
     if shape.tag == "cylinder":
-        radius, length = child_text(shape, "radius"), child_text(shape, "length")
-        return Cylinder(*_sizes(f"{radius} {length}", 2, where))
+        keys = ("radius", "length")
+        return Cylinder(*(sizes(child_text(shape, k), 1, f"{where}: <{k}>")[0] for k in keys))
     if shape.tag == "sphere":
-        return Sphere(*_sizes(child_text(shape, "radius"), 1, where))
+        return Sphere(*sizes(child_text(shape, "radius"), 1, f"{where}: <radius>"))
     if shape.tag == "plane":
-        normal = numbers(child_text(shape, "normal", "0 0 1"), 3, f"{where}: <normal>")
-        return Plane(normal, _sizes(child_text(shape, "size", "1 1"), 2, where))
+        normal = direction(child_text(shape, "normal", "0 0 1"), f"{where}: <normal>")
+        return Plane(normal, sizes(child_text(shape, "size", "1 1"), 2, f"{where}: <size>"))
     if shape.tag == "mesh":
         return _mesh(shape, context, where)
     if shape.tag != "empty":
@@ -301,8 +307,8 @@ def _mesh(shape: Element, context: _Context, where: str) -> Mesh:
         raise SdfError(f"{where}: a <mesh> without <uri>")
     if shape.find("submesh") is not None:
         LOG.warning("%s: <submesh> is not read, the whole mesh is used", where)
-    scale: Vector = numbers(child_text(shape, "scale", "1 1 1"), 3, f"{where}: <scale>")
-    return Mesh(context.finder.find(uri), uri, scale)
+    scale = mesh_scale(child_text(shape, "scale", "1 1 1"), f"{where}: <scale>")
+    return Mesh(context.find(uri, where), uri, scale)
 
 
 def _visual_colour(element: Element, context: _Context) -> Colour:
@@ -326,7 +332,7 @@ def _light(element: Element, context: _Context) -> Light:
         kind,
         _pose(element, inner),
         _colour(element, "diffuse", (1.0, 1.0, 1.0, 1.0), inner),
-        numbers(child_text(element, "direction", "0 0 -1"), 3, f"{inner.source}: <direction>"),
+        direction(child_text(element, "direction", "0 0 -1"), f"{inner.source}: <direction>"),
         boolean(child_text(element, "cast_shadows", "false"), f"{inner.source}: <cast_shadows>"),
     )
 
@@ -348,10 +354,3 @@ def _colour(element: Element, tag: str, default: Colour, context: _Context) -> C
     # Alpha may be left out.
     padded = text if len(text.split()) != 3 else f"{text} 1"
     return numbers(padded, 4, f"{context.source}: <{tag}>")
-
-
-def _sizes(text: str, count: int, where: str) -> tuple:
-    values = numbers(text, count, f"{where}: size")
-    if min(values) <= 0.0:
-        raise SdfError(f"{where}: a size of {min(values):g} m; sizes are positive")
-    return values

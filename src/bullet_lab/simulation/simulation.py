@@ -30,6 +30,9 @@ from bullet_lab.simulation.urdf_reader import read_urdf_file
 
 LOG = logging.getLogger(__name__)
 
+# Of the length of a quaternion from outside, which may have been rounded.
+QUATERNION_TOLERANCE = 1e-3
+
 
 class SimulationError(LabError):
     """Something is asked of the simulation that it cannot do."""
@@ -64,7 +67,8 @@ class ModelInstance:
         return self.bodies[root.name].pose() * root.pose.inverse()
 
     def place(self, pose: Pose) -> None:
-        """Put the model somewhere, at rest."""
+        """Put the model somewhere, at rest; raises SimulationError for an impossible pose."""
+        _check_pose(pose, self.name)
         for root in self.model.root_links():
             self.bodies[root.name].place(pose * root.pose)
 
@@ -171,8 +175,8 @@ class Simulation:
         name = name or model.name
         if name in self._instances:
             raise SimulationError(f"a model named '{name}' exists already")
-        if pose is not None and not all(map(math.isfinite, pose.position + pose.quaternion)):
-            raise SimulationError(f"model '{name}': its pose is not finite")
+        if pose is not None:
+            _check_pose(pose, name)
         plugins = tuple(_in_namespace(plugin, namespace) for plugin in model.plugins)
         model = replace(model, name=name, pose=pose or model.pose, plugins=plugins)
         bodies = self._physics.add(model)
@@ -210,8 +214,8 @@ class Simulation:
 
     def run_until(self, step: int) -> None:
         """Advance to a step; samples are sent as they fall due on the way."""
+        timers = self._timers + self._measuring
         while self.step < step:
-            timers = self._timers + self._measuring
             self._march(min([timer.schedule.next_step for timer in timers] + [step]))
             for timer in timers:
                 if timer.schedule.next_step <= self.step:
@@ -263,6 +267,14 @@ class Simulation:
                     device.schedule.restart(self.step)
                 devices.append(device)
         return tuple(devices)
+
+
+def _check_pose(pose: Pose, model: str) -> None:
+    if not all(map(math.isfinite, pose.position + pose.quaternion)):
+        raise SimulationError(f"model '{model}': its pose is not finite")
+    length = math.sqrt(sum(value * value for value in pose.quaternion))
+    if abs(length - 1.0) > QUATERNION_TOLERANCE:
+        raise SimulationError(f"model '{model}': a quaternion of length {length:g}, not 1")
 
 
 def _in_namespace(plugin: Plugin, namespace: str) -> Plugin:

@@ -18,8 +18,21 @@ def check_tree(links: Tuple[Link, ...], joints: Tuple[Joint, ...], source: str) 
     """Refuse what is not one tree of links with names of their own.
 
     Raises:
-        TreeError: no link, a name twice, a joint's end missing, a link with two parents, a
-            loop, or several roots.
+        TreeError: as `check_forest`, or several roots.
+    """
+    roots = check_forest(links, joints, source)
+    if len(roots) > 1:
+        raise TreeError(f"{source}: several roots: {', '.join(roots)}")
+
+
+def check_forest(
+    links: Tuple[Link, ...], joints: Tuple[Joint, ...], source: str
+) -> Tuple[str, ...]:
+    """Refuse what is not made of trees of links with names of their own; return the roots.
+
+    Raises:
+        TreeError: no link, a name twice, a joint's end missing, a link with two parents, or a
+            loop.
     """
     if not links:
         raise TreeError(f"{source}: there is no link")
@@ -31,13 +44,12 @@ def check_tree(links: Tuple[Link, ...], joints: Tuple[Joint, ...], source: str) 
         for end in (joint.parent, joint.child):
             if end not in names:
                 raise TreeError(f"{source}: joint '{joint.name}' names no link '{end}'")
-    roots = names - {joint.child for joint in joints}
-    if len(roots) > 1:
-        raise TreeError(f"{source}: several roots: {', '.join(sorted(roots))}")
-    # Each link has one parent at most: what the root does not reach hangs on a loop.
-    unreached = names - set(top_down(next(iter(roots)), joints) if roots else ())
+    roots = sorted(names - {joint.child for joint in joints})
+    # Each link has one parent at most: what no root reaches hangs on a loop.
+    unreached = names.difference(*(top_down(root, joints) for root in roots))
     if unreached:
         raise TreeError(f"{source}: a loop of joints at {', '.join(sorted(unreached))}")
+    return tuple(roots)
 
 
 def top_down(root: str, joints: Iterable[Joint]) -> List[str]:

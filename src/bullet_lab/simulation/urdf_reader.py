@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Dict, List, Mapping, Optional, Tuple
 from xml.etree.ElementTree import Element
 
-import numpy as np
-
 from bullet_lab.simulation.description import (
     WHITE,
     Box,
@@ -28,9 +26,19 @@ from bullet_lab.simulation.inertia import check_inertia, matrix_from_elements
 from bullet_lab.simulation.lumping import lump_fixed_joints
 from bullet_lab.simulation.plugin_tags import plugins_in
 from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.resources import ResourceFinder
+from bullet_lab.simulation.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.tree import check_tree, place_links
-from bullet_lab.simulation.xml_input import XmlError, number, numbers, parse_text, read_text
+from bullet_lab.simulation.xml_input import (
+    XmlError,
+    direction,
+    friction,
+    mesh_scale,
+    number,
+    numbers,
+    parse_text,
+    read_text,
+    sizes,
+)
 
 SIMULATED_JOINTS = ("fixed", "revolute", "continuous", "prismatic")
 
@@ -97,20 +105,20 @@ class _Reader:
             mu = element.find("mu1")
             if mu is not None:
                 link = element.get("reference", "")
-                frictions[link] = number(mu.text, f"{self._source}: <mu1> of '{link}'")
+                # Both spellings are read by Gazebo: <mu1>1</mu1> and <mu1 value="1"/>.
+                text = mu.get("value", mu.text)
+                frictions[link] = friction(text, f"{self._source}: <mu1> of '{link}'")
         return frictions
 
     def _link(self, element: Element) -> Link:
         name = self._name(element, "link")
-        friction = self._frictions.get(name, 1.0)
+        mu = self._frictions.get(name, 1.0)
         return Link(
             name,
             inertia=self._inertia(element.find("inertial"), name),
             visuals=tuple(self._visual(e, name) for e in element.findall("visual")),
             collisions=tuple(
-                Collision(
-                    self._geometry(e, name), self._origin(e, name), friction, e.get("name", "")
-                )
+                Collision(self._geometry(e, name), self._origin(e, name), mu, e.get("name", ""))
                 for e in element.findall("collision")
             ),
         )
@@ -151,18 +159,23 @@ class _Reader:
         if shape is None:
             raise UrdfError(f"{where}: <{element.tag}> without a geometry")
         if shape.tag == "box":
-            return Box(_positive(numbers(shape.get("size"), 3, f"{where}: box size"), where))
+            return Box(sizes(shape.get("size"), 3, f"{where}: box size"))
         if shape.tag == "cylinder":
-            size = [number(shape.get(k), f"{where}: cylinder {k}") for k in ("radius", "length")]
-            return Cylinder(*_positive(size, where))
+            keys = ("radius", "length")
+            return Cylinder(*(sizes(shape.get(k), 1, f"{where}: cylinder {k}")[0] for k in keys))
         if shape.tag == "sphere":
-            radius = number(shape.get("radius"), f"{where}: sphere radius")
-            return Sphere(*_positive([radius], where))
+            return Sphere(*sizes(shape.get("radius"), 1, f"{where}: sphere radius"))
         if shape.tag == "mesh":
-            uri = shape.get("filename", "")
-            scale = numbers(shape.get("scale", "1 1 1"), 3, f"{where}: mesh scale")
-            return Mesh(self._finder.find(uri), uri, scale)
+            return self._mesh(shape, where)
         raise UrdfError(f"{where}: no geometry is called <{shape.tag}>")
+
+    def _mesh(self, shape: Element, where: str) -> Mesh:
+        uri = shape.get("filename", "")
+        scale = mesh_scale(shape.get("scale", "1 1 1"), f"{where}: mesh scale")
+        try:
+            return Mesh(self._finder.find(uri), uri, scale)
+        except ResourceError as error:
+            raise ResourceError(f"{where}: mesh: {error}") from error
 
     def _joint(self, element: Element) -> Joint:
         name = self._name(element, "joint")
@@ -171,14 +184,14 @@ class _Reader:
         if kind not in SIMULATED_JOINTS:
             raise UrdfError(f"{where}: type '{kind}' is not one of {', '.join(SIMULATED_JOINTS)}")
         axis, limit, dynamics = (element.find(tag) for tag in ("axis", "limit", "dynamics"))
-        direction = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+        along = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
         return Joint(
             name,
             kind,
             self._end(element, "parent", where),
             self._end(element, "child", where),
             self._origin(element, name),
-            _unit(numbers(direction, 3, f"{where}: axis"), where),
+            direction(along, f"{where}: axis"),
             {} if limit is None else {k: number(v, f"{where}: {k}") for k, v in limit.items()},
             _attribute(dynamics, "damping", where),
             _attribute(dynamics, "friction", where),
@@ -211,16 +224,3 @@ class _Reader:
 
 def _attribute(element: Optional[Element], name: str, where: str) -> float:
     return 0.0 if element is None else number(element.get(name, "0"), f"{where}: {name}")
-
-
-def _positive(values, where: str) -> Tuple[float, ...]:
-    if min(values) <= 0.0:
-        raise UrdfError(f"{where}: a size of {min(values):g} m; sizes are positive")
-    return tuple(values)
-
-
-def _unit(axis, where: str) -> Tuple[float, ...]:
-    length = float(np.linalg.norm(axis))
-    if length == 0.0:
-        raise UrdfError(f"{where}: the axis is a zero vector")
-    return tuple(float(value) / length for value in axis)

@@ -47,8 +47,13 @@ def take_picture(simulation: Simulation, view: View) -> np.ndarray:
         (height, width, 3) array of uint8, RGB. The same world and view give the same bytes.
 
     Raises:
-        ViewError: the picture has no area, or the target is straight above or below the eye.
+        ViewError: the picture has no area or depth, a number is not finite, or the target is
+            straight above or below the eye.
     """
+    if not all(map(math.isfinite, (*view.eye, *view.target, view.near, view.far))):
+        raise ViewError("the view has a number that is not finite")
+    if not 0.0 < view.near < view.far:
+        raise ViewError(f"no view reaches from {view.near:g} m to {view.far:g} m")
     if view.width < 1 or view.height < 1 or not 0.0 < view.horizontal_fov < math.pi:
         raise ViewError(f"no picture has {view.width} x {view.height} pixels and such an angle")
     if math.dist(view.eye[:2], view.target[:2]) == 0.0:
@@ -56,7 +61,7 @@ def take_picture(simulation: Simulation, view: View) -> np.ndarray:
     aspect = view.width / view.height
     vertical_fov = 2.0 * math.atan(math.tan(0.5 * view.horizontal_fov) / aspect)
     ambient = sum(simulation.world.ambient[:3]) / 3.0
-    _, _, pixels, depth, _ = pybullet.getCameraImage(
+    _, _, pixels, _, shown = pybullet.getCameraImage(
         view.width,
         view.height,
         pybullet.computeViewMatrix(view.eye, view.target, (0.0, 0.0, 1.0)),
@@ -69,13 +74,12 @@ def take_picture(simulation: Simulation, view: View) -> np.ndarray:
         lightSpecularCoeff=0.0,
         shadow=0,
         renderer=pybullet.ER_TINY_RENDERER,
-        flags=pybullet.ER_NO_SEGMENTATION_MASK,
         physicsClientId=simulation.client,
     )
     shape = (view.height, view.width)
     picture = np.array(pixels, dtype=np.uint8).reshape(*shape, 4)[:, :, :3]
     background = np.round(255.0 * np.asarray(simulation.world.background[:3]))
-    picture[np.asarray(depth).reshape(shape) >= 1.0] = background
+    picture[np.asarray(shown).reshape(shape) < 0] = background
     return picture
 
 

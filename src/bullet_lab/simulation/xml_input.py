@@ -32,21 +32,28 @@ def parse_text(text: str, source: str) -> Element:
     if len(text) > MAXIMUM_BYTES:
         raise XmlError(f"{source}: larger than {MAXIMUM_BYTES} bytes")
     try:
-        return defusedxml.ElementTree.fromstring(text.encode(), forbid_dtd=True)
+        # Given as text, not as bytes: whatever encoding the document declares is passed over.
+        return defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
     except ParseError as error:
         raise XmlError(f"{source}: not well-formed XML: {error}") from error
     except DefusedXmlException as error:
         raise XmlError(f"{source}: document types and entities are refused") from error
+    except UnicodeError as error:
+        raise XmlError(f"{source}: not Unicode text") from error
 
 
 def read_text(path: Path) -> str:
     """Return the text of a file.
 
     Raises:
-        XmlError: the file is missing, unreadable or not UTF-8.
+        XmlError: the file is missing, unreadable, too large or not UTF-8.
     """
     try:
-        return path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            data = file.read(MAXIMUM_BYTES + 1)
+        if len(data) > MAXIMUM_BYTES:
+            raise XmlError(f"{path}: larger than {MAXIMUM_BYTES} bytes")
+        return data.decode()
     except OSError as error:
         raise XmlError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -77,6 +84,43 @@ def number(text: Optional[str], what: str) -> float:
         XmlError: no finite number; `what` names the place.
     """
     return numbers(text, 1, what)[0]
+
+
+def direction(text: Optional[str], what: str) -> Tuple[float, float, float]:
+    """Return the unit vector along the three numbers in a text.
+
+    Raises:
+        XmlError: other than three finite numbers, or a zero vector.
+    """
+    values = numbers(text, 3, what)
+    length = math.sqrt(sum(value * value for value in values))
+    if length == 0.0:
+        raise XmlError(f"{what}: a zero vector has no direction")
+    return tuple(value / length for value in values)
+
+
+def sizes(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
+    """Return the `count` positive numbers in a text; raises XmlError."""
+    values = numbers(text, count, what)
+    if min(values) <= 0.0:
+        raise XmlError(f"{what}: {min(values):g} is not positive")
+    return values
+
+
+def mesh_scale(text: Optional[str], what: str) -> Tuple[float, float, float]:
+    """Return the three factors in a text, negative ones mirror; raises XmlError for a zero."""
+    values = numbers(text, 3, what)
+    if 0.0 in values:
+        raise XmlError(f"{what}: a scale of 0 leaves nothing")
+    return values
+
+
+def friction(text: Optional[str], what: str) -> float:
+    """Return a coefficient of friction; raises XmlError for a negative one."""
+    value = number(text, what)
+    if value < 0.0:
+        raise XmlError(f"{what}: {value:g} is negative")
+    return value
 
 
 def child_text(element: Element, tag: str, default: str = "") -> str:

@@ -15,7 +15,7 @@ from typing import Any, Callable, ClassVar, Dict, List, Mapping, Optional, Tuple
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.description import Model, Plugin
 from bullet_lab.simulation.physics import Body
-from bullet_lab.simulation.schedule import Schedule
+from bullet_lab.simulation.schedule import Schedule, ScheduleError
 from bullet_lab.simulation.xml_input import boolean, number
 
 
@@ -51,6 +51,13 @@ class Mount:
         text = self.plugin.tags.get(tag)
         return default if not text else boolean(text, self.where(tag))
 
+    def schedule(self, tag: str, default: float) -> Schedule:
+        """Return the schedule for the rate (Hz) in a tag; raises LabError."""
+        try:
+            return Schedule(self.number(tag, default))
+        except ScheduleError as error:
+            raise DeviceError(f"{self.where(tag)}: {error}") from error
+
     def topic(self, name: str) -> str:
         """Return a topic's name within the plugin's robotNamespace."""
         namespace = self.text("robotNamespace").strip("/")
@@ -77,15 +84,25 @@ class Output:
         self.topic = topic
         self.kind = kind
         self._listeners: List[Callable[[Any], None]] = []
+        self._wanted: List[Callable[[], bool]] = []
 
-    def connect(self, listener: Callable[[Any], None]) -> None:
-        """Call `listener(sample)` with each sample from now on."""
+    def connect(
+        self, listener: Callable[[Any], None], wanted: Callable[[], bool] = lambda: True
+    ) -> None:
+        """Call `listener(sample)` with samples from now on.
+
+        Args:
+            listener: takes a sample.
+            wanted: says whether samples are of any use now; devices spare themselves those
+                that nobody wants.
+        """
         self._listeners.append(listener)
+        self._wanted.append(wanted)
 
     @property
     def wanted(self) -> bool:
-        """Whether anybody is connected."""
-        return bool(self._listeners)
+        """Whether anybody wants samples now."""
+        return any(wanted() for wanted in self._wanted)
 
     def send(self, sample: Any) -> None:
         """Give a sample to all that are connected."""

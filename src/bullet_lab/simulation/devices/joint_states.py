@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bullet_lab.simulation.devices.device import Device, DeviceError, Mount, Output, device
 from bullet_lab.simulation.samples import JointSample
-from bullet_lab.simulation.schedule import Schedule
 
 
 @device("libgazebo_ros_joint_state_publisher.so")
@@ -21,11 +20,11 @@ class JointStates(Device):
         self._names = _joint_names(mount)
         self.states = Output(mount.topic("joint_states"), JointSample)
         self.outputs = (self.states,)
-        self.schedule = Schedule(mount.number("updateRate", 0.0))
+        self.schedule = mount.schedule("updateRate", 0.0)
 
     def produce(self, step: int) -> None:
         """Send the states of all joints."""
-        if not self.states.wanted:
+        if not self._names or not self.states.wanted:
             return
         states = [self._body.joint_state(name) for name in self._names]
         self.states.send(

@@ -14,12 +14,15 @@ from bullet_lab.simulation.devices.device import (
     device,
 )
 from bullet_lab.simulation.physics import STEP_SECONDS
-from bullet_lab.simulation.pose import Pose, yaw_of
+from bullet_lab.simulation.pose import Pose, heading_of
 from bullet_lab.simulation.samples import OdometrySample, PlanarCommand, TransformSample
-from bullet_lab.simulation.schedule import STEPS_PER_SECOND, Schedule
+from bullet_lab.simulation.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.support_patch import PUBLISHED_RADIUS, SupportPatch
 
 STANDSTILL = PlanarCommand()
+STEP_SQUARED = STEP_SECONDS * STEP_SECONDS
+# Bullet's contact carries a body in small pushes; the load is their mean over some 20 steps.
+LOAD_SMOOTHING = 0.05
 # As in Gazebo: x and y are known, what the robot cannot do is not.
 POSE_VARIANCES = (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
 
@@ -30,6 +33,8 @@ class PlanarMove(Device):
 
     Before each step the body gets the last commanded velocity, turned by its yaw and less what
     floor friction takes away (`SupportPatch`); it neither rolls, pitches nor rises by itself.
+    Since that starts each step without vertical velocity, a robot in the air does not fall but
+    sinks at g·dt, 1 cm/s, as in Gazebo; without a floor under it, no friction slows it down.
     The command stays until the next one, or until `cmdTimeout` seconds have passed.
 
     Tags: commandTopic, odometryTopic, odometryFrame, robotBaseFrame, odometryRate, cmdTimeout
@@ -42,10 +47,13 @@ class PlanarMove(Device):
     def __init__(self, mount: Mount):
         super().__init__(mount)
         self._body = mount.body
-        self._frame = mount.text("odometryFrame", "odom")
+        self.frame = mount.text("odometryFrame", "odom")
         self._base_frame = mount.text("robotBaseFrame", "base_footprint")
         self._timeout = _timeout_steps(mount.number("cmdTimeout", -1.0))
         self._patch = _support_patch(mount)
+        self._slow_down = self._patch.slow_down
+        self._set_velocity = self._body.set_velocity
+        self._mass = self._patch.mass
         self._gravity = mount.gravity
         self._turned = self._body.turned_inertia
         self.odometry = Output(mount.topic(mount.text("odometryTopic", "odom")), OdometrySample)
@@ -53,9 +61,8 @@ class PlanarMove(Device):
         self.outputs = (self.odometry, self.transform)
         command = mount.topic(mount.text("commandTopic", "cmd_vel"))
         self.inputs = (Input(command, PlanarCommand, self.command),)
-        self.schedule = Schedule(mount.number("odometryRate", 20.0))
+        self.schedule = mount.schedule("odometryRate", 20.0)
         self._body.remove_sliding_friction()
-        self._step = 0
         self.reset(0)
 
     def command(self, command: PlanarCommand) -> None:
@@ -66,25 +73,28 @@ class PlanarMove(Device):
         """
         if not all(map(math.isfinite, (command.vx, command.vy, command.wz))):
             raise DeviceError(f"the velocity {command} is not finite")
-        self._expires = None if self._timeout is None else self._step + self._timeout
+        self._expires = None if self._timeout is None else self._now + self._timeout
         self._command = command
 
     def before_step(self, step: int) -> None:
         """Set the velocity for the coming step."""
-        self._step = step
+        self._now = step + 1
         command = self._command
         if self._expires is not None and step >= self._expires:
             command = STANDSTILL
+        (_, _, height), quaternion = self._body.com_place()
         # The floor has carried what the step before did not turn into a fall: the body was sent
         # off without vertical velocity, so this is Newton's law, and no contact need be asked.
-        (_, _, rise), _ = self._body.velocity()
-        load = self._patch.mass * max(0.0, self._gravity + rise / STEP_SECONDS)
-        vx, vy, wz = self._patch.slow_down(
-            command.vx, command.vy, command.wz, load, STEP_SECONDS
+        carried = self._mass * (self._gravity + (height - self._height) / STEP_SQUARED)
+        self._height = height
+        self._load += LOAD_SMOOTHING * (carried - self._load)
+        vx, vy, wz = self._slow_down(
+            command.vx, command.vy, command.wz, self._load, STEP_SECONDS
         )
-        yaw = self._yaw()
-        cosine, sine = math.cos(yaw), math.sin(yaw)
-        self._body.set_velocity(
+        if self._turned:
+            quaternion = self._body.pose().quaternion
+        cosine, sine = heading_of(quaternion)
+        self._set_velocity(
             (cosine * vx - sine * vy, sine * vx + cosine * vy, 0.0), (0.0, 0.0, wz)
         )
 
@@ -94,39 +104,32 @@ class PlanarMove(Device):
         velocity = self._velocity_since(step, pose)
         self._last_step, self._last_pose = step, pose
         x, y, _ = pose.position
-        self.odometry.send(
-            OdometrySample(
-                step,
-                self._frame,
-                self._base_frame,
-                Pose((x, y, 0.0), pose.quaternion),
-                velocity,
-                POSE_VARIANCES,
-            )
-        )
-        self.transform.send(TransformSample(step, self._frame, self._base_frame, pose))
+        flat = Pose((x, y, 0.0), pose.quaternion)
+        frames = (self.frame, self._base_frame)
+        if self.odometry.wanted:
+            self.odometry.send(OdometrySample(step, *frames, flat, velocity, POSE_VARIANCES))
+        if self.transform.wanted:
+            self.transform.send(TransformSample(step, *frames, pose))
 
     def reset(self, step: int) -> None:
         """Forget the command and where the robot was."""
         self._command = STANDSTILL
+        self._now = step
         self._expires: Optional[int] = None
         self._last_step = step
         self._last_pose = self._body.pose()
-
-    def _yaw(self) -> float:
-        pose = self._body.pose() if self._turned else self._body.com_pose()
-        return yaw_of(pose.quaternion)
+        self._height = self._body.com_pose().position[2]
+        self._load = self._mass * self._gravity
 
     def _velocity_since(self, step: int, pose: Pose) -> PlanarCommand:
         """Return the mean velocity since the last sample, in the robot's present frame."""
         dt = (step - self._last_step) / STEPS_PER_SECOND
         if dt <= 0.0:
             return STANDSTILL
-        yaw = pose.yaw
         dx = pose.position[0] - self._last_pose.position[0]
         dy = pose.position[1] - self._last_pose.position[1]
-        turned = math.remainder(yaw - self._last_pose.yaw, math.tau)
-        cosine, sine = math.cos(yaw), math.sin(yaw)
+        turned = math.remainder(pose.yaw - self._last_pose.yaw, math.tau)
+        cosine, sine = heading_of(pose.quaternion)
         return PlanarCommand(
             (cosine * dx + sine * dy) / dt, (cosine * dy - sine * dx) / dt, turned / dt
         )
@@ -137,7 +140,7 @@ def _timeout_steps(seconds: float) -> Optional[int]:
 
 
 def _support_patch(mount: Mount) -> SupportPatch:
-    """Return the patch of the robot's root link, with the friction of its lowest shape."""
+    """Return the patch of the robot's root link, with the least friction of its shapes."""
     root = mount.model.root_links()[0]
     masses = [link.inertia.mass for link in mount.model.links if link.inertia is not None]
     radius = mount.number("supportRadius", PUBLISHED_RADIUS)

@@ -1,0 +1,253 @@
+"""The loop that advances a simulation, and the threads that want something of it. No rospy.
+
+PyBullet wants all calls from one thread: the one that calls `Stepper.run`. Others hand it what
+they want done, and wait.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+import time
+from collections import Counter
+from typing import Any, Callable, Optional, Sequence
+
+from bullet_lab.errors import LabError
+from bullet_lab.ros.pace import Pace
+from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
+from bullet_lab.simulation.simulation import Simulation
+
+# Between two looks at what others want, at full speed: about half a millisecond of wall time.
+STEPS_AT_A_TIME = 50
+# Longest wait before looking whether all has ended, in wall seconds.
+LONGEST_WAIT = 0.2
+# Wall seconds after which it is reported who holds time back.
+PATIENCE = 2.0
+
+
+class StepperError(LabError):
+    """The simulation ends before it has done what was asked."""
+
+
+class Stepper:
+    """Advances a simulation as the wall clock, the lock step and pauses allow.
+
+    Args:
+        simulation: what to advance.
+        pace: how it follows the wall clock.
+        gate: how far the members of the lock step let it go.
+        tick: steps between two wake-ups while time follows the wall clock.
+        paused: whether to start so.
+        is_over: says whether to end.
+        report_stall: called with the names of those who hold time back, every `PATIENCE`.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        pace: Pace,
+        gate: TimeGate,
+        tick: int,
+        paused: bool,
+        is_over: Callable[[], bool],
+        report_stall: Callable[[Sequence[str]], None],
+    ):
+        self.simulation = simulation
+        self.pace = pace
+        self.gate = gate
+        self._tick = tick
+        self._paused = paused
+        self._is_over = is_over
+        self._report_stall = report_stall
+        self._stalled_since: Optional[float] = None
+        self._tasks: queue.Queue[_Task] = queue.Queue()
+        self._wake = threading.Condition()
+        self._wakeups = 0
+        self._commands: Counter = Counter()
+
+    def run(self) -> None:
+        """Advance until all is over; to be called by one thread, once."""
+        self.pace.restart(self.simulation.step)
+        try:
+            while not self._is_over():
+                self._run_tasks()
+                self._go_on()
+        finally:
+            self.wake()
+
+    # For other threads
+
+    def wake(self) -> None:
+        """Have the loop look at once at what has changed."""
+        with self._wake:
+            self._wakeups += 1
+            self._wake.notify_all()
+
+    def do(self, action: Callable[[], Any]) -> Any:
+        """Have something done between two steps; return what it returns, raise what it raises.
+
+        Raises:
+            StepperError: all is over before it could be done.
+        """
+        task = _Task(action)
+        self._tasks.put(task)
+        self.wake()
+        while not task.done.wait(LONGEST_WAIT):
+            if self._is_over():
+                raise StepperError("the simulation has ended")
+        return task.result()
+
+    def do_now(self, action: Callable[[], None]) -> None:
+        """Have something done at the present moment of wall time.
+
+        Tied to the wall clock, simulated time sleeps between ticks; it is first brought to this
+        moment. At full speed there is no such moment, and the action is done at once.
+        """
+        if self.pace.free:
+            action()
+        else:
+            self.do(lambda: self._catch_up_and(action))
+
+    def pause(self) -> None:
+        """Stop time."""
+        self.do(lambda: self._set_paused(True))
+
+    def unpause(self) -> None:
+        """Let time go on."""
+        self.do(lambda: self._set_paused(False))
+
+    def advance_by(self, steps: int) -> int:
+        """Advance by exactly so many steps, paused or not, and return the step reached."""
+        return self.do(lambda: self._advance_by(steps))
+
+    def reset_world(self) -> None:
+        """Put all models back; time goes on."""
+        self.do(self.simulation.reset_world)
+
+    def reset_simulation(self) -> None:
+        """Put all models back and start time again at 0."""
+        self.do(self._reset_simulation)
+
+    def note_command(self, member: str) -> None:
+        """Note that a command of a member of the lock step has arrived."""
+        with self._wake:
+            self._commands[member] += 1
+            self._wake.notify_all()
+
+    def await_commands(self, member: str, count: int) -> bool:
+        """Wait until so many commands of a member have arrived; False if they do not come."""
+        with self._wake:
+            if self._wake.wait_for(lambda: self._commands[member] >= count, PATIENCE):
+                return True
+            # Do not wait for the lost ones again.
+            self._commands[member] = count
+            return False
+
+    def grant(self, member: str, step: float) -> bool:
+        """Let time go on to a step, for all that a member cares, and wait until it is there.
+
+        Returns:
+            Whether it is; False if time was set back or all is over. A grant for ever returns
+            at once.
+        """
+        start = self.simulation.step
+        self.gate.grant(member, step)
+        self.wake()
+        if step == FOR_EVER:
+            return True
+        with self._wake:
+            while not self._wake.wait_for(lambda: self._is_settled(start, step), LONGEST_WAIT):
+                pass
+        return self.simulation.step >= step
+
+    # The loop
+
+    def _go_on(self) -> None:
+        """Advance as far as is due and allowed, or wait."""
+        # Read before anything is looked at: what changes from here on cuts the wait short.
+        wakeups = self._wakeups
+        step = self.simulation.step
+        limit = -1 if self._paused else self.gate.limit()
+        if limit is None or limit <= step:
+            self.pace.restart(step)
+            self._watch_the_stall()
+            self._wait(LONGEST_WAIT, wakeups)
+            return
+        self._stalled_since = None
+        due = self.pace.due(step)
+        if due <= step:
+            wait = self.pace.seconds_until(step + self._tick)
+            self._wait(min(LONGEST_WAIT, wait), wakeups)
+            due = self.pace.due(step)
+        self.simulation.run_until(int(min(limit, due, step + STEPS_AT_A_TIME)))
+        if limit != FOR_EVER:
+            with self._wake:
+                self._wake.notify_all()
+
+    def _wait(self, seconds: float, wakeups: int) -> None:
+        with self._wake:
+            if self._wakeups == wakeups and not self._is_over():
+                self._wake.wait(seconds)
+
+    def _run_tasks(self) -> None:
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._tasks.get_nowait().run()
+
+    def _catch_up_and(self, action: Callable[[], None]) -> None:
+        step, limit = self.simulation.step, self.gate.limit()
+        if not self._paused and limit is not None:
+            self.simulation.run_until(int(max(step, min(limit, self.pace.due(step)))))
+        action()
+
+    def _set_paused(self, paused: bool) -> None:
+        self._paused = paused
+        self.pace.restart(self.simulation.step)
+
+    def _advance_by(self, steps: int) -> int:
+        self.simulation.run_until(self.simulation.step + steps)
+        self.pace.restart(self.simulation.step)
+        return self.simulation.step
+
+    def _reset_simulation(self) -> None:
+        self.simulation.reset_simulation()
+        self.gate.restart()
+        self.pace.restart(0)
+
+    def _is_settled(self, start: int, step: float) -> bool:
+        now = self.simulation.step
+        return now >= step or now < start or self._is_over()
+
+    def _watch_the_stall(self) -> None:
+        now = time.monotonic()
+        if self._paused or self._stalled_since is None:
+            self._stalled_since = now
+        elif now - self._stalled_since >= PATIENCE:
+            self._stalled_since = now
+            self._report_stall(self.gate.holding())
+
+
+class _Task:
+    """Something for the loop's thread to do."""
+
+    def __init__(self, action: Callable[[], Any]):
+        self.done = threading.Event()
+        self._action = action
+        self._result: Any = None
+        self._error: Optional[LabError] = None
+
+    def run(self) -> None:
+        """Do it; an error made for the user goes back to whoever asked."""
+        try:
+            self._result = self._action()
+        except LabError as error:
+            self._error = error
+        finally:
+            self.done.set()
+
+    def result(self) -> Any:
+        """Return what came of it, or raise."""
+        if self._error is not None:
+            raise self._error
+        return self._result
