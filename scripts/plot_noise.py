@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Run the node; see bullet_lab.ros.plot_noise."""
 
-from bullet_lab.ros.plot_noise import main
+from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    main()
+    run("bullet_lab.ros.plot_noise")

@@ -136,8 +136,8 @@ class TrackRobot:
             label = Marker(header=header, ns="label", id=number, type=Marker.TEXT_VIEW_FACING)
             label.pose.position = Point(beacon.x, beacon.y, LABEL_HEIGHT)
             label.pose.orientation.w = 1.0
-            label.scale.z = 0.4
-            label.color = ColorRGBA(0.1, 0.1, 0.1, 1.0)
+            label.scale.z = 0.5
+            label.color = ColorRGBA(1.0, 0.55, 0.1, 1.0)
             label.text = f"{beacon.name}: {dist:.2f} m"
             ray = Marker(header=header, ns="ray", id=number, type=Marker.LINE_LIST)
             ray.pose.orientation.w = 1.0

@@ -1,0 +1,32 @@
+"""How the executables in scripts/ start: import late, so that failing to is one line too."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+
+from bullet_lab.errors import LabError
+
+STATUS_CANNOT_START = 1
+STATUS_INTERRUPTED = 130
+
+
+def run(module: str) -> None:
+    """Import a module and call its `main`; end with one line where a library is missing."""
+    name = os.path.basename(sys.argv[0])
+    try:
+        main = importlib.import_module(module).main
+    except KeyboardInterrupt:
+        sys.exit(STATUS_INTERRUPTED)
+    except LabError as error:
+        _end(f"{name}: {error}")
+    except ImportError as error:
+        hint = "run scripts/setup.sh, or install what package.xml and requirements.txt name"
+        _end(f"{name}: {error} (for {sys.executable}): {hint}")
+    main()
+
+
+def _end(line: str) -> None:
+    print(line, file=sys.stderr)
+    sys.exit(STATUS_CANNOT_START)
