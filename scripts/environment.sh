@@ -2,7 +2,8 @@
 # shellcheck shell=bash disable=SC2034 # not all of them use all of it
 
 LAB_ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
-LAB_DIR=$LAB_ROOT/.lab
+# rosrun searches packages for executables, and leaves out their build/ alone.
+LAB_DIR=$LAB_ROOT/build
 LAB_VENV=$LAB_DIR/venv
 LAB_WS=$LAB_DIR/ws
 if [[ -e /opt/ros/noetic/setup.bash ]]; then

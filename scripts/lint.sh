@@ -8,7 +8,7 @@ source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 CHECKS=(ruff shellcheck catkin_lint xml launch)
 
 # Also where there is no git, whose list of ignored files ruff follows.
-check_ruff() { python -m ruff check --quiet --output-format concise --extend-exclude .lab,results .; }
+check_ruff() { python -m ruff check --quiet --output-format concise --extend-exclude build,results .; }
 
 check_shellcheck() { shellcheck --external-sources scripts/*.sh .ci/run; }
 

@@ -4,8 +4,8 @@
 # Usage: scripts/setup.sh [--with rviz] [--with test]
 #
 # Debian packages come by apt-get (through sudo where not root), Python packages into
-# .lab/venv, the catkin workspace is built in .lab/ws. Where /opt/ros/noetic exists it
-# is used instead of Debian's ROS. What ran is in .lab/log.
+# build/venv, the catkin workspace is built in build/ws. Where /opt/ros/noetic exists it
+# is used instead of Debian's ROS. What ran is in build/log.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
@@ -76,6 +76,7 @@ inputs_of() {
       ;;
     python-test) cat "$LAB_ROOT/requirements.txt" "$LAB_ROOT/requirements-test.txt" ;;
     build)
+      package_entries
       cat "$LAB_ROOT"/{CMakeLists.txt,package.xml,setup.py} "$LAB_ROOT"/srv/*.srv
       ;;
   esac
@@ -225,10 +226,23 @@ build_workspace() (
     -DPYTHON_EXECUTABLE="$LAB_VENV/bin/python" -DCATKIN_ENABLE_TESTING=OFF
 )
 
+# The top level of the package, less what running it leaves there.
+package_entries() { ls --ignore=build --ignore=results "$LAB_ROOT"; }
+
+# Links what is in the package one by one: with a link to the whole of it, rosrun would follow
+# the link into this very workspace, round and round.
+link_package() {
+  local entry
+  rm -rf "$1"
+  mkdir -p "$1"
+  for entry in $(package_entries); do
+    ln -s "$LAB_ROOT/$entry" "$1/"
+  done
+}
+
 step_build() {
   local title=$1 log=$2
-  mkdir -p "$LAB_WS/src"
-  ln -sfn "$LAB_ROOT" "$LAB_WS/src/bullet_lab"
+  link_package "$LAB_WS/src/bullet_lab"
   # What was built elsewhere, before the clone was moved, is of no use.
   if ! grep -qsxF "CMAKE_HOME_DIRECTORY:INTERNAL=$LAB_WS/src" "$LAB_WS/build/CMakeCache.txt"; then
     rm -rf "$LAB_WS/build" "$LAB_WS/devel"
