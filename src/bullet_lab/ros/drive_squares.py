@@ -87,7 +87,7 @@ class DriveSquares:
             total=total, unit="m", desc="driving", disable=None, bar_format=PROGRESS_FORMAT
         ) as self._progress:
             for side in range(self.square.sides):
-                rospy.loginfo("side %d of %d", side + 1, self.square.sides)
+                self._report(f"side {side + 1} of {self.square.sides}")
                 self.drive_squares(cmd_vel)
         self.stop()
         self._rest()
@@ -100,6 +100,13 @@ class DriveSquares:
             self._drive_by_odometry()
         else:
             self._drive_by_clock()
+
+    def _report(self, where: str) -> None:
+        """Say where the drive is, on the progress bar or, without a terminal, in the log."""
+        if self._progress.disable:
+            rospy.loginfo(where)
+        else:
+            self._progress.set_description(where)
 
     def stop(self) -> None:
         """Tell the robot to stand still."""

@@ -42,12 +42,12 @@ class Pace:
         """
         if self.free:
             return math.inf
-        due = self._start_step + self._rate * (self._clock() - self._start)
+        due = math.floor(self._start_step + self._rate * (self._clock() - self._start))
         # A whole step late is none too late, however slowly time goes.
         if due - step > max(1.0, FORGIVEN_SECONDS * self._rate):
             self.restart(step)
             return step + 1
-        return math.floor(due)
+        return due
 
     def seconds_until(self, step: int) -> float:
         """Return the wall seconds until a step is due; 0 if it is overdue."""
