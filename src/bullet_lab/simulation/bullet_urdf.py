@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Iterable, Tuple
+from typing import Iterable, Mapping, Tuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
@@ -32,6 +32,8 @@ from bullet_lab.simulation.meshes import load_triangles, write_obj
 from bullet_lab.simulation.pose import Pose, Vector
 
 SLAB_THICKNESS = 0.01
+# Where a joint that is limited on one side ends on the other, as in SDF.
+FAR = 1e16
 # A body that is never moved by forces: PyBullet takes mass 0 as infinitely heavy.
 IMMOVABLE = Inertia(0.0, (0.0, 0.0, 0.0), np.zeros((3, 3)))
 
@@ -137,8 +139,16 @@ def _add_joint(robot: Element, joint: Joint) -> None:
     SubElement(element, "axis", xyz=_text(joint.axis))
     dynamics = {"damping": repr(joint.damping), "friction": repr(joint.friction)}
     SubElement(element, "dynamics", dynamics)
-    if joint.limits:
-        SubElement(element, "limit", {key: repr(value) for key, value in joint.limits.items()})
+    limits = {key: repr(float(value)) for key, value in _limits(joint).items()}
+    SubElement(element, "limit", limits)
+
+
+def _limits(joint: Joint) -> Mapping[str, float]:
+    """Return limits that PyBullet accepts: it refuses to load a hinge without any."""
+    bounds = {key for key in ("lower", "upper") if key in joint.limits}
+    # A lower bound above the upper one means none.
+    open_ends = {"lower": -FAR, "upper": FAR} if bounds else {"lower": 0.0, "upper": -1.0}
+    return {**open_ends, **joint.limits}
 
 
 def _add_origin(element: Element, pose: Pose) -> None:

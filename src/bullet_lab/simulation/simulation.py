@@ -71,6 +71,8 @@ class ModelInstance:
         _check_pose(pose, self.name)
         for root in self.model.root_links():
             self.bodies[root.name].place(pose * root.pose)
+        for device in self.devices:
+            device.placed()
 
     def command(self, topic: str, command: Any) -> None:
         """Give a command to the devices that listen to a topic.

@@ -134,6 +134,9 @@ class Device:
     def produce(self, step: int) -> None:
         """Measure and send, at the simulated time `step`."""
 
+    def placed(self) -> None:
+        """Take note that the model was put somewhere else."""
+
     def reset(self, step: int) -> None:
         """Start anew after the model was put back; simulated time is now `step`."""
 

@@ -117,6 +117,10 @@ class PlanarMove(Device):
         self._now = step
         self._expires: Optional[int] = None
         self._last_step = step
+        self.placed()
+
+    def placed(self) -> None:
+        """Forget where the robot was: it neither drove nor fell from there."""
         self._last_pose = self._body.pose()
         self._height = self._body.com_pose().position[2]
         self._load = self._mass * self._gravity

@@ -1,0 +1,64 @@
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bullet_lab.numerics.square_driver import Square, open_loop_side
+from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.urdf_reader import read_urdf_file
+
+PACKAGE = Path(__file__).resolve().parents[2]
+BLOCK_ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
+EMPTY_WORLD = "package://bullet_lab/worlds/empty.world"
+
+
+@pytest.fixture(scope="session")
+def package():
+    return PACKAGE
+
+
+@pytest.fixture(scope="session")
+def block_model():
+    return read_urdf_file(PACKAGE / "urdf" / "block_robot.urdf")
+
+
+@pytest.fixture
+def world():
+    with Simulation.of(EMPTY_WORLD) as simulation:
+        yield simulation
+
+
+@pytest.fixture
+def robot(world):
+    return world.spawn(BLOCK_ROBOT)
+
+
+@pytest.fixture(scope="session")
+def published_run():
+    """Odometry samples and corner points of the square, driven as in listing 9."""
+    samples = []
+    square = Square()
+    with Simulation.of(EMPTY_WORLD) as simulation:
+        robot = simulation.spawn(BLOCK_ROBOT)
+        robot.listen("odom", samples.append)
+        corners = [robot.pose().position[:2]]
+        for _ in range(square.sides):
+            driving = True
+            for ahead, turn in open_loop_side(square):
+                if driving and turn:
+                    corners.append(robot.pose().position[:2])
+                driving = not turn
+                robot.command("cmd_vel", PlanarCommand(vx=ahead, wz=turn))
+                simulation.run_for(0.1)
+    return samples, np.array(corners)
+
+
+@pytest.fixture(scope="session")
+def figure_corners():
+    """Start and the four corners of the perfect path in figure 1a, m, shape (5, 2)."""
+    with (PACKAGE / "test" / "data" / "fig1_paths.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["series"] == "fig1a_perfect"]
+    points = np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows])
+    return points[[0, 1, 4, 7, 10]]

@@ -1,0 +1,342 @@
+import math
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import BLOCK_ROBOT, EMPTY_WORLD
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.description import (
+    Box,
+    Collision,
+    Inertia,
+    Joint,
+    Link,
+    Mesh,
+    Model,
+    Plugin,
+    Visual,
+    World,
+)
+from bullet_lab.simulation.engine import pybullet
+from bullet_lab.simulation.meshes import MeshError
+from bullet_lab.simulation.physics import PhysicsError
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.schedule import ScheduleError
+from bullet_lab.simulation.simulation import Simulation, SimulationError
+from bullet_lab.simulation.view import View, take_picture
+
+UNIT = Inertia(1.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3))
+CUBE = Box((0.2, 0.2, 0.2))
+PICTURE = View(eye=(-0.6, -0.5, 0.5), target=(0.0, 0.0, 0.0), width=80, height=60)
+
+
+def thing(name="cube", geometry=CUBE, inertia=UNIT, pose=Pose(), **parts):  # noqa: B008
+    link = Link("link", Pose(), inertia, (Visual(geometry),), (Collision(geometry),))
+    return Model(name, (link,), pose=pose, **parts)
+
+
+def bodies(simulation):
+    return pybullet.getNumBodies(simulation.client)
+
+
+def drive(simulation, robot, samples=None):
+    """Drive about and return all that can be seen of it.
+
+    `samples` is the list that the robot sends its odometry to, if it does so already.
+    """
+    if samples is None:
+        samples = []
+        robot.listen("odom", samples.append)
+    samples.clear()
+    for command in (PlanarCommand(0.3, 0.05, 0.4), PlanarCommand(-0.2, 0.0, -1.0)):
+        robot.command("cmd_vel", command)
+        simulation.run_for(1.5)
+    return list(samples), take_picture(simulation, PICTURE).tobytes()
+
+
+def crowded():
+    """A world in which the robot runs into two boxes, one of them fixed."""
+    simulation = Simulation.of(EMPTY_WORLD)
+    simulation.add(thing("fixed", pose=Pose((0.3, 0.0, 0.1)), static=True))
+    simulation.add(thing("loose", pose=Pose((-0.2, 0.0, 0.1))))
+    return simulation
+
+
+def test_the_example_of_the_docstring(world, robot):
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_for(10.0)
+    assert f"{robot.pose().position[0]:.3f}" == "1.902"
+
+
+def test_the_same_calls_give_the_same_bits():
+    results = []
+    for _ in range(2):
+        with crowded() as simulation:
+            results.append(drive(simulation, simulation.spawn(BLOCK_ROBOT)))
+    assert results[0] == results[1]
+    assert len(results[0][0]) == 60
+
+
+def test_a_reset_simulation_is_as_good_as_a_new_one():
+    with crowded() as simulation:
+        robot = simulation.spawn(BLOCK_ROBOT)
+        samples = []
+        robot.listen("odom", samples.append)
+        first = drive(simulation, robot, samples)
+        simulation.reset_simulation()
+        assert simulation.step == 0
+        assert drive(simulation, robot, samples) == first
+
+
+def test_simulations_do_not_disturb_each_other():
+    with crowded() as alone:
+        expected = drive(alone, alone.spawn(BLOCK_ROBOT))
+    with crowded() as one, Simulation(World("other", gravity=(0.0, 0.0, 0.0))) as other:
+        robot = one.spawn(BLOCK_ROBOT)
+        floating = other.add(thing(pose=Pose((0, 0, 5))))
+        samples = []
+        robot.listen("odom", samples.append)
+        for command in (PlanarCommand(0.3, 0.05, 0.4), PlanarCommand(-0.2, 0.0, -1.0)):
+            robot.command("cmd_vel", command)
+            for _ in range(15):
+                one.run_for(0.1)
+                other.run_for(0.07)
+        assert (samples, take_picture(one, PICTURE).tobytes()) == expected
+        assert floating.pose().position == (0, 0, 5)
+        assert (one.step, other.step) == (3000, 2100)
+
+
+def test_gravity_pulls_what_is_free_and_not_what_is_static():
+    with Simulation(World("w", gravity=(0.0, 0.0, -1.6))) as moon:
+        free = moon.add(thing(pose=Pose((0, 0, 10))))
+        fixed = moon.add(thing("fixed", pose=Pose((5, 0, 10)), static=True))
+        moon.run_for(1.0)
+        assert free.pose().position[2] == pytest.approx(10 - 0.8, abs=2e-3)
+        assert fixed.pose().position == (5, 0, 10)
+
+
+def test_poses_are_those_of_the_models_frames(world):
+    # The centre of mass and the principal axes lie anywhere else.
+    turn = Pose.from_rpy((0, 0, 0), (0.3, 0.2, 0.1)).rotation_matrix()
+    inertia = Inertia(1.0, (0.1, 0.2, 0.3), turn @ np.diag([0.01, 0.02, 0.025]) @ turn.T)
+    link = Link("link", Pose((1, 0, 0)), inertia, (), (Collision(CUBE),))
+    placed = Pose.from_rpy((3, 4, 5), (0.5, -0.4, 2.0))
+    for static in (False, True):
+        instance = world.add(Model("m", (link,), pose=placed, static=static), str(static))
+        assert instance.pose().position == pytest.approx(placed.position)
+        assert instance.pose().rotation_matrix() == pytest.approx(placed.rotation_matrix())
+        # A cube of 0.2 m about the link's frame, whatever the inertia.
+        low, high = pybullet.getAABB(instance.bodies["link"].unique_id, -1, world.client)
+        centre = (placed * Pose((1, 0, 0))).position
+        assert np.add(low, high) / 2 == pytest.approx(centre, abs=1e-5)
+
+
+def test_a_shape_turned_straight_up_reaches_the_engine_as_it_is(world):
+    upright = Pose.from_rpy((0, 0, 0), (0.4, math.pi / 2, 0.9))
+    shape = Collision(Box((1.0, 0.1, 0.3)), upright)
+    model = Model("m", (Link("l", collisions=(shape,)),), static=True)
+    (body,) = world.add(model).bodies.values()
+    low, high = pybullet.getAABB(body.unique_id, -1, world.client)
+    expected = np.abs(upright.rotation_matrix()) @ (1.0, 0.1, 0.3)
+    # Bullet's boxes are given a skin of 1 mm.
+    assert np.subtract(high, low) == pytest.approx(expected, abs=2.1e-3)
+
+
+def test_adding_naming_and_removing(world):
+    added = world.add(thing(), "mine", Pose((1, 2, 3)))
+    assert world.models["mine"] is added
+    assert added.name == "mine"
+    with pytest.raises(SimulationError, match="^a model named 'mine' exists already$"):
+        world.add(thing("mine"))
+    count = bodies(world)
+    world.remove("mine")
+    assert bodies(world) == count - 1
+    assert list(world.models) == ["ground_plane"]
+    with pytest.raises(SimulationError, match="^there is no model 'mine'$"):
+        world.remove("mine")
+    world.add(thing("mine"))
+
+
+def test_a_removed_robot_is_silent(world, robot):
+    samples = []
+    robot.listen("odom", samples.append)
+    world.remove(robot.name)
+    world.run_for(1.0)
+    assert samples == []
+
+
+@pytest.mark.parametrize(
+    ("pose", "message"),
+    [
+        (Pose((math.nan, 0, 0)), "its pose is not finite"),
+        (Pose((0, math.inf, 0)), "its pose is not finite"),
+        (Pose((0, 0, 0), (0, 0, math.nan, 1)), "its pose is not finite"),
+        (Pose((0, 0, 0), (0, 0, 0, 0)), "a quaternion of length 0, not 1"),
+        (Pose((0, 0, 0), (0, 0, 0, 2)), "a quaternion of length 2, not 1"),
+    ],
+)
+def test_impossible_poses_leave_the_simulation_unharmed(world, robot, pose, message):
+    count = bodies(world)
+    with pytest.raises(SimulationError, match=f"^model 'cube': {message}"):
+        world.add(thing(), pose=pose)
+    with pytest.raises(SimulationError, match=message):
+        robot.place(pose)
+    assert bodies(world) == count
+    assert "cube" not in world.models
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_for(1.0)
+    assert robot.pose().position[0] == pytest.approx(0.19, abs=1e-3)
+
+
+def test_half_a_model_does_not_stay(world, tmp_path):
+    (tmp_path / "bad.stl").write_text("nonsense")
+    bad = Mesh(tmp_path / "bad.stl", "bad.stl")
+    good, weightless = thing().links[0], Link("other")
+    broken = Link("other", inertia=UNIT, visuals=(Visual(bad),))
+    count = bodies(world)
+    for second, error in ((weightless, PhysicsError), (broken, MeshError)):
+        with pytest.raises(error):
+            world.add(Model("m", (good, second)))
+        assert bodies(world) == count
+    with pytest.raises(PhysicsError, match="^model 'm': link 'other' moves and has no mass$"):
+        world.add(Model("m", (good, weightless)))
+
+
+def test_unknown_plugins_are_named_once_and_skipped(world, caplog):
+    known = Plugin("libgazebo_ros_joint_state_publisher", "states", {})
+    unknown = Plugin("libgazebo_ros_teleporter.so", "beam", {})
+    robot = world.add(thing(plugins=(unknown, known)))
+    world.run_for(0.1)
+    (record,) = caplog.records
+    assert record.levelname == "WARNING"
+    assert "model 'cube': plugin 'beam' (libgazebo_ros_teleporter.so)" in record.getMessage()
+    assert len(robot.devices) == 1
+
+
+def test_planar_move_on_what_cannot_move_is_refused(world):
+    plugin = Plugin("libgazebo_ros_planar_move.so", "move", {})
+    with pytest.raises(LabError, match="model 'cube': planar_move on what cannot move"):
+        world.add(thing(plugins=(plugin,), static=True))
+    assert "cube" not in world.models
+
+
+def test_timers(world):
+    calls = []
+    world.run_for(0.005)
+    world.every(100.0, calls.append)
+    world.run_for(0.03)
+    assert calls == [15, 25, 35]
+    world.reset_simulation()
+    world.run_for(0.01)
+    assert calls[3:] == [10]
+    assert world.seconds == 0.01
+    with pytest.raises(ScheduleError):
+        world.every(math.nan, calls.append)
+
+
+def test_timers_come_before_samples_of_their_step(world, robot):
+    order = []
+    robot.listen("odom", lambda sample: order.append(("odom", sample.step)))
+    world.every(20.0, lambda step: order.append(("clock", step)))
+    world.run_for(0.1)
+    assert order == [("clock", 50), ("odom", 50), ("clock", 100), ("odom", 100)]
+
+
+def test_how_time_is_cut_does_not_matter(world, robot):
+    def drive_in(slices):
+        world.reset_simulation()
+        robot.command("cmd_vel", PlanarCommand(vx=0.2, wz=0.1))
+        for _ in range(slices):
+            world.run_until(world.step + 1000 // slices)
+        return robot.pose()
+
+    assert drive_in(1) == drive_in(8) == drive_in(1000)
+
+
+def test_reset_world_lets_time_go_on(world, robot):
+    cube = world.add(thing(), pose=Pose((1, 0, 3)))
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_for(0.5)
+    world.reset_world()
+    assert world.step == 500
+    assert cube.pose().position == pytest.approx((1, 0, 3))
+    assert robot.pose().position == pytest.approx((0, 0, 0))
+    world.run_for(0.1)
+    assert cube.pose().position[2] == pytest.approx(3 - 0.5 * 9.8 * 0.01, abs=1e-3)
+    assert robot.pose().position[0] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_200_models_come_and_go_and_leave_nothing(world, package, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    mesh = Mesh(package / "meshes" / "beacon.dae", "", (0.1, 0.1, 0.1))
+    models = [thing(), thing("mesh", mesh)]
+    count = bodies(world)
+    for number in range(100):
+        for model in models:
+            world.add(model, pose=Pose((number, 0, 1)))
+        for model in models:
+            world.remove(model.name)
+    assert list(tmp_path.iterdir()) == []
+    assert list(world.models) == ["ground_plane"]
+    assert bodies(world) == count
+    world.run_for(0.01)
+
+
+def test_nothing_is_left_after_close(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    simulation = Simulation.of("package://bullet_lab/worlds/beacons.world")
+    client = simulation.client
+    assert pybullet.isConnected(client)
+    simulation.close()
+    simulation.close()
+    assert not pybullet.isConnected(client)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_world_that_cannot_be_loaded_leaves_no_client(tmp_path):
+    good, bad = thing(), thing("bad", inertia=None)
+    before = [n for n in range(20) if pybullet.isConnected(n)]
+    with pytest.raises(PhysicsError):
+        Simulation(World("w", (good, bad)))
+    assert [n for n in range(20) if pybullet.isConnected(n)] == before
+
+
+def test_files_that_the_user_names(tmp_path):
+    for name in ("nix.world", str(tmp_path), "package://bullet_lab/worlds/nix.world"):
+        with pytest.raises(LabError) as caught:
+            Simulation.of(name)
+        assert "\n" not in str(caught.value)
+        assert Path(name).name in str(caught.value)
+
+
+def test_joints_and_links_with_odd_names(world):
+    links = (Link("a & b", inertia=UNIT), Link("<ü>", Pose(), UNIT))
+    joint = Joint('"quoted"', "revolute", "a & b", "<ü>")
+    instance = world.add(Model("odd", links, (joint,)))
+    (body,) = instance.bodies.values()
+    assert body.joint_names == ('"quoted"',)
+    body.set_joint('"quoted"', 0.5)
+    assert body.joint_state('"quoted"').position == 0.5
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+@pytest.mark.parametrize(
+    ("limits", "stops"),
+    [({}, False), ({"lower": -0.1}, True), ({"upper": 0.1}, False),
+     ({"lower": -0.1, "upper": 0.1, "effort": 5.0, "velocity": 2.0}, True)],
+)  # fmt: skip
+def test_limits_hold_and_may_be_left_out(kind, limits, stops):
+    heavy = Inertia(1000.0, (0, 0, 0), 1000.0 * np.eye(3))
+    off_axis = Inertia(1.0, (1.0, 0.0, 0.0) if kind == "revolute" else (0, 0, 0), 0.01 * np.eye(3))
+    foot = Link("foot", inertia=heavy, collisions=(Collision(Box((9, 9, 1)), Pose((0, 0, 0.5))),))
+    # Weight turns the arm towards negative angles about -y, and pulls the slide down.
+    axis = (0.0, -1.0, 0.0) if kind == "revolute" else (0.0, 0.0, 1.0)
+    joint = Joint("j", kind, "foot", "arm", Pose((0, 0, 3)), axis, limits)
+    with Simulation.of(EMPTY_WORLD) as simulation:
+        model = Model("m", (foot, Link("arm", inertia=off_axis)), (joint,))
+        (body,) = simulation.add(model).bodies.values()
+        simulation.run_for(0.4)
+        assert (body.joint_state("j").position > -0.15) == stops

@@ -1,0 +1,93 @@
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.urdf_reader import read_urdf
+
+ARM, MOMENT, G = 0.5, 0.001, 9.8
+
+
+def pendulum(tags="", damping="0"):
+    """A heavy foot with an arm that starts level and swings about a hinge 1 m above it."""
+    return read_urdf(
+        '<robot name="pendulum"><link name="foot"><inertial><mass value="1000"/>'
+        '<inertia ixx="1000" iyy="1000" izz="1000"/></inertial>'
+        '<collision><origin xyz="0 0 0.1"/><geometry><box size="4 4 0.2"/></geometry>'
+        "</collision></link>"
+        f'<link name="arm"><inertial><origin xyz="{ARM} 0 0"/><mass value="1"/>'
+        f'<inertia ixx="{MOMENT}" iyy="{MOMENT}" izz="{MOMENT}"/></inertial></link>'
+        '<joint name="hinge" type="continuous"><origin xyz="0 0 1"/><parent link="foot"/>'
+        f'<child link="arm"/><axis xyz="0 1 0"/><dynamics damping="{damping}"/></joint>'
+        '<gazebo><plugin name="states" filename="libgazebo_ros_joint_state_publisher.so">'
+        f"{tags}</plugin></gazebo></robot>",
+        "pendulum",
+    )
+
+
+def record(robot, topic="joint_states"):
+    samples = []
+    robot.listen(topic, samples.append)
+    return samples
+
+
+def swing(seconds):
+    """Angle and angular velocity of an ideal pendulum that starts level, at each ms."""
+    angle, speed, path = 0.0, 0.0, []
+    for _ in range(round(seconds * 10_000)):
+        speed += 1e-4 * G * ARM / (ARM * ARM + MOMENT) * math.cos(angle)
+        angle += 1e-4 * speed
+        path.append((angle, speed))
+    return np.array(path[9::10])
+
+
+def test_a_hinge_swings_under_gravity(world):
+    robot = world.add(pendulum("<updateRate>50</updateRate>"))
+    samples = record(robot)
+    world.run_for(1.5)
+    assert [sample.step for sample in samples] == list(range(20, 1501, 20))
+    assert {sample.names for sample in samples} == {("hinge",)}
+    expected = swing(1.5)[19::20]
+    positions = [sample.positions[0] for sample in samples]
+    velocities = [sample.velocities[0] for sample in samples]
+    assert positions == pytest.approx(expected[:, 0], abs=0.03)
+    assert velocities == pytest.approx(expected[:, 1], abs=0.1)
+    assert max(positions) == pytest.approx(math.pi, abs=0.03)
+    assert {len(sample.efforts) for sample in samples} == {1}
+
+
+def test_damping_takes_energy(world):
+    samples = record(world.add(pendulum("<updateRate>50</updateRate>", damping="0.5")))
+    world.run_for(1.5)
+    assert max(sample.positions[0] for sample in samples) < 2.8
+
+
+def test_a_reset_puts_the_joints_back(world):
+    samples = record(world.add(pendulum("<updateRate>1000</updateRate>")))
+    world.run_for(0.5)
+    world.reset_simulation()
+    before = len(samples)
+    world.run_for(0.001)
+    (first,) = samples[before:]
+    assert first.step == 1
+    assert abs(first.positions[0]) < 1e-3
+    assert abs(first.velocities[0]) < 0.05
+
+
+def test_every_step_is_the_default_and_names_may_be_chosen(world):
+    samples = record(world.add(pendulum("<jointName> hinge , </jointName>")))
+    world.run_for(0.01)
+    assert [sample.step for sample in samples] == list(range(1, 11))
+    assert samples[0].names == ("hinge",)
+
+
+def test_a_robot_without_joints_sends_no_states(world, robot):
+    samples = record(robot)
+    world.run_for(0.1)
+    assert samples == []
+
+
+def test_an_unknown_joint_is_refused(world):
+    with pytest.raises(LabError, match="<jointName>: no movable joint 'knee'"):
+        world.add(pendulum("<jointName>hinge, knee</jointName>"))

@@ -1,0 +1,331 @@
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.errors import LabError
+from bullet_lab.numerics.square_path import analyse
+from bullet_lab.numerics.trajectory import Trajectory
+from bullet_lab.simulation.devices import DeviceError
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.sdf_reader import read_model_text
+from bullet_lab.simulation.simulation import SimulationError
+from bullet_lab.simulation.support_patch import PUBLISHED_RADIUS
+from bullet_lab.simulation.urdf_reader import read_urdf
+
+FRICTION_LOSS = 9.8e-3  # m/s at each step of 1 ms
+HALF = 0.05
+
+
+def block(tags="", mu="1", inertial_origin="0 0 0.025"):
+    """A block like the report's, without the can."""
+    return read_urdf(
+        f'<robot name="block"><link name="base"><inertial><origin xyz="{inertial_origin}"/>'
+        '<mass value="4.5"/><inertia ixx="4.6875e-3" iyy="4.6875e-3" izz="7.5e-3"/></inertial>'
+        '<collision><origin xyz="0 0 0.025"/><geometry><box size="0.1 0.1 0.05"/></geometry>'
+        f'</collision></link><gazebo reference="base"><mu1>{mu}</mu1></gazebo><gazebo>'
+        f'<plugin name="move" filename="libgazebo_ros_planar_move.so">{tags}</plugin></gazebo>'
+        "</robot>",
+        "block",
+    )
+
+
+def wall(yaw=0.0):
+    return read_model_text(
+        f'<sdf><model name="wall"><static>true</static><pose>1 0 0.5 0 0 {yaw}</pose>'
+        '<link name="l"><collision name="c"><geometry><box><size>0.2 20 1</size></box>'
+        "</geometry></collision></link></model></sdf>",
+        "wall",
+    )
+
+
+def record(robot, topic="odom"):
+    samples = []
+    robot.listen(topic, samples.append)
+    return samples
+
+
+def test_figure_1a_sides_and_turns(published_run):
+    samples, _ = published_run
+    poses = [(*sample.pose.position[:2], sample.pose.yaw) for sample in samples]
+    square = analyse(Trajectory([sample.step / 1000 for sample in samples], poses))
+    assert square.side_lengths_m == pytest.approx([1.90] * 4, abs=0.01)
+    assert all(89.9 <= turn <= 90.9 for turn in square.turns_deg)
+    assert len(square.turns_deg) == 4
+
+
+def test_figure_1a_points(published_run, figure_corners):
+    # The figure's first side starts late: what it shows of it is the heading. From the first
+    # corner on, lengths and headings of the sides can be compared, and the corners' places.
+    _, corners = published_run
+    ours, theirs = np.diff(corners, axis=0), np.diff(figure_corners, axis=0)
+    lengths = np.hypot(*theirs.T)
+    assert np.hypot(*ours.T)[1:3] == pytest.approx(lengths[1:3], abs=0.003)
+    assert np.hypot(*ours.T)[3] == pytest.approx(lengths[3], abs=0.01)
+
+    def turns(sides):
+        return np.degrees(-np.diff(np.unwrap(np.arctan2(sides[:, 1], sides[:, 0]))))
+
+    assert turns(ours) == pytest.approx(turns(theirs), abs=0.45)
+    assert turns(ours).mean() == pytest.approx(turns(theirs).mean(), abs=0.05)
+    assert ours[0, 1] / ours[0, 0] == pytest.approx(0.0, abs=1e-3)
+    assert corners[2:] - corners[1] == pytest.approx(
+        figure_corners[2:] - figure_corners[1], abs=0.02
+    )
+
+
+def test_a_command_is_latched_and_loses_friction(world, robot):
+    robot.command("cmd_vel", PlanarCommand(vx=0.2, vy=-0.1))
+    world.run_for(5.0)
+    speed = math.hypot(0.2, 0.1)
+    x, y, _ = robot.pose().position
+    assert math.hypot(x, y) == pytest.approx(5.0 * (speed - FRICTION_LOSS), abs=2e-4)
+    assert y / x == pytest.approx(-0.5, abs=1e-3)
+
+
+def test_friction_of_the_robot_counts_and_the_radius_may_be_given(world):
+    slippery = world.add(block("<supportRadius>0</supportRadius>", mu="0.5"))
+    slippery.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_for(1.0)
+    assert slippery.pose().position[0] == pytest.approx(0.2 - 0.5 * FRICTION_LOSS, abs=1e-4)
+    slippery.command("cmd_vel", PlanarCommand(wz=0.5))
+    world.run_for(1.0)
+    assert slippery.pose().yaw == pytest.approx(0.5, abs=1e-3)
+
+
+def test_a_turn_loses_the_moment_of_the_patch(world, robot):
+    robot.command("cmd_vel", PlanarCommand(wz=-0.5236))
+    world.run_for(1.0)
+    lost = 4.51 * 9.8 * PUBLISHED_RADIUS * 1e-3 / 7.5125e-3
+    assert robot.pose().yaw == pytest.approx(-(0.5236 - lost), abs=1e-4)
+    x, y, _ = robot.pose().position
+    assert math.hypot(x, y) < 1e-4
+
+
+def test_velocities_turn_with_the_robot(world):
+    robot = world.spawn(
+        "package://bullet_lab/urdf/block_robot.urdf",
+        pose=Pose.from_rpy((1, 2, 0), (0, 0, math.pi / 2)),
+    )
+    samples = record(robot)
+    robot.command("cmd_vel", PlanarCommand(vx=0.2, vy=0.05, wz=0.3))
+    world.run_for(0.1)
+    x, y, _ = robot.pose().position
+    assert y > 2.015
+    assert x < 0.998
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_for(0.2)
+    velocity = samples[-1].velocity
+    assert velocity.vx == pytest.approx(0.2 - FRICTION_LOSS, abs=1e-3)
+    assert velocity.vy == pytest.approx(0.0, abs=1e-3)
+    assert velocity.wz == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_command_moves_the_robot_in_the_very_next_step(world, robot):
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_until(1)
+    assert robot.pose().position[0] == pytest.approx(1e-3 * (0.2 - FRICTION_LOSS), rel=0.06)
+
+
+@pytest.mark.parametrize("before", [0, 137])
+def test_a_command_times_out(world, before):
+    world.run_until(before)
+    robot = world.add(block("<cmdTimeout>0.1</cmdTimeout>"))
+    for _ in range(2):
+        start = robot.pose().position[0]
+        robot.command("cmd_vel", PlanarCommand(vx=0.2))
+        world.run_for(1.0)
+        driven = robot.pose().position[0] - start
+        # 100 steps, not one more or less.
+        assert driven == pytest.approx(0.1 * (0.2 - FRICTION_LOSS), abs=5e-5)
+
+
+def test_a_time_out_counts_anew_after_a_reset(world):
+    robot = world.add(block("<cmdTimeout>0.1</cmdTimeout>"))
+    world.run_for(2.0)
+    world.reset_simulation()
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_for(1.0)
+    assert robot.pose().position[0] == pytest.approx(0.1 * (0.2 - FRICTION_LOSS), abs=5e-5)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", ["vx", "vy", "wz"])
+def test_commands_that_are_not_finite_are_refused_and_the_old_one_stays(world, robot, field, bad):
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    with pytest.raises(DeviceError, match="is not finite"):
+        robot.command("cmd_vel", PlanarCommand(**{field: bad}))
+    world.run_for(0.1)
+    assert robot.pose().position[0] == pytest.approx(0.019, abs=1e-3)
+    assert robot.pose().yaw == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_robot_without_command_stays(world, robot):
+    world.run_for(5.0)
+    assert robot.pose().position == pytest.approx((0, 0, 0), abs=1e-4)
+    assert robot.pose().rpy() == pytest.approx((0, 0, 0), abs=1e-4)
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.0])
+@pytest.mark.parametrize("yaw", [0.0, 0.3, 0.7])
+def test_a_wall_stops_the_block(world, robot, yaw, speed):
+    world.add(wall(yaw))
+    robot.command("cmd_vel", PlanarCommand(vx=speed))
+    normal = np.array([math.cos(yaw), math.sin(yaw)])
+    for _ in range(100):
+        world.run_for(0.06 if speed < 1.0 else 0.03)
+        pose = robot.pose()
+        reach = HALF * (abs(math.cos(pose.yaw - yaw)) + abs(math.sin(pose.yaw - yaw)))
+        gap = -(np.array(pose.position[:2]) - (1.0, 0.0)) @ normal - 0.1 - reach
+        assert gap > -2e-3
+        assert abs(pose.position[2]) < 2e-3
+        assert max(map(abs, pose.rpy()[:2])) < math.radians(2.0)
+    # It has arrived there, and comes away from it upright.
+    assert gap < 5e-3
+    robot.command("cmd_vel", PlanarCommand(vx=-0.2))
+    world.run_for(1.0)
+    assert robot.pose().rpy()[:2] == pytest.approx((0, 0), abs=1e-3)
+    assert robot.pose().position[2] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_pushing_a_box_does_not_blow_up(world, robot):
+    crate = read_model_text(
+        '<sdf><model name="crate"><pose>0.5 0 0.1 0 0 0</pose><link name="l"><inertial>'
+        "<mass>1</mass><inertia><ixx>0.0067</ixx><iyy>0.0067</iyy><izz>0.0067</izz></inertia>"
+        '</inertial><collision name="c"><geometry><box><size>0.2 0.2 0.2</size></box></geometry>'
+        "</collision></link></model></sdf>",
+        "crate",
+    )
+    pushed = world.add(crate)
+    robot.command("cmd_vel", PlanarCommand(vx=0.3))
+    for _ in range(40):
+        world.run_for(0.1)
+        for thing in (robot, pushed):
+            assert np.isfinite(thing.pose().position).all()
+            assert abs(thing.pose().position[1]) < 0.1
+            assert thing.pose().position[2] < 0.15
+    assert pushed.pose().position[0] > robot.pose().position[0] + 0.1
+    assert pushed.pose().position[0] > 1.0
+
+
+def test_in_the_air_it_sinks_as_in_gazebo_and_no_floor_slows_it(world):
+    robot = world.add(block(), pose=Pose((0, 0, 2)))
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_for(1.0)
+    x, _, z = robot.pose().position
+    world.run_for(1.0)
+    assert robot.pose().position[0] - x == pytest.approx(0.2, abs=1e-6)
+    # Each step starts without vertical velocity: g·dt is all it reaches.
+    assert robot.pose().position[2] - z == pytest.approx(-9.8e-3, abs=1e-6)
+
+
+@pytest.mark.parametrize("rate", [20, 30, 7])
+def test_the_mean_rate_of_the_odometry_is_exact(world, rate):
+    samples = record(world.add(block(f"<odometryRate>{rate}</odometryRate>")))
+    world.run_for(60.0)
+    assert len(samples) == 60 * rate
+    assert samples[-1].step == 60_000
+    gaps = np.diff([0] + [sample.step for sample in samples])
+    assert gaps.max() - gaps.min() <= 1
+
+
+def test_what_odometry_and_transform_say(world):
+    tags = (
+        "<odometryFrame>world_odom</odometryFrame><robotBaseFrame>base</robotBaseFrame>"
+        "<odometryTopic>wheels</odometryTopic><commandTopic>go</commandTopic>"
+    )
+    robot = world.add(block(tags), pose=Pose((1, 2, 0.3)))
+    odometry, transforms = record(robot, "wheels"), record(robot, "/tf")
+    robot.command("go", PlanarCommand(vx=0.1))
+    world.run_for(0.1)
+    first, last = odometry
+    assert (first.step, last.step) == (50, 100)
+    assert (last.frame, last.child_frame) == ("world_odom", "base")
+    x, y, z = robot.pose().position
+    assert last.pose.position == (x, y, 0.0)
+    assert z > 0.29
+    assert last.pose.quaternion == robot.pose().quaternion
+    assert last.pose_variances == (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
+    sent = transforms[-1]
+    assert (sent.step, sent.frame, sent.child_frame) == (100, "world_odom", "base")
+    assert sent.pose.position == (x, y, z)
+    assert [t.step for t in transforms] == [50, 100]
+
+
+def test_defaults_of_the_tags(world):
+    robot = world.add(block())
+    odometry = record(robot, "odom")
+    robot.command("cmd_vel", PlanarCommand())
+    world.run_for(0.1)
+    assert [(s.frame, s.child_frame) for s in odometry] == [("odom", "base_footprint")] * 2
+
+
+def test_the_pose_is_that_of_the_frame_and_not_of_the_centre_of_mass(world):
+    samples = record(world.add(block(inertial_origin="0.02 0.01 0.03")))
+    world.run_for(0.05)
+    assert samples[0].pose.position == pytest.approx((0, 0, 0), abs=1e-3)
+
+
+@pytest.mark.parametrize("reset", ["reset_world", "reset_simulation"])
+def test_no_spike_after_a_reset(world, robot, reset):
+    samples = record(robot)
+    robot.command("cmd_vel", PlanarCommand(vx=0.2, wz=0.2))
+    world.run_for(2.025)
+    before = len(samples)
+    getattr(world, reset)()
+    assert robot.pose().position == pytest.approx((0, 0, 0), abs=1e-12)
+    world.run_for(1.0)
+    assert len(samples) >= before + 20
+    for sample in samples[before:]:
+        velocity = sample.velocity
+        assert (velocity.vx, velocity.vy, velocity.wz) == pytest.approx((0, 0, 0), abs=1e-3)
+        assert sample.pose.position == pytest.approx((0, 0, 0), abs=1e-4)
+    now = [sample.step for sample in samples[before:]]
+    assert now[0] == (2050 if reset == "reset_world" else 50)
+    assert np.diff(now).tolist() == [50] * (len(now) - 1)
+
+
+@pytest.mark.parametrize("height", [0.0, 2.0])
+def test_a_robot_that_is_put_elsewhere_drives_on_from_there(world, robot, height):
+    samples = record(robot)
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_for(1.0)
+    for z in (height, 0.0):
+        robot.place(Pose((3.0, 0.0, z)))
+        world.run_for(0.25)
+        x, y, _ = robot.pose().position
+        assert x - 3.0 == pytest.approx(0.25 * (0.2 - FRICTION_LOSS), abs=3e-3)
+        assert y == pytest.approx(0.0, abs=1e-4)
+    assert max(abs(sample.velocity.vx) for sample in samples) < 0.21
+
+
+def test_robot_namespace(world):
+    model = block()
+    inner = world.add(block("<robotNamespace>/own/</robotNamespace>"), "one", namespace="given")
+    outer = world.add(model, "two", Pose((1, 0, 0)), namespace="given")
+    for robot, name in ((inner, "/own"), (outer, "/given")):
+        record(robot, f"{name}/odom")
+        robot.command(f"{name}/cmd_vel", PlanarCommand(vx=0.1))
+        with pytest.raises(SimulationError, match="has no input 'cmd_vel'"):
+            robot.command("cmd_vel", PlanarCommand())
+        with pytest.raises(SimulationError, match="has no output 'odom'"):
+            record(robot, "odom")
+
+
+@pytest.mark.parametrize(
+    ("tags", "message"),
+    [
+        ("<odometryRate>fast</odometryRate>", "<odometryRate>: 'fast' is not a finite number"),
+        ("<odometryRate>2000</odometryRate>", "<odometryRate>: a rate of 2000 Hz is not within"),
+        ("<odometryRate>-1</odometryRate>", "<odometryRate>: a rate of -1 Hz is not within"),
+        ("<cmdTimeout>soon</cmdTimeout>", "<cmdTimeout>: 'soon' is not a finite number"),
+        ("<supportRadius>-1</supportRadius>", "<supportRadius>: -1 m is negative"),
+    ],
+)
+def test_bad_tags_name_model_plugin_and_tag_and_leave_nothing_behind(world, tags, message):
+    with pytest.raises(LabError, match=f"^model 'block': plugin 'move': {message}") as caught:
+        world.add(block(tags))
+    assert "\n" not in str(caught.value)
+    assert "block" not in world.models
+    world.add(block())

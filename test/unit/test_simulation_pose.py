@@ -1,0 +1,63 @@
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.simulation.pose import Pose, yaw_of
+
+RNG = np.random.default_rng(7)
+ANGLES = [tuple(RNG.uniform((-3.1, -1.5, -3.1), (3.1, 1.5, 3.1))) for _ in range(20)]
+POLES = [(0.3, 0.5 * math.pi, 0.5), (1.0, -0.5 * math.pi, 0.2), (0.0, 0.5 * math.pi, -3.0)]
+HALF_TURNS = [(math.pi, 0.0, 0.0), (0.0, 0.0, math.pi), (math.pi, 0.0, math.pi)]
+
+
+def axes_of(rpy):
+    """Rotation about the fixed axes x, then y, then z, from the textbook."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+@pytest.mark.parametrize("rpy", ANGLES + POLES + HALF_TURNS)
+def test_from_rpy_turns_about_fixed_axes(rpy):
+    assert Pose.from_rpy((0, 0, 0), rpy).rotation_matrix() == pytest.approx(axes_of(rpy))
+
+
+@pytest.mark.parametrize("rpy", ANGLES)
+def test_rpy_comes_back(rpy):
+    pose = Pose.from_rpy((1, 2, 3), rpy)
+    assert pose.rpy() == pytest.approx(rpy)
+    assert pose.yaw == yaw_of(pose.quaternion) == pytest.approx(rpy[2])
+
+
+@pytest.mark.parametrize("rpy", POLES + HALF_TURNS + [(0.4, 0.5 * math.pi - 1e-7, 0.9)])
+def test_rpy_means_the_same_rotation_where_its_angles_are_not_unique(rpy):
+    again = Pose.from_rpy((0, 0, 0), Pose.from_rpy((0, 0, 0), rpy).rpy())
+    assert again.rotation_matrix() == pytest.approx(axes_of(rpy), abs=2e-7)
+
+
+@pytest.mark.parametrize("rpy", ANGLES + POLES + HALF_TURNS)
+def test_from_matrix_gives_the_rotation_with_positive_w(rpy):
+    pose = Pose.from_matrix((1, 2, 3), axes_of(rpy))
+    assert pose.position == (1.0, 2.0, 3.0)
+    assert pose.rotation_matrix() == pytest.approx(axes_of(rpy))
+    assert pose.quaternion[3] >= 0.0
+    assert math.hypot(*pose.quaternion) == pytest.approx(1.0)
+
+
+def test_composing_is_the_product_of_the_matrices():
+    a, b = Pose.from_rpy((1, -2, 0.5), ANGLES[0]), Pose.from_rpy((0.3, 4, -1), ANGLES[1])
+    product = a * b
+    assert product.rotation_matrix() == pytest.approx(axes_of(ANGLES[0]) @ axes_of(ANGLES[1]))
+    assert product.position == pytest.approx(
+        np.array(a.position) + axes_of(ANGLES[0]) @ b.position
+    )
+
+
+def test_the_inverse_undoes():
+    pose = Pose.from_rpy((1, -2, 0.5), ANGLES[2])
+    for both in (pose * pose.inverse(), pose.inverse() * pose):
+        assert both.position == pytest.approx((0, 0, 0), abs=1e-12)
+        assert both.rotation_matrix() == pytest.approx(np.eye(3))

@@ -1,0 +1,112 @@
+import pytest
+
+from bullet_lab.simulation.resources import ResourceError, ResourceFinder, ros_package_folder
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A package with a document and a mesh, a folder of models, and a secret beside them."""
+    for name in ("pkg/urdf/a.urdf", "pkg/meshes/m x.stl", "pkg/package.xml", "secret/s.stl"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    for name in ("first/car", "second/car", "second/tree"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "pkg/meshes/link.stl").symlink_to(tmp_path / "secret/s.stl")
+    (tmp_path / "first/way_out").symlink_to(tmp_path / "secret")
+    return tmp_path
+
+
+@pytest.fixture
+def finder(files):
+    packages = {"pkg": files / "pkg"}
+    return ResourceFinder(
+        files / "pkg" / "urdf", packages.get, [files / "first", files / "second"]
+    )
+
+
+def test_what_may_be_found(finder, files):
+    mesh = files / "pkg/meshes/m x.stl"
+    assert finder.find("package://pkg/meshes/m%20x.stl") == mesh
+    assert finder.find("package://pkg/urdf/../meshes/m%20x.stl").samefile(mesh)
+    assert finder.find("a.urdf") == files / "pkg/urdf/a.urdf"
+    assert finder.find(f"file://{mesh}".replace(" ", "%20")) == mesh
+    assert finder.find(str(mesh)) == mesh
+    assert finder.find("model://car") == files / "first/car"
+    assert finder.find("model://tree") == files / "second/tree"
+
+
+@pytest.mark.parametrize(
+    ("uri", "message"),
+    [
+        ("", "no file is named"),
+        ("package://nix/a", "no ROS package 'nix'"),
+        ("package://pkg/nix.stl", "no such file"),
+        ("package://pkg/../secret/s.stl", "leaves its folder"),
+        ("package://pkg/%2e%2e/secret/s.stl", "leaves its folder"),
+        ("package://pkg/meshes/link.stl", "leaves its folder"),
+        ("package://pkg//etc/passwd", "no such file"),
+        ("package://../secret/s.stl", "no ROS package"),
+        ("package://pkg/%00", "null byte"),
+        ("package://pkg/" + 300 * "a", "File name too long"),
+        ("../meshes/m x.stl", "leaves its folder"),
+        ("../../secret/s.stl", "leaves its folder"),
+        ("/etc/passwd", "outside the folders"),
+        ("//etc/passwd", "outside the folders"),
+        ("file:///etc/passwd", "outside the folders"),
+        ("FILE:///etc/passwd", "outside the folders"),
+        ("file://elsewhere/etc/passwd", "only package://"),
+        ("http://127.0.0.1:1/m.stl", "only package://"),
+        ("https://127.0.0.1:1/m.stl", "only package://"),
+        ("ftp://127.0.0.1:1/m.stl", "only package://"),
+        ("data:,x", "only package://"),
+        ("http://[", "Invalid IPv6"),
+        ("model://nix", "in none of the model folders"),
+        ("model://../secret/s.stl", "leaves its folder"),
+        ("model://car/../../secret/s.stl", "leaves its folder"),
+        ("model:///etc/passwd", "leaves its folder"),
+        ("model://way_out/s.stl", "leaves its folder"),
+    ],
+)
+def test_what_may_not_be_found_is_one_line(finder, uri, message):
+    with pytest.raises(ResourceError, match=message) as caught:
+        finder.find(uri)
+    assert "\n" not in str(caught.value)
+    assert uri[:60] in str(caught.value)
+
+
+def test_absolute_paths_do_not_leave_by_dots_or_links(finder, files):
+    for path in ("pkg/../secret/s.stl", "pkg/meshes/link.stl", "secret/s.stl"):
+        with pytest.raises(ResourceError, match="outside the folders"):
+            finder.find(f"{files}/{path}")
+
+
+def test_a_text_lies_in_no_folder(files):
+    with pytest.raises(ResourceError, match="'m.stl': a relative path in a text"):
+        ResourceFinder().find("m.stl")
+
+
+def test_a_message_is_one_line_whatever_it_quotes(finder):
+    with pytest.raises(ResourceError) as caught:
+        finder.find("a\nb")
+    assert "\n" not in str(caught.value)
+
+
+def test_the_user_may_name_any_file(files, monkeypatch):
+    monkeypatch.chdir(files)
+    anywhere = ResourceFinder.anywhere()
+    assert anywhere.find("secret/s.stl") == files / "secret/s.stl"
+    assert anywhere.find("pkg/../secret/s.stl").samefile(files / "secret/s.stl")
+    assert anywhere.find(f"file://{files}/secret/s.stl") == files / "secret/s.stl"
+    with pytest.raises(ResourceError, match="no such file"):
+        anywhere.find("nix")
+    with pytest.raises(ResourceError, match="outside the folders"):
+        anywhere.beside(files / "pkg/urdf/a.urdf").find("/etc/passwd")
+
+
+def test_the_lab_finds_itself_and_gazebo_model_path_comes_first(package, tmp_path, monkeypatch):
+    assert ros_package_folder("bullet_lab") == package
+    assert ResourceFinder().find("model://sun") == package / "models/sun"
+    (tmp_path / "sun").mkdir()
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", f":{tmp_path}")
+    assert ResourceFinder().find("model://sun") == tmp_path / "sun"
+    assert ResourceFinder().find("model://beacon") == package / "models/beacon"

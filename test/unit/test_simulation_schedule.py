@@ -1,0 +1,39 @@
+import math
+
+import pytest
+
+from bullet_lab.simulation.schedule import Schedule, ScheduleError
+
+
+def steps(rate, until, start=0):
+    schedule, due = Schedule(rate, start), []
+    while schedule.next_step <= until:
+        due.append(schedule.next_step)
+        schedule.advance()
+    return due
+
+
+@pytest.mark.parametrize("rate", [20.0, 30.0, 7.0, 1000.0, 999.0, 0.5, 12.5])
+def test_the_mean_rate_is_exact_and_the_jitter_below_a_step(rate):
+    due = steps(rate, 60_000)
+    assert len(due) == math.floor(60 * rate)
+    for count, step in enumerate(due, start=1):
+        assert 0 <= step - count * 1000 / rate < 1 + 1e-9
+
+
+def test_a_rate_of_0_means_every_step():
+    assert steps(0.0, 5) == [1, 2, 3, 4, 5]
+
+
+def test_periods_count_from_the_start_and_after_a_restart():
+    assert steps(100.0, 130, start=105) == [115, 125]
+    schedule = Schedule(100.0)
+    schedule.advance()
+    schedule.restart(7)
+    assert schedule.next_step == 17
+
+
+@pytest.mark.parametrize("rate", [-1.0, 1000.5, math.nan, math.inf])
+def test_other_rates_are_refused(rate):
+    with pytest.raises(ScheduleError, match="Hz is not within 0 … 1000 Hz"):
+        Schedule(rate)

@@ -1,0 +1,440 @@
+import math
+
+import pytest
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.description import Box, Cylinder, Mesh, Plane, Sphere
+from bullet_lab.simulation.resources import ResourceFinder
+from bullet_lab.simulation.sdf_reader import (
+    DEFAULT_COLOUR,
+    read_model_text,
+    read_world_file,
+)
+
+BEACON = "package://bullet_lab/meshes/beacon.dae"
+
+
+def sdf(inside):
+    return f'<sdf version="1.6">{inside}</sdf>'
+
+
+def model(inside, name="m"):
+    return sdf(f'<model name="{name}">{inside}</model>')
+
+
+def link(inside="", name="a"):
+    return f'<link name="{name}">{inside}</link>'
+
+
+def shape(geometry, extra="", tag="collision"):
+    return f'<{tag} name="{tag}">{extra}<geometry>{geometry}</geometry></{tag}>'
+
+
+def joint(kind, parent="a", child="b", inside="", name="j"):
+    ends = f"<parent>{parent}</parent><child>{child}</child>"
+    return f'<joint name="{name}" type="{kind}">{ends}{inside}</joint>'
+
+
+def include(inside):
+    return f"<include>{inside}</include>"
+
+
+@pytest.fixture
+def read_world(tmp_path):
+    """Write a world with the given content, and read it with models/ as the model folder."""
+
+    def read(inside):
+        path = tmp_path / "test.world"
+        path.write_text(sdf(f'<world name="w">{inside}</world>'))
+        return read_world_file(path, ResourceFinder(model_folders=[tmp_path / "models"]))
+
+    return read
+
+
+@pytest.fixture
+def save_model(tmp_path):
+    def save(name, text, config=None):
+        folder = tmp_path / "models" / name
+        folder.mkdir(parents=True)
+        (folder / "model.sdf").write_text(text)
+        if config is not None:
+            (folder / "model.config").write_text(config)
+        return folder
+
+    return save
+
+
+def test_the_empty_world_has_a_floor_and_a_sun(package):
+    world = read_world_file(package / "worlds" / "empty.world")
+    (floor,) = world.models
+    assert floor.name == "ground_plane"
+    assert floor.static
+    assert floor.links[0].collisions[0].geometry == Plane((0, 0, 1), (100, 100))
+    assert floor.links[0].collisions[0].friction == 1.0
+    (sun,) = world.lights
+    assert (sun.kind, sun.casts_shadows) == ("directional", True)
+    assert sun.diffuse == (0.8, 0.8, 0.8, 1.0)
+    assert sun.direction[2] < -0.8
+    assert math.hypot(*sun.direction) == pytest.approx(1.0)
+    assert world.gravity == (0, 0, -9.8)
+
+
+def test_the_beacons_stand_where_the_report_has_them(package):
+    world = read_world_file(package / "worlds" / "beacons.world")
+    beacons = {m.name: m for m in world.models if m.name.startswith("beacon")}
+    places = {name: beacon.pose.position for name, beacon in beacons.items()}
+    assert places == {"beacon_0": (1, 1, 0), "beacon_1": (5, 1, 0), "beacon_2": (-5, 1, 0)}
+    for beacon in beacons.values():
+        assert beacon.static
+        (visual,), (collision,) = beacon.links[0].visuals, beacon.links[0].collisions
+        assert visual.colour == (1, 1, 1, 1)
+        mesh = Mesh(package / "meshes/beacon.dae", BEACON)
+        assert visual.geometry == collision.geometry == mesh
+    assert [light.name for light in world.lights] == ["sun"]
+    assert world.background == (0.7, 0.7, 0.7, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "geometry"),
+    [
+        ("<box><size>1 2 3</size></box>", Box((1, 2, 3))),
+        ("<cylinder><radius>1</radius><length>2</length></cylinder>", Cylinder(1, 2)),
+        ("<sphere><radius>0.5</radius></sphere>", Sphere(0.5)),
+        ("<plane><normal>0 0 2</normal><size>3 4</size></plane>", Plane((0, 0, 1), (3, 4))),
+        ("<plane/>", Plane((0, 0, 1), (1, 1))),
+    ],
+)
+def test_shapes(text, geometry):
+    parts = shape(text) + shape(text, tag="visual")
+    (found,) = read_model_text(model(link(parts)), "s").links
+    assert found.collisions[0].geometry == found.visuals[0].geometry == geometry
+
+
+def test_meshes(package):
+    text = f"<mesh><uri>{BEACON}</uri><scale>1 2 3</scale></mesh>"
+    (found,) = read_model_text(model(link(shape(text))), "s").links
+    path = package / "meshes/beacon.dae"
+    assert found.collisions[0].geometry == Mesh(path, BEACON, (1, 2, 3))
+
+
+def test_poses_colours_friction_and_static():
+    pose = "<pose>1 2 3 0 0 1</pose>"
+    mu = "<surface><friction><ode><mu>0.25</mu></ode></friction></surface>"
+    ball = "<sphere><radius>1</radius></sphere>"
+    colour = "<material><ambient>0 0 1 1</ambient><diffuse>1 0 0</diffuse></material>"
+    ambient = "<material><ambient>0 0 1 1</ambient></material><transparency>0.5</transparency>"
+    text = model(
+        f"<static>1</static>{pose}"
+        + link(
+            pose
+            + shape(ball, pose + mu)
+            + shape(ball, colour, "visual")
+            + shape(ball, ambient, "visual")
+            + shape(ball, "", "visual")
+        )
+    )
+    read = read_model_text(text, "s")
+    assert read.static
+    (body,) = read.links
+    for placed in (read, body, body.collisions[0]):
+        assert placed.pose.position == (1, 2, 3)
+        assert placed.pose.yaw == pytest.approx(1.0)
+    assert body.collisions[0].friction == 0.25
+    assert [v.colour for v in body.visuals] == [
+        (1, 0, 0, 1), (0, 0, 1, 0.5), DEFAULT_COLOUR,
+    ]  # fmt: skip
+    assert body.inertia is None
+
+
+def test_what_moves_has_the_inertia_of_the_file_or_that_of_the_format():
+    inertial = (
+        "<inertial><pose>0 0 1 0 0 1.5707963267948966</pose><mass>2</mass>"
+        "<inertia><ixx>1</ixx><iyy>2</iyy><izz>2.5</izz></inertia></inertial>"
+    )
+    (own,) = read_model_text(model(link(inertial)), "s").links
+    assert (own.inertia.mass, own.inertia.centre) == (2.0, (0, 0, 1))
+    assert own.inertia.matrix.diagonal() == pytest.approx((2, 1, 2.5))
+    (default,) = read_model_text(model(link()), "s").links
+    assert default.inertia.mass == 1.0
+    assert default.inertia.matrix.diagonal() == pytest.approx((1, 1, 1))
+
+
+def test_joints_hang_where_the_links_stand():
+    axis = (
+        "<axis><xyz>0 0 2</xyz><limit><lower>-1</lower><upper>1</upper></limit>"
+        "<dynamics><damping>0.1</damping></dynamics></axis>"
+    )
+    high = link("<pose>0 0 1 0 0 0</pose>") + link("<pose>1 0 1 0 0 0</pose>", "b")
+    (found,) = read_model_text(model(high + joint("revolute", inside=axis)), "s").joints
+    assert found.pose.position == pytest.approx((1, 0, 0))
+    assert found.axis == (0, 0, 1)
+    assert found.limits == {"lower": -1, "upper": 1}
+    assert found.damping == 0.1
+    lumped = read_model_text(model(high + joint("fixed")), "s")
+    assert [part.name for part in lumped.links] == ["a"]
+    assert lumped.links[0].inertia.mass == 2.0
+    assert lumped.links[0].inertia.centre == pytest.approx((0.5, 0, 0))
+
+
+def test_plugins_of_the_model_and_of_links_sensors():
+    text = model(
+        '<plugin name="p" filename="libp.so"><x>1</x></plugin>'
+        + link('<sensor name="s" type="ray"><plugin name="q" filename="libq.so"/></sensor>')
+    )
+    outer, inner = read_model_text(text, "s").plugins
+    assert (outer.filename, outer.tags, outer.link) == ("libp.so", {"x": "1"}, "")
+    assert (inner.filename, inner.link, inner.sensor.get("name")) == ("libq.so", "a", "s")
+
+
+def test_lights_scene_and_gravity(read_world):
+    world = read_world(
+        "<gravity>0 0 -1.6</gravity>"
+        "<scene><ambient>0 0 0.5</ambient><background>1 0 0 1</background></scene>"
+        '<light name="lamp" type="point"><pose>1 2 3 0 0 0</pose><diffuse>1 1 0 1</diffuse></light>'
+    )
+    assert world.name == "w"
+    assert world.gravity == (0, 0, -1.6)
+    assert world.ambient == (0, 0, 0.5, 1)
+    assert world.background == (1, 0, 0, 1)
+    (lamp,) = world.lights
+    assert (lamp.name, lamp.kind, lamp.pose.position) == ("lamp", "point", (1, 2, 3))
+    assert lamp.diffuse == (1, 1, 0, 1)
+    assert lamp.direction == (0, 0, -1)
+
+
+def test_an_include_may_rename_move_and_hold_a_model(read_world, save_model):
+    save_model("thing", model(link() + "<pose>9 9 9 0 0 0</pose>", "thing"))
+    plain, moved = read_world(
+        include("<uri>model://thing</uri>")
+        + include(
+            "<uri>model://thing</uri><name>other</name><pose>1 2 3 0 0 0</pose>"
+            "<static>true</static>"
+        )
+    ).models
+    assert (plain.name, plain.pose.position, plain.static) == ("thing", (9, 9, 9), False)
+    assert (moved.name, moved.pose.position, moved.static) == ("other", (1, 2, 3), True)
+    assert plain.links[0].inertia.mass == 1.0
+
+
+def test_an_include_may_let_a_static_model_go(read_world, save_model):
+    save_model("thing", model("<static>true</static>" + link(), "thing"))
+    (free,) = read_world(include("<uri>model://thing</uri><static>false</static>")).models
+    assert not free.static
+    assert free.links[0].inertia.mass == 1.0
+
+
+def test_the_newest_file_of_a_model_config_is_read(read_world, save_model):
+    folder = save_model(
+        "thing",
+        model(link(), "old"),
+        '<model><sdf version="1.4">model.sdf</sdf><sdf version="1.6">new.sdf</sdf></model>',
+    )
+    (folder / "new.sdf").write_text(model(link(), "new"))
+    assert [m.name for m in read_world(include("<uri>model://thing</uri>")).models] == ["new"]
+
+
+def test_gazebo_model_path(tmp_path, save_model, monkeypatch):
+    save_model("thing", model(link(), "thing"))
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tmp_path / "models"))
+    path = tmp_path / "a.world"
+    path.write_text(sdf(f'<world name="w">{include("<uri>model://thing</uri>")}</world>'))
+    assert [m.name for m in read_world_file(path).models] == ["thing"]
+
+
+@pytest.mark.parametrize(
+    ("geometry", "warning"),
+    [("<heightmap/>", "geometry <heightmap> is not simulated"), ("<empty/>", None)],
+)
+def test_unsupported_shapes_are_named_and_skipped(geometry, warning, caplog):
+    (found,) = read_model_text(model(link(shape(geometry))), "s").links
+    assert found.collisions == ()
+    lines = [record.getMessage() for record in caplog.records]
+    assert lines == ([f"s: model 'm': link 'a': <collision>: {warning}"] if warning else [])
+
+
+BAD_MODELS = {
+    "no name": (sdf("<model/>"), "a <model> without a name"),
+    "no link": (model(""), "model 'm': there is no link"),
+    "link without name": (model("<link/>"), "model 'm': a <link> without a name"),
+    "repeated link": (model(link() + link()), "model 'm': link 'a' appears twice"),
+    "static": (model("<static>maybe</static>" + link()), "<static>: 'maybe' is not true or false"),
+    "pose": (model("<pose>1 2 3</pose>" + link()), "<pose>: '1 2 3' is not 6 finite numbers"),
+    "frame": (
+        model(link('<pose frame="x">1 2 3 0 0 0</pose>')),
+        "link 'a': a <pose> relative to another frame is not read",
+    ),
+    "relative_to": (
+        model('<pose relative_to="x">1 2 3 0 0 0</pose>' + link()),
+        "a <pose> relative to another frame is not read",
+    ),
+    "no geometry": (
+        model(link('<collision name="c"/>')),
+        "link 'a': <collision> without a geometry",
+    ),
+    "box": (model(link(shape("<box/>"))), "link 'a': <collision>: <size>: '' is not 3"),
+    "radius": (
+        model(link(shape("<cylinder><length>1</length></cylinder>"))),
+        "<radius>: '' is not a finite number",
+    ),
+    "two radii": (
+        model(link(shape("<cylinder><radius>1 2</radius></cylinder>"))),
+        "<radius>: '1 2' is not a finite number",
+    ),
+    "zero": (
+        model(link(shape("<sphere><radius>0</radius></sphere>"))),
+        "<radius>: 0 is not positive",
+    ),
+    "normal": (
+        model(link(shape("<plane><normal>0 0 0</normal></plane>"))),
+        "<normal>: a zero vector has no direction",
+    ),
+    "mu": (
+        model(
+            link(
+                shape(
+                    "<sphere><radius>1</radius></sphere>",
+                    "<surface><friction><ode><mu>-1</mu></ode></friction></surface>",
+                )
+            )
+        ),
+        "link 'a': <mu>: -1 is negative",
+    ),
+    "mesh": (model(link(shape("<mesh/>"))), "<collision>: a <mesh> without <uri>"),
+    "missing mesh": (
+        model(link(shape("<mesh><uri>package://bullet_lab/nix.dae</uri></mesh>"))),
+        "link 'a': <collision>: 'package://bullet_lab/nix.dae': no such file",
+    ),
+    "flat mesh": (
+        model(link(shape(f"<mesh><uri>{BEACON}</uri><scale>1 0 1</scale></mesh>"))),
+        "<scale>: a scale of 0 leaves nothing",
+    ),
+    "no mass": (
+        model(link("<inertial><mass>0</mass></inertial>")),
+        "link 'a': the mass is 0; a thing that never moves is <static>",
+    ),
+    "negative mass": (model(link("<inertial><mass>-1</mass></inertial>")), "is negative"),
+    "inertia": (
+        model(link("<inertial><inertia><izz>3</izz></inertia></inertial>")),
+        "no body has the principal moments 1, 1, 3",
+    ),
+    "joint type": (
+        model(link() + link("", "b") + joint("ball")),
+        "joint 'j': type 'ball' is not one of fixed, revolute, prismatic",
+    ),
+    "joint pose": (
+        model(link() + link("", "b") + joint("fixed", inside="<pose>1 0 0 0 0 0</pose>")),
+        "joint 'j': a joint with a <pose> of its own is not read",
+    ),
+    "joint end": (model(link() + joint("fixed", child="x")), "joint 'j': names no link 'x'"),
+    "axis": (
+        model(link() + link("", "b") + joint("revolute", inside="<axis><xyz>0 0 0</xyz></axis>")),
+        "joint 'j': <xyz>: a zero vector has no direction",
+    ),
+    "loop": (
+        model(link() + link("", "b") + joint("fixed") + joint("fixed", "b", "a", name="k")),
+        "a loop of joints at a, b",
+    ),
+    "two parents": (
+        model(
+            link() + link("", "b") + link("", "c")
+            + joint("fixed", "a", "c") + joint("fixed", "b", "c", name="k")
+        ),
+        "child link 'c' appears twice",
+    ),
+    "wrong root": ("<robot/>", "the root element is <robot>, not <sdf>"),
+    "malformed": ("<sdf>", "not well-formed XML"),
+    "DTD": ("<!DOCTYPE sdf><sdf/>", "document types and entities are refused"),
+    "none": (sdf(""), "0 models where one is wanted"),
+    "two": (
+        sdf('<model name="a"><link name="l"/></model><model name="b"><link name="l"/></model>'),
+        "2 models where one is wanted",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "message"), BAD_MODELS.values(), ids=BAD_MODELS)
+def test_a_bad_model_is_one_line_that_names_source_and_place(text, message):
+    with pytest.raises(LabError, match=message) as caught:
+        read_model_text(text, "s")
+    assert str(caught.value).startswith("s: ")
+    assert "\n" not in str(caught.value)
+
+
+BAD_WORLDS = {
+    "repeated": (
+        '<model name="m"><link name="a"/></model>' * 2,
+        "model 'm' appears twice",
+    ),
+    "gravity": ("<gravity>down</gravity>", "gravity: 'down' is not 3 finite numbers"),
+    "light type": ('<light name="l" type="dark"/>', "light 'l': type 'dark' is not point, dir"),
+    "light colour": (
+        '<light name="l" type="point"><diffuse>red</diffuse></light>',
+        "light 'l': <diffuse>: 'red' is not 4 finite numbers",
+    ),
+    "light direction": (
+        '<light name="l" type="directional"><direction>0 0 0</direction></light>',
+        "light 'l': <direction>: a zero vector",
+    ),
+    "include": ("<include/>", "an <include> without <uri>"),
+    "unknown model": (
+        include("<uri>model://nix</uri>"),
+        "<include>: 'model://nix': in none of the model folders",
+    ),
+    "network": (include("<uri>http://127.0.0.1:1/m</uri>"), "<include>: .*: only package://"),
+    "outside": (include("<uri>file:///etc/passwd</uri>"), "<include>: .*: outside the folders"),
+    "include static": (
+        include("<uri>model://good</uri><static>2</static>"),
+        "<static>: '2' is not true or false",
+    ),
+    "include frame": (
+        include('<uri>model://good</uri><pose frame="x">0 0 0 0 0 0</pose>'),
+        "a <pose> relative to another frame is not read",
+    ),
+}
+
+
+@pytest.mark.parametrize(("inside", "message"), BAD_WORLDS.values(), ids=BAD_WORLDS)
+def test_a_bad_world_is_one_line_that_names_file_and_place(
+    read_world, save_model, tmp_path, inside, message
+):
+    save_model("good", model(link()))
+    with pytest.raises(LabError, match=message) as caught:
+        read_world(inside)
+    assert str(caught.value).startswith(f"{tmp_path / 'test.world'}: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ("<model/>", "model.config: names no <sdf> file"),
+        ('<model><sdf version="new">model.sdf</sdf></model>', "version: 'new' is not a finite"),
+        ("<model><sdf>../../secret.sdf</sdf></model>", "leaves its folder"),
+        ("<model><sdf>nix.sdf</sdf></model>", "no such file"),
+        ("<model>", "model.config: not well-formed XML"),
+    ],
+)
+def test_a_bad_model_config(read_world, save_model, tmp_path, config, message):
+    (tmp_path / "secret.sdf").write_text(model(link()))
+    save_model("thing", model(link()), config)
+    with pytest.raises(LabError, match=message):
+        read_world(include("<uri>model://thing</uri>"))
+
+
+def test_a_circle_of_includes_is_refused(read_world, save_model):
+    save_model("hen", sdf(include("<uri>model://egg</uri>")))
+    save_model("egg", sdf(include("<uri>model://hen</uri>")))
+    with pytest.raises(LabError, match="models include each other in a circle"):
+        read_world(include("<uri>model://hen</uri>"))
+
+
+@pytest.mark.parametrize("text", ["<sdf/>", "<world/>", '<robot name="r"/>'])
+def test_no_world(tmp_path, text):
+    (tmp_path / "a.world").write_text(text)
+    with pytest.raises(LabError, match="a.world: no <sdf> with a <world>$"):
+        read_world_file(tmp_path / "a.world")
+
+
+def test_a_missing_world(tmp_path):
+    with pytest.raises(LabError, match="nix.world: No such file or directory$"):
+        read_world_file(tmp_path / "nix.world")

@@ -1,0 +1,269 @@
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.description import WHITE, Box, Cylinder, Mesh, Sphere
+from bullet_lab.simulation.resources import ResourceFinder
+from bullet_lab.simulation.urdf_reader import read_urdf, read_urdf_file
+
+INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+ARM = f'<link name="a">{INERTIAL}</link><link name="b">{INERTIAL}</link>'
+JOINT = '<joint name="j" type="{}"><parent link="a"/><child link="b"/>{}</joint>'
+
+
+def robot(inside):
+    return f'<robot name="r">{inside}</robot>'
+
+
+def with_shape(shape):
+    return robot(f'<link name="a"><collision><geometry>{shape}</geometry></collision></link>')
+
+
+def with_inertia(mass="1", **moments):
+    entries = {"ixx": "1", "iyy": "1", "izz": "1", **moments}
+    tensor = " ".join(f'{key}="{value}"' for key, value in entries.items())
+    return robot(
+        f'<link name="a"><inertial><mass value="{mass}"/><inertia {tensor}/></inertial></link>'
+    )
+
+
+def test_the_beacon_is_a_solid_cylinder(package):
+    beacon = read_urdf_file(package / "urdf" / "beacon.urdf")
+    (link,) = beacon.links
+    radius, height, density = 0.25, 2.0, 100.0
+    mass = density * math.pi * radius**2 * height
+    across = mass * (3 * radius**2 + height**2) / 12
+    assert link.inertia.mass == pytest.approx(mass, rel=1e-4)
+    assert link.inertia.centre == (0.0, 0.0, height / 2)
+    assert link.inertia.matrix == pytest.approx(
+        np.diag([across, across, mass * radius**2 / 2]), rel=1e-4
+    )
+    assert link.collisions[0].friction == 1.0
+    assert link.visuals[0].colour == WHITE
+    for shape in (link.visuals[0], link.collisions[0]):
+        assert shape.geometry.path == package / "meshes" / "beacon.dae"
+
+
+def test_the_block_robot(block_model):
+    assert block_model.name == "block_robot"
+    (link,) = block_model.links
+    block, can = link.collisions
+    assert block.geometry == Box((0.1, 0.1, 0.05))
+    assert block.pose.position == (0, 0, 0.025)
+    assert can.geometry == Cylinder(0.05, 0.05)
+    assert can.pose.position == pytest.approx((0, 0, 0.075))
+    assert link.visuals[0].colour == (0.1, 0.7, 0.2, 1.0)
+    move, states = block_model.plugins
+    assert (move.name, move.filename) == ("planar_move", "libgazebo_ros_planar_move.so")
+    assert move.tags["robotBaseFrame"] == "base_footprint"
+    assert states.tags == {"updateRate": "20.0"}
+
+
+def test_shapes_origins_colours_and_names(package):
+    model = read_urdf(
+        robot(
+            '<material name="red"><color rgba="1 0 0 0.5"/></material>'
+            '<link name="a">'
+            '<visual name="v"><origin xyz="1 2 3" rpy="0 0 1"/>'
+            '<geometry><sphere radius="0.3"/></geometry><material name="red"/></visual>'
+            '<visual><geometry><box size="1 2 3"/></geometry>'
+            '<material name="own"><color rgba="0 1 0 1"/></material></visual>'
+            '<visual><geometry><mesh filename="package://bullet_lab/meshes/beacon.dae"'
+            ' scale="1 2 -3"/></geometry></visual></link>'
+        ),
+        "s",
+    )
+    ball, box, mesh = model.links[0].visuals
+    assert (ball.name, ball.geometry, ball.colour) == ("v", Sphere(0.3), (1, 0, 0, 0.5))
+    assert ball.pose.position == (1, 2, 3)
+    assert ball.pose.yaw == pytest.approx(1.0)
+    assert box.colour == (0, 1, 0, 1)
+    uri = "package://bullet_lab/meshes/beacon.dae"
+    assert mesh.geometry == Mesh(package / "meshes/beacon.dae", uri, (1, 2, -3))
+    assert mesh.colour == WHITE
+
+
+def test_the_inertia_is_turned_into_the_frame_of_the_link():
+    text = robot(
+        '<link name="a"><inertial><origin xyz="1 0 0" rpy="0 0 1.5707963267948966"/>'
+        '<mass value="1"/><inertia ixx="1" iyy="2" izz="2.5"/></inertial></link>'
+    )
+    inertia = read_urdf(text, "s").links[0].inertia
+    assert inertia.centre == (1, 0, 0)
+    assert inertia.matrix == pytest.approx(np.diag([2, 1, 2.5]), abs=1e-12)
+
+
+def test_joints():
+    parts = (
+        '<origin xyz="0 0 1"/><axis xyz="0 3 4"/><limit lower="-1" upper="2"/>'
+        '<dynamics damping="0.1" friction="0.2"/>'
+    )
+    (joint,) = read_urdf(robot(ARM + JOINT.format("revolute", parts)), "s").joints
+    assert (joint.kind, joint.parent, joint.child) == ("revolute", "a", "b")
+    assert joint.pose.position == (0, 0, 1)
+    assert joint.axis == pytest.approx((0, 0.6, 0.8))
+    assert joint.limits == {"lower": -1, "upper": 2}
+    assert (joint.damping, joint.friction) == (0.1, 0.2)
+    (plain,) = read_urdf(robot(ARM + JOINT.format("continuous", "")), "s").joints
+    assert plain.axis == (1, 0, 0)
+
+
+@pytest.mark.parametrize("tag", ["<mu1>0.3</mu1>", '<mu1 value="0.3"/>', "<mu1> 0.3 </mu1>"])
+def test_friction_from_gazebo_tags(tag):
+    shape = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+    text = robot(
+        f'<link name="a">{shape}</link><link name="b">{shape}</link>'
+        '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
+        f'<gazebo reference="b">{tag}</gazebo>'
+    )
+    assert [c.friction for c in read_urdf(text, "s").links[0].collisions] == [1.0, 0.3]
+
+
+def test_plugins_stand_in_gazebo_tags_and_in_their_sensors():
+    text = robot(
+        '<link name="a"/>'
+        '<gazebo><plugin name="p" filename="libp.so"><x> 1 </x><y/></plugin></gazebo>'
+        '<gazebo reference="a"><sensor type="camera" name="eye"><update_rate>30</update_rate>'
+        '<plugin name="q" filename="libq.so"/></sensor></gazebo>'
+    )
+    outer, inner = read_urdf(text, "s").plugins
+    assert (outer.name, outer.filename, outer.link) == ("p", "libp.so", "")
+    assert outer.tags == {"x": "1", "y": ""}
+    assert outer.sensor is None
+    assert (inner.name, inner.filename, inner.link) == ("q", "libq.so", "a")
+    assert inner.sensor.find("update_rate").text == "30"
+
+
+BAD = {
+    "malformed": ("<robot", "not well-formed XML"),
+    "empty": ("", "not well-formed XML"),
+    "wrong root": ("<sdf/>", "the root element is <sdf>, not <robot>"),
+    "DTD": ("<!DOCTYPE robot><robot/>", "document types and entities are refused"),
+    "XXE": (
+        '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>',
+        "document types and entities are refused",
+    ),
+    "no link": (robot(""), "there is no link"),
+    "link without name": (robot("<link/>"), "a <link> without a name"),
+    "repeated link": (robot('<link name="a"/><link name="a"/>'), "link 'a' appears twice"),
+    "two roots": (robot('<link name="a"/><link name="b"/>'), "several roots: a, b"),
+    "box": (with_shape('<box size="1 1"/>'), "link 'a': box size: '1 1' is not 3 finite numbers"),
+    "no size": (with_shape("<box/>"), "link 'a': box size: '' is not 3 finite numbers"),
+    "word": (with_shape('<box size="1 1 x"/>'), "link 'a': box size: '1 1 x' is not"),
+    "nan": (with_shape('<sphere radius="nan"/>'), "link 'a': sphere radius: 'nan' is not"),
+    "zero": (with_shape('<box size="1 0 1"/>'), "link 'a': box size: 0 is not positive"),
+    "negative": (
+        with_shape('<cylinder radius="1" length="-2"/>'),
+        "link 'a': cylinder length: -2 is not positive",
+    ),
+    "no radius": (with_shape('<cylinder length="2"/>'), "link 'a': cylinder radius: ''"),
+    "unknown shape": (with_shape("<torus/>"), "link 'a': no geometry is called <torus>"),
+    "no shape": (with_shape(""), "link 'a': <collision> without a geometry"),
+    "no mesh name": (with_shape("<mesh/>"), "link 'a': mesh: no file is named"),
+    "missing mesh": (
+        with_shape('<mesh filename="package://bullet_lab/nix.dae"/>'),
+        "link 'a': mesh: 'package://bullet_lab/nix.dae': no such file",
+    ),
+    "mesh of unknown package": (
+        with_shape('<mesh filename="package://no_such_package/m.dae"/>'),
+        "link 'a': mesh: .*: no ROS package 'no_such_package'",
+    ),
+    "mesh from the network": (
+        with_shape('<mesh filename="http://127.0.0.1:1/m.dae"/>'),
+        "link 'a': mesh: 'http://127.0.0.1:1/m.dae': only package://",
+    ),
+    "mesh outside": (
+        with_shape('<mesh filename="package://bullet_lab/../../etc/passwd"/>'),
+        "link 'a': mesh: .*: leaves its folder",
+    ),
+    "file outside": (
+        with_shape('<mesh filename="file:///etc/passwd"/>'),
+        "link 'a': mesh: .*: outside the folders",
+    ),
+    "flat mesh": (
+        with_shape('<mesh filename="package://bullet_lab/meshes/beacon.dae" scale="1 1 0"/>'),
+        "link 'a': mesh scale: a scale of 0 leaves nothing",
+    ),
+    "negative mass": (with_inertia("-1"), "link 'a': the mass -1 kg is negative"),
+    "bad mass": (with_inertia("heavy"), "link 'a': mass: 'heavy' is not a finite number"),
+    "bad moment": (with_inertia(ixy="x"), "link 'a': ixy: 'x' is not a finite number"),
+    "unphysical": (with_inertia(izz="3"), "link 'a': no body has the principal moments 1, 1, 3"),
+    "half an inertial": (
+        robot('<link name="a"><inertial><mass value="1"/></inertial></link>'),
+        "link 'a': <inertial> needs <mass> and <inertia>",
+    ),
+    "origin": (
+        robot('<link name="a"><visual><origin xyz="0 0"/><geometry><sphere radius="1"/>'
+              "</geometry></visual></link>"),
+        "origin in 'a': '0 0' is not 3 finite numbers",
+    ),
+    "colour": (
+        robot('<material name="m"><color rgba="1 1 1"/></material><link name="a"/>'),
+        "colour: '1 1 1' is not 4 finite numbers",
+    ),
+    "joint type": (
+        robot(ARM + JOINT.format("floating", "")),
+        "joint 'j': type 'floating' is not one of fixed, revolute, continuous, prismatic",
+    ),
+    "no joint type": (robot(ARM + JOINT.format("", "")), "joint 'j': type '' is not one of"),
+    "axis": (
+        robot(ARM + JOINT.format("revolute", '<axis xyz="0 0 0"/>')),
+        "joint 'j': axis: a zero vector has no direction",
+    ),
+    "limit": (
+        robot(ARM + JOINT.format("revolute", '<limit lower="low"/>')),
+        "joint 'j': lower: 'low' is not a finite number",
+    ),
+    "damping": (
+        robot(ARM + JOINT.format("revolute", '<dynamics damping=""/>')),
+        "joint 'j': damping: '' is not a finite number",
+    ),
+    "no child": (
+        robot(ARM + '<joint name="j" type="fixed"><parent link="a"/></joint>'),
+        "joint 'j': no <child link=…>",
+    ),
+    "unknown end": (
+        robot(ARM + '<joint name="j" type="fixed"><parent link="a"/><child link="x"/></joint>'),
+        "joint 'j' names no link 'x'",
+    ),
+    "mu1": (
+        robot('<link name="a"/><gazebo reference="a"><mu1>slippery</mu1></gazebo>'),
+        "<mu1> of 'a': 'slippery' is not a finite number",
+    ),
+    "negative mu1": (
+        robot('<link name="a"/><gazebo reference="a"><mu1>-1</mu1></gazebo>'),
+        "<mu1> of 'a': -1 is negative",
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), BAD.values(), ids=BAD)
+def test_bad_urdf_is_one_line_that_names_file_and_place(tmp_path, text, message):
+    path = tmp_path / "bad.urdf"
+    path.write_text(text)
+    with pytest.raises(LabError, match=message) as caught:
+        read_urdf_file(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file(tmp_path):
+    with pytest.raises(LabError, match="nix.urdf: No such file or directory$"):
+        read_urdf_file(tmp_path / "nix.urdf")
+
+
+def test_meshes_beside_the_file_are_found_and_links_out_of_its_folder_are_not(tmp_path):
+    inner = tmp_path / "robot"
+    inner.mkdir()
+    (tmp_path / "secret.stl").touch()
+    (inner / "mesh.stl").touch()
+    (inner / "link.stl").symlink_to(tmp_path / "secret.stl")
+    (inner / "r.urdf").write_text(with_shape('<mesh filename="mesh.stl"/>'))
+    geometry = read_urdf_file(inner / "r.urdf").links[0].collisions[0].geometry
+    assert geometry.path == inner / "mesh.stl"
+    for name in ("link.stl", "../secret.stl", str(tmp_path / "secret.stl")):
+        (inner / "r.urdf").write_text(with_shape(f'<mesh filename="{name}"/>'))
+        with pytest.raises(LabError, match="leaves its folder|outside the folders"):
+            read_urdf_file(inner / "r.urdf", ResourceFinder(model_folders=[]))

@@ -1,0 +1,83 @@
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.view import View, ViewError, take_picture
+
+# All three beacons side by side, seen from 10 m away at half their height.
+BESIDE = View(eye=(0.0, -9.0, 1.0), target=(0.0, 1.0, 1.0), width=320, height=240)
+FOCAL = 160 / math.tan(math.radians(65) / 2)
+
+
+@pytest.fixture(scope="module")
+def beacons():
+    with Simulation.of("package://bullet_lab/worlds/beacons.world") as simulation:
+        yield simulation
+
+
+def runs(mask):
+    """Return first and last index of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return list(zip(edges[::2], edges[1::2] - 1))
+
+
+def test_three_white_columns_on_a_dark_floor_under_a_grey_sky(beacons):
+    picture = take_picture(beacons, BESIDE)
+    assert picture.shape == (240, 320, 3)
+    assert picture.dtype == np.uint8
+    assert (picture[:5] == round(255 * 0.7)).all()
+    assert picture[-5:].max() < 100
+    row = picture[135].astype(float)
+    beacon = row.min(axis=1) > 80
+    found = runs(beacon)
+    assert len(found) == 3
+    for (first, last), x in zip(found, (-5.0, 1.0, 5.0)):
+        bearing, half = math.atan2(x, 10.0), math.asin(0.25 / math.hypot(x, 10.0))
+        left, right = (160 + FOCAL * math.tan(bearing + side) for side in (-half, half))
+        assert (first, last + 1) == pytest.approx((left, right), abs=1.5)
+    # Shades of white, the lit side brighter than the ambient light of 0.4.
+    assert np.ptp(row[beacon], axis=1).max() == 0
+    assert row[beacon].min() == pytest.approx(0.4 * 255, abs=2)
+    assert row[beacon].max() > 150
+    # The middle column: 2 m high.
+    column = picture[:, (found[1][0] + found[1][1]) // 2].astype(float)
+    standing = runs((column[:, 0] > 80) & (column[:, 0] != round(255 * 0.7)))
+    assert max(last - first + 1 for first, last in standing) == pytest.approx(
+        FOCAL * 2.0 / 9.76, abs=2.5
+    )
+
+
+def test_the_sun_lights_one_side(beacons):
+    # The sun stands towards +x, which is to the right.
+    row = take_picture(beacons, BESIDE)[135].astype(float).min(axis=1)
+    first, last = runs(row > 80)[1]
+    middle = (first + last + 1) // 2
+    assert row[middle + 1 : last].mean() > row[first + 1 : middle].mean() + 5
+
+
+def test_the_same_view_gives_the_same_bytes(beacons):
+    assert take_picture(beacons, BESIDE).tobytes() == take_picture(beacons, BESIDE).tobytes()
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"width": 0},
+        {"height": -1},
+        {"horizontal_fov": 0.0},
+        {"horizontal_fov": math.pi},
+        {"horizontal_fov": math.nan},
+        {"eye": (0.0, math.nan, 1.0)},
+        {"target": (math.inf, 0.0, 0.0)},
+        {"target": (0.0, -9.0, 0.0)},
+        {"near": 0.0},
+        {"near": 2.0, "far": 1.0},
+        {"far": math.inf},
+    ],
+)
+def test_bad_views_are_refused(beacons, changed):
+    view = {"eye": BESIDE.eye, "target": BESIDE.target, "width": 32, "height": 24, **changed}
+    with pytest.raises(ViewError):
+        take_picture(beacons, View(**view))

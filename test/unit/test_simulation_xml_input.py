@@ -1,0 +1,123 @@
+from pathlib import Path
+
+import pytest
+
+from bullet_lab.simulation import xml_input
+from bullet_lab.simulation.xml_input import (
+    XmlError,
+    boolean,
+    child_text,
+    direction,
+    friction,
+    mesh_scale,
+    number,
+    numbers,
+    parse_text,
+    read_text,
+    sizes,
+)
+
+LAUGHS = "".join(
+    f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' if i else '<!ENTITY l0 "ha">' for i in range(10)
+)
+
+
+def one_line(caught):
+    return "\n" not in str(caught.value) and str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "no xml", "<a>", "<a></b>", "<a/><b/>", "<a>\0</a>"])
+def test_malformed_xml_is_refused_by_name(text):
+    with pytest.raises(XmlError, match="^here: not well-formed XML: ") as caught:
+        parse_text(text, "here")
+    assert one_line(caught)
+
+
+@pytest.mark.parametrize(
+    "prolog",
+    [
+        "<!DOCTYPE a>",
+        '<!DOCTYPE a SYSTEM "http://127.0.0.1:1/a.dtd">',
+        '<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]>',
+        '<!DOCTYPE a [<!ENTITY x SYSTEM "http://127.0.0.1:1/">]>',
+        '<!DOCTYPE a [<!ENTITY % x SYSTEM "file:///etc/passwd"> %x;]>',
+        f"<!DOCTYPE a [{LAUGHS}]>",
+    ],
+)
+def test_document_types_and_entities_are_refused(prolog):
+    with pytest.raises(XmlError, match="^here: document types and entities are refused$"):
+        parse_text(f"{prolog}<a>&x;&l9;</a>", "here")
+
+
+@pytest.mark.parametrize("encoding", ["UTF-8", "ISO-8859-1", "utf-7", "UTF-16", "big5", "klingon"])
+def test_the_declared_encoding_of_a_text_does_not_matter(encoding):
+    text = f'<?xml version="1.0" encoding="{encoding}"?><a n="+ADw-ü"/>'
+    assert parse_text(text, "here").get("n") == "+ADw-ü"
+
+
+def test_half_a_surrogate_is_refused():
+    with pytest.raises(XmlError, match="^here: not Unicode text$"):
+        parse_text("<a>\ud800</a>", "here")
+
+
+def test_a_huge_text_is_refused(monkeypatch, tmp_path):
+    monkeypatch.setattr(xml_input, "MAXIMUM_BYTES", 100)
+    with pytest.raises(XmlError, match="^here: larger than 100 bytes$"):
+        parse_text("<a>" + 100 * " " + "</a>", "here")
+    (tmp_path / "huge").write_text(101 * " ")
+    with pytest.raises(XmlError, match="huge: larger than 100 bytes$"):
+        read_text(tmp_path / "huge")
+
+
+def test_a_file_without_end_is_not_read_to_its_end(monkeypatch):
+    monkeypatch.setattr(xml_input, "MAXIMUM_BYTES", 100)
+    with pytest.raises(XmlError, match="^/dev/zero: larger than 100 bytes$"):
+        read_text(Path("/dev/zero"))
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    with pytest.raises(XmlError, match="nix: No such file"):
+        read_text(tmp_path / "nix")
+    with pytest.raises(XmlError, match="Is a directory"):
+        read_text(tmp_path)
+    (tmp_path / "latin").write_bytes("ü".encode("latin-1"))
+    with pytest.raises(XmlError, match="latin: not UTF-8 text$"):
+        read_text(tmp_path / "latin")
+
+
+def test_numbers():
+    assert numbers(" 1 -2.5\n3e-3 ", 3, "x") == (1.0, -2.5, 0.003)
+    assert number("7", "x") == 7.0
+
+
+@pytest.mark.parametrize("text", [None, "", "1 2", "1 2 3 4", "1 2 x", "1 2 nan", "1 inf 2"])
+def test_wrong_numbers_are_quoted(text):
+    shown = text or ""
+    with pytest.raises(XmlError, match=f"^place: '{shown}' is not 3 finite numbers$"):
+        numbers(text, 3, "place")
+
+
+def test_checked_numbers():
+    assert direction("0 3 4", "x") == pytest.approx((0, 0.6, 0.8))
+    assert sizes("1 2", 2, "x") == (1, 2)
+    assert mesh_scale("1 -1 2", "x") == (1, -1, 2)
+    assert friction("0", "x") == 0.0
+    for call in (
+        lambda: direction("0 0 0", "x"),
+        lambda: sizes("1 0", 2, "x"),
+        lambda: sizes("1 -1", 2, "x"),
+        lambda: mesh_scale("1 0 1", "x"),
+        lambda: friction("-0.1", "x"),
+    ):
+        with pytest.raises(XmlError, match="^x: "):
+            call()
+
+
+def test_child_text_and_boolean():
+    element = parse_text("<a><b> x </b><c/></a>", "here")
+    assert [child_text(element, tag, "no") for tag in "bcd"] == ["x", "no", "no"]
+    assert [boolean(text, "x") for text in ("true", "1", " True ", "false", "0")] == [
+        True, True, True, False, False,
+    ]  # fmt: skip
+    with pytest.raises(XmlError, match="^x: 'yes' is not true or false$"):
+        boolean("yes", "x")

@@ -1,0 +1,74 @@
+import threading
+
+from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
+
+
+def test_without_members_time_is_free():
+    gate = TimeGate()
+    assert gate.limit() == FOR_EVER
+    assert gate.holding() == ()
+
+
+def test_time_does_not_start_before_all_have_joined():
+    gate = TimeGate(["b", "a"])
+    gate.grant("b", 100)
+    assert gate.limit() is None
+    assert gate.holding() == ("a",)
+    gate.grant("a", 50)
+    assert gate.limit() == 50
+
+
+def test_the_least_grant_counts_and_its_givers_hold_time_back():
+    gate = TimeGate(["a"])
+    gate.grant("a", 50)
+    gate.grant("b", 20)
+    gate.grant("c", 20)
+    assert gate.limit() == 20
+    assert gate.holding() == ("b", "c")
+    gate.grant("b", 70)
+    gate.grant("c", 80)
+    assert gate.limit() == 50
+    assert gate.holding() == ("a",)
+
+
+def test_who_leaves_or_grants_for_ever_holds_nothing_back():
+    gate = TimeGate(["a", "b"])
+    gate.grant("a", 50)
+    gate.leave("b")
+    assert gate.limit() == 50
+    gate.grant("a", FOR_EVER)
+    assert gate.limit() == FOR_EVER
+    assert gate.holding() == ()
+    gate.leave("a")
+    gate.leave("never joined")
+    assert gate.limit() == FOR_EVER
+
+
+def test_a_restart_takes_grants_back_but_not_those_for_ever():
+    gate = TimeGate(["late"])
+    gate.grant("a", 500)
+    gate.grant("b", FOR_EVER)
+    gate.restart()
+    assert gate.limit() is None
+    gate.grant("late", 100)
+    assert gate.limit() == 0
+    assert gate.holding() == ("a",)
+    gate.leave("a")
+    assert gate.limit() == 100
+
+
+def test_calls_from_many_threads():
+    gate = TimeGate([f"n{i}" for i in range(8)])
+
+    def work(name):
+        for step in range(500):
+            gate.grant(name, step)
+            gate.limit()
+            gate.holding()
+
+    threads = [threading.Thread(target=work, args=(f"n{i}",)) for i in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert gate.limit() == 499
