@@ -32,6 +32,7 @@ from bullet_lab.simulation.samples import PlanarCommand
 WORLD = "package://bullet_lab/worlds/empty.world"
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 AHEAD, TURN = 0.2, 0.3
+STOP_SECONDS = 10.0
 
 # The engine and nothing else, as one would write it by hand: the same world and robot, the same
 # velocity in the robot's frame before each step.
@@ -94,8 +95,12 @@ class Bridge:
         self._commands.unregister()
         os.killpg(self._bridge.pid, signal.SIGINT)
         self._listener.send_signal(signal.SIGINT)
-        self._bridge.wait()
-        self._listener.wait()
+        for process in (self._bridge, self._listener):
+            try:
+                process.wait(STOP_SECONDS)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
 
 
 def newest_stamp() -> float:
@@ -168,6 +173,8 @@ def command_delays(count: int) -> List[int]:
     publisher = rospy.Publisher("cmd_vel", Twist, queue_size=1, tcp_nodelay=True)
 
     def send_commands() -> None:
+        while publisher.get_num_connections() < 1:
+            time.sleep(0.01)
         for number in range(count):
             time.sleep(0.0537)
             twist = Twist()
@@ -191,7 +198,9 @@ def measure(rounds: int, seconds: float) -> Dict[str, Any]:
         bare.append(bare_factor(100.0))
         bridge.append(bridge_factor(seconds))
         print(f"round {number + 1} of {rounds}: bare {bare[-1]:.0f}, bridge {bridge[-1]:.0f}")
+    print("load at real-time factor 1 …")
     load = real_time_load(2.0 * seconds)
+    print("delay from command to motion …")
     delays = command_delays(50)
     return {
         "machine": platform.processor() or platform.machine(),

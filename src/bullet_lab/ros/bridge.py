@@ -39,14 +39,9 @@ from bullet_lab.ros.conversions import (
     set_time,
     time_of,
 )
-from bullet_lab.ros.node import (
-    Publisher,
-    Refusals,
-    lossless_publisher,
-    private_parameters,
-    run_node,
-)
+from bullet_lab.ros.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.pace import Pace
+from bullet_lab.ros.publishers import BatchPublisher, Publisher, lossless_publisher
 from bullet_lab.ros.simulators import answers, refuse_second_simulator
 from bullet_lab.ros.stepper import Stepper, StepperError
 from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
@@ -112,7 +107,9 @@ class PyBulletBridge:
             paused=wanted.paused,
             is_over=rospy.is_shutdown,
             report_stall=self._report_stall,
+            after_steps=self._flush,
         )
+        self._publishers: List[BatchPublisher] = []
         self._refusals = Refusals()
         self._subscribers: List[rospy.Subscriber] = []
         self._shared_publishers: Dict[str, Publisher] = {}
@@ -139,15 +136,23 @@ class PyBulletBridge:
 
     # Outputs
 
-    def _publisher(self, topic: str, kind: type) -> Publisher:
+    def _flush(self) -> None:
+        """Write out what the last steps have brought."""
+        for publisher in self._publishers:
+            publisher.flush()
+
+    def _publisher(self, topic: str, kind: type) -> BatchPublisher:
         """Return a publisher that fits the pace.
 
         At full speed nothing may be lost, so the simulation waits for its subscribers. Tied to
         the wall clock it does not wait for anybody, as Gazebo does not.
         """
         if self.stepper.pace.free:
-            return lossless_publisher(topic, kind)
-        return Publisher(topic, kind, queue_size=QUEUE_SIZE, tcp_nodelay=True)
+            publisher = lossless_publisher(topic, kind, publisher=BatchPublisher)
+        else:
+            publisher = BatchPublisher(topic, kind, queue_size=QUEUE_SIZE, tcp_nodelay=True)
+        self._publishers.append(publisher)
+        return publisher
 
     def _publish_clock(self, step: int) -> None:
         set_time(self._clock.clock, step)
@@ -212,7 +217,7 @@ class PyBulletBridge:
         if self._wanted.robot:
             return read_urdf_file(ResourceFinder.anywhere().find(self._wanted.robot))
         text = rospy.get_param("robot_description", "")
-        return read_urdf(text, "robot_description") if text else None
+        return read_urdf(str(text), "robot_description") if text else None
 
     def _publish_odometry_frames(self, robot: ModelInstance) -> None:
         """Say that odometry, which is the absolute pose, is given in the world's frame."""
@@ -263,7 +268,7 @@ class PyBulletBridge:
     def _report_stall(self, holding: Sequence[str]) -> None:
         """Say who holds time back; go on without members that have died."""
         for member in holding:
-            if self.simulation.step > 0 and not answers(member):
+            if self.stepper.gate.has_joined(member) and not answers(member):
                 rospy.logwarn("%s holds simulated time back and is gone: going on", member)
                 self.stepper.gate.leave(member)
             else:

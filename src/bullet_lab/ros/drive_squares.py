@@ -9,9 +9,11 @@
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from dataclasses import dataclass
-from typing import Optional, Tuple
+from typing import Any, Optional, Tuple
 
 import rospy
 from geometry_msgs.msg import Twist
@@ -28,22 +30,26 @@ from bullet_lab.numerics.square_driver import (
 )
 from bullet_lab.ros import parameters
 from bullet_lab.ros.lock_step import CountedPublisher, LockStepRate, Rate
-from bullet_lab.ros.node import (
-    NodeError,
-    Refusals,
-    lossless_publisher,
-    private_parameters,
-    run_node,
-    wait_until,
-)
+from bullet_lab.ros.node import NodeError, Refusals, private_parameters, run_node, wait_until
+from bullet_lab.ros.publishers import lossless_publisher
 from bullet_lab.ros.odometry import OdometryError, planar_pose
 
 # At rest before and after, so that a recording shows where the robot stood.
 REST_SECONDS = 0.5
-# Wall seconds to wait for odometry before a closed loop stops the robot.
+# Seconds of ROS time without odometry after which a closed loop stops the robot.
+STALE_SECONDS = 0.5
+# Wall seconds to wait for odometry before a closed loop gives up.
 ODOMETRY_TIMEOUT = 5.0
+# Wall seconds between two looks whether Ctrl-C was pressed meanwhile.
+POLL_SECONDS = 0.2
 # Wall seconds for a latched message to reach subscribers that are still connecting.
 GOODBYE_SECONDS = 0.5
+
+
+def _accept_turn_speed(value: Any) -> float:
+    if isinstance(value, bool) or not math.isfinite(value) or value == 0.0:
+        raise ValueError
+    return float(value)
 
 
 @dataclass(frozen=True)
@@ -56,7 +62,12 @@ class DriveSquaresParameters:
     sides: int = parameters.integer(4, "number of sides", minimum=1)
     side: float = parameters.number(2.0, "length of a side in m", above=0.0)
     speed: float = parameters.number(0.2, "on the sides, m/s", above=0.0)
-    turn_speed: float = parameters.number(-0.5236, "at the corners, rad/s; negative is clockwise")
+    turn_speed: float = parameters.checked(
+        -0.5236,
+        "at the corners, rad/s; negative is clockwise",
+        "a number other than 0",
+        _accept_turn_speed,
+    )
     turn_commands: int = parameters.integer(34, "open loop: commands of a turn at 10 Hz", minimum=0)
     lock_step: bool = parameters.boolean(False, "hold simulated time back while working")
 
@@ -75,7 +86,9 @@ class DriveSquares:
         self._odometry = _NewestOdometry(wanted.odom) if self._closed_loop else None
         self._heading: Optional[float] = None
         self._progress: Optional[tqdm] = None
-        rospy.on_shutdown(self.stop)
+        self._sending = threading.RLock()
+        self._ended = False
+        rospy.on_shutdown(self._end)
         wait_until(self.pub.is_connected, f"somebody to listen to {wanted.cmd_vel}")
         self.rate = self._make_rate(wanted.lock_step)
 
@@ -129,35 +142,55 @@ class DriveSquares:
 
     def _rest(self) -> None:
         for _ in range(round(REST_SECONDS * self._hz)):
-            self.rate.sleep()
+            self._sleep()
 
     def _drive_by_clock(self) -> None:
         step = self.square.side / self.square.side_commands
         for ahead, turn in open_loop_side(self.square):
             self._send(ahead, turn)
-            self.rate.sleep()
+            self._sleep()
             self._progress.update(step if ahead else 0.0)
 
     def _drive_by_odometry(self) -> None:
-        pose = self._odometry.newest(self._now)
+        pose = self._newest_pose()
         if self._heading is None:
             self._heading = pose[2]
         side = ClosedLoopSide(self.square, pose, self._heading)
         driven = 0.0
         while not side.done:
             self._send(*side.command(pose))
-            self.rate.sleep()
-            pose = self._odometry.newest(self._now)
+            self._sleep()
+            pose = self._newest_pose()
             farther = min(max(driven, side.progress(pose)), self.square.side)
             self._progress.update(farther - driven)
             driven = farther
         self._heading = side.next_heading
 
+    def _newest_pose(self) -> Tuple[float, float, float]:
+        if self._now is None and self._odometry.is_stale():
+            # Time goes on while it is waited for the next one.
+            self.stop()
+        return self._odometry.newest(self._now)
+
+    def _sleep(self) -> None:
+        self.rate.sleep()
+        # rospy.Rate says nothing of a shutdown where time is the wall clock's.
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException("shutdown")
+
     def _send(self, ahead: float, turn: float) -> None:
         twist = Twist()
         twist.linear.x = ahead
         twist.angular.z = turn
-        self.pub.publish(twist)
+        with self._sending:
+            if not self._ended:
+                self.pub.publish(twist)
+
+    def _end(self) -> None:
+        """Stop the robot for good: whoever ends the node, nothing is sent after this."""
+        with self._sending:
+            self._ended = True
+            self.stop()
 
 
 PROGRESS_FORMAT = "{desc} {percentage:3.0f}%|{bar:30}| {n:.1f} of {total:.1f} m, {elapsed}"
@@ -172,6 +205,7 @@ class _NewestOdometry:
         self._pose: Optional[Tuple[float, float, float]] = None
         self._stamp = rospy.Time(0)
         self._period: Optional[rospy.Duration] = None
+        self._received = rospy.Time(0)
         self._refusals = Refusals()
         self._subscriber = rospy.Subscriber(topic, Odometry, self._receive, tcp_nodelay=True)
 
@@ -184,17 +218,26 @@ class _NewestOdometry:
         Raises:
             NodeError: no odometry comes.
         """
+        deadline = time.monotonic() + ODOMETRY_TIMEOUT
         with self._new:
-            if not self._new.wait_for(lambda: self._is_new(now), ODOMETRY_TIMEOUT):
+            while not self._is_new(now):
+                self._new.wait(POLL_SECONDS)
                 if rospy.is_shutdown():
                     raise rospy.ROSInterruptException("shutdown")
-                raise NodeError(f"no odometry on {self._topic} for {ODOMETRY_TIMEOUT:g} s")
+                if time.monotonic() > deadline:
+                    raise NodeError(f"no odometry on {self._topic} for {ODOMETRY_TIMEOUT:g} s")
             return self._pose
 
+    def is_stale(self) -> bool:
+        """Return whether the newest pose came long ago, in ROS time."""
+        return rospy.Time.now() - self._received > rospy.Duration(STALE_SECONDS)
+
     def _is_new(self, now: Optional[rospy.Time]) -> bool:
-        if self._pose is None or now is None or self._period is None:
-            return self._pose is not None
-        return self._stamp > now - self._period
+        if self._pose is None:
+            return False
+        if now is None:
+            return not self.is_stale()
+        return self._period is None or self._stamp > now - self._period
 
     def _receive(self, message: Odometry) -> None:
         try:
@@ -206,6 +249,7 @@ class _NewestOdometry:
             if self._pose is not None and message.header.stamp > self._stamp:
                 self._period = message.header.stamp - self._stamp
             self._pose, self._stamp = pose, message.header.stamp
+            self._received = rospy.Time.now()
             self._new.notify_all()
 
 

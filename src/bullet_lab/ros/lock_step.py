@@ -12,7 +12,8 @@ from typing import Any, Protocol
 
 import rospy
 
-from bullet_lab.ros.node import NodeError, Publisher
+from bullet_lab.ros.node import NodeError
+from bullet_lab.ros.publishers import Publisher
 from bullet_lab.srv import Advance, AdvanceRequest
 
 SERVICE = "/bullet_lab/advance"

@@ -6,8 +6,7 @@ import logging
 import sys
 import threading
 import time
-import warnings
-from typing import Any, Callable, Dict, Type, TypeVar
+from typing import Callable, Dict, Type, TypeVar
 
 import rosgraph
 import rospy
@@ -79,35 +78,6 @@ def private_parameters(kind: Type[T]) -> T:
     """Read the node's parameters from the master; raises ParameterError."""
     given = rospy.get_param("~", {})
     return read_parameters(kind, rospy.get_param, given if isinstance(given, dict) else {})
-
-
-class Publisher(rospy.Publisher):
-    """A publisher that falls silent, and raises nothing, once the node is shutting down."""
-
-    def has_connections(self) -> bool:
-        """Return whether anybody listens."""
-        return self.impl is not None and self.impl.has_connections()
-
-    def publish(self, *args: Any, **kwds: Any) -> None:
-        """Publish a message."""
-        try:
-            super().publish(*args, **kwds)
-        except rospy.ROSException:
-            if not rospy.core.is_shutdown_requested():
-                raise
-
-
-def lossless_publisher(topic: str, kind: type, latch: bool = False) -> Publisher:
-    """Return a publisher that writes to its subscribers at once and drops nothing.
-
-    A subscriber that falls behind slows the publisher down instead of losing messages, which
-    is what a simulation at full speed needs. (Besides, it takes a twentieth of the time of
-    rospy's queues, which hand each message to a thread.)
-    """
-    with warnings.catch_warnings():
-        # rospy takes a missing queue size for an oversight.
-        warnings.simplefilter("ignore", SyntaxWarning)
-        return Publisher(topic, kind, queue_size=None, latch=latch)
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:

@@ -19,15 +19,9 @@ from bullet_lab.numerics.odometry_noise import MODELS, NoisyPath, NoisyStep, mak
 from bullet_lab.numerics.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.ros import parameters
 from bullet_lab.ros.lock_step import LockStep
-from bullet_lab.ros.node import (
-    Publisher,
-    Refusals,
-    lossless_publisher,
-    private_parameters,
-    run_node,
-    wait_until,
-)
+from bullet_lab.ros.node import Refusals, private_parameters, run_node, wait_until
 from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
+from bullet_lab.ros.publishers import Publisher, lossless_publisher
 
 # Where x, y and yaw stand in the 6x6 covariances of ROS (REP 103).
 PLANAR_AXES = (0, 1, 5)

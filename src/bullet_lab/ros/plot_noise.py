@@ -28,8 +28,9 @@ from bullet_lab.recording.paths import PathsRecording, RecordingError
 from bullet_lab.recording.squares_summary import squares_summary
 from bullet_lab.ros import parameters
 from bullet_lab.ros.lock_step import LockStep
-from bullet_lab.ros.node import Publisher, Refusals, private_parameters, run_node, wait_until
+from bullet_lab.ros.node import Refusals, private_parameters, run_node, wait_until
 from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
+from bullet_lab.ros.publishers import Publisher
 from bullet_lab.ros.recorder import EndOfRecording, Stopwatch, record_until
 
 PATHS_PERIOD_SECONDS = 0.5

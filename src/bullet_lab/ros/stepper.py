@@ -18,8 +18,8 @@ from bullet_lab.ros.pace import Pace
 from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
 from bullet_lab.simulation.simulation import Simulation
 
-# Between two looks at what others want, at full speed: about half a millisecond of wall time.
-STEPS_AT_A_TIME = 50
+# Between two looks at what others want, at full speed: about two milliseconds of wall time.
+STEPS_AT_A_TIME = 200
 # Longest wait before looking whether all has ended, in wall seconds.
 LONGEST_WAIT = 0.2
 # Wall seconds after which it is reported who holds time back.
@@ -41,6 +41,7 @@ class Stepper:
         paused: whether to start so.
         is_over: says whether to end.
         report_stall: called with the names of those who hold time back, every `PATIENCE`.
+        after_steps: called when steps have been made, before anybody is told of them.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class Stepper:
         paused: bool,
         is_over: Callable[[], bool],
         report_stall: Callable[[Sequence[str]], None],
+        after_steps: Callable[[], None],
     ):
         self.simulation = simulation
         self.pace = pace
@@ -60,11 +62,14 @@ class Stepper:
         self._paused = paused
         self._is_over = is_over
         self._report_stall = report_stall
+        self._after_steps = after_steps
+        self._reached = simulation.step
         self._stalled_since: Optional[float] = None
         self._tasks: queue.Queue[_Task] = queue.Queue()
         self._wake = threading.Condition()
         self._wakeups = 0
         self._commands: Counter = Counter()
+        self._resets = 0
 
     def run(self) -> None:
         """Advance until all is over; to be called by one thread, once."""
@@ -136,8 +141,16 @@ class Stepper:
             self._wake.notify_all()
 
     def await_commands(self, member: str, count: int) -> bool:
-        """Wait until so many commands of a member have arrived; False if they do not come."""
+        """Wait until so many commands of a member have arrived; False if they do not come.
+
+        Args:
+            member: who has sent them.
+            count: how many, since it started. One that has sent none yet has just started,
+                and what an earlier node of its name has sent counts no longer.
+        """
         with self._wake:
+            if count == 0:
+                self._commands[member] = 0
             if self._wake.wait_for(lambda: self._commands[member] >= count, PATIENCE):
                 return True
             # Do not wait for the lost ones again.
@@ -151,15 +164,18 @@ class Stepper:
             Whether it is; False if time was set back or all is over. A grant for ever returns
             at once.
         """
-        start = self.simulation.step
+        resets = self._resets
         self.gate.grant(member, step)
         self.wake()
         if step == FOR_EVER:
             return True
+        if step <= self._reached:
+            # The loop may be in the middle of a stride, and time stands only at the end of it.
+            self.do(lambda: None)
         with self._wake:
-            while not self._wake.wait_for(lambda: self._is_settled(start, step), LONGEST_WAIT):
+            while not self._wake.wait_for(lambda: self._is_settled(resets, step), LONGEST_WAIT):
                 pass
-        return self.simulation.step >= step
+        return self._resets == resets and self._reached >= step
 
     # The loop
 
@@ -180,10 +196,15 @@ class Stepper:
             wait = self.pace.seconds_until(step + self._tick)
             self._wait(min(LONGEST_WAIT, wait), wakeups)
             due = self.pace.due(step)
-        self.simulation.run_until(int(min(limit, due, step + STEPS_AT_A_TIME)))
+        self._run_until(int(min(limit, due, step + STEPS_AT_A_TIME)))
         if limit != FOR_EVER:
             with self._wake:
                 self._wake.notify_all()
+
+    def _run_until(self, step: int) -> None:
+        self.simulation.run_until(step)
+        self._after_steps()
+        self._reached = self.simulation.step
 
     def _wait(self, seconds: float, wakeups: int) -> None:
         with self._wake:
@@ -198,7 +219,7 @@ class Stepper:
     def _catch_up_and(self, action: Callable[[], None]) -> None:
         step, limit = self.simulation.step, self.gate.limit()
         if not self._paused and limit is not None:
-            self.simulation.run_until(int(max(step, min(limit, self.pace.due(step)))))
+            self._run_until(int(max(step, min(limit, self.pace.due(step)))))
         action()
 
     def _set_paused(self, paused: bool) -> None:
@@ -206,18 +227,26 @@ class Stepper:
         self.pace.restart(self.simulation.step)
 
     def _advance_by(self, steps: int) -> int:
-        self.simulation.run_until(self.simulation.step + steps)
-        self.pace.restart(self.simulation.step)
-        return self.simulation.step
+        goal = self.simulation.step + steps
+        while self.simulation.step < goal:
+            # Years of simulated time may be asked for.
+            if self._is_over():
+                raise StepperError("the simulation has ended")
+            self._run_until(min(goal, self.simulation.step + STEPS_AT_A_TIME))
+        self.pace.restart(goal)
+        return goal
 
     def _reset_simulation(self) -> None:
         self.simulation.reset_simulation()
+        self._reached = 0
         self.gate.restart()
         self.pace.restart(0)
+        with self._wake:
+            self._resets += 1
+            self._wake.notify_all()
 
-    def _is_settled(self, start: int, step: float) -> bool:
-        now = self.simulation.step
-        return now >= step or now < start or self._is_over()
+    def _is_settled(self, resets: int, step: float) -> bool:
+        return self._reached >= step or self._resets != resets or self._is_over()
 
     def _watch_the_stall(self) -> None:
         now = time.monotonic()

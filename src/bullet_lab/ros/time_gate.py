@@ -38,6 +38,11 @@ class TimeGate:
             self._missing.discard(member)
             self._granted.pop(member, None)
 
+    def has_joined(self, member: str) -> bool:
+        """Return whether a member has granted anything yet, and has not left."""
+        with self._lock:
+            return member in self._granted
+
     def limit(self) -> Optional[float]:
         """Return the step that time may go to, or None while members are missing."""
         with self._lock:

@@ -24,15 +24,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.ros import parameters
 from bullet_lab.ros.lock_step import LockStep
-from bullet_lab.ros.node import (
-    Publisher,
-    Refusals,
-    lossless_publisher,
-    private_parameters,
-    run_node,
-    wait_until,
-)
+from bullet_lab.ros.node import Refusals, private_parameters, run_node, wait_until
 from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
+from bullet_lab.ros.publishers import Publisher, lossless_publisher
 
 Number = Union[int, float]
 DEFAULT_BEACONS = (("beacon_0", 1, 1), ("beacon_1", 5, 1), ("beacon_2", -5, 1))
