@@ -268,6 +268,10 @@ class NoisyPath:
         """Forget the path: the next pose starts a new one. The random generator goes on."""
         self._true = None
 
+    def change_rule(self, rule: NoiseRule) -> None:
+        """Take another rule from the next pose on; path, covariance and draws go on."""
+        self._rule = rule
+
     def update(self, x: float, y: float, yaw: float) -> NoisyStep:
         """Take the next perfect pose (m, m, rad) and return the noisy one.
 

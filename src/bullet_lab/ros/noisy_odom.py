@@ -2,7 +2,10 @@
 
 :ROS Parameters: see `NoisyOdomParameters`.
 :ROS Subscribers: odom (nav_msgs/Odometry)
-:ROS Publishers: noisy_odom (nav_msgs/Odometry), one message for each on odom, with its stamp
+:ROS Publishers:
+    - noisy_odom (nav_msgs/Odometry), one message for each on odom, with its stamp
+    - noisy_odom_ellipse (visualization_msgs/Marker): where the robot is with 95 % probability
+:ROS Services: noisy_odom_node/set_noise (bullet_lab/SetNoise): another noise from now on
 """
 
 from __future__ import annotations
@@ -10,18 +13,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import List, Optional, Tuple
 
+import numpy as np
 import rospy
+from geometry_msgs.msg import Point
 from nav_msgs.msg import Odometry
-from std_msgs.msg import Header
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker
 
 from bullet_lab.numerics.angles import quaternion_from_yaw
-from bullet_lab.numerics.odometry_noise import MODELS, NoisyPath, NoisyStep, make_rule
+from bullet_lab.numerics.ellipse import ellipse_points
+from bullet_lab.numerics.odometry_noise import (
+    MODELS,
+    NoiseError,
+    NoisyPath,
+    NoisyStep,
+    make_rule,
+)
 from bullet_lab.numerics.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.ros import parameters
 from bullet_lab.ros.lock_step import LockStep
 from bullet_lab.ros.node import Refusals, private_parameters, run_node, wait_until
 from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
 from bullet_lab.ros.publishers import Publisher, lossless_publisher
+from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
 
 # Where x, y and yaw stand in the 6x6 covariances of ROS (REP 103).
 PLANAR_AXES = (0, 1, 5)
@@ -58,8 +72,9 @@ class NoisyOdometry:
         self.pose = [0.0, 0.0, 0.0]
         self._sampler = Sampler(wanted.rate) if wanted.as_published else None
         self._published = PublishedNoise(wanted.std, wanted.seed)
-        alphas = (wanted.alpha1, wanted.alpha2, wanted.alpha3, wanted.alpha4)
-        self._path = NoisyPath(make_rule(wanted.model, wanted.std, alphas), wanted.seed)
+        self._model = wanted.model
+        self._alphas = (wanted.alpha1, wanted.alpha2, wanted.alpha3, wanted.alpha4)
+        self._path = NoisyPath(make_rule(self._model, self.std, self._alphas), wanted.seed)
         self._frames = FrameGuard()
         self._refusals = Refusals()
         self.pub = (
@@ -67,6 +82,8 @@ class NoisyOdometry:
             if wanted.lock_step
             else Publisher("noisy_odom", Odometry, queue_size=QUEUE_SIZE)
         )
+        self._ellipse = Publisher("noisy_odom_ellipse", Marker, queue_size=1)
+        self._service = rospy.Service("~set_noise", SetNoise, self.set_noise)
         # No queue size: a message that is dropped here would be missing in the noisy path.
         self.sub = rospy.Subscriber("odom", Odometry, self.odom_callback, tcp_nodelay=True)
 
@@ -96,6 +113,21 @@ class NoisyOdometry:
         _set_pose(noisy, self.pose)
         self.last_odom = msg
         self.pub.publish(noisy)
+        if self._sampler is None and self._ellipse.has_connections():
+            self._ellipse.publish(ellipse_marker(noisy, step.covariance))
+
+    def set_noise(self, request: SetNoiseRequest) -> SetNoiseResponse:
+        """Change the noise from the next message on."""
+        if self._sampler is not None:
+            return SetNoiseResponse(False, "as_published runs the report's noise as it was")
+        model, alphas = request.model or self._model, tuple(request.alphas) or self._alphas
+        try:
+            self._path.change_rule(make_rule(model, request.std, alphas))
+        except NoiseError as error:
+            return SetNoiseResponse(False, str(error))
+        self._model, self.std, self._alphas = model, request.std, alphas
+        rospy.loginfo("noise is now %s with std %g", model, request.std)
+        return SetNoiseResponse(True, "")
 
     def _check_time(self, msg: Odometry) -> None:
         """Start anew where time was set back; raises OdometryError on a repeated stamp."""
@@ -159,6 +191,22 @@ def _add_covariance(entries: List[float], covariance, factor: float) -> None:
     for i, row in enumerate(PLANAR_AXES):
         for j, column in enumerate(PLANAR_AXES):
             entries[6 * row + column] += factor * values[i][j]
+
+
+def ellipse_marker(noisy: Odometry, covariance: np.ndarray) -> Marker:
+    """Return the outline of the 95 % ellipse around a noisy pose, in its frame.
+
+    Args:
+        noisy: the message with the noisy pose.
+        covariance: 3x3 of x, y and yaw in the frame of the message (m, m, rad).
+    """
+    marker = Marker(header=noisy.header, ns="noisy_odom", type=Marker.LINE_STRIP)
+    marker.pose.position = noisy.pose.pose.position
+    marker.pose.orientation.w = 1.0
+    marker.scale.x = 0.01
+    marker.color = ColorRGBA(0.0, 0.45, 0.7, 1.0)
+    marker.points = [Point(x, y, 0.0) for x, y in ellipse_points(covariance).tolist()]
+    return marker
 
 
 def main() -> None:

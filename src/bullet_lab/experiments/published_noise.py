@@ -1,0 +1,454 @@
+"""Which of the report's defects make its figure 1b? All 32 combinations, over many seeds.
+
+Example:
+    python3 -m bullet_lab.experiments.published_noise results/published --std 0.1 --seeds 1000
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import re
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Dict, List, NoReturn, Optional, Sequence, Tuple
+
+import numpy as np
+
+from bullet_lab.entry import STATUS_INTERRUPTED
+from bullet_lab.errors import LabError
+from bullet_lab.numerics.angles import yaw_from_quaternion
+from bullet_lab.numerics.likeness import compare
+from bullet_lab.numerics.odometry_noise import MIN_TRANSLATION, make_generator
+from bullet_lab.numerics.published_defects import (
+    ALL,
+    DEFECTS,
+    NONE,
+    Defects,
+    combinations,
+    noisy_paths,
+    sampled,
+)
+from bullet_lab.numerics.published_noise import PUBLISHED_RATE
+from bullet_lab.numerics.side_deviation import (
+    NO_SIDE,
+    SIDES,
+    corner_points,
+    side_deviations,
+    sides_between,
+)
+from bullet_lab.numerics.square_driver import OPEN_LOOP_RATE, Square, open_loop_side
+from bullet_lab.plotting.published_figures import (
+    Row,
+    Sheet,
+    compare_figure,
+    defects_figure,
+    first_turns_figure,
+    sides_figure,
+)
+from bullet_lab.plotting.style import save
+from bullet_lab.recording.files import make_folder, replace_file, write_json
+from bullet_lab.recording.published_summary import (
+    Result,
+    combination_rows,
+    deviation_rows,
+    groups_of_same,
+    log10_to_best,
+    published_summary,
+    ranked,
+    rounded,
+    verdict_lines,
+)
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.resources import package_share
+from bullet_lab.simulation.samples import OdometrySample, PlanarCommand
+from bullet_lab.simulation.simulation import Simulation
+
+WORLD = "package://bullet_lab/worlds/empty.world"
+ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
+FIGURE_DATA = "data/fig1_paths.csv"
+SECONDS_PER_STEP = 1e-3
+# Long enough for the sampling node to look before and after the drive, whatever its phase.
+REST_SECONDS = 2.0 / PUBLISHED_RATE + 0.1
+
+LARGEST_STD = 1.0
+FEWEST_SEEDS, MOST_SEEDS = 20, 20000
+_SEEDS_AT_A_TIME = 500
+_EXAMPLES = 12
+_CORNER_REACH = 0.1  # m; the corners of figure 1b are within 0.06 m of the simulated ones
+# At the end of figure 1b no blue shows beside the orange, and at the corners no more than a
+# pixel; so the corners of its noisy path are those of its perfect path as well.
+_SEEN_AT_END = 0.0
+_LEAST_STEP = 0.1  # m; shorter steps of the drawn path are at the corners
+
+
+class PublishedNoiseError(LabError):
+    """The experiment cannot be run as asked, or what it needs is not there."""
+
+
+@dataclass(frozen=True)
+class PublishedNoiseSettings:
+    """What is run; the names are those of the job's arguments.
+
+    Attributes:
+        std: standard deviation per metre and per radian, 0 to 1; that of figure 1b is 0.1.
+        seeds: how many noisy paths for each combination.
+        seed: of the first of them; the others have the numbers that follow.
+    """
+
+    std: float = 0.1
+    seeds: int = 1000
+    seed: int = 1
+
+    def __post_init__(self):
+        if isinstance(self.std, bool) or not 0.0 <= self.std <= LARGEST_STD:
+            raise PublishedNoiseError(f"std must be from 0 to {LARGEST_STD:g}, not {self.std!r}")
+        if not FEWEST_SEEDS <= self.seeds <= MOST_SEEDS:
+            raise PublishedNoiseError(
+                f"seeds must be from {FEWEST_SEEDS} to {MOST_SEEDS}, not {self.seeds!r}"
+            )
+        make_generator(self.seed)
+
+
+@dataclass(frozen=True, eq=False)
+class SquareDrive:
+    """The perfect odometry of the square, driven as in listing 9.
+
+    Attributes:
+        stamps: s, shape (n,).
+        poses: x (m), y (m), yaw (rad), shape (n, 3).
+        sides: 0 to 3 for each message, the turn after it included; `NO_SIDE` before; (n,).
+        corners: where the sides start and the last one ends (m), shape (5, 2).
+    """
+
+    stamps: np.ndarray
+    poses: np.ndarray
+    sides: np.ndarray
+    corners: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedFigure:
+    """What figure 1b shows.
+
+    Attributes:
+        points: of the noisy path (m), shape (n, 2).
+        corners: five of them (m), shape (5, 2); the perfect path joins them.
+        deviations: m, of the noisy path from the perfect one: the largest on each side, and the
+            distance at the end, which is 0 as far as can be seen; shape (5,).
+        third_side_steps: how many steps the third side is drawn in.
+    """
+
+    points: np.ndarray
+    corners: np.ndarray
+    deviations: np.ndarray
+    third_side_steps: int
+
+
+def drive_square() -> SquareDrive:
+    """Simulate the drive of figure 1a, with a rest before and after it.
+
+    Raises:
+        LabError: the simulation cannot be run.
+    """
+    stamps: List[float] = []
+    poses: List[Tuple[float, float, float]] = []
+    sides: List[int] = []
+    corners: List[Tuple[float, float]] = []
+
+    def record(sample: OdometrySample) -> None:
+        stamps.append(sample.step * SECONDS_PER_STEP)
+        poses.append(_planar(sample.pose))
+        sides.append(len(corners) - 1 if corners else NO_SIDE)
+
+    square = Square(sides=SIDES)
+    with Simulation.of(WORLD) as simulation:
+        robot = simulation.spawn(ROBOT)
+        robot.listen("odom", record)
+        simulation.run_for(REST_SECONDS)
+        for _ in range(square.sides):
+            corners.append(_planar(robot.pose())[:2])
+            for ahead, turn in open_loop_side(square):
+                robot.command("cmd_vel", PlanarCommand(vx=ahead, wz=turn))
+                simulation.run_for(1.0 / OPEN_LOOP_RATE)
+        robot.command("cmd_vel", PlanarCommand())
+        simulation.run_for(REST_SECONDS)
+        end = _planar(robot.pose())[:2]
+    return SquareDrive(
+        np.array(stamps), np.array(poses), np.array(sides), np.array([*corners, end])
+    )
+
+
+def _planar(pose: Pose) -> Tuple[float, float, float]:
+    x, y, _ = pose.position
+    return x, y, yaw_from_quaternion(*pose.quaternion)
+
+
+def read_published_figure(path: Path, corners) -> PublishedFigure:
+    """Read figure 1b from a file as in the folder data.
+
+    Args:
+        path: of the file.
+        corners: of the simulated square (m), shape (5, 2), near which its own are looked for.
+
+    Raises:
+        LabError: the file cannot be read or does not hold a path around that square.
+    """
+    points = _read_series(path, "fig1b_noisy")
+    indices = corner_points(points, corners, _CORNER_REACH)
+    sides = sides_between(indices, len(points))
+    deviations = side_deviations(
+        points[:, np.newaxis], sides[:, np.newaxis], points[indices]
+    )
+    third = points[indices[2] : indices[3] + 1]
+    steps = np.hypot(*np.diff(third, axis=0).T)
+    return PublishedFigure(
+        points,
+        points[indices],
+        np.append(deviations[0], _SEEN_AT_END),
+        int(np.count_nonzero(steps > _LEAST_STEP)),
+    )
+
+
+def _read_series(path: Path, name: str) -> np.ndarray:
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = [row for row in csv.DictReader(file) if row["series"] == name]
+        points = np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows])
+    except OSError as error:
+        raise PublishedNoiseError(f"cannot read {path}: {error.strerror}") from error
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        raise PublishedNoiseError(f"{path} is not a table of series,x_m,y_m") from error
+    if not points.size or not np.isfinite(points).all():
+        raise PublishedNoiseError(f"{path} has no path {name}, or one that is not finite")
+    return points
+
+
+class Replay:
+    """Noisy paths of the drive. Path k has the draws of a live node with the seed `seed` + k.
+
+    Args:
+        drive: the perfect path.
+        settings: what is run.
+    """
+
+    def __init__(self, drive: SquareDrive, settings: PublishedNoiseSettings):
+        self.drive = drive
+        self._settings = settings
+        # Nobody knows when, within its period, the node of figure 1b looked: any time will do.
+        phases = np.random.default_rng([settings.seed, 1]).uniform(size=settings.seeds)
+        self._messages = sampled(drive.stamps, PUBLISHED_RATE, phases / PUBLISHED_RATE)
+
+    def deviations(self, paths: Sequence[int]) -> Dict[Defects, np.ndarray]:
+        """Return the deviations (m) of m paths for each combination, shape (m, 5).
+
+        They are the largest on each of the four sides, and the distance at the end.
+        """
+        draws = self._draws(paths)
+        return {defects: self._deviations(defects, paths, draws) for defects in combinations()}
+
+    def _deviations(
+        self, defects: Defects, paths: Sequence[int], draws: np.ndarray
+    ) -> np.ndarray:
+        drive, messages = self.drive, self.messages(defects, paths)
+        noisy = self._noisy(defects, messages, draws)[..., :2]
+        at_end = np.hypot(*(noisy[-1] - drive.poses[messages[-1], :2]).T)
+        sides = side_deviations(noisy, drive.sides[messages], drive.corners)
+        return np.column_stack([sides, at_end])
+
+    def noisy(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
+        """Return noisy poses, shape (n, m, 3), of the m paths with these numbers."""
+        messages = self.messages(defects, paths)
+        return self._noisy(defects, messages, self._draws(paths))
+
+    def messages(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
+        """Return the indices of the perfect poses that the algorithm sees, (n, m) or (n, 1)."""
+        if defects.sampled:
+            return self._messages[:, paths]
+        return np.arange(len(self.drive.stamps))[:, np.newaxis]
+
+    def _noisy(self, defects: Defects, messages: np.ndarray, draws: np.ndarray) -> np.ndarray:
+        poses = self.drive.poses[messages]
+        return noisy_paths(poses, draws[: len(poses) - 1], self._settings.std, defects)
+
+    def _draws(self, paths: Sequence[int]) -> np.ndarray:
+        steps = len(self.drive.stamps) - 1
+        generators = [make_generator(self._settings.seed + int(path)) for path in paths]
+        return np.stack([g.standard_normal((steps, 3)) for g in generators], axis=1)
+
+
+def run_published_noise(folder: Path, settings: PublishedNoiseSettings) -> Dict[str, Any]:
+    """Run the experiment and leave its pictures, tables and summary.json.
+
+    The same settings give the same files. Nothing is written before all is known.
+
+    Args:
+        folder: where the files go; made if need be.
+        settings: what is run.
+
+    Returns:
+        What summary.json says.
+
+    Raises:
+        LabError: a folder that cannot be written to, or files of the package that are missing.
+    """
+    make_folder(folder)
+    drive = drive_square()
+    figure = read_published_figure(package_share() / FIGURE_DATA, drive.corners)
+    replay = Replay(drive, settings)
+    results = ranked(_results(replay, figure, settings))
+    summary = published_summary(
+        asdict(settings), _figure_facts(figure, drive), figure.deviations, results
+    )
+    pictures = _pictures(replay, figure, results, settings)
+    for name, picture in pictures.items():
+        save(picture, folder / name)
+    _write_rows(folder / "combinations.csv", combination_rows(results))
+    _write_rows(folder / "deviations.csv", deviation_rows(results, settings.seed))
+    write_json(folder / "summary.json", summary)
+    return summary
+
+
+def _results(
+    replay: Replay, figure: PublishedFigure, settings: PublishedNoiseSettings
+) -> List[Result]:
+    blocks = [
+        replay.deviations(range(start, min(start + _SEEDS_AT_A_TIME, settings.seeds)))
+        for start in range(0, settings.seeds, _SEEDS_AT_A_TIME)
+    ]
+    results = []
+    for defects in combinations():
+        deviations = np.concatenate([block[defects] for block in blocks])
+        likeness = compare(figure.deviations, deviations, settings.seed)
+        results.append(Result(defects, deviations, likeness))
+    return results
+
+
+def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> Dict[str, Any]:
+    simulated, drawn = (
+        float(np.hypot(*(corners[3] - corners[2]))) for corners in (drive.corners, figure.corners)
+    )
+    speed = simulated * OPEN_LOOP_RATE / Square().side_commands
+    return {
+        "side_deviation_m": rounded(figure.deviations[:SIDES]),
+        "end_deviation_m": _SEEN_AT_END,
+        "third_side_steps": figure.third_side_steps,
+        "sampling_rate_hz": round(speed * figure.third_side_steps / drawn, 3),
+    }
+
+
+def _write_rows(path: Path, rows: List[List[Any]]) -> None:
+    text = "".join(",".join(map(str, row)) + "\n" for row in rows)
+    replace_file(path, lambda part: part.write_text(text))
+
+
+def _pictures(
+    replay: Replay,
+    figure: PublishedFigure,
+    results: List[Result],
+    settings: PublishedNoiseSettings,
+) -> Dict[str, Any]:
+    by_defects = {result.defects: result for result in results}
+    nearest = [by_defects[ALL].likeness.nearest]
+    sheet = Sheet(replay.drive.corners, figure.points, figure.corners, settings.std)
+    examples = range(min(_EXAMPLES, settings.seeds))
+    shown = {
+        defects: (replay.noisy(defects, examples)[..., :2], by_defects[defects].likeness.p_value)
+        for defects in _telling(results[0].defects)
+    }
+    ways = np.hypot(*np.diff(replay.drive.poses[:, :2], axis=0, prepend=np.nan).T)
+    third = replay.drive.stamps[(replay.drive.sides == 2) & (ways > MIN_TRANSLATION)]
+    turns = {
+        defects: (
+            replay.drive.stamps[replay.messages(defects, nearest)[:, 0]],
+            replay.drive.poses[replay.messages(defects, nearest)[:, 0]],
+            replay.noisy(defects, nearest)[:, 0],
+        )
+        for defects in (ALL, Defects(**{n: n != "unwrapped" for n in DEFECTS}))
+    }
+    return {
+        "compare.png": compare_figure(
+            sheet,
+            replay.noisy(ALL, nearest)[:, 0, :2],
+            replay.noisy(NONE, nearest)[:, 0, :2],
+            settings.seed + nearest[0],
+        ),
+        "defects.png": defects_figure(sheet, shown, results[0].defects),
+        "first_turns.png": first_turns_figure(turns, (third[0], third[-1])),
+        "sides.png": sides_figure(_rows(results), figure.deviations),
+    }
+
+
+def _telling(best: Defects) -> List[Defects]:
+    """Return the combinations for the sheet: all, the best, none, each alone, all but each."""
+    alone = [Defects(**{name: True}) for name in DEFECTS]
+    all_but = [Defects(**{n: n != name for n in DEFECTS}) for name in DEFECTS]
+    return list(dict.fromkeys([ALL, best, NONE, *alone, *all_but]))
+
+
+def _rows(results: List[Result]) -> List[Row]:
+    ratios = dict(zip((result.defects for result in results), log10_to_best(results)))
+    return [
+        Row(
+            [_switch([getattr(r.defects, name) for r in group]) for name in DEFECTS],
+            group[0].quantiles(),
+            ratios[group[0].defects],
+            group[0].likeness.p_value,
+        )
+        for group in groups_of_same(results)
+    ]
+
+
+def _switch(values: List[bool]) -> Optional[bool]:
+    return values[0] if len(set(values)) == 1 else None
+
+
+class _Parser(argparse.ArgumentParser):
+    """Ends with one line, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"published_noise: {message}\n")
+
+
+def _parser() -> _Parser:
+    default = PublishedNoiseSettings()
+    parser = _Parser(prog="published_noise", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("out", type=Path, help="folder for the results")
+    parser.add_argument(
+        "--std",
+        type=float,
+        default=default.std,
+        help="standard deviation of the noise per metre and per radian (%(default)s)",
+    )
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=default.seeds,
+        help="how many noisy paths for each combination (%(default)s)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=default.seed, help="of the first path (%(default)s)"
+    )
+    return parser
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> None:
+    """Run the experiment from the command line; exit with status 2 on bad input."""
+    words = sys.argv[1:] if arguments is None else arguments
+    # roslaunch adds the node's name and log as __name:=… and __log:=….
+    words = [word for word in words if not re.match(r"__\w+:=", word)]
+    values = vars(_parser().parse_args(words))
+    folder = values.pop("out")
+    try:
+        summary = run_published_noise(folder, PublishedNoiseSettings(**values))
+    except LabError as error:
+        print(f"published_noise: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(STATUS_INTERRUPTED)
+    print("\n".join(verdict_lines(summary)))
+
+
+if __name__ == "__main__":
+    main()
