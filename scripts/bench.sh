@@ -1,11 +1,30 @@
 #!/usr/bin/env bash
-# Measures the bridge beside the bare engine: scripts/bench.sh [--rounds N] [--seconds S]
-# Prints a table and writes results/bench/bench.json. No part of the tests.
+# Measures how fast the lab is: scripts/bench.sh [bridge|noise] [option …]
+#   bridge (default)  the bridge beside the bare engine: --rounds N, --seconds S
+#   noise             noisy paths by the thousand beside the per-message loop: --rounds N, --paths N
+# Prints a table and writes results/bench/bench.json or noise.json. No part of the tests.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
 source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 
-"$LAB_ROOT/scripts/setup.sh" --with test
-enter_lab
-exec python "$LAB_ROOT/test/bench/bench_bridge.py" results/bench/bench.json "$@"
+main() {
+  local bench=bridge out=bench
+  case ${1-} in
+    bridge) shift ;;
+    noise)
+      bench=noise out=noise
+      shift
+      ;;
+    -* | "") ;;
+    *)
+      echo "bench.sh: there is no bench '$1'; benches: bridge, noise" >&2
+      exit 2
+      ;;
+  esac
+  "$LAB_ROOT/scripts/setup.sh" --with test
+  enter_lab
+  exec python "$LAB_ROOT/test/bench/bench_$bench.py" "results/bench/$out.json" "$@"
+}
+
+main "$@"

@@ -6,13 +6,13 @@ import json
 import numpy as np
 import pytest
 
+from bullet_lab.errors import LabError
 from bullet_lab.experiments.published_noise import (
-    PublishedNoiseError,
     PublishedNoiseSettings,
     Replay,
-    drive_square,
     main,
     read_published_figure,
+    replay_drive,
     run_published_noise,
 )
 from bullet_lab.numerics.published_defects import ALL, DEFECTS, NONE, combinations
@@ -33,7 +33,7 @@ FILES = {
 
 @pytest.fixture(scope="module")
 def drive():
-    return drive_square()
+    return replay_drive()
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +198,7 @@ def test_noise_that_is_not_there_explains_nothing(tmp_path, capsys):
 def test_a_bad_figure_file(tmp_path, drive, text, error):
     path = tmp_path / "figure.csv"
     path.write_text(text)
-    with pytest.raises(PublishedNoiseError, match=error):
+    with pytest.raises(LabError, match=error):
         read_published_figure(path, drive.corners)
 
 
@@ -207,5 +207,5 @@ def test_a_figure_of_something_else(tmp_path, drive):
     path.write_text("series,x_m,y_m\nfig1b_noisy,0,0\nfig1b_noisy,1,1\n")
     with pytest.raises(SideError, match="corner 1"):
         read_published_figure(path, drive.corners)
-    with pytest.raises(PublishedNoiseError, match="cannot read"):
+    with pytest.raises(LabError, match="cannot read"):
         read_published_figure(tmp_path / "none.csv", drive.corners)

@@ -7,7 +7,6 @@ Example:
 from __future__ import annotations
 
 import argparse
-import csv
 import re
 import sys
 from dataclasses import asdict, dataclass
@@ -18,7 +17,7 @@ import numpy as np
 
 from bullet_lab.entry import STATUS_INTERRUPTED
 from bullet_lab.errors import LabError
-from bullet_lab.numerics.angles import yaw_from_quaternion
+from bullet_lab.experiments.square_drive import SECONDS_PER_STEP, drive_square
 from bullet_lab.numerics.likeness import compare
 from bullet_lab.numerics.odometry_noise import MIN_TRANSLATION, make_generator
 from bullet_lab.numerics.published_defects import (
@@ -34,11 +33,9 @@ from bullet_lab.numerics.published_noise import PUBLISHED_RATE
 from bullet_lab.numerics.side_deviation import (
     NO_SIDE,
     SIDES,
-    corner_points,
     side_deviations,
-    sides_between,
 )
-from bullet_lab.numerics.square_driver import OPEN_LOOP_RATE, Square, open_loop_side
+from bullet_lab.numerics.square_driver import OPEN_LOOP_RATE, PlanarPose, Square
 from bullet_lab.plotting.published_figures import (
     Row,
     Sheet,
@@ -49,6 +46,11 @@ from bullet_lab.plotting.published_figures import (
 )
 from bullet_lab.plotting.style import save
 from bullet_lab.recording.files import make_folder, replace_file, write_json
+from bullet_lab.recording.published_figure import (
+    SEEN_AT_END,
+    PublishedFigure,
+    read_published_figure,
+)
 from bullet_lab.recording.published_summary import (
     Result,
     combination_rows,
@@ -60,15 +62,9 @@ from bullet_lab.recording.published_summary import (
     rounded,
     verdict_lines,
 )
-from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.resources import package_share
-from bullet_lab.simulation.samples import OdometrySample, PlanarCommand
-from bullet_lab.simulation.simulation import Simulation
 
-WORLD = "package://bullet_lab/worlds/empty.world"
-ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 FIGURE_DATA = "data/fig1_paths.csv"
-SECONDS_PER_STEP = 1e-3
 # Long enough for the sampling node to look before and after the drive, whatever its phase.
 REST_SECONDS = 2.0 / PUBLISHED_RATE + 0.1
 
@@ -76,11 +72,6 @@ LARGEST_STD = 1.0
 FEWEST_SEEDS, MOST_SEEDS = 20, 20000
 _SEEDS_AT_A_TIME = 500
 _EXAMPLES = 12
-_CORNER_REACH = 0.1  # m; the corners of figure 1b are within 0.06 m of the simulated ones
-# At the end of figure 1b no blue shows beside the orange, and at the corners no more than a
-# pixel; so the corners of its noisy path are those of its perfect path as well.
-_SEEN_AT_END = 0.0
-_LEAST_STEP = 0.1  # m; shorter steps of the drawn path are at the corners
 
 
 class PublishedNoiseError(LabError):
@@ -128,101 +119,29 @@ class SquareDrive:
     corners: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class PublishedFigure:
-    """What figure 1b shows.
-
-    Attributes:
-        points: of the noisy path (m), shape (n, 2).
-        corners: five of them (m), shape (5, 2); the perfect path joins them.
-        deviations: m, of the noisy path from the perfect one: the largest on each side, and the
-            distance at the end, which is 0 as far as can be seen; shape (5,).
-        third_side_steps: how many steps the third side is drawn in.
-    """
-
-    points: np.ndarray
-    corners: np.ndarray
-    deviations: np.ndarray
-    third_side_steps: int
-
-
-def drive_square() -> SquareDrive:
+def replay_drive() -> SquareDrive:
     """Simulate the drive of figure 1a, with a rest before and after it.
 
     Raises:
         LabError: the simulation cannot be run.
     """
     stamps: List[float] = []
-    poses: List[Tuple[float, float, float]] = []
+    poses: List[PlanarPose] = []
     sides: List[int] = []
     corners: List[Tuple[float, float]] = []
 
-    def record(sample: OdometrySample) -> None:
-        stamps.append(sample.step * SECONDS_PER_STEP)
-        poses.append(_planar(sample.pose))
+    def record(step: int, pose: PlanarPose) -> None:
+        stamps.append(step * SECONDS_PER_STEP)
+        poses.append(pose)
         sides.append(len(corners) - 1 if corners else NO_SIDE)
 
-    square = Square(sides=SIDES)
-    with Simulation.of(WORLD) as simulation:
-        robot = simulation.spawn(ROBOT)
-        robot.listen("odom", record)
-        simulation.run_for(REST_SECONDS)
-        for _ in range(square.sides):
-            corners.append(_planar(robot.pose())[:2])
-            for ahead, turn in open_loop_side(square):
-                robot.command("cmd_vel", PlanarCommand(vx=ahead, wz=turn))
-                simulation.run_for(1.0 / OPEN_LOOP_RATE)
-        robot.command("cmd_vel", PlanarCommand())
-        simulation.run_for(REST_SECONDS)
-        end = _planar(robot.pose())[:2]
-    return SquareDrive(
-        np.array(stamps), np.array(poses), np.array(sides), np.array([*corners, end])
+    drive_square(
+        Square(sides=SIDES),
+        record,
+        rest=REST_SECONDS,
+        on_corner=lambda pose: corners.append(pose[:2]),
     )
-
-
-def _planar(pose: Pose) -> Tuple[float, float, float]:
-    x, y, _ = pose.position
-    return x, y, yaw_from_quaternion(*pose.quaternion)
-
-
-def read_published_figure(path: Path, corners) -> PublishedFigure:
-    """Read figure 1b from a file as in the folder data.
-
-    Args:
-        path: of the file.
-        corners: of the simulated square (m), shape (5, 2), near which its own are looked for.
-
-    Raises:
-        LabError: the file cannot be read or does not hold a path around that square.
-    """
-    points = _read_series(path, "fig1b_noisy")
-    indices = corner_points(points, corners, _CORNER_REACH)
-    sides = sides_between(indices, len(points))
-    deviations = side_deviations(
-        points[:, np.newaxis], sides[:, np.newaxis], points[indices]
-    )
-    third = points[indices[2] : indices[3] + 1]
-    steps = np.hypot(*np.diff(third, axis=0).T)
-    return PublishedFigure(
-        points,
-        points[indices],
-        np.append(deviations[0], _SEEN_AT_END),
-        int(np.count_nonzero(steps > _LEAST_STEP)),
-    )
-
-
-def _read_series(path: Path, name: str) -> np.ndarray:
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = [row for row in csv.DictReader(file) if row["series"] == name]
-        points = np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows])
-    except OSError as error:
-        raise PublishedNoiseError(f"cannot read {path}: {error.strerror}") from error
-    except (KeyError, TypeError, ValueError, csv.Error) as error:
-        raise PublishedNoiseError(f"{path} is not a table of series,x_m,y_m") from error
-    if not points.size or not np.isfinite(points).all():
-        raise PublishedNoiseError(f"{path} has no path {name}, or one that is not finite")
-    return points
+    return SquareDrive(np.array(stamps), np.array(poses), np.array(sides), np.array(corners))
 
 
 class Replay:
@@ -294,7 +213,7 @@ def run_published_noise(folder: Path, settings: PublishedNoiseSettings) -> Dict[
         LabError: a folder that cannot be written to, or files of the package that are missing.
     """
     make_folder(folder)
-    drive = drive_square()
+    drive = replay_drive()
     figure = read_published_figure(package_share() / FIGURE_DATA, drive.corners)
     replay = Replay(drive, settings)
     results = ranked(_results(replay, figure, settings))
@@ -332,7 +251,7 @@ def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> Dict[str, Any]
     speed = simulated * OPEN_LOOP_RATE / Square().side_commands
     return {
         "side_deviation_m": rounded(figure.deviations[:SIDES]),
-        "end_deviation_m": _SEEN_AT_END,
+        "end_deviation_m": SEEN_AT_END,
         "third_side_steps": figure.third_side_steps,
         "sampling_rate_hz": round(speed * figure.third_side_steps / drawn, 3),
     }

@@ -13,30 +13,18 @@ from pathlib import Path
 from typing import Any, Dict, List, Optional, Sequence
 
 from bullet_lab.errors import LabError
+from bullet_lab.experiments.square_drive import MODES, SECONDS_PER_STEP, drive_square
 from bullet_lab.numerics.angles import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.numerics.odometry_noise import MODELS, NoisyPath, make_rule
 from bullet_lab.numerics.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
-from bullet_lab.numerics.square_driver import (
-    CLOSED_LOOP_RATE,
-    OPEN_LOOP_RATE,
-    ClosedLoopSide,
-    Square,
-    open_loop_side,
-)
+from bullet_lab.numerics.square_driver import Square
 from bullet_lab.plotting.noise_figure import noise_figure
 from bullet_lab.plotting.style import save
 from bullet_lab.recording.files import write_json
 from bullet_lab.recording.paths import PathsRecording, PlanarPose
 from bullet_lab.recording.squares_summary import squares_summary
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import OdometrySample, PlanarCommand
-from bullet_lab.simulation.simulation import ModelInstance, Simulation
 
-WORLD = "package://bullet_lab/worlds/empty.world"
-ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 NANOSECONDS_PER_STEP = 1_000_000
-REST_SECONDS = 0.5
-MODES = ("open_loop", "closed_loop")
 DEFAULT_ALPHAS = (0.01, 0.001, 0.01, 0.001)
 
 
@@ -68,19 +56,14 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
     """
     noise = _Noise(settings)
     recording = PathsRecording(folder)
-    with Simulation.of(WORLD) as simulation:
-        robot = simulation.spawn(ROBOT)
 
-        def record(sample: OdometrySample) -> None:
-            stamp = sample.step * NANOSECONDS_PER_STEP
-            pose = _planar(sample.pose)
-            recording.add_perfect(stamp, pose)
-            for noisy in noise.add(sample.step, pose):
-                recording.add_noisy(stamp, _through_message(noisy))
+    def record(step: int, pose: PlanarPose) -> None:
+        stamp = step * NANOSECONDS_PER_STEP
+        recording.add_perfect(stamp, pose)
+        for noisy in noise.add(step, pose):
+            recording.add_noisy(stamp, _through_message(noisy))
 
-        robot.listen("odom", record)
-        _Driver(simulation, robot, settings.mode).drive(Square())
-        seconds = simulation.seconds
+    seconds = drive_square(Square(), record, settings.mode)
     recording.finish()
     perfect, pairs = recording.perfect(), recording.pairs()
     summary = {
@@ -108,49 +91,7 @@ class _Noise:
         """Return the noisy pose for a perfect one, or nothing where none is published."""
         if self._sampler is None:
             return [self._path.update(*pose).pose]
-        return [self._published.update(*pose)] if self._sampler.due(step * 1e-3) else []
-
-
-class _Driver:
-    """Drives the robot of a simulation."""
-
-    def __init__(self, simulation: Simulation, robot: ModelInstance, mode: str):
-        if mode not in MODES:
-            raise LabError(f"mode '{mode}' is not one of {', '.join(MODES)}")
-        self._simulation = simulation
-        self._robot = robot
-        self._mode = mode
-
-    def drive(self, square: Square) -> None:
-        """Rest, drive all sides, rest."""
-        self._simulation.run_for(REST_SECONDS)
-        heading = self._pose()[2]
-        for _ in range(square.sides):
-            if self._mode == "open_loop":
-                for ahead, turn in open_loop_side(square):
-                    self._send(ahead, turn, OPEN_LOOP_RATE)
-            else:
-                heading = self._drive_by_pose(square, heading)
-        self._send(0.0, 0.0, 1.0 / REST_SECONDS)
-
-    def _drive_by_pose(self, square: Square, heading: float) -> float:
-        side = ClosedLoopSide(square, self._pose(), heading)
-        while not side.done:
-            self._send(*side.command(self._pose()), CLOSED_LOOP_RATE)
-        return side.next_heading
-
-    def _pose(self) -> PlanarPose:
-        return _planar(self._robot.pose())
-
-    def _send(self, ahead: float, turn: float, rate: float) -> None:
-        self._robot.command("cmd_vel", PlanarCommand(vx=ahead, wz=turn))
-        self._simulation.run_for(1.0 / rate)
-
-
-def _planar(pose: Pose) -> PlanarPose:
-    x, y, _ = pose.position
-    # Read as the nodes read it from a message, so that both ways give the same bits.
-    return x, y, yaw_from_quaternion(*pose.quaternion)
+        return [self._published.update(*pose)] if self._sampler.due(step * SECONDS_PER_STEP) else []
 
 
 def _through_message(pose: PlanarPose) -> PlanarPose:

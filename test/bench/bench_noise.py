@@ -1,0 +1,136 @@
+#!/usr/bin/env python3
+"""Measures the noisy paths of the noise study; run it with scripts/bench.sh noise.
+
+Ten levels of noise, a thousand paths of the simulated square at 20 Hz each, on one core: only to
+draw them, and with all metrics; beside the per-message loop of NoisyPath over the same messages.
+Prints a table of the best of some rounds, as others may be using the machine, and writes JSON.
+"""
+
+from __future__ import annotations
+
+import os
+
+# Before numpy is loaded: its linear algebra would take all cores.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[variable] = "1"
+
+import argparse  # noqa: E402
+import json  # noqa: E402
+import platform  # noqa: E402
+import resource  # noqa: E402
+import time  # noqa: E402
+from pathlib import Path  # noqa: E402
+from typing import Any, Callable, Dict  # noqa: E402
+
+from bullet_lab.experiments.noise_study import StudySettings, simulated_square  # noqa: E402
+from bullet_lab.numerics.noisy_paths import (  # noqa: E402
+    noisy_blocks,
+    noisy_steps,
+    study_generator,
+)
+from bullet_lab.numerics.odometry_noise import NoisyPath  # noqa: E402
+from bullet_lab.numerics.resampling import resample  # noqa: E402
+from bullet_lab.numerics.study_statistics import level_rule, study_case  # noqa: E402
+from bullet_lab.numerics.trajectory import Trajectory  # noqa: E402
+
+RATE = 20.0
+MODEL = "report"
+LEVELS = StudySettings().levels
+LOOP_PATHS = 2
+MOST_SECONDS, LEAST_FACTOR = 3.0, 100.0
+
+
+def seconds(work: Callable[[], None]) -> float:
+    """Return the time that some work takes."""
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def draw(trajectory: Trajectory, paths: int) -> None:
+    """Draw all noisy paths, every pose of them, and look at none."""
+    for std in LEVELS:
+        steps = noisy_steps(trajectory.poses, level_rule(MODEL, std))
+        for _ in noisy_blocks(steps, study_generator(1, MODEL, std, RATE), paths):
+            pass
+
+
+def study(trajectory: Trajectory, paths: int) -> None:
+    """Draw and measure all noisy paths, as the job does."""
+    for std in LEVELS:
+        generator = study_generator(1, MODEL, std, RATE)
+        study_case(trajectory, (MODEL, std, RATE), generator, paths, 1.0)
+
+
+def loop(trajectory: Trajectory) -> None:
+    """Make some noisy paths message by message, as noisy_odom does."""
+    poses = trajectory.poses.tolist()
+    for std in LEVELS:
+        path = NoisyPath(level_rule(MODEL, std), 1)
+        for _ in range(LOOP_PATHS):
+            path.restart()
+            for pose in poses:
+                path.update(*pose)
+
+
+def measure(rounds: int, paths: int) -> Dict[str, Any]:
+    """Run everything, in turns, and return the figures."""
+    trajectory = resample(simulated_square(), RATE)
+    steps = len(LEVELS) * paths * (len(trajectory) - 1)
+    loop_steps = len(LEVELS) * LOOP_PATHS * (len(trajectory) - 1)
+    drawn, studied, looped = [], [], []
+    for number in range(rounds):
+        drawn.append(seconds(lambda: draw(trajectory, paths)))
+        studied.append(seconds(lambda: study(trajectory, paths)))
+        looped.append(seconds(lambda: loop(trajectory)) / loop_steps)
+        print(
+            f"round {number + 1} of {rounds}: {drawn[-1]:.2f} s to draw, {studied[-1]:.2f} s with "
+            f"metrics; the loop takes {1e6 * looped[-1]:.1f} us for a message"
+        )
+    return {
+        "machine": platform.processor() or platform.machine(),
+        "levels": len(LEVELS),
+        "paths": paths,
+        "messages": len(trajectory),
+        "steps": steps,
+        "draw_s": drawn,
+        "study_s": studied,
+        "loop_s_per_message": looped,
+        "draw_best_s": min(drawn),
+        "study_best_s": min(studied),
+        "factor_drawn": steps * min(looped) / min(drawn),
+        "factor_studied": steps * min(looped) / min(studied),
+        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+    }
+
+
+def print_table(figures: Dict[str, Any]) -> None:
+    """Print what was measured beside what is asked for."""
+    rows = [
+        ("paths drawn, s", f"{figures['draw_best_s']:.2f}", f"<= {MOST_SECONDS:g}"),
+        ("paths drawn and measured, s", f"{figures['study_best_s']:.2f}", f"<= {MOST_SECONDS:g}"),
+        ("times as fast as the loop", f"{figures['factor_drawn']:.0f}", f">= {LEAST_FACTOR:g}"),
+        ("the same with all metrics", f"{figures['factor_studied']:.0f}", ""),
+        ("most memory of the process, MB", f"{figures['memory_mb']:.0f}", ""),
+    ]
+    print(f"\n{figures['steps']} steps {'':30} {'measured':>9} {'asked':>9}")
+    for name, value, asked in rows:
+        print(f"{name:44} {value:>9} {asked:>9}")
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("out", type=Path, help="JSON file to write")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--paths", type=int, default=1000, help="at each of the levels")
+    wanted = parser.parse_args()
+    figures = measure(wanted.rounds, wanted.paths)
+    print_table(figures)
+    wanted.out.parent.mkdir(parents=True, exist_ok=True)
+    wanted.out.write_text(json.dumps(figures, indent=2) + "\n")
+    print(f"\nwritten to {wanted.out}")
+
+
+if __name__ == "__main__":
+    main()

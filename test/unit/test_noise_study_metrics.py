@@ -1,0 +1,203 @@
+"""The metrics, path by path: by definition, and as evo computes them from the exported files."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.numerics import se2
+from bullet_lab.numerics.angles import wrap
+from bullet_lab.numerics.metrics import path_error
+from bullet_lab.numerics.noisy_paths import noisy_blocks, noisy_steps
+from bullet_lab.numerics.path_metrics import (
+    PathMetrics,
+    PathMetricsError,
+    find_laps,
+    pairs_at_distance,
+)
+from bullet_lab.numerics.resampling import resample
+from bullet_lab.numerics.study_statistics import level_rule, study_case
+from bullet_lab.numerics.trajectory import Trajectory, read_tum
+from bullet_lab.recording.study_files import kept_path, write_tum
+
+CASES = [
+    ("report", 0.5, 0.9),
+    ("rate_invariant", 0.05, 5.0),
+    ("probabilistic", 0.2, 20.0),
+    ("rate_invariant", 0.5, 20.0),
+]
+
+
+def square(laps=1, rest=10):
+    """Rest, then sides of 2 m and turns on the spot to the right, at 20 Hz and 0.2 m/s."""
+    drive, turn = np.zeros((200, 3)), np.zeros((60, 3))
+    drive[:, 0] = 0.01
+    turn[:, 2] = -math.pi / 2 / 60
+    moves = np.concatenate([np.zeros((rest, 3)), *[drive, turn] * 4 * laps])
+    poses = [np.array([1.0, 2.0, 0.5])]
+    for move in moves:
+        poses.append(se2.compose(poses[-1], move))
+    return Trajectory(7.0 + 0.05 * np.arange(len(poses)), poses)
+
+
+def kept_case(model, std, rate, keep=4):
+    generator = np.random.default_rng(60)
+    return study_case(resample(square(), rate), (model, std, rate), generator, 50, 1.0, keep)
+
+
+def measured(trajectory, model, std, count=4):
+    steps = noisy_steps(trajectory.poses, level_rule(model, std))
+    metrics = PathMetrics(trajectory, steps, 1.0)
+    (block,) = noisy_blocks(steps, np.random.default_rng(61), count, 10**7)
+    estimates = [Trajectory(trajectory.stamps, p) for p in block.poses(trajectory.poses)]
+    rows = metrics.values(block)
+    return [(dict(zip(metrics.names, row)), path) for row, path in zip(rows, estimates)]
+
+
+@pytest.mark.parametrize(("model", "std", "rate"), CASES)
+def test_absolute_errors_are_those_of_two_trajectories(model, std, rate):
+    reference = resample(square(), rate)
+    for values, estimate in measured(reference, model, std):
+        error = path_error(reference, estimate)
+        assert values["ape_rmse_m"] == pytest.approx(error.ape_rmse_m, rel=1e-9)
+        assert values["ape_heading_rmse_deg"] == pytest.approx(error.heading_rmse_deg, rel=1e-9)
+        assert values["final_error_m"] == pytest.approx(error.final_error_m, rel=1e-9)
+        final = abs(error.final_heading_error_deg)
+        assert values["final_heading_error_deg"] == pytest.approx(final, abs=1e-9)
+
+
+@pytest.mark.parametrize(("model", "std", "rate"), CASES)
+def test_relative_errors_and_drift_by_definition(model, std, rate):
+    reference = resample(square(), rate)
+    travelled = reference.travelled()
+    first, second = pairs_at_distance(reference, 1.0)
+    distance = travelled[second] - travelled[first]
+    for values, estimate in measured(reference, model, std):
+        moved = se2.between(estimate.poses[first], estimate.poses[second])
+        perfect = se2.between(reference.poses[first], reference.poses[second])
+        off = se2.between(perfect, moved)
+        error, heading = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
+        expected = {
+            "rpe_rmse_m": math.sqrt(np.mean(error**2)),
+            "rpe_heading_rmse_deg": math.degrees(math.sqrt(np.mean(heading**2))),
+            "drift_percent": 100.0 * np.mean(error / distance),
+            "drift_deg_per_m": math.degrees(np.mean(heading / distance)),
+        }
+        for name, value in expected.items():
+            assert values[name] == pytest.approx(value, rel=1e-9), name
+
+
+def test_along_and_across_the_way():
+    reference = square()
+    for values, estimate in measured(reference, "report", 0.3):
+        dx, dy = (estimate.poses - reference.poses).T[:2]
+        # The sides of the square, as the last move on a drive left them; the first one at rest.
+        headings = 0.5 - np.repeat([0, 1, 2, 3], 260) * math.pi / 2
+        headings = np.concatenate([[0.5] * 11, headings])
+        along = np.cos(headings) * dx + np.sin(headings) * dy
+        across = np.cos(headings) * dy - np.sin(headings) * dx
+        assert values["along_track_rms_m"] == pytest.approx(math.sqrt(np.mean(along**2)))
+        assert values["cross_track_rms_m"] == pytest.approx(math.sqrt(np.mean(across**2)))
+
+
+def test_driving_backwards_is_along_the_way_too():
+    stamps = np.arange(41.0)
+    poses = np.column_stack([-0.1 * stamps, 0.0 * stamps, 0.0 * stamps])
+    trajectory = Trajectory(stamps, poses)
+    for values, _ in measured(trajectory, "report", 0.3):
+        assert values["along_track_rms_m"] > 0.01
+        assert values["cross_track_rms_m"] < 1e-12
+
+
+def test_closure_error_of_each_lap():
+    reference = square(laps=2)
+    laps = find_laps(reference)
+    assert laps.start.tolist() == [0, laps.end[0]]
+    np.testing.assert_allclose(reference.poses[laps.end, :2], [[1.0, 2.0]] * 2, atol=1e-9)
+    for values, estimate in measured(reference, "rate_invariant", 0.1):
+        for number, (start, end) in enumerate(zip(laps.start, laps.end), start=1):
+            expected = math.dist(estimate.poses[start, :2], estimate.poses[end, :2])
+            assert values[f"closure_error_lap_{number}_m"] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("turn", "count"), [(0.0, 0), (340.0, 0), (355.0, 1), (365.0, 1), (-715.0, 2)]
+)
+def test_a_lap_is_a_full_turn_either_way(turn, count):
+    heading = np.radians(np.linspace(0.0, turn, 400))
+    poses = np.column_stack([np.sin(heading), np.cos(heading), wrap(heading)])
+    laps = find_laps(Trajectory(np.arange(400.0), poses))
+    assert len(laps.end) == len(laps.start) == count
+
+
+def test_turning_round_and_round_is_no_end_of_laps():
+    heading = 0.5 * np.arange(2000.0)
+    poses = np.column_stack([0.001 * heading, 0.0 * heading, wrap(heading)])
+    assert len(find_laps(Trajectory(heading, poses)).end) == 50
+
+
+@pytest.mark.parametrize("delta", [0.0, -1.0, math.nan, math.inf, 100.0])
+def test_a_delta_that_makes_no_sense(delta):
+    with pytest.raises(PathMetricsError):
+        pairs_at_distance(square(), delta)
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """A home of its own for evo, which writes its settings there when it is imported."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+
+
+def evo_values(folder, case, number):
+    """APE and RPE (m and °) of an exported noisy path, as evo computes them from the files."""
+    metrics = pytest.importorskip("evo.core.metrics")
+    file_interface = pytest.importorskip("evo.tools.file_interface")
+    reference, estimate = folder / "reference.tum", folder / "estimate.tum"
+    write_tum(reference, case.trajectory)
+    write_tum(estimate, kept_path(case, number))
+    pair = tuple(
+        file_interface.read_tum_trajectory_file(str(path)) for path in (reference, estimate)
+    )
+    relations = (metrics.PoseRelation.translation_part, metrics.PoseRelation.rotation_angle_deg)
+    computed = [metrics.APE(relation) for relation in relations] + [
+        metrics.RPE(
+            relation,
+            delta=1.0,
+            delta_unit=metrics.Unit.meters,
+            rel_delta_tol=0.25,
+            all_pairs=True,
+            pairs_from_reference=True,
+        )
+        for relation in relations
+    ]
+    for metric in computed:
+        metric.process_data(pair)
+    return [metric.get_statistic(metrics.StatisticsType.rmse) for metric in computed]
+
+
+@pytest.mark.usefixtures("home")
+@pytest.mark.parametrize(("model", "std", "rate"), CASES)
+def test_evo_says_the_same(tmp_path, model, std, rate):
+    case = kept_case(model, std, rate)
+    steps = noisy_steps(case.trajectory.poses, level_rule(model, std))
+    metrics = PathMetrics(case.trajectory, steps, 1.0)
+    (block,) = noisy_blocks(steps, np.random.default_rng(60), 2, 10**7)
+    for number, row in enumerate(metrics.values(block)):
+        values = dict(zip(metrics.names, row))
+        ours = [
+            values["ape_rmse_m"],
+            values["ape_heading_rmse_deg"],
+            values["rpe_rmse_m"],
+            values["rpe_heading_rmse_deg"],
+        ]
+        assert ours == pytest.approx(evo_values(tmp_path, case, number), rel=0.0, abs=1e-6)
+
+
+def test_an_exported_path_comes_back(tmp_path):
+    case = kept_case("rate_invariant", 0.3, 5.0)
+    path = kept_path(case, 3)
+    write_tum(tmp_path / "a.tum", path)
+    back = read_tum(tmp_path / "a.tum")
+    np.testing.assert_array_equal(back.poses[:, :2], path.poses[:, :2])
+    np.testing.assert_allclose(wrap(back.poses[:, 2] - path.poses[:, 2]), 0.0, atol=1e-14)
+    assert kept_path(case, 4) is None

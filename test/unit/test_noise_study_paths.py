@@ -1,0 +1,206 @@
+"""Noisy paths by the thousand: the same as NoisyPath's, whatever the blocks and the order."""
+
+import itertools
+import math
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from bullet_lab.numerics import se2, study_statistics
+from bullet_lab.numerics.angles import wrap
+from bullet_lab.numerics.exact_moments import first_order_moments, published_covariances
+from bullet_lab.numerics.noisy_paths import noisy_blocks, noisy_steps, study_generator
+from bullet_lab.numerics.odometry_noise import (
+    NoiseError,
+    NoisyPath,
+    ProbabilisticRule,
+    RateInvariantRule,
+    ReportRule,
+)
+from bullet_lab.numerics.resampling import ResamplingError, find_corners, resample
+from bullet_lab.numerics.study_statistics import level_rule, study_case
+from bullet_lab.numerics.trajectory import Trajectory
+
+RULES = [ReportRule(0.3), RateInvariantRule(0.2), ProbabilisticRule(0.1, 0.02, 0.1, 0.03)]
+
+
+def wild_path():
+    """Ahead, back, sideways, turns on the spot and rests, far from the origin, at odd headings."""
+    generator = np.random.default_rng(40)
+    moves = generator.normal(0.0, [0.05, 0.02, 0.1], (120, 3))
+    moves[:20, 1:] = 0.0
+    moves[40:60, :2] = 0.0
+    moves[60:80] = 0.0
+    moves[80:90, 0] = -0.03
+    moves[90:95, :2] = 2e-5
+    poses = [np.array([30.0, -20.0, 3.0])]
+    for move in moves:
+        poses.append(se2.compose(poses[-1], move))
+    return np.array(poses)
+
+
+def square(count=20, side=2.0):
+    moves = np.zeros((count + count // 2, 3))
+    moves[:count, 0] = side / count
+    moves[count:, 2] = math.pi / 2 / (count // 2)
+    poses = [np.zeros(3)]
+    for move in np.tile(moves, (4, 1)):
+        poses.append(se2.compose(poses[-1], move))
+    poses = np.array(poses)
+    return Trajectory(0.05 * np.arange(len(poses)), poses)
+
+
+def drawn(poses, rule, seed, count, **options):
+    steps = noisy_steps(poses, rule)
+    blocks = noisy_blocks(steps, np.random.default_rng(seed), count, **options)
+    return np.concatenate([block.poses(poses) for block in blocks])
+
+
+def assert_same_poses(actual, expected):
+    difference = actual - expected
+    difference[..., 2] = wrap(difference[..., 2])
+    assert np.abs(difference).max() < 1e-12
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_the_same_draws_give_the_paths_of_the_loop(rule):
+    poses, path = wild_path(), NoisyPath(rule, 41)
+    expected = []
+    for _ in range(3):
+        path.restart()
+        expected.append([path.update(*pose).pose for pose in poses.tolist()])
+    assert_same_poses(drawn(poses, rule, 41, 3), np.array(expected))
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_the_published_covariance_is_that_of_the_loop(rule):
+    poses, path = wild_path(), NoisyPath(rule, 42)
+    steps = noisy_steps(poses, rule)
+    (block,) = noisy_blocks(steps, np.random.default_rng(42), 3)
+    for covariance in published_covariances(steps, block):
+        path.restart()
+        expected = [path.update(*pose) for pose in poses.tolist()][-1].covariance
+        np.testing.assert_allclose(covariance, expected, rtol=0.0, atol=1e-11 * expected.max())
+
+
+class NoDraws:
+    def standard_normal(self, count):
+        return np.zeros(count)
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_first_order_is_the_recursion_of_the_loop_along_the_perfect_path(rule):
+    poses, path = wild_path(), NoisyPath(rule, 0)
+    path._generator = NoDraws()
+    expected = np.array([path.update(*pose).covariance for pose in poses.tolist()])
+    moments = first_order_moments(noisy_steps(poses, rule))
+    np.testing.assert_allclose(
+        moments.covariance, expected, rtol=0.0, atol=1e-11 * expected.max()
+    )
+    assert not moments.mean.any()
+
+
+@pytest.mark.parametrize("size", [1, 250, 10**6])
+def test_the_size_of_the_blocks_does_not_matter(size):
+    poses = wild_path()
+    expected = drawn(poses, RULES[0], 43, 7)
+    np.testing.assert_array_equal(drawn(poses, RULES[0], 43, 7, steps_per_block=size), expected)
+
+
+def test_more_paths_begin_with_the_same_ones():
+    poses = wild_path()
+    few, many = (drawn(poses, RULES[1], 44, count) for count in (3, 8))
+    np.testing.assert_array_equal(many[:3], few)
+
+
+def test_each_case_has_draws_of_its_own():
+    keys = list(itertools.product(("report", "probabilistic"), (0.1, 0.2), (0.9, 20.0)))
+    draws = {tuple(study_generator(1, *key).standard_normal(4)) for key in keys}
+    draws |= {tuple(study_generator(2, *key).standard_normal(4)) for key in keys}
+    assert len(draws) == 2 * len(keys)
+    again = study_generator(1, *keys[0]).standard_normal(4)
+    np.testing.assert_array_equal(again, study_generator(1, *keys[0]).standard_normal(4))
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "x"])
+def test_a_seed_that_cannot_be_used(seed):
+    with pytest.raises(NoiseError, match="^seed must be an integer >= 0"):
+        study_generator(seed, "report", 0.1, 20.0)
+
+
+@pytest.mark.parametrize(
+    "poses", [np.zeros((1, 3)), np.zeros((4, 2)), [[0, 0, 0], [math.nan, 0, 0]]]
+)
+def test_poses_that_are_no_path(poses):
+    with pytest.raises(NoiseError):
+        noisy_steps(poses, RULES[0])
+
+
+def test_the_levels_of_the_probabilistic_model_start_from_the_defaults_of_noisy_odom():
+    rule = level_rule("probabilistic", 0.1)
+    actual = (rule.alpha1, rule.alpha2, rule.alpha3, rule.alpha4)
+    assert actual == pytest.approx((0.01, 0.001, 0.01, 0.001))
+
+
+def test_memory_does_not_grow_with_the_number_of_paths(monkeypatch):
+    monkeypatch.setattr(study_statistics, "QUANTILE_PATHS", 500)
+    trajectory = square(10)
+
+    def peak(paths):
+        tracemalloc.start()
+        study_case(
+            trajectory, ("report", 0.1, 20.0), np.random.default_rng(1), paths, 1.0, keep=5
+        )
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    few = peak(1000)
+    assert peak(10_000) < 1.05 * few
+
+
+def test_a_path_at_its_own_rate_is_itself():
+    trajectory = square()
+    np.testing.assert_array_equal(resample(trajectory, 20.0).stamps, trajectory.stamps)
+    np.testing.assert_allclose(resample(trajectory, 20.0).poses, trajectory.poses, atol=1e-14)
+
+
+@pytest.mark.parametrize("rate", [0.9, 5.0, 7.3, 50.0])
+def test_another_rate_keeps_start_end_and_way(rate):
+    trajectory = square()
+    other = resample(trajectory, rate)
+    np.testing.assert_array_equal(other.poses[[0, -1]], trajectory.poses[[0, -1]])
+    assert np.diff(other.stamps)[:-1] == pytest.approx(1.0 / rate)
+    for axis in (0, 1):
+        on_path = np.interp(other.stamps, trajectory.stamps, trajectory.poses[:, axis])
+        np.testing.assert_allclose(other.poses[:, axis], on_path, atol=1e-12)
+
+
+def test_a_heading_is_interpolated_the_short_way_round():
+    trajectory = Trajectory([0.0, 1.0], [[0.0, 0.0, 3.1], [1.0, 0.0, -3.1]])
+    middle = resample(trajectory, 2.0).poses[1, 2]
+    assert abs(wrap(middle - math.pi)) < 1e-12
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, math.nan, math.inf, 1e9])
+def test_a_rate_that_makes_no_sense(rate):
+    with pytest.raises(ResamplingError):
+        resample(square(), rate)
+
+
+def test_one_pose_cannot_be_resampled():
+    with pytest.raises(ResamplingError, match="only one pose"):
+        resample(Trajectory([0.0], [[0.0, 0.0, 0.0]]), 1.0)
+
+
+def test_the_corners_of_a_square():
+    trajectory = square(20)
+    corners = trajectory.poses[find_corners(trajectory), :2]
+    np.testing.assert_allclose(corners, [[2, 0], [2, 2], [0, 2], [0, 0]], atol=1e-12)
+
+
+def test_a_straight_path_has_its_end_as_corner():
+    stamps = np.arange(10.0)
+    trajectory = Trajectory(stamps, np.column_stack([stamps, stamps, stamps * 0.0]))
+    assert find_corners(trajectory).tolist() == [9]

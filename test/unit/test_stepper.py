@@ -1,0 +1,280 @@
+import contextlib
+import threading
+import time
+
+import pytest
+
+from bullet_lab.errors import LabError
+from bullet_lab.ros import stepper as stepper_module
+from bullet_lab.ros.pace import Pace
+from bullet_lab.ros.stepper import Stepper, StepperError
+from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
+from bullet_lab.simulation.simulation import Simulation
+
+PATIENCE = 30.0
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
+class Running:
+    """A stepper with its loop in a thread, and what the tests look at."""
+
+    def __init__(self, rtf=0.0, expected=(), paused=False):
+        self.over = threading.Event()
+        self.stalls = []
+        self.flushed = []
+        self.simulation = Simulation()
+        self.stepper = Stepper(
+            self.simulation,
+            Pace(rtf),
+            TimeGate(expected),
+            tick=10,
+            paused=paused,
+            is_over=self.over.is_set,
+            report_stall=self.stalls.append,
+            after_steps=lambda: self.flushed.append(self.simulation.step),
+        )
+        self.thread = threading.Thread(target=self.stepper.run, daemon=True)
+        self.thread.start()
+
+    @property
+    def step(self):
+        return self.simulation.step
+
+    def end(self):
+        self.over.set()
+        self.stepper.wake()
+        self.thread.join(PATIENCE)
+        assert not self.thread.is_alive()
+
+
+@pytest.fixture
+def running():
+    """A function that starts a stepper; all are ended after the test."""
+    with contextlib.ExitStack() as stack:
+
+        def start(**options):
+            made = Running(**options)
+            stack.callback(made.simulation.close)
+            stack.callback(made.end)
+            return made
+
+        yield start
+
+
+def in_thread(function, *arguments):
+    """Call a function in a thread; return the thread and a list for what it returns."""
+    results = []
+    thread = threading.Thread(target=lambda: results.append(function(*arguments)), daemon=True)
+    thread.start()
+    return thread, results
+
+
+def assert_stands(run):
+    """Time does not move within a while (a test that is too quick passes wrongly, not fails)."""
+    before = run.step
+    time.sleep(0.05)
+    assert run.step == before
+    return before
+
+
+def test_runs_by_itself_without_members(running):
+    run = running()
+    wait_for(lambda: run.step > 1000)
+
+
+def test_paused_from_the_start_until_told(running):
+    run = running(paused=True)
+    assert assert_stands(run) == 0
+    run.stepper.unpause()
+    wait_for(lambda: run.step > 100)
+    run.stepper.pause()
+    assert_stands(run)
+
+
+def test_advances_by_exactly_so_many_steps_while_paused(running):
+    run = running(paused=True)
+    assert [run.stepper.advance_by(n) for n in (7, 0, 1, 993)] == [7, 7, 8, 1001]
+    assert assert_stands(run) == 1001
+
+
+def test_tasks_run_in_the_thread_of_the_loop(running):
+    run = running(paused=True)
+    assert run.stepper.do(threading.current_thread) is run.thread
+
+
+def test_errors_of_tasks_go_to_who_asked_and_the_loop_goes_on(running):
+    run = running()
+
+    def fail():
+        raise LabError("no")
+
+    with pytest.raises(LabError, match="no"):
+        run.stepper.do(fail)
+    before = run.step
+    wait_for(lambda: run.step > before)
+
+
+def test_waits_for_missing_members(running):
+    run = running(expected=["/a", "/b"])
+    assert assert_stands(run) == 0
+    run.stepper.grant("/a", FOR_EVER)
+    assert assert_stands(run) == 0
+    run.stepper.grant("/b", FOR_EVER)
+    wait_for(lambda: run.step > 100)
+
+
+@pytest.mark.parametrize("rtf", [0.0, 50.0])
+def test_grant_returns_exactly_there(running, rtf):
+    run = running(rtf=rtf, expected=["/a"])
+    for step in (0, 1, 100, 130):
+        assert run.stepper.grant("/a", step)
+        assert assert_stands(run) == step
+
+
+def test_what_steps_have_brought_goes_out_before_anybody_is_told(running):
+    run = running(expected=["/a"])
+    for step in range(0, 2000, 130):
+        run.stepper.grant("/a", step)
+        assert step == 0 or run.flushed[-1] == step
+    run.stepper.pause()
+    assert run.stepper.advance_by(7) == run.flushed[-1]
+
+
+def test_joining_late_stops_time_before_it_is_answered(running):
+    run = running()
+    for _ in range(20):
+        run.stepper.grant("/a", FOR_EVER)
+        before = run.step
+        wait_for(lambda before=before: run.step > before)
+        assert run.stepper.grant("/a", 0)
+        now = run.step
+        time.sleep(0.002)
+        assert run.step == now
+
+
+def test_grant_of_one_member_waits_for_the_other(running):
+    run = running(expected=["/a", "/b"])
+    run.stepper.grant("/b", 0)
+    thread, results = in_thread(run.stepper.grant, "/a", 100)
+    assert assert_stands(run) == 0
+    assert run.stepper.grant("/b", 50)
+    assert thread.is_alive()
+    assert run.stepper.grant("/b", 100)
+    thread.join(PATIENCE)
+    assert results == [True]
+
+
+@pytest.mark.parametrize("granted", [0, 50])
+def test_reset_releases_who_waits(running, granted):
+    run = running(expected=["/a", "/b"])
+    run.stepper.grant("/b", 0)
+    in_thread(run.stepper.grant, "/b", granted)
+    thread, results = in_thread(run.stepper.grant, "/a", 100)
+    wait_for(lambda: run.step == granted and run.stepper.gate.has_joined("/a"))
+    run.stepper.reset_simulation()
+    thread.join(PATIENCE)
+    assert results == [False]
+    assert assert_stands(run) == 0
+
+
+def test_end_releases_who_waits(running):
+    run = running(expected=["/a", "/b"])
+    thread, results = in_thread(run.stepper.grant, "/a", 100)
+    assert assert_stands(run) == 0
+    run.end()
+    thread.join(PATIENCE)
+    assert results == [False]
+
+
+def test_end_releases_who_wants_something(running):
+    run = running(paused=True)
+    run.end()
+    with pytest.raises(StepperError):
+        run.stepper.do(lambda: None)
+
+
+def test_end_cuts_a_long_way_short(running):
+    run = running(paused=True)
+    errors = []
+
+    def go_far():
+        try:
+            run.stepper.advance_by(2**32 - 1)
+        except StepperError as error:
+            errors.append(error)
+
+    thread, _ = in_thread(go_far)
+    wait_for(lambda: run.step > 0)
+    run.end()
+    thread.join(PATIENCE)
+    assert len(errors) == 1
+
+
+def test_announced_commands_are_awaited(running):
+    run = running(paused=True)
+    thread, results = in_thread(run.stepper.await_commands, "/a", 2)
+    run.stepper.note_command("/a")
+    run.stepper.note_command("/b")
+    time.sleep(0.05)
+    assert thread.is_alive()
+    run.stepper.note_command("/a")
+    thread.join(PATIENCE)
+    assert results == [True]
+
+
+def test_lost_commands_are_given_up_once(running, monkeypatch):
+    monkeypatch.setattr(stepper_module, "PATIENCE", 0.05)
+    run = running(paused=True)
+    assert not run.stepper.await_commands("/a", 2)
+    assert run.stepper.await_commands("/a", 2)
+
+
+def test_member_that_has_sent_nothing_yet_counts_anew(running, monkeypatch):
+    monkeypatch.setattr(stepper_module, "PATIENCE", 0.05)
+    run = running(paused=True)
+    for _ in range(5):
+        run.stepper.note_command("/a")
+    assert run.stepper.await_commands("/a", 5)
+    assert run.stepper.await_commands("/a", 0)
+    assert not run.stepper.await_commands("/a", 1)
+
+
+def test_stall_is_reported_but_not_a_pause(running, monkeypatch):
+    monkeypatch.setattr(stepper_module, "PATIENCE", 0.05)
+    monkeypatch.setattr(stepper_module, "LONGEST_WAIT", 0.01)
+    paused = running(paused=True, expected=["/a"])
+    stalled = running(expected=["/b", "/a"])
+    wait_for(lambda: len(stalled.stalls) > 1)
+    assert stalled.stalls[0] == ("/a", "/b")
+    assert paused.stalls == []
+
+
+def test_command_acts_at_the_present_moment_of_wall_time(running):
+    run = running(rtf=1.0)
+    wait_for(lambda: run.step > 0)
+    start, step = time.monotonic(), run.step
+    seen = []
+    time.sleep(0.2)
+    run.stepper.do_now(lambda: seen.append(run.step))
+    # Never ahead of the wall clock, but for the tick that may have been under way.
+    assert seen[0] - step <= 1000 * (time.monotonic() - start) + 10
+
+
+def test_what_cannot_be_kept_up_with_does_not_stop_the_loop(running):
+    run = running(rtf=1e6)
+    wait_for(lambda: run.step > 1000)
+
+
+def test_reset_world_keeps_time(running):
+    run = running(paused=True)
+    run.stepper.advance_by(123)
+    run.stepper.reset_world()
+    assert run.step == 123
+    run.stepper.reset_simulation()
+    assert run.step == 0

@@ -1,0 +1,75 @@
+import pytest
+
+pytest.importorskip("rospy")
+
+from visualization_msgs.msg import Marker
+
+from bullet_lab.ros.world_markers import LARGEST_PLANE, world_markers
+from bullet_lab.simulation.sdf_reader import read_world_file
+from bullet_lab.simulation.simulation import Simulation
+
+WORLD = """<sdf version="1.6"><world name="shapes">
+  <model name="things"><static>true</static><pose>1 2 0 0 0 1.5707963267948966</pose>
+    <link name="l"><pose>0 0 1 0 0 0</pose>
+      <visual name="box"><pose>3 0 0 0 0 0</pose>
+        <geometry><box><size>1 2 3</size></box></geometry>
+        <material><diffuse>0.1 0.2 0.3 0.4</diffuse></material></visual>
+      <visual name="can"><geometry>
+        <cylinder><radius>0.5</radius><length>2</length></cylinder></geometry></visual>
+      <visual name="ball"><geometry><sphere><radius>0.25</radius></sphere></geometry></visual>
+      <visual name="floor"><geometry>
+        <plane><normal>0 0 1</normal><size>500 4</size></plane></geometry></visual>
+      <visual name="beacon"><geometry><mesh>
+        <uri>package://bullet_lab/meshes/beacon.dae</uri><scale>1 2 3</scale>
+        </mesh></geometry></visual>
+      <collision name="unseen"><geometry><box><size>9 9 9</size></box></geometry></collision>
+    </link></model>
+</world></sdf>"""
+
+
+@pytest.fixture
+def markers(tmp_path):
+    path = tmp_path / "shapes.world"
+    path.write_text(WORLD)
+    with Simulation(read_world_file(path)) as simulation:
+        yield world_markers(simulation.models.values(), "map").markers
+
+
+def size(marker):
+    return marker.scale.x, marker.scale.y, marker.scale.z
+
+
+def test_each_visible_shape_is_a_marker_of_its_own(markers):
+    kinds = [Marker.CUBE, Marker.CYLINDER, Marker.SPHERE, Marker.CUBE, Marker.MESH_RESOURCE]
+    assert [marker.type for marker in markers] == kinds
+    assert {marker.ns for marker in markers} == {"things"}
+    assert len({marker.id for marker in markers}) == len(markers)
+    assert {marker.header.frame_id for marker in markers} == {"map"}
+    assert {marker.action for marker in markers} == {Marker.ADD}
+
+
+def test_sizes_are_those_of_the_shapes(markers):
+    box, can, ball, floor, mesh = markers
+    assert size(box) == (1, 2, 3)
+    assert size(can) == (1, 1, 2)
+    assert size(ball) == (0.5, 0.5, 0.5)
+    assert size(floor)[:2] == (LARGEST_PLANE, 4)
+    assert size(mesh) == (1, 2, 3)
+    assert mesh.mesh_resource == "package://bullet_lab/meshes/beacon.dae"
+
+
+def test_poses_are_in_the_world(markers):
+    # 3 m ahead of a link that is 1 m above a model which looks along y from (1, 2).
+    place, turn = markers[0].pose.position, markers[0].pose.orientation
+    assert (place.x, place.y, place.z) == pytest.approx((1.0, 5.0, 1.0))
+    assert (turn.z, turn.w) == pytest.approx((0.5**0.5, 0.5**0.5))
+
+
+def test_a_plane_is_drawn_below_its_surface(markers):
+    floor = markers[3]
+    assert floor.pose.position.z + 0.5 * floor.scale.z < 1.0
+
+
+def test_colours_are_those_of_the_world(markers):
+    colour = markers[0].color
+    assert (colour.r, colour.g, colour.b, colour.a) == pytest.approx((0.1, 0.2, 0.3, 0.4))
