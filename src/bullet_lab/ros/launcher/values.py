@@ -5,7 +5,7 @@ shows what is checked::
 
     [text]              anything; the same as no bracket
     [folder]            a path, relative to the caller's folder
-    [true|false]        one of the words; any number of them
+    [true|false]        one of the words; two or more, or true or false alone
     [integer >= 0]      a whole number, with any number of bounds: > >= < <=
     [number > 0 <= 1]   a finite number, likewise
 """
@@ -22,7 +22,7 @@ from bullet_lab.errors import LabError
 _BRACKET = re.compile(r"\[([^\[\]]+)\]\s*$")
 _NUMERIC = re.compile(r"(number|integer)((?:\s*(?:>=|<=|>|<)\s*[-+.\deE]+)*)")
 _BOUND = re.compile(r"(>=|<=|>|<)\s*([-+.\deE]+)")
-_WORDS = re.compile(r"[\w.-]+(\|[\w.-]+)+")
+_WORDS = re.compile(r"true|false|[\w.-]+(\|[\w.-]+)+")
 _COMPARE = {">": operator.gt, ">=": operator.ge, "<": operator.lt, "<=": operator.le}
 
 
