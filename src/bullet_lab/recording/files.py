@@ -63,6 +63,14 @@ def _replace_file(path: Path, write: Callable[[Path], None]) -> None:
             part.unlink()
 
 
+def move_file(path: Path, folder: Path) -> None:
+    """Move a file to a folder, over what has its name there; raises FileError."""
+    try:
+        path.replace(folder / path.name)
+    except OSError as error:
+        raise FileError(f"cannot move {path} to {folder}: {error.strerror}") from error
+
+
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """Write values as indented JSON, keys in the given order.
 

@@ -87,8 +87,11 @@ class PathsRecording:
 
     def close(self) -> None:
         """Close the files as they are."""
-        for file in self._files.values():
-            file.close()
+        for name, file in self._files.items():
+            try:
+                file.close()
+            except OSError as error:
+                raise FileError(f"cannot write {self.folder / name}: {error.strerror}") from error
 
     def _add(self, name: str, poses: Dict[int, PlanarPose], stamp: int, pose: PlanarPose) -> None:
         if not all(map(math.isfinite, pose)):

@@ -31,8 +31,8 @@ from bullet_lab.numerics.square_driver import (
 from bullet_lab.ros import parameters
 from bullet_lab.ros.lock_step import CountedPublisher, LockStepRate, Rate
 from bullet_lab.ros.node import NodeError, Refusals, private_parameters, run_node, wait_until
-from bullet_lab.ros.publishers import lossless_publisher
 from bullet_lab.ros.odometry import OdometryError, planar_pose
+from bullet_lab.ros.publishers import lossless_publisher
 
 # At rest before and after, so that a recording shows where the robot stood.
 REST_SECONDS = 0.5

@@ -14,16 +14,18 @@ import os
 import threading
 from dataclasses import dataclass
 from pathlib import Path as FilePath
-from typing import Any, Mapping, Optional, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Tuple
 
+import numpy as np
 import rospy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 
+from bullet_lab.numerics.ellipse import ellipse_points
 from bullet_lab.numerics.trajectory import Trajectory
 from bullet_lab.plotting.noise_figure import noise_figure
 from bullet_lab.plotting.style import save
-from bullet_lab.recording.files import write_json
+from bullet_lab.recording.files import FileError, make_folder, move_file, write_json
 from bullet_lab.recording.paths import PathsRecording, RecordingError
 from bullet_lab.recording.squares_summary import squares_summary
 from bullet_lab.ros import parameters
@@ -34,6 +36,10 @@ from bullet_lab.ros.publishers import Publisher
 from bullet_lab.ros.recorder import EndOfRecording, Stopwatch, record_until
 
 PATHS_PERIOD_SECONDS = 0.5
+# How many ellipses are drawn along the noisy path.
+ELLIPSES = 12
+# Where the messages of each topic go.
+FILES = {"odom": PathsRecording.PERFECT, "noisy_odom": PathsRecording.NOISY}
 
 
 @dataclass(frozen=True)
@@ -63,7 +69,10 @@ class PlotNoise:
         self._refusals = Refusals()
         self._guards = {"odom": FrameGuard(), "noisy_odom": FrameGuard()}
         self._left_behind: Optional[str] = None
-        self._drawn = 0
+        self._left_at: Optional[int] = None
+        self._failure: Optional[FileError] = None
+        self._finished = False
+        self._covariances: Dict[int, Tuple[Tuple[float, float], Tuple[float, float]]] = {}
         self.end = EndOfRecording(wanted.until)
         self._perfect_path = _PathTopic("odom_path")
         self._noisy_path = _PathTopic("noisy_odom_path")
@@ -81,16 +90,23 @@ class PlotNoise:
     def extract_data(self, msg: Optional[Odometry], msg2: Optional[Odometry]) -> None:
         """Record a noisy message, a perfect one, or both."""
         with self._lock:
+            if self._finished or self._failure is not None:
+                return
             if msg2 is not None:
-                self._record("odom", PathsRecording.PERFECT, msg2, self._perfect_path)
+                self._record("odom", msg2, self._perfect_path)
             if msg is not None:
-                self._record("noisy_odom", PathsRecording.NOISY, msg, self._noisy_path)
+                self._record("noisy_odom", msg, self._noisy_path)
 
     def is_complete(self) -> bool:
-        """Return whether both odometries have come to the announced end."""
+        """Return whether both odometries have come to the announced end.
+
+        Raises:
+            FileError: what came could not be written.
+        """
         with self._lock:
-            recorded = (PathsRecording.PERFECT, PathsRecording.NOISY)
-            stamps = [self._recording.last(name) for name in recorded]
+            if self._failure is not None:
+                raise self._failure
+            stamps = [self._recording.last(name) for name in FILES.values()]
         return self.end.reached(None if None in stamps else min(stamps))
 
     def is_connected(self) -> bool:
@@ -110,14 +126,31 @@ class PlotNoise:
         noisy_data: Optional[Tuple[Trajectory, Trajectory]],
         perfect_data: Optional[Trajectory],
     ) -> None:
-        """Draw both paths into paths.png."""
-        save(noise_figure(perfect_data, noisy_data, self._title()), self._folder / "paths.png")
+        """Draw both paths, and ellipses along the noisy one, into paths.png."""
+        ellipses = [] if noisy_data is None else self._ellipses(noisy_data[1])
+        figure = noise_figure(perfect_data, noisy_data, self._title(), ellipses)
+        save(figure, self._folder / "paths.png")
+
+    def _ellipses(self, noisy: Trajectory) -> List[np.ndarray]:
+        """Return the 95 % ellipses of the noisy odometry, evenly spaced along its path."""
+        travelled = noisy.travelled()
+        wanted = np.linspace(0.0, travelled[-1], ELLIPSES + 1)[1:]
+        chosen = np.unique(np.searchsorted(travelled, wanted).clip(max=len(noisy) - 1))
+        with self._lock:
+            covariances = [self._covariances.get(round(noisy.stamps[i] * 1e9)) for i in chosen]
+        return [
+            noisy.poses[i, :2] + ellipse_points(covariance)
+            for i, covariance in zip(chosen, covariances)
+            if covariance is not None
+        ]
 
     def finish(self, complete: bool) -> None:
         """Write everything for the last time."""
         self.sub_noisy.unregister()
         self.sub_perfect.unregister()
         with self._lock:
+            # A message may be on its way in still.
+            self._finished = True
             self._recording.finish(self.end.until if complete else None)
             perfect, pairs = self._recording.perfect(), self._recording.pairs()
         self._write_summary(perfect, pairs, finished=complete)
@@ -140,44 +173,52 @@ class PlotNoise:
         except ImportError as error:
             rospy.logwarn("~show: matplotlib has no window toolkit here: %s", error)
 
-    def _record(self, topic: str, name: str, msg: Odometry, path: _PathTopic) -> None:
+    def _record(self, topic: str, msg: Odometry, path: _PathTopic) -> None:
         try:
             pose = planar_pose(msg)
             self._guards[topic].check(msg)
             stamp = msg.header.stamp.to_nsec()
-            if not self._belongs_to_this_run(topic, name, stamp):
+            if not self._belongs_to_this_run(topic, stamp):
                 return
-            add = self._recording.add_perfect if name == PathsRecording.PERFECT else None
-            (add or self._recording.add_noisy)(stamp, pose)
+            if topic == "odom":
+                self._recording.add_perfect(stamp, pose)
+            else:
+                self._recording.add_noisy(stamp, pose)
+                entries = msg.pose.covariance
+                self._covariances[stamp] = ((entries[0], entries[1]), (entries[6], entries[7]))
         except (OdometryError, RecordingError) as error:
             self._refusals.refuse(topic, str(error))
+            return
+        except FileError as error:
+            self._failure = error
             return
         self._stopwatch.note()
         path.append(msg)
 
-    def _belongs_to_this_run(self, topic: str, name: str, stamp: int) -> bool:
+    def _belongs_to_this_run(self, topic: str, stamp: int) -> bool:
         """Begin a new run where time was set back; drop what the old run still sends after."""
-        last = self._recording.last(name)
+        last = self._recording.last(FILES[topic])
         if self._left_behind == topic:
-            if stamp > self._reset_from:
+            if self._left_at is not None and stamp > self._left_at:
                 return False
             self._left_behind = None
         elif last is not None and stamp < last:
-            self._begin_new_run(last)
-            self._left_behind = "noisy_odom" if topic == "odom" else "odom"
+            other = "noisy_odom" if topic == "odom" else "odom"
+            # Its messages of the old run may come yet, all of them later than its last one.
+            self._left_behind, self._left_at = other, self._recording.last(FILES[other])
+            self._begin_new_run()
         return True
 
-    def _begin_new_run(self, last: int) -> None:
+    def _begin_new_run(self) -> None:
         self._recording.finish()
         self._runs += 1
-        old = self._folder / f"run_{self._runs}"
-        old.mkdir(exist_ok=True)
-        for name in (PathsRecording.PERFECT, PathsRecording.NOISY, PathsRecording.PAIRS):
-            (self._folder / name).replace(old / name)
+        old = make_folder(self._folder / f"run_{self._runs}")
+        for name in (*FILES.values(), PathsRecording.PAIRS):
+            move_file(self._folder / name, old)
         rospy.loginfo("time was set back: what was recorded before is in %s", old)
-        self._reset_from = last
         self._recording = PathsRecording(self._folder)
         self._stopwatch = Stopwatch()
+        self._covariances.clear()
         self._perfect_path.clear()
         self._noisy_path.clear()
 
@@ -215,6 +256,7 @@ def describe(summary: Mapping[str, Any]) -> str:
             f"noisy path ends {summary['final_error_m']:.3f} m and "
             f"{summary['final_heading_error_deg']:.1f} deg off"
         )
+        parts.append(f"APE {summary['ape_rmse_m']:.3f} m rms, {summary['ape_max_m']:.3f} m at most")
     return "; ".join(parts)
 
 
