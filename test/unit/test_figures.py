@@ -76,3 +76,12 @@ def test_a_heading_that_passes_half_a_turn_is_drawn_without_a_jump():
 def test_a_figure_that_cannot_be_written(tmp_path):
     with pytest.raises(FileError, match="^cannot write "):
         save(noise_figure(None, None), tmp_path / "nix" / "a.png")
+
+
+def test_ellipses_are_drawn_around_the_noisy_path():
+    outline = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    plain = noise_figure(None, None)
+    figure = noise_figure(None, None, ellipses=[outline, outline + 2.0])
+    added = len(figure.axes[0].lines) - len(plain.axes[0].lines)
+    assert added == 2
+    np.testing.assert_array_equal(figure.axes[0].lines[0].get_xydata(), outline)
