@@ -1,0 +1,216 @@
+#!/usr/bin/env python3
+"""The bridge answers whatever goes wrong with one clear line and the right exit status."""
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import unittest
+from pathlib import Path
+
+import rostest
+from lab_testing import PACKAGE, Master, Node, wait_for
+
+ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
+
+# Joins the lock step and waits for a time that another member does not let come.
+WAITING_MEMBER = """
+import rospy
+from bullet_lab.srv import Advance
+rospy.init_node("waiting", disable_signals=True)
+rospy.wait_for_service("/bullet_lab/advance")
+print("joining", flush=True)
+rospy.ServiceProxy("/bullet_lab/advance", Advance)("/waiting", rospy.Time(10), 0)
+"""
+
+# Asks for more steps than anybody can wait for.
+YEARS_OF_STEPS = """
+import rospy
+from bullet_lab.srv import Step
+rospy.wait_for_service("/bullet_lab/step")
+print("stepping", flush=True)
+rospy.ServiceProxy("/bullet_lab/step", Step)(2**32 - 1)
+"""
+
+
+class FailuresTest(unittest.TestCase):
+    """One master for all bridges that never get far, own ones for the others."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.master = Master()
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.master.end()
+
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = Path(folder.name)
+
+    def own_master(self):
+        master = Master()
+        self.addCleanup(master.end)
+        return master
+
+    def bridge(self, master, name="", **parameters):
+        bridge = Node("pybullet_bridge.py", name, master.uri, **{"rtf": 0, **parameters})
+        self.addCleanup(bridge.end)
+        return bridge
+
+    def running_bridge(self, master, **parameters):
+        bridge = self.bridge(master, **parameters)
+        wait_for(lambda: not bridge.runs() or master.offers("/bullet_lab/advance"), "the bridge")
+        self.assertTrue(bridge.runs(), bridge.err)
+        return bridge
+
+    def helper(self, master, program):
+        """Start a little program and wait for its first line."""
+        process = subprocess.Popen(
+            [sys.executable, "-c", program],
+            env=dict(os.environ, ROS_MASTER_URI=master.uri),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        self.addCleanup(process.stdout.close)
+        self.addCleanup(process.wait)
+        self.addCleanup(process.kill)
+        self.assertTrue(process.stdout.readline())
+        return process
+
+    def file(self, name, text):
+        path = self.folder / name
+        path.write_text(text)
+        return path
+
+    def assert_ends(self, bridge, status, *words):
+        """Assert that it ends with a status and one line on standard error with these words."""
+        self.assertEqual(status, bridge.wait(), bridge.err)
+        self.assertEqual(1, len(bridge.err.splitlines()), bridge.err)
+        self.assertNotIn("Traceback", bridge.out)
+        for word in words:
+            self.assertIn(str(word), bridge.err)
+        self.assertFalse(self.master.knows("/pybullet_bridge"))
+
+    def assert_refused(self, status, *words, **parameters):
+        self.assert_ends(self.bridge(self.master, **parameters), status, *words)
+
+    def test_missing_world(self):
+        self.assert_refused(1, "nowhere.world", world=self.folder / "nowhere.world")
+        self.assert_refused(1, "no_such_package", world="package://no_such_package/x.world")
+
+    def test_malformed_world(self):
+        for text in ("<sdf><world>", "no XML\nat all", "<robot name='x'/>", ""):
+            self.assert_refused(1, "bad.world", world=self.file("bad.world", text))
+
+    def test_world_with_entities(self):
+        secret = self.file("secret", "secret")
+        bomb = f'<!DOCTYPE sdf [<!ENTITY e SYSTEM "file://{secret}">]><sdf><world>&e;</world></sdf>'
+        self.assert_refused(1, "bad.world", world=self.file("bad.world", bomb))
+
+    def test_missing_and_malformed_robot(self):
+        self.assert_refused(1, "nowhere.urdf", robot=self.folder / "nowhere.urdf")
+        self.assert_refused(1, "bad.urdf", robot=self.file("bad.urdf", "<robot name='r'><link"))
+        self.assert_refused(1, "bad.urdf", robot=self.file("bad.urdf", "<robot name='r'/>"))
+
+    def test_missing_and_malformed_mesh(self):
+        for uri in ("package://bullet_lab/meshes/nowhere.dae", self.file("bad.dae", "<COLLADA")):
+            link = (
+                '<link name="l"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" '
+                'ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry>'
+                f'<mesh filename="{uri}"/></geometry></collision></link>'
+            )
+            robot = self.file("robot.urdf", f'<robot name="r">{link}</robot>')
+            self.assert_refused(1, Path(uri).name, robot=robot)
+
+    def test_malformed_robot_description(self):
+        self.addCleanup(self.master.set_parameter, "/robot_description", "")
+        for value in ("<robot", 5, [1, 2], {"a": "b"}, True):
+            self.master.set_parameter("/robot_description", value)
+            self.assert_refused(1, "robot_description")
+
+    def test_bad_parameters(self):
+        for name, value in (
+            ("rtf", "-1"),
+            ("rtf", "fast"),
+            ("rtf", ".inf"),
+            ("clock_rate", "0"),
+            ("clock_rate", "1001"),
+            ("robot_pose", "1 2 3"),
+            ("paused", "maybe"),
+        ):
+            self.assert_refused(2, f"~{name}", value.lstrip("."), **{name: value})
+
+    def test_misspelt_parameter(self):
+        self.assert_refused(2, "~reality", "~rtf", reality=1)
+
+    def test_second_bridge(self):
+        master = self.own_master()
+        first = self.running_bridge(master)
+        for name in ("", "another_bridge"):
+            self.assert_ends(self.bridge(master, name), 1, "/pybullet_bridge", "/clock")
+        self.assertTrue(first.runs())
+        self.assertTrue(master.knows("/pybullet_bridge"))
+        # One that was killed is in nobody's way.
+        first.signal(signal.SIGKILL)
+        first.wait()
+        self.running_bridge(master, robot=ROBOT)
+
+    def test_no_master(self):
+        master = self.own_master()
+        master.end()
+        self.assert_ends(self.bridge(master), 1, "no ROS master answers at", master.uri)
+
+    def test_master_that_goes_away(self):
+        master = self.own_master()
+        bridge = self.running_bridge(master, robot=ROBOT)
+        master.end()
+        self.assert_ends(bridge, 1, "the ROS master is gone")
+
+    def test_unknown_plugin_is_skipped(self):
+        plugin = '<gazebo><plugin name="p" filename="libgazebo_ros_coffee.so"/></gazebo>'
+        text = (PACKAGE / "urdf" / "block_robot.urdf").read_text()
+        robot = self.file("robot.urdf", text.replace("</robot>", f"{plugin}</robot>"))
+        bridge = self.running_bridge(self.own_master(), robot=robot)
+        self.assertEqual(1, len(bridge.err.splitlines()), bridge.err)
+        self.assertIn("libgazebo_ros_coffee.so", bridge.err)
+        self.assertIn("skipped", bridge.err)
+        bridge.signal()
+        self.assertEqual(0, bridge.wait())
+
+    def test_ctrl_c_is_a_clean_end(self):
+        for rtf in (0, 1):
+            master = self.own_master()
+            bridge = self.running_bridge(master, robot=ROBOT, rtf=rtf)
+            bridge.signal()
+            self.assert_clean_end(bridge, master)
+
+    def test_ctrl_c_while_a_member_waits(self):
+        master = self.own_master()
+        bridge = self.running_bridge(master, robot=ROBOT, lock_step="waiting another")
+        self.helper(master, WAITING_MEMBER)
+        time.sleep(0.5)
+        bridge.signal()
+        self.assert_clean_end(bridge, master)
+
+    def test_ctrl_c_while_it_steps(self):
+        master = self.own_master()
+        bridge = self.running_bridge(master, robot=ROBOT, paused=True)
+        self.helper(master, YEARS_OF_STEPS)
+        time.sleep(0.5)
+        bridge.signal()
+        self.assert_clean_end(bridge, master)
+
+    def assert_clean_end(self, bridge, master):
+        self.assertEqual(0, bridge.wait(), bridge.err)
+        self.assertEqual("", bridge.err)
+        self.assertNotIn("Traceback", bridge.out)
+        self.assertFalse(master.knows("/pybullet_bridge"))
+
+
+if __name__ == "__main__":
+    rostest.rosrun("bullet_lab", "bridge_failures_test", "__main__")

@@ -1,0 +1,202 @@
+"""What the rostests share: nodes as processes, masters of their own, topics as lists."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import xmlrpc.client
+from pathlib import Path
+
+import rosgraph
+import rospkg
+import rospy
+from nav_msgs.msg import Odometry
+
+from bullet_lab.numerics.angles import quaternion_from_yaw
+
+# Wall seconds after which something is not going to happen any more.
+PATIENCE = 60.0
+# Nodes that are not named as their executables are.
+NAMES = {"noisy_odom.py": "noisy_odom_node"}
+PACKAGE = Path(rospkg.RosPack().get_path("bullet_lab"))
+
+
+def wait_for(condition, what, seconds=PATIENCE):
+    """Wait until a condition holds; return what it returned. AssertionError if it never does."""
+    deadline = time.monotonic() + seconds
+    while True:
+        found = condition()
+        if found:
+            return found
+        if time.monotonic() > deadline:
+            raise AssertionError(f"waited {seconds:g} s in vain for {what}")
+        time.sleep(0.01)
+
+
+def forget_parameters(node, master):
+    """Clear the private parameters that an earlier node of this name has left with a master."""
+    with contextlib.suppress(OSError):
+        xmlrpc.client.ServerProxy(master).deleteParam("/test", f"/{node}")
+
+
+class Node:
+    """A node of the package as a process.
+
+    Args:
+        script: name of its executable, such as "noisy_odom.py".
+        name: the node's name; its own if empty.
+        master: URI of the ROS master; that of this test if empty.
+        remap: topics by their names in the node.
+        parameters: private ones.
+    """
+
+    def __init__(self, script, name="", master="", remap=(), **parameters):
+        master = master or rosgraph.get_master_uri()
+        forget_parameters(name or NAMES.get(script, Path(script).stem), master)
+        words = [f"_{key}:={value}" for key, value in parameters.items()]
+        words += [f"{old}:={new}" for old, new in dict(remap).items()]
+        if name:
+            words.append(f"__name:={name}")
+        # Open as long as this object is there.
+        self._files = [tempfile.TemporaryFile("w+") for _ in range(2)]  # noqa: SIM115
+        self.process = subprocess.Popen(
+            [sys.executable, str(PACKAGE / "scripts" / script), *words],
+            env=dict(os.environ, ROS_MASTER_URI=master),
+            stdout=self._files[0],
+            stderr=self._files[1],
+        )
+
+    @property
+    def out(self):
+        """What it has printed so far."""
+        return self._read(0)
+
+    @property
+    def err(self):
+        """What it has written to standard error so far."""
+        return self._read(1)
+
+    def runs(self):
+        """Whether it is still there."""
+        return self.process.poll() is None
+
+    def signal(self, number=signal.SIGINT):
+        """Send a signal, Ctrl-C by default."""
+        self.process.send_signal(number)
+
+    def wait(self):
+        """Wait for its end and return the exit status."""
+        return self.process.wait(PATIENCE)
+
+    def end(self):
+        """Have it end, whatever state it is in."""
+        if self.runs():
+            # Not at once with SIGKILL, or the master would still know its topics and services.
+            self.signal()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(10)
+        self.process.kill()
+        self.process.wait()
+
+    def _read(self, index):
+        # Another file description, so that the position of the process stays.
+        with open(f"/proc/self/fd/{self._files[index].fileno()}") as file:
+            return file.read()
+
+
+class Master:
+    """A ROS master of its own on a free port of the loopback."""
+
+    def __init__(self):
+        with contextlib.closing(socket.socket()) as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        self.uri = f"http://127.0.0.1:{port}"
+        self.process = subprocess.Popen(
+            ["rosmaster", "--core", "-p", str(port)],
+            env=dict(os.environ, ROS_MASTER_URI=self.uri),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        try:
+            wait_for(lambda: rosgraph.is_master_online(self.uri), "the master")
+        except AssertionError:
+            self.end()
+            raise
+
+    def knows(self, node):
+        """Whether a node has registered."""
+        code, _, _ = xmlrpc.client.ServerProxy(self.uri).lookupNode("/test", node)
+        return code == 1
+
+    def offers(self, service):
+        """Whether a service is registered."""
+        code, _, _ = xmlrpc.client.ServerProxy(self.uri).lookupService("/test", service)
+        return code == 1
+
+    def set_parameter(self, name, value):
+        """Set a parameter."""
+        xmlrpc.client.ServerProxy(self.uri).setParam("/test", name, value)
+
+    def end(self):
+        """Kill it."""
+        self.process.kill()
+        self.process.wait()
+
+
+class Topic:
+    """A topic as a growing list of its messages, in the order of their arrival."""
+
+    def __init__(self, name, kind, connected=True):
+        self.messages = []
+        self._subscriber = rospy.Subscriber(name, kind, self._receive, tcp_nodelay=True)
+        self._name = name
+        if connected:
+            self.connect()
+
+    def connect(self):
+        """Wait for a publisher."""
+        wait_for(lambda: self._subscriber.get_num_connections() > 0, f"somebody on {self._name}")
+
+    def stamps(self):
+        """The stamps of the messages so far, in ns."""
+        return [message.header.stamp.to_nsec() for message in self.messages]
+
+    def wait(self, number):
+        """Wait until so many messages have come and return them all."""
+        wait_for(
+            lambda: len(self.messages) >= number,
+            f"{number} messages on {self._name}, have {len(self.messages)}",
+        )
+        return list(self.messages)
+
+    def close(self):
+        """Listen no longer."""
+        self._subscriber.unregister()
+
+    def _receive(self, message):
+        self.messages.append(message)
+
+
+def publisher(name, kind, **options):
+    """A publisher with a subscriber."""
+    made = rospy.Publisher(name, kind, queue_size=100, tcp_nodelay=True, **options)
+    wait_for(lambda: made.get_num_connections() > 0, f"somebody to listen to {name}")
+    return made
+
+
+def odometry(seconds, x=0.0, y=0.0, yaw=0.0, frame="odom", child="base_footprint"):
+    """An odometry message."""
+    message = Odometry()
+    message.header.stamp = rospy.Time.from_sec(seconds)
+    message.header.frame_id = frame
+    message.child_frame_id = child
+    message.pose.pose.position.x = x
+    message.pose.pose.position.y = y
+    turn = message.pose.pose.orientation
+    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(yaw)
+    return message

@@ -1,0 +1,267 @@
+#!/usr/bin/env python3
+"""One noisy message for each perfect one, with noise that accumulates as computed."""
+
+import copy
+import math
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+from bullet_lab.srv import SetNoise
+from lab_testing import Node, Topic, odometry, publisher, wait_for
+from nav_msgs.msg import Odometry
+from visualization_msgs.msg import Marker
+
+from bullet_lab.numerics.angles import quaternion_from_yaw
+from bullet_lab.numerics.ellipse import SQUARE_RADIUS
+from bullet_lab.numerics.odometry_noise import NoisyPath, make_rule
+from bullet_lab.ros.noisy_odom import NoisyOdometry, NoisyOdomParameters
+
+PLANAR_AXES = (0, 1, 5)
+
+
+def arc(number, period=0.05, start=0.0):
+    """Messages of a robot on an arc, with covariances and a twist of their own."""
+    messages = []
+    for k in range(number):
+        yaw = 0.05 * k
+        message = odometry(start + period * (k + 1), math.sin(yaw), 1.0 - math.cos(yaw), yaw)
+        message.pose.covariance = [0.5 * i for i in range(36)]
+        message.twist.covariance = [0.25 * i for i in range(36)]
+        message.twist.twist.linear.x = 1.0
+        message.twist.twist.angular.z = 1.0
+        messages.append(message)
+    return messages
+
+
+def pose(message):
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    return place.x, place.y, 2.0 * math.atan2(turn.z, turn.w)
+
+
+def planar_part(covariance):
+    return np.array(covariance).reshape(6, 6)[np.ix_(PLANAR_AXES, PLANAR_AXES)]
+
+
+class NoisyOdomTest(unittest.TestCase):
+    """Each test has a node of its own."""
+
+    def start(self, **parameters):
+        node = Node("noisy_odom.py", **parameters)
+        self.addCleanup(node.end)
+        self.noisy = Topic("noisy_odom", Odometry)
+        self.addCleanup(self.noisy.close)
+        self.perfect = publisher("odom", Odometry)
+        self.addCleanup(self.perfect.unregister)
+        return node
+
+    def send(self, messages, expected=None):
+        """Publish messages; return all noisy ones once there are so many (one for each)."""
+        expected = len(self.noisy.messages) + len(messages) if expected is None else expected
+        for message in messages:
+            self.perfect.publish(message)
+        return self.noisy.wait(expected)
+
+    def assert_follows(self, path, perfect, noisy):
+        """Assert that noisy messages are what a NoisyPath makes of the perfect ones."""
+        for given, got in zip(perfect, noisy):
+            step = path.update(*pose(given))
+            np.testing.assert_allclose(step.pose[:2], pose(got)[:2], rtol=0, atol=1e-12)
+            turn = got.pose.pose.orientation
+            np.testing.assert_allclose(
+                quaternion_from_yaw(step.pose[2]), (turn.x, turn.y, turn.z, turn.w), atol=1e-12
+            )
+
+    def test_one_message_for_each_with_its_header(self):
+        self.start(std=0.1, seed=3)
+        perfect = arc(50)
+        noisy = self.send(perfect)
+        self.assertEqual([m.header.stamp for m in perfect], [m.header.stamp for m in noisy])
+        self.assertEqual({"odom"}, {m.header.frame_id for m in noisy})
+        self.assertEqual({"base_footprint"}, {m.child_frame_id for m in noisy})
+
+    def test_first_message_is_unchanged(self):
+        self.start(std=1.0)
+        first = arc(8)[-1]
+        noisy = self.send([first])[0]
+        first.header.seq = noisy.header.seq
+        for message in (first, noisy):
+            turn = message.pose.pose.orientation
+            turn.z, turn.w = round(turn.z, 14), round(turn.w, 14)
+        self.assertEqual(first, noisy)
+
+    def test_same_seed_gives_the_same_draws(self):
+        perfect = arc(40)
+        for model, std, seed in (("report", 0.1, 7), ("rate_invariant", 0.2, 8)):
+            node = self.start(std=std, seed=seed, model=model)
+            noisy = self.send(perfect)
+            self.assert_follows(NoisyPath(make_rule(model, std), seed), perfect, noisy)
+            node.end()
+            self.noisy.close()
+            self.perfect.unregister()
+
+    def test_probabilistic_model_has_its_alphas(self):
+        alphas = (0.01, 0.02, 0.03, 0.04)
+        named = {f"alpha{i}": value for i, value in enumerate(alphas, 1)}
+        self.start(model="probabilistic", seed=5, **named)
+        perfect = arc(40)
+        noisy = self.send(perfect)
+        rule = make_rule("probabilistic", 0.0, alphas)
+        self.assert_follows(NoisyPath(rule, 5), perfect, noisy)
+
+    def test_noise_is_changed_while_it_runs(self):
+        self.start(std=0.1, seed=4)
+        change = rospy.ServiceProxy("noisy_odom_node/set_noise", SetNoise)
+        change.wait_for_service(30.0)
+        perfect = arc(60)
+        noisy = list(self.send(perfect[:20]))
+        self.assertTrue(change("rate_invariant", 0.3, []).success)
+        noisy = list(self.send(perfect[20:40]))
+        refused = change("", -1.0, [])
+        self.assertFalse(refused.success)
+        self.assertIn("std", refused.status_message)
+        noisy = self.send(perfect[40:])
+        path = NoisyPath(make_rule("report", 0.1), 4)
+        self.assert_follows(path, perfect[:20], noisy[:20])
+        path.change_rule(make_rule("rate_invariant", 0.3))
+        self.assert_follows(path, perfect[20:], noisy[20:])
+
+    def test_ellipse_is_drawn_around_the_noisy_pose(self):
+        self.start(std=0.3, seed=4)
+        ellipses = Topic("noisy_odom_ellipse", Marker)
+        self.addCleanup(ellipses.close)
+        perfect = arc(30)
+        noisy = self.send(perfect)
+        last = noisy[-1].header.stamp
+        wait_for(
+            lambda: any(m.header.stamp == last for m in ellipses.messages), "the last ellipse"
+        )
+        marker = next(m for m in ellipses.messages if m.header.stamp == last)
+        self.assertEqual(noisy[-1].header.frame_id, marker.header.frame_id)
+        self.assertEqual(noisy[-1].pose.pose.position, marker.pose.position)
+        given = planar_part(perfect[-1].pose.covariance)
+        covariance = (planar_part(noisy[-1].pose.covariance) - given)[:2, :2]
+        points = np.array([(point.x, point.y) for point in marker.points])
+        lengths = np.einsum("ni,ij,nj->n", points, np.linalg.inv(covariance), points)
+        np.testing.assert_allclose(lengths, SQUARE_RADIUS, rtol=1e-6)
+
+    def test_covariance_grows_and_is_added(self):
+        self.start(std=0.1, seed=2)
+        perfect = arc(30)
+        noisy = self.send(perfect)
+        path = NoisyPath(make_rule("report", 0.1), 2)
+        traces = []
+        for given, got in zip(perfect, noisy):
+            step = path.update(*pose(given))
+            added = np.array(got.pose.covariance) - np.array(given.pose.covariance)
+            np.testing.assert_allclose(step.covariance, planar_part(added), atol=1e-12)
+            rest = added.reshape(6, 6).copy()
+            rest[np.ix_(PLANAR_AXES, PLANAR_AXES)] = 0.0
+            self.assertFalse(rest.any())
+            traces.append(np.trace(planar_part(added)))
+        self.assertEqual(0.0, traces[0])
+        self.assertTrue(np.all(np.diff(traces) > 0.0))
+
+    def test_twist_has_the_noise_of_its_step(self):
+        self.start(std=0.1, seed=2)
+        perfect = arc(30, period=0.2)
+        noisy = self.send(perfect)
+        path = NoisyPath(make_rule("report", 0.1), 2)
+        path.update(*pose(perfect[0]))
+        for given, got in list(zip(perfect, noisy))[1:]:
+            step = path.update(*pose(given))
+            twist = got.twist.twist
+            error = (twist.linear.x - 1.0, twist.linear.y, twist.angular.z - 1.0)
+            np.testing.assert_allclose(np.array(step.motion_error) / 0.2, error, atol=1e-12)
+            added = np.array(got.twist.covariance) - np.array(given.twist.covariance)
+            expected = step.motion_covariance / 0.2**2
+            np.testing.assert_allclose(expected, planar_part(added), atol=1e-12)
+
+    def test_robot_at_rest_gets_no_noise(self):
+        self.start(std=1.0)
+        still = [odometry(0.05 * k, 1.0, 2.0, 2.5) for k in range(1, 30)]
+        for message in self.send(still):
+            np.testing.assert_allclose((1.0, 2.0, 2.5), pose(message), atol=1e-12)
+
+    def test_what_cannot_be_used_is_refused(self):
+        node = self.start(std=0.1, seed=4)
+        perfect = arc(10)
+        self.send(perfect[:5])
+        bad = [odometry(0.26) for _ in range(6)]
+        bad[0].pose.pose.position.x = math.nan
+        bad[1].pose.pose.position.y = math.inf
+        bad[2].pose.pose.orientation.w = 0.0
+        bad[3].header.frame_id = "map"
+        bad[4].child_frame_id = "wheel"
+        bad[5].header.stamp = perfect[4].header.stamp
+        noisy = self.send(bad + perfect[5:], 10)
+        self.assertEqual([m.header.stamp for m in perfect], [m.header.stamp for m in noisy])
+        # Nothing of the refused ones is in the path.
+        self.assert_follows(NoisyPath(make_rule("report", 0.1), 4), perfect, noisy)
+        self.assertTrue(node.runs())
+        wait_for(lambda: "odom: refused:" in node.err, "a warning")
+        self.assertNotIn("Traceback", node.err)
+
+    def test_perfect_message_stays_as_it_came(self):
+        node = NoisyOdometry(NoisyOdomParameters(std=0.5, seed=1))
+        self.addCleanup(node.sub.unregister)
+        self.addCleanup(node.pub.unregister)
+        for message in arc(10):
+            before = copy.deepcopy(message)
+            node.odom_callback(message)
+            self.assertEqual(before, message)
+            self.assertEqual(before, node.last_odom)
+            self.assertEqual(before, node.msg)
+        self.assertNotAlmostEqual(message.pose.pose.position.x, node.pose[0])
+
+    def test_time_set_back_starts_anew(self):
+        self.start(std=0.1, seed=6)
+        before, after = arc(20), arc(20)
+        noisy = self.send(before + after)
+        path = NoisyPath(make_rule("report", 0.1), 6)
+        self.assert_follows(path, before, noisy[:20])
+        path.restart()
+        self.assert_follows(path, after, noisy[20:])
+        self.assertLess(noisy[20].pose.covariance[0], noisy[19].pose.covariance[0])
+        np.testing.assert_allclose(pose(after[0]), pose(noisy[20]), atol=1e-12)
+
+    def test_as_published_samples_by_the_stamps(self):
+        self.start(std=0.1, as_published=True)
+        perfect = [odometry(0.05 * k, 0.01 * k) for k in range(1, 201)]
+        noisy = self.send(perfect, 8)
+        stamps = [round(m.header.stamp.to_sec(), 3) for m in noisy]
+        # The first message at or after each tick of 0.9 Hz, counted from the first stamp.
+        due = [0.05 + 0.05 * math.ceil(k / 0.9 / 0.05) for k in range(1, 9)]
+        np.testing.assert_allclose(due, stamps, atol=1e-9)
+        self.assertAlmostEqual(perfect[23].pose.pose.position.x, pose(noisy[0])[0])
+
+    def test_bad_parameters(self):
+        for name, value in (
+            ("std", "-0.1"),
+            ("std", "much"),
+            ("model", "gaussian"),
+            ("seed", "-1"),
+            ("alpha1", ".nan"),
+            ("rate", "0"),
+            ("stdd", "0.1"),
+        ):
+            node = Node("noisy_odom.py", **{name: value})
+            self.addCleanup(node.end)
+            self.assertEqual(2, node.wait(), node.err)
+            self.assertEqual(1, len(node.err.splitlines()), node.err)
+            self.assertIn(f"~{name}", node.err)
+
+    def test_ctrl_c(self):
+        node = self.start()
+        self.send(arc(3))
+        node.signal()
+        self.assertEqual((0, ""), (node.wait(), node.err))
+
+
+def setUpModule():
+    rospy.init_node("noisy_odom_test")
+
+
+if __name__ == "__main__":
+    rostest.rosrun("bullet_lab", "noisy_odom_test", "__main__")
