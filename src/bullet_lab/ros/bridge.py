@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
@@ -60,6 +61,8 @@ from bullet_lab.srv import Advance, AdvanceResponse, Step, StepResponse
 QUEUE_SIZE = 100
 # Hz; setting the time of this node's log costs more than a message on /clock.
 LOG_TIME_RATE = 5.0
+# A member of the lock step that has not answered so many times in a row is dead.
+SILENCES = 3
 # A grant up to here, the end of ROS time, means "for ever".
 END_OF_TIME = 2**31 - 1
 
@@ -111,6 +114,7 @@ class PyBulletBridge:
         )
         self._publishers: List[BatchPublisher] = []
         self._refusals = Refusals()
+        self._silences: Counter = Counter()
         self._subscribers: List[rospy.Subscriber] = []
         self._shared_publishers: Dict[str, Publisher] = {}
         self._static_tf = tf2_ros.StaticTransformBroadcaster()
@@ -268,7 +272,10 @@ class PyBulletBridge:
     def _report_stall(self, holding: Sequence[str]) -> None:
         """Say who holds time back; go on without members that have died."""
         for member in holding:
-            if self.stepper.gate.has_joined(member) and not answers(member):
+            joined = self.stepper.gate.has_joined(member)
+            self._silences[member] = 0 if answers(member) else self._silences[member] + 1
+            # One silence may be a busy machine, and time must not run away from a living member.
+            if joined and self._silences[member] >= SILENCES:
                 rospy.logwarn("%s holds simulated time back and is gone: going on", member)
                 self.stepper.gate.leave(member)
             else:

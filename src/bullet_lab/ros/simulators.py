@@ -9,13 +9,25 @@ import rosgraph
 from bullet_lab.ros.node import NodeError
 
 CALLER = "/bullet_lab"
+# Wall seconds that a node may take to say that it is there.
+ANSWER_SECONDS = 5.0
+
+
+class _Transport(xmlrpc.client.Transport):
+    """Does not wait for ever for a node that hangs."""
+
+    def make_connection(self, host):
+        connection = super().make_connection(host)
+        connection.timeout = ANSWER_SECONDS
+        return connection
 
 
 def answers(node: str) -> bool:
     """Return whether a node is registered with the master and alive."""
     master = rosgraph.Master(CALLER)
     try:
-        with xmlrpc.client.ServerProxy(master.lookupNode(node)) as proxy:
+        uri = master.lookupNode(node)
+        with xmlrpc.client.ServerProxy(uri, transport=_Transport()) as proxy:
             proxy.getPid(CALLER)
     except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
         return False
