@@ -29,6 +29,7 @@ rospy.ServiceProxy("/bullet_lab/advance", Advance)("/waiting", rospy.Time(10), 0
 YEARS_OF_STEPS = """
 import rospy
 from bullet_lab.srv import Step
+rospy.init_node("stepping", disable_signals=True)
 rospy.wait_for_service("/bullet_lab/step")
 print("stepping", flush=True)
 rospy.ServiceProxy("/bullet_lab/step", Step)(2**32 - 1)
@@ -192,16 +193,18 @@ class FailuresTest(unittest.TestCase):
     def test_ctrl_c_while_a_member_waits(self):
         master = self.own_master()
         bridge = self.running_bridge(master, robot=ROBOT, lock_step="waiting another")
-        self.helper(master, WAITING_MEMBER)
+        waiting = self.helper(master, WAITING_MEMBER)
         time.sleep(0.5)
+        self.assertIsNone(waiting.poll())
         bridge.signal()
         self.assert_clean_end(bridge, master)
 
     def test_ctrl_c_while_it_steps(self):
         master = self.own_master()
         bridge = self.running_bridge(master, robot=ROBOT, paused=True)
-        self.helper(master, YEARS_OF_STEPS)
+        stepping = self.helper(master, YEARS_OF_STEPS)
         time.sleep(0.5)
+        self.assertIsNone(stepping.poll())
         bridge.signal()
         self.assert_clean_end(bridge, master)
 

@@ -8,11 +8,11 @@ lets the bridge go on to the node's next tick, and returns when it is there.
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Callable, Protocol
 
 import rospy
 
-from bullet_lab.ros.node import NodeError
+from bullet_lab.ros.node import NodeError, wait_until
 from bullet_lab.ros.publishers import Publisher
 from bullet_lab.srv import Advance, AdvanceRequest
 
@@ -67,6 +67,17 @@ class LockStep:
             if rospy.is_shutdown():
                 raise rospy.ROSInterruptException("shutdown") from error
             raise NodeError(f"the bridge does not answer on {SERVICE}: {error}") from error
+
+
+def join_when(connected: Callable[[], bool], what: str) -> None:
+    """Join as a listener once it is connected, so that no message is missed.
+
+    Args:
+        connected: says whether it is.
+        what: is waited for, in the log.
+    """
+    wait_until(connected, what)
+    LockStep().listen_only()
 
 
 class CountedPublisher:

@@ -31,8 +31,8 @@ from bullet_lab.numerics.odometry_noise import (
 )
 from bullet_lab.numerics.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.ros import parameters
-from bullet_lab.ros.lock_step import LockStep
-from bullet_lab.ros.node import Refusals, private_parameters, run_node, wait_until
+from bullet_lab.ros.lock_step import join_when
+from bullet_lab.ros.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
 from bullet_lab.ros.publishers import Publisher, lossless_publisher
 from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
@@ -216,8 +216,7 @@ def main() -> None:
         wanted = private_parameters(NoisyOdomParameters)
         odom = NoisyOdometry(wanted)
         if wanted.lock_step:
-            wait_until(lambda: odom.sub.get_num_connections() > 0, "somebody to publish odom")
-            LockStep().listen_only()
+            join_when(lambda: odom.sub.get_num_connections() > 0, "somebody to publish odom")
         rospy.spin()
 
     run_node("noisy_odom_node", body)

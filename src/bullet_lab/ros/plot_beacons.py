@@ -27,16 +27,14 @@ from bullet_lab.plotting.style import save
 from bullet_lab.recording.distances import DistancesRecording, distances_summary
 from bullet_lab.recording.files import write_json
 from bullet_lab.ros import parameters
-from bullet_lab.ros.lock_step import LockStep
 from bullet_lab.ros.node import (
     NodeError,
     Refusals,
     private_parameters,
     run_node,
-    wait_until,
 )
 from bullet_lab.ros.odometry import OdometryError, planar_pose
-from bullet_lab.ros.recorder import EndOfRecording, Stopwatch, record_until
+from bullet_lab.ros.recorder import EndOfRecording, Stopwatch, record
 
 WORLD_TIMEOUT_SECONDS = 60.0
 
@@ -154,13 +152,6 @@ def main() -> None:
     def body() -> None:
         wanted = private_parameters(PlotBeaconsParameters)
         plotter = PlotBeacons(wanted)
-        complete = False
-        try:
-            if wanted.lock_step:
-                wait_until(plotter.is_connected, "odom and the distances to be published")
-                LockStep().listen_only()
-            complete = record_until(plotter.is_complete, plotter.plot_now, wanted.plot_period)
-        finally:
-            plotter.finish(complete)
+        record(plotter, wanted.plot_period, wanted.lock_step, "odom and the distances")
 
     run_node("plot_beacons", body)

@@ -29,11 +29,10 @@ from bullet_lab.recording.files import FileError, make_folder, move_file, write_
 from bullet_lab.recording.paths import PathsRecording, RecordingError
 from bullet_lab.recording.squares_summary import squares_summary
 from bullet_lab.ros import parameters
-from bullet_lab.ros.lock_step import LockStep
-from bullet_lab.ros.node import Refusals, private_parameters, run_node, wait_until
+from bullet_lab.ros.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
 from bullet_lab.ros.publishers import Publisher
-from bullet_lab.ros.recorder import EndOfRecording, Stopwatch, record_until
+from bullet_lab.ros.recorder import EndOfRecording, Stopwatch, record
 
 PATHS_PERIOD_SECONDS = 0.5
 # How many ellipses are drawn along the noisy path.
@@ -294,14 +293,7 @@ def main() -> None:
     def body() -> None:
         wanted = private_parameters(PlotNoiseParameters)
         plotter = PlotNoise(wanted)
-        complete = False
-        try:
-            if wanted.lock_step:
-                wait_until(plotter.is_connected, "somebody to publish odom and noisy_odom")
-                LockStep().listen_only()
-            complete = record_until(plotter.is_complete, plotter.plot_now, wanted.plot_period)
-        finally:
-            plotter.finish(complete)
+        record(plotter, wanted.plot_period, wanted.lock_step, "odom and noisy_odom")
         if wanted.show:
             plotter.show()
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, Callable, Mapping, Optional
+from typing import Any, Mapping, Optional, Protocol
 
 import rospy
 from std_msgs.msg import Time
 
 from bullet_lab.recording.files import FileError
+from bullet_lab.ros.lock_step import join_when
 
 # Wall seconds that messages may take after the end has been announced.
 PATIENCE = 5.0
@@ -74,23 +75,51 @@ class Stopwatch:
         return {"sim_time_s": sim_seconds, "wall_time_s": wall, "real_time_factor": factor}
 
 
-def record_until(done: Callable[[], bool], now_and_then: Callable[[], None], period: float) -> bool:
-    """Wait until a recording is done or ROS shuts down; return whether it is done.
+class Recorder(Protocol):
+    """What a recording node does."""
+
+    def is_connected(self) -> bool:
+        """Return whether every topic has a publisher."""
+
+    def is_complete(self) -> bool:
+        """Return whether the announced end has come."""
+
+    def plot_now(self) -> None:
+        """Draw what there is so far."""
+
+    def finish(self, complete: bool) -> None:
+        """Write everything for the last time."""
+
+
+def record(recorder: Recorder, period: float, lock_step: bool, topics: str) -> None:
+    """Record until all is in, or until ROS shuts down, and leave everything behind.
 
     Args:
-        done: says whether it is.
-        now_and_then: called every `period` wall seconds, to draw what there is so far.
-        period: in s.
+        recorder: what records.
+        period: wall seconds between two drawings of what there is.
+        lock_step: whether to tell the bridge when all topics are connected.
+        topics: what is waited for then, in the log.
     """
+    complete = False
+    try:
+        if lock_step:
+            join_when(recorder.is_connected, topics)
+        complete = _wait(recorder, period)
+    finally:
+        recorder.finish(complete)
+
+
+def _wait(recorder: Recorder, period: float) -> bool:
+    """Return whether the recording is complete."""
     last = time.monotonic()
     while not rospy.is_shutdown():
-        if done():
+        if recorder.is_complete():
             return True
         if time.monotonic() - last >= period:
             try:
-                now_and_then()
+                recorder.plot_now()
             except (FileError, OSError) as error:
-                rospy.logerr_throttle(10.0, "cannot write: %s", error)
+                rospy.logerr_throttle(10.0, f"cannot write: {error}")
             last = time.monotonic()
         time.sleep(POLL_SECONDS)
     return False

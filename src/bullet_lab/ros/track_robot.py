@@ -23,8 +23,8 @@ from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.ros import parameters
-from bullet_lab.ros.lock_step import LockStep
-from bullet_lab.ros.node import Refusals, private_parameters, run_node, wait_until
+from bullet_lab.ros.lock_step import join_when
+from bullet_lab.ros.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
 from bullet_lab.ros.publishers import Publisher, lossless_publisher
 
@@ -156,8 +156,7 @@ def main() -> None:
         wanted = private_parameters(TrackRobotParameters)
         tracker = TrackRobot(wanted)
         if wanted.lock_step:
-            wait_until(lambda: tracker.sub.get_num_connections() > 0, "somebody to publish odom")
-            LockStep().listen_only()
+            join_when(lambda: tracker.sub.get_num_connections() > 0, "somebody to publish odom")
         rospy.spin()
 
     run_node("track_robot", body)
