@@ -194,7 +194,7 @@ class DriveSquaresTest(unittest.TestCase):
     def test_shutdown_by_another_node_at_full_speed(self):
         bridge = Node("pybullet_bridge.py", robot=ROBOT, rtf=0, lock_step="driver_0")
         self.addCleanup(bridge.end)
-        for name in ("driver_0", "driver_1", "driver_2"):
+        for name in ("driver_0", "driver_1"):
             self.commands = self.topic("cmd_vel", Twist)
             node = self.start(name, lock_step=True, sides=1000)
             self.wait_until_driving(node, 500)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import IO, Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.numerics.trajectory import Trajectory
-from bullet_lab.recording.files import make_folder, replace_file
+from bullet_lab.recording.files import RowFile, make_folder
 
 PlanarPose = Tuple[float, float, float]
 NANOSECONDS = 1_000_000_000
@@ -26,6 +26,9 @@ class DistancesRecording:
     Args:
         folder: where the file goes; made if need be.
         beacons: true positions (m, m) by name.
+
+    Raises:
+        FileError: the file cannot be written, here and in all that adds to it.
     """
 
     def __init__(self, folder: Path, beacons: Mapping[str, Tuple[float, float]]):
@@ -36,8 +39,8 @@ class DistancesRecording:
         self._rows: Dict[int, List[float]] = {}
         names = [*self.beacons, *(f"true_{name}" for name in self.beacons)]
         self._header = ",".join(["stamp", "x", "y", "yaw", *names])
-        self._file: IO[str] = (folder / FILE).open("w", buffering=1)
-        self._file.write(f"{self._header}\n")
+        self._file = RowFile(folder / FILE)
+        self._file.write(self._header)
 
     def add_pose(self, stamp: int, pose: PlanarPose) -> None:
         """Record where the robot is (m, m, rad) at a stamp in ns."""
@@ -71,11 +74,9 @@ class DistancesRecording:
 
     def finish(self, until: Optional[int] = None) -> None:
         """Close the file, in the order of the stamps; leave out what came after `until` in ns."""
-        self._file.close()
         self._rows = {s: row for s, row in self._rows.items() if until is None or s <= until}
         lines = [self._header] + [_line(stamp, self._rows[stamp]) for stamp in sorted(self._rows)]
-        text = "".join(f"{line}\n" for line in lines)
-        replace_file(self.folder / FILE, lambda part: part.write_text(text))
+        self._file.rewrite(lines)
 
     def _complete(self, stamp: int) -> None:
         pose, measured = self._poses.get(stamp), self._measured.get(stamp, {})
@@ -84,7 +85,7 @@ class DistancesRecording:
         true = [math.hypot(pose[0] - x, pose[1] - y) for x, y in self.beacons.values()]
         self._rows[stamp] = [*pose, *(measured[name] for name in self.beacons), *true]
         del self._poses[stamp], self._measured[stamp]
-        self._file.write(f"{_line(stamp, self._rows[stamp])}\n")
+        self._file.write(_line(stamp, self._rows[stamp]))
 
 
 def distances_summary(recording: DistancesRecording) -> Dict[str, Any]:

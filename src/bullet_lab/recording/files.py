@@ -7,7 +7,7 @@ import json
 import os
 import tempfile
 from pathlib import Path
-from typing import Any, Callable, Mapping
+from typing import Any, Callable, Iterable, Mapping
 
 from bullet_lab.errors import LabError
 
@@ -82,3 +82,35 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
     except (TypeError, ValueError) as error:
         raise FileError(f"cannot write {path}: {error}") from error
     replace_file(path, lambda part: part.write_text(text))
+
+
+class RowFile:
+    """A text file that is written row by row, each in the file as soon as it is known.
+
+    Raises:
+        FileError: the file cannot be written; so do its methods.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self._file = self._try(lambda: path.open("w", buffering=1))
+
+    def write(self, row: str) -> None:
+        """Add a row, given without its line end."""
+        self._try(lambda: self._file.write(f"{row}\n"))
+
+    def rewrite(self, rows: Iterable[str]) -> None:
+        """Close the file and put other rows in its place, at once or not at all."""
+        self.close()
+        text = "".join(f"{row}\n" for row in rows)
+        replace_file(self.path, lambda part: part.write_text(text))
+
+    def close(self) -> None:
+        """Close the file as it is."""
+        self._try(self._file.close)
+
+    def _try(self, action: Callable[[], Any]) -> Any:
+        try:
+            return action()
+        except OSError as error:
+            raise FileError(f"cannot write {self.path}: {error.strerror}") from error

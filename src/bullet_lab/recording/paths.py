@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import IO, Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 from bullet_lab.errors import LabError
 from bullet_lab.numerics.trajectory import CSV_HEADER, Trajectory, csv_row, tum_row
-from bullet_lab.recording.files import FileError, make_folder, replace_file
+from bullet_lab.recording.files import RowFile, make_folder
 
 PlanarPose = Tuple[float, float, float]
 NANOSECONDS = 1_000_000_000
@@ -38,10 +38,10 @@ class PathsRecording:
         self._perfect: Dict[int, PlanarPose] = {}
         self._noisy: Dict[int, PlanarPose] = {}
         self._last: Dict[str, int] = {}
-        self._files: Dict[str, IO[str]] = {
-            name: _open(folder / name) for name in (self.PERFECT, self.NOISY, self.PAIRS)
+        self._files = {
+            name: RowFile(folder / name) for name in (self.PERFECT, self.NOISY, self.PAIRS)
         }
-        self._write(self.PAIRS, CSV_HEADER)
+        self._files[self.PAIRS].write(CSV_HEADER)
 
     def add_perfect(self, stamp: int, pose: PlanarPose) -> None:
         """Record a perfect pose (m, m, rad) at a stamp in ns.
@@ -79,19 +79,16 @@ class PathsRecording:
             for poses in (self._perfect, self._noisy):
                 for stamp in [s for s in poses if s > until]:
                     del poses[stamp]
-        self._write_whole(self.PERFECT, self._tum_rows(self._perfect))
-        self._write_whole(self.NOISY, self._tum_rows(self._noisy))
-        self._write_whole(
-            self.PAIRS, [CSV_HEADER] + [self._pair_row(stamp) for stamp in self._paired_stamps()]
+        self._files[self.PERFECT].rewrite(self._tum_rows(self._perfect))
+        self._files[self.NOISY].rewrite(self._tum_rows(self._noisy))
+        self._files[self.PAIRS].rewrite(
+            [CSV_HEADER] + [self._pair_row(stamp) for stamp in self._paired_stamps()]
         )
 
     def close(self) -> None:
         """Close the files as they are."""
-        for name, file in self._files.items():
-            try:
-                file.close()
-            except OSError as error:
-                raise FileError(f"cannot write {self.folder / name}: {error.strerror}") from error
+        for file in self._files.values():
+            file.close()
 
     def _add(self, name: str, poses: Dict[int, PlanarPose], stamp: int, pose: PlanarPose) -> None:
         if not all(map(math.isfinite, pose)):
@@ -101,17 +98,11 @@ class PathsRecording:
             raise RecordingError(f"time goes back from {last / 1e9:.9f} s to {stamp / 1e9:.9f} s")
         self._last[name] = stamp
         poses[stamp] = pose
-        self._write(name, tum_row(stamp / NANOSECONDS, *pose))
+        self._files[name].write(tum_row(stamp / NANOSECONDS, *pose))
 
     def _write_pair(self, stamp: int) -> None:
         if stamp in self._perfect and stamp in self._noisy:
-            self._write(self.PAIRS, self._pair_row(stamp))
-
-    def _write(self, name: str, row: str) -> None:
-        try:
-            self._files[name].write(f"{row}\n")
-        except OSError as error:
-            raise FileError(f"cannot write {self.folder / name}: {error.strerror}") from error
+            self._files[self.PAIRS].write(self._pair_row(stamp))
 
     def _pair_row(self, stamp: int) -> str:
         return csv_row(stamp / NANOSECONDS, self._perfect[stamp], self._noisy[stamp])
@@ -122,17 +113,6 @@ class PathsRecording:
     @staticmethod
     def _tum_rows(poses: Dict[int, PlanarPose]) -> List[str]:
         return [tum_row(stamp / NANOSECONDS, *poses[stamp]) for stamp in sorted(poses)]
-
-    def _write_whole(self, name: str, rows: List[str]) -> None:
-        text = "".join(f"{row}\n" for row in rows)
-        replace_file(self.folder / name, lambda part: part.write_text(text))
-
-
-def _open(path: Path) -> IO[str]:
-    try:
-        return path.open("w", buffering=1)
-    except OSError as error:
-        raise FileError(f"cannot write {path}: {error.strerror}") from error
 
 
 def _trajectory(poses: Dict[int, PlanarPose], stamps: List[int]) -> Optional[Trajectory]:

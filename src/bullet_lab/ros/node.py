@@ -56,6 +56,8 @@ def run_node(
         body: the node's work; LabError from it ends the node with that one line.
         before: is run before the node registers with the master.
     """
+    # What a node says is of use while it runs, in a file or a pipe as well.
+    sys.stdout.reconfigure(line_buffering=True)
     try:
         if not rosgraph.is_master_online():
             raise NodeError(f"no ROS master answers at {rosgraph.get_master_uri()}")

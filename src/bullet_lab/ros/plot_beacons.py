@@ -15,7 +15,7 @@ import math
 import threading
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, Mapping, Tuple
+from typing import Any, Callable, Dict, Mapping, Optional, Tuple
 
 import rospy
 from nav_msgs.msg import Odometry
@@ -25,7 +25,7 @@ from visualization_msgs.msg import MarkerArray
 from bullet_lab.plotting.beacons_figure import beacons_figure
 from bullet_lab.plotting.style import save
 from bullet_lab.recording.distances import DistancesRecording, distances_summary
-from bullet_lab.recording.files import write_json
+from bullet_lab.recording.files import FileError, write_json
 from bullet_lab.ros import parameters
 from bullet_lab.ros.node import (
     NodeError,
@@ -64,6 +64,8 @@ class PlotBeacons:
         self._folder = Path(wanted.out)
         self._beacons = true_beacons(wanted.beacons or ("beacon_0", "beacon_1", "beacon_2"))
         self._recording = DistancesRecording(self._folder, self._beacons)
+        self._failure: Optional[FileError] = None
+        self._finished = False
         self.end = EndOfRecording(wanted.until)
         self._subscribers = [rospy.Subscriber("odom", Odometry, self._receive_odometry)]
         for name in self._beacons:
@@ -76,8 +78,14 @@ class PlotBeacons:
         return all(subscriber.get_num_connections() > 0 for subscriber in self._subscribers)
 
     def is_complete(self) -> bool:
-        """Return whether the announced end has come."""
+        """Return whether the announced end has come.
+
+        Raises:
+            FileError: what came could not be written.
+        """
         with self._lock:
+            if self._failure is not None:
+                raise self._failure
             newest = self._recording.newest
         return self.end.reached(newest)
 
@@ -90,6 +98,8 @@ class PlotBeacons:
         for subscriber in self._subscribers:
             subscriber.unregister()
         with self._lock:
+            # A message may be on its way in still.
+            self._finished = True
             self._recording.finish(self.end.until if complete else None)
         self._write(finished=complete)
         rospy.loginfo("distances to %d beacons in %s", len(self._beacons), self._folder)
@@ -101,15 +111,24 @@ class PlotBeacons:
             self._refusals.refuse("odom", str(error))
             return
         self._stopwatch.note()
-        with self._lock:
-            self._recording.add_pose(message.header.stamp.to_nsec(), pose)
+        stamp = message.header.stamp.to_nsec()
+        self._record(lambda: self._recording.add_pose(stamp, pose))
 
     def _receive_range(self, message: Range, name: str) -> None:
         if not math.isfinite(message.range):
             self._refusals.refuse(f"{name}/range", f"a distance of {message.range}")
             return
+        stamp = message.header.stamp.to_nsec()
+        self._record(lambda: self._recording.add_distance(stamp, name, message.range))
+
+    def _record(self, add: Callable[[], None]) -> None:
         with self._lock:
-            self._recording.add_distance(message.header.stamp.to_nsec(), name, message.range)
+            if self._finished or self._failure is not None:
+                return
+            try:
+                add()
+            except FileError as error:
+                self._failure = error
 
     def _write(self, finished: bool) -> None:
         with self._lock:

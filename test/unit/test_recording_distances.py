@@ -1,0 +1,73 @@
+import json
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.plotting.beacons_figure import beacons_figure
+from bullet_lab.recording.distances import FILE, DistancesRecording, distances_summary
+from bullet_lab.recording.files import FileError, RowFile
+
+BEACONS = {"a": (3.0, 4.0), "b": (-1.0, 0.0)}
+
+
+def recorded(folder):
+    recording = DistancesRecording(folder, BEACONS)
+    recording.add_pose(100, (0.0, 0.0, 0.5))
+    recording.add_distance(100, "a", 5.25)
+    recording.add_distance(100, "b", 1.0)
+    return recording
+
+
+def rows(folder):
+    return [line.split(",") for line in (folder / FILE).read_text().splitlines()]
+
+
+def test_a_row_is_there_once_all_of_it_is(tmp_path):
+    recording = DistancesRecording(tmp_path, BEACONS)
+    recording.add_distance(100, "a", 5.25)
+    recording.add_pose(100, (0.0, 0.0, 0.5))
+    assert len(rows(tmp_path)) == 1
+    assert recording.newest is None
+    recording.add_distance(100, "b", 1.0)
+    assert rows(tmp_path)[0] == ["stamp", "x", "y", "yaw", "a", "b", "true_a", "true_b"]
+    assert [float(v) for v in rows(tmp_path)[1]] == [1e-7, 0.0, 0.0, 0.5, 5.25, 1.0, 5.0, 1.0]
+    assert recording.newest == 100
+
+
+def test_the_end_sorts_and_trims(tmp_path):
+    recording = recorded(tmp_path)
+    for stamp in (50, 200):
+        recording.add_pose(stamp, (1.0, 0.0, 0.0))
+        recording.add_distance(stamp, "a", 1.0)
+        recording.add_distance(stamp, "b", 2.0)
+    recording.finish(until=150)
+    assert [float(row[0]) for row in rows(tmp_path)[1:]] == [5e-8, 1e-7]
+
+
+def test_summary_measures_against_the_truth(tmp_path):
+    recording = recorded(tmp_path)
+    summary = distances_summary(recording)
+    assert summary["closest_m"] == [5.25, 1.0]
+    assert summary["largest_error_m"] == [0.25, 0.0]
+    json.dumps(summary, allow_nan=False)
+    assert distances_summary(DistancesRecording(tmp_path, BEACONS))["rows"] == 0
+
+
+def test_figure_has_a_curve_over_the_truth_for_each_beacon(tmp_path):
+    recording = recorded(tmp_path)
+    recording.add_pose(200, (1.0, 0.0, 0.5))
+    recording.add_distance(200, "a", 4.0)
+    recording.add_distance(200, "b", 2.0)
+    below = beacons_figure(BEACONS, recording.table()).axes[1]
+    drawn = [line.get_ydata() for line in below.lines if len(line.get_ydata())]
+    np.testing.assert_allclose(drawn[0], [5.0, math.hypot(2.0, 4.0)])
+    np.testing.assert_allclose(drawn[1], [5.25, 4.0])
+    assert len(drawn) == 4
+
+
+def test_a_full_disk_is_one_line(tmp_path):
+    (tmp_path / "rows.csv").symlink_to("/dev/full")
+    file = RowFile(tmp_path / "rows.csv")
+    with pytest.raises(FileError, match="No space left"):
+        file.write("1,2,3")
