@@ -58,7 +58,7 @@ def published_run():
 @pytest.fixture(scope="session")
 def figure_corners():
     """Start and the four corners of the perfect path in figure 1a, m, shape (5, 2)."""
-    with (PACKAGE / "test" / "data" / "fig1_paths.csv").open() as file:
+    with (PACKAGE / "data" / "fig1_paths.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["series"] == "fig1a_perfect"]
     points = np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows])
     return points[[0, 1, 4, 7, 10]]

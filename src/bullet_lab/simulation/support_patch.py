@@ -21,7 +21,7 @@ import math
 from dataclasses import dataclass
 from typing import Tuple
 
-# From the three turns in fig1_paths.csv: 90.14°, 90.13° and 90.67° in 34 commands at 10 Hz,
+# From the three turns in data/fig1_paths.csv: 90.14°, 90.13° and 90.67° in 34 commands at 10 Hz,
 # 0.4636 rad/s where 0.5236 was asked for; r = 0.0600 rad/s · Izz / (m·g·dt).
 PUBLISHED_RADIUS = 0.0102
 

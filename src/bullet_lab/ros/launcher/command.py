@@ -29,6 +29,7 @@ from bullet_lab.ros.launcher.signals import StopSignals
 from bullet_lab.ros.launcher.values import UsageError
 
 _HELP = ("-h", "--help")
+STATUS_BAD_VALUE = 2
 _GRAB_PERIOD = 3.0
 
 
@@ -111,7 +112,7 @@ def _supervise(
         if with_rviz and not os.environ.get("DISPLAY"):
             meanwhile = stack.enter_context(_screenshots(out)).take
         verdict = _launch(job, values, out, signals, meanwhile)
-    if verdict.status:
+    if verdict.status not in (0, STATUS_BAD_VALUE):
         print(f"{job.name}: {verdict.reason}, see {shown(out.log)}", file=sys.stderr)
     return verdict.status
 
@@ -187,6 +188,9 @@ def _screenshots(out: OutputFolder):
 
 def _report(job: Job, status: int, out: OutputFolder, seconds: float) -> None:
     """Say how long it took and which files there are."""
+    if status == STATUS_BAD_VALUE:
+        # A node refused a value, and has said why: that line shall stand alone.
+        return
     print(f"{job.name}: {'failed' if status else 'done'} after {seconds:.1f} s")
     for path in out.written():
         print(f"  {shown(path)}")
