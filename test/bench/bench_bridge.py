@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 """Measures the bridge against the bare engine; run it with scripts/bench.sh.
 
 Prints a table and writes JSON. Starts a ROS master of its own unless one is given.

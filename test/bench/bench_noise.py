@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 """Measures the noisy paths of the noise study; run it with scripts/bench.sh noise.
 
 Ten levels of noise, a thousand paths of the simulated square at 20 Hz each, on one core: only to
