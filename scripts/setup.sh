@@ -30,14 +30,16 @@ debian_packages() {
       echo ca-certificates g++ make cmake python3 python3-venv catkin ros-core rosbash \
         python3-roslaunch python3-rosmaster python3-rospy \
         ros-message-generation ros-message-runtime \
+        python3-actionlib python3-actionlib-msgs python3-cv-bridge python3-diagnostic-msgs \
         python3-geometry-msgs python3-nav-msgs python3-rosgraph-msgs python3-sensor-msgs \
         python3-std-msgs python3-std-srvs python3-tf2-msgs python3-tf2-ros python3-visualization-msgs \
+        libactionlib-msgs-dev libdiagnostic-msgs-dev \
         libgeometry-msgs-dev libnav-msgs-dev libsensor-msgs-dev libstd-msgs-dev \
         libstd-srvs-dev libtf2-ros-dev libvisualization-msgs-dev libroscpp-dev \
-        ros-robot-state-publisher
+        ros-robot-state-publisher libegl1 libgl1-mesa-dri
       ;;
-    rviz) echo rviz xvfb libgl1-mesa-dri ;;
-    test) echo shellcheck python3-rostest iproute2 ;;
+    rviz) echo rviz xvfb ;;
+    test) echo shellcheck python3-rostest iproute2 sdformat-sdf libxml2-utils ;;
   esac
 }
 
@@ -45,18 +47,18 @@ noetic_packages() {
   local name names=()
   case $1 in
     base)
-      names=(catkin geometry-msgs message-generation message-runtime nav-msgs
-        robot-state-publisher rosbash rosgraph-msgs roslaunch rosmaster rospy sensor-msgs
+      names=(actionlib actionlib-msgs catkin cv-bridge diagnostic-msgs geometry-msgs
+        message-generation message-runtime nav-msgs robot-state-publisher rosbash rosgraph-msgs roslaunch rosmaster rospy sensor-msgs
         std-msgs std-srvs tf2-msgs tf2-ros visualization-msgs)
-      echo ca-certificates g++ make cmake python3 python3-venv
+      echo ca-certificates g++ make cmake python3 python3-venv libegl1 libgl1-mesa-dri
       ;;
     rviz)
       names=(rviz)
-      echo xvfb libgl1-mesa-dri
+      echo xvfb
       ;;
     test)
       names=(rostest)
-      echo shellcheck iproute2
+      echo shellcheck iproute2 sdformat-sdf libxml2-utils
       ;;
   esac
   for name in "${names[@]}"; do
@@ -77,7 +79,7 @@ inputs_of() {
     python-test) cat "$LAB_ROOT/requirements.txt" "$LAB_ROOT/requirements-test.txt" ;;
     build)
       package_entries
-      cat "$LAB_ROOT"/{CMakeLists.txt,package.xml,setup.py} "$LAB_ROOT"/srv/*.srv
+      cat "$LAB_ROOT"/{CMakeLists.txt,package.xml,setup.py} "$LAB_ROOT"/{action,msg,srv}/*
       ;;
   esac
 }

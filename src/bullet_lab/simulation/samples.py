@@ -9,6 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Tuple
 
+import numpy as np
+
+from bullet_lab.numerics.pinhole import PinholeCamera
 from bullet_lab.simulation.pose import Pose
 
 # Row-major diagonals in REP 103 order x, y, z, rotation about x, y, z.
@@ -58,3 +61,27 @@ class JointSample:
     positions: Tuple[float, ...]
     velocities: Tuple[float, ...]
     efforts: Tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ImageSample:
+    """An image as `frame`, an optical frame, sees it.
+
+    `encoding` is one of sensor_msgs/image_encodings; `pixels` has the shape (height, width, 3)
+    or (height, width) and is not changed after it was sent.
+    """
+
+    step: int
+    frame: str
+    encoding: str
+    pixels: np.ndarray
+
+
+@dataclass(frozen=True)
+class CameraInfoSample:
+    """Geometry of the images of one camera; `baseline` in metres is Gazebo's hackBaseline."""
+
+    step: int
+    frame: str
+    camera: PinholeCamera
+    baseline: float = 0.0
