@@ -15,11 +15,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 from collections import Counter
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, List, Optional, Sequence, Tuple
 
 import rospy
 import rospy.impl.simtime
@@ -33,22 +32,20 @@ from visualization_msgs.msg import MarkerArray
 from bullet_lab.errors import LabError
 from bullet_lab.ros import parameters
 from bullet_lab.ros.conversions import (
-    INPUT_CONVERTERS,
     NANOSECONDS_PER_STEP,
-    OUTPUT_CONVERTERS,
     first_step_at,
     set_time,
     time_of,
 )
-from bullet_lab.ros.node import Refusals, private_parameters, run_node
+from bullet_lab.ros.node import private_parameters, run_node
 from bullet_lab.ros.pace import Pace
-from bullet_lab.ros.publishers import BatchPublisher, Publisher, lossless_publisher
+from bullet_lab.ros.publishers import Publisher
 from bullet_lab.ros.simulators import answers, refuse_second_simulator
-from bullet_lab.ros.stepper import Stepper, StepperError
+from bullet_lab.ros.stepper import Stepper
 from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
+from bullet_lab.ros.wiring import Wiring
 from bullet_lab.ros.world_markers import world_markers
 from bullet_lab.simulation.description import Model
-from bullet_lab.simulation.devices import DeviceError, Input, Output
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.resources import ResourceFinder
 from bullet_lab.simulation.samples import OdometrySample
@@ -57,8 +54,6 @@ from bullet_lab.simulation.simulation import ModelInstance, Simulation
 from bullet_lab.simulation.urdf_reader import read_urdf, read_urdf_file
 from bullet_lab.srv import Advance, AdvanceResponse, Step, StepResponse
 
-# Messages that wait for a slow subscriber while time follows the wall clock.
-QUEUE_SIZE = 100
 # Hz; setting the time of this node's log costs more than a message on /clock.
 LOG_TIME_RATE = 5.0
 # A member of the lock step that has not answered so many times in a row is dead.
@@ -110,17 +105,14 @@ class PyBulletBridge:
             paused=wanted.paused,
             is_over=rospy.is_shutdown,
             report_stall=self._report_stall,
-            after_steps=self._flush,
+            after_steps=lambda: self._wiring.flush(),
         )
-        self._publishers: List[BatchPublisher] = []
-        self._refusals = Refusals()
+        self._wiring = Wiring(self.stepper)
         self._silences: Counter = Counter()
-        self._subscribers: List[rospy.Subscriber] = []
-        self._shared_publishers: Dict[str, Publisher] = {}
         self._static_tf = tf2_ros.StaticTransformBroadcaster()
         _stop_listening_to_the_clock()
         self._clock = Clock()
-        self._clock_publisher = self._publisher("/clock", Clock)
+        self._clock_publisher = self._wiring.publisher("/clock", Clock)
         self.simulation.every(wanted.clock_rate, self._publish_clock)
         self.simulation.every(LOG_TIME_RATE, _set_log_time)
         robot = self._add_robot()
@@ -138,64 +130,13 @@ class PyBulletBridge:
         finally:
             self.simulation.close()
 
-    # Outputs
-
-    def _flush(self) -> None:
-        """Write out what the last steps have brought."""
-        for publisher in self._publishers:
-            publisher.flush()
-
-    def _publisher(self, topic: str, kind: type) -> BatchPublisher:
-        """Return a publisher that fits the pace.
-
-        At full speed nothing may be lost, so the simulation waits for its subscribers. Tied to
-        the wall clock it does not wait for anybody, as Gazebo does not.
-        """
-        if self.stepper.pace.free:
-            publisher = lossless_publisher(topic, kind, publisher=BatchPublisher)
-        else:
-            publisher = BatchPublisher(topic, kind, queue_size=QUEUE_SIZE, tcp_nodelay=True)
-        self._publishers.append(publisher)
-        return publisher
-
     def _publish_clock(self, step: int) -> None:
         set_time(self._clock.clock, step)
         self._clock_publisher.publish(self._clock)
 
-    def _connect_output(self, output: Output) -> None:
-        converter = OUTPUT_CONVERTERS[output.kind]()
-        publisher = self._shared_publishers.get(output.topic)
-        if publisher is None:
-            publisher = self._publisher(output.topic, converter.message_kind)
-            self._shared_publishers[output.topic] = publisher
-        convert, publish = converter.convert, publisher.publish
-        output.connect(lambda sample: publish(convert(sample)), publisher.has_connections)
-
     def _publish_world(self, robot: Optional[ModelInstance]) -> None:
         things = (m for m in self.simulation.models.values() if m is not robot)
         self._world_publisher.publish(world_markers(things, self._wanted.world_frame))
-
-    # Inputs
-
-    def _connect_input(self, entry: Input) -> None:
-        converter = INPUT_CONVERTERS[entry.kind]
-
-        def receive(message: Any) -> None:
-            command = converter.convert(message)
-            # A command that comes as the bridge ends has nothing left to move.
-            with contextlib.suppress(StepperError):
-                self.stepper.do_now(lambda: self._command(entry, command))
-                self.stepper.note_command(message._connection_header["callerid"])
-
-        self._subscribers.append(
-            rospy.Subscriber(entry.topic, converter.message_kind, receive, tcp_nodelay=True)
-        )
-
-    def _command(self, entry: Input, command: Any) -> None:
-        try:
-            entry.handle(command)
-        except DeviceError as error:
-            self._refusals.refuse(entry.topic, str(error))
 
     # The robot
 
@@ -208,11 +149,7 @@ class PyBulletBridge:
         robot = self.simulation.add(
             model, self._wanted.robot_name, pose, self._wanted.robot_namespace
         )
-        for device in robot.devices:
-            for output in device.outputs:
-                self._connect_output(output)
-            for entry in device.inputs:
-                self._connect_input(entry)
+        self._wiring.connect(robot)
         if self._wanted.publish_world_tf:
             self._publish_odometry_frames(robot)
         return robot
