@@ -17,11 +17,21 @@ from bullet_lab.simulation.bullet_urdf import body_urdf
 from bullet_lab.simulation.description import Joint, Link, Model
 from bullet_lab.simulation.engine import pybullet
 from bullet_lab.simulation.inertia import principal_axes
+from bullet_lab.simulation.link_contacts import (
+    self_colliding,
+    soften_contacts,
+    spare_the_others,
+)
 from bullet_lab.simulation.native_output import hidden_native_output
 from bullet_lab.simulation.pose import Pose, Vector
+from bullet_lab.simulation.shared_shapes import SharedShapes, has_collision_mesh
 from bullet_lab.simulation.tree import top_down
 
 STEP_SECONDS = 1e-3
+# What part of its distance from the held position a joint is brought back in one step.
+HOLDING_GAIN = 0.1
+# Bullet's collision group and mask of all that moves: it collides with everything.
+FREE_BODY_FILTER = (1, -1)
 
 
 class PhysicsError(LabError):
@@ -43,7 +53,8 @@ class Body:
     The pose of a body is that of its root link's frame in the world; velocities are those of
     its centre of mass. `com_place()` returns the position and quaternion of `com_pose` as
     plain tuples, and `set_velocity(linear, angular)` sets the root link's velocity in m/s and
-    rad/s in the world, both without a detour, for the inner loop.
+    rad/s in the world; `near_points()` returns PyBullet's tuples of contact points. All three
+    go without a detour, for the inner loop.
     """
 
     def __init__(self, client: int, unique_id: int, links: List[Link], joints: List[Joint]):
@@ -55,6 +66,9 @@ class Body:
         self.set_velocity = partial(
             pybullet.resetBaseVelocity, unique_id, physicsClientId=client
         )
+        self.near_points = partial(
+            pybullet.getContactPoints, unique_id, physicsClientId=client
+        )
         root = links[0].inertia
         self._com = Pose() if root is None else principal_axes(root)[1]
         self._com_inverse = self._com.inverse()
@@ -63,8 +77,14 @@ class Body:
             for index in range(pybullet.getNumJoints(unique_id, client))
         }
         self._free_the_joints()
+        self._remove_damping()
         for link in links:
             self._set_friction(link)
+
+    @property
+    def client(self) -> int:
+        """The PyBullet client that the body lives in."""
+        return self._client
 
     @property
     def joint_names(self) -> Tuple[str, ...]:
@@ -88,6 +108,16 @@ class Body:
         """Return linear (m/s, of the centre of mass) and angular (rad/s) velocity, in the world."""
         return pybullet.getBaseVelocity(self.unique_id, self._client)
 
+    def origin_velocity(self) -> Tuple[Vector, Vector]:
+        """Return linear (m/s) and angular (rad/s) velocity of the root link's frame, in the world.
+
+        The linear velocity is that of the frame's origin.
+        """
+        (vx, vy, vz), (wx, wy, wz) = self.velocity()
+        x, y, z = self.com_pose().rotate(self._com_inverse.position)
+        linear = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
+        return linear, (wx, wy, wz)
+
     def place(self, pose: Pose) -> None:
         """Put the body somewhere, at rest, its joints at zero."""
         com = pose * self._com
@@ -97,6 +127,48 @@ class Body:
         self.set_velocity((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         for index in self._joints.values():
             pybullet.resetJointState(self.unique_id, index, 0.0, 0.0, self._client)
+
+    def move(self, pose: Pose, linear: Vector, angular: Vector) -> None:
+        """Put the body somewhere in motion; its joints keep their positions and stand still.
+
+        Args:
+            pose: of the root link's frame in the world.
+            linear: velocity in m/s of the root link's origin, in the world.
+            angular: velocity in rad/s, in the world.
+        """
+        com = pose * self._com
+        pybullet.resetBasePositionAndOrientation(
+            self.unique_id, com.position, com.quaternion, self._client
+        )
+        (vx, vy, vz), (wx, wy, wz) = linear, angular
+        x, y, z = pose.rotate(self._com.position)
+        at_com = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
+        self.set_velocity(at_com, angular)
+        for name in self._joints:
+            self.set_joint(name, self.joint_state(name).position)
+
+    def push(self, link: str, force: Vector, torque: Vector, point: Vector) -> None:
+        """Push and turn a link in the coming step.
+
+        Args:
+            link: its name.
+            force: in N, in the world.
+            torque: in N m, in the world.
+            point: where the force acts, in m in the world.
+        """
+        index, world = self.link_index(link), pybullet.WORLD_FRAME
+        pybullet.applyExternalForce(self.unique_id, index, force, point, world, self._client)
+        pybullet.applyExternalTorque(self.unique_id, index, torque, world, self._client)
+
+    def exert(self, joint: str, effort: float) -> None:
+        """Turn (N m) or push (N) a joint in the coming step, whatever its motor does besides."""
+        pybullet.setJointMotorControl2(
+            self.unique_id,
+            self._joints[joint],
+            pybullet.TORQUE_CONTROL,
+            force=effort,
+            physicsClientId=self._client,
+        )
 
     def joint_state(self, name: str) -> JointState:
         """Return the state of a joint; raises KeyError for an unknown name."""
@@ -109,6 +181,61 @@ class Body:
         """Put a joint somewhere (rad or m); raises KeyError for an unknown name."""
         index = self._joints[name]
         pybullet.resetJointState(self.unique_id, index, position, velocity, self._client)
+
+    def drive_joint(self, name: str, velocity: float, effort: float) -> None:
+        """Let a motor turn a joint from now on; raises KeyError for an unknown name.
+
+        Args:
+            name: of the joint.
+            velocity: that the motor tries to reach, in rad/s or m/s.
+            effort: the most that it exerts, in N m or N.
+        """
+        pybullet.setJointMotorControl2(
+            self.unique_id,
+            self._joints[name],
+            pybullet.VELOCITY_CONTROL,
+            targetVelocity=velocity,
+            force=effort,
+            physicsClientId=self._client,
+        )
+
+    def hold_joint(self, name: str, position: float, effort: float) -> None:
+        """Let a motor hold a joint at a position (rad or m) with at most `effort` (N m or N).
+
+        Raises:
+            KeyError: an unknown name.
+        """
+        pybullet.setJointMotorControl2(
+            self.unique_id,
+            self._joints[name],
+            pybullet.POSITION_CONTROL,
+            targetPosition=position,
+            targetVelocity=0.0,
+            positionGain=HOLDING_GAIN,
+            velocityGain=1.0,
+            force=effort,
+            physicsClientId=self._client,
+        )
+
+    def set_sticking(self, name: str, sticking: bool) -> None:
+        """Let the link below a joint stick to what it touches, or roll and slide again.
+
+        Bullet's friction stops velocities up to its solver's tolerance, so what stands still
+        creeps. A point that sticks is pulled back to where it first touched, by a force within
+        the limits of friction. Not for wheels that roll: they would bump.
+
+        Raises:
+            KeyError: an unknown name.
+        """
+        index = self._joints[name]
+        pybullet.changeDynamics(
+            self.unique_id, index, frictionAnchor=int(sticking), physicsClientId=self._client
+        )
+        if sticking:
+            # Only new points of contact stick: setting the filter, to what it is, drops the old.
+            pybullet.setCollisionFilterGroupMask(
+                self.unique_id, index, *FREE_BODY_FILTER, physicsClientId=self._client
+            )
 
     def remove_sliding_friction(self) -> None:
         """Let the body slide freely, for a device that models its friction itself."""
@@ -128,18 +255,27 @@ class Body:
                 physicsClientId=self._client,
             )
 
-    def _set_friction(self, link: Link) -> None:
-        friction = max((c.friction for c in link.collisions), default=1.0)
+    def _remove_damping(self) -> None:
         pybullet.changeDynamics(
             self.unique_id,
-            self._link_index(link.name),
-            lateralFriction=friction,
+            -1,
             linearDamping=0.0,
             angularDamping=0.0,
             physicsClientId=self._client,
         )
 
-    def _link_index(self, name: str) -> int:
+    def _set_friction(self, link: Link) -> None:
+        # Not in one call with the damping, which turns any link's index into the root's.
+        friction = max((c.friction for c in link.collisions), default=1.0)
+        pybullet.changeDynamics(
+            self.unique_id,
+            self.link_index(link.name),
+            lateralFriction=friction,
+            physicsClientId=self._client,
+        )
+
+    def link_index(self, name: str) -> int:
+        """Return PyBullet's index of a link, -1 for the root."""
         for index in self._joints.values():
             if pybullet.getJointInfo(self.unique_id, index, self._client)[12].decode() == name:
                 return index
@@ -159,12 +295,18 @@ class Physics:
             # The cache goes by file name and would give one body the shape of another.
             deterministicOverlappingPairs=1, enableFileCaching=0, physicsClientId=self.client
         )
+        self._shapes = SharedShapes(self.client)
 
     def close(self) -> None:
         """Give everything back; the object is of no use afterwards."""
         if self.client >= 0:
             pybullet.disconnect(self.client)
             self.client = -1
+
+    def set_gravity(self, gravity: Vector) -> None:
+        """Change gravity, in m/s²."""
+        self.gravity = gravity
+        pybullet.setGravity(*gravity, physicsClientId=self.client)
 
     def add(self, model: Model) -> Dict[str, Body]:
         """Load a model at its pose and return its bodies by the name of their root link.
@@ -199,11 +341,20 @@ class Physics:
     def _load(self, links: List[Link], joints: List[Joint], model: Model, pose: Pose) -> Body:
         # PyBullet reads files only, and only while it loads.
         with tempfile.TemporaryDirectory(prefix="bullet_lab_") as name:
-            path = Path(name, "body.urdf")
-            text = body_urdf(links, joints, model.static, path.parent)
-            path.write_text(text, encoding="utf-8")
-            unique_id = self._load_file(path, model, pose)
+            folder = Path(name)
+            text = body_urdf(links, joints, model.static, folder)
+            if len(links) == 1 and has_collision_mesh(links[0]):
+                # Mesh files are named by their content, so the key knows the shapes.
+                key = text.replace(name, "")
+                unique_id = self._shapes.make_body(key, links[0], model.static, folder)
+            else:
+                path = folder / "body.urdf"
+                path.write_text(text, encoding="utf-8")
+                unique_id = self._load_file(path, model, pose)
         body = Body(self.client, unique_id, links, joints)
+        soften_contacts(body)
+        if self_colliding(links):
+            spare_the_others(body)
         body.place(pose)
         return body
 
@@ -215,11 +366,22 @@ class Physics:
                     pose.position,
                     pose.quaternion,
                     useFixedBase=model.static,
-                    flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                    flags=_reading_flags(model),
                     physicsClientId=self.client,
                 )
             except pybullet.error as error:
                 raise PhysicsError(f"PyBullet cannot load '{model.name}': {error}") from error
+
+
+def _reading_flags(model: Model) -> int:
+    flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+    if model.joints:
+        # Wheels are to be round: by default, a cylinder is a prism of 32 sides.
+        flags |= pybullet.URDF_USE_IMPLICIT_CYLINDER
+    if self_colliding(model.links):
+        flags |= pybullet.URDF_USE_SELF_COLLISION
+        flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
+    return flags
 
 
 def _check_masses(links: List[Link], model: str) -> None:

@@ -1,6 +1,17 @@
 """What robots can do: one class for each Gazebo plugin that is simulated."""
 
-from bullet_lab.simulation.devices import joint_states, planar_move
+from bullet_lab.simulation.devices import (
+    bumper,
+    camera,
+    diff_drive,
+    imu,
+    joint_states,
+    laser,
+    p3d,
+    planar_move,
+    range_sensor,
+    skid_steer,
+)
 from bullet_lab.simulation.devices.device import (
     Device,
     DeviceError,
@@ -17,8 +28,16 @@ __all__ = [
     "Input",
     "Mount",
     "Output",
+    "bumper",
+    "camera",
+    "diff_drive",
+    "imu",
     "joint_states",
     "known_plugins",
+    "laser",
     "make_device",
+    "p3d",
     "planar_move",
+    "range_sensor",
+    "skid_steer",
 ]

@@ -9,28 +9,53 @@ them (the bridge, a test, a script) connects to those. A new kind of device is o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Callable, ClassVar, Dict, List, Mapping, Optional, Tuple, Type
+from dataclasses import dataclass, field
+from typing import Any, Callable, ClassVar, Dict, List, Mapping, Optional, Set, Tuple, Type
 
 from bullet_lab.errors import LabError
+from bullet_lab.simulation.attached_frame import ORIGIN, AttachedFrame
 from bullet_lab.simulation.description import Model, Plugin
+from bullet_lab.simulation.devices.noise import StepNoise
 from bullet_lab.simulation.physics import Body
+from bullet_lab.simulation.pose import Pose, Vector
+from bullet_lab.simulation.rendering.frame import Photographer
 from bullet_lab.simulation.schedule import Schedule, ScheduleError
-from bullet_lab.simulation.xml_input import boolean, number
+from bullet_lab.simulation.xml_input import boolean, number, numbers
+
+# Tags that Gazebo's plugins themselves pass over, or that only they have a use for.
+QUIET_TAGS = frozenset(("robotNamespace", "rosDebugLevel", "alwaysOn", "visualize"))
 
 
 class DeviceError(LabError):
     """A plugin's tags make no device, or a command is refused."""
 
 
+def _nothing_to_see() -> Photographer:
+    raise DeviceError("there is no world to take pictures of")
+
+
+def _nothing_to_touch(_body: int, _link: int, _place: Vector) -> str:
+    raise DeviceError("there is no world to touch")
+
+
 @dataclass(frozen=True)
 class Mount:
-    """What a device is fixed to: a model, its bodies by root link, and its plugin tag."""
+    """What a device is fixed to: a model, its bodies by root link, and its plugin tag.
+
+    `gravity` is in m/s² and points down, `seed` is the simulation's, `tf_prefix` stands
+    before the names of the robot's frames, `photographer` gives who takes its pictures, and
+    `name_shape` the full name of the shape at a place on a link (`TouchedShapes.name`).
+    """
 
     model: Model
     bodies: Mapping[str, Body]
     plugin: Plugin
     gravity: float
+    seed: int = 0
+    tf_prefix: str = ""
+    photographer: Callable[[], Photographer] = field(default=_nothing_to_see, repr=False)
+    name_shape: Callable[[int, int, Vector], str] = field(default=_nothing_to_touch, repr=False)
+    _read: Set[str] = field(default_factory=set, repr=False)
 
     @property
     def body(self) -> Body:
@@ -39,17 +64,26 @@ class Mount:
 
     def text(self, tag: str, default: str = "") -> str:
         """Return what a tag of the plugin says, or the default."""
+        self._read.add(tag)
         return self.plugin.tags.get(tag) or default
 
     def number(self, tag: str, default: float) -> float:
         """Return the finite number in a tag; raises XmlError."""
-        text = self.plugin.tags.get(tag)
+        text = self.text(tag)
         return default if not text else number(text, self.where(tag))
 
     def boolean(self, tag: str, default: bool) -> bool:
         """Return the truth value in a tag; raises XmlError."""
-        text = self.plugin.tags.get(tag)
+        text = self.text(tag)
         return default if not text else boolean(text, self.where(tag))
+
+    def vector(self, tag: str) -> Vector:
+        """Return the three finite numbers in a tag, zeros without it; raises XmlError."""
+        return numbers(self.text(tag, "0 0 0"), 3, self.where(tag))
+
+    def unread_tags(self) -> Tuple[str, ...]:
+        """Return the tags of the plugin that nobody has asked for, but those that mean nothing."""
+        return tuple(tag for tag in self.plugin.tags if tag not in self._read | QUIET_TAGS)
 
     def schedule(self, tag: str, default: float) -> Schedule:
         """Return the schedule for the rate (Hz) in a tag; raises LabError."""
@@ -62,6 +96,38 @@ class Mount:
         """Return a topic's name within the plugin's robotNamespace."""
         namespace = self.text("robotNamespace").strip("/")
         return name if name.startswith("/") or not namespace else f"/{namespace}/{name}"
+
+    def noise(self) -> StepNoise:
+        """Return the noise of this device.
+
+        It follows from the simulation's seed and the names of model and plugin, so that another
+        robot in the world does not change it.
+        """
+        return StepNoise(self.seed, f"{self.model.name}/{self.plugin.name}")
+
+    def frame(self, name: str) -> str:
+        """Return a frame's name on TF: with the robot's prefix, as tf::resolve has it."""
+        if name.startswith("/") or not self.tf_prefix:
+            return name.lstrip("/")
+        return f"{self.tf_prefix.strip('/')}/{name}"
+
+    def attached(self, link: str, offset: Pose = ORIGIN) -> AttachedFrame:
+        """Return a frame that is fixed to a link, which may have been merged into another.
+
+        Args:
+            link: the link's name in the description.
+            offset: pose of the frame in the link's frame.
+
+        Raises:
+            DeviceError: there is no such link.
+        """
+        keeper, pose = self.model.frames.get(link, (link, ORIGIN))
+        for body in self.bodies.values():
+            if any(part.name == keeper for part in body.links):
+                return AttachedFrame(body, keeper, pose * offset)
+        raise DeviceError(
+            f"model '{self.model.name}': plugin '{self.plugin.name}': no link '{link}'"
+        )
 
     def where(self, tag: str) -> str:
         """Name a tag in messages."""
@@ -117,6 +183,7 @@ class Device:
         inputs: topics with commands for it.
         outputs: topics with what it measures.
         schedule: when `produce` is due; None for a device that measures nothing.
+        gravity: in m/s², down; may be changed from outside.
         acts: whether `before_step` does anything; the loop skips those that do not.
     """
 
@@ -124,6 +191,7 @@ class Device:
 
     def __init__(self, mount: Mount):
         self.mount = mount
+        self.gravity = mount.gravity
         self.inputs: Tuple[Input, ...] = ()
         self.outputs: Tuple[Output, ...] = ()
         self.schedule: Optional[Schedule] = None

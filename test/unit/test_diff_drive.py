@@ -1,0 +1,535 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.dead_reckoning import DeadReckoning
+from bullet_lab.simulation.description import Plugin
+from bullet_lab.simulation.devices import DeviceError
+from bullet_lab.simulation.engine import pybullet
+from bullet_lab.simulation.physics import JointState
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.sdf_reader import read_model_text
+from bullet_lab.simulation.simulation import SimulationError
+from bullet_lab.simulation.urdf_reader import read_urdf_file
+from bullet_lab.simulation.wheel import Wheel
+
+FILENAME = "libgazebo_ros_diff_drive.so"
+RADIUS, TRACK, MASS, WHEEL_MOMENT, G = 0.14, 0.38, 9.85, 4.9e-3, 9.8
+# What a force has to move ahead: the robot, and both wheels' rotation.
+ROLLING_MASS = MASS + 2.0 * WHEEL_MOMENT / RADIUS**2
+TORQUE = 1.5
+ACCELERATION = 2.0 * TORQUE / RADIUS / ROLLING_MASS
+STOP = PlanarCommand()
+TAGS = {
+    "leftJoint": "left_wheel_joint",
+    "rightJoint": "right_wheel_joint",
+    "wheelSeparation": str(TRACK),
+    "wheelDiameter": str(2 * RADIUS),
+    "wheelTorque": str(TORQUE),
+    "updateRate": "20",
+}
+
+
+@pytest.fixture(scope="module")
+def model(package):
+    return read_urdf_file(package / "urdf" / "camera_robot.urdf")
+
+
+@pytest.fixture
+def spawn(world, model):
+    """Put the camera robot into the world, with a diff_drive of the given tags and no more."""
+
+    def add(pose=Pose(), grip=None, name="", **tags):  # noqa: B008
+        wanted = {**TAGS, **tags}
+        plugin = Plugin(FILENAME, "drive", {k: v for k, v in wanted.items() if v is not None})
+        robot = replace(model, plugins=(plugin,))
+        if grip is not None:
+            robot = replace(robot, links=tuple(with_friction(k, grip) for k in robot.links))
+        return world.add(robot, name, pose)
+
+    return add
+
+
+def with_friction(link, friction):
+    if not link.name.endswith("wheel"):
+        return link
+    collisions = tuple(replace(shape, friction=friction) for shape in link.collisions)
+    return replace(link, collisions=collisions)
+
+
+def kerb(x):
+    """A low wall across the way, with its near face at x."""
+    return read_model_text(
+        f'<sdf><model name="kerb"><static>true</static><pose>{x + 0.1} 0 0.05 0 0 0</pose>'
+        '<link name="l"><collision name="c"><geometry><box><size>0.2 9 0.1</size></box>'
+        "</geometry></collision></link></model></sdf>",
+        "kerb",
+    )
+
+
+def record(robot, topic="odom"):
+    samples = []
+    robot.listen(topic, samples.append)
+    return samples
+
+
+def speeds(robot):
+    """Speeds at the rims of the left and right wheel, m/s."""
+    (body,) = robot.bodies.values()
+    return np.array([RADIUS * body.joint_state(name).velocity for name in body.joint_names])
+
+
+def way(speed, seconds):
+    """How far the robot gets from rest, speeding up as its torque lets it."""
+    return speed * (seconds - speed / ACCELERATION / 2)
+
+
+def arc(pose, v, w, t):
+    """Where an ideal robot is after driving on an arc for a time t."""
+    x, y, yaw = pose
+    if w == 0.0:
+        return x + v * t * math.cos(yaw), y + v * t * math.sin(yaw), yaw
+    return (
+        x + v / w * (math.sin(yaw + w * t) - math.sin(yaw)),
+        y - v / w * (math.cos(yaw + w * t) - math.cos(yaw)),
+        yaw + w * t,
+    )
+
+
+def planar(pose):
+    return (*pose.position[:2], pose.yaw)
+
+
+# What it drives
+
+
+@pytest.mark.parametrize(
+    ("v", "w"), [(0.3, 0.0), (0.2, 0.4), (0.2, -0.4), (-0.15, 0.3), (0.0, 0.5), (0.5, 1.0)]
+)
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+def test_arcs(world, spawn, v, w, yaw):
+    robot = spawn(Pose.from_rpy((1.0, -2.0, 0.0), (0.0, 0.0, yaw)))
+    robot.command("cmd_vel", PlanarCommand(v, 0.0, w))
+    world.run_for(1.0)
+    start = planar(robot.pose())
+    world.run_for(2.0)
+    expected = arc(start, v, w, 2.0)
+    reached = planar(robot.pose())
+    assert reached[:2] == pytest.approx(expected[:2], abs=1e-3)
+    assert math.remainder(reached[2] - expected[2], math.tau) == pytest.approx(0.0, abs=2e-3)
+
+
+def test_a_sideways_command_does_nothing(world, spawn):
+    robot = spawn()
+    robot.command("cmd_vel", PlanarCommand(vy=0.5))
+    world.run_for(1.0)
+    assert robot.pose().position == pytest.approx((0, 0, 0), abs=2e-5)
+
+
+def test_commands_act_at_the_next_update_and_are_latched(world, spawn):
+    robot = spawn()
+    world.run_until(51)
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_until(100)
+    assert speeds(robot) == pytest.approx((0, 0), abs=1e-4)
+    world.run_until(110)
+    assert speeds(robot) == pytest.approx([ACCELERATION * 0.01] * 2, rel=0.01)
+    world.run_until(30_000)
+    assert speeds(robot) == pytest.approx((0.2, 0.2), abs=1e-3)
+    assert robot.pose().position[0] == pytest.approx(way(0.2, 29.9), abs=2e-3)
+
+
+def test_the_defaults_are_gazebos(world, model):
+    renamed = {"left_wheel_joint": "left_joint", "right_wheel_joint": "right_joint"}
+    joints = tuple(replace(joint, name=renamed[joint.name]) for joint in model.joints)
+    robot = world.add(replace(model, joints=joints, plugins=(Plugin(FILENAME, "drive", {}),)))
+    samples, transforms = record(robot), record(robot, "/tf")
+    robot.command("cmd_vel", PlanarCommand(vx=0.15, wz=0.5))
+    world.run_until(11)
+    (body,) = robot.bodies.values()
+    assert body.joint_state("right_joint").effort == pytest.approx(5.0)
+    world.run_until(1000)
+    assert [sample.step for sample in samples] == list(range(10, 1001, 10))
+    assert (samples[0].frame, samples[0].child_frame) == ("odom", "base_footprint")
+    assert len(transforms) == 100
+    # Separation 0.34 m, diameter 0.15 m; its real wheels are larger.
+    expected = np.array([0.15 - 0.5 * 0.17, 0.15 + 0.5 * 0.17]) * RADIUS / 0.075
+    assert speeds(robot) == pytest.approx(expected, rel=5e-3)
+    with pytest.raises(SimulationError):
+        record(robot, "joint_states")
+
+
+def test_torque_limits_the_acceleration(world, spawn):
+    robot = spawn(wheelTorque="0.7")
+    robot.command("cmd_vel", PlanarCommand(vx=2.0))
+    world.run_for(0.55)
+    acceleration = 2 * 0.7 / RADIUS / ROLLING_MASS
+    assert speeds(robot) == pytest.approx([acceleration * 0.5] * 2, rel=0.01)
+
+
+def test_the_acceleration_limit_on_the_floor(world, spawn):
+    robot = spawn(wheelAcceleration="0.5")
+    for target in (0.3, -0.12):
+        before = speeds(robot)[0]
+        robot.command("cmd_vel", PlanarCommand(vx=target))
+        for tick in range(1, 25):
+            world.run_for(0.05)
+            # The speed given at the update before is reached by now.
+            ramp = 0.5 * 0.05 * (tick - 1)
+            expected = before + math.copysign(min(ramp, abs(target - before)), target - before)
+            assert speeds(robot) == pytest.approx([expected] * 2, abs=1e-3)
+
+
+@pytest.mark.parametrize("torque", [str(TORQUE), "0.05"])
+def test_a_brake_holds_as_much_as_its_torque(world, spawn, torque):
+    robot = spawn(wheelTorque=torque)
+    # A floor that slopes: 9.85 N ahead.
+    pybullet.setGravity(1.0, 0.0, -G, world.client)
+    world.run_for(0.2)
+    before = robot.pose().position[0]
+    world.run_for(2.0)
+    rolled = robot.pose().position[0] - before
+    if torque == str(TORQUE):
+        assert abs(rolled) < 1e-5
+        return
+    # Since the first step.
+    acceleration = (MASS - 2 * float(torque) / RADIUS) / ROLLING_MASS
+    assert rolled == pytest.approx(0.5 * acceleration * (2.2**2 - 0.2**2), rel=0.01)
+    # It stops where it is when nothing pushes any more, and does not come back.
+    pybullet.setGravity(0.0, 0.0, -G, world.client)
+    moving = speeds(robot)[0]
+    braking = 2 * float(torque) / RADIUS / ROLLING_MASS
+    world.run_for(moving / braking + 0.2)
+    stopped = robot.pose().position[0]
+    assert stopped == pytest.approx(before + rolled + moving**2 / braking / 2, rel=0.02)
+    world.run_for(1.0)
+    assert robot.pose().position[0] == pytest.approx(stopped, abs=1e-5)
+
+
+# What it says
+
+
+def test_odometry_of_the_world(world, spawn):
+    stage = '<sdf><model name="stage"><static>true</static><pose>5 5 0.1 0 0 0</pose>' + (
+        '<link name="l"><collision name="c"><geometry><box><size>4 4 0.2</size></box>'
+        "</geometry></collision></link></model></sdf>"
+    )
+    world.add(read_model_text(stage, "stage"))
+    robot = spawn(Pose.from_rpy((5.0, 5.0, 0.2), (0.0, 0.0, math.pi / 2)))
+    samples = record(robot)
+    robot.command("cmd_vel", PlanarCommand(vx=0.2, wz=0.4))
+    world.run_for(2.0)
+    last = samples[-1]
+    assert last.pose == robot.pose()
+    assert robot.devices[0].origin == Pose()
+    assert last.pose.position[2] == pytest.approx(0.2, abs=1e-4)
+    # Of the base frame's origin; the centre of mass, 5 cm ahead of it, moves sideways as well.
+    assert (last.velocity.vx, last.velocity.vy) == pytest.approx((0.2, 0.0), abs=5e-4)
+    assert last.velocity.wz == pytest.approx(0.4, abs=1e-3)
+    assert last.pose_variances == (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
+    robot.command("cmd_vel", PlanarCommand(vx=-0.3))
+    world.run_for(1.0)
+    assert samples[-1].velocity.vx == pytest.approx(-0.3, abs=1e-3)
+    assert samples[-1].velocity.wz == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("rate", "number"), [("20", 200), ("30", 300), ("7", 70), ("0", 10_000)])
+def test_rates_are_exact(world, spawn, rate, number):
+    samples = record(spawn(updateRate=rate))
+    world.run_for(10.0)
+    assert len(samples) == number
+    due = [math.ceil(k * 10_000 / number) for k in range(1, number + 1)]
+    assert [sample.step for sample in samples] == due
+
+
+@pytest.mark.parametrize("source", ["world", "encoder"])
+@pytest.mark.parametrize(
+    ("tags", "count"),
+    [({}, 20), ({"publishTf": "false"}, 0), ({"publishOdomTF": "false"}, 0)],
+)
+def test_odometry_comes_with_or_without_transforms(world, spawn, source, tags, count):
+    robot = spawn(odometrySource=source, **tags)
+    samples = record(robot)
+    transforms = record(robot, "/tf") if count else []
+    if not count:
+        assert "/tf" not in {output.topic for output in robot.devices[0].outputs}
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_for(1.0)
+    assert len(samples) == 20
+    assert len(transforms) == count
+    for sample, transform in zip(samples, transforms):
+        assert (transform.frame, transform.child_frame) == ("odom", "base_footprint")
+        assert (transform.step, transform.pose) == (sample.step, sample.pose)
+
+
+def test_transforms_of_the_wheels(world, spawn):
+    robot = spawn(publishOdomTF="0", publishWheelTF="1", publishWheelJointState="1")
+    transforms, states = record(robot, "/tf"), record(robot, "joint_states")
+    robot.command("cmd_vel", PlanarCommand(vx=0.3, wz=0.5))
+    world.run_for(1.0)
+    assert len(transforms) == 40
+    assert len(states) == 20
+    assert states[-1].names == ("left_wheel_joint", "right_wheel_joint")
+    (body,) = robot.bodies.values()
+    for side, transform in enumerate(transforms[-2:]):
+        assert transform.frame == "base_footprint"
+        assert transform.child_frame == ("left_wheel", "right_wheel")[side]
+        # Where the engine has the link.
+        state = pybullet.getLinkState(body.unique_id, side, 1, 1, world.client)
+        wheel = robot.pose() * transform.pose
+        assert wheel.position == pytest.approx(state[4], abs=1e-7)
+        assert wheel.rotation_matrix() == pytest.approx(
+            Pose(quaternion=state[5]).rotation_matrix(), abs=1e-6
+        )
+    speed = np.array([0.3 - 0.5 * TRACK / 2, 0.3 + 0.5 * TRACK / 2]) / RADIUS
+    assert states[-1].velocities == pytest.approx(speed, rel=5e-3)
+    now = tuple(body.joint_state(name).position for name in states[-1].names)
+    assert states[-1].positions == now
+    # Without any, wheels included.
+    quiet = spawn(name="quiet", publishTf="0", publishWheelTF="1")
+    assert [output.topic for output in quiet.devices[0].outputs] == ["odom"]
+
+
+def test_namespace(world, spawn):
+    robot = spawn(robotNamespace="/lab/one/", publishWheelTF="1", publishWheelJointState="1")
+    (device,) = robot.devices
+    assert [entry.topic for entry in device.inputs] == ["/lab/one/cmd_vel"]
+    topics = ["/lab/one/odom", "/tf", "/tf", "/lab/one/joint_states"]
+    assert [output.topic for output in device.outputs] == topics
+    samples, transforms = record(robot, "/lab/one/odom"), record(robot, "/tf")
+    world.run_for(0.05)
+    assert samples[0].frame == device.frame == "lab/one/odom"
+    assert samples[0].child_frame == "lab/one/base_footprint"
+    frames = [(transform.frame, transform.child_frame) for transform in transforms]
+    assert frames == [
+        ("lab/one/odom", "lab/one/base_footprint"),
+        ("lab/one/base_footprint", "lab/one/left_wheel"),
+        ("lab/one/base_footprint", "lab/one/right_wheel"),
+    ]
+
+
+def test_a_tf_prefix_stands_before_frames_in_place_of_the_namespace(world, model):
+    plugin = Plugin(FILENAME, "drive", {**TAGS, "robotNamespace": "one"})
+    robot = world.add(replace(model, plugins=(plugin,)), tf_prefix="/left/")
+    samples = record(robot, "/one/odom")
+    world.run_for(0.05)
+    assert (samples[0].frame, samples[0].child_frame) == ("left/odom", "left/base_footprint")
+
+
+def test_every_tag_is_read(spawn):
+    # Even those that others overrule.
+    tags = {"publishTf": "0", "publishOdomTF": "1", "publishWheelTF": "1"}
+    (device,) = spawn(wheelAcceleration="1", **tags).devices
+    assert device.mount.unread_tags() == ()
+
+
+def test_absolute_names_stay(world, spawn):
+    robot = spawn(robotNamespace="one", commandTopic="/go", odometryFrame="/map")
+    (device,) = robot.devices
+    assert device.inputs[0].topic == "/go"
+    assert device.frame == "map"
+
+
+# The encoders
+
+
+def test_encoders_agree_with_the_world_where_nothing_slips(world, spawn):
+    start = Pose.from_rpy((1.0, 2.0, 0.0), (0.0, 0.0, 0.7))
+    robot = spawn(start, odometrySource="encoder")
+    samples = record(robot)
+    for command in ((0.3, 0.2), (-0.2, 0.5), (0.1, -0.6), (-0.3, 0.0)):
+        robot.command("cmd_vel", PlanarCommand(command[0], 0.0, command[1]))
+        world.run_for(2.0)
+        last = samples[-1]
+        driven = robot.devices[0].origin.inverse() * robot.pose()
+        assert last.pose.position[:2] == pytest.approx(driven.position[:2], abs=3e-3)
+        assert last.pose.position[2] == 0.0
+        assert last.pose.yaw == pytest.approx(driven.yaw, abs=4e-3)
+        # Reverse reads negative.
+        assert last.velocity.vx == pytest.approx(command[0], abs=2e-3)
+        assert (last.velocity.vy, last.velocity.wz) == pytest.approx((0, command[1]), abs=5e-3)
+        assert last.pose_variances == (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_encoders_count_what_slips_on_a_slippery_floor(world, spawn, direction):
+    grip = 0.02
+    robot = spawn(grip=grip, odometrySource="encoder")
+    samples = record(robot)
+    robot.command("cmd_vel", PlanarCommand(vx=direction))
+    world.run_for(2.0)
+    # The wheels spin at 1 m/s at once; the floor moves the robot by friction at two thirds of
+    # its weight.
+    acceleration = grip * (2 / 3) * G
+    true = 0.5 * acceleration * 1.95**2
+    assert direction * robot.pose().position[0] == pytest.approx(true, rel=0.05)
+    assert direction * samples[-1].pose.position[0] == pytest.approx(1.95, abs=0.02)
+    assert direction * samples[-1].velocity.vx == pytest.approx(1.0, abs=0.01)
+
+
+def test_encoders_drive_on_at_a_kerb(world, spawn):
+    world.add(kerb(0.4))
+    robot = spawn(grip=0.1, odometrySource="encoder")
+    samples = record(robot)
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_for(5.0)
+    assert robot.pose().position[0] == pytest.approx(0.2, abs=2e-3)
+    assert samples[-1].pose.position[0] == pytest.approx(0.2 * 4.95, abs=0.02)
+
+
+def test_encoders_start_where_the_robot_starts_and_notice_no_lift(world, spawn):
+    robot = spawn(Pose((3.0, 0.0, 0.0)), odometrySource="encoder")
+    samples = record(robot)
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_for(1.0)
+    before = samples[-1].pose.position[0]
+    assert before == pytest.approx(way(0.2, 0.95), abs=2e-3)
+    robot.place(Pose((-1.0, 4.0, 0.0)))
+    # The command is still in force.
+    world.run_for(1.0)
+    assert samples[-1].pose.position[0] == pytest.approx(before + way(0.2, 0.95), abs=2e-3)
+    assert samples[-1].pose.position[1] == pytest.approx(0.0, abs=1e-3)
+    world.reset_world()
+    samples.clear()
+    world.run_for(0.5)
+    assert samples[-1].pose.position == pytest.approx((0, 0, 0), abs=1e-4)
+    assert robot.pose().position == pytest.approx((3, 0, 0), abs=1e-4)
+
+
+def test_a_reset_is_as_good_as_a_new_robot(world, spawn):
+    robot = spawn(wheelAcceleration="0.7", odometrySource="encoder")
+    samples = record(robot)
+
+    def drive():
+        samples.clear()
+        world.run_for(0.3)
+        robot.command("cmd_vel", PlanarCommand(vx=0.4, wz=0.5))
+        world.run_for(1.0)
+        return [(sample.step, sample.pose, sample.velocity) for sample in samples], robot.pose()
+
+    first = drive()
+    world.reset_simulation()
+    assert drive() == first
+
+
+def test_dead_reckoning_is_exact_for_arcs():
+    v, w, dt = 0.4, 1.3, 0.5
+    reckoning = DeadReckoning(TRACK, RADIUS)
+    left, right = ((v - w * TRACK / 2) * dt / RADIUS, (v + w * TRACK / 2) * dt / RADIUS)
+    for number in range(1, 9):
+        assert reckoning.advance(number * left, number * right) == pytest.approx((v * dt, w * dt))
+        x, y, yaw = arc((0, 0, 0), v, w, number * dt)
+        assert reckoning.pose == pytest.approx((x, y, math.remainder(yaw, math.tau)), abs=1e-12)
+    for number in range(7, -1, -1):
+        assert reckoning.advance(number * left, number * right) == pytest.approx((-v * dt, -w * dt))
+    assert reckoning.pose == pytest.approx((0, 0, 0), abs=1e-12)
+    reckoning.advance(1.0, 1.0)
+    assert reckoning.pose == pytest.approx((RADIUS, 0, 0))
+
+
+# The wheel alone
+
+
+class FakeBody:
+    """Remembers what the motor of its only joint was told; the joint follows at once."""
+
+    def __init__(self):
+        self.velocity, self.orders = 0.0, []
+
+    def drive_joint(self, name, velocity, effort):
+        self.velocity = velocity
+        self.orders.append(velocity)
+
+    def hold_joint(self, name, position, effort):
+        self.orders.append("hold")
+
+    def set_sticking(self, name, sticking):
+        pass
+
+    def joint_state(self, name):
+        return JointState(0.0, self.velocity, 0.0)
+
+
+def test_the_acceleration_limit_ends_exactly_at_the_wanted_speed():
+    body = FakeBody()
+    wheel = Wheel(body, "wheel", 5.0, acceleration=3.0)
+    body.orders.clear()
+    for speed in (0.4, 0.4, 0.4, 0.4, -0.2, -0.2, -0.2, -0.2, -0.2, -0.2):
+        wheel.follow(speed, 0.05)
+    assert body.orders[2] == body.orders[3] == 0.4
+    assert body.orders[-2:] == [-0.2, -0.2]
+    assert body.orders == pytest.approx([0.15, 0.30, 0.4, 0.4, 0.25, 0.10, -0.05, -0.2, -0.2, -0.2])
+
+
+def test_the_acceleration_limit_goes_down_to_zero_and_then_holds():
+    body = FakeBody()
+    wheel = Wheel(body, "wheel", 5.0, acceleration=3.0)
+    wheel.follow(0.1, 0.05)
+    body.orders.clear()
+    for _ in range(4):
+        wheel.follow(0.0, 0.03)
+    assert body.orders == [pytest.approx(0.01), 0.0, "hold"]
+
+
+def test_without_a_limit_the_speed_is_wanted_at_once():
+    body = FakeBody()
+    wheel = Wheel(body, "wheel", 5.0)
+    wheel.follow(-7.5, 0.05)
+    assert body.orders[-1] == -7.5
+
+
+# What it refuses
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", ["vx", "wz"])
+def test_commands_that_are_not_finite_are_refused_and_the_old_one_stays(world, spawn, field, bad):
+    robot = spawn()
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    with pytest.raises(DeviceError, match="is not finite"):
+        robot.command("cmd_vel", PlanarCommand(**{field: bad}))
+    world.run_for(0.5)
+    assert speeds(robot) == pytest.approx((0.2, 0.2), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("tags", "message"),
+    [
+        ({"leftJoint": None}, "<leftJoint>: no movable joint 'left_joint'$"),
+        ({"rightJoint": "nix"}, "<rightJoint>: no movable joint 'nix'$"),
+        ({"rightJoint": "left_wheel_joint"}, "'left_wheel_joint' is the left one already$"),
+        ({"leftJoint": "base_joint"}, "<leftJoint>: no movable joint 'base_joint'$"),
+        ({"wheelSeparation": "0"}, "<wheelSeparation>: 0 is not positive$"),
+        ({"wheelDiameter": "-0.1"}, "<wheelDiameter>: -0.1 is not positive$"),
+        ({"wheelTorque": "-1"}, "<wheelTorque>: -1 is negative$"),
+        ({"wheelAcceleration": "-0.5"}, "<wheelAcceleration>: -0.5 is negative$"),
+        ({"wheelDiameter": "nan"}, "<wheelDiameter>"),
+        ({"odometrySource": "gps"}, "<odometrySource>: 'gps' is not one of world, encoder$"),
+        ({"updateRate": "-5"}, "<updateRate>: a rate of -5 Hz"),
+        ({"publishTf": "perhaps"}, "<publishTf>"),
+    ],
+)
+def test_tags_that_make_no_drive_are_refused(world, spawn, tags, message):
+    with pytest.raises(LabError, match=message) as caught:
+        spawn(**tags)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith("model 'camera_robot': plugin 'drive': <")
+    assert "camera_robot" not in world.models
+
+
+def test_a_sliding_joint_is_no_wheel(world, model):
+    left, right = model.joints
+    joints = (left, replace(right, kind="prismatic"))
+    robot = replace(model, joints=joints, plugins=(Plugin(FILENAME, "drive", TAGS),))
+    with pytest.raises(DeviceError, match="'right_wheel_joint' is prismatic: no wheel turns on it"):
+        world.add(robot)
+
+
+def test_what_cannot_move_is_refused(world, model):
+    plugins = (Plugin(FILENAME, "drive", TAGS),)
+    with pytest.raises(DeviceError, match="model 'camera_robot': diff_drive on what cannot move"):
+        world.add(replace(model, static=True, plugins=plugins))

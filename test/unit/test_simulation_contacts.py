@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+
+from bullet_lab.simulation.description import Box, Collision, Inertia, Link, Model
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.simulation import SimulationError
+
+G = 9.8
+SIDE = 0.2
+
+
+def link(mass, name="link", pose=Pose()):  # noqa: B008
+    inertia = Inertia(mass, (0.0, 0.0, 0.0), mass * SIDE**2 / 6.0 * np.eye(3))
+    return Link(name, pose, inertia, (), (Collision(Box((SIDE, SIDE, SIDE))),))
+
+
+def cube(name, position, mass=2.0):
+    return Model(name, (link(mass),), pose=Pose(position))
+
+
+def test_a_pile_presses_with_its_weight(world):
+    world.add(cube("lower", (1.0, 2.0, 0.5 * SIDE)))
+    world.add(cube("upper", (1.05, 2.0, 1.5 * SIDE), mass=3.0))
+    world.run_for(1.0)
+    lower, upper = world.contacts("lower"), world.contacts("upper")
+    assert set(lower) == {"ground_plane", "upper"}
+    assert set(upper) == {"lower"}
+    assert set(world.contacts("ground_plane")) == {"lower"}
+    assert lower["ground_plane"].force == pytest.approx(5.0 * G, rel=1e-3)
+    assert lower["upper"].force == pytest.approx(3.0 * G, rel=1e-3)
+    assert upper["lower"].force == lower["upper"].force
+    x, y, z = upper["lower"].position
+    assert 0.95 - 1e-3 <= x <= 1.1 + 1e-3
+    assert abs(y - 2.0) <= 0.1 + 1e-3
+    assert z == pytest.approx(SIDE, abs=1e-3)
+
+
+def test_what_is_near_touches_nothing(world):
+    # Half a millimetre is within the distance at which Bullet begins to list points.
+    falling = world.add(cube("cube", (0.0, 0.0, 0.5 * SIDE + 5e-4)))
+    world.run_for(0.001)
+    assert len(falling.bodies["link"].near_points()) > 0
+    assert world.contacts("cube") == {}
+
+
+def test_a_model_does_not_touch_itself(world):
+    links = (link(1.0, "one", Pose((0, 0, 0.1))), link(1.0, "two", Pose((0, 0, 0.3))))
+    world.add(Model("tower", links))
+    world.run_for(0.5)
+    assert set(world.contacts("tower")) == {"ground_plane"}
+
+
+def test_several_bodies_of_a_model_add_up(world):
+    links = (link(1.0, "one", Pose((0, 0, 0.1))), link(2.0, "two", Pose((1, 0, 0.1))))
+    world.add(Model("pair", links))
+    world.run_for(1.0)
+    (contact,) = world.contacts("pair").values()
+    assert contact.force == pytest.approx(3.0 * G, rel=1e-3)
+    # The heavier one presses most.
+    assert contact.position[0] == pytest.approx(1.0, abs=0.11)
+
+
+def test_models_that_went_are_not_named(world):
+    world.add(cube("cube", (0.0, 0.0, 0.5 * SIDE)))
+    world.run_for(0.1)
+    assert set(world.contacts("cube")) == {"ground_plane"}
+    world.remove("ground_plane")
+    world.run_for(0.1)
+    assert world.contacts("cube") == {}
+    world.remove("cube")
+    with pytest.raises(SimulationError, match="^there is no model 'cube'$"):
+        world.contacts("cube")
