@@ -1,8 +1,11 @@
 #!/usr/bin/env bash
-# Measures how fast the lab is: scripts/bench.sh [bridge|noise] [option …]
+# Measures how fast the lab is: scripts/bench.sh [bridge|noise|laser|camera|world] [option …]
 #   bridge (default)  the bridge beside the bare engine: --rounds N, --seconds S
 #   noise             noisy paths by the thousand beside the per-message loop: --rounds N, --paths N
-# Prints a table and writes results/bench/bench.json or noise.json. No part of the tests.
+#   camera            frames beside bare ones, 30 Hz with aruco.py: --frames N, --seconds S
+#   laser             scans, and fleets of robots with lasers: --rounds N, --seconds S (simulated)
+#   world             models that come and go, a crowded world saved: --models N, --camera
+# Prints a table and writes results/bench/bench.json, or noise.json and so on. No part of the tests.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
@@ -16,9 +19,21 @@ main() {
       bench=noise out=noise
       shift
       ;;
+    laser)
+      bench=laser out=laser
+      shift
+      ;;
+    camera)
+      bench=camera out=camera
+      shift
+      ;;
+    world)
+      bench=world out=world
+      shift
+      ;;
     -* | "") ;;
     *)
-      echo "bench.sh: there is no bench '$1'; benches: bridge, noise" >&2
+      echo "bench.sh: there is no bench '$1'; benches: bridge, noise, laser, camera, world" >&2
       exit 2
       ;;
   esac

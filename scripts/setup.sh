@@ -47,7 +47,7 @@ noetic_packages() {
   local name names=()
   case $1 in
     base)
-      names=(actionlib actionlib-msgs catkin cv-bridge diagnostic-msgs geometry-msgs
+      names=(actionlib actionlib-msgs catkin cv-bridge diagnostic-msgs gazebo-msgs geometry-msgs
         message-generation message-runtime nav-msgs robot-state-publisher rosbash
         rosgraph-msgs roslaunch rosmaster rospy sensor-msgs std-msgs std-srvs tf2-msgs tf2-ros visualization-msgs)
       echo ca-certificates g++ make cmake python3 python3-venv libegl1 libgl1-mesa-dri
@@ -80,6 +80,7 @@ inputs_of() {
     build)
       package_entries
       cat "$LAB_ROOT"/{CMakeLists.txt,package.xml,setup.py} "$LAB_ROOT"/{action,msg,srv}/*
+      has_gazebo_msgs || cat "$LAB_ROOT"/stand_ins/gazebo_msgs/{CMakeLists.txt,package.xml}
       ;;
   esac
 }
@@ -242,9 +243,16 @@ link_package() {
   done
 }
 
+has_gazebo_msgs() { [[ -e $LAB_ROS/share/gazebo_msgs/package.xml ]]; }
+
 step_build() {
   local title=$1 log=$2
   link_package "$LAB_WS/src/bullet_lab"
+  rm -rf "$LAB_WS/src/gazebo_msgs"
+  # Clients of Gazebo import its message package: without the real one, ours is built beside us.
+  if ! has_gazebo_msgs; then
+    ln -s "$LAB_ROOT/stand_ins/gazebo_msgs" "$LAB_WS/src/gazebo_msgs"
+  fi
   # What was built elsewhere, before the clone was moved, is of no use.
   if ! grep -qsxF "CMAKE_HOME_DIRECTORY:INTERNAL=$LAB_WS/src" "$LAB_WS/build/CMakeCache.txt"; then
     rm -rf "$LAB_WS/build" "$LAB_WS/devel"

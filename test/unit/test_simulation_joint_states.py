@@ -75,10 +75,11 @@ def test_a_reset_puts_the_joints_back(world):
     assert abs(first.velocities[0]) < 0.05
 
 
-def test_every_step_is_the_default_and_names_may_be_chosen(world):
-    samples = record(world.add(pendulum("<jointName> hinge , </jointName>")))
-    world.run_for(0.01)
-    assert [sample.step for sample in samples] == list(range(1, 11))
+@pytest.mark.parametrize(("rate", "period"), [("", 10), ("<updateRate>0</updateRate>", 1)])
+def test_rates_and_names_may_be_chosen(world, rate, period):
+    samples = record(world.add(pendulum(f"<jointName> hinge , </jointName>{rate}")))
+    world.run_for(0.04)
+    assert [sample.step for sample in samples] == list(range(period, 41, period))
     assert samples[0].names == ("hinge",)
 
 

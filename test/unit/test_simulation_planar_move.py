@@ -300,6 +300,16 @@ def test_a_robot_that_is_put_elsewhere_drives_on_from_there(world, robot, height
     assert max(abs(sample.velocity.vx) for sample in samples) < 0.21
 
 
+def test_tf_prefix_stands_before_the_frames(world):
+    tags = "<odometryFrame>/map</odometryFrame>"
+    for number, (model, frame) in enumerate(((block(), "one/odom"), (block(tags), "map"))):
+        robot = world.add(model, f"robot_{number}", Pose((0, number, 0)), tf_prefix="/one/")
+        samples = [record(robot, topic) for topic in ("odom", "/tf")]
+        world.run_for(0.05)
+        for (sample, *_) in samples:
+            assert (sample.frame, sample.child_frame) == (frame, "one/base_footprint")
+
+
 def test_robot_namespace(world):
     model = block()
     inner = world.add(block("<robotNamespace>/own/</robotNamespace>"), "one", namespace="given")

@@ -54,8 +54,8 @@ def test_the_block_robot(block_model):
     assert block.pose.position == (0, 0, 0.025)
     assert can.geometry == Cylinder(0.05, 0.05)
     assert can.pose.position == pytest.approx((0, 0, 0.075))
-    assert link.visuals[0].colour == (0.1, 0.7, 0.2, 1.0)
-    move, states = block_model.plugins
+    assert link.visuals[0].colour == (0.0, 1.0, 0.0, 1.0)
+    _, move, states = block_model.plugins
     assert (move.name, move.filename) == ("planar_move", "libgazebo_ros_planar_move.so")
     assert move.tags["robotBaseFrame"] == "base_footprint"
     assert states.tags == {"updateRate": "20.0"}

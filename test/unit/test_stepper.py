@@ -278,3 +278,28 @@ def test_reset_world_keeps_time(running):
     assert run.step == 123
     run.stepper.reset_simulation()
     assert run.step == 0
+
+
+@pytest.mark.parametrize("kind", [LabError, ValueError, MemoryError])
+def test_whatever_goes_wrong_in_a_task_is_its_owners_problem(running, kind):
+    run = running()
+
+    def fail():
+        raise kind("no")
+
+    with pytest.raises(kind, match="no"):
+        run.stepper.do(fail)
+    reached = run.step
+    wait_for(lambda: run.step > reached)
+
+
+def test_the_speed_can_be_changed_on_the_way(running):
+    run = running(rtf=0.001)
+    wait_for(lambda: run.step > 0)
+    run.stepper.set_real_time_factor(0.0)
+    wait_for(lambda: run.step > 10_000)
+    run.stepper.set_real_time_factor(0.001)
+    before = run.step
+    time.sleep(0.1)
+    # One step a second; a busy machine may take its time.
+    assert run.step - before < 50

@@ -3,12 +3,18 @@
 :ROS Parameters: see `BridgeParameters`.
 :ROS Publishers:
     - /clock (rosgraph_msgs/Clock), 100 Hz of simulated time
-    - /bullet_lab/world (visualization_msgs/MarkerArray), latched: the shapes of the world
+    - /bullet_lab/world (visualization_msgs/MarkerArray): the shapes of the world, all of them
+      for a new subscriber, then those that change
+    - /gazebo/model_states, /gazebo/link_states, while somebody listens
+    - /bullet_lab/touched (bullet_lab/TouchedModels): what the robot has run into
     - /tf, and /tf_static if asked for
     - whatever the plugins of the robot name, such as odom (nav_msgs/Odometry)
 :ROS Subscribers: whatever the plugins of the robot name, such as cmd_vel (geometry_msgs/Twist)
 :ROS Services:
     - /gazebo/pause_physics, unpause_physics, reset_world, reset_simulation (std_srvs/Empty)
+    - the other services of /gazebo: see the modules `bullet_lab.ros.gazebo_…`
+    - /bullet_lab/save_world (bullet_lab/SaveWorld): write the running world to a file
+    - /bullet_lab/set_rtf (bullet_lab/SetRtf): change the speed of simulated time
     - /bullet_lab/step (bullet_lab/Step): advance by exactly n steps of 1 ms, paused or not
     - /bullet_lab/advance (bullet_lab/Advance): lock step, see `bullet_lab.ros.lock_step`
 """
@@ -27,9 +33,9 @@ import tf2_ros
 from geometry_msgs.msg import TransformStamped
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty, EmptyResponse
-from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.errors import LabError
+from bullet_lab.msg import TouchedModels
 from bullet_lab.ros import parameters
 from bullet_lab.ros.conversions import (
     NANOSECONDS_PER_STEP,
@@ -37,16 +43,20 @@ from bullet_lab.ros.conversions import (
     set_time,
     time_of,
 )
+from bullet_lab.ros.gazebo import Gazebo
+from bullet_lab.ros.gazebo_services import RunningWorld
 from bullet_lab.ros.node import private_parameters, run_node
 from bullet_lab.ros.pace import Pace
-from bullet_lab.ros.publishers import Publisher
 from bullet_lab.ros.simulators import answers, refuse_second_simulator
 from bullet_lab.ros.stepper import Stepper
 from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
+from bullet_lab.ros.touches import TOPIC as TOUCHED
+from bullet_lab.ros.touches import TouchCounter
 from bullet_lab.ros.wiring import Wiring
-from bullet_lab.ros.world_markers import world_markers
 from bullet_lab.simulation.description import Model
+from bullet_lab.simulation.devices.camera import Camera
 from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.rendering.choice import AUTO, CHOICES
 from bullet_lab.simulation.resources import ResourceFinder
 from bullet_lab.simulation.samples import OdometrySample
 from bullet_lab.simulation.schedule import STEPS_PER_SECOND
@@ -83,6 +93,20 @@ class BridgeParameters:
     clock_rate: float = parameters.number(
         100.0, "messages on /clock per simulated second", above=0.0, maximum=1000.0
     )
+    renderer: str = parameters.choice(
+        AUTO, "what draws the cameras' pictures; auto: EGL where it works", CHOICES
+    )
+    camera_rate: float = parameters.number(
+        0.0, "images per second of the robot's cameras; 0: as the robot says", minimum=0.0,
+        maximum=1000.0,
+    )
+    seed: int = parameters.integer(0, "seed of the noise of all sensors", minimum=0)
+    states_rate: float = parameters.number(
+        100.0,
+        "messages on /gazebo/model_states and link_states per simulated second",
+        above=0.0,
+        maximum=1000.0,
+    )
     paused: bool = parameters.boolean(False, "start paused")
     lock_step: Tuple[str, ...] = parameters.name_list("nodes that time waits for")
     world_frame: str = parameters.text("world", "frame of the markers on /bullet_lab/world")
@@ -96,7 +120,7 @@ class PyBulletBridge:
 
     def __init__(self, wanted: BridgeParameters):
         self._wanted = wanted
-        self.simulation = Simulation.of(wanted.world)
+        self.simulation = Simulation.of(wanted.world, wanted.seed, wanted.renderer)
         self.stepper = Stepper(
             self.simulation,
             Pace(wanted.rtf),
@@ -115,11 +139,12 @@ class PyBulletBridge:
         self._clock_publisher = self._wiring.publisher("/clock", Clock)
         self.simulation.every(wanted.clock_rate, self._publish_clock)
         self.simulation.every(LOG_TIME_RATE, _set_log_time)
+        for instance in self.simulation.models.values():
+            self._wiring.connect(instance)
         robot = self._add_robot()
-        self._world_publisher = Publisher(
-            "/bullet_lab/world", MarkerArray, queue_size=1, latch=True
-        )
-        self._publish_world(robot)
+        world = RunningWorld(self.stepper, self._wiring)
+        hidden = "" if robot is None else robot.name
+        self._gazebo = Gazebo(world, wanted.world_frame, hidden, wanted.states_rate)
         self._services = self._offer_services()
 
     def spin(self) -> None:
@@ -134,10 +159,6 @@ class PyBulletBridge:
         set_time(self._clock.clock, step)
         self._clock_publisher.publish(self._clock)
 
-    def _publish_world(self, robot: Optional[ModelInstance]) -> None:
-        things = (m for m in self.simulation.models.values() if m is not robot)
-        self._world_publisher.publish(world_markers(things, self._wanted.world_frame))
-
     # The robot
 
     def _add_robot(self) -> Optional[ModelInstance]:
@@ -150,6 +171,10 @@ class PyBulletBridge:
             model, self._wanted.robot_name, pose, self._wanted.robot_namespace
         )
         self._wiring.connect(robot)
+        touched = self._wiring.publisher(TOUCHED, TouchedModels)
+        self._touches = TouchCounter(self.simulation, robot.name, touched)
+        if self._wanted.camera_rate:
+            _set_camera_rate(robot, self._wanted.camera_rate)
         if self._wanted.publish_world_tf:
             self._publish_odometry_frames(robot)
         return robot
@@ -182,8 +207,8 @@ class PyBulletBridge:
         actions = {
             "pause_physics": self.stepper.pause,
             "unpause_physics": self.stepper.unpause,
-            "reset_world": self.stepper.reset_world,
-            "reset_simulation": self.stepper.reset_simulation,
+            "reset_world": self._reset_world,
+            "reset_simulation": self._reset_simulation,
         }
         services = [
             _service(f"/gazebo/{name}", Empty, _empty_handler(action))
@@ -192,6 +217,14 @@ class PyBulletBridge:
         services.append(_service("/bullet_lab/step", Step, self._handle_step))
         services.append(_service("/bullet_lab/advance", Advance, self._handle_advance))
         return services
+
+    def _reset_world(self) -> None:
+        self.stepper.reset_world()
+        self._gazebo.everything_moved()
+
+    def _reset_simulation(self) -> None:
+        self.stepper.reset_simulation()
+        self._gazebo.everything_moved()
 
     def _handle_step(self, request: Any) -> StepResponse:
         reached = self.stepper.advance_by(request.steps)
@@ -237,6 +270,12 @@ def _empty_handler(action: Callable[[], None]) -> Callable[[Any], EmptyResponse]
         return EmptyResponse()
 
     return handle
+
+
+def _set_camera_rate(robot: ModelInstance, rate: float) -> None:
+    for device in robot.devices:
+        if isinstance(device, Camera):
+            device.set_rate(rate, 0)
 
 
 def _stop_listening_to_the_clock() -> None:

@@ -8,41 +8,35 @@ from __future__ import annotations
 
 from typing import Any, Dict, Type
 
-import genpy
 from geometry_msgs.msg import Pose as PoseMessage
 from geometry_msgs.msg import TransformStamped, Twist
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 from tf2_msgs.msg import TFMessage
 
+from bullet_lab.ros.image_conversions import CameraInfoConverter, ImageConverter
+from bullet_lab.ros.sensor_conversions import SENSOR_CONVERTERS
+from bullet_lab.ros.stamps import NANOSECONDS_PER_STEP, first_step_at, set_time, time_of
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.samples import (
+    CameraInfoSample,
+    ImageSample,
     JointSample,
     OdometrySample,
     PlanarCommand,
     TransformSample,
 )
-from bullet_lab.simulation.schedule import STEPS_PER_SECOND
 
-NANOSECONDS_PER_STEP = 1_000_000_000 // STEPS_PER_SECOND
-
-
-def set_time(stamp: genpy.Time, step: int) -> None:
-    """Set a stamp to the simulated time of a step."""
-    stamp.secs, rest = divmod(step, STEPS_PER_SECOND)
-    stamp.nsecs = rest * NANOSECONDS_PER_STEP
-
-
-def time_of(step: int) -> genpy.Time:
-    """Return the simulated time of a step."""
-    stamp = genpy.Time()
-    set_time(stamp, step)
-    return stamp
-
-
-def first_step_at(stamp: genpy.Time) -> int:
-    """Return the first step at or after a simulated time."""
-    return stamp.secs * STEPS_PER_SECOND - (-stamp.nsecs // NANOSECONDS_PER_STEP)
+__all__ = [
+    "INPUT_CONVERTERS",
+    "NANOSECONDS_PER_STEP",
+    "OUTPUT_CONVERTERS",
+    "first_step_at",
+    "pose_message",
+    "set_pose",
+    "set_time",
+    "time_of",
+]
 
 
 def pose_message(pose: Pose) -> PoseMessage:
@@ -76,6 +70,8 @@ class OdometryConverter:
         set_pose(message.pose.pose, sample.pose)
         for axis, variance in enumerate(sample.pose_variances):
             message.pose.covariance[7 * axis] = variance
+        for axis, variance in enumerate(sample.twist_variances):
+            message.twist.covariance[7 * axis] = variance
         twist = message.twist.twist
         twist.linear.x, twist.linear.y = sample.velocity.vx, sample.velocity.vy
         twist.angular.z = sample.velocity.wz
@@ -135,5 +131,8 @@ OUTPUT_CONVERTERS: Dict[type, Type[Any]] = {
     OdometrySample: OdometryConverter,
     TransformSample: TransformConverter,
     JointSample: JointConverter,
+    ImageSample: ImageConverter,
+    CameraInfoSample: CameraInfoConverter,
+    **SENSOR_CONVERTERS,
 }
 INPUT_CONVERTERS: Dict[type, Type[Any]] = {PlanarCommand: TwistConverter}

@@ -61,6 +61,18 @@ def integer(default: int, doc: str, minimum: int = -(2**31), maximum: int = 2**3
     return _declare(default, doc, f"a whole number from {minimum} to {maximum}", accept)
 
 
+def odd(default: int, doc: str, minimum: int, maximum: int) -> Any:
+    """Declare an odd whole number within [minimum, maximum]."""
+
+    def accept(value: Any) -> int:
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if not whole or value % 2 == 0 or not minimum <= value <= maximum:
+            raise ValueError
+        return value
+
+    return _declare(default, doc, f"an odd number from {minimum} to {maximum}", accept)
+
+
 def boolean(default: bool, doc: str) -> Any:
     """Declare true or false."""
 

@@ -71,6 +71,11 @@ class Stepper:
         self._commands: Counter = Counter()
         self._resets = 0
 
+    @property
+    def paused(self) -> bool:
+        """Whether time stands still."""
+        return self._paused
+
     def run(self) -> None:
         """Advance until all is over; to be called by one thread, once."""
         self.pace.restart(self.simulation.step)
@@ -121,6 +126,10 @@ class Stepper:
     def unpause(self) -> None:
         """Let time go on."""
         self.do(lambda: self._set_paused(False))
+
+    def set_real_time_factor(self, factor: float) -> None:
+        """Let time go at another speed: simulated seconds per wall second, 0 for full speed."""
+        self.do(lambda: self._set_real_time_factor(factor))
 
     def advance_by(self, steps: int) -> int:
         """Advance by exactly so many steps, paused or not, and return the step reached."""
@@ -226,6 +235,10 @@ class Stepper:
         self._paused = paused
         self.pace.restart(self.simulation.step)
 
+    def _set_real_time_factor(self, factor: float) -> None:
+        self.pace.real_time_factor = factor
+        self.pace.restart(self.simulation.step)
+
     def _advance_by(self, steps: int) -> int:
         goal = self.simulation.step + steps
         while self.simulation.step < goal:
@@ -264,13 +277,13 @@ class _Task:
         self.done = threading.Event()
         self._action = action
         self._result: Any = None
-        self._error: Optional[LabError] = None
+        self._error: Optional[Exception] = None
 
     def run(self) -> None:
-        """Do it; an error made for the user goes back to whoever asked."""
+        """Do it; an error goes back to whoever asked, and time goes on for the others."""
         try:
             self._result = self._action()
-        except LabError as error:
+        except Exception as error:
             self._error = error
         finally:
             self.done.set()

@@ -6,8 +6,10 @@ import contextlib
 from dataclasses import dataclass, field
 from typing import Any, Dict, List
 
+import rosgraph.names
 import rospy
 
+from bullet_lab.errors import LabError
 from bullet_lab.ros.conversions import INPUT_CONVERTERS, OUTPUT_CONVERTERS
 from bullet_lab.ros.node import Refusals
 from bullet_lab.ros.publishers import BatchPublisher, lossless_publisher
@@ -25,6 +27,10 @@ class _Wires:
 
     topics: List[str] = field(default_factory=list)
     subscribers: List[rospy.Subscriber] = field(default_factory=list)
+
+
+class WiringError(LabError):
+    """A device names a topic that cannot be."""
 
 
 class Wiring:
@@ -66,7 +72,8 @@ class Wiring:
             publisher.flush()
 
     def connect(self, instance: ModelInstance) -> None:
-        """Wire all devices of a model."""
+        """Wire all devices of a model; raises WiringError for a topic that cannot be."""
+        _check_topics(instance)
         wires = self._wires.setdefault(instance.name, _Wires())
         for device in instance.devices:
             for output in device.outputs:
@@ -111,3 +118,11 @@ class Wiring:
             entry.handle(command)
         except DeviceError as error:
             self._refusals.refuse(entry.topic, str(error))
+
+
+def _check_topics(instance: ModelInstance) -> None:
+    # rospy would register the topic, and nobody could ever listen to it.
+    for device in instance.devices:
+        for entry in (*device.outputs, *device.inputs):
+            if not entry.topic or not rosgraph.names.is_legal_name(entry.topic):
+                raise WiringError(f"model '{instance.name}': no topic is called '{entry.topic}'")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Iterator
+from typing import Iterable, Iterator
 
 from geometry_msgs.msg import Vector3
 from std_msgs.msg import ColorRGBA
@@ -14,7 +14,6 @@ from bullet_lab.simulation.description import (
     Box,
     Cylinder,
     Mesh,
-    Model,
     Plane,
     Sphere,
     Visual,
@@ -28,7 +27,7 @@ SLAB_DEPTH = 0.005
 LARGEST_PLANE = 20.0
 
 
-def world_markers(models: Iterator[ModelInstance], frame: str) -> MarkerArray:
+def world_markers(models: Iterable[ModelInstance], frame: str) -> MarkerArray:
     """Return the visible shapes of models; the namespace of a marker is the model's name.
 
     Args:
@@ -37,7 +36,7 @@ def world_markers(models: Iterator[ModelInstance], frame: str) -> MarkerArray:
     """
     markers = []
     for instance in models:
-        for number, (pose, visual) in enumerate(_visuals(instance.model, instance.pose())):
+        for number, (pose, visual) in enumerate(_visuals(instance)):
             marker = _marker(visual)
             marker.header.frame_id = frame
             marker.ns = instance.name
@@ -48,10 +47,27 @@ def world_markers(models: Iterator[ModelInstance], frame: str) -> MarkerArray:
     return MarkerArray(markers)
 
 
-def _visuals(model: Model, pose: Pose) -> Iterator[tuple]:
-    for link in model.links:
+def deleted_markers(model: str, count: int, frame: str) -> MarkerArray:
+    """Return what takes the markers of a model away.
+
+    Args:
+        model: its name.
+        count: how many there are.
+        frame: the world's frame.
+    """
+    array = MarkerArray()
+    for number in range(count):
+        marker = Marker(action=Marker.DELETE, ns=model, id=number)
+        marker.header.frame_id = frame
+        array.markers.append(marker)
+    return array
+
+
+def _visuals(instance: ModelInstance) -> Iterator[tuple]:
+    for link in instance.model.links:
+        pose = instance.frame(link.name).pose() if link.visuals else Pose()
         for visual in link.visuals:
-            placed = pose * link.pose * visual.pose
+            placed = pose * visual.pose
             if isinstance(visual.geometry, Plane):
                 placed = placed * Pose((0.0, 0.0, -SLAB_DEPTH - 0.5 * SLAB_THICKNESS))
             yield placed, visual

@@ -64,7 +64,7 @@ def body_urdf(
 def _add_link(robot: Element, link: Link, static: bool, folder: Path, materials: dict) -> None:
     element = SubElement(robot, "link", name=link.name)
     _add_inertia(element, IMMOVABLE if static or link.inertia is None else link.inertia)
-    for visual in map(_drawable, link.visuals):
+    for visual in map(drawable, link.visuals):
         child = _add_shape(element, "visual", visual, folder)
         material = SubElement(child, "material", name=_material(visual.colour, materials))
         SubElement(material, "color", rgba=_text(visual.colour))
@@ -76,7 +76,7 @@ def _add_link(robot: Element, link: Link, static: bool, folder: Path, materials:
             child.set("concave", "yes")
 
 
-def _drawable(visual: Visual) -> Visual:
+def drawable(visual: Visual) -> Visual:
     """Return a slab for a plane, which PyBullet would draw as a blue checkerboard."""
     if not isinstance(visual.geometry, Plane):
         return visual

@@ -6,6 +6,7 @@ world are made from them. Lengths are metres, masses kilograms, angles radians.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Dict, Mapping, Optional, Tuple, Union
@@ -78,12 +79,17 @@ class Visual:
 
 @dataclass(frozen=True)
 class Collision:
-    """A shape that touches others; `friction` is Coulomb's coefficient."""
+    """A shape that touches others; `friction` is Coulomb's coefficient.
+
+    `stiffness` (N/m) and `damping` (N s/m) make its contacts springs; None for hard ones.
+    """
 
     geometry: Geometry
     pose: Pose = Pose()
     friction: float = 1.0
     name: str = ""
+    stiffness: Optional[float] = None
+    damping: Optional[float] = None
 
 
 @dataclass(frozen=True)
@@ -100,13 +106,18 @@ class Inertia:
 
 @dataclass(frozen=True)
 class Link:
-    """A rigid part; `pose` is in the model's frame with all joints at zero."""
+    """A rigid part; `pose` is in the model's frame with all joints at zero.
+
+    `self_collide` says whether it touches other links of its model; neighbours in the tree of
+    joints never touch.
+    """
 
     name: str
     pose: Pose = Pose()
     inertia: Optional[Inertia] = None
     visuals: Tuple[Visual, ...] = ()
     collisions: Tuple[Collision, ...] = ()
+    self_collide: bool = False
 
 
 @dataclass(frozen=True)
@@ -129,7 +140,7 @@ class Plugin:
     """A `<plugin>` tag; `link` names the link that it refers to, if any.
 
     `tags` holds the text of each child by tag name; `sensor` is the `<sensor>` element around
-    the plugin, if there is one.
+    the plugin, if there is one. `element` is the tag itself, as it was read.
     """
 
     filename: str
@@ -137,6 +148,7 @@ class Plugin:
     tags: Mapping[str, str]
     link: str = ""
     sensor: Optional[Element] = None
+    element: Optional[Element] = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -166,8 +178,44 @@ class Model:
 
 
 @dataclass(frozen=True)
+class Attenuation:
+    """How a light fades: to 1 / (constant + linear d + quadratic d²), and to nothing at `range`."""
+
+    range: float = 10.0
+    constant: float = 1.0
+    linear: float = 0.0
+    quadratic: float = 0.0
+
+    def at(self, distances: np.ndarray) -> np.ndarray:
+        """Return what is left at distances in metres, 1 at most."""
+        fading = self.constant + distances * (self.linear + distances * self.quadratic)
+        return np.where(distances > self.range, 0.0, 1.0 / np.maximum(1.0, fading))
+
+
+@dataclass(frozen=True)
+class Cone:
+    """What a spot lights: all within the inner angle (rad, whole opening), none beyond the outer.
+
+    In between it fades with the power `falloff` of the share of the way, as in OGRE.
+    """
+
+    inner: float = 0.0
+    outer: float = math.pi
+    falloff: float = 1.0
+
+    def at(self, cosines: np.ndarray) -> np.ndarray:
+        """Return what is left in directions given by their cosine with the spot's axis."""
+        inside, outside = math.cos(0.5 * self.inner), math.cos(0.5 * self.outer)
+        share = (cosines - outside) / max(1e-9, inside - outside)
+        return np.clip(share, 0.0, 1.0) ** self.falloff
+
+
+@dataclass(frozen=True)
 class Light:
-    """A light: `kind` is point, directional or spot; `direction` in the frame of `pose`."""
+    """A light: `kind` is point, directional or spot; `direction` in the frame of `pose`.
+
+    `attenuation` counts for point and spot, `cone` for spot.
+    """
 
     name: str
     kind: str
@@ -175,11 +223,38 @@ class Light:
     diffuse: Colour = WHITE
     direction: Vector = (0.0, 0.0, -1.0)
     casts_shadows: bool = False
+    attenuation: Attenuation = Attenuation()
+    cone: Cone = Cone()
+
+
+@dataclass(frozen=True)
+class FrameState:
+    """Pose of a frame, velocity of its origin in m/s, angular velocity in rad/s."""
+
+    pose: Pose
+    linear: Vector = (0.0, 0.0, 0.0)
+    angular: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class ModelState:
+    """Where a model is in the world.
+
+    `links` holds the states of links in the world, `joints` position (rad or m) and velocity of
+    the movable joints.
+    """
+
+    pose: Pose
+    links: Mapping[str, FrameState] = field(default_factory=dict)
+    joints: Mapping[str, Tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class World:
-    """All that a world file holds; gravity in m/s², ambient light and background as RGBA."""
+    """All that a world file holds; gravity in m/s², ambient light and background as RGBA.
+
+    `states` says of models by name where their parts are, where this is not as they are built.
+    """
 
     name: str
     models: Tuple[Model, ...] = ()
@@ -187,3 +262,5 @@ class World:
     gravity: Vector = (0.0, 0.0, -9.8)
     ambient: Colour = (0.4, 0.4, 0.4, 1.0)
     background: Colour = (0.7, 0.7, 0.7, 1.0)
+    shadows: bool = True
+    states: Mapping[str, ModelState] = field(default_factory=dict)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import re
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from bullet_lab.simulation.xml_input import number, parse_text, read_text
 
 KNOWN_SUFFIXES = (".dae", ".stl", ".obj")
 MAXIMUM_BYTES = 200_000_000
+# Meshes that are kept as they were read, since many models may share one.
+CACHED_MESHES = 16
 UNUSABLE_NUMBER = re.compile(r"nan|inf", re.IGNORECASE)
 COLLADA = "{http://www.collada.org/2005/11/COLLADASchema}"
 
@@ -45,6 +48,16 @@ def load_triangles(mesh: Mesh) -> Triangles:
             are not finite.
         XmlError: a COLLADA file that is missing, not well-formed or has a document type.
     """
+    try:
+        found = mesh.path.stat()
+        version = (found.st_mtime_ns, found.st_size)
+    except OSError:
+        version = (0, 0)
+    return _load(mesh, version)
+
+
+@functools.lru_cache(maxsize=CACHED_MESHES)
+def _load(mesh: Mesh, _version: Tuple[int, int]) -> Triangles:
     suffix = mesh.path.suffix.lower()
     if suffix not in KNOWN_SUFFIXES:
         raise MeshError(f"{mesh.path}: a mesh is one of {', '.join(KNOWN_SUFFIXES)}")
@@ -54,6 +67,9 @@ def load_triangles(mesh: Mesh) -> Triangles:
         raise MeshError(f"{mesh.path}: no triangles with finite corners")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise MeshError(f"{mesh.path}: a triangle names a corner that is not there")
+    for array in (vertices, faces):
+        # Others get the same arrays.
+        array.setflags(write=False)
     return Triangles(vertices, faces)
 
 

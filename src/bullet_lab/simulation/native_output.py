@@ -6,7 +6,7 @@ import contextlib
 import ctypes
 import os
 import sys
-from typing import Iterator
+from typing import IO, Iterator
 
 
 @contextlib.contextmanager
@@ -16,13 +16,19 @@ def hidden_native_output() -> Iterator[None]:
     PyBullet prints its build time when it is imported and warnings while it loads; every
     failure is also raised, and reported once.
     """
+    with open(os.devnull, "wb") as sink, native_output_to(sink):
+        yield
+
+
+@contextlib.contextmanager
+def native_output_to(file: IO) -> Iterator[None]:
+    """Have native code write to a file instead of the standard streams meanwhile."""
     sys.stdout.flush()
     sys.stderr.flush()
     saved = {stream: os.dup(stream) for stream in (1, 2)}
     try:
-        with open(os.devnull, "wb") as sink:
-            for stream in saved:
-                os.dup2(sink.fileno(), stream)
+        for stream in saved:
+            os.dup2(file.fileno(), stream)
         yield
     finally:
         # C keeps a buffer of its own, which would come out at exit.

@@ -23,7 +23,7 @@ from bullet_lab.simulation.link_contacts import (
     spare_the_others,
 )
 from bullet_lab.simulation.native_output import hidden_native_output
-from bullet_lab.simulation.pose import Pose, Vector
+from bullet_lab.simulation.pose import Pose, Vector, add, cross
 from bullet_lab.simulation.shared_shapes import SharedShapes, has_collision_mesh
 from bullet_lab.simulation.tree import top_down
 
@@ -140,10 +140,8 @@ class Body:
         pybullet.resetBasePositionAndOrientation(
             self.unique_id, com.position, com.quaternion, self._client
         )
-        (vx, vy, vz), (wx, wy, wz) = linear, angular
-        x, y, z = pose.rotate(self._com.position)
-        at_com = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
-        self.set_velocity(at_com, angular)
+        arm = pose.rotate(self._com.position)
+        self.set_velocity(add(linear, cross(angular, arm)), angular)
         for name in self._joints:
             self.set_joint(name, self.joint_state(name).position)
 
@@ -379,8 +377,8 @@ def _reading_flags(model: Model) -> int:
         # Wheels are to be round: by default, a cylinder is a prism of 32 sides.
         flags |= pybullet.URDF_USE_IMPLICIT_CYLINDER
     if self_colliding(model.links):
+        # Of any links but neighbours.
         flags |= pybullet.URDF_USE_SELF_COLLISION
-        flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
     return flags
 
 

@@ -20,4 +20,5 @@ def plugins_in(parent: Element, link: str = "") -> Iterator[Plugin]:
 def read_plugin(element: Element, link: str = "", sensor: Optional[Element] = None) -> Plugin:
     """Return a `<plugin>` element as data."""
     tags = {child.tag: (child.text or "").strip() for child in element}
-    return Plugin(element.get("filename", ""), element.get("name", ""), tags, link, sensor)
+    filename, name = element.get("filename", ""), element.get("name", "")
+    return Plugin(filename, name, tags, link, sensor, element)

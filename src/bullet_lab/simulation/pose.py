@@ -126,6 +126,25 @@ def heading_of(quaternion: Quaternion) -> Tuple[float, float]:
     return cosine / length, sine / length
 
 
+def add(one: Vector, other: Vector) -> Vector:
+    """Return the sum of two vectors."""
+    return (one[0] + other[0], one[1] + other[1], one[2] + other[2])
+
+
+def subtract(one: Vector, other: Vector) -> Vector:
+    """Return the difference of two vectors."""
+    return (one[0] - other[0], one[1] - other[1], one[2] - other[2])
+
+
+def cross(one: Vector, other: Vector) -> Vector:
+    """Return the vector product of two vectors."""
+    return (
+        one[1] * other[2] - one[2] * other[1],
+        one[2] * other[0] - one[0] * other[2],
+        one[0] * other[1] - one[1] * other[0],
+    )
+
+
 def _hamilton(a: Quaternion, b: Quaternion) -> Quaternion:
     ax, ay, az, aw = a
     bx, by, bz, bw = b

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from typing import Callable, Iterable, Optional, Tuple
-from urllib.parse import unquote, urlsplit
+from urllib.parse import quote, unquote, urlsplit
 
 from bullet_lab.errors import LabError
 
@@ -54,6 +54,20 @@ def gazebo_model_folders() -> Tuple[Path, ...]:
     """Return the folders to look for `model://` in, in the order of the search."""
     listed = os.environ.get("GAZEBO_MODEL_PATH", "").split(os.pathsep)
     return tuple(Path(folder) for folder in listed if folder) + (package_share() / "models",)
+
+
+def package_uri(path: Path) -> str:
+    """Return the package:// or model:// URI of a file; empty where only its path names it."""
+    for folder in _package_above(path):
+        # A checkout of this package may be called anything; the folders of others, as they are.
+        for name in (PACKAGE, folder.name):
+            known = ros_package_folder(name)
+            if known is not None and os.path.realpath(known) == os.path.realpath(folder):
+                return f"package://{name}/{quote(os.path.relpath(path, folder))}"
+    for folder in gazebo_model_folders():
+        if _is_below(path, folder):
+            return f"model://{quote(os.path.relpath(path, os.path.realpath(folder)))}"
+    return ""
 
 
 class ResourceFinder:

@@ -12,7 +12,7 @@ from typing import Tuple
 import numpy as np
 
 from bullet_lab.numerics.pinhole import PinholeCamera
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.pose import Pose, Quaternion, Vector
 
 # Row-major diagonals in REP 103 order x, y, z, rotation about x, y, z.
 Diagonal = Tuple[float, float, float, float, float, float]
@@ -31,7 +31,8 @@ class PlanarCommand:
 class OdometrySample:
     """Pose of `child_frame` in `frame`, and its velocity in its own frame.
 
-    The pose covariance is diagonal (m² and rad²); the twist's is zero, as Gazebo sends it.
+    The covariances are diagonal (m² and rad², per s² for the twist's, which is zero for most, as
+    Gazebo sends it).
     """
 
     step: int
@@ -40,6 +41,7 @@ class OdometrySample:
     pose: Pose
     velocity: PlanarCommand
     pose_variances: Diagonal
+    twist_variances: Diagonal = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -85,3 +87,103 @@ class CameraInfoSample:
     frame: str
     camera: PinholeCamera
     baseline: float = 0.0
+
+
+@dataclass(frozen=True)
+class LaserSample:
+    """Distances that a laser scanner has measured, all at one moment.
+
+    Angles in rad about the z axis of `frame`; `period` in s between two scans; `ranges` in m,
+    +inf for nothing within `range_max` and -inf for something nearer than `range_min`, shape
+    (rays,), and `intensities` of the same shape. A scanner with several rows gives one after
+    the other.
+    """
+
+    step: int
+    frame: str
+    angle_min: float
+    angle_max: float
+    angle_increment: float
+    period: float
+    range_min: float
+    range_max: float
+    ranges: np.ndarray
+    intensities: np.ndarray
+
+
+@dataclass(frozen=True)
+class RangeSample:
+    """A distance in m that a sonar (or an infrared sensor) has measured along x of `frame`.
+
+    `field_of_view` is in rad.
+    """
+
+    step: int
+    frame: str
+    infrared: bool
+    field_of_view: float
+    range_min: float
+    range_max: float
+    range: float
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """What an inertial unit measures in its own axes, those of `frame`.
+
+    `orientation` is the unit quaternion of the frame in the world, `angular_velocity` in rad/s,
+    `specific_force` in m/s² (+g along z at rest, as an accelerometer reads). Each has one
+    variance for all three axes, in rad², (rad/s)² and (m/s²)².
+    """
+
+    step: int
+    frame: str
+    orientation: Quaternion
+    angular_velocity: Vector
+    specific_force: Vector
+    orientation_variance: float
+    angular_velocity_variance: float
+    specific_force_variance: float
+
+
+@dataclass(frozen=True)
+class MotionSample:
+    """Pose and full velocity of `child_frame`, both in `frame`; m/s and rad/s.
+
+    `variance` is that of every component.
+    """
+
+    step: int
+    frame: str
+    child_frame: str
+    pose: Pose
+    linear: Vector
+    angular: Vector
+    variance: float
+
+
+@dataclass(frozen=True)
+class ShapeContact:
+    """Two shapes that touch.
+
+    `first` and `second` name them as model::link::shape. For each point of contact: the force
+    in N and the torque in N m on the first shape's link (about its centre of mass), the place
+    in m, the normal from the second shape to the first, and how deep they overlap in m.
+    """
+
+    first: str
+    second: str
+    forces: Tuple[Vector, ...]
+    torques: Tuple[Vector, ...]
+    positions: Tuple[Vector, ...]
+    normals: Tuple[Vector, ...]
+    depths: Tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ContactsSample:
+    """All pairs of shapes that touch, with vectors in `frame`."""
+
+    step: int
+    frame: str
+    contacts: Tuple[ShapeContact, ...]

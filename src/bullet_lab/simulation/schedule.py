@@ -37,6 +37,11 @@ class Schedule:
         self._numerator, self._denominator = period.numerator, period.denominator
         self.restart(start)
 
+    @property
+    def period(self) -> float:
+        """Mean time between two occurrences, in s."""
+        return self._numerator / self._denominator / STEPS_PER_SECOND
+
     def restart(self, start: int) -> None:
         """Count the periods from the given step on."""
         self._start = start

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Iterator, List, Optional, Tuple, Union
+from typing import Dict, Iterator, List, Mapping, Optional, Tuple, Union
 from xml.etree.ElementTree import Element
 
 from bullet_lab.simulation.description import (
+    WHITE,
+    Attenuation,
     Box,
     Collision,
     Colour,
+    Cone,
     Cylinder,
     Geometry,
     Inertia,
@@ -21,15 +25,18 @@ from bullet_lab.simulation.description import (
     Mesh,
     Model,
     Plane,
+    Plugin,
     Sphere,
     Visual,
     World,
 )
+from bullet_lab.simulation.gazebo_materials import gazebo_colour
 from bullet_lab.simulation.inertia import check_inertia, matrix_from_elements
 from bullet_lab.simulation.lumping import lump_fixed_joints
 from bullet_lab.simulation.plugin_tags import plugins_in
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.resources import ResourceError, ResourceFinder
+from bullet_lab.simulation.sdf_state import read_states
 from bullet_lab.simulation.tree import check_forest
 from bullet_lab.simulation.xml_input import (
     XmlError,
@@ -48,6 +55,7 @@ from bullet_lab.simulation.xml_input import (
 LOG = logging.getLogger(__name__)
 
 SIMULATED_JOINTS = ("fixed", "revolute", "prismatic")
+NO_BOUND = 1e16
 # Gazebo's colour for a shape without a material.
 DEFAULT_COLOUR: Colour = (0.7, 0.7, 0.7, 1.0)
 # Models may include models; a chain deeper than this is a circle.
@@ -114,6 +122,7 @@ def _world(element: Element, context: _Context) -> World:
     gravity = child_text(element, "gravity", "0 0 -9.8")
     scene = element.find("scene")
     scene = Element("scene") if scene is None else scene
+    state = element.find("state")
     return World(
         element.get("name", "default"),
         models,
@@ -121,6 +130,8 @@ def _world(element: Element, context: _Context) -> World:
         numbers(gravity, 3, f"{context.source}: gravity"),
         _colour(scene, "ambient", (0.4, 0.4, 0.4, 1.0), context),
         _colour(scene, "background", (0.7, 0.7, 0.7, 1.0), context),
+        boolean(child_text(scene, "shadows", "true"), f"{context.source}: <shadows>"),
+        {} if state is None else read_states(state, models, context.source),
     )
 
 
@@ -192,14 +203,44 @@ def _model(element: Element, context: _Context) -> Model:
     by_name = {link.name: link for link in links}
     joints = tuple(_joint(child, by_name, inner) for child in element.findall("joint"))
     check_forest(links, joints, inner.source)
-    model = Model(name, links, joints, _plugins(element), _pose(element, inner), static)
-    return lump_fixed_joints(model)
+    frames = _frames(element, by_name, inner)
+    plugins = _plugins(element, frames)
+    model = lump_fixed_joints(
+        Model(name, links, joints, plugins, _pose(element, inner), static)
+    )
+    placed = {key: _lumped(place, model) for key, place in frames.items()}
+    return replace(model, frames={**placed, **model.frames})
 
 
-def _plugins(element: Element) -> tuple:
+def _frames(element: Element, links: dict, context: _Context) -> Dict[str, Tuple[str, Pose]]:
+    """Return link and pose in it for each frame of a model that is given in a link's frame."""
+    frames = {}
+    for child in element.findall("frame"):
+        pose = child.find("pose")
+        link = "" if pose is None else pose.get("frame", "")
+        name = child.get("name", "")
+        if link not in links or not name or name in links:
+            LOG.warning("%s: frame '%s' is in no link and skipped", context.source, name)
+            continue
+        values = numbers(pose.text, 6, f"{context.source}: frame '{name}'")
+        frames[name] = (link, Pose.from_rpy(values[:3], values[3:]))
+    return frames
+
+
+def _lumped(place: Tuple[str, Pose], model: Model) -> Tuple[str, Pose]:
+    """Return a place in a link as one in the link that has remained of it."""
+    link, pose = place
+    keeper, offset = model.frames.get(link, (link, Pose()))
+    return keeper, offset * pose
+
+
+def _plugins(element: Element, frames: Mapping[str, Tuple[str, Pose]]) -> Tuple[Plugin, ...]:
     found = list(plugins_in(element))
     for link in element.findall("link"):
-        found.extend(plugins_in(link, link.get("name", "")))
+        for plugin in plugins_in(link, link.get("name", "")):
+            pose = None if plugin.sensor is None else plugin.sensor.find("pose")
+            frame = "" if pose is None else pose.get("frame", "")
+            found.append(replace(plugin, link=frame) if frame in frames else plugin)
     return tuple(found)
 
 
@@ -212,7 +253,7 @@ def _link(element: Element, static: bool, context: _Context) -> Link:
     for child in element.findall("visual"):
         geometry = _geometry(child, inner)
         if geometry is not None:
-            colour = _visual_colour(child, inner)
+            colour = _visual_colour(child, geometry, inner)
             visuals.append(Visual(geometry, _pose(child, inner), colour, child.get("name", "")))
     collisions: List[Collision] = []
     for child in element.findall("collision"):
@@ -220,9 +261,21 @@ def _link(element: Element, static: bool, context: _Context) -> Link:
         if geometry is not None:
             mu = child_text(child, "surface/friction/ode/mu", "1")
             mu = friction(mu, f"{inner.source}: <mu>")
-            collisions.append(Collision(geometry, _pose(child, inner), mu, child.get("name", "")))
+            called, spring = child.get("name", ""), _spring(child, inner)
+            collisions.append(Collision(geometry, _pose(child, inner), mu, called, *spring))
     inertia = None if static else _inertia(element.find("inertial"), inner)
-    return Link(name, _pose(element, inner), inertia, tuple(visuals), tuple(collisions))
+    said = child_text(element, "self_collide", "false")
+    touchy = boolean(said, f"{inner.source}: <self_collide>")
+    return Link(name, _pose(element, inner), inertia, tuple(visuals), tuple(collisions), touchy)
+
+
+def _spring(collision: Element, context: _Context) -> Tuple[Optional[float], ...]:
+    """Return stiffness and damping of a shape's contacts, None for what is not said."""
+    texts = {key: child_text(collision, f"surface/contact/ode/{key}") for key in ("kp", "kd")}
+    return tuple(
+        friction(text, f"{context.source}: <{key}>") if text else None
+        for key, text in texts.items()
+    )
 
 
 def _inertia(element: Optional[Element], context: _Context) -> Inertia:
@@ -262,7 +315,10 @@ def _joint(element: Element, links: dict, context: _Context) -> Joint:
         pose,
         direction(child_text(element, "axis/xyz", "0 0 1"), f"{inner.source}: <xyz>"),
         _limits(element, inner),
-        number(child_text(element, "axis/dynamics/damping", "0"), f"{inner.source}: <damping>"),
+        *(
+            number(child_text(element, f"axis/dynamics/{tag}", "0"), f"{inner.source}: <{tag}>")
+            for tag in ("damping", "friction")
+        ),
     )
 
 
@@ -270,11 +326,13 @@ def _limits(element: Element, context: _Context) -> dict:
     found = element.find("axis/limit")
     if found is None:
         return {}
-    return {
+    limits = {
         child.tag: number(child.text, f"{context.source}: <{child.tag}>")
         for child in found
         if child.tag in ("lower", "upper", "effort", "velocity")
     }
+    # Bounds as far as SDF's own defaults are none.
+    return {key: value for key, value in limits.items() if abs(value) < NO_BOUND}
 
 
 def _geometry(element: Element, context: _Context) -> Optional[Geometry]:
@@ -311,11 +369,13 @@ def _mesh(shape: Element, context: _Context, where: str) -> Mesh:
     return Mesh(context.find(uri, where), uri, scale)
 
 
-def _visual_colour(element: Element, context: _Context) -> Colour:
+def _visual_colour(element: Element, geometry: Geometry, context: _Context) -> Colour:
     material = element.find("material")
-    colour = DEFAULT_COLOUR
+    # A mesh may bring colours and pictures of its own, which nothing shall darken.
+    colour = WHITE if isinstance(geometry, Mesh) else DEFAULT_COLOUR
     if material is not None:
-        ambient = _colour(material, "ambient", DEFAULT_COLOUR, context)
+        named = gazebo_colour(child_text(material, "script/name")) or DEFAULT_COLOUR
+        ambient = _colour(material, "ambient", named, context)
         colour = _colour(material, "diffuse", ambient, context)
     transparency = number(child_text(element, "transparency", "0"), f"{context.source}: colour")
     return colour[:3] + (colour[3] * (1.0 - transparency),)
@@ -334,7 +394,34 @@ def _light(element: Element, context: _Context) -> Light:
         _colour(element, "diffuse", (1.0, 1.0, 1.0, 1.0), inner),
         direction(child_text(element, "direction", "0 0 -1"), f"{inner.source}: <direction>"),
         boolean(child_text(element, "cast_shadows", "false"), f"{inner.source}: <cast_shadows>"),
+        _attenuation(element, inner),
+        _cone(element, inner),
     )
+
+
+def _attenuation(light: Element, context: _Context) -> Attenuation:
+    values = {}
+    for key, default in (("range", 10.0), ("constant", 1.0), ("linear", 0.0), ("quadratic", 0.0)):
+        where = f"{context.source}: <{key}>"
+        values[key] = number(child_text(light, f"attenuation/{key}", repr(default)), where)
+        if values[key] < 0.0:
+            raise SdfError(f"{where}: {values[key]:g} is negative")
+    return Attenuation(**values)
+
+
+def _cone(light: Element, context: _Context) -> Cone:
+    default = Cone()
+    inner, outer, falloff = (
+        number(child_text(light, f"spot/{tag}", repr(value)), f"{context.source}: <{tag}>")
+        for tag, value in (
+            ("inner_angle", default.inner),
+            ("outer_angle", default.outer),
+            ("falloff", default.falloff),
+        )
+    )
+    if not 0.0 <= inner <= outer <= 2.0 * math.pi or falloff < 0.0:
+        raise SdfError(f"{context.source}: <spot> is no cone: {inner:g}, {outer:g}, {falloff:g}")
+    return Cone(inner, outer, falloff)
 
 
 def _pose(element: Element, context: _Context) -> Pose:

@@ -25,7 +25,8 @@ from bullet_lab.simulation.description import FrameState, Model, ModelState, Plu
 from bullet_lab.simulation.devices import Device, Mount, known_plugins, make_device
 from bullet_lab.simulation.forces import Forces
 from bullet_lab.simulation.physics import Body, Physics
-from bullet_lab.simulation.pose import Pose, Vector
+from bullet_lab.simulation.pose import Pose, Vector, add, cross
+from bullet_lab.simulation.proportions import FARTHEST, FASTEST, check_proportions
 from bullet_lab.simulation.rendering.choice import AUTO, choose_renderer
 from bullet_lab.simulation.rendering.engine import shared_engine
 from bullet_lab.simulation.rendering.frame import Photographer
@@ -105,24 +106,33 @@ class ModelInstance:
             SimulationError: a number that is not finite, or an impossible pose.
         """
         _check_pose(pose, self.name)
-        if not all(map(math.isfinite, linear + angular)):
-            raise SimulationError(f"model '{self.name}': its velocity is not finite")
+        if not all(abs(value) <= FASTEST for value in linear + angular):
+            raise SimulationError(f"model '{self.name}': its velocity is out of all proportion")
         before = self.pose().inverse()
         for body in self.bodies.values():
             offset = before * body.pose()
-            x, y, z = Pose(quaternion=pose.quaternion).rotate(offset.position)
-            (vx, vy, vz), (wx, wy, wz) = linear, angular
-            there = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
-            body.move(pose * offset, there, angular)
+            arm = pose.rotate(offset.position)
+            body.move(pose * offset, add(linear, cross(angular, arm)), angular)
         for device in self.devices:
             device.placed()
 
+    def configure(self, positions: Mapping[str, float]) -> None:
+        """Put joints somewhere (rad or m), at rest.
+
+        Raises:
+            SimulationError: an unknown joint or a position that is not finite; none is moved.
+        """
+        bodies = {name: self.body_of_joint(name) for name in positions}
+        for name, position in positions.items():
+            if not math.isfinite(position):
+                raise SimulationError(f"model '{self.name}': joint '{name}' at {position}")
+        for name, body in bodies.items():
+            body.set_joint(name, positions[name])
+
     def state(self) -> ModelState:
         """Return where all parts of the model are and how they move."""
-        links = {
-            root: FrameState(body.pose(), *body.origin_velocity())
-            for root, body in self.bodies.items()
-        }
+        frames = {link.name: self.frame(link.name) for link in self.model.links}
+        links = {name: FrameState(f.pose(), *f.velocity()) for name, f in frames.items()}
         states = {
             name: body.joint_state(name)
             for body in self.bodies.values()
@@ -135,13 +145,12 @@ class ModelInstance:
         """Put all parts of the model where a state has them.
 
         Raises:
-            SimulationError: an impossible pose or velocity, or a part that is not there.
+            SimulationError: an impossible pose or velocity, or a joint that is not there.
         """
-        for root, link in state.links.items():
-            if root not in self.bodies:
-                raise SimulationError(f"model '{self.name}': no root link '{root}' for its state")
+        for root in self.model.root_links():
+            link = state.links.get(root.name, FrameState(state.pose * root.pose))
             _check_pose(link.pose, self.name)
-            self.bodies[root].move(link.pose, link.linear, link.angular)
+            self.bodies[root.name].move(link.pose, link.linear, link.angular)
         for name, (position, velocity) in state.joints.items():
             self.body_of_joint(name).set_joint(name, position, velocity)
         for device in self.devices:
@@ -335,8 +344,11 @@ class Simulation:
         name = name or model.name
         if name in self._instances:
             raise SimulationError(f"a model named '{name}' exists already")
+        if not name.isprintable():
+            raise SimulationError(f"a model cannot be called {name!r}")
         if pose is not None:
             _check_pose(pose, name)
+        check_proportions(model)
         plugins = tuple(_in_namespace(plugin, namespace) for plugin in model.plugins)
         model = replace(model, name=name, pose=pose or model.pose, plugins=plugins)
         check_textures(model)
@@ -486,6 +498,8 @@ class Simulation:
 def _check_pose(pose: Pose, model: str) -> None:
     if not all(map(math.isfinite, pose.position + pose.quaternion)):
         raise SimulationError(f"model '{model}': its pose is not finite")
+    if max(map(abs, pose.position)) > FARTHEST:
+        raise SimulationError(f"model '{model}': its pose is out of all proportion")
     length = math.sqrt(sum(value * value for value in pose.quaternion))
     if abs(length - 1.0) > QUATERNION_TOLERANCE:
         raise SimulationError(f"model '{model}': a quaternion of length {length:g}, not 1")

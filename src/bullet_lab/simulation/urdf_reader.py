@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Dict, List, Mapping, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 from xml.etree.ElementTree import Element
 
 from bullet_lab.simulation.description import (
@@ -22,16 +23,17 @@ from bullet_lab.simulation.description import (
     Sphere,
     Visual,
 )
+from bullet_lab.simulation.gazebo_tags import GazeboTags
 from bullet_lab.simulation.inertia import check_inertia, matrix_from_elements
 from bullet_lab.simulation.lumping import lump_fixed_joints
 from bullet_lab.simulation.plugin_tags import plugins_in
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.tree import check_tree, place_links
+from bullet_lab.simulation.xacro_files import expand_xacro, is_xacro
 from bullet_lab.simulation.xml_input import (
     XmlError,
     direction,
-    friction,
     mesh_scale,
     number,
     numbers,
@@ -48,8 +50,9 @@ class UrdfError(XmlError):
 
 
 def read_urdf_file(path: Path, finder: Optional[ResourceFinder] = None) -> Model:
-    """Read a robot from a URDF file; see `read_urdf`."""
-    return read_urdf(read_text(path), str(path), (finder or ResourceFinder()).beside(path))
+    """Read a robot from a URDF or xacro file; see `read_urdf` and `expand_xacro`."""
+    text = expand_xacro(path) if is_xacro(path) else read_text(path)
+    return read_urdf(text, str(path), (finder or ResourceFinder()).beside(path))
 
 
 def read_urdf(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
@@ -71,7 +74,7 @@ def read_urdf(text: str, source: str, finder: Optional[ResourceFinder] = None) -
     if root.tag != "robot":
         raise UrdfError(f"{source}: the root element is <{root.tag}>, not <robot>")
     reader = _Reader(root, source, finder or ResourceFinder())
-    return lump_fixed_joints(reader.model())
+    return _with_shapes_named(lump_fixed_joints(reader.model(), rename=True))
 
 
 class _Reader:
@@ -84,12 +87,14 @@ class _Reader:
             colour = material.find("color")
             if colour is not None:
                 self._colours[material.get("name", "")] = self._colour(colour)
-        self._frictions = self._read_frictions()
 
     def model(self) -> Model:
         links = tuple(self._link(element) for element in self._root.findall("link"))
         joints = tuple(self._joint(element) for element in self._root.findall("joint"))
         check_tree(links, joints, self._source)
+        references = [part.name for part in (*links, *joints)]
+        tags = GazeboTags(self._root.findall("gazebo"), references, self._source)
+        links = tuple(map(tags.apply, links))
         name = self._root.get("name") or "robot"
         return Model(name, place_links(links, joints), joints, self._plugins())
 
@@ -99,26 +104,16 @@ class _Reader:
             found.extend(plugins_in(element, element.get("reference", "")))
         return tuple(found)
 
-    def _read_frictions(self) -> Mapping[str, float]:
-        frictions = {}
-        for element in self._root.findall("gazebo"):
-            mu = element.find("mu1")
-            if mu is not None:
-                link = element.get("reference", "")
-                # Both spellings are read by Gazebo: <mu1>1</mu1> and <mu1 value="1"/>.
-                text = mu.get("value", mu.text)
-                frictions[link] = friction(text, f"{self._source}: <mu1> of '{link}'")
-        return frictions
-
     def _link(self, element: Element) -> Link:
         name = self._name(element, "link")
-        mu = self._frictions.get(name, 1.0)
         return Link(
             name,
             inertia=self._inertia(element.find("inertial"), name),
             visuals=tuple(self._visual(e, name) for e in element.findall("visual")),
             collisions=tuple(
-                Collision(self._geometry(e, name), self._origin(e, name), mu, e.get("name", ""))
+                Collision(
+                    self._geometry(e, name), self._origin(e, name), name=e.get("name") or name
+                )
                 for e in element.findall("collision")
             ),
         )
@@ -220,6 +215,21 @@ class _Reader:
         if not name:
             raise UrdfError(f"{self._source}: a <{kind}> without a name")
         return name
+
+
+def _with_shapes_named(model: Model) -> Model:
+    """Return the model with names of shapes as Gazebo makes them: link_collision_1."""
+
+    def named(number: int, shape: Collision) -> Collision:
+        return replace(shape, name=f"{shape.name}_collision" + (f"_{number}" if number else ""))
+
+    return replace(
+        model,
+        links=tuple(
+            replace(link, collisions=tuple(named(*c) for c in enumerate(link.collisions)))
+            for link in model.links
+        ),
+    )
 
 
 def _attribute(element: Optional[Element], name: str, where: str) -> float:

@@ -1,4 +1,4 @@
-"""Pictures of a simulation, drawn by PyBullet's software renderer."""
+"""Pictures of a simulation from anywhere."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.engine import pybullet
-from bullet_lab.simulation.pose import Vector
+from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.simulation.pose import Pose, Vector
+from bullet_lab.simulation.rendering.choice import TINY
+from bullet_lab.simulation.rendering.frame import Shot
 from bullet_lab.simulation.simulation import Simulation
 
 
@@ -40,8 +42,16 @@ class View:
     far: float = 100.0
 
 
-def take_picture(simulation: Simulation, view: View) -> np.ndarray:
+def take_picture(
+    simulation: Simulation, view: View, renderer: str = TINY, samples: float = 1.0
+) -> np.ndarray:
     """Draw the world as it is now.
+
+    Args:
+        simulation: what to draw.
+        view: from where.
+        renderer: "tiny", which works everywhere, "egl" or "auto".
+        samples: drawn pixels per pixel, along each side.
 
     Returns:
         (height, width, 3) array of uint8, RGB. The same world and view give the same bytes.
@@ -49,6 +59,7 @@ def take_picture(simulation: Simulation, view: View) -> np.ndarray:
     Raises:
         ViewError: the picture has no area or depth, a number is not finite, or the target is
             straight above or below the eye.
+        LabError: something in the world cannot be drawn.
     """
     if not all(map(math.isfinite, (*view.eye, *view.target, view.near, view.far))):
         raise ViewError("the view has a number that is not finite")
@@ -58,35 +69,15 @@ def take_picture(simulation: Simulation, view: View) -> np.ndarray:
         raise ViewError(f"no picture has {view.width} x {view.height} pixels and such an angle")
     if math.dist(view.eye[:2], view.target[:2]) == 0.0:
         raise ViewError("the view is vertical: the picture has no upper side")
-    aspect = view.width / view.height
-    vertical_fov = 2.0 * math.atan(math.tan(0.5 * view.horizontal_fov) / aspect)
-    ambient = sum(simulation.world.ambient[:3]) / 3.0
-    _, _, pixels, _, shown = pybullet.getCameraImage(
-        view.width,
-        view.height,
-        pybullet.computeViewMatrix(view.eye, view.target, (0.0, 0.0, 1.0)),
-        pybullet.computeProjectionMatrixFOV(
-            math.degrees(vertical_fov), aspect, view.near, view.far
-        ),
-        lightDirection=_light_direction(simulation),
-        lightAmbientCoeff=ambient,
-        lightDiffuseCoeff=0.6,
-        lightSpecularCoeff=0.0,
-        shadow=0,
-        renderer=pybullet.ER_TINY_RENDERER,
-        physicsClientId=simulation.client,
-    )
-    shape = (view.height, view.width)
-    picture = np.array(pixels, dtype=np.uint8).reshape(*shape, 4)[:, :, :3]
-    background = np.round(255.0 * np.asarray(simulation.world.background[:3]))
-    picture[np.asarray(shown).reshape(shape) < 0] = background
-    return picture
+    focal = 0.5 * view.width / math.tan(0.5 * view.horizontal_fov)
+    centre = (0.5 * (view.width - 1), 0.5 * (view.height - 1))
+    camera = PinholeCamera(view.width, view.height, focal, focal, *centre)
+    shot = Shot(camera, view.near, view.far, samples)
+    return simulation.photographer(renderer).take(_pose(view), shot)
 
 
-def _light_direction(simulation: Simulation) -> Vector:
-    """Return the direction towards the world's first light (from above if there is none)."""
-    for light in simulation.world.lights:
-        if light.kind == "directional":
-            return tuple(-value for value in light.pose.rotate(light.direction))
-        return light.pose.position
-    return (0.3, -0.4, 1.0)
+def _pose(view: View) -> Pose:
+    """Return the pose that looks along its x axis at the target, without roll."""
+    dx, dy, dz = np.subtract(view.target, view.eye)
+    pitch = -math.atan2(dz, math.hypot(dx, dy))
+    return Pose.from_rpy(view.eye, (0.0, pitch, math.atan2(dy, dx)))

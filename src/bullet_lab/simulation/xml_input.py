@@ -14,6 +14,8 @@ from bullet_lab.errors import LabError
 
 # A description of a robot or a world is text for people; meshes are files of their own.
 MAXIMUM_BYTES = 20_000_000
+# Squares and cubes of larger ones would overflow; SDF writes 1e16 for "no limit".
+LARGEST_NUMBER = 1e18
 
 
 class XmlError(LabError):
@@ -73,7 +75,10 @@ def numbers(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
         values = ()
     if len(values) != count or not all(map(math.isfinite, values)):
         wanted = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise XmlError(f"{what}: '{' '.join(parts)}' is not {wanted}")
+        raise XmlError(f"{what}: '{' '.join(parts)[:80]}' is not {wanted}")
+    for value in values:
+        if abs(value) > LARGEST_NUMBER:
+            raise XmlError(f"{what}: {value:g} is out of all proportion")
     return values
 
 

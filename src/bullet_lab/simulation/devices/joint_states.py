@@ -11,7 +11,7 @@ class JointStates(Device):
     """Reports position, velocity and effort of the joints.
 
     Tags: jointName (names with commas between them; all movable joints if left out),
-    updateRate in Hz (0: every step) and robotNamespace, as in Gazebo.
+    updateRate (100 Hz; 0: every step) and robotNamespace, as in Gazebo.
     """
 
     def __init__(self, mount: Mount):
@@ -20,7 +20,7 @@ class JointStates(Device):
         self._names = _joint_names(mount)
         self.states = Output(mount.topic("joint_states"), JointSample)
         self.outputs = (self.states,)
-        self.schedule = mount.schedule("updateRate", 0.0)
+        self.schedule = mount.schedule("updateRate", 100.0)
 
     def produce(self, step: int) -> None:
         """Send the states of all joints."""

@@ -47,14 +47,13 @@ class PlanarMove(Device):
     def __init__(self, mount: Mount):
         super().__init__(mount)
         self._body = mount.body
-        self.frame = mount.text("odometryFrame", "odom")
-        self._base_frame = mount.text("robotBaseFrame", "base_footprint")
+        self.frame = mount.frame(mount.text("odometryFrame", "odom"))
+        self._base_frame = mount.frame(mount.text("robotBaseFrame", "base_footprint"))
         self._timeout = _timeout_steps(mount.number("cmdTimeout", -1.0))
         self._patch = _support_patch(mount)
         self._slow_down = self._patch.slow_down
         self._set_velocity = self._body.set_velocity
         self._mass = self._patch.mass
-        self._gravity = mount.gravity
         self._turned = self._body.turned_inertia
         self.odometry = Output(mount.topic(mount.text("odometryTopic", "odom")), OdometrySample)
         self.transform = Output("/tf", TransformSample)
@@ -85,7 +84,7 @@ class PlanarMove(Device):
         (_, _, height), quaternion = self._body.com_place()
         # The floor has carried what the step before did not turn into a fall: the body was sent
         # off without vertical velocity, so this is Newton's law, and no contact need be asked.
-        carried = self._mass * (self._gravity + (height - self._height) / STEP_SQUARED)
+        carried = self._mass * (self.gravity + (height - self._height) / STEP_SQUARED)
         self._height = height
         self._load += LOAD_SMOOTHING * (carried - self._load)
         vx, vy, wz = self._slow_down(
@@ -123,7 +122,7 @@ class PlanarMove(Device):
         """Forget where the robot was: it neither drove nor fell from there."""
         self._last_pose = self._body.pose()
         self._height = self._body.com_pose().position[2]
-        self._load = self._mass * self._gravity
+        self._load = self._mass * self.gravity
 
     def _velocity_since(self, step: int, pose: Pose) -> PlanarCommand:
         """Return the mean velocity since the last sample, in the robot's present frame."""

@@ -1,0 +1,7 @@
+#!/usr/bin/env python3
+"""Make a marker; see bullet_lab.markers.make_marker. No ROS is needed."""
+
+from bullet_lab.entry import run
+
+if __name__ == "__main__":
+    run("bullet_lab.markers.make_marker")

@@ -1,0 +1,420 @@
+"""One thing in the world that shows the wanted marker: where it is, and whether it is real.
+
+A flat marker has two poses that look alike, and a larger print far away looks like the real one
+close by. So a candidate is a sum of Gaussians: several yaws, and several sizes of which only one
+is the marker's. All are moved along with the odometry and weighed by how well they foretell the
+corners in each image. A copy of another size betrays itself as the robot moves, since its range
+changes by more or less than it should; the marker's height betrays many at once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Optional, Tuple
+
+import numpy as np
+
+from bullet_lab.docking.marker_model import (
+    STATES,
+    PixelNoise,
+    Viewpoint,
+    extent_of,
+    noise_covariance,
+    predict,
+)
+from bullet_lab.docking.motion import MotionStep
+from bullet_lab.docking.size_test import SCALES, SizeTest
+from bullet_lab.numerics import se2
+from bullet_lab.numerics.angles import wrap
+
+_HEIGHT_KNOWN, _HEIGHT_FREE = 0.006, 0.4
+_GROWTH_KNOWN, _GROWTH_FREE = 1e-4, 0.12
+_SLANTS = np.radians(np.arange(-70.0, 71.0, 7.0))
+_START_DEVIATION = math.radians(5.0)
+_PER_SCALE = 3
+_LEAST_WEIGHT = 1e-6
+_LEAST_SHARE = 1e-5
+_FRAMES_AT_A_SPOT = 5
+_OUTLIER = 40.0
+_LINEAR = 4.0
+_STUBBORN = 4
+
+
+@dataclass(frozen=True, eq=False)
+class DockEstimate:
+    """Pose of a dock in the robot's frame: mean (3,) and covariance (3, 3)."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviations of x, y (m) and yaw (rad)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class DockPrior:
+    """What was believed before the marker was seen: mean (3,) and covariance (3, 3)."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    def excess(self, poses: np.ndarray) -> np.ndarray:
+        """Return by how much (n, 3) poses are farther off than 3.3 standard deviations, squared."""
+        off = poses - self.mean
+        off[:, 2] = wrap(off[:, 2])
+        squares = np.einsum("ni,ij,nj->n", off, np.linalg.inv(self.covariance), off)
+        return np.maximum(squares - 11.0, 0.0)
+
+    def moved(self, motion: MotionStep) -> DockPrior:
+        """Return it as seen by a robot after a step."""
+        mean = se2.between(motion.step, self.mean)
+        by_state, by_step = _step_derivatives(mean, motion.step[2])
+        covariance = by_state @ self.covariance @ by_state.T
+        return DockPrior(mean, covariance + by_step @ motion.covariance @ by_step.T)
+
+
+class Candidate:
+    """A place where the wanted marker is seen.
+
+    Args:
+        corners: (4, 2) px, where it was seen first.
+        view: by which camera.
+        size: of the real marker, m.
+        height: of the real marker, m.
+        prior: of the dock's pose in the robot's frame.
+        noise: of the corners.
+    """
+
+    def __init__(
+        self,
+        corners: np.ndarray,
+        view: Viewpoint,
+        size: float,
+        height: float,
+        prior: DockPrior,
+        noise: PixelNoise,
+    ):
+        self._size, self._noise = size, noise
+        self.frames = 0
+        self._eye = np.array([view.mount.x, view.mount.y])
+        self._spot: Optional[np.ndarray] = None
+        self._spot_frames = 0
+        self._outliers = 0
+        self._start(np.asarray(corners, dtype=float), view, height, prior)
+
+    # What it is -----------------------------------------------------------------------------
+
+    @property
+    def real(self) -> float:
+        """Probability that it is the marker itself and no copy of another size."""
+        return float(np.sum(self._weights[self._scale == 0]))
+
+    @property
+    def surprised(self) -> bool:
+        """Whether the last images contradict all that is believed of it."""
+        return self._outliers >= _STUBBORN
+
+    def estimate(self) -> Optional[DockEstimate]:
+        """Return the pose if it is real; None if that is out of the question."""
+        poses, covariances, weights = self.components()
+        if not len(weights):
+            return None
+        best = poses[np.argmax(weights)]
+        off = poses - best
+        off[:, 2] = wrap(off[:, 2])
+        shift = weights @ off
+        spread = off - shift
+        covariance = np.einsum("n,nij->ij", weights, covariances)
+        covariance += np.einsum("n,ni,nj->ij", weights, spread, spread)
+        mean = best + shift
+        mean[2] = wrap(float(mean[2]))
+        return DockEstimate(mean, covariance)
+
+    def components(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the Gaussians (n, 3), (n, 3, 3) of the pose if it is real, with weights (n,)."""
+        real = self._scale == 0
+        weights = self._weights[real]
+        total = float(np.sum(weights))
+        if total <= 0.0:
+            return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0)
+        return self._x[real, :3].copy(), self._p[real][:, :3, :3], weights / total
+
+    def samples(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draw (count, 3) poses of the dock, if it is real."""
+        poses, covariances, weights = self.components()
+        chosen = rng.choice(len(weights), size=count, p=weights)
+        roots = np.linalg.cholesky(covariances + 1e-12 * np.eye(3))
+        drawn = poses[chosen]
+        drawn += np.einsum("nij,nj->ni", roots[chosen], rng.standard_normal((count, 3)))
+        drawn[:, 2] = wrap(drawn[:, 2])
+        return drawn
+
+    def copies(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return where the thing may be (n, 2) in the robot's frame, its size and weights (n,)."""
+        return self._x[:, :2].copy(), self._actual_sizes(), self._weights.copy()
+
+    @property
+    def sized(self) -> float:
+        """Probability that its size is within a fifth of the likeliest."""
+        sizes = self._actual_sizes()
+        best = sizes[np.argmax(self._weights)]
+        return float(np.sum(self._weights[np.abs(np.log(sizes / best)) < 0.2]))
+
+    def likeliest(self) -> DockEstimate:
+        """Return the likeliest pose of a dock with this marker, whatever its size."""
+        best = np.argmax(self._weights)
+        return DockEstimate(self._x[best, :3].copy(), self._p[best, :3, :3].copy())
+
+    def likeliest_size(self) -> float:
+        """Return the likeliest size in m."""
+        return float(self._actual_sizes()[np.argmax(self._weights)])
+
+    def _actual_sizes(self) -> np.ndarray:
+        return self._sizes * np.exp(self._x[:, 4])
+
+    # How it changes ---------------------------------------------------------------------------
+
+    def move(self, motion: MotionStep) -> None:
+        """Follow a step of the robot."""
+        dx, dy, turn = motion.step
+        self._travel(motion)
+        self._x[:, :3] = se2.between(motion.step, self._x[:, :3])
+        by_pose, by_step = _step_derivatives(self._x[:, :3], turn)
+        by_state = np.eye(STATES)
+        by_state[:3, :3] = by_pose
+        self._p = by_state @ self._p @ by_state.T
+        self._p[:, :3, :3] += by_step @ motion.covariance @ by_step.transpose(0, 2, 1)
+        if self._spot is not None:
+            self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
+
+    def _travel(self, motion: MotionStep) -> None:
+        """Tell the test of sizes how the camera moves, as seen from the marker."""
+        dx, dy, turn = motion.step
+        cos, sin = math.cos(turn), math.sin(turn)
+        ex, ey = self._eye
+        moved = np.array([dx + cos * ex - sin * ey - ex, dy + sin * ex + cos * ey - ey])
+        ray = self._x[np.argmax(self._weights), :2] - self._eye
+        ray = ray / max(float(np.hypot(*ray)), 1e-6)
+        variance = float(ray @ motion.covariance[:2, :2] @ ray)
+        beside = float(ray[0] * moved[1] - ray[1] * moved[0])
+        self._sizing.travel(-float(ray @ moved), abs(beside), variance)
+
+    def foretell(self, view: Viewpoint) -> np.ndarray:
+        """Return the (4, 2) corners as the likeliest Gaussian foretells them; NaN if behind."""
+        best = np.argmax(self._weights)
+        seen, _, _ = predict(self._x[best : best + 1], self._sizes[best : best + 1], view)
+        return seen[0].reshape(4, 2)
+
+    def misfit(self, corners: np.ndarray, view: Viewpoint) -> float:
+        """Return how badly corners fit it: the least squared Mahalanobis distance (8 values)."""
+        rest, _, covariance = _innovations(
+            self._x, self._x, self._p, self._sizes, corners, view, self._noise
+        )
+        return float(np.min(_squares(rest, covariance)))
+
+    def see(self, corners: np.ndarray, view: Viewpoint) -> None:
+        """Take the corners of one more image into account.
+
+        Images from one spot share their errors; after some of them, more say little.
+        """
+        corners = np.asarray(corners, dtype=float)
+        noise = self._noise_here()
+        x, p, squares, logs = _update(self._x, self._p, self._sizes, corners, view, noise)
+        if np.min(squares) > _OUTLIER:
+            self._outliers += 1
+            if self._outliers < _STUBBORN:
+                return
+            self._p[:, :3, :3] *= 4.0
+            x, p, squares, logs = _update(self._x, self._p, self._sizes, corners, view, noise)
+        else:
+            self._outliers = 0
+        self.frames += 1
+        self._x, self._p = x, p
+        # One image cannot rule out for good what later ones may show.
+        self._within *= np.exp(
+            -0.5 * np.minimum(squares - np.min(squares), 60.0) - 0.5 * (logs - np.min(logs))
+        )
+        self._sizing.see(*self._reach(corners, view))
+        self._reduce()
+
+    def _reach(self, corners: np.ndarray, view: Viewpoint) -> Tuple[float, float]:
+        """Return the seeming range in m and its standard deviation."""
+        _, reach = _line_of_sight(corners, view, self._size)
+        pixels = view.camera.fy * self._size / reach
+        return reach, reach * self._noise.corner / max(pixels, 1.0)
+
+    def _noise_here(self) -> PixelNoise:
+        if self._spot is None or self._spot[0] > 0.012 or self._spot[1] > math.radians(0.7):
+            self._spot, self._spot_frames = np.zeros(2), 0
+        self._spot_frames += 1
+        repeated = max(1.0, self._spot_frames / _FRAMES_AT_A_SPOT)
+        noise = self._noise
+        return replace(
+            noise,
+            corner=noise.corner * repeated,
+            relative=noise.relative * repeated,
+            tilt=noise.tilt * repeated,
+            turn=noise.turn * repeated,
+        )
+
+    def _weigh(self) -> None:
+        """Put the weights together: of the sizes, and of the yaws within each."""
+        logs = self._sizing.logs + self._first
+        shares = np.exp(logs - np.max(logs))
+        for index in range(len(SCALES)):
+            of_size = self._scale == index
+            total = float(np.sum(self._within[of_size]))
+            if not np.any(of_size):
+                shares[index] = 0.0
+            elif total > 1e-280:
+                self._within[of_size] /= total
+            else:
+                self._within[of_size] = 1.0 / np.count_nonzero(of_size)
+        self._weights = self._within * shares[self._scale] / np.sum(shares)
+
+    # How it starts and is kept small --------------------------------------------------------
+
+    def _start(self, corners, view: Viewpoint, height: float, prior: DockPrior) -> None:
+        ray, reach = _line_of_sight(corners, view, self._size)
+        count = len(_SLANTS)
+        scale = np.repeat(np.arange(len(SCALES)), count)
+        slants = np.tile(_SLANTS, len(SCALES))
+        sizes = self._size * SCALES[scale]
+        distance = reach * SCALES[scale]
+        eye = np.array([*view.moved[:2], 0.0]) + _turned(view.mount, view.moved[2])
+        states = np.zeros((len(scale), STATES))
+        states[:, :2] = eye[:2] + distance[:, None] * ray[:2]
+        states[:, 2] = wrap(math.atan2(ray[1], ray[0]) + slants)
+        states[:, 3] = np.where(scale == 0, height, eye[2] + distance * ray[2])
+        covariance = np.zeros((len(scale), STATES, STATES))
+        covariance[:, 0, 0] = covariance[:, 1, 1] = (0.3 * distance + 0.05) ** 2
+        covariance[:, 2, 2] = _START_DEVIATION**2
+        covariance[:, 3, 3] = np.where(scale == 0, _HEIGHT_KNOWN, _HEIGHT_FREE) ** 2
+        covariance[:, 4, 4] = np.where(scale == 0, _GROWTH_KNOWN, _GROWTH_FREE) ** 2
+        self._scale, self._sizes = scale, sizes
+        update = _update(states, covariance, sizes, corners, view, self._noise, rounds=6)
+        self._x, self._p, squares, _ = update
+        unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
+        logs = -0.5 * np.minimum(squares + unlikely, 2000.0)
+        # Within a size the yaws compete; between the sizes the best of each does.
+        best = np.array([np.max(logs[scale == index]) for index in range(len(SCALES))])
+        self._within = np.exp(logs - best[scale])
+        self._first = np.minimum(best - np.max(best), 0.0)
+        # Before anything is known of its size, nine of ten are real.
+        self._first[1:] -= math.log(9.0 * (len(SCALES) - 1))
+        self._sizing = SizeTest(*self._reach(corners, view))
+        self.frames = 1
+        self._reduce()
+
+    def _reduce(self) -> None:
+        """Merge Gaussians that have become the same and drop the weakest of each size."""
+        self._weigh()
+        keep = []
+        for index in np.argsort(-self._within):
+            rivals = [k for k in keep if self._scale[k] == self._scale[index]]
+            twin = next((k for k in rivals if self._alike(k, index)), None)
+            if twin is not None:
+                self._within[twin] += self._within[index]
+            elif not rivals or (
+                self._within[index] > _LEAST_WEIGHT
+                and len(rivals) < (12 if self.frames < 2 else _PER_SCALE)
+            ):
+                keep.append(index)
+        shares = np.array([np.sum(self._weights[self._scale == i]) for i in range(len(SCALES))])
+        keep = [k for k in keep if shares[self._scale[k]] > _LEAST_SHARE]
+        self._x, self._p = self._x[keep], self._p[keep]
+        self._scale, self._sizes = self._scale[keep], self._sizes[keep]
+        self._within = self._within[keep]
+        self._weigh()
+
+    def _alike(self, first: int, second: int) -> bool:
+        off = self._x[first] - self._x[second]
+        off[2] = wrap(float(off[2]))
+        spread = np.sqrt(np.diag(self._p[first]))
+        return bool(np.all(np.abs(off) < 0.7 * spread + 1e-5))
+
+
+def _step_derivatives(poses: np.ndarray, turn: float) -> Tuple[np.ndarray, np.ndarray]:
+    """Return what a step of the robot does to errors of (..., 3) poses, given after the step.
+
+    Returns:
+        Derivatives by the pose before, (3, 3), and by the step, (..., 3, 3).
+    """
+    cos, sin = math.cos(turn), math.sin(turn)
+    by_pose = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    by_step = np.zeros((*poses.shape[:-1], 3, 3))
+    by_step[..., :2, :2] = -by_pose[:2, :2]
+    by_step[..., 0, 2], by_step[..., 1, 2] = poses[..., 1], -poses[..., 0]
+    by_step[..., 2, 2] = -1.0
+    return by_pose, by_step
+
+
+def _turned(mount, yaw: float) -> np.ndarray:
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return np.array([cos * mount.x - sin * mount.y, sin * mount.x + cos * mount.y, mount.z])
+
+
+def _line_of_sight(corners, view: Viewpoint, size: float) -> Tuple[np.ndarray, float]:
+    """Return the direction of the marker's centre in the robot's frame, and its range.
+
+    The direction is scaled to unit length on the floor. A slanted marker is narrower than it is
+    tall, so the range comes from its height.
+    """
+    camera = view.camera
+    centre = np.mean(corners, axis=0)
+    across = (camera.cx - centre[0]) / camera.fx
+    ahead = np.array([1.0, across, (camera.cy - centre[1]) / camera.fy])
+    ray = view.mount.rotation() @ ahead
+    cos, sin = math.cos(view.moved[2]), math.sin(view.moved[2])
+    ray = np.array([cos * ray[0] - sin * ray[1], sin * ray[0] + cos * ray[1], ray[2]])
+    tall = 0.5 * (np.hypot(*(corners[3] - corners[0])) + np.hypot(*(corners[2] - corners[1])))
+    depth = camera.fy * size / max(float(tall), 1.0)
+    floor = math.hypot(ray[0], ray[1])
+    return ray / floor, depth * floor
+
+
+def _innovations(start, x, p, sizes, corners, view: Viewpoint, noise: PixelNoise):
+    """Compare corners with states `start` of covariance `p`, linearised at states `x`.
+
+    Returns:
+        What is left to explain (n, 8), derivatives (n, 8, 5) and covariance (n, 8, 8).
+    """
+    seen, by_state, tilts = predict(x, sizes, view)
+    bad = ~np.isfinite(seen).all(axis=1)
+    seen[bad], by_state[bad], tilts[bad] = 1e4, 0.0, 0.0
+    off = start - x
+    off[:, 2] = wrap(off[:, 2])
+    rest = corners.reshape(8) - seen - np.einsum("nij,nj->ni", by_state, off)
+    covariance = noise_covariance(noise, extent_of(corners), tilts)
+    return rest, by_state, covariance + by_state @ p @ by_state.transpose(0, 2, 1)
+
+
+def _squares(rest: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return squared Mahalanobis distances (n,)."""
+    return np.einsum("ni,ni->n", rest, np.linalg.solve(covariance, rest[..., None])[..., 0])
+
+
+def _update(start, p, sizes, corners, view: Viewpoint, noise: PixelNoise, rounds: int = 3):
+    """Take corners into account by the iterated extended Kalman filter.
+
+    Returns:
+        States (n, 5), covariances (n, 5, 5), squared Mahalanobis distances of the corners (n,)
+        and logarithms of the determinants of their covariances (n,).
+    """
+    corners = np.asarray(corners, dtype=float)
+    x = start
+    for number in range(rounds):
+        rest, by_state, covariance = _innovations(start, x, p, sizes, corners, view, noise)
+        gain = np.linalg.solve(covariance, by_state @ p).transpose(0, 2, 1)
+        before, x = x, start + np.einsum("nij,nj->ni", gain, rest)
+        x[:, 2] = wrap(x[:, 2])
+        if number == 0 and rounds < 6 and np.max(np.abs(rest)) < _LINEAR:
+            break
+        if np.max(np.abs(x - before)) < 1e-4:
+            break
+    left = p - gain @ by_state @ p
+    left = 0.5 * (left + left.transpose(0, 2, 1))
+    return x, left, _squares(rest, covariance), np.linalg.slogdet(covariance)[1]

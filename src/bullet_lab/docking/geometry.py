@@ -1,0 +1,112 @@
+"""The dock as boxes on the floor, and from where its marker can be seen.
+
+In the dock's frame the marker's face is at x = 0 and a robot before it has x < 0.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+
+from bullet_lab.docking.database import Dock
+from bullet_lab.numerics.pinhole import PinholeCamera
+
+QUIET_ZONE = 0.125
+"""Width of a marker's white border, as part of its edge: the whole of it has to be seen."""
+
+
+def wall_boxes(dock: Dock) -> np.ndarray:
+    """Return the walls as (n, 4) boxes x_min, x_max, y_min, y_max in the dock's frame."""
+    walls = dock.walls
+    if walls is None:
+        return np.empty((0, 4))
+    inner, thick = 0.5 * walls.opening, walls.thickness
+    outer = inner + thick
+    return np.array(
+        [
+            [0.0, thick, -outer, outer],
+            [-walls.depth, thick, inner, outer],
+            [-walls.depth, thick, -outer, -inner],
+        ]
+    )
+
+
+def clearance(points, boxes: np.ndarray) -> np.ndarray:
+    """Return how far (..., 2) points are from the nearest box; 0 inside, inf without boxes."""
+    points = np.asarray(points, dtype=float)
+    nearest = np.full(points.shape[:-1], np.inf)
+    for x_min, x_max, y_min, y_max in boxes:
+        x, y = points[..., 0], points[..., 1]
+        dx = np.maximum(np.maximum(x_min - x, x - x_max), 0.0)
+        dy = np.maximum(np.maximum(y_min - y, y - y_max), 0.0)
+        nearest = np.minimum(nearest, np.hypot(dx, dy))
+    return nearest
+
+
+def body_clearance(outline: np.ndarray, boxes: np.ndarray) -> float:
+    """Return the least distance of an outline of (n, 2) points from the boxes."""
+    return float(np.min(clearance(outline, boxes), initial=np.inf))
+
+
+class View:
+    """From where a camera should be able to find the marker of a dock.
+
+    Args:
+        dock: the dock.
+        camera: its geometry.
+        height: of the camera above the floor, m.
+        farthest: range, m.
+        slant: largest angle between the line of sight and the dock's axis, rad.
+        border: px that the marker should be away from the image's edges.
+    """
+
+    def __init__(
+        self,
+        dock: Dock,
+        camera: PinholeCamera,
+        height: float,
+        farthest: float = 4.5,
+        slant: float = math.radians(55.0),
+        border: float = 40.0,
+    ):
+        self._half = dock.marker.size * (0.5 + QUIET_ZONE)
+        self._walls = dock.walls
+        self.farthest, self._slant = farthest, slant
+        beside = min(camera.cx, camera.width - 1.0 - camera.cx) - border
+        above = min(camera.cy, camera.height - 1.0 - camera.cy) - 0.25 * border
+        self.half_angle = math.atan(beside / camera.fx)
+        rise = abs(dock.marker.height - height) + self._half
+        self._nearest = max(rise * camera.fy / above, 2.0 * self._half)
+
+    def up_to(self, farthest: float, half: float) -> View:
+        """Return the same view up to another range of something of half a width, both in m."""
+        other = copy.copy(self)
+        other.farthest, other._half = farthest, max(half, self._half)
+        return other
+
+    def open_sight(self, x, y) -> np.ndarray:
+        """Say whether nothing is between a camera at (x, y) in the dock's frame and the marker.
+
+        Range and slant are looked at as well, the camera's heading is not.
+        """
+        x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
+        before = -x
+        good = (before > self._nearest) & (np.hypot(x, y) < self.farthest)
+        good &= np.abs(y) < before * math.tan(self._slant)
+        if self._walls is None:
+            return good
+        inner, depth = 0.5 * self._walls.opening, self._walls.depth
+        # Where the line from either edge of the marker passes the walls' front edges.
+        along = np.minimum(depth / np.maximum(before, 1e-6), 1.0)
+        at_opening = np.abs(y) * along + self._half * (1.0 - along)
+        return good & (at_opening < inner)
+
+    def seen(self, cameras: np.ndarray) -> np.ndarray:
+        """Say for (..., 3) camera poses in the dock's frame whether the marker should be found."""
+        x, y, heading = cameras[..., 0], cameras[..., 1], cameras[..., 2]
+        off = np.arctan2(-y, -x) - heading
+        off = np.abs(np.arctan2(np.sin(off), np.cos(off)))
+        reach = self.half_angle - self._half / np.maximum(np.hypot(x, y), 0.1)
+        return self.open_sight(x, y) & (off < reach)

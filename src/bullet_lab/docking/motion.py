@@ -1,0 +1,84 @@
+"""Steps of odometry, and what they do to what is known in the robot's frame."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Deque, Optional, Tuple
+
+import numpy as np
+
+from bullet_lab.docking.types import Odometry, PlanarPose
+from bullet_lab.numerics import se2
+
+# Of odometry that does not say how good it is: m²/m, rad²/m, rad²/rad. Wheels on a floor slip.
+_ALONG, _TURN_BY_WAY, _TURN_BY_TURN = 0.004**2, 0.004**2, 0.006**2
+
+
+@dataclass(frozen=True, eq=False)
+class MotionStep:
+    """A step of the robot in its frame before it: (dx, dy, dyaw) and its (3, 3) covariance."""
+
+    step: Tuple[float, float, float]
+    covariance: np.ndarray
+
+
+def motion_step(before: Odometry, after: Odometry) -> MotionStep:
+    """Return the step between two messages of odometry."""
+    step = tuple(se2.between(before.pose, after.pose).tolist())
+    way, turn = math.hypot(step[0], step[1]), abs(step[2])
+    along = _ALONG * way
+    rotation = _TURN_BY_WAY * way + _TURN_BY_TURN * turn
+    covariance = np.diag([along, along, rotation])
+    if after.twist_covariance is not None:
+        seconds = after.stamp - before.stamp
+        covariance = covariance + np.asarray(after.twist_covariance, dtype=float) * seconds**2
+    return MotionStep(step, covariance)
+
+
+def jump(step: MotionStep, seconds: float, speed: float, turn_speed: float) -> Optional[str]:
+    """Say what is wrong with a step that no robot of these speeds makes, None if nothing is."""
+    way, turn = math.hypot(step.step[0], step.step[1]), abs(step.step[2])
+    spread = 6.0 * np.sqrt(np.maximum(np.diag(step.covariance), 0.0))
+    if way > 1.5 * speed * seconds + 0.08 + spread[0] + spread[1]:
+        return f"odometry jumped by {way:.2f} m"
+    if turn > 1.5 * turn_speed * seconds + 0.12 + spread[2]:
+        return f"odometry jumped by {math.degrees(turn):.0f} degrees"
+    return None
+
+
+class OdometryTrack:
+    """Poses of the last seconds, to know where the robot was when an image was taken."""
+
+    def __init__(self, seconds: float = 3.0):
+        self._seconds = seconds
+        self._past: Deque[Odometry] = deque()
+
+    @property
+    def last(self) -> Optional[Odometry]:
+        """The newest message."""
+        return self._past[-1] if self._past else None
+
+    def add(self, odometry: Odometry) -> None:
+        """Take the next message."""
+        self._past.append(odometry)
+        while odometry.stamp - self._past[0].stamp > self._seconds and len(self._past) > 2:
+            self._past.popleft()
+
+    def pose_at(self, stamp: float) -> Optional[PlanarPose]:
+        """Return the pose at a time, None before the memory begins; the newest after it ends."""
+        if not self._past or stamp < self._past[0].stamp - 1e-6:
+            return None
+        after = self._past[-1]
+        if stamp >= after.stamp:
+            return after.pose
+        for before in reversed(self._past):
+            if before.stamp <= stamp + 1e-9:
+                break
+            after = before
+        if after is before or after.stamp - before.stamp <= 0.0:
+            return before.pose
+        part = min(max((stamp - before.stamp) / (after.stamp - before.stamp), 0.0), 1.0)
+        step = se2.between(before.pose, after.pose)
+        return tuple(se2.compose(before.pose, part * step).tolist())

@@ -1,0 +1,188 @@
+"""What docking is fed with and what it says, as plain data.
+
+Planar poses are (x m, y m, yaw rad). The pose of a dock is that of the point of the floor below
+its marker's face, with the yaw of a robot that stands in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Optional, Tuple
+
+import numpy as np
+
+from bullet_lab.numerics.pinhole import PinholeCamera
+
+PlanarPose = Tuple[float, float, float]
+Command = Tuple[float, float]
+STANDSTILL: Command = (0.0, 0.0)
+
+
+class DockingState(IntEnum):
+    """What is being done, numbered as in action/Dock.action."""
+
+    SEARCHING = 1
+    STAGING = 2
+    MEASURING = 3
+    APPROACHING = 4
+    RETREATING = 5
+    DOCKED = 6
+
+    @property
+    def label(self) -> str:
+        """The name in small letters."""
+        return self.name.lower()
+
+
+class DockingError(IntEnum):
+    """Why it ended, numbered as in action/Dock.action."""
+
+    NONE = 0
+    NOT_IN_DATABASE = 901
+    NOT_VALID = 902
+    STAGING_FAILED = 903
+    NOT_DETECTED = 904
+    CONTROL_FAILED = 905
+    TIMED_OUT = 906
+    CAMERA_LOST = 907
+    ODOMETRY_LOST = 908
+    BLOCKED = 909
+    PREEMPTED = 910
+    UNKNOWN = 999
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """One message of odometry.
+
+    Attributes:
+        stamp: s.
+        pose: of the robot in the odometry frame.
+        velocity: m/s ahead and rad/s counter-clockwise.
+        twist_covariance: (3, 3) of (vx, vy, wz) over the time since the message before; zeros or
+            None where nobody knows.
+    """
+
+    stamp: float
+    pose: PlanarPose
+    velocity: Command = STANDSTILL
+    twist_covariance: Optional[np.ndarray] = None
+
+
+@dataclass(frozen=True)
+class CameraMount:
+    """Pose of the camera, x ahead and z up, in base_footprint: m and rad (fixed axes x, y, z)."""
+
+    x: float
+    y: float
+    z: float
+    roll: float = 0.0
+    pitch: float = 0.0
+    yaw: float = 0.0
+
+    @property
+    def planar(self) -> PlanarPose:
+        """Where it stands and looks, seen from above."""
+        return self.x, self.y, self.yaw
+
+    def rotation(self) -> np.ndarray:
+        """Return the (3, 3) matrix that turns directions of the camera into base_footprint."""
+        sr, cr = np.sin(self.roll), np.cos(self.roll)
+        sp, cp = np.sin(self.pitch), np.cos(self.pitch)
+        sy, cy = np.sin(self.yaw), np.cos(self.yaw)
+        return np.array(
+            [
+                [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                [-sp, cp * sr, cp * cr],
+            ]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A marker in an image.
+
+    Attributes:
+        id: of the marker.
+        dictionary: its name as in OpenCV.
+        corners: (4, 2) px of the raw image: top left, top right, bottom right, bottom left.
+    """
+
+    id: int
+    dictionary: str
+    corners: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What was seen in one image; also given when nothing was."""
+
+    stamp: float
+    camera: PinholeCamera
+    sightings: Tuple[Sighting, ...] = ()
+
+
+@dataclass(frozen=True)
+class RobotShape:
+    """Extents about the middle of the axle, in m."""
+
+    front: float = 0.20
+    rear: float = 0.20
+    half_width: float = 0.20
+
+    @property
+    def turning_radius(self) -> float:
+        """Radius of the circle that the robot needs to turn on the spot."""
+        return float(np.hypot(max(self.front, self.rear), self.half_width))
+
+    @property
+    def inner_radius(self) -> float:
+        """Radius of the circle that the robot fills whatever its heading."""
+        return min(self.front, self.rear, self.half_width)
+
+
+@dataclass(frozen=True)
+class DockingResult:
+    """How it ended.
+
+    Attributes:
+        success: docked.
+        error: NONE after a success.
+        message: one line for the user.
+        retries: how often it retreated to try again.
+        distance: m, camera to marker along the dock's axis, as estimated; NaN if not known.
+        lateral: m, of the robot from the axis, left positive.
+        yaw: rad, of the robot against the axis.
+    """
+
+    success: bool
+    error: DockingError
+    message: str
+    retries: int = 0
+    distance: float = float("nan")
+    lateral: float = float("nan")
+    yaw: float = float("nan")
+
+
+@dataclass(frozen=True)
+class DockingStatus:
+    """How it goes; distance, lateral and yaw as in DockingResult.
+
+    Attributes:
+        wants_images: an image would be used now.
+        dock_pose: best estimate in the odometry frame, None before the marker was seen.
+        plan: points (m, m) still to be driven to, in the odometry frame.
+        detail: one line for humans.
+    """
+
+    state: DockingState
+    distance: float
+    lateral: float
+    yaw: float
+    retries: int
+    wants_images: bool
+    dock_pose: Optional[PlanarPose]
+    plan: Tuple[Tuple[float, float], ...]
+    detail: str

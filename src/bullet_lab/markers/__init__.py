@@ -1,0 +1,1 @@
+"""Printed markers as images and as things to put into a world."""

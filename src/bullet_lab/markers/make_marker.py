@@ -1,0 +1,139 @@
+"""Makes marker images, textured meshes, and models of panels and docks that bear a marker.
+
+Examples:
+    rosrun bullet_lab make_marker.py my_marker --id 7 --size 0.1
+    rosrun bullet_lab make_marker.py ~/.gazebo/models/my_panel --on panel --dictionary 4x4_50
+    rosrun bullet_lab make_marker.py models/docking_station_dots --on dock --dots
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from pathlib import Path
+from typing import NoReturn, Optional, Sequence
+
+from bullet_lab.errors import LabError
+from bullet_lab.markers.faces import (
+    Face,
+    Print,
+    dots_face,
+    nested_face,
+    plate_face,
+    wall_face,
+)
+from bullet_lab.markers.images import MarkerError, dictionary_names
+from bullet_lab.markers.models import PLATE_THICKNESS, write_dock, write_panel
+from bullet_lab.markers.plates import write_plate
+
+STATUS_BAD_INPUT = 2
+STATUS_INTERRUPTED = 130
+NAME = re.compile(r"[A-Za-z0-9_.-]+")
+
+
+def make(values: argparse.Namespace) -> str:
+    """Make what the command line asks for and return a sentence that says what it is.
+
+    Raises:
+        LabError: it cannot be made; the message says why.
+    """
+    folder = values.out
+    if not NAME.fullmatch(folder.absolute().name):
+        raise MarkerError(f"'{folder.name}' is no name of a model: letters, digits, _ - and .")
+    marker = Print(values.dictionary, values.id, values.size, values.quiet)
+    said = f"Marker {marker.identifier} of {marker.dictionary}, {marker.size:g} m"
+    if values.on != "dock":
+        if values.dots or values.around is not None:
+            raise MarkerError("--dots and --around are for the back wall: add --on dock")
+        _write_plate(plate_face(marker), values, said)
+        return said
+    if values.dots and values.around is not None:
+        raise MarkerError("a back wall has either --dots or a marker --around, not both")
+    face = wall_face(marker)
+    if values.dots:
+        face = dots_face(marker, values.seed)
+        said += f", among dots (seed {values.seed})"
+    elif values.around is not None:
+        identifier = values.id if values.around_id is None else values.around_id
+        around = Print(values.dictionary, identifier, values.around, values.quiet)
+        face = nested_face(marker, around)
+        said += f", as a white cell of marker {identifier}, {values.around:g} m"
+    said += ", on a docking station's back wall"
+    write_dock(face, folder, f"{said}.")
+    return said
+
+
+def _write_plate(face: Face, values: argparse.Namespace, said: str) -> None:
+    if values.on == "panel":
+        write_panel(face, values.height, values.out, f"{said}, on a panel.")
+    else:
+        write_plate(face, PLATE_THICKNESS, values.out, values.out.absolute().name)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that complains in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        _end(message, STATUS_BAD_INPUT)
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    default = Print()
+    names = argparse.RawDescriptionHelpFormatter
+    made = _Parser(prog="make_marker.py", description=__doc__, formatter_class=names)
+    made.add_argument("out", type=Path, help="folder that is written to; its name is the model's")
+    made.add_argument(
+        "--dictionary",
+        default=default.dictionary,
+        help=f"of OpenCV: {', '.join(dictionary_names())} [%(default)s]",
+    )
+    made.add_argument("--id", type=int, default=default.identifier, help="[%(default)s]")
+    made.add_argument(
+        "--size", type=float, default=default.size, help="edge of the black square, m [%(default)s]"
+    )
+    made.add_argument(
+        "--quiet", type=int, default=default.quiet, help="white cells around it [%(default)s]"
+    )
+    made.add_argument(
+        "--on",
+        choices=("plate", "panel", "dock"),
+        default="plate",
+        help="plate: image and mesh only; panel: a model that stands on a post; dock: the model "
+        "of a docking station with the marker on its back wall [%(default)s]",
+    )
+    made.add_argument(
+        "--height", type=float, default=0.5, help="of a panel's middle, m [%(default)s]"
+    )
+    made.add_argument("--dots", action="store_true", help="strew the back wall with dots")
+    made.add_argument("--seed", type=int, default=1, help="of the dots [%(default)s]")
+    made.add_argument(
+        "--around", type=float, help="size of a larger marker that has this one as a cell, m"
+    )
+    made.add_argument("--around-id", type=int, help="its number [that of the marker]")
+    return made
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> NoReturn:
+    """Run the command line, and exit: 0 done, 2 bad input, 130 interrupted."""
+    words = sys.argv[1:] if arguments is None else arguments
+    # roslaunch adds its own: __name:=… and __log:=…
+    words = [word for word in words if not re.match(r"__\w+:=", word)]
+    try:
+        said = make(parser().parse_args(words))
+    except LabError as error:
+        _end(str(error), STATUS_BAD_INPUT)
+    except KeyboardInterrupt:
+        sys.exit(STATUS_INTERRUPTED)
+    print(f"make_marker: {said}", flush=True)
+    sys.exit(0)
+
+
+def _end(line: str, status: int) -> NoReturn:
+    print(f"make_marker: {line}", file=sys.stderr, flush=True)
+    sys.exit(status)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,164 @@
+"""Forces from outside: on links and on joints, for a while of simulated time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Callable, List, Union
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.attached_frame import AttachedFrame
+from bullet_lab.simulation.description import FrameState
+from bullet_lab.simulation.pose import Pose, Vector, add, cross
+from bullet_lab.simulation.schedule import STEPS_PER_SECOND
+
+if TYPE_CHECKING:
+    from bullet_lab.simulation.simulation import ModelInstance
+
+# Beyond this, in N or N m, numbers overflow rather than bodies move.
+STRONGEST = 1e9
+
+
+class ForceError(LabError):
+    """A force that cannot be applied."""
+
+
+@dataclass(frozen=True)
+class Period:
+    """Steps from `first` on, up to but without `end`."""
+
+    first: int
+    end: float
+
+    @classmethod
+    def after(cls, now: int, start: float, duration: float) -> Period:
+        """Return the steps of a period of simulated time, not before the present step.
+
+        Args:
+            now: the present step.
+            start: in s; a past one means at once.
+            duration: in s; less than a step means one step, negative means for ever.
+        """
+        first = max(now, math.ceil(round(start * STEPS_PER_SECOND, 6)))
+        if duration < 0.0:
+            return cls(first, math.inf)
+        steps = round(duration * STEPS_PER_SECOND)
+        return cls(first, first + (max(1, steps) if duration else 0))
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """A force in N at the origin of a link's frame, a torque in N m, in the world's axes."""
+
+    instance: ModelInstance
+    frame: AttachedFrame
+    force: Vector
+    torque: Vector
+    period: Period
+
+    @classmethod
+    def at_point(
+        cls,
+        given_in: FrameState,
+        instance: ModelInstance,
+        frame: AttachedFrame,
+        force: Vector,
+        torque: Vector,
+        point: Vector,
+        period: Period,
+    ) -> Wrench:
+        """Make a wrench from one that is given in a frame, at a point of that frame.
+
+        It is turned into the world's axes now, and keeps its directions there.
+        """
+        turn = Pose(quaternion=given_in.pose.quaternion)
+        push, twist = turn.rotate(force), turn.rotate(torque)
+        origin = frame.pose().position
+        at = (given_in.pose * Pose(point)).position
+        arm = tuple(a - b for a, b in zip(at, origin))
+        return cls(instance, frame, push, add(twist, cross(arm, push)), period)
+
+    def apply(self) -> None:
+        """Push and turn in the coming step."""
+        origin = self.frame.pose().position
+        self.frame.body.push(self.frame.link, self.force, self.torque, origin)
+
+
+@dataclass(frozen=True)
+class Effort:
+    """A torque in N m or a force in N of a joint."""
+
+    instance: ModelInstance
+    joint: str
+    effort: float
+    period: Period
+
+    def apply(self) -> None:
+        """Turn or push in the coming step."""
+        self.instance.body_of_joint(self.joint).exert(self.joint, self.effort)
+
+
+class Forces:
+    """All forces that act or wait for their time. Belongs to the simulation's thread."""
+
+    def __init__(self) -> None:
+        self._forces: List[Union[Wrench, Effort]] = []
+
+    @property
+    def active(self) -> bool:
+        """Whether there is anything to do before a step."""
+        return bool(self._forces)
+
+    def add(self, force: Union[Wrench, Effort]) -> None:
+        """Let a force act in its period.
+
+        Raises:
+            ForceError: a number that is not finite or absurd, or the model never moves.
+        """
+        _check(force)
+        if force.instance.model.static:
+            raise ForceError(f"model '{force.instance.name}' is static: nothing moves it")
+        self._forces.append(force)
+
+    def before_step(self, step: int) -> None:
+        """Apply what acts during the coming step."""
+        ended = False
+        for force in self._forces:
+            if force.period.end <= step:
+                ended = True
+            elif force.period.first <= step:
+                force.apply()
+        if ended:
+            self._forces = [force for force in self._forces if force.period.end > step]
+
+    def clear_link(self, instance: ModelInstance, link: str) -> None:
+        """End all wrenches on a link."""
+        self._keep(
+            lambda force: not isinstance(force, Wrench)
+            or (force.instance, force.frame.link) != (instance, link)
+        )
+
+    def clear_joint(self, instance: ModelInstance, joint: str) -> None:
+        """End all efforts on a joint."""
+        self._keep(
+            lambda force: not isinstance(force, Effort)
+            or (force.instance, force.joint) != (instance, joint)
+        )
+
+    def forget(self, instance: ModelInstance) -> None:
+        """End all forces on a model, which is taken away."""
+        self._keep(lambda force: force.instance is not instance)
+
+    def clear(self) -> None:
+        """End all forces."""
+        self._forces = []
+
+    def _keep(self, kept: Callable[[Union[Wrench, Effort]], bool]) -> None:
+        self._forces = [force for force in self._forces if kept(force)]
+
+
+def _check(force: Union[Wrench, Effort]) -> None:
+    numbers = force.force + force.torque if isinstance(force, Wrench) else (force.effort,)
+    for number in numbers:
+        if not abs(number) <= STRONGEST:
+            raise ForceError(f"a force of {number:g} is not within {STRONGEST:g} N or N m")

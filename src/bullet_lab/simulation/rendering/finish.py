@@ -1,0 +1,145 @@
+"""What a lens and a sensor do to an ideal picture: distortion, blur and noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Optional
+
+import cv2
+import numpy as np
+
+from bullet_lab.errors import LabError
+from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.simulation.rendering.frame import MOST_SAMPLES, FrameError
+
+# Numbers in the table of noise beyond those of one picture: so many pictures differ.
+SPARE_NOISE = 1 << 20
+WHITE = 255.0
+# The ideal picture behind a distorted one is this many times larger at most.
+WIDEST = 3.0
+
+
+class FinishError(LabError):
+    """Settings of a camera, or a lens, that make no picture."""
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """What may change between two pictures of a camera.
+
+    Attributes:
+        samples: drawn pixels per pixel along each side, 1 to 8; whole numbers are not needed.
+        exposure: factor to the brightness.
+        blur: standard deviation of the blur in pixels.
+        noise_mean: of what is added to each number of the picture, as a share of white.
+        noise_stddev: of what is added, as a share of white.
+    """
+
+    samples: float = 1.0
+    exposure: float = 1.0
+    blur: float = 0.0
+    noise_mean: float = 0.0
+    noise_stddev: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise FinishError for a number that is not finite or out of its range."""
+        values = (self.samples, self.exposure, self.blur, self.noise_mean, self.noise_stddev)
+        if not all(map(math.isfinite, values)):
+            raise FinishError("a camera's setting is not finite")
+        if not 1.0 <= self.samples <= MOST_SAMPLES:
+            raise FinishError(f"{self.samples:g} samples per pixel are not within 1 … 8")
+        if min(self.exposure, self.blur, self.noise_stddev) < 0.0:
+            raise FinishError("exposure, blur and the noise's deviation are not negative")
+        if abs(self.noise_mean) > 1.0 or self.noise_stddev > 1.0:
+            raise FinishError("noise is given as a share of white, 1 at most")
+
+
+class SensorNoise:
+    """Normal noise on pictures, drawn once and read from a random place for each picture.
+
+    Numbers for each pixel of each frame would cost as much as drawing the frame. Within one
+    picture all are independent; two pictures share numbers, but at other pixels, unless their
+    places happen to be the same (one in a million).
+
+    Args:
+        mean: as a share of white.
+        stddev: as a share of white.
+        count: numbers per picture.
+        random: draws the table.
+    """
+
+    def __init__(self, mean: float, stddev: float, count: int, random: np.random.Generator):
+        noise = random.standard_normal(count + SPARE_NOISE, dtype=np.float32)
+        noise = np.rint(WHITE * (mean + stddev * noise))
+        # Apart, since adding and subtracting bytes is fast and stops at black and white.
+        self._more = np.clip(noise, 0, 255).astype(np.uint8)
+        self._less = np.clip(-noise, 0, 255).astype(np.uint8)
+
+    def add_to(self, picture: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        """Return the picture with noise; `random` draws the place."""
+        first = int(random.integers(SPARE_NOISE))
+        part = slice(first, first + picture.size)
+        more, less = (a[part].reshape(picture.shape) for a in (self._more, self._less))
+        return cv2.subtract(cv2.add(picture, more), less)
+
+
+def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
+    """Return the picture with a normal blur of `sigma` pixels."""
+    if sigma <= 0.0:
+        return picture
+    return cv2.GaussianBlur(picture, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+
+
+class Lens:
+    """A distorting lens: which ideal picture to draw, and how to bend it.
+
+    Args:
+        camera: geometry of the bent picture.
+
+    Raises:
+        FinishError: the distortion folds the picture over, or would need one far too large.
+    """
+
+    def __init__(self, camera: PinholeCamera):
+        self.camera = camera
+        self._map: Optional[tuple] = None
+        self.ideal = camera
+        if any(camera.distortion):
+            self._bend(camera)
+
+    def bend(self, picture: np.ndarray) -> np.ndarray:
+        """Return the picture of `camera`, given that of `ideal`."""
+        if self._map is None:
+            return picture
+        return cv2.remap(picture, *self._map, cv2.INTER_LINEAR)
+
+    def _bend(self, camera: PinholeCamera) -> None:
+        rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
+        pixels = np.column_stack((columns.ravel(), rows.ravel())).astype(float)
+        coefficients = np.array(camera.distortion)
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+        rays = cv2.undistortPointsIter(
+            pixels[:, None], camera.matrix, coefficients, None, None, criteria
+        )[:, 0]
+        there = camera.project(np.column_stack((rays, np.ones(len(rays)))))
+        if not np.abs(there - pixels).max() < 1e-2:
+            raise FinishError(f"a distortion of {camera.distortion} folds the picture over")
+        u = camera.fx * rays[:, 0] + camera.cx
+        v = camera.fy * rays[:, 1] + camera.cy
+        # One pixel more on each side, for the interpolation.
+        left, top = math.floor(u.min()) - 1, math.floor(v.min()) - 1
+        width, height = math.ceil(u.max()) + 2 - left, math.ceil(v.max()) + 2 - top
+        if width > WIDEST * camera.width or height > WIDEST * camera.height:
+            raise FinishError(f"a distortion of {camera.distortion} needs too wide a picture")
+        self.ideal = PinholeCamera(
+            width, height, camera.fx, camera.fy, camera.cx - left, camera.cy - top
+        )
+        shape = (camera.height, camera.width)
+        self._map = (
+            (u - left).astype(np.float32).reshape(shape),
+            (v - top).astype(np.float32).reshape(shape),
+        )
+
+
+__all__ = ["CameraSettings", "FinishError", "FrameError", "Lens", "SensorNoise", "blurred"]

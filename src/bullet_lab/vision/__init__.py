@@ -1,0 +1,1 @@
+"""What images show: markers, edges, corners. OpenCV and numpy, no ROS."""

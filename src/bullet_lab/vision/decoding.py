@@ -1,0 +1,148 @@
+"""Reading the bits of a marker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Optional
+
+import numpy as np
+
+from bullet_lab.vision.dictionaries import MarkerDictionary
+from bullet_lab.vision.sampling import Lens, sample
+from bullet_lab.vision.small_algebra import solve_symmetric
+
+# Where a cell is sampled, from its middle, in cells.
+_SPREAD = np.array([-0.24, -0.08, 0.08, 0.24])
+# How far each cell is pushed away from its neighbours, against blur.
+_SHARPENING = 0.25
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The cells of a quadrilateral, as a marker's.
+
+    Attributes:
+        bits: (cells²,) ±1, white +1, row by row from the first corner.
+        border_errors: cells of the border that are not black.
+        contrast: grey levels between black and white.
+        levels: (cells + 2, cells + 2) grey levels, border included.
+    """
+
+    bits: np.ndarray
+    border_errors: int
+    contrast: float
+    levels: np.ndarray
+
+
+@dataclass(frozen=True)
+class Match:
+    """The marker that a reading is.
+
+    Attributes:
+        marker: its id.
+        turns: the first corner of the reading is this one of the marker's, clockwise from its
+            top left.
+        errors: bits that were read wrongly.
+        likeness: correlation of the grey levels with the marker's pattern, at most 1.
+    """
+
+    marker: int
+    turns: int
+    errors: int
+    likeness: float
+
+
+def homography(corners: np.ndarray) -> np.ndarray:
+    """Return the (3, 3) map from the unit square, corners clockwise from (0, 0), to a quad."""
+    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = corners
+    sum_x, sum_y = x0 - x1 + x2 - x3, y0 - y1 + y2 - y3
+    dx1, dx2, dy1, dy2 = x1 - x2, x3 - x2, y1 - y2, y3 - y2
+    determinant = dx1 * dy2 - dx2 * dy1
+    g = (sum_x * dy2 - dx2 * sum_y) / determinant
+    h = (dx1 * sum_y - sum_x * dy1) / determinant
+    return np.array(
+        [
+            [x1 - x0 + g * x1, x3 - x0 + h * x3, x0],
+            [y1 - y0 + g * y1, y3 - y0 + h * y3, y0],
+            [g, h, 1.0],
+        ]
+    )
+
+
+def read_cells(image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens) -> np.ndarray:
+    """Return the mean grey levels of a marker's cells and of one ring around it.
+
+    Args:
+        image: (h, w) grey levels.
+        corners: (4, 2) of the black square, ideal px.
+        cells: data cells along an edge; the border adds one each way, the ring another.
+        lens: where ideal pixels are seen.
+
+    Returns:
+        (cells + 4, cells + 4) grey levels.
+    """
+    side = cells + 4
+    middles = (np.arange(side) - 0.5)[:, None] + _SPREAD
+    line = middles.ravel() / (cells + 2)
+    x, y = np.meshgrid(line, line)
+    points = np.column_stack((x.ravel(), y.ravel(), np.ones(x.size))) @ homography(corners).T
+    values = sample(image, lens.seen(points[:, :2] / points[:, 2:]))
+    each = len(_SPREAD)
+    return values.reshape(side, each, side, each).mean(axis=(1, 3))
+
+
+def interpret(levels: np.ndarray) -> Optional[Reading]:
+    """Tell black from white in the grey levels that `read_cells` returns; None if they are even.
+
+    Light may change evenly across a marker: black and white levels are planes, black's through
+    the border, white's through all that is brighter than the middle.
+    """
+    side = len(levels)
+    inner = levels[1:-1, 1:-1]
+    border = np.ones((side, side), dtype=bool)
+    border[[0, -1]] = border[:, [0, -1]] = False
+    border[2:-2, 2:-2] = False
+    black = float(np.median(levels[border]))
+    white = float(np.sort(inner, axis=None)[int(0.95 * inner.size)])
+    if white - black < 1.0:
+        return None
+    bright = levels > 0.5 * (black + white)
+    dark_plane = _plane(levels, border & ~bright)
+    bright_plane = _plane(levels, bright)
+    half = 0.5 * (bright_plane - dark_plane)
+    half = np.maximum(half, 0.2 * 0.5 * (white - black))
+    soft = np.clip((levels - 0.5 * (bright_plane + dark_plane)) / half, -1.5, 1.5)
+    neighbours = soft[:-2, 1:-1] + soft[2:, 1:-1] + soft[1:-1, :-2] + soft[1:-1, 2:]
+    sharp = soft[1:-1, 1:-1] + _SHARPENING * (4.0 * soft[1:-1, 1:-1] - neighbours)
+    bits = np.where(sharp[1:-1, 1:-1] > 0.0, 1.0, -1.0).astype(np.float32)
+    border_errors = int((sharp > 0.0)[border[1:-1, 1:-1]].sum())
+    return Reading(bits.ravel(), border_errors, white - black, inner)
+
+
+def match(reading: Reading, dictionary: MarkerDictionary, correction: int) -> Optional[Match]:
+    """Return the marker of a dictionary that differs in at most `correction` bits, or None."""
+    marker, turns, errors = dictionary.nearest(reading.bits)
+    if errors > correction:
+        return None
+    return Match(marker, turns, errors, _likeness(reading, dictionary, marker, turns))
+
+
+def _likeness(reading: Reading, dictionary: MarkerDictionary, marker: int, turns: int) -> float:
+    pattern = (
+        np.rot90(dictionary.pattern(marker), turns).ravel() - dictionary.pattern(marker).mean()
+    )
+    levels = reading.levels.ravel() - reading.levels.mean()
+    return float(pattern @ levels / np.sqrt((pattern @ pattern) * (levels @ levels)))
+
+
+def _plane(levels: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return the plane through the chosen levels, everywhere; their mean if they are few."""
+    values = levels[chosen]
+    if len(values) < 8:
+        return np.full(levels.shape, values.mean() if len(values) else levels.mean())
+    row, column = np.indices(levels.shape, dtype=float)
+    middle = (len(levels) - 1) / 2.0
+    terms = np.stack((np.ones(levels.shape), row - middle, column - middle), axis=-1)
+    a = terms[chosen]
+    solution = solve_symmetric(a.T @ a + 1e-6 * np.eye(3), a.T @ values)
+    return terms @ solution

@@ -1,0 +1,95 @@
+"""Draws what was found into images."""
+
+from __future__ import annotations
+
+from typing import Sequence
+
+import cv2
+import numpy as np
+
+from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.vision.marker_detector import DetectedMarker
+from bullet_lab.vision.marker_pose import MarkerPose
+from bullet_lab.vision.quads import mean_side
+
+# As OpenCV has colours: blue, green, red.
+BLUE = (255, 0, 0)
+OUTLINE = (60, 200, 60)
+FIRST_CORNER = (40, 40, 230)
+AXES = ((40, 40, 230), (60, 200, 60), (255, 80, 0))
+_WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+# Positions are drawn to 1/16 px.
+_SHIFT = 4
+# Side in px of a marker that is drawn with broad lines.
+_LARGE = 60.0
+
+
+def draw_points(image: np.ndarray, points: np.ndarray, radius: int = 3) -> None:
+    """Draw (n, 2 or more) points u, v as blue discs, as in figure 7c."""
+    for u, v in np.asarray(points)[:, :2]:
+        cv2.circle(image, (int(round(u)), int(round(v))), radius, BLUE, -1)
+
+
+def draw_area(image: np.ndarray, area: np.ndarray) -> None:
+    """Colour an area (h, w) of an image blue, as in figure 7d."""
+    image[area] = BLUE
+
+
+def draw_marker(image: np.ndarray, marker: DetectedMarker, label: str) -> None:
+    """Draw a marker's outline, its first corner and a label beside it."""
+    draw_outline(image, marker.corners)
+    left, bottom = marker.corners[:, 0].min(), marker.corners[:, 1].min() - 8
+    draw_text(image, label, (int(left), int(bottom)))
+
+
+def draw_outline(image: np.ndarray, corners: np.ndarray) -> None:
+    """Draw (4, 2) corners as a quadrilateral, the first of them marked."""
+    side = mean_side(corners)
+    # Small markers shall be seen still.
+    width = 2 if side > _LARGE else 1
+    outline = np.rint(corners * 2**_SHIFT).astype(np.int32)
+    cv2.polylines(image, [outline[:, None]], True, OUTLINE, width, cv2.LINE_AA, _SHIFT)
+    half = 3 if side > _LARGE else 1
+    u, v = (int(round(value)) for value in corners[0])
+    cv2.rectangle(image, (u - half, v - half), (u + half, v + half), FIRST_CORNER, -1)
+
+
+def enlarged(image: np.ndarray, corners: np.ndarray, size: int) -> np.ndarray:
+    """Return what is around a marker, (size, size, 3), its pixels enlarged and its outline drawn.
+
+    Args:
+        image: (h, w, 3) BGR.
+        corners: (4, 2) of the marker, px.
+        size: of the result, px.
+    """
+    half = int(np.ceil(0.8 * mean_side(corners)))
+    u, v = (int(round(value)) for value in corners.mean(axis=0))
+    padded = cv2.copyMakeBorder(image, half, half, half, half, cv2.BORDER_REPLICATE)
+    part = padded[v : v + 2 * half + 1, u : u + 2 * half + 1]
+    large = cv2.resize(part, (size, size), interpolation=cv2.INTER_NEAREST)
+    scale = size / part.shape[0]
+    # Pixels are numbered at their centres.
+    draw_outline(large, (corners - (u - half, v - half) + 0.5) * scale - 0.5)
+    return large
+
+
+def draw_axes(image: np.ndarray, pose: MarkerPose, size: float, camera: PinholeCamera) -> None:
+    """Draw a marker's axes, half its size long: x red, y green, z blue."""
+    ends = 0.5 * size * np.vstack((np.zeros(3), np.eye(3)))
+    pixels = camera.project(ends @ pose.rotation.T + pose.translation)
+    if not np.isfinite(pixels).all() or np.abs(pixels).max() > 1e5:
+        return
+    points = [tuple(int(value) for value in row) for row in np.rint(pixels * 2**_SHIFT)]
+    width = 2 if np.ptp(pixels, axis=0).max() > 0.5 * _LARGE else 1
+    for end, colour in zip(points[1:], AXES):
+        cv2.line(image, points[0], end, colour, width, cv2.LINE_AA, _SHIFT)
+
+
+def draw_text(image: np.ndarray, text: str, place: Sequence[int], scale: float = 0.5) -> None:
+    """Write white on black, within the image; `place` is the left end of the base line."""
+    (width, height), base = cv2.getTextSize(text, _FONT, scale, 1)
+    u = int(np.clip(place[0], 2, max(2, image.shape[1] - width - 2)))
+    v = int(np.clip(place[1], height + 4, image.shape[0] - base - 2))
+    cv2.rectangle(image, (u - 2, v - height - 3), (u + width + 2, v + base), _BLACK, -1)
+    cv2.putText(image, text, (u, v), _FONT, scale, _WHITE, 1, cv2.LINE_AA)

@@ -1,0 +1,306 @@
+"""Finds the markers of a dictionary in an image: all of them, nested and double ones too."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import List, Optional, Tuple
+
+import cv2
+import numpy as np
+
+from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.vision import images
+from bullet_lab.vision.decoding import Match, interpret, match, read_cells
+from bullet_lab.vision.dictionaries import dictionary_named
+from bullet_lab.vision.edge_fit import refine_corners
+from bullet_lab.vision.errors import VisionError
+from bullet_lab.vision.quads import find_quads, mean_side, same_quads
+from bullet_lab.vision.sampling import Lens
+
+# A quadrilateral that was found with several windows is tried in so many of its versions.
+_TRIES = 3
+# Grey levels to part black from white at, in the second pass.
+_LEVELS = (10, 16, 24, 36, 54, 80, 120, 180)
+# Standard deviation of noise, in grey levels, from which on the image is smoothed.
+_CLEAN = 0.6
+# Grey levels that an image should use, and by how much they may be spread for it.
+_RANGE = 160.0
+_LARGEST_GAIN = 8.0
+# What smoothing leaves of it.
+_SMOOTHED = 0.37
+# Standard deviations of noise by which dark pixels are darker.
+_CONFIDENCE = 4.5
+_LEAST_CONTRAST = 3.0
+
+
+@dataclass(frozen=True)
+class DetectorSettings:
+    """What to look for, and how.
+
+    Attributes:
+        dictionary: a name of `dictionaries.DICTIONARY_NAMES`, as `dictionary_named` takes it.
+        ids: markers to report; empty: all of the dictionary.
+        border: px; a marker with a corner nearer to the edge of the image is cropped: dropped.
+        min_side: px; mean side of the smallest marker that is looked for.
+        windows: px, odd; neighbourhoods of the adaptive threshold.
+        contrast: grey levels by which black is darker than its neighbourhood.
+        correction: part of the bits that the dictionary could correct which is corrected.
+        border_rate: part of the border's cells that may be misread.
+        likeness: least correlation of grey levels and pattern.
+        max_quads: at most so many quadrilaterals are tried, the largest first.
+        second_pass: look again, twice as large and with less contrast, where nothing was found.
+    """
+
+    dictionary: str = "apriltag_36h10"
+    ids: Tuple[int, ...] = ()
+    border: float = 3.0
+    min_side: float = 10.0
+    windows: Tuple[int, ...] = (3, 7, 21)
+    contrast: float = 7.0
+    correction: float = 0.5
+    border_rate: float = 0.1
+    likeness: float = 0.6
+    max_quads: int = 100
+    second_pass: bool = True
+
+    def __post_init__(self) -> None:
+        """Raise VisionError where a setting is not allowed."""
+        allowed = {
+            "border": (0.0, 1000.0),
+            "min_side": (5.0, 1e4),
+            "contrast": (0.0, 255.0),
+            "correction": (0.0, 1.0),
+            "border_rate": (0.0, 0.5),
+            "likeness": (0.0, 1.0),
+            "max_quads": (1, 10000),
+        }
+        for name, (low, high) in allowed.items():
+            value = getattr(self, name)
+            if not math.isfinite(value) or not low <= value <= high:
+                raise VisionError(f"{name} is {value}: it must be from {low:g} to {high:g}")
+        if not self.windows or any(w < 3 or w % 2 == 0 for w in self.windows):
+            raise VisionError(f"windows are {self.windows}: each must be odd and 3 or more")
+        count = len(dictionary_named(self.dictionary).codes)
+        wrong = [marker for marker in self.ids if not 0 <= marker < count]
+        if wrong:
+            raise VisionError(f"{self.dictionary} has no marker {wrong[0]}, only 0 to {count - 1}")
+
+
+@dataclass(frozen=True)
+class DetectedMarker:
+    """A marker in an image.
+
+    Attributes:
+        id: which of the dictionary.
+        corners: (4, 2) u, v in px of the image as it is, with its distortion: top left, top
+            right, bottom right, bottom left of the black square, as one looks at the marker.
+        bit_errors: bits that were corrected.
+        likeness: correlation of the grey levels with its pattern.
+    """
+
+    id: int
+    corners: np.ndarray
+    bit_errors: int
+    likeness: float
+
+    @property
+    def side(self) -> float:
+        """Mean length of its sides in px."""
+        return mean_side(self.corners)
+
+
+@dataclass
+class DetectionReport:
+    """What happened on the way, to say why nothing was found.
+
+    Attributes:
+        quads: dark quadrilaterals that were tried.
+        undecoded: of them, those that are no marker.
+        cropped: ids of markers that were dropped at the edge of the image.
+        other_ids: ids of markers that were seen and not asked for.
+        mean: of the grey levels.
+        contrast: grey levels between its darkest and its brightest pixel.
+        noise: standard deviation of the grey levels' noise.
+        second_pass: whether the image was looked at twice.
+    """
+
+    quads: int = 0
+    undecoded: int = 0
+    cropped: List[int] = field(default_factory=list)
+    other_ids: List[int] = field(default_factory=list)
+    mean: float = 0.0
+    contrast: float = 0.0
+    noise: float = 0.0
+    second_pass: bool = False
+
+
+@dataclass(frozen=True)
+class Detections:
+    """All markers of an image, the largest first, and what happened on the way."""
+
+    markers: List[DetectedMarker]
+    report: DetectionReport
+
+
+class MarkerDetector:
+    """Finds markers.
+
+    Args:
+        settings: what to look for.
+
+    Raises:
+        VisionError: there is no such dictionary.
+    """
+
+    def __init__(self, settings: Optional[DetectorSettings] = None):
+        self.settings = settings or DetectorSettings()
+        self.dictionary = dictionary_named(self.settings.dictionary)
+        self._correction = int(self.settings.correction * self.dictionary.max_correction + 1e-9)
+        self._border_errors = int(self.settings.border_rate * 4 * (self.dictionary.cells + 1))
+
+    def detect(self, image: np.ndarray, camera: Optional[PinholeCamera] = None) -> Detections:
+        """Return the markers in an image.
+
+        Args:
+            image: (h, w) grey levels or (h, w, 3) BGR, uint8.
+            camera: its geometry; only its distortion is used, to have straight edges straight.
+
+        Raises:
+            VisionError: it is no such image.
+        """
+        grey = images.grey(image)
+        lens = Lens(camera)
+        report = DetectionReport()
+        low, high = cv2.minMaxLoc(grey)[:2]
+        report.mean, report.contrast = float(cv2.mean(grey)[0]), high - low
+        report.noise = noise_level(grey)
+        smooth, least = _prepare(grey, low, high, report.noise)
+        contrast = max(least, self.settings.contrast)
+        markers = self._look(grey, smooth, contrast, lens, report)
+        if not markers and self.settings.second_pass:
+            report.second_pass = True
+            markers = self._look(grey, smooth, least, lens, report)
+        return Detections(markers, report)
+
+    def _look(
+        self,
+        grey: np.ndarray,
+        smooth: np.ndarray,
+        contrast: float,
+        lens: Lens,
+        report: DetectionReport,
+    ) -> List[DetectedMarker]:
+        quads = self._quads(smooth, contrast, 2 if report.second_pass else 1)
+        found: List[Tuple[Match, np.ndarray]] = []
+        report.quads = report.undecoded = 0
+        report.cropped, report.other_ids = [], []
+        image = grey.astype(np.float32)
+        done = np.zeros(len(quads), dtype=bool)
+        for index, quad in enumerate(quads):
+            if done[index]:
+                continue
+            same = same_quads(quad, quads) & ~done
+            done |= same
+            report.quads += 1
+            if report.quads > self.settings.max_quads:
+                break
+            decoded = None
+            for version in np.flatnonzero(same)[:_TRIES]:
+                decoded = self._decode(image, quads[version], lens)
+                if decoded is not None:
+                    break
+            if decoded is None:
+                report.undecoded += 1
+            elif not any(_same_marker(decoded, other) for other in found):
+                found.append(decoded)
+        return self._choose(found, grey.shape, lens, report)
+
+    def _quads(self, grey: np.ndarray, contrast: float, scale: int) -> np.ndarray:
+        """Return candidates in px of the image, the largest first."""
+        settings = self.settings
+        if scale > 1:
+            size = (grey.shape[1] * scale, grey.shape[0] * scale)
+            grey = cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC)
+        windows = [scale * (w - 1) + 1 for w in settings.windows]
+        levels = _LEVELS if scale > 1 else ()
+        quads = find_quads(grey, windows, contrast, scale * settings.min_side, levels)
+        # Pixels are numbered at their centres.
+        quads = (quads + 0.5) / scale - 0.5
+        sides = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).mean(axis=1)
+        return quads[np.argsort(-sides, kind="stable")]
+
+    def _decode(
+        self, image: np.ndarray, quad: np.ndarray, lens: Lens
+    ) -> Optional[Tuple[Match, np.ndarray]]:
+        cells = self.dictionary.cells
+        corners = refine_corners(image, quad, cells + 2, lens)
+        if corners is None or not np.isfinite(corners).all():
+            return None
+        reading = interpret(read_cells(image, corners, cells, lens))
+        if reading is None or reading.border_errors > self._border_errors:
+            return None
+        found = match(reading, self.dictionary, self._correction)
+        if found is None or found.likeness < self.settings.likeness:
+            return None
+        return found, np.roll(corners, found.turns, axis=0)
+
+    def _choose(
+        self,
+        found: List[Tuple[Match, np.ndarray]],
+        shape: Tuple[int, ...],
+        lens: Lens,
+        report: DetectionReport,
+    ) -> List[DetectedMarker]:
+        """Return what was asked for and is whole."""
+        height, width = shape[:2]
+        border = self.settings.border
+        chosen = []
+        for read, ideal in found:
+            corners = lens.seen(ideal)
+            inside = (corners >= border) & (corners <= (width - 1 - border, height - 1 - border))
+            if self.settings.ids and read.marker not in self.settings.ids:
+                report.other_ids.append(read.marker)
+            elif not inside.all():
+                report.cropped.append(read.marker)
+            else:
+                chosen.append(DetectedMarker(read.marker, corners, read.errors, read.likeness))
+        return chosen
+
+
+def _same_marker(first: Tuple[Match, np.ndarray], second: Tuple[Match, np.ndarray]) -> bool:
+    if first[0].marker != second[0].marker:
+        return False
+    return bool(same_quads(first[1], second[1][None])[0])
+
+
+def _prepare(grey: np.ndarray, low: float, high: float, noise: float) -> Tuple[np.ndarray, float]:
+    """Return the image with its full range used and less noise, and the least contrast there."""
+    gain = float(np.clip(_RANGE / max(1.0, high - low), 1.0, _LARGEST_GAIN))
+    if gain > 1.0:
+        middle = 0.5 * (low + high)
+        table = np.clip(gain * (np.arange(256) - middle) + 127.5, 0.0, 255.0)
+        grey = cv2.LUT(grey, np.rint(table).astype(np.uint8))
+    if noise > _CLEAN:
+        grey, noise = cv2.GaussianBlur(grey, (3, 3), 0), _SMOOTHED * noise
+    return grey, max(_LEAST_CONTRAST, _CONFIDENCE * gain * noise)
+
+
+def noise_level(grey: np.ndarray) -> float:
+    """Return the standard deviation of an image's noise, in grey levels.
+
+    From the median of second differences both ways, which are zero on even ground and on
+    straight edges (Immerkaer 1996, with the median in place of the mean).
+    """
+    rows = np.arange(1, grey.shape[0] - 1, 8)
+    up, row, down = (grey[rows + k].astype(np.int16) for k in (-1, 0, 1))
+    vertical = up - 2 * row + down
+    both = np.abs(vertical[:, :-2] - 2 * vertical[:, 1:-1] + vertical[:, 2:]).ravel()
+    counts = np.cumsum(np.bincount(both, minlength=2))
+    middle = int(np.searchsorted(counts, 0.5 * both.size))
+    # Interpolated, as levels are whole numbers: |d| < middle + 0.5 has the share reached there.
+    below = counts[middle - 1] if middle else 0
+    if middle == 0:
+        return 0.0
+    median = middle - 0.5 + (0.5 * both.size - below) / (counts[middle] - below)
+    return float(median) / (0.6745 * 6.0)

@@ -1,0 +1,150 @@
+"""Measures laser scans, and fleets of robots with lasers; run it with scripts/bench.sh laser.
+
+Prints a table and writes JSON. No ROS master: the simulation alone, and the making of messages.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import time
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Callable, Dict, List, Tuple
+
+from bullet_lab.ros.conversions import OUTPUT_CONVERTERS
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.simulation import ModelInstance, Simulation
+
+WORLD = "package://bullet_lab/worlds/beacons.world"
+ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
+FLEETS = (1, 2, 5, 10, 20, 50)
+PER_ROW = 5
+SPACING = 1.5
+# Where rows of robots have none of the beacons in their way.
+FIRST_PLACE = (1.0, 6.0)
+
+
+def place_of(number: int) -> Pose:
+    """Return where the robot of a number starts."""
+    row, column = divmod(number, PER_ROW)
+    x, y = FIRST_PLACE
+    return Pose((x + SPACING * column, y + SPACING * row, 0.0))
+
+
+def add_fleet(simulation: Simulation, number: int) -> List[ModelInstance]:
+    """Add robots that drive in circles."""
+    robots = []
+    for index in range(number):
+        name = f"robot_{index}"
+        robot = simulation.spawn(ROBOT, name, place_of(index), namespace=name)
+        robot.command(f"/{name}/cmd_vel", PlanarCommand(vx=0.2, wz=0.3))
+        robots.append(robot)
+    return robots
+
+
+def message_writer(kind: type) -> Callable[[Any], None]:
+    """Return a listener that makes messages of samples, as the bridge does."""
+    convert = OUTPUT_CONVERTERS[kind]().convert
+    buffer = BytesIO()
+
+    def write(sample: Any) -> None:
+        buffer.seek(0)
+        convert(sample).serialize(buffer)
+
+    return write
+
+
+def listen_to_all(robots: List[ModelInstance]) -> None:
+    """Have messages made of all that robots measure."""
+    for robot in robots:
+        for device in robot.devices:
+            for output in device.outputs:
+                output.connect(message_writer(output.kind))
+
+
+def scan_milliseconds(robots: int, scans: int) -> List[float]:
+    """Return how long scans of one robot took, among others."""
+    times = []
+    with Simulation.of(WORLD) as simulation:
+        fleet = add_fleet(simulation, robots)
+        simulation.run_for(0.1)
+        laser = next(d for d in fleet[0].devices for o in d.outputs if "scan" in o.topic)
+        laser.outputs[0].connect(message_writer(laser.outputs[0].kind))
+        for number in range(scans):
+            start = time.perf_counter()
+            laser.produce(number)
+            times.append(1e3 * (time.perf_counter() - start))
+    return times
+
+
+def fleet_factor(robots: int, seconds: float) -> Tuple[float, float]:
+    """Return the real-time factors of a fleet: all of it, and the engine's steps alone."""
+    with Simulation.of(WORLD) as simulation:
+        listen_to_all(add_fleet(simulation, robots))
+        simulation.run_for(0.2)
+        start = time.perf_counter()
+        simulation.run_for(seconds)
+        whole = seconds / (time.perf_counter() - start)
+        # The same world, with nobody acting in it or listening.
+        simulation._acting.clear()
+        simulation._measuring.clear()
+        start = time.perf_counter()
+        simulation.run_for(seconds)
+        return whole, seconds / (time.perf_counter() - start)
+
+
+def measure(rounds: int, seconds: float) -> Dict[str, Any]:
+    """Run everything and return the figures; of several rounds, the medians."""
+    alone, among = scan_milliseconds(1, 100 * rounds), scan_milliseconds(20, 100 * rounds)
+    fleets = {}
+    for number in FLEETS:
+        factors = [fleet_factor(number, seconds) for _ in range(rounds)]
+        whole, engine = (statistics.median(column) for column in zip(*factors))
+        fleets[number] = {"real_time_factor": whole, "engine_alone": engine}
+    return {
+        "machine": platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "scan_ms": statistics.median(alone),
+        "scan_ms_95_percent": sorted(alone)[int(0.95 * len(alone))],
+        "scan_ms_among_20_robots": statistics.median(among),
+        "fleets": fleets,
+    }
+
+
+def print_table(figures: Dict[str, Any]) -> None:
+    """Print what was measured beside what is asked for."""
+    rows = [
+        ("360-ray scan with its message, ms", f"{figures['scan_ms']:.2f}", "<= 1"),
+        ("the same, 95 of 100", f"{figures['scan_ms_95_percent']:.2f}", ""),
+        ("the same among 20 robots", f"{figures['scan_ms_among_20_robots']:.2f}", "<= 1"),
+    ]
+    for number, factors in figures["fleets"].items():
+        name = f"{number} robots, odometry 20 Hz, lasers 10 Hz: real-time factor"
+        rows.append((name, f"{factors['real_time_factor']:.1f}", ">= 1" if number == 20 else ""))
+        rows.append(("    the engine's steps alone", f"{factors['engine_alone']:.1f}", ""))
+    print(f"\n{'':62} {'measured':>9} {'asked':>7}")
+    for name, value, asked in rows:
+        print(f"{name:62} {value:>9} {asked:>7}")
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("out", type=Path, help="JSON file to write")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=5.0, help="simulated, of each fleet")
+    wanted = parser.parse_args()
+    figures = measure(wanted.rounds, wanted.seconds)
+    print_table(figures)
+    wanted.out.parent.mkdir(parents=True, exist_ok=True)
+    wanted.out.write_text(json.dumps(figures, indent=2) + "\n")
+    print(f"\nwritten to {wanted.out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,158 @@
+#!/usr/bin/env python3
+"""The camera speaks as Gazebo's does, and never loses a frame."""
+
+import contextlib
+import os
+import tempfile
+import unittest
+import unittest.mock
+from pathlib import Path
+
+import cv2
+import numpy as np
+import rospy
+import rostest
+from bullet_lab.srv import Step
+from lab_testing import Node, Topic, wait_for
+from sensor_msgs.msg import CameraInfo, Image
+from std_srvs.srv import Empty
+
+ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
+WORLD = "package://bullet_lab/worlds/docking.world"
+IMAGE, INFO = "/mycamera/image_raw", "/mycamera/camera_info"
+# Of 30 Hz, in ms: the first step at or after k/30 s.
+PERIODS = {33, 34}
+
+
+@contextlib.contextmanager
+def bridge(**parameters):
+    """A bridge with the camera robot before the dock."""
+    node = Node("pybullet_bridge.py", **{"world": WORLD, "robot": ROBOT, **parameters})
+    try:
+        wait_for(lambda: "/bullet_lab/step" in services(), "the bridge")
+        yield node
+    finally:
+        node.end()
+
+
+def services():
+    _, _, state = rospy.get_master().getSystemState()
+    return [name for name, _ in state[2]]
+
+
+def advance(steps):
+    rospy.wait_for_service("/bullet_lab/step", 30.0)
+    rospy.ServiceProxy("/bullet_lab/step", Step)(steps)
+
+
+def milliseconds(topic):
+    return [stamp // 1_000_000 for stamp in topic.stamps()]
+
+
+def pixels(message):
+    channels = message.step // message.width
+    return np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, channels)
+
+
+class CameraTest(unittest.TestCase):
+    def images(self):
+        return self.topic(IMAGE, Image)
+
+    def infos(self):
+        return self.topic(INFO, CameraInfo)
+
+    def topic(self, name, kind):
+        topic = Topic(name, kind)
+        self.addCleanup(topic.close)
+        return topic
+
+    def test_image_and_camera_info(self):
+        with bridge(paused=True, renderer="tiny"):
+            image, info = self.images(), self.infos()
+            advance(100)
+            picture, geometry = image.wait(3)[0], info.wait(3)[0]
+            self.assertEqual(milliseconds(image), milliseconds(info))
+        self.assertEqual(picture.header.frame_id, "camera_optical_frame")
+        self.assertEqual(geometry.header.frame_id, "camera_optical_frame")
+        self.assertEqual((picture.width, picture.height, picture.encoding), (640, 480, "rgb8"))
+        self.assertEqual((geometry.width, geometry.height), (640, 480))
+        focal = 320 / np.tan(np.radians(65) / 2)
+        wanted = [focal, 0, 319.5, 0, focal, 239.5, 0, 0, 1]
+        np.testing.assert_allclose(geometry.K, wanted, atol=1e-3)
+        self.assertEqual(list(geometry.D), [0.0] * 5)
+        dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h10)
+        (corners,), ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(pixels(picture))
+        self.assertEqual(ids.ravel().tolist(), [0])
+        # The marker stands 3.84 m before the camera and 0.06 m above it.
+        middle = corners[0].mean(axis=0)
+        np.testing.assert_allclose(middle, (319.5, 239.5 - focal * 0.06 / 3.84), atol=1.0)
+
+    def count_frames(self, rtf, count):
+        with bridge(rtf=rtf):
+            image, info = self.images(), self.infos()
+            image.wait(count)
+            info.wait(count)
+            stamps, others = milliseconds(image), milliseconds(info)
+        steps = set(np.diff(stamps).tolist())
+        self.assertTrue(steps <= PERIODS, f"gaps of {sorted(steps)} ms")
+        grid = [-(-1000 * k // 30) for k in range(1, 100_000)]
+        self.assertIn(stamps[0], grid)
+        first = grid.index(stamps[0])
+        self.assertEqual(stamps, grid[first : first + len(stamps)])
+        # The two topics are subscribed to one after the other.
+        shared = max(stamps[0], others[0])
+        pairs = zip((s for s in stamps if s >= shared), (s for s in others if s >= shared))
+        self.assertTrue(all(one == other for one, other in pairs))
+
+    def test_no_frame_is_lost_at_full_speed(self):
+        self.count_frames(0.0, 60)
+
+    def test_no_frame_is_lost_in_real_time(self):
+        self.count_frames(1.0, 45)
+
+    def test_nothing_is_drawn_without_a_subscriber(self):
+        with tempfile.TemporaryDirectory() as folder, unittest.mock.patch.dict(
+            os.environ, TMPDIR=folder
+        ), bridge(rtf=1.0, renderer="tiny"):
+            info = self.infos()
+            info.wait(10)
+            # Where the renderer's copies of the world lie.
+            self.assertEqual(list(Path(folder).glob("bullet_lab_drawn_*")), [])
+            image = self.images()
+            image.wait(2)
+            self.assertEqual(len(list(Path(folder).glob("bullet_lab_drawn_*"))), 1)
+
+    def test_pictures_follow_from_the_seed(self):
+        pictures = [self.picture_at_a_second(seed) for seed in (1, 1, 2)]
+        self.assertEqual(pictures[0], pictures[1])
+        self.assertNotEqual(pictures[0], pictures[2])
+
+    def picture_at_a_second(self, seed):
+        with bridge(paused=True, renderer="tiny", seed=seed):
+            # Whether one has looked before makes no difference.
+            advance(900 if seed == 1 else 1)
+            image = self.images()
+            advance(100 if seed == 1 else 999)
+            wait_for(lambda: 1000 in milliseconds(image), "the picture at 1 s")
+            return image.messages[milliseconds(image).index(1000)].data
+
+    def test_time_starts_again_with_a_reset(self):
+        with bridge(paused=True, renderer="tiny"):
+            image = self.images()
+            advance(70)
+            image.wait(2)
+            rospy.ServiceProxy("/gazebo/reset_simulation", Empty)()
+            advance(70)
+            image.wait(4)
+            self.assertEqual(milliseconds(image), [34, 67, 34, 67])
+
+    def test_an_unknown_renderer_is_refused(self):
+        node = Node("pybullet_bridge.py", world=WORLD, renderer="vulkan")
+        self.assertEqual(node.wait(), 2)
+        self.assertIn("~renderer is 'vulkan': it must be one of auto, egl, tiny", node.err)
+
+
+if __name__ == "__main__":
+    rospy.set_param("/use_sim_time", True)
+    rospy.init_node("camera_test")
+    rostest.rosrun("bullet_lab", "camera_test", CameraTest)

@@ -1,0 +1,96 @@
+#!/usr/bin/env python3
+"""The dock job: in each world through ROS, the same each time, and a name for each failure."""
+
+import functools
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+import rostest
+
+from bullet_lab.numerics.trajectory import read_tum
+
+TIMEOUT = 240
+FOLDER = tempfile.TemporaryDirectory()
+# m, m and degrees: what section 6 of the figures allows at most.
+LARGEST = {"distance_error_m": 0.02, "lateral_error_m": 0.01, "yaw_error_deg": 1.0}
+
+
+@functools.lru_cache(maxsize=None)
+def dock(*words):
+    """Run the job in a folder of its own; return its output folder."""
+    folder = Path(tempfile.mkdtemp(dir=FOLDER.name))
+    environment = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
+    run = subprocess.run(
+        [sys.executable, "-m", "bullet_lab.ros.launcher", "dock", *words, "out:=out"],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=TIMEOUT,
+    )
+    if run.returncode:
+        raise AssertionError(f"{words} ended with status {run.returncode}:\n{run.stdout}")
+    return folder / "out"
+
+
+def summary_of(out):
+    return json.loads((out / "summary.json").read_text())
+
+
+class DockJobTest(unittest.TestCase):
+    """Each world has a start of its own, all within some metres, to be quick."""
+
+    def assert_docked(self, out):
+        summary = summary_of(out)
+        self.assertTrue(summary["docked"], summary["message"])
+        self.assertEqual((0, "NONE"), (summary["error_code"], summary["error_name"]))
+        self.assertEqual((0, {}), (summary["wall_contacts"], summary["touched"]))
+        for name, most in LARGEST.items():
+            self.assertLess(abs(summary[name]), most, name)
+        end = read_tum(out / "truth.tum").poses[-1]
+        self.assertAlmostEqual(3.44, end[0], delta=0.02)
+        self.assertAlmostEqual(0.0, end[1], delta=0.01)
+
+    def test_docks_and_says_how(self):
+        out = dock()
+        self.assert_docked(out)
+        summary = summary_of(out)
+        said = {"job": "dock", "seed": 1, "world": "docking", "odom": "odom", "finished": True}
+        self.assertEqual(said, {key: summary[key] for key in said})
+        path = read_tum(out / "truth.tum")
+        self.assertAlmostEqual(path.stamps[-1] - path.stamps[0], summary["sim_time_s"])
+        self.assertAlmostEqual(0.0, path.poses[0, 0], delta=0.001)
+        self.assertGreater(summary["images"], 20)
+        for name in ("path.png", "camera.png"):
+            self.assertTrue((out / name).read_bytes().startswith(b"\x89PNG"), name)
+
+    def test_the_same_seed_gives_the_same_path(self):
+        again = dock("seed:=1")
+        self.assertEqual((dock() / "truth.tum").read_bytes(), (again / "truth.tum").read_bytes())
+
+    def test_dots_on_noisy_odometry(self):
+        out = dock("world:=docking_dots", "odom:=noisy_odom", "x:=1.2", "y:=0.3", "yaw:=-30")
+        self.assert_docked(out)
+
+    def test_nested_marker(self):
+        self.assert_docked(dock("world:=docking_nested", "x:=1.0", "y:=-0.3", "yaw:=20"))
+
+    def test_decoy(self):
+        self.assert_docked(dock("world:=docking_decoy", "x:=1.5", "y:=0.4", "yaw:=10"))
+
+    def test_a_start_inside_of_a_wall(self):
+        summary = summary_of(dock("x:=2.8", "y:=0.45"))
+        self.assertFalse(summary["docked"])
+        self.assertNotIn(summary["error_name"], ("NONE", "UNKNOWN"))
+        self.assertGreater(summary["error_code"], 900)
+        self.assertGreater(summary["wall_contacts"], 0)
+
+
+if __name__ == "__main__":
+    rostest.rosrun("bullet_lab", "dock_job_test", "__main__")

@@ -1,0 +1,245 @@
+"""A docking station in a few lines: a robot that rolls, a camera that gives corners.
+
+It stands in for the simulation where thousands of dockings are wanted. What it knows of walls and
+sight is written anew here, so that an error in `bullet_lab.docking.geometry` shows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import List, Optional, Tuple
+
+import numpy as np
+
+from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty, DockWalls
+from bullet_lab.docking.settings import DockingSettings
+from bullet_lab.docking.task import DockingTask
+from bullet_lab.docking.types import CameraMount, Observation, Odometry, Sighting
+from bullet_lab.numerics import se2
+from bullet_lab.numerics.odometry_noise import NoisyPath, make_rule
+from bullet_lab.numerics.pinhole import PinholeCamera
+
+CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
+MOUNT = CameraMount(0.16, 0.0, 0.44)
+TICK = 0.05
+DICTIONARY = "DICT_APRILTAG_36h10"
+WALL_SEGMENTS = (  # inner outline of the U, in the dock's frame
+    ((-2.0, 0.5), (0.0, 0.5)),
+    ((-2.0, -0.5), (0.0, -0.5)),
+    ((-2.0, 0.7), (0.2, 0.7)),
+    ((-2.0, -0.7), (0.2, -0.7)),
+    ((-2.0, 0.5), (-2.0, 0.7)),
+    ((-2.0, -0.5), (-2.0, -0.7)),
+    ((0.2, -0.7), (0.2, 0.7)),
+    ((0.001, -0.5), (0.001, 0.5)),
+)
+WALL_BOXES = ((0.0, 0.2, -0.7, 0.7), (-2.0, 0.2, 0.5, 0.7), (-2.0, 0.2, -0.7, -0.5))
+
+
+@dataclass(frozen=True)
+class Print:
+    """A printed marker: pose (x, y, yaw) of its face in the dock's frame, height, size (m)."""
+
+    pose: Tuple[float, float, float] = (0.0, 0.0, 0.0)
+    height: float = 0.5
+    size: float = 0.2
+    id: int = 0
+
+
+@dataclass(frozen=True)
+class Stand:
+    """What a docking in the stand-in is made of."""
+
+    start: Tuple[float, float, float]
+    dock_error: Tuple[float, float, float] = (0.0, 0.0, 0.0)
+    dock: Tuple[float, float, float] = (4.0, 0.0, 0.0)
+    prints: Tuple[Print, ...] = (Print(),)
+    walls: bool = True
+    marker: DockMarker = DockMarker(DICTIONARY, 0, 0.2, 0.5)
+    image_rate: float = 5.0
+    pixel_noise: float = 0.2
+    dropout: float = 0.03
+    tilt: float = math.radians(0.05)
+    model: str = "report"
+    std: float = 0.0
+    seed: int = 0
+    lag: float = 0.04
+    time_limit: float = 300.0
+    obstacles: Tuple[Tuple[float, float, float, float], ...] = ()
+    settings: DockingSettings = field(default_factory=DockingSettings)
+
+
+@dataclass
+class Run:
+    """How it went."""
+
+    result: object
+    contact: bool
+    distance_error: float
+    lateral_error: float
+    yaw_error: float
+    seconds: float
+    images: int
+    least_clearance: float
+    truth: List[Tuple[float, float, float, float]]
+    states: List[Tuple[float, str]]
+
+
+def make_dock(stand: Stand) -> Dock:
+    """Return the database entry, wrong as the stand says."""
+    x, y, yaw = (a + b for a, b in zip(stand.dock, stand.dock_error))
+    return Dock(
+        "dock", "odom", (x, y, yaw), stand.marker,
+        DockWalls(1.0, 2.0, 0.2) if stand.walls else None,
+        3.0, 0.40,
+        DockTolerance(0.005, 0.005, math.radians(0.4)),
+        DockUncertainty(0.3, math.radians(10.0)),
+    )  # fmt: skip
+
+
+def body_clearance(pose, boxes) -> float:
+    """Return the distance of the robot's square from boxes, all in one frame; 0 at contact."""
+    edge = np.linspace(-0.2, 0.2, 9)
+    outline = np.concatenate(
+        [[(e, 0.2), (e, -0.2), (0.2, e), (-0.2, e)] for e in edge]
+    )
+    flat = np.column_stack([outline, np.zeros(len(outline))])
+    points = se2.compose(pose, flat)[:, :2]
+    best = math.inf
+    corners = []
+    for x0, x1, y0, y1 in boxes:
+        dx = np.maximum(np.maximum(x0 - points[:, 0], points[:, 0] - x1), 0.0)
+        dy = np.maximum(np.maximum(y0 - points[:, 1], points[:, 1] - y1), 0.0)
+        best = min(best, float(np.min(np.hypot(dx, dy))))
+        corners += [(x0, y0), (x0, y1), (x1, y0), (x1, y1)]
+    local = se2.between(pose, np.column_stack([np.array(corners), np.zeros(len(corners))]))
+    away = np.hypot(*np.maximum(np.abs(local[:, :2]) - 0.2, 0.0).T)
+    return min(best, float(np.min(away)))
+
+
+def _crosses(a, b, c, d) -> bool:
+    """Say whether the segments ab and cd cross."""
+
+    def side(p, q, r):
+        return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+
+    return side(a, b, c) * side(a, b, d) < 0.0 and side(c, d, a) * side(c, d, b) < 0.0
+
+
+def see_print(robot, shown: Print, stand: Stand, rng) -> Optional[np.ndarray]:
+    """Return the corners of a print for a robot pose in the dock's frame; None if not found."""
+    px, py, yaw = shown.pose
+    half = 0.5 * shown.size
+    across = np.array([half, -half, -half, half])
+    up = np.array([half, half, -half, -half])
+    points = np.column_stack(
+        [px - math.sin(yaw) * across, py + math.cos(yaw) * across, shown.height + up]
+    )
+    cos, sin = math.cos(robot[2]), math.sin(robot[2])
+    eye = (robot[0] + cos * MOUNT.x, robot[1] + sin * MOUNT.x)
+    dx, dy = points[:, 0] - eye[0], points[:, 1] - eye[1]
+    ahead, left, rise = cos * dx + sin * dy, cos * dy - sin * dx, points[:, 2] - MOUNT.z
+    tilt = rng.normal(0.0, stand.tilt) if stand.tilt else 0.0
+    rise = rise - tilt * ahead
+    if np.min(ahead) < 0.05:
+        return None
+    normal = (-math.cos(yaw), -math.sin(yaw))
+    to_eye = (eye[0] - px, eye[1] - py)
+    range_ = math.hypot(*to_eye)
+    facing = (normal[0] * to_eye[0] + normal[1] * to_eye[1]) / range_
+    if facing < math.cos(math.radians(65.0)):
+        return None
+    pixels = CAMERA.project(np.column_stack([-left, -rise, ahead]))
+    if np.min(pixels) < 3.0 or np.any(pixels > (636.0, 476.0)):
+        return None
+    extent = CAMERA.fy * shown.size / range_
+    if extent * facing < 12.0 or extent < 18.0:
+        return None
+    if stand.walls:
+        quiet = 1.25 * points[:, :2] - 0.25 * np.array([px, py])
+        if abs(px) < 0.1:  # what is printed on the back wall ends there
+            quiet[:, 1] = np.clip(quiet[:, 1], -0.48, 0.48)
+        for edge in quiet:
+            for first, second in WALL_SEGMENTS:
+                if _crosses(eye, (edge[0] - 2e-3, edge[1]), first, second):
+                    return None
+    if rng.random() < stand.dropout + (0.2 if extent < 22.0 else 0.0):
+        return None
+    return pixels + rng.normal(0.0, stand.pixel_noise, (4, 2))
+
+
+def run(stand: Stand, limit_contact: bool = True) -> Run:
+    """Dock once."""
+    rng = np.random.default_rng((stand.seed, 77))
+    dock = make_dock(stand)
+    task = DockingTask(
+        dock, dock.pose, MOUNT, stand.settings, time_limit=stand.time_limit, seed=stand.seed
+    )
+    noise = NoisyPath(make_rule(stand.model, stand.std), stand.seed)
+    pose = np.asarray(stand.start, dtype=float)
+    v = w = t = 0.0
+    boxes = list(WALL_BOXES) if stand.walls else []
+    boxes += list(stand.obstacles)
+    truth, states, images, contact = [], [], 0, False
+    least, next_image, before = math.inf, 0.0, None
+    while task.result is None:
+        noisy = noise.update(*pose)
+        odometry = Odometry(t, noisy.pose, (v, w), noisy.motion_covariance / TICK**2)
+        task.add_odometry(odometry)
+        in_dock = se2.between(stand.dock, pose)
+        truth.append((t, *pose.tolist()))
+        if t >= next_image - 1e-9:
+            next_image += 1.0 / stand.image_rate
+            if task.wants_images:
+                images += 1
+                found = [(s, see_print(in_dock, s, stand, rng)) for s in stand.prints]
+                sightings = tuple(Sighting(s.id, DICTIONARY, c) for s, c in found if c is not None)
+                task.add_observation(Observation(t, CAMERA, sightings))
+        if boxes:
+            clear = body_clearance(in_dock, boxes)
+            least = min(least, clear)
+            if clear <= 0.0:
+                contact = True
+                if limit_contact:
+                    break
+        command = task.tick(t)
+        if task.state.label != before:
+            before = task.state.label
+            states.append((round(t, 2), before))
+        blend = 1.0 - math.exp(-TICK / stand.lag) if stand.lag else 1.0
+        v += blend * (command[0] - v)
+        w += blend * (command[1] - w)
+        pose = se2.compose(pose, _arc(v * TICK, w * TICK))
+        t += TICK
+    in_dock = se2.between(stand.dock, pose)
+    return Run(
+        task.result, contact, -in_dock[0] - 0.56, in_dock[1], in_dock[2], t, images, least,
+        truth, states,
+    )  # fmt: skip
+
+
+def _arc(way: float, turn: float) -> Tuple[float, float, float]:
+    if abs(turn) < 1e-9:
+        return way, 0.0, turn
+    radius = way / turn
+    return radius * math.sin(turn), radius * (1.0 - math.cos(turn)), turn
+
+
+def random_stand(seed: int, **changes) -> Stand:
+    """Draw a docking as the campaign does."""
+    rng = np.random.default_rng((seed, 5))
+    while True:
+        before = rng.uniform(0.7, 5.0)
+        reach = before * math.tan(math.radians(60.0))
+        y = rng.uniform(-reach, reach)
+        middle = (-before, y)
+        away = min(
+            math.hypot(max(x0 - middle[0], middle[0] - x1, 0.0), max(y0 - y, y - y1, 0.0))
+            for x0, x1, y0, y1 in WALL_BOXES + tuple(changes.get("obstacles", ()))
+        )
+        if away > 0.29:
+            break
+    start = (4.0 + middle[0], y, rng.uniform(-math.pi, math.pi))
+    error = rng.uniform(-1.0, 1.0, 3) * (0.3, 0.3, math.radians(10.0))
+    return replace(Stand(start, tuple(error.tolist()), seed=seed), **changes)

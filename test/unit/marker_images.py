@@ -1,0 +1,151 @@
+"""Images of markers, computed exactly: each pixel is the mean of what it sees."""
+
+import math
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.vision.dictionaries import dictionary_named
+
+CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
+TAGS = "apriltag_36h10"
+
+
+@dataclass
+class Layer:
+    """A flat thing: cells of grey levels, square, `width` m wide, of which `centre` is (x, y)."""
+
+    cells: np.ndarray
+    width: float
+    centre: tuple = (0.0, 0.0)
+
+    def paint(self, x, y, values):
+        """Paint points of the plane (x right, y up, m)."""
+        n = len(self.cells)
+        column = np.floor((x - self.centre[0]) / self.width * n + n / 2.0).astype(int)
+        row = np.floor((self.centre[1] - y) / self.width * n + n / 2.0).astype(int)
+        inside = (column >= 0) & (column < n) & (row >= 0) & (row < n)
+        values[inside] = self.cells[row[inside], column[inside]]
+
+
+def marker(number=0, tags=TAGS, size=0.2, black=20.0, white=220.0, quiet=1, centre=(0.0, 0.0)):
+    """A marker in its quiet zone; `size` is the edge of the black square in m."""
+    pattern = dictionary_named(tags).pattern(number).astype(float)
+    cells = np.pad(pattern, quiet, constant_values=1.0) * (white - black) + black
+    return Layer(cells, size * len(cells) / len(pattern), centre)
+
+
+def corner_points(size, centre=(0.0, 0.0)):
+    """The (4, 3) corners in the frame of the plane: top left, top right, bottom right, left."""
+    h = size / 2.0
+    x, y = centre
+    return np.array([[x - h, y + h, 0], [x + h, y + h, 0], [x + h, y - h, 0], [x - h, y - h, 0]])
+
+
+@dataclass
+class View:
+    """Pose of a plane in the optical frame.
+
+    Facing the camera at `distance` ahead and turned about its upright axis (`yaw`, degrees),
+    then nodding (`pitch`) and rolled about its normal; moved by `shift` m (right, down).
+    """
+
+    distance: float
+    yaw: float = 0.0
+    pitch: float = 0.0
+    roll: float = 0.0
+    shift: tuple = (0.0, 0.0)
+    rotation: np.ndarray = field(init=False)
+    translation: np.ndarray = field(init=False)
+
+    def __post_init__(self):
+        facing = np.diag([1.0, -1.0, -1.0])
+        turns = [np.array(v) for v in ((0, 0, self.roll), (self.pitch, 0, 0), (0, self.yaw, 0))]
+        roll, pitch, yaw = (cv2.Rodrigues(np.radians(v.astype(float)))[0] for v in turns)
+        self.rotation = facing @ yaw @ pitch @ roll
+        self.translation = np.array([*self.shift, self.distance])
+
+    def to_camera(self, points):
+        """Points (n, 3) of the plane's frame in the optical frame."""
+        return np.asarray(points) @ self.rotation.T + self.translation
+
+
+def image_of(layers, view, camera=CAMERA, background=120.0, samples=6, blur=0.0, noise=0.0, seed=0):
+    """The image (uint8) of layers that lie on one plane, later ones over earlier ones."""
+    values = np.full((camera.height, camera.width), float(background))
+    left, top, right, bottom = _bounds(layers, view, camera)
+    if right > left and bottom > top:
+        grid_u, grid_v = _grid(left, top, right, bottom, samples)
+        x, y = _on_plane(grid_u, grid_v, view, camera)
+        fine = np.full(grid_u.shape, float(background))
+        for layer in layers:
+            layer.paint(x, y, fine)
+        shape = (bottom - top, samples, right - left, samples)
+        values[top:bottom, left:right] = fine.reshape(shape).mean(axis=(1, 3))
+    if blur:
+        values = cv2.GaussianBlur(values, (0, 0), blur)
+    if noise:
+        values = values + np.random.default_rng(seed).normal(0.0, noise, values.shape)
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def true_corners(view, size=0.2, camera=CAMERA, centre=(0.0, 0.0)):
+    """Where the corners of a marker are seen, (4, 2) px."""
+    return camera.project(view.to_camera(corner_points(size, centre)))
+
+
+def corner_error(found, true):
+    """The largest distance between corners, px."""
+    return float(np.linalg.norm(np.asarray(found) - true, axis=1).max())
+
+
+def angle_between(first, second):
+    """Angle between two rotations, rad."""
+    return math.acos(np.clip((np.trace(first.T @ second) - 1.0) / 2.0, -1.0, 1.0))
+
+
+def _bounds(layers, view, camera):
+    corners = np.vstack([corner_points(layer.width, layer.centre) for layer in layers])
+    seen = camera.project(view.to_camera(corners))
+    if np.isnan(seen).any():
+        return 0, 0, camera.width, camera.height
+    low, high = np.floor(seen.min(axis=0)) - 2, np.ceil(seen.max(axis=0)) + 3
+    left, top = np.clip(low, 0, (camera.width, camera.height)).astype(int)
+    right, bottom = np.clip(high, 0, (camera.width, camera.height)).astype(int)
+    return left, top, right, bottom
+
+
+def _grid(left, top, right, bottom, samples):
+    """Places in pixels, `samples` each way, each moved at random within its share of the pixel.
+
+    On a regular grid an edge along a row or column would be seen at a multiple of a share.
+    """
+    chance = np.random.default_rng(0)
+    shape = ((bottom - top) * samples, (right - left) * samples)
+    row, column = np.indices(shape, dtype=float)
+    u = left + (column + chance.random(shape)) / samples - 0.5
+    v = top + (row + chance.random(shape)) / samples - 0.5
+    return u, v
+
+
+def _on_plane(u, v, view, camera):
+    """Where the rays of pixels meet the plane, in its frame."""
+    pixels = np.column_stack((u.ravel(), v.ravel())).astype(float)
+    if any(camera.distortion):
+        rays = cv2.undistortPoints(
+            pixels[:, None],
+            camera.matrix,
+            np.array(camera.distortion),
+            None,
+            None,
+            None,
+        )[:, 0]
+    else:
+        rays = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    rays = np.column_stack((rays, np.ones(len(rays))))
+    normal = view.rotation[:, 2]
+    scale = (normal @ view.translation) / (rays @ normal)
+    points = (rays * scale[:, None] - view.translation) @ view.rotation
+    return points[:, 0].reshape(u.shape), points[:, 1].reshape(u.shape)

@@ -1,0 +1,61 @@
+"""Worlds to take pictures of, written into a folder."""
+
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.simulation.description import Link, Mesh, Model, Visual, World
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.rendering.choice import probe_egl
+from bullet_lab.simulation.simulation import Simulation
+
+WHITE_LIGHT = (1.0, 1.0, 1.0, 1.0)
+RENDERERS = ("tiny", "egl")
+FOCAL = 320 / math.tan(math.radians(65) / 2)
+CAMERA = PinholeCamera(640, 480, FOCAL, FOCAL, 319.5, 239.5)
+
+
+def usable(renderer):
+    """Skip a test where its renderer does not work."""
+    if renderer == "egl" and not probe_egl()[0]:
+        pytest.skip("EGL does not work here")
+    return renderer
+
+
+def checkers(columns, rows, pixels=16, dark=20, bright=235):
+    """A checkerboard, dark at the top left."""
+    squares = np.indices((rows, columns)).sum(axis=0) % 2
+    return np.where(np.kron(squares, np.ones((pixels, pixels))), bright, dark).astype(np.uint8)
+
+
+def write_plate(folder, name, pixels, width, height):
+    """Write an upright plate, seen along +x, with an image on it; return its .obj file."""
+    Image.fromarray(pixels).save(folder / f"{name}.png")
+    (folder / f"{name}.mtl").write_text(f"newmtl face\nmap_Kd {name}.png\n")
+    y, z = 0.5 * width, 0.5 * height
+    lines = [f"mtllib {name}.mtl", "usemtl face"]
+    lines += [f"v 0 {a} {b}" for a, b in ((y, -z), (-y, -z), (-y, z), (y, z))]
+    lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", "f 1/1 2/2 3/3 4/4"]
+    path = folder / f"{name}.obj"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def thing(name, geometry, pose=None, colour=WHITE_LIGHT, static=True):
+    """A model of one shape."""
+    link = Link("link", visuals=(Visual(geometry, colour=colour),))
+    return Model(name, (link,), pose=pose or Pose(), static=static)
+
+
+def plate(path, pose):
+    """A model of a plate with an image."""
+    return thing(path.stem, Mesh(path, path.name), pose)
+
+
+def simulation_of(*models, renderer="tiny", **light):
+    """A simulation with these models, by default in even light that leaves all as it is."""
+    world = {"ambient": WHITE_LIGHT, "background": (0.0, 0.0, 1.0, 1.0), **light}
+    return Simulation(World("pictures", tuple(models), **world), renderer=renderer)

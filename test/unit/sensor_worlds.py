@@ -1,0 +1,58 @@
+"""Robots and things that the tests of sensors share."""
+
+from bullet_lab.simulation.description import World
+from bullet_lab.simulation.sdf_reader import read_model_text
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.urdf_reader import read_urdf
+
+INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+
+
+def empty(seed=0, gravity=(0.0, 0.0, 0.0)):
+    """A world of nothing; things float in it."""
+    return Simulation(World("empty", gravity=gravity), seed)
+
+
+def held():
+    """A world with gravity, which sensors know of, and in which nothing falls."""
+    simulation = Simulation(World("held"))
+    simulation._physics.set_gravity((0.0, 0.0, 0.0))
+    return simulation
+
+
+def carrier(gazebo="", collision="", links="", name="carrier"):
+    """A robot of one link, with what stands in it and hangs on it, and <gazebo> elements."""
+    return read_urdf(
+        f'<robot name="{name}"><link name="base">{INERTIAL}{collision}</link>{links}{gazebo}'
+        "</robot>",
+        "carrier",
+    )
+
+
+def sensor(kind, inner, plugin, tags="", link="base", name="the_sensor"):
+    """A <gazebo> element with a sensor in it."""
+    return (
+        f'<gazebo reference="{link}"><sensor type="{kind}" name="{name}">{inner}'
+        f'<plugin name="{name}_plugin" filename="{plugin}">{tags}</plugin></sensor></gazebo>'
+    )
+
+
+def thing(geometry, pose="0 0 0 0 0 0", name="thing"):
+    """A model that stands still."""
+    return read_model_text(
+        f'<sdf><model name="{name}"><static>true</static><pose>{pose}</pose><link name="l">'
+        f'<collision name="c"><geometry>{geometry}</geometry></collision></link></model></sdf>',
+        name,
+    )
+
+
+def box(size, pose, name="thing"):
+    """A box that stands still."""
+    return thing(f"<box><size>{size}</size></box>", pose, name)
+
+
+def record(robot, topic):
+    """A list that grows with the samples on a topic."""
+    samples = []
+    robot.listen(topic, samples.append)
+    return samples

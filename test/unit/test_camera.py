@@ -1,0 +1,325 @@
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from picture_worlds import RENDERERS, checkers, plate, simulation_of, thing, usable, write_plate
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.description import Box
+from bullet_lab.simulation.devices.camera import Camera
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.rendering.finish import CameraSettings, FinishError
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.urdf_reader import read_urdf
+
+SENSOR = """
+  <update_rate>{rate}</update_rate>
+  {pose}
+  <camera name="eye">
+    <horizontal_fov>1.2</horizontal_fov>
+    <image><width>160</width><height>120</height><format>{format}</format></image>
+    <clip><near>0.05</near><far>50</far></clip>
+    {more}
+  </camera>
+"""
+ROBOT = """<robot name="robot">
+  <link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>
+  </link>
+  <link name="mast"/>
+  <joint name="up" type="fixed"><parent link="base"/><child link="mast"/>
+    <origin xyz="0.1 0 0.5" rpy="0 0 0.3"/></joint>
+  <gazebo reference="mast"><sensor type="{kind}" name="s">{sensor}
+    <plugin filename="libgazebo_ros_camera.so" name="c">{tags}</plugin></sensor></gazebo>
+</robot>"""
+FOCAL = 80 / math.tan(0.6)
+WALL = thing("wall", Box((0.2, 20.0, 20.0)), Pose((3.0, 0, 0)), (0.5, 0.4, 0.3, 1.0))
+LEVELS = (128, 102, 76)
+
+
+def robot_text(tags="", rate=30, pose="", format="R8G8B8", more="", kind="camera"):
+    sensor = SENSOR.format(rate=rate, pose=pose, format=format, more=more)
+    return ROBOT.format(kind=kind, sensor=sensor, tags=tags)
+
+
+def add(simulation, **changes):
+    """Add the robot; return it and its camera."""
+    robot = simulation.add(read_urdf(robot_text(**changes), "robot"))
+    (camera,) = [device for device in robot.devices if isinstance(device, Camera)]
+    return robot, camera
+
+
+@pytest.fixture
+def wall():
+    with simulation_of(WALL, gravity=(0.0, 0.0, 0.0)) as simulation:
+        yield simulation
+
+
+def listen(robot, topic):
+    samples = []
+    robot.listen(topic, samples.append)
+    return samples
+
+
+def noise(stddev, mean=0.0, kind="gaussian"):
+    inner = f"<type>{kind}</type><mean>{mean}</mean><stddev>{stddev}</stddev>"
+    return f"<noise>{inner}</noise>"
+
+
+def test_names_follow_the_tags(wall):
+    tags = "<cameraName>mine</cameraName><imageTopicName>img</imageTopicName>"
+    tags += "<cameraInfoTopicName>geometry</cameraInfoTopicName><frameName>optical</frameName>"
+    _, camera = add(wall, tags=tags + "<robotNamespace>/bot/</robotNamespace>")
+    assert [output.topic for output in camera.outputs] == ["/bot/mine/img", "/bot/mine/geometry"]
+    assert camera.frame == "optical"
+
+
+def test_names_without_tags(wall):
+    _, camera = add(wall)
+    assert [output.topic for output in camera.outputs] == ["eye/image_raw", "eye/camera_info"]
+    assert camera.frame == "mast"
+
+
+def test_geometry(wall):
+    robot, camera = add(wall, tags="<hackBaseline>0.07</hackBaseline>")
+    infos = listen(robot, "eye/camera_info")
+    wall.run_for(0.1)
+    pinhole = infos[0].camera
+    assert (pinhole.width, pinhole.height, pinhole.cx, pinhole.cy) == (160, 120, 79.5, 59.5)
+    assert (pinhole.fx, pinhole.fy) == pytest.approx((FOCAL, FOCAL))
+    assert infos[0].baseline == 0.07
+    assert infos[0].frame == camera.frame
+
+
+@pytest.mark.parametrize("pose", ["", "<pose>0.2 0 -0.1 0 0.1 0.4</pose>"])
+def test_it_looks_along_the_x_axis_of_its_link(wall, pose):
+    _, camera = add(wall, pose=pose, tags="<frameName>anything</frameName>")
+    mast = Pose.from_rpy((0.1, 0, 0.5), (0, 0, 0.3))
+    own = Pose.from_rpy((0.2, 0, -0.1), (0, 0.1, 0.4)) if pose else Pose()
+    wanted = mast * own
+    assert camera.pose().position == pytest.approx(wanted.position)
+    assert camera.pose().rpy() == pytest.approx(wanted.rpy())
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_a_spot_is_seen_where_the_geometry_has_it(renderer, tmp_path):
+    spot = thing("spot", Box((0.04, 0.04, 0.04)), Pose((2.0, 0.9, 0.8)))
+    black = {"background": (0.0, 0.0, 0.0, 1.0), "gravity": (0.0, 0.0, 0.0)}
+    with simulation_of(spot, renderer=usable(renderer), **black) as simulation:
+        robot, camera = add(simulation, more="<distortion><k1>-0.2</k1><k2>0.05</k2></distortion>")
+        assert camera.camera.distortion == (-0.2, 0.05, 0, 0, 0)
+        for yaw in (0.0, 0.2, -0.1):
+            robot.place(Pose.from_rpy((0.0, 0.1, 0.1), (0.0, 0.0, yaw)))
+            moments = cv2.moments(cv2.cvtColor(camera.take(0), cv2.COLOR_RGB2GRAY))
+            seen = moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]
+            x, y, z = (
+                camera.pose()
+                .inverse()
+                .rotate(tuple(np.subtract((2.0, 0.9, 0.8), camera.pose().position)))
+            )
+            assert seen == pytest.approx(camera.camera.project([[-y, -z, x]])[0], abs=0.6)
+
+
+def test_distortion_of_the_plugin(wall):
+    keys = {"K1": -0.1, "K2": 0.02, "K3": 0.003, "T1": 0.001, "T2": -0.002}
+    tags = "".join(f"<distortion{k}>{v}</distortion{k}>" for k, v in keys.items())
+    _, camera = add(wall, tags=tags)
+    assert camera.camera.distortion == (-0.1, 0.02, 0.001, -0.002, 0.003)
+
+
+def test_exactly_as_many_pictures_as_the_rate_says(wall):
+    robot, _ = add(wall, rate=12)
+    images, infos = listen(robot, "eye/image_raw"), listen(robot, "eye/camera_info")
+    wall.run_for(1.0)
+    steps = [sample.step for sample in images]
+    assert steps == [math.ceil(1000 * k / 12) for k in range(1, 13)]
+    assert [sample.step for sample in infos] == steps
+
+
+@pytest.mark.parametrize(
+    ("sensor", "plugin", "rate"), [(20, 5, 5), (5, 20, 5), (0, 8, 8), (8, 0, 8), (0, 0, 30)]
+)
+def test_the_slower_rate_counts(wall, sensor, plugin, rate):
+    robot, _ = add(wall, rate=sensor, tags=f"<updateRate>{plugin}</updateRate>")
+    infos = listen(robot, "eye/camera_info")
+    wall.run_for(1.0)
+    assert len(infos) == rate
+
+
+def test_another_rate_from_now_on(wall):
+    robot, camera = add(wall)
+    infos = listen(robot, "eye/camera_info")
+    camera.set_rate(5.0, wall.step)
+    wall.run_for(1.0)
+    assert [sample.step for sample in infos] == [200, 400, 600, 800, 1000]
+
+
+def test_nothing_is_drawn_for_nobody(wall, monkeypatch):
+    robot, camera = add(wall)
+    drawn = []
+    monkeypatch.setattr(camera, "take", drawn.append)
+    wall.run_for(0.2)
+    infos = listen(robot, "eye/camera_info")
+    wall.run_for(0.2)
+    assert infos
+    assert not drawn
+    wants = [False]
+    camera.image.connect(lambda sample: None, lambda: wants[0])
+    wall.run_for(0.1)
+    assert not drawn
+    wants[0] = True
+    wall.run_for(0.1)
+    assert len(drawn) == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding", "levels"),
+    [
+        ("R8G8B8", "rgb8", LEVELS),
+        ("B8G8R8", "bgr8", LEVELS[::-1]),
+        ("L8", "mono8", 0.299 * 128 + 0.587 * 102 + 0.114 * 76),
+    ],
+)
+def test_formats(wall, name, encoding, levels):
+    robot, _ = add(wall, format=name)
+    images = listen(robot, "eye/image_raw")
+    wall.run_for(0.05)
+    assert images[0].encoding == encoding
+    assert images[0].pixels.shape[:2] == (120, 160)
+    assert images[0].pixels[60, 80] == pytest.approx(levels, abs=1)
+
+
+def test_noise_has_the_deviation_and_mean_that_are_asked_for(wall):
+    _, camera = add(wall, more=noise(0.04, 0.02))
+    pictures = np.array([camera.take(step) for step in range(20)], dtype=float)
+    off = pictures - np.array(LEVELS)
+    assert off.mean() == pytest.approx(255 * 0.02, abs=0.6)
+    assert off.std() == pytest.approx(255 * 0.04, rel=0.01)
+    # Normal: so much lies within one, two and three deviations.
+    scaled = np.abs(off - off.mean()) / off.std()
+    within = [(scaled < k).mean() for k in (1, 2, 3)]
+    assert within == pytest.approx([0.683, 0.954, 0.997], abs=0.03)
+    # Independent between neighbours, channels and pictures.
+    flat = off - off.mean()
+    pairs = [(flat[:, :, 1:], flat[:, :, :-1]), (flat[..., 0], flat[..., 1]), (flat[1:], flat[:-1])]
+    for one, other in pairs:
+        assert np.corrcoef(one.ravel(), other.ravel())[0, 1] == pytest.approx(0.0, abs=0.01)
+    over_time = flat.reshape(20, -1).std(axis=0).mean() / flat.std()
+    assert over_time == pytest.approx(1.0, abs=0.05)
+
+
+def test_noise_stops_at_black_and_white(wall):
+    _, camera = add(wall, more=noise(0.0, 0.9))
+    assert camera.take(0).min() == 255
+    camera.settings = replace(camera.settings, noise_mean=-0.9)
+    assert camera.take(0).max() == 0
+
+
+def picture(seed, step, listened=()):
+    with simulation_of(WALL) as simulation:
+        simulation.seed = seed
+        _, camera = add(simulation, more=noise(0.02))
+        for early in listened:
+            camera.take(early)
+        return camera.take(step).tobytes()
+
+
+def test_noise_follows_from_seed_and_time_only():
+    assert picture(1, 33) == picture(1, 33, listened=(5, 66))
+    assert picture(1, 33) != picture(2, 33)
+    assert picture(1, 33) != picture(1, 34)
+
+
+def test_blur_exposure_and_samples_at_any_time(tmp_path):
+    board = plate(write_plate(tmp_path, "board", checkers(8, 8), 2.0, 2.0), Pose((1.5, 0.4, 0.6)))
+    with simulation_of(board, gravity=(0.0, 0.0, 0.0)) as simulation:
+        _, camera = add(simulation, tags="<blur>0.0</blur><exposure>0.5</exposure>")
+        sharp = camera.take(0).astype(int)
+        assert sharp[60, 40:120].max() == pytest.approx(118, abs=2)
+        camera.settings = replace(camera.settings, blur=2.0)
+        soft = camera.take(0).astype(int)
+        steepest = [np.abs(np.diff(p[60, 40:120, 0])).max() for p in (sharp, soft)]
+        # Of an edge with a normal blur: height / (sigma sqrt(2 pi)).
+        assert steepest[0] > 60
+        assert steepest[1] == pytest.approx(107 / (2.0 * math.sqrt(2 * math.pi)), rel=0.15)
+        camera.settings = CameraSettings(samples=3.0)
+        assert camera.take(0).shape == (120, 160, 3)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"blur": -1.0},
+        {"samples": 0.0},
+        {"exposure": float("nan")},
+        {"noise_stddev": 2.0},
+        {"noise_mean": -1.5},
+        {"exposure": -0.1},
+    ],
+)
+def test_impossible_settings_are_refused(wrong):
+    with pytest.raises(FinishError):
+        CameraSettings(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format": "BAYER_RGGB8"}, "<format>: 'BAYER_RGGB8' is not one of R8G8B8, B8G8R8, L8"),
+        ({"rate": 5000}, "not within 0"),
+        ({"rate": "fast"}, "not a finite number"),
+        ({"more": noise(0.1, kind="custom")}, "<type>: 'custom' is not gaussian or none"),
+        ({"more": noise(-0.1)}, "not negative"),
+        ({"tags": "<samples>99</samples>"}, "99 samples"),
+        ({"tags": "<distortionK1>0.1</distortionK1>",
+          "more": "<distortion><k1>0.2</k1></distortion>"}, "other coefficients"),
+        ({"tags": "<distortionK1>-3</distortionK1>"}, "folds the picture over"),
+        ({"kind": "depth"}, 'needs a <sensor type="camera">'),
+    ],
+)  # fmt: skip
+def test_tags_that_make_no_camera(wall, changes, message):
+    with pytest.raises(LabError, match=message) as caught:
+        add(wall, **changes)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("1.2", "3.2"), ("1.2", "0"), ("160", "0"), ("160", "9000"), ("120", "7.5"), ("0.05", "60")],
+)
+def test_geometry_that_no_camera_has(wall, old, new):
+    text = robot_text().replace(f">{old}<", f">{new}<")
+    with pytest.raises(LabError):
+        wall.add(read_urdf(text, "robot"))
+
+
+@pytest.mark.parametrize(
+    ("renderer", "near", "told"), [("egl", 0.02, 1), ("egl", 0.05, 0), ("tiny", 0.02, 0)]
+)
+def test_a_near_plane_that_costs_depth_is_told_once(renderer, near, told, caplog):
+    with simulation_of(WALL, renderer=usable(renderer)) as simulation:
+        text = robot_text().replace("<near>0.05", f"<near>{near}")
+        (camera,) = simulation.add(read_urdf(text, "robot")).devices
+        for step in range(3):
+            camera.take(step)
+    assert caplog.text.count("EGL's 16 bits of depth do not tell apart") == told
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_the_lab_robot_sees_the_dock(renderer):
+    world = "package://bullet_lab/worlds/docking.world"
+    with Simulation.of(world, renderer=usable(renderer)) as simulation:
+        robot = simulation.spawn("package://bullet_lab/urdf/camera_robot.urdf")
+        images = listen(robot, "mycamera/image_raw")
+        simulation.run_for(0.1)
+        detector = cv2.aruco.ArucoDetector(
+            cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h10)
+        )
+        (corners,), ids, _ = detector.detectMarkers(images[-1].pixels)
+    assert ids.ravel().tolist() == [0]
+    # 0.2 m at 3.84 m.
+    assert np.ptp(corners[0], axis=0) == pytest.approx((26.2, 26.2), abs=2.0)
+    inside = images[-1].pixels[225:240, 312:327].astype(int)
+    assert np.ptp(inside) > 80
+    assert inside.max() < 250

@@ -1,0 +1,297 @@
+"""How the finds of the marker are judged, and what comes of it."""
+
+import csv
+import json
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+
+from bullet_lab.experiments import detection_range
+from bullet_lab.experiments.detection_range import main, run_detection_range
+from bullet_lab.experiments.detection_scenes import (
+    LIGHTS,
+    WORLDS,
+    Cell,
+    PrintedMarker,
+    camera_pose,
+)
+from bullet_lab.experiments.detection_tasks import RangeError, RangeSettings, tasks
+from bullet_lab.experiments.detection_trial import CellResult, Frame, Snapshot, judge
+from bullet_lab.experiments.free_camera import in_optical_frame
+from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.plotting.detection_figures import COLOURS, HIDDEN, heat_map, range_figure
+from bullet_lab.recording.detection_summary import describe, detection_summary, found_range
+from bullet_lab.vision.marker_observer import ObservedMarker
+from bullet_lab.vision.marker_pose import estimate_pose
+
+CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
+WANTED = WORLDS["docking"].wanted
+
+
+def cell(distance, degrees=0.0, world="docking", light="default"):
+    return Cell(world, light, distance, math.radians(degrees))
+
+
+def seen(printed, pose, identifier=0, shift=0.0):
+    """Return what a perfect detector would say of a marker; `shift` moves one corner, px."""
+    corners = CAMERA.project(in_optical_frame(pose, printed.corners()))
+    corners[2] += shift
+    estimate = estimate_pose(corners, printed.size, CAMERA)
+    return ObservedMarker(identifier, printed.size, corners, 0, 50.0, estimate)
+
+
+# ---- Judging ----
+
+
+def test_a_perfect_find_has_no_errors():
+    pose = camera_pose(1.0, math.radians(20.0), 0.03)
+    frame = judge([seen(WANTED, pose)], pose, WANTED, (), CAMERA)
+    assert (frame.found, frame.others, frame.doubles, frame.false) == (True, 0, 0, 0)
+    assert abs(frame.distance_error) < 1e-4 and frame.lateral_error < 1e-4
+    assert frame.rotation_error < 1e-3 and not frame.flipped
+
+
+def test_errors_are_measured_against_the_truth():
+    pose = camera_pose(1.0, 0.3)
+    near = camera_pose(0.99, 0.3)
+    markers = [seen(WANTED, near)]
+    frame = judge(markers, pose, WANTED, (), CAMERA)
+    assert frame.distance_error == pytest.approx(-0.01, abs=2e-4)
+    turned = judge([seen(WANTED, camera_pose(1.0, 0.3, 0.01))], pose, WANTED, (), CAMERA)
+    assert turned.lateral_error == pytest.approx(0.01, rel=0.03)
+    assert turned.rotation_error == pytest.approx(0.01, rel=0.05)
+
+
+def test_finds_are_told_apart_by_where_they_are():
+    pose = camera_pose(3.0, 0.0)
+    other = PrintedMarker(0.35, (3.3, 0.9, 0.5))
+    elsewhere = PrintedMarker(0.2, (3.3, -0.9, 0.5))
+    found = [seen(m, pose) for m in (other, WANTED, WANTED, elsewhere)]
+    frame = judge(found, pose, WANTED, (other,), CAMERA)
+    assert (frame.found, frame.others, frame.doubles, frame.false) == (True, 1, 1, 1)
+    frame = judge([seen(other, pose)], pose, WANTED, (other,), CAMERA)
+    assert (frame.found, frame.others, frame.false) == (False, 1, 0)
+    assert math.isnan(frame.distance_error)
+
+
+def test_another_id_or_corners_that_are_off_are_false():
+    pose = camera_pose(1.0, 0.0)
+    for marker in (seen(WANTED, pose, identifier=3), seen(WANTED, pose, shift=20.0)):
+        frame = judge([marker], pose, WANTED, (), CAMERA)
+        assert (frame.found, frame.false) == (False, 1)
+
+
+def test_a_cell_comes_down_to_rates_and_spreads():
+    frames = (
+        Frame(True, 1, 0, 0, 0.01, 0.002, math.radians(2.0)),
+        Frame(True, 0, 1, 0, -0.03, 0.004, math.radians(4.0), True),
+        Frame(False, 0, 0, 2),
+    )
+    row = CellResult(cell(2.0, 30.0), True, frames, 6.25).row()
+    assert (row["frames"], row["found"], row["rate"]) == (3, 2, pytest.approx(2.0 / 3.0))
+    counts = [row[f"{name}_detections"] for name in ("other", "double", "false")]
+    assert counts == [1, 1, 2] and row["flipped"] == 1
+    assert row["distance_error_m_median"] == pytest.approx(0.02)
+    assert row["distance_error_m_max"] == pytest.approx(0.03)
+    assert row["rotation_error_deg_max"] == pytest.approx(4.0)
+    assert (row["distance_m"], row["bearing_deg"]) == (2.0, 30.0)
+    empty = CellResult(cell(2.0), True, frames[2:], 6.25).row()
+    assert empty["rate"] == 0.0 and empty["lateral_error_m_median"] is None
+
+
+# ---- Ranges ----
+
+
+def rows_of(rates, bearing=0.0, world="marker_panel", light="default", frames=20):
+    return [
+        {
+            "world": world,
+            "light": light,
+            "distance_m": distance,
+            "bearing_deg": bearing,
+            "frames": frames,
+            "found": round(rate * frames),
+            "rate": rate,
+            "visible": True,
+            **{f"{kind}_detections": 0 for kind in ("other", "double", "false")},
+        }
+        for distance, rate in rates.items()
+    ]
+
+
+def test_the_range_is_the_longest_without_a_gap():
+    rates = {0.3: 1.0, 0.4: 0.9, 0.5: 0.95, 2.0: 1.0, 4.0: 1.0, 5.0: 0.94, 6.0: 1.0, 7.0: 1.0}
+    assert found_range(rows_of(rates), 0.0) == (0.5, 4.0)
+    assert found_range(rows_of({0.3: 0.1, 0.4: 1.0, 0.5: 0.0}), 0.0) == (0.4, 0.4)
+    assert found_range(rows_of({0.3: 0.1}), 0.0) == (None, None)
+    assert found_range(rows_of(rates), 30.0) == (None, None)
+
+
+def test_the_summary_has_the_ranges_of_each_world_and_light():
+    rows = rows_of({0.34: 1.0, 4.0: 1.0, 5.0: 1.0, 6.0: 0.5})
+    rows += rows_of({1.0: 1.0, 4.0: 0.95}, bearing=30.0)
+    rows += rows_of({1.0: 1.0}, light="dark")
+    rows += rows_of({1.0: 0.0}, world="docking")
+    summary = detection_summary(rows)
+    panel = summary["worlds"]["marker_panel"]
+    assert (panel["closest_m"], panel["farthest_frontal_m"]) == (0.34, 5.0)
+    assert panel["farthest_30deg_m"] == 4.0
+    assert panel["lights"]["dark"]["closest_m"] == 1.0
+    assert summary["worlds"]["docking"]["closest_m"] is None
+    targets = {target["target"]: target for target in summary["targets"]}
+    assert targets["100 % up to 4 m, 0 deg"]["met"]
+    missed = targets["100 % up to 4 m, 30 deg"]
+    assert (missed["frames"], missed["found"], missed["met"]) == (40, 39, False)
+    assert targets["95 % at 5 m, 0 deg"]["frames"] == 20
+    assert targets["closest 0.35 m"]["met"]
+    lines = "\n".join(describe({**summary, "dots": {"frames": 8, "false_detections": 2}}))
+    assert "marker_panel, default light: found from 0.34 m to 5 m frontal, to 4 m" in lines
+    assert "docking, default light: found from nowhere" in lines
+    assert "39 of 40 frames, MISSED" in lines
+    assert "false detections in 8 frames of the dots: 2" in lines
+
+
+def test_targets_that_were_not_tried_are_not_judged():
+    assert detection_summary(rows_of({1.0: 1.0}, world="docking"))["targets"] == []
+    named = [t["target"] for t in detection_summary(rows_of({1.0: 1.0}))["targets"]]
+    assert named == ["100 % up to 4 m, 0 deg"]
+
+
+# ---- Figures ----
+
+
+def test_the_picture_is_drawn_of_whatever_was_tried():
+    rows = [
+        *rows_of({1.0: 0.0}, light="dark"),
+        *rows_of({1.0: 0.0}, bearing=30.0, light="dark"),
+        *rows_of({1.0: 0.5}, world="docking", light="dark"),
+    ]
+    figure = range_figure(rows, detection_summary(rows), {})
+    assert "found from nowhere" in figure.get_suptitle()
+    assert len(heat_map("marker_panel", rows[:2]).axes) == 1
+
+
+def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_there():
+    rows = rows_of({0.5: 1.0, 1.0: 1.0, 2.0: 1.0, 3.0: 0.2, 4.0: 0.0})
+    png = cv2.imencode(".png", np.zeros((480, 640), np.uint8))[1].tobytes()
+    corners = np.array([[[300, 200], [340, 200], [340, 240], [300, 240]]], dtype=float)
+    found, missed = Snapshot(png, corners), Snapshot(png, np.zeros((0, 4, 2)))
+    pictures = {
+        ("marker_panel", row["distance_m"]): found if row["found"] > 10 else missed for row in rows
+    }
+    figure = range_figure(rows, detection_summary(rows), pictures)
+    assert "from 0.5 m to 2 m" in figure.get_suptitle()
+    shown = {axes.get_title(): axes.get_xlabel() for axes in figure.axes[3:]}
+    assert shown == {"0.5 m": "found", "1 m": "found", "2 m": "found", "3 m": "not found"}
+
+
+def test_a_heat_map_tells_hidden_cells_from_those_where_nothing_is_found():
+    rows = rows_of({1.0: 0.0, 2.0: 0.0, 3.0: 0.955})
+    rows[1]["visible"] = False
+    axes = heat_map("docking", rows).axes[0]
+    colours = [to_hex(patch.get_facecolor()) for patch in axes.patches]
+    assert colours == [COLOURS[0], HIDDEN, COLOURS[5]]
+    assert [text.get_text() for text in axes.texts] == ["0", "95"]
+
+
+# ---- The job ----
+
+SMALL = RangeSettings(
+    ("marker_panel", "docking"), ("default",), (0.5, 4.0), (0.0, 30.0), 2, 3, 5, "tiny"
+)
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"worlds": ("moon",)}, "worlds: 'moon' is not one of marker_panel"),
+        ({"lights": ()}, "lights must not be empty"),
+        ({"lights": ("dark", "dark")}, "twice"),
+        ({"distances": (0.0,)}, "distances must be from 0.1 to 50, not 0"),
+        ({"distances": (float("nan"),)}, "not nan"),
+        ({"bearings": (90.0,)}, "bearings must be from 0 to 85, not 90"),
+        ({"frames": 0}, "frames must be from 1"),
+        ({"dots": -1}, "dots must be from 0"),
+        ({"seed": -1}, "seed must be an integer >= 0, not -1"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(change, said):
+    with pytest.raises(RangeError) as caught:
+        replace(SMALL, **change)
+    assert said in str(caught.value)
+
+
+def test_worlds_but_two_are_tried_in_their_own_light_unless_asked_for_all():
+    settings = RangeSettings(distances=(1.0,), bearings=(0.0,), dots=60)
+    done = [task.cell for task in tasks(settings) if task.cell]
+    assert [c.light for c in done if c.world == "docking"] == list(LIGHTS)
+    assert [c.light for c in done if c.world == "docking_dots"] == ["default"]
+    assert [task.frames for task in tasks(settings) if not task.cell] == [25, 25, 10]
+    every = tasks(replace(settings, every_light=True, dots=0))
+    assert len(every) == 4 * len(WORLDS)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("range")
+    return folder, run_detection_range(folder, SMALL)
+
+
+def test_the_job_leaves_table_maps_picture_and_summary(results):
+    folder, summary = results
+    assert json.loads((folder / "summary.json").read_text()) == summary
+    assert summary["worlds"]["marker_panel"]["farthest_frontal_m"] == 4.0
+    assert summary["worlds"]["docking"]["farthest_30deg_m"] == 0.5
+    assert (summary["seed"], summary["renderer"], summary["frames_per_cell"]) == (5, "tiny", 2)
+    assert summary["dots"]["frames"] == 3 and summary["dots"]["false_detections"] == 0
+    with (folder / "cells.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 8 and {row["world"] for row in rows} == {"marker_panel", "docking"}
+    hidden = next(r for r in rows if r["visible"] == "false")
+    assert (hidden["distance_m"], hidden["bearing_deg"], hidden["found"]) == ("4", "30", "0")
+    for name in ("heat_map_marker_panel.png", "heat_map_docking.png", "detection_range.png"):
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_order_of_the_work_makes_no_difference(results, tmp_path):
+    def backwards(task, numbers):
+        return [(number, task(number)) for number in reversed(numbers)]
+
+    run_detection_range(tmp_path, SMALL, backwards)
+    names = sorted(path.name for path in results[0].iterdir())
+    assert names == sorted(path.name for path in tmp_path.iterdir())
+    for name in names:
+        assert (tmp_path / name).read_bytes() == (results[0] / name).read_bytes(), name
+
+
+def test_a_lost_task_ends_the_job_with_nothing_written(tmp_path):
+    def lose(task, numbers):
+        yield 0, detection_range.TaskLostError("every worker that tried it has died")
+
+    with pytest.raises(RangeError, match="task 0: every worker"):
+        run_detection_range(tmp_path, SMALL, lose)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["out", "--frames", "0"], "frames must be from 1"),
+        (["out", "--worlds", "moon"], "'moon' is not one of"),
+        (["out", "--distances", "far"], "invalid float value"),
+        (["out", "--workers", "-1"], "workers must be from 0"),
+        (["/proc/nowhere", "--renderer", "tiny"], "cannot make the folder"),
+        ([], "the following arguments are required: out"),
+    ],
+)
+def test_a_wrong_command_line_ends_with_one_line(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1

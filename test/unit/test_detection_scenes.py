@@ -1,0 +1,153 @@
+"""Where the marker is tried to be found, and the camera that looks at it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bullet_lab.experiments.detection_scenes import (
+    MARKER,
+    WORLDS,
+    Cell,
+    SceneError,
+    camera_pose,
+    is_reachable,
+    is_visible,
+    lit_world,
+    strewn_views,
+    views,
+)
+from bullet_lab.experiments.free_camera import (
+    FreeCamera,
+    FreeCameraError,
+    camera_alone,
+    in_optical_frame,
+)
+from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.simulation.description import Model
+from bullet_lab.simulation.pose import Pose
+
+CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
+
+
+def cell(distance, degrees=0.0, world="docking", light="default"):
+    return Cell(world, light, distance, math.radians(degrees))
+
+
+def test_straight_before_the_marker_the_camera_sees_it_right_ahead():
+    pose = camera_pose(1.0, 0.0)
+    assert pose.position == pytest.approx((3.0, 0.0, 0.44))
+    x, y, z = in_optical_frame(pose, [MARKER])[0]
+    assert (x, y, z) == pytest.approx((0.0, -0.06, 1.0))
+
+
+def test_a_bearing_is_seen_from_the_marker_and_the_camera_looks_back_at_it():
+    pose = camera_pose(2.0, math.radians(30.0))
+    assert pose.position[:2] == pytest.approx((4.0 - math.sqrt(3.0), 1.0))
+    assert in_optical_frame(pose, [MARKER])[0] == pytest.approx((0.0, -0.06, 2.0))
+
+
+def test_the_corners_are_those_of_an_upright_marker():
+    corners = WORLDS["docking"].wanted.corners()
+    corners = CAMERA.project(in_optical_frame(camera_pose(1.0, 0.0), corners))
+    left, right = 319.5 - 50.23, 319.5 + 50.23
+    assert corners[:, 0] == pytest.approx([left, right, right, left])
+    assert corners[0, 1] == corners[1, 1] < corners[2, 1] == corners[3, 1]
+
+
+def test_the_places_of_a_cell_are_on_both_sides_and_close_to_it():
+    for number, view in enumerate(views(cell(2.0, 30.0), 20, 1)):
+        x, y, z = view.pose.position
+        distance, bearing = math.hypot(4.0 - x, y), math.atan2(y, 4.0 - x)
+        assert distance == pytest.approx(2.0, abs=0.0101) and z == 0.44
+        assert bearing == pytest.approx((-1) ** number * math.radians(30.0), abs=0.0176)
+        ahead = in_optical_frame(view.pose, [MARKER])[0]
+        assert abs(math.atan2(ahead[0], ahead[2])) <= math.radians(2.0)
+
+
+def test_places_follow_from_the_cell_and_the_seed_alone():
+    assert views(cell(2.0), 3, 1) == views(cell(2.0), 5, 1)[:3]
+    others = [cell(2.0, 15.0), cell(2.5), cell(2.0, world="docking_dots"), cell(2.0, light="dark")]
+    numbers = {views(c, 1, 1)[0].number for c in [cell(2.0), *others]}
+    numbers.add(views(cell(2.0), 1, 2)[0].number)
+    assert len(numbers) == 6
+
+
+def test_strewn_places_are_all_over_the_world_but_not_in_its_walls():
+    places = strewn_views("docking_dots", 100, 1, 0)
+    assert places == strewn_views("docking_dots", 100, 1, 0)
+    assert places != strewn_views("docking_dots", 100, 1, 1)
+    x, y, _ = np.array([view.pose.position for view in places]).T
+    assert x.min() < -2.0 and x.max() > 3.0 and y.min() < -2.0 and y.max() > 2.0
+    assert not ((x > 1.95) & (abs(y) > 0.45) & (abs(y) < 0.75)).any()
+
+
+@pytest.mark.parametrize(
+    "distance, degrees, world, reachable, visible",
+    [
+        (0.3, 0.0, "docking", True, True),
+        (8.0, 0.0, "docking", True, True),
+        (0.5, 45.0, "docking", True, True),
+        (1.0, 30.0, "docking", False, True),  # nearer to the side wall than a robot comes
+        (2.0, 15.0, "docking", False, False),  # in the side wall
+        (4.0, 15.0, "docking", True, False),
+        (8.0, 60.0, "docking", True, False),
+        (4.0, 60.0, "marker_panel", True, True),
+        (0.3, 0.0, "marker_panel", True, True),
+    ],
+)
+def test_walls_are_in_the_way(distance, degrees, world, reachable, visible):
+    place = cell(distance, degrees, world)
+    assert is_reachable(place) is reachable
+    assert is_visible(place) is visible
+
+
+def test_a_world_in_another_light_is_the_same_world():
+    own, dark = lit_world("docking_dots", "default"), lit_world("docking_dots", "dark")
+    assert dark.models is own.models
+    assert (dark.lights, dark.ambient) != (own.lights, own.ambient)
+    for wrong in (("nowhere", "default"), ("docking", "disco")):
+        with pytest.raises(SceneError, match="there is no"):
+            lit_world(*wrong)
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_the_wanted_marker_and_the_others_are_where_the_pictures_have_them(name):
+    markers = [WORLDS[name].wanted, *WORLDS[name].others]
+    assert all(tuple(marker.middle)[:2] != (0.0, 0.0) for marker in markers)
+    # In a picture, black and white are where the corners say: just inside and outside.
+    with FreeCamera(lit_world(name, "default"), renderer="tiny") as camera:
+        pose = Pose.from_rpy((0.5, 0.4, 0.44), (0.0, 0.0, 0.0))
+        picture = camera.take(pose, 0).astype(float)
+        for marker in markers:
+            border = marker.size / 16.0
+            inside = replace(marker, size=marker.size - 2.0 * border).corners()
+            outside = replace(marker, size=marker.size + 0.8 * border).corners()
+            dark, light = (
+                [picture[round(v), round(u)] for u, v in project(camera, pose, corners)]
+                for corners in (inside, outside)
+            )
+            assert max(dark) + 30.0 < min(light), marker
+
+
+def project(camera, pose, points):
+    return camera.camera.project(in_optical_frame(pose, points))
+
+
+def test_the_free_camera_is_that_of_the_robot():
+    with FreeCamera(lit_world("marker_panel", "default"), renderer="tiny") as camera:
+        assert (camera.camera.width, camera.camera.height) == (640, 480)
+        assert camera.camera.fx == pytest.approx(502.3, abs=0.1)
+        pose = camera_pose(1.0, 0.0)
+        picture = camera.take(pose, 5)
+        assert picture.shape == (480, 640) and picture.dtype == np.uint8
+        assert np.array_equal(picture, camera.take(pose, 5))
+        other = camera.take(pose, 6)
+        assert not np.array_equal(picture, other)
+        assert np.abs(picture.astype(float) - other).mean() < 6.0
+
+
+def test_a_robot_without_a_camera_has_none_to_take_off():
+    with pytest.raises(FreeCameraError, match="robot 'blind' has no camera"):
+        camera_alone(Model("blind", ()))

@@ -1,0 +1,289 @@
+import csv
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from bullet_lab.experiments.dask_workers import TaskLostError, WorkersError
+from bullet_lab.experiments.dock_campaign import (
+    CampaignError,
+    CampaignSettings,
+    dask_workers,
+    describe,
+    main,
+    run_campaign,
+)
+from bullet_lab.experiments.dock_scenarios import DrawSettings, draw_scenario
+from bullet_lab.experiments.dock_trial import run_trial
+from bullet_lab.experiments.docking import DockingOutcome
+from bullet_lab.recording.dock_log import DockLogError
+
+FILES = ("dockings.jsonl", "campaign.csv", "campaign.png")
+
+
+def outcome_of(scenario, **values):
+    """What a docking of this scenario might have come to; every tenth or so fails."""
+    rng = np.random.default_rng(scenario.image_seed)
+    docked = rng.random() < 0.9
+    distance, lateral, yaw = rng.normal(0.0, 1.0, 3) * (0.002, 0.001, 0.1)
+    end = (3.44 + distance, lateral, np.radians(yaw)) if docked else scenario.start
+    said = {
+        "docked": docked,
+        "error_code": 0 if docked else 904,
+        "error_name": "NONE" if docked else "NOT_DETECTED",
+        "message": "",
+        "distance_error_m": distance,
+        "lateral_error_m": lateral,
+        "yaw_error_deg": yaw,
+        "wall_contacts": 0,
+        "retries": 0,
+        "sim_time_s": float(rng.uniform(30.0, 60.0)),
+        "images": 10,
+        "truth": np.array([(0.0, *scenario.start), (40.0, *end)]),
+        "estimate": np.empty((0, 4)),
+        "states": (),
+        "frames": (),
+        "renderer": "egl",
+    }
+    return DockingOutcome(**{**said, **values})
+
+
+def fake_trial(settings, index):
+    return run_trial(settings, index, outcome_of)
+
+
+def slow_trial(settings, index):
+    time.sleep(0.1)
+    return fake_trial(settings, index)
+
+
+def in_order(trial, indices):
+    return ((index, trial(index)) for index in indices)
+
+
+def shuffled(trial, indices):
+    indices = list(indices)
+    random.Random(1).shuffle(indices)
+    return in_order(trial, indices)
+
+
+def stopping_after(count):
+    def run(trial, indices):
+        for number, found in enumerate(shuffled(trial, indices)):
+            if number == count:
+                raise KeyboardInterrupt
+            yield found
+
+    return run
+
+
+def campaign(folder, run=in_order, dockings=30, trial=fake_trial, **draw):
+    settings = CampaignSettings(DrawSettings(**draw), dockings)
+    return run_campaign(folder, settings, run, trial)
+
+
+def summary_without_run(folder):
+    values = json.loads((folder / "summary.json").read_text())
+    del values["run"]
+    return values
+
+
+def assert_same_results(one, other):
+    for name in FILES:
+        assert (one / name).read_bytes() == (other / name).read_bytes(), name
+    assert summary_without_run(one) == summary_without_run(other)
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("reference")
+    campaign(folder)
+    return folder
+
+
+def test_files_say_what_happened(reference):
+    summary = json.loads((reference / "summary.json").read_text())
+    with (reference / "campaign.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["index"]) for row in rows] == list(range(30))
+    docked = [row for row in rows if row["result"] == "docked"]
+    assert summary["docked"] == len(docked) < 30
+    largest = max(abs(float(row["lateral_error_m"])) for row in docked)
+    assert summary["lateral_error_m"]["max"] == largest
+    assert summary["seed"] == 1
+    assert summary["run"]["dockings"] == 30
+    assert summary["run"]["sim_time_s"] == pytest.approx(summary["sim_time_s"])
+    assert (reference / "campaign.png").read_bytes().startswith(b"\x89PNG")
+    scenario = draw_scenario(DrawSettings(), 7)
+    assert tuple(float(rows[7][f"start_{axis}_m"]) for axis in "xy") == scenario.start[:2]
+
+
+def test_order_does_not_matter(reference, tmp_path):
+    campaign(tmp_path, shuffled)
+    assert_same_results(tmp_path, reference)
+
+
+def test_a_stopped_campaign_goes_on_where_it_was(reference, tmp_path):
+    for count in (4, 9, 0):
+        with pytest.raises(KeyboardInterrupt):
+            campaign(tmp_path, stopping_after(count))
+        assert not (tmp_path / "summary.json").exists()
+    done = []
+
+    def remember(trial, indices):
+        done.extend(indices)
+        return in_order(trial, indices)
+
+    campaign(tmp_path, remember)
+    assert len(done) == 30 - 13
+    assert_same_results(tmp_path, reference)
+
+
+def test_a_finished_campaign_can_be_enlarged(reference, tmp_path):
+    campaign(tmp_path, dockings=10)
+    campaign(tmp_path, dockings=30)
+    assert_same_results(tmp_path, reference)
+
+
+def test_a_finished_campaign_runs_nothing_again(tmp_path):
+    first = campaign(tmp_path)
+    second = campaign(tmp_path, lambda *_: pytest.fail("something was run again"))
+    assert first["docked"] == second["docked"]
+    assert second["run"]["real_time_factor"] is None
+    assert describe(second)
+
+
+def test_fewer_dockings_of_a_larger_campaign(tmp_path):
+    campaign(tmp_path, dockings=30)
+    summary = campaign(tmp_path, dockings=10)
+    assert summary["dockings"] == 10
+    assert len((tmp_path / "dockings.jsonl").read_text().splitlines()) == 31
+
+
+def test_another_campaign_in_the_folder_is_refused(tmp_path):
+    campaign(tmp_path, dockings=3)
+    with pytest.raises(DockLogError, match="seed 1, not 2"):
+        campaign(tmp_path, dockings=3, seed=2)
+
+
+def test_what_has_crashed_is_reported_and_the_rest_goes_on(tmp_path):
+    def run(trial, indices):
+        for index in indices:
+            yield index, TaskLostError("killed\nit") if index == 2 else trial(index)
+
+    summary = campaign(tmp_path, run, dockings=5)
+    assert summary["failures"]["crashed"] == 1
+    assert 2 in summary["failed_indices"]
+    with (tmp_path / "campaign.csv").open() as file:
+        row = list(csv.DictReader(file))[2]
+    assert (row["result"], row["message"], row["end_x_m"]) == ("crashed", "killed it", "")
+
+
+def test_an_error_of_the_docking_itself_is_a_crash_too():
+    def broken(scenario):
+        raise ZeroDivisionError("division by zero")
+
+    record = run_trial(DrawSettings(), 3, broken)
+    assert record["result"] == "crashed"
+    assert record["message"] == "ZeroDivisionError: division by zero"
+    assert list(record) == list(fake_trial(DrawSettings(), 3))
+
+
+@pytest.mark.parametrize(
+    ("values", "result"),
+    [
+        ({}, "docked"),
+        ({"wall_contacts": 1}, "wall_contact"),
+        ({"docked": False, "error_name": "TIMED_OUT"}, "timed_out"),
+        ({"docked": False, "error_name": "TIMED_OUT", "wall_contacts": 2}, "wall_contact"),
+        ({"lateral_error_m": -0.011}, "inaccurate"),
+        ({"yaw_error_deg": 1.1}, "inaccurate"),
+        ({"distance_error_m": -0.021}, "inaccurate"),
+    ],
+)
+def test_a_docking_counts_only_if_it_is_true(values, result):
+    right = {"docked": True, "error_name": "NONE", "lateral_error_m": 0.0, "yaw_error_deg": 0.0}
+
+    def dock(scenario):
+        return outcome_of(scenario, **{**right, "distance_error_m": 0.0, **values})
+
+    assert run_trial(DrawSettings(), 0, dock)["result"] == result
+
+
+def test_on_dask_it_is_the_same(reference, tmp_path):
+    campaign(tmp_path, dask_workers(2))
+    assert_same_results(tmp_path, reference)
+
+
+def test_killed_it_goes_on_with_what_it_has(reference, tmp_path):
+    log = tmp_path / "dockings.jsonl"
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path\n"
+        "import test_dock_campaign as t\n"
+        "if __name__ == '__main__':\n"
+        "    t.campaign(Path(sys.argv[2]), t.dask_workers(1), trial=t.slow_trial)\n"
+    )
+    script = tmp_path / "run.py"
+    script.write_text(code)
+    process = subprocess.Popen(
+        [sys.executable, str(script), os.path.dirname(__file__), str(tmp_path)],
+        stderr=subprocess.DEVNULL,
+    )
+    deadline = time.monotonic() + 60.0
+    while not log.exists() or log.read_bytes().count(b"\n") < 5:
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    lines = log.read_bytes().count(b"\n")
+    assert lines < 31
+    log.write_bytes(log.read_bytes()[:-7])
+    new = campaign(tmp_path)["run"]["dockings"]
+    assert new == 30 - (lines - 2)
+    assert_same_results(tmp_path, reference)
+
+
+@pytest.mark.parametrize("count", [0, 1_000_001])
+def test_impossible_numbers_of_dockings_are_refused(count):
+    with pytest.raises(CampaignError):
+        CampaignSettings(dockings=count)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "out"),
+        (["x", "-n", "0"], "n must be"),
+        (["x", "-n", "two"], "invalid int"),
+        (["x", "--worlds", "kitchen"], "kitchen"),
+        (["x", "--workers", "-1"], "workers"),
+        (["x", "--scheduler", "somewhere", "-n", "1"], "tcp://host:8786"),
+        (["/proc/no", "-n", "1"], "cannot make the folder"),
+    ],
+)
+def test_bad_command_lines_end_with_one_line(words, said, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as caught:
+        main([*words, "__name:=dock_campaign"])
+    assert caught.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("dock_campaign: ")
+    assert said in line
+
+
+def test_nobody_to_work_is_an_error_and_nothing_is_lost(tmp_path):
+    def run(trial, indices):
+        yield indices[0], trial(indices[0])
+        raise WorkersError("gone")
+
+    with pytest.raises(WorkersError):
+        campaign(tmp_path, run)
+    assert len((tmp_path / "dockings.jsonl").read_text().splitlines()) == 2
+    campaign(tmp_path)

@@ -1,0 +1,122 @@
+import json
+
+import pytest
+
+from bullet_lab.recording.dock_log import DockLog, DockLogError
+from bullet_lab.recording.files import FileError
+
+PARAMETERS = {"seed": 1, "worlds": ("a", "b")}
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "dockings.jsonl"
+
+
+def record(index, **values):
+    return {"index": index, "x": 0.1 + index, **values}
+
+
+def written(path, *indices):
+    log = DockLog(path, PARAMETERS)
+    for index in indices:
+        log.append(record(index))
+    log.close()
+
+
+def test_each_line_is_in_the_file_at_once(path):
+    log = DockLog(path, PARAMETERS)
+    log.append(record(3))
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    assert lines == [{"campaign": {"seed": 1, "worlds": ["a", "b"]}}, record(3)]
+    log.close()
+
+
+def test_a_stopped_campaign_is_found_again(path):
+    written(path, 2, 0)
+    log = DockLog(path, PARAMETERS)
+    assert log.records == {2: record(2), 0: record(0)}
+    log.append(record(1))
+    log.close()
+    assert len(path.read_text().splitlines()) == 4
+
+
+@pytest.mark.parametrize("kept", [1, 20, -1])
+def test_a_half_written_last_line_is_cut_off(path, kept):
+    written(path, 0, 1)
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[:-1]) + lines[-1][:kept])
+    log = DockLog(path, PARAMETERS)
+    assert log.records == {0: record(0)}
+    log.append(record(1))
+    log.close()
+    assert path.read_bytes() == b"".join(lines)
+
+
+def test_a_half_written_first_line_is_a_new_campaign(path):
+    path.write_bytes(b'{"camp')
+    written(path, 0)
+    assert len(path.read_text().splitlines()) == 2
+
+
+def test_sorted_it_is_the_same_however_it_came_about(path, tmp_path):
+    for name, order in (("a", (0, 1, 2)), ("b", (2, 0, 1))):
+        log = DockLog(tmp_path / name, PARAMETERS)
+        for index in order:
+            log.append(record(index))
+        log.sort()
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    indices = [json.loads(line)["index"] for line in (tmp_path / "b").open() if "index" in line]
+    assert indices == [0, 1, 2]
+
+
+def test_another_campaign_is_refused_with_what_differs(path):
+    written(path, 0)
+    before = path.read_bytes()
+    with pytest.raises(DockLogError, match=r"seed 1, not 2") as caught:
+        DockLog(path, {**PARAMETERS, "seed": 2})
+    assert "\n" not in str(caught.value)
+    with pytest.raises(DockLogError, match=r"worlds a b, not b"):
+        DockLog(path, {**PARAMETERS, "worlds": ("b",)})
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("text", ["hello\n", "[1]\n", '{"index": 0}\n', "\x00\n"])
+def test_another_file_is_refused(path, text):
+    path.write_text(text)
+    with pytest.raises(DockLogError, match=r"dockings\.jsonl"):
+        DockLog(path, PARAMETERS)
+    assert path.read_text() == text
+
+
+@pytest.mark.parametrize("line", ["hello", "[1]", "{}", '{"index": "0"}'])
+def test_a_broken_line_in_the_middle_is_named(path, line):
+    written(path, 0, 1)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:2], line, *lines[2:]]) + "\n")
+    with pytest.raises(DockLogError, match="line 3"):
+        DockLog(path, PARAMETERS)
+
+
+def test_two_campaigns_do_not_share_a_file(path):
+    log = DockLog(path, PARAMETERS)
+    with pytest.raises(DockLogError, match="another campaign"):
+        DockLog(path, PARAMETERS)
+    log.close()
+    DockLog(path, PARAMETERS).close()
+
+
+def test_a_folder_in_its_place_is_an_error_of_one_line(path):
+    path.mkdir()
+    with pytest.raises(FileError, match="cannot write"):
+        DockLog(path, PARAMETERS)
+
+
+def test_a_full_disk_is_an_error(path):
+    log = DockLog(path, PARAMETERS)
+    log._file.close()
+    log._file = open("/dev/full", "wb", buffering=0)  # noqa: SIM115
+    with pytest.raises(FileError, match="No space left"):
+        log.append(record(0))
+    assert log.records == {}
+    log.close()

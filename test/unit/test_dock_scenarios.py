@@ -1,0 +1,122 @@
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.experiments.dock_scenarios import (
+    DATABASE_ERROR,
+    DOCK_POSE,
+    FARTHEST,
+    LARGEST_BLUR,
+    LARGEST_IMAGE_NOISE,
+    LARGEST_ODOMETRY_STD,
+    NEAREST,
+    TURNING_RADIUS,
+    WIDEST,
+    WORLDS,
+    DrawSettings,
+    ScenarioError,
+    draw_scenario,
+    obstacles,
+)
+
+COUNT = 400
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return [draw_scenario(DrawSettings(seed=3), index) for index in range(COUNT)]
+
+
+def test_a_scenario_depends_on_seed_and_index_alone(drawn):
+    assert draw_scenario(DrawSettings(seed=3), 77) == drawn[77]
+    assert draw_scenario(DrawSettings(seed=4), 77) != drawn[77]
+    assert len({scenario.start for scenario in drawn}) == COUNT
+
+
+def test_numbers_are_plain_ones_that_json_and_every_process_know(drawn):
+    for scenario in drawn[:20]:
+        numbers = (*scenario.start, *scenario.dock_error, scenario.image_noise)
+        assert all(type(value) is float for value in numbers)
+        assert type(scenario.image_seed) is int
+        assert type(scenario.world) is str
+
+
+def test_starts_are_where_the_issue_wants_them(drawn):
+    x, y, yaw = np.array([scenario.start for scenario in drawn]).T
+    distance = DOCK_POSE[0] - x
+    bearing = np.arctan2(y, distance)
+    assert NEAREST <= distance.min() < NEAREST + 0.1
+    assert FARTHEST >= distance.max() > FARTHEST - 0.1
+    assert WIDEST - 0.1 < np.abs(bearing).max() <= WIDEST
+    assert yaw.min() < -3.0
+    assert yaw.max() > 3.0
+    # Inside of the walls, beside them, and before them.
+    assert np.sum((distance < 1.5) & (np.abs(y) < 0.3)) > 5
+    assert np.sum((distance < 1.9) & (np.abs(y) > 0.7)) > 5
+
+
+def test_a_start_leaves_room_to_turn(drawn):
+    for scenario in drawn:
+        world = scenario.world.rsplit("/", 1)[-1].replace(".world", "")
+        x, y, _ = scenario.start
+        assert min(wall.distance((x, y)) for wall in obstacles(world)) > TURNING_RADIUS
+
+
+def test_the_walls_are_those_of_the_issue():
+    for world in WORLDS:
+        inside = [
+            min(wall.distance((x, y)) for wall in obstacles(world))
+            for x, y in ((3.0, 0.0), (4.0 - 0.3, 0.0), (1.5, 0.0), (3.0, 0.6))
+        ]
+        assert inside[0] == pytest.approx(0.5, abs=0.02)
+        assert inside[1] == pytest.approx(0.3, abs=0.02)
+        assert inside[2] > 0.6
+        assert inside[3] == 0.0
+
+
+def test_all_that_is_to_vary_varies(drawn):
+    assert {scenario.world for scenario in drawn} == {
+        f"package://bullet_lab/worlds/{world}.world" for world in WORLDS
+    }
+    assert len({scenario.lighting for scenario in drawn}) == 4
+    errors = np.array([scenario.dock_error for scenario in drawn])
+    assert (np.abs(errors) <= DATABASE_ERROR).all()
+    assert (np.abs(errors).max(axis=0) > 0.9 * np.array(DATABASE_ERROR)).all()
+    for name, most in (("image_noise", LARGEST_IMAGE_NOISE), ("image_blur", LARGEST_BLUR)):
+        values = [getattr(scenario, name) for scenario in drawn]
+        assert 0.0 <= min(values) < 0.1 * most
+        assert 0.9 * most < max(values) <= most
+    noisy = [s.odometry_std for s in drawn if s.odometry == "noisy_odom"]
+    assert 0.3 * COUNT < len(noisy) < 0.7 * COUNT
+    assert max(noisy) <= LARGEST_ODOMETRY_STD
+    assert {s.odometry_std for s in drawn if s.odometry == "odom"} == {0.0}
+
+
+def test_choices_can_be_narrowed():
+    settings = DrawSettings(worlds=("docking_decoy",), lights=("dark",), odometry=("odom",))
+    for index in range(10):
+        scenario = draw_scenario(settings, index)
+        assert scenario.world.endswith("/docking_decoy.world")
+        assert scenario.lighting.endswith("/docking_dark.world")
+        assert scenario.odometry == "odom"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"seed": -1},
+        {"worlds": ()},
+        {"worlds": ("docking", "docking")},
+        {"worlds": ("kitchen",)},
+        {"lights": ("candle",)},
+        {"odometry": ("gps",)},
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(wrong):
+    with pytest.raises(ScenarioError):
+        DrawSettings(**wrong)
+
+
+def test_a_heading_is_an_angle(drawn):
+    assert all(-math.pi <= scenario.start[2] <= math.pi for scenario in drawn)

@@ -1,0 +1,81 @@
+import csv
+import json
+
+import pytest
+
+from bullet_lab.numerics.binomial import lower_bound
+from bullet_lab.recording.dock_summary import campaign_summary, error_figures, write_campaign_csv
+
+
+def record(index, result="docked", **values):
+    return {
+        "index": index,
+        "world": "docking",
+        "light": "default",
+        "odometry": "odom",
+        "result": result,
+        "distance_error_m": 0.001,
+        "lateral_error_m": -0.002,
+        "yaw_error_deg": 0.1,
+        "wall_contacts": 0,
+        "retries": 1,
+        "sim_time_s": 30.0,
+        "renderer": "egl",
+        **values,
+    }
+
+
+def crashed(index):
+    nothing = ("distance_error_m", "lateral_error_m", "yaw_error_deg")
+    rest = ("wall_contacts", "retries", "sim_time_s", "renderer")
+    return record(index, "crashed", **dict.fromkeys((*nothing, *rest)))
+
+
+def test_all_succeeded():
+    found = campaign_summary([record(i) for i in range(100)])
+    assert (found["dockings"], found["docked"], found["success_rate"]) == (100, 100, 1.0)
+    assert found["success_rate_lower_95"] == lower_bound(100, 100)
+    assert (found["failures"], found["failed_indices"]) == ({}, [])
+    assert found["lateral_error_m"] == {"median": 0.002, "p95": 0.002, "max": 0.002}
+    assert (found["retries"], found["sim_time_s"]) == (100, 3000.0)
+
+
+def test_failures_are_counted_by_reason_and_their_errors_are_not():
+    records = [
+        record(0),
+        record(1, "not_detected", lateral_error_m=3.0),
+        crashed(2),
+        record(3, "wall_contact", wall_contacts=4, world="docking_dots"),
+        record(4, "not_detected"),
+    ]
+    found = campaign_summary(records)
+    assert found["docked"] == 1
+    assert found["success_rate"] == 0.2
+    assert found["failures"] == {"crashed": 1, "not_detected": 2, "wall_contact": 1}
+    assert found["failed_indices"] == [1, 2, 3, 4]
+    assert found["lateral_error_m"]["max"] == 0.002
+    assert (found["wall_contacts"], found["dockings_with_contact"]) == (4, 1)
+    assert found["by_world"] == {"docking": "1 of 4", "docking_dots": "0 of 1"}
+    assert found["renderers"] == {"egl": 4}
+
+
+def test_nothing_succeeded():
+    found = campaign_summary([crashed(0)])
+    assert found["success_rate_lower_95"] == 0.0
+    assert found["yaw_error_deg"] == {"median": None, "p95": None, "max": None}
+    assert found["longest_sim_time_s"] is None
+    json.dumps(found, allow_nan=False)
+
+
+def test_error_figures_are_of_magnitudes():
+    found = error_figures([-3.0, 1.0, 2.0, 0.0])
+    assert found == {"median": 1.5, "p95": pytest.approx(2.85), "max": 3.0}
+
+
+def test_the_table_keeps_every_digit(tmp_path):
+    path = tmp_path / "campaign.csv"
+    write_campaign_csv(path, [record(0, distance_error_m=0.1 + 0.2), crashed(1)])
+    with path.open() as file:
+        first, second = csv.DictReader(file)
+    assert float(first["distance_error_m"]) == 0.1 + 0.2
+    assert (second["result"], second["distance_error_m"]) == ("crashed", "")

@@ -1,0 +1,134 @@
+"""Tests of what is known of a marker: its pose, both its yaws, and whether it is real."""
+
+import math
+from dataclasses import replace
+
+import docking_standin as standin
+import numpy as np
+import pytest
+
+from bullet_lab.docking.candidate import Candidate, DockPrior
+from bullet_lab.docking.marker_model import PixelNoise, Viewpoint, predict
+from bullet_lab.docking.motion import motion_step
+from bullet_lab.docking.types import Odometry
+from bullet_lab.numerics import se2
+
+DOCK = np.array([4.0, 0.0, 0.0])
+VIEW = Viewpoint(standin.CAMERA, standin.MOUNT)
+QUIET = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.15, dropout=0.0, tilt=0.0, walls=False)
+WIDE = np.diag([0.3, 0.3, 0.2]) ** 2
+
+
+def look(pose, rng, shown=standin.Print()):
+    return standin.see_print(se2.between(DOCK, pose), shown, QUIET, rng)
+
+
+def drive(start, steps, shown=standin.Print(), prior=None, seed=1, images_per_step=1):
+    """Follow a drive of equal steps (dx, dy, dyaw); return candidate and last pose."""
+    rng = np.random.default_rng(seed)
+    pose = np.array(start, dtype=float)
+    believed = se2.between(pose, DOCK) if prior is None else prior
+    candidate = Candidate(
+        look(pose, rng, shown), VIEW, 0.2, 0.5, DockPrior(believed, WIDE), PixelNoise()
+    )
+    for step in steps:
+        pose = se2.compose(pose, step)
+        candidate.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), Odometry(0.2, tuple(step))))
+        for _ in range(images_per_step):
+            corners = look(pose, rng, shown)
+            if corners is not None:
+                candidate.see(corners, VIEW)
+    return candidate, pose
+
+
+def test_derivatives_are_those_of_the_pixels():
+    state = np.array([[2.5, 0.4, 0.3, 0.5, 0.0]])
+    seen, by_state, by_tilt = predict(state, np.array([0.2]), VIEW)
+    for index in range(5):
+        moved = state.copy()
+        moved[0, index] += 1e-3
+        there, _, _ = predict(moved, np.array([0.2]), VIEW)
+        assert (there - seen)[0] / 1e-3 == pytest.approx(by_state[0, :, index], rel=0.02, abs=0.5)
+    # A robot that pitches nose down sees the marker higher up; one that turns left, to the right.
+    assert np.all(np.abs(by_tilt[0, 1::2, 0]) > 400.0)
+    assert np.all(np.abs(by_tilt[0, 0::2, 2]) > 400.0)
+
+
+def test_finds_the_pose_on_an_approach():
+    steps = [(0.05, 0.0, -0.002)] * 56
+    candidate, pose = drive((0.6, 0.15, 0.0), steps)
+    estimate = candidate.estimate()
+    error = estimate.mean - se2.between(pose, DOCK)
+    assert np.hypot(error[0], error[1]) < 0.002
+    assert abs(error[2]) < math.radians(0.3)
+    assert np.all(np.abs(error) < 4.0 * estimate.deviations)
+    assert candidate.real > 0.99
+
+
+def test_one_far_image_leaves_both_yaws_open():
+    candidate, pose = drive((0.6, -0.5, 0.15), [])
+    poses, _, weights = candidate.components()
+    true = se2.between(pose, DOCK)
+    assert np.ptp(poses[weights > 0.02, 2]) > math.radians(5.0)
+    assert np.min(np.abs(poses[:, 2] - true[2])) < math.radians(5.0)
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.5, 1.75, 3.0])
+def test_a_copy_of_another_size_is_found_out_by_driving(scale):
+    # It stands where it seems to be the marker at the start, and at the right height.
+    height = 0.44 + 0.06 * scale
+    distance = 1.9 * scale
+    shown = standin.Print((1.9 + 0.16 - distance, 0.0, 0.0), height, 0.2 * scale)
+    start = (1.9 + 0.0, 0.0, 0.0)
+    shown = replace(shown, pose=(start[0] + 0.16 + distance - 4.0, 0.0, 0.0))
+    prior = np.array([2.06, 0.0, 0.0])
+    candidate, _ = drive(start, [(0.04, 0.0, 0.0)] * 3, shown, prior)
+    assert candidate.real > 0.5
+    candidate, _ = drive(start, [(0.04, 0.0, 0.0)] * 20, shown, prior)
+    assert candidate.real < 0.02
+    assert candidate.likeliest_size() == pytest.approx(0.2 * scale, rel=0.1)
+
+
+def test_standing_still_proves_nothing():
+    candidate, _ = drive((1.5, 0.1, 0.0), [(0.0, 0.0, 0.0)] * 200)
+    assert candidate.real == pytest.approx(0.9, abs=0.02)
+    assert candidate.estimate().deviations[2] > math.radians(0.3)
+
+
+def test_a_wrong_height_is_no_marker():
+    lifted = standin.Print(height=0.62)
+    candidate, _ = drive((2.0, 0.0, 0.0), [(0.03, 0.0, 0.0)] * 3, lifted)
+    assert candidate.real < 0.02
+
+
+def test_what_the_database_rules_out_is_no_marker():
+    candidate, _ = drive((1.0, 0.0, 0.0), [], prior=np.array([1.2, 0.5, 0.0]))
+    assert candidate.real < 0.02
+
+
+def test_moves_with_the_odometry():
+    candidate, pose = drive((1.5, 0.2, 0.1), [(0.02, 0.0, 0.0)] * 20)
+    before = candidate.estimate().mean
+    step = (-0.4, 0.0, 0.6)
+    candidate.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), Odometry(1.0, step)))
+    assert candidate.estimate().mean == pytest.approx(se2.between(step, before), abs=1e-6)
+
+
+def test_noise_of_the_odometry_widens_it():
+    candidate, _ = drive((1.5, 0.2, 0.1), [(0.02, 0.0, 0.0)] * 20)
+    before = candidate.estimate().deviations
+    noisy = Odometry(1.0, (0.1, 0.0, 0.0), twist_covariance=np.diag([0.02, 0.0, 0.05]) ** 2)
+    candidate.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), noisy))
+    assert np.all(candidate.estimate().deviations[1:] > before[1:] + 0.005)
+
+
+def test_an_odd_image_is_passed_over_and_a_new_place_believed_in_the_end():
+    candidate, pose = drive((2.0, 0.0, 0.0), [(0.03, 0.0, 0.0)] * 20)
+    before = candidate.estimate().mean
+    rng = np.random.default_rng(3)
+    odd = look(se2.compose(pose, (0.0, 0.03, 0.1)), rng)
+    candidate.see(odd, VIEW)
+    assert candidate.estimate().mean == pytest.approx(before)
+    for _ in range(30):
+        candidate.see(look(se2.compose(pose, (0.0, 0.03, 0.1)), rng), VIEW)
+    assert abs(candidate.estimate().mean[2] - before[2] + 0.1) < 0.03

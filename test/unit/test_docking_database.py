@@ -1,0 +1,92 @@
+"""Tests of the dock database: what it accepts, and the one line when it does not."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from bullet_lab.docking.database import (
+    DatabaseError,
+    UnknownDockError,
+    find_dock,
+    parse_docks,
+    read_docks,
+)
+
+SHIPPED = Path(__file__).parents[2] / "config" / "docks.yaml"
+GOOD = """
+docks:
+  home:
+    frame: map
+    pose: [1.0, -2.0, 90]
+    marker: {dictionary: DICT_4X4_50, id: 3, size: 0.1, height: 0.4}
+    walls: {opening: 1.0, depth: 2.0, thickness: 0.2}
+    staging_distance: 3.0
+    docked_distance: 0.4
+    tolerance: {distance: 0.005, lateral: 0.005, yaw_deg: 0.5}
+    uncertainty: {position: 0.3, yaw_deg: 10}
+"""
+
+
+def test_reads_a_dock():
+    dock = parse_docks(GOOD)["home"]
+    assert dock.frame == "map"
+    assert dock.pose == pytest.approx((1.0, -2.0, math.pi / 2.0))
+    assert (dock.marker.id, dock.marker.size) == (3, 0.1)
+    assert dock.walls.depth == 2.0
+    assert dock.tolerance.yaw == pytest.approx(math.radians(0.5))
+    assert dock.uncertainty.yaw == pytest.approx(math.radians(10.0))
+
+
+def test_a_dock_may_have_no_walls():
+    text = GOOD.replace("    walls: {opening: 1.0, depth: 2.0, thickness: 0.2}\n", "")
+    assert parse_docks(text)["home"].walls is None
+
+
+def test_the_shipped_database_is_good():
+    docks = read_docks(SHIPPED)
+    assert docks["dock"].pose == (4.0, 0.0, 0.0)
+    assert docks["nested_dock"].marker.size == 0.075
+    assert docks["panel"].walls is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("size: 0.1", "size: -0.1", "docks: home: marker: size is -0.1"),
+        ("size: 0.1", "size: .nan", "docks: home: marker: size is nan"),
+        ("id: 3", "id: 3.5", "docks: home: marker: id is 3.5"),
+        ("id: 3", "id: true", "docks: home: marker: id is True"),
+        ("id: 3, ", "", "docks: home: marker: id is missing"),
+        ("pose: [1.0, -2.0, 90]", "pose: [1.0, -2.0]", "docks: home: pose is [1.0, -2.0]"),
+        ("pose: [1.0, -2.0, 90]", "pose: [1.0, .inf, 90]", "docks: home: pose is [1.0, inf, 90]"),
+        ("frame: map", "frame: ''", "docks: home: frame is ''"),
+        ("height: 0.4", "height: 0.4, hieght: 1", "docks: home: marker: unknown key hieght"),
+        ("staging_distance: 3.0", "staging_distance: 1.5", "staging_distance is 1.5, not outside"),
+        ("docked_distance: 0.4", "docked_distance: 4.0", "not beyond docked_distance"),
+        ("docks:", "doks:", "docks is missing"),
+        ("marker: {", "marker: [", "no YAML"),
+    ],
+)
+def test_says_what_is_wrong(old, new, said):
+    with pytest.raises(DatabaseError) as error:
+        parse_docks(GOOD.replace(old, new), "docks.yaml")
+    assert said in str(error.value)
+    assert str(error.value).startswith("docks.yaml")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["", "docks: {}", "docks: [1]", "3", "docks:\n  1: {}"])
+def test_refuses_what_holds_no_docks(text):
+    with pytest.raises(DatabaseError):
+        parse_docks(text)
+
+
+def test_refuses_a_missing_file(tmp_path):
+    with pytest.raises(DatabaseError, match=r"nothing\.yaml"):
+        read_docks(tmp_path / "nothing.yaml")
+
+
+def test_names_the_known_docks():
+    with pytest.raises(UnknownDockError, match="no dock 'harbour'; known are home"):
+        find_dock(parse_docks(GOOD), "harbour")

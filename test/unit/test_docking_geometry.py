@@ -1,0 +1,67 @@
+"""Tests of walls and sight, against the stand-in's own arithmetic."""
+
+import math
+
+import docking_standin as standin
+import numpy as np
+import pytest
+
+from bullet_lab.docking.geometry import View, clearance, wall_boxes
+
+STAND = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.0, dropout=0.0, tilt=0.0)
+DOCK = standin.make_dock(STAND)
+BOXES = wall_boxes(DOCK)
+
+
+@pytest.mark.parametrize(
+    ("point", "away"),
+    [
+        ((-1.0, 0.0), 0.5),
+        ((-1.0, 0.2), 0.3),
+        ((-0.1, 0.0), 0.1),
+        ((-3.0, 0.6), 1.0),
+        ((-1.0, -0.9), 0.2),
+        ((-1.0, 0.6), 0.0),
+        ((-2.3, 0.1), 0.5),
+    ],
+)
+def test_distance_from_the_walls(point, away):
+    assert clearance(np.array(point), BOXES) == pytest.approx(away)
+
+
+def test_without_walls_all_is_free():
+    assert np.isinf(clearance(np.zeros((3, 2)), np.empty((0, 4)))).all()
+
+
+def test_sight_is_never_promised_where_there_is_none():
+    rng = np.random.default_rng(4)
+    view = View(DOCK, standin.CAMERA, standin.MOUNT.z)
+    promised = kept = 0
+    for _ in range(3000):
+        camera = (rng.uniform(-6.0, -0.2), rng.uniform(-3.0, 3.0), rng.uniform(-1.2, 1.2))
+        if not view.seen(np.array(camera)):
+            continue
+        promised += 1
+        robot = (
+            camera[0] - standin.MOUNT.x * math.cos(camera[2]),
+            camera[1] - standin.MOUNT.x * math.sin(camera[2]),
+            camera[2],
+        )
+        kept += standin.see_print(robot, standin.Print(), STAND, rng) is not None
+    assert promised > 100
+    assert kept == promised
+
+
+def test_the_walls_hide_the_marker_beyond_14_degrees():
+    view = View(DOCK, standin.CAMERA, standin.MOUNT.z)
+    straight = math.radians(8.0)
+    hidden = math.radians(15.0)
+    for angle, seen in ((straight, True), (hidden, False)):
+        x, y = -4.0 * math.cos(angle), 4.0 * math.sin(angle)
+        assert bool(view.open_sight(x, y)) is seen
+
+
+def test_too_near_the_marker_leaves_the_image():
+    view = View(DOCK, standin.CAMERA, standin.MOUNT.z)
+    assert view.open_sight(-0.40, 0.0)
+    assert not view.open_sight(-0.25, 0.0)

@@ -1,0 +1,191 @@
+"""The docking worlds, the models in them, and the program that made these."""
+
+import re
+import shlex
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bullet_lab.markers.make_marker import main
+from bullet_lab.simulation.description import Box, Mesh
+from bullet_lab.simulation.meshes import load_triangles
+from bullet_lab.simulation.resources import package_share
+from bullet_lab.simulation.sdf_reader import read_world_file
+from bullet_lab.simulation.simulation import Simulation
+
+ROOT = package_share()
+DOCKS = ("docking", "docking_dots", "docking_nested", "docking_decoy")
+LIGHTS = ("docking_dark", "docking_bright", "docking_backlit")
+COMMANDS = {
+    "docking_station": "--on dock",
+    "docking_station_dots": "--on dock --dots",
+    "docking_station_nested": "--on dock --size 0.075 --around 0.8",
+    "marker_panel": "--on panel",
+    "marker_panel_large": "--on panel --size 0.35",
+}
+
+
+def world(name):
+    return read_world_file(ROOT / "worlds" / f"{name}.world")
+
+
+def model(name, of):
+    return next(m for m in of.models if m.name == name)
+
+
+def boxes(of):
+    """Return {collision's name: (lower corner, upper corner)} in the world."""
+    found = {}
+    for link in of.links:
+        for collision in link.collisions:
+            assert isinstance(collision.geometry, Box)
+            centre = np.array((of.pose * link.pose * collision.pose).position)
+            half = 0.5 * np.array(collision.geometry.size)
+            found[collision.name] = (centre - half, centre + half)
+    return found
+
+
+def mesh_bounds(of):
+    link = of.links[0]
+    visual = next(v for v in link.visuals if isinstance(v.geometry, Mesh))
+    pose = of.pose * link.pose * visual.pose
+    assert pose.rpy() == (0.0, 0.0, 0.0)
+    corners = load_triangles(visual.geometry).vertices + pose.position
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def close(bounds, lower, upper):
+    return np.allclose(bounds, (lower, upper), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", DOCKS + LIGHTS)
+def test_the_dock_is_a_u_of_three_static_boxes(name):
+    station = model("docking_station", world(name))
+    assert station.static and not station.joints
+    walls = boxes(station)
+    assert close(walls.pop("back_wall"), (4.0, -0.5, 0.0), (4.2, 0.5, 1.0))
+    assert close(walls.pop("left_wall"), (2.0, 0.5, 0.0), (4.2, 0.7, 1.0))
+    assert close(walls.pop("right_wall"), (2.0, -0.7, 0.0), (4.2, -0.5, 1.0))
+    assert not walls
+
+
+@pytest.mark.parametrize("name", DOCKS + LIGHTS)
+def test_what_is_seen_of_the_back_wall_is_what_is_touched(name):
+    station = model("docking_station", world(name))
+    assert close(mesh_bounds(station), *boxes(station)["back_wall"])
+
+
+@pytest.mark.parametrize("name", DOCKS + LIGHTS)
+def test_nothing_darkens_the_paper_of_the_marker(name):
+    station = model("docking_station", world(name))
+    textured = [v for v in station.links[0].visuals if isinstance(v.geometry, Mesh)]
+    assert [v.colour for v in textured] == [(1.0, 1.0, 1.0, 1.0)]
+
+
+def test_the_panel_bears_the_marker_where_the_dock_does():
+    panel = model("marker_panel", world("marker_panel"))
+    assert panel.static
+    parts = boxes(panel)
+    assert close(parts["plate"], (4.0, -0.125, 0.375), (4.02, 0.125, 0.625))
+    assert close(mesh_bounds(panel), *parts["plate"])
+    assert close(parts["post"], (4.0, -0.02, 0.0), (4.02, 0.02, 0.375))
+
+
+def test_the_decoy_stands_outside_of_where_robots_start_and_in_nobodys_way():
+    of = world("docking_decoy")
+    lower, upper = boxes(model("decoy", of))["plate"]
+    assert np.allclose(upper - lower, (0.02, 0.35 * 10 / 8, 0.35 * 10 / 8))
+    # More than the robot's radius beyond the sector of 60 degrees about the axis.
+    nearest = np.array([lower[0], lower[1]])
+    angle = np.arctan2(nearest[1], 4.0 - nearest[0])
+    clearance = np.hypot(*(nearest - (4.0, 0.0))) * np.sin(angle - np.radians(60.0))
+    assert clearance > 0.05
+    # No gap beside the dock that a robot could be caught in, and none too narrow to pass.
+    assert lower[1] - 0.7 > 2.0 * 0.285
+
+
+def test_the_decoy_is_seen_from_the_origin_past_the_wall():
+    lower, _ = boxes(model("decoy", world("docking_decoy")))["plate"]
+    corner_of_the_wall = (2.0, 0.7)
+    assert lower[1] / lower[0] > corner_of_the_wall[1] / corner_of_the_wall[0]
+    assert np.degrees(np.arctan2(*lower[1::-1])) < 32.5
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_the_lights_are_all_that_differs(name):
+    plain, other = world("docking"), world(name)
+    assert [m.name for m in other.models] == [m.name for m in plain.models]
+    for one, two in zip(plain.models, other.models):
+        assert (one.pose, repr(one.links)) == (two.pose, repr(two.links))
+    assert (plain.lights, plain.ambient) != (other.lights, other.ambient)
+
+
+@pytest.mark.parametrize("name", DOCKS + LIGHTS + ("marker_panel",))
+def test_pybullet_loads_them(name):
+    with Simulation(world(name)) as simulation:
+        simulation.run_for(0.01)
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_the_models_are_what_the_documented_command_makes(name, tmp_path, capsys):
+    assert run(f"{tmp_path / name} {COMMANDS[name]}") == 0
+    made = {p.relative_to(tmp_path): p for p in tmp_path.rglob("*") if p.is_file()}
+    kept = {p.relative_to(ROOT / "models") for p in (ROOT / "models" / name).rglob("*.*")}
+    assert set(made) == {path for path in kept if (ROOT / "models" / path).is_file()}
+    for path, file in made.items():
+        committed = ROOT / "models" / path
+        if path.suffix == ".png":
+            # How well a picture is packed depends on the version of the library.
+            assert np.array_equal(np.asarray(Image.open(file)), np.asarray(Image.open(committed)))
+        else:
+            assert file.read_text() == committed.read_text(), path
+
+
+def test_the_same_command_makes_the_same_bytes(tmp_path, capsys):
+    for folder in ("a", "b"):
+        assert run(f"{tmp_path / folder / 'tag'} --dictionary 5x5_100 --id 9 --quiet 2") == 0
+    for name in ("tag.png", "tag.obj", "tag.mtl"):
+        first, second = (tmp_path / folder / "tag" / name for folder in ("a", "b"))
+        assert first.read_bytes() == second.read_bytes()
+    assert "Marker 9 of 5x5_100, 0.2 m" in capsys.readouterr().out
+
+
+def test_a_made_model_can_be_put_into_a_world(tmp_path, monkeypatch, capsys):
+    assert run(f"{tmp_path}/my_panel --on panel --dictionary DICT_4X4_50 --height 0.3 --id 4") == 0
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tmp_path))
+    text = (ROOT / "worlds" / "marker_panel.world").read_text()
+    (tmp_path / "my.world").write_text(text.replace("model://marker_panel", "model://my_panel"))
+    panel = model("marker_panel", read_world_file(tmp_path / "my.world"))
+    lower, upper = boxes(panel)["plate"]
+    assert 0.5 * (lower + upper)[2] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        ("x --dictionary nonsense", "no dictionary 'nonsense'"),
+        ("x --id 99999", "not 99999"),
+        ("x --id one", "invalid int value"),
+        ("x --size 0", "size is from"),
+        ("x --quiet 0", "quiet zone"),
+        ("x --dots", "add --on dock"),
+        ("x --on panel --around 0.8", "add --on dock"),
+        ("x --on dock --around 0.8 --dots", "not both"),
+        ("x --on dock --size 0.2 --around 0.8", "does not fit into a cell"),
+        ("x --on panel --height 0.1", "in the floor"),
+        ("'a name'", "no name of a model"),
+        ("/proc/nowhere/x", "cannot make the folder"),
+    ],
+)
+def test_bad_arguments_are_refused_with_one_line(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(words) == 2
+    error = capsys.readouterr().err
+    assert said in error and re.fullmatch(r"make_marker: [^\n]*\n", error)
+
+
+def run(words):
+    with pytest.raises(SystemExit) as ended:
+        main(shlex.split(words))
+    return ended.value.code

@@ -1,0 +1,220 @@
+"""Models and links by their names, and states relative to them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.simulation.description import (
+    Box,
+    Collision,
+    FrameState,
+    Inertia,
+    Joint,
+    Link,
+    Model,
+    World,
+)
+from bullet_lab.simulation.entities import (
+    EntityError,
+    find_entity,
+    find_joint,
+    find_link,
+    frame_state,
+    in_world,
+    model_entity,
+    move_link,
+    relative_to,
+)
+from bullet_lab.simulation.lumping import lump_fixed_joints
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.simulation import Simulation, SimulationError
+
+INERTIA = Inertia(2.0, (0.1, -0.2, 0.3), np.diag([0.1, 0.15, 0.2]))
+TILTED = Pose.from_rpy((1.0, 2.0, 3.0), (0.3, -0.4, 1.9))
+
+
+def arm():
+    """A base, an upper link on a hinge about y, and a tool fixed to that."""
+    links = (
+        Link("base", Pose((0.0, 0.0, 0.1)), INERTIA, (), (Collision(Box((0.2, 0.2, 0.2))),)),
+        Link("upper", Pose((0.0, 0.0, 1.1)), INERTIA),
+        Link("tool", Pose((0.5, 0.0, 1.1)), INERTIA),
+    )
+    joints = (
+        Joint("elbow", "revolute", "base", "upper", Pose((0.0, 0.0, 1.0)), (0.0, 1.0, 0.0)),
+        Joint("grip", "fixed", "upper", "tool", Pose((0.5, 0.0, 0.0))),
+    )
+    return lump_fixed_joints(Model("arm", links, joints))
+
+
+@pytest.fixture
+def space():
+    with Simulation(World("space", gravity=(0.0, 0.0, 0.0))) as simulation:
+        yield simulation
+
+
+@pytest.fixture
+def robot(space):
+    return space.add(arm(), "left", TILTED)
+
+
+def close(one, other):
+    # A quaternion and its negative turn alike.
+    sign = math.copysign(1.0, np.dot(one.quaternion, other.quaternion))
+    turned = sign * np.array(other.quaternion)
+    return one.position == pytest.approx(other.position, abs=1e-9) and one.quaternion == (
+        pytest.approx(turned, abs=1e-9)
+    )
+
+
+def test_models_links_and_merged_links_are_found(space, robot):
+    robot.configure({"elbow": math.pi / 2})
+    upper = Pose.from_rpy((0.0, 0.0, 1.1), (0.0, math.pi / 2, 0.0))
+    expected = {
+        "left": Pose(),
+        "left::base": Pose((0.0, 0.0, 0.1)),
+        "base": Pose((0.0, 0.0, 0.1)),
+        "left::upper": upper,
+        "left::tool": upper * Pose((0.5, 0.0, 0.0)),
+    }
+    for name, place in expected.items():
+        assert close(find_entity(space.models, name).state().pose, TILTED * place), name
+    assert find_link(space.models, "left::tool").link == "upper"
+
+
+def test_a_name_that_several_models_have_must_be_scoped(space, robot):
+    space.add(arm(), "right", Pose((9.0, 0.0, 0.0)))
+    with pytest.raises(EntityError, match="ambiguous: left, right have it; say model::link"):
+        find_link(space.models, "upper")
+    assert find_link(space.models, "right::upper").instance.name == "right"
+
+
+@pytest.mark.parametrize("name", ["nix", "left::nix", "nix::base", "::", "left::"])
+def test_what_is_not_there_is_said_to_be_missing(space, robot, name):
+    with pytest.raises(EntityError, match="not found"):
+        frame_state(space.models, name)
+    with pytest.raises(EntityError, match=r"\[" + name):
+        find_link(space.models, name)
+
+
+@pytest.mark.parametrize("name", ["", "world", "map", "/map"])
+def test_names_of_the_world(space, name):
+    assert frame_state(space.models, name) == FrameState(Pose())
+
+
+def test_joints_are_found_with_and_without_the_model(space, robot):
+    space.add(arm(), "right", Pose((9.0, 0.0, 0.0)))
+    assert [find_joint(space.models, n)[0].name for n in ("elbow", "right::elbow")] == [
+        "left",
+        "right",
+    ]
+    with pytest.raises(EntityError, match=r"joint \[grip\] not found"):
+        find_joint(space.models, "grip")
+
+
+def test_a_state_is_the_same_there_and_back(space, robot):
+    frame = FrameState(Pose.from_rpy((5.0, 0.0, 1.0), (0.1, 0.2, 2.0)))
+    state = FrameState(TILTED, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
+    again = in_world(frame, relative_to(frame, state))
+    assert close(again.pose, state.pose)
+    assert again.linear == pytest.approx(state.linear)
+    assert again.angular == pytest.approx(state.angular)
+
+
+def test_a_relative_velocity_is_the_difference_in_the_frames_axes():
+    quarter = Pose.from_rpy((1.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))
+    frame = FrameState(quarter, (1.0, 0.0, 0.0), (0.0, 0.0, 2.0))
+    seen = relative_to(frame, FrameState(Pose((1.0, 3.0, 0.0)), (1.0, 4.0, 0.0)))
+    assert seen.pose.position == pytest.approx((3.0, 0.0, 0.0))
+    assert seen.linear == pytest.approx((4.0, 0.0, 0.0))
+    assert seen.angular == pytest.approx((0.0, 0.0, -2.0))
+
+
+def test_a_moved_model_keeps_its_joints_and_flies_on(space, robot):
+    robot.configure({"elbow": 0.7})
+    there = Pose.from_rpy((-3.0, 1.0, 8.0), (1.0, 0.2, -2.0))
+    robot.move(there, (1.0, -2.0, 0.5), (0.0, 0.0, 0.0))
+    state = model_entity(robot).state()
+    assert close(state.pose, there)
+    assert state.linear == pytest.approx((1.0, -2.0, 0.5))
+    assert robot.body_of_joint("elbow").joint_state("elbow").position == pytest.approx(0.7)
+    space.run_for(0.5)
+    expected = np.add(there.position, 0.5 * np.array((1.0, -2.0, 0.5)))
+    assert model_entity(robot).state().pose.position == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_velocity_is_that_of_the_frame_and_not_of_the_centre_of_mass(space, robot):
+    robot.move(TILTED, (0.0, 0.0, 0.0), (0.0, 0.0, 2.0))
+    state = model_entity(robot).state()
+    assert state.linear == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    assert state.angular == pytest.approx((0.0, 0.0, 2.0), abs=1e-9)
+    # A point off the axis moves.
+    arm_of_lever = np.subtract(
+        find_link(space.models, "left::upper").state().pose.position, TILTED.position
+    )
+    expected = np.cross((0.0, 0.0, 2.0), arm_of_lever)
+    assert find_link(space.models, "left::upper").state().linear == pytest.approx(expected)
+
+
+def test_a_moved_link_takes_the_model_with_it(space, robot):
+    robot.configure({"elbow": -0.4})
+    before = find_link(space.models, "left::tool").state().pose.inverse() * robot.pose()
+    wanted = FrameState(Pose.from_rpy((7.0, 7.0, 7.0), (0.0, 0.0, 0.5)), (1.0, 0.0, 0.0))
+    move_link(find_link(space.models, "left::tool"), wanted)
+    assert close(find_link(space.models, "left::tool").state().pose, wanted.pose)
+    assert close(robot.pose(), wanted.pose * before)
+    spinning = FrameState(wanted.pose, (1.0, 0.0, 0.0), (0.0, 0.0, 3.0))
+    move_link(find_link(space.models, "left::tool"), spinning)
+    assert find_link(space.models, "left::tool").state().linear == pytest.approx((1.0, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("pose", "linear"),
+    [
+        (Pose((math.nan, 0.0, 0.0)), (0.0, 0.0, 0.0)),
+        (Pose((1e9, 0.0, 0.0)), (0.0, 0.0, 0.0)),
+        (Pose((0, 0, 0), (0.0, 0.0, 0.0, math.inf)), (0.0, 0.0, 0.0)),
+        (Pose(), (math.nan, 0.0, 0.0)),
+        (Pose(), (0.0, 1e12, 0.0)),
+    ],
+)
+def test_absurd_places_are_refused_and_change_nothing(space, robot, pose, linear):
+    before = robot.state()
+    with pytest.raises(SimulationError, match="model 'left'"):
+        robot.move(pose, linear, (0.0, 0.0, 0.0))
+    assert robot.state() == before
+
+
+def test_a_joint_that_is_not_there_leaves_the_others_alone(space, robot):
+    with pytest.raises(SimulationError, match="no movable joint 'grip'"):
+        robot.configure({"elbow": 1.0, "grip": 1.0})
+    with pytest.raises(SimulationError, match="joint 'elbow' at nan"):
+        robot.configure({"elbow": math.nan})
+    assert robot.state().joints["elbow"] == (0.0, 0.0)
+
+
+def test_a_restored_state_is_the_state(space, robot):
+    space.set_gravity((0.0, 0.0, -9.8))
+    robot.move(TILTED, (1.0, 0.0, 2.0), (0.3, 0.2, 0.1))
+    space.run_for(0.2)
+    state = robot.state()
+    assert abs(state.joints["elbow"][1]) > 1e-3
+    space.run_for(0.2)
+    robot.restore(state)
+    again = robot.state()
+    for name, link in state.links.items():
+        assert close(again.links[name].pose, link.pose)
+        assert again.links[name].linear == pytest.approx(link.linear)
+        assert again.links[name].angular == pytest.approx(link.angular)
+    assert again.joints["elbow"] == pytest.approx(state.joints["elbow"])
+
+
+def test_gravity_can_be_changed(space, robot):
+    space.set_gravity((0.0, 0.0, -1.6))
+    before = robot.pose().position[2]
+    space.run_for(1.0)
+    assert robot.pose().position[2] == pytest.approx(before - 0.8, abs=2e-3)
+    assert space.world.gravity == (0.0, 0.0, -1.6)
+    with pytest.raises(SimulationError, match="not finite"):
+        space.set_gravity((0.0, math.nan, 0.0))

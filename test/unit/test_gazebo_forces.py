@@ -1,0 +1,155 @@
+"""Wrenches on links and efforts on joints, for a while."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.simulation.description import FrameState, Inertia, Joint, Link, Model, World
+from bullet_lab.simulation.entities import find_link, model_entity
+from bullet_lab.simulation.forces import Effort, ForceError, Period, Wrench
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.simulation import Simulation
+
+ORIGIN = FrameState(Pose())
+ZERO = (0.0, 0.0, 0.0)
+MASS = 2.0
+BALL = Inertia(MASS, ZERO, 0.5 * np.eye(3))
+FOR_EVER = Period(0, math.inf)
+
+
+@pytest.fixture
+def space():
+    with Simulation(World("space", gravity=ZERO)) as simulation:
+        yield simulation
+
+
+@pytest.fixture
+def ball(space):
+    return space.add(Model("ball", (Link("l", inertia=BALL),)), pose=Pose((1.0, 2.0, 3.0)))
+
+
+def push(space, name="ball::l", frame=ORIGIN, force=ZERO, torque=ZERO, point=None, period=FOR_EVER):
+    link = find_link(space.models, name)
+    point = link.frame.pose().position if point is None else point
+    wrench = Wrench.at_point(frame, link.instance, link.frame, force, torque, point, period)
+    space.forces.add(wrench)
+
+
+def velocity(instance):
+    return model_entity(instance).state().linear
+
+
+@pytest.mark.parametrize(
+    ("now", "start", "duration", "expected"),
+    [
+        (100, 0.0, 0.05, Period(100, 150)),
+        (100, 0.2, 0.05, Period(200, 250)),
+        (100, 0.2001, 0.05, Period(201, 251)),
+        (100, 0.0, -1.0, Period(100, math.inf)),
+        (100, 0.0, 0.0, Period(100, 100)),
+        (100, 0.0, 1e-5, Period(100, 101)),
+        (0, 1.001, 0.001, Period(1001, 1002)),
+    ],
+)
+def test_periods_are_whole_steps(now, start, duration, expected):
+    assert Period.after(now, start, duration) == expected
+
+
+def test_a_force_acts_for_its_time_and_not_longer(space, ball):
+    push(space, force=(4.0, 0.0, 0.0), period=Period.after(0, 0.1, 0.25))
+    for until, expected in ((0.1, 0.0), (0.2, 0.2), (0.35, 0.5), (1.0, 0.5)):
+        space.run_for(until - space.seconds)
+        assert velocity(ball) == pytest.approx((expected, 0.0, 0.0), abs=1e-9)
+    assert not space.forces.active
+
+
+def test_forces_add_up_and_are_cleared_together(space, ball):
+    for force in ((1.0, 0.0, 0.0), (0.0, 2.0, 0.0)):
+        push(space, force=force)
+    space.run_for(1.0)
+    space.forces.clear_link(ball, "l")
+    space.run_for(1.0)
+    assert velocity(ball) == pytest.approx((0.5, 1.0, 0.0), abs=1e-6)
+
+
+def test_a_force_beside_the_centre_turns(space, ball):
+    push(space, force=(1.0, 0.0, 0.0), point=(1.0, 2.5, 3.0), period=Period(0, 1))
+    space.run_for(0.001)
+    state = model_entity(ball).state()
+    assert state.linear == pytest.approx((0.5e-3, 0.0, 0.0))
+    assert state.angular == pytest.approx((0.0, 0.0, -0.5e-3 / 0.5))
+
+
+def test_a_wrench_is_given_in_a_frame(space, ball):
+    quarter = FrameState(Pose.from_rpy((1.0, 2.0, 0.0), (0.0, 0.0, math.pi / 2)))
+    # The ball's centre is 3 m above the frame's origin.
+    one_step = Period(0, 1)
+    force, torque = (2.0, 0.0, 0.0), (0.0, 0.5, 0.0)
+    push(space, frame=quarter, force=force, torque=torque, point=(0.0, 0.0, 3.0), period=one_step)
+    space.run_for(0.001)
+    state = model_entity(ball).state()
+    assert state.linear == pytest.approx((0.0, 1e-3, 0.0))
+    assert state.angular == pytest.approx((-1e-3, 0.0, 0.0))
+
+
+def test_a_force_keeps_its_direction_while_the_body_turns(space, ball):
+    ball.move(ball.pose(), ZERO, (0.0, 0.0, 5.0))
+    push(space, frame=model_entity(ball).state(), force=(2.0, 0.0, 0.0), point=ZERO)
+    space.run_for(1.0)
+    assert velocity(ball) == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
+
+
+def hinge(space):
+    heavy = Inertia(1e6, ZERO, 1e6 * np.eye(3))
+    links = (Link("foot", inertia=heavy), Link("arm", inertia=BALL))
+    joint = Joint("j", "continuous", "foot", "arm", axis=(0.0, 0.0, 1.0))
+    return space.add(Model("hinge", links, (joint,)))
+
+
+def test_an_effort_turns_a_joint_until_it_is_cleared(space):
+    model = hinge(space)
+    space.forces.add(Effort(model, "j", 0.25, FOR_EVER))
+    space.run_for(1.0)
+    assert model.state().joints["j"][1] == pytest.approx(0.5, rel=1e-3)
+    space.forces.clear_joint(model, "j")
+    space.run_for(1.0)
+    assert model.state().joints["j"][1] == pytest.approx(0.5, rel=1e-3)
+    assert not space.forces.active
+
+
+def test_clearing_a_link_leaves_joints_and_other_models_alone(space, ball):
+    model = hinge(space)
+    push(space, force=(1.0, 0.0, 0.0))
+    space.forces.add(Effort(model, "j", 0.25, FOR_EVER))
+    push(space, "hinge::arm", torque=(0.0, 0.0, 1.0))
+    space.forces.clear_link(model, "arm")
+    space.run_for(1.0)
+    assert velocity(ball) == pytest.approx((0.5, 0.0, 0.0), abs=1e-6)
+    assert model.state().joints["j"][1] == pytest.approx(0.5, rel=1e-3)
+
+
+def test_forces_go_with_their_model_and_with_time(space, ball):
+    push(space, force=(1.0, 0.0, 0.0))
+    space.remove("ball")
+    assert not space.forces.active
+    space.run_for(0.01)
+    hinge(space)
+    push(space, "hinge::arm", force=(1.0, 0.0, 0.0), period=Period.after(10, 5.0, 1.0))
+    space.reset_simulation()
+    assert not space.forces.active
+
+
+@pytest.mark.parametrize("force", [math.nan, math.inf, -1e10])
+def test_absurd_forces_are_refused(space, ball, force):
+    with pytest.raises(ForceError, match="not within"):
+        push(space, force=(0.0, force, 0.0))
+    with pytest.raises(ForceError, match="not within"):
+        space.forces.add(Effort(hinge(space), "j", force, FOR_EVER))
+    assert not space.forces.active
+
+
+def test_nothing_pushes_what_is_static(space):
+    space.add(Model("wall", (Link("l"),), static=True))
+    with pytest.raises(ForceError, match="'wall' is static"):
+        push(space, "wall::l", force=(1.0, 0.0, 0.0))

@@ -1,0 +1,338 @@
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from sensor_worlds import carrier, empty, held, record, sensor
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.devices.imu import Accelerometer
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.urdf_reader import read_urdf
+
+G = 9.8
+FRAME = "<frameName>imu_link</frameName>"
+FLOOR = "package://bullet_lab/worlds/empty.world"
+BLOCK_SHAPE = (
+    '<inertial><origin xyz="0 0 0.025"/><mass value="4.5"/>'
+    '<inertia ixx="4.6875e-3" iyy="4.6875e-3" izz="7.5e-3"/></inertial>'
+    '<collision><origin xyz="0 0 0.025"/><geometry><box size="0.1 0.1 0.05"/></geometry>'
+    "</collision>"
+)
+
+
+def imu(tags="<updateRate>100</updateRate>", body="base", **robot):
+    return carrier(
+        '<gazebo><plugin name="imu" filename="libgazebo_ros_imu.so">'
+        f"<bodyName>{body}</bodyName><topicName>imu</topicName>{tags}</plugin></gazebo>",
+        **robot,
+    )
+
+
+def imu_sensor(tags=f"<topicName>imu</topicName>{FRAME}<updateRateHZ>100</updateRateHZ>", inner=""):
+    return carrier(sensor("imu", inner, "libgazebo_ros_imu_sensor.so", tags))
+
+
+BOTH = pytest.mark.parametrize("make", [imu, imu_sensor])
+
+
+def block(rate, at="0 0 0.05"):
+    """The report's block with an inertial unit."""
+    return read_urdf(
+        f'<robot name="block"><link name="base">{BLOCK_SHAPE}</link><link name="imu_link"/>'
+        '<joint name="j" type="fixed"><parent link="base"/><child link="imu_link"/>'
+        f'<origin xyz="{at}"/></joint><gazebo>'
+        '<plugin name="move" filename="libgazebo_ros_planar_move.so"/>'
+        '<plugin name="imu" filename="libgazebo_ros_imu.so"><bodyName>imu_link</bodyName>'
+        f"<topicName>imu</topicName><updateRate>{rate}</updateRate></plugin></gazebo></robot>",
+        "block",
+    )
+
+
+def driving(rate, command, seconds=1.0):
+    with Simulation.of(FLOOR) as simulation:
+        robot = simulation.add(block(rate, at="0.02 0 0.05"))
+        samples = record(robot, "imu")
+        robot.command("cmd_vel", command)
+        simulation.run_for(0.5)
+        samples.clear()
+        simulation.run_for(seconds)
+    return samples
+
+
+@BOTH
+def test_at_rest_it_reads_gravity_upwards(make):
+    with held() as simulation:
+        samples = record(simulation.add(make()), "imu")
+        simulation.run_for(0.1)
+    assert samples[-1].specific_force == pytest.approx((0, 0, G), abs=1e-9)
+    assert samples[-1].angular_velocity == pytest.approx((0, 0, 0), abs=1e-9)
+    assert samples[-1].orientation == (0.0, 0.0, 0.0, 1.0)
+
+
+def test_on_the_floor_it_reads_gravity_upwards():
+    samples = driving(100, PlanarCommand())
+    forces = np.array([sample.specific_force for sample in samples])
+    assert forces == pytest.approx(np.tile((0.0, 0.0, G), (100, 1)), abs=1e-3)
+
+
+@BOTH
+def test_in_free_fall_it_reads_nothing(make):
+    with Simulation() as simulation:
+        samples = record(simulation.add(make(), pose=Pose((0, 0, 100))), "imu")
+        simulation.run_for(0.5)
+    assert len(samples) == 50
+    for sample in samples:
+        assert sample.specific_force == pytest.approx((0, 0, 0), abs=1e-6)
+
+
+def test_gravity_is_given_in_the_sensors_axes():
+    # Nose down: what holds it up points backwards, too.
+    turned = Pose.from_rpy((0, 0, 1), (0, math.radians(30), 0))
+    with held() as simulation:
+        samples = record(simulation.add(imu(), pose=turned), "imu")
+        simulation.run_for(0.05)
+    assert samples[-1].specific_force == pytest.approx(
+        (-G * math.sin(math.radians(30)), 0, G * math.cos(math.radians(30))), abs=1e-9
+    )
+    assert samples[-1].orientation == pytest.approx(turned.quaternion)
+
+
+@pytest.mark.parametrize("rate", [1000, 200, 100, 50])
+def test_a_turn_at_speed_reads_the_centripetal_acceleration(rate):
+    speed, turn = 0.3, 0.5
+    samples = driving(rate, PlanarCommand(vx=speed, wz=turn), 2.0)
+    forces = np.array([sample.specific_force for sample in samples])
+    rates = np.array([sample.angular_velocity for sample in samples])
+    # What floor friction leaves of the command.
+    real_speed, real_turn = speed - 9.8e-3, rates[:, 2].mean()
+    assert real_turn == pytest.approx(turn, abs=3e-3)
+    assert forces.mean(axis=0) == pytest.approx(
+        (-0.02 * real_turn**2, real_speed * real_turn, G), abs=0.02
+    )
+    # Bullet's contacts rattle; as differences over single steps, z would spread by 6 m/s².
+    assert (forces.std(axis=0) < (0.3, 0.3, 1.0)).all()
+
+
+@pytest.mark.parametrize("rate", [100, 40])
+def test_readings_add_up_to_the_change_of_velocity(rate):
+    with Simulation.of(FLOOR) as simulation:
+        robot = simulation.add(block(rate))
+        samples = record(robot, "imu")
+        simulation.run_for(0.5)
+        samples.clear()
+        robot.command("cmd_vel", PlanarCommand(vx=0.4))
+        simulation.run_for(0.5)
+    gained = sum(sample.specific_force[0] for sample in samples) / rate
+    assert gained == pytest.approx(0.4 - 9.8e-3, abs=2e-3)
+    assert samples[0].specific_force[0] == pytest.approx((0.4 - 9.8e-3) * rate, rel=0.02)
+
+
+def test_a_spinning_sensor_off_the_centre_feels_its_own_turning():
+    model = imu("<updateRate>100</updateRate><xyzOffset>0.5 0 0</xyzOffset>")
+    with empty() as simulation:
+        robot = simulation.add(model)
+        robot.bodies["base"].set_velocity((0, 0, 0), (0, 0, 2.0))
+        robot.devices[0].placed()
+        samples = record(robot, "imu")
+        simulation.run_for(0.3)
+    assert samples[-1].angular_velocity == pytest.approx((0, 0, 2.0), abs=1e-6)
+    # The mean over 10 ms lags by 5 ms: 0.01 rad of the direction.
+    assert samples[-1].specific_force == pytest.approx((-2.0, 0.02, 0.0), abs=2e-3)
+
+
+@pytest.mark.parametrize("sensor_pose", [False, True])
+def test_the_offsets_place_the_sensor(sensor_pose):
+    roll = "<rpyOffset>1.5707963267948966 0 0</rpyOffset>"
+    if sensor_pose:
+        inner = "<pose>0 0 0 1.5707963267948966 0 0</pose>"
+        model = imu_sensor(inner=inner)
+    else:
+        model = imu("<updateRate>100</updateRate>" + roll)
+    with held() as simulation:
+        robot = simulation.add(model)
+        robot.bodies["base"].set_velocity((0, 0, 0), (0, 0, 1.0))
+        samples = record(robot, "imu")
+        simulation.run_for(0.01)
+    # Its y axis points up.
+    assert samples[0].specific_force == pytest.approx((0, G, 0), abs=1e-2)
+    assert samples[0].angular_velocity == pytest.approx((0, 1.0, 0), abs=1e-6)
+
+
+def test_the_accelerometer_averages_over_ten_steps_at_least():
+    meter = Accelerometer()
+    meter.restart(0, (0.0, 0.0, 0.0))
+    speeds = [0.1 if step >= 50 else 0.0 for step in range(1, 100)]
+    readings = [meter.advance(step, (x, 0, 0))[0] for step, x in enumerate(speeds, 1)]
+    assert readings[:49] == [0.0] * 49
+    assert readings[49:59] == pytest.approx([10.0] * 10)
+    assert readings[59:] == pytest.approx([0.0] * 40)
+
+
+def test_the_accelerometer_averages_over_the_whole_of_a_longer_period():
+    meter = Accelerometer()
+    meter.restart(0, (0.0, 0.0, 0.0))
+    assert meter.advance(50, (1.0, 0, 0)) == pytest.approx((20.0, 0, 0))
+    assert meter.advance(100, (1.0, 0, 0)) == pytest.approx((0.0, 0, 0))
+    assert meter.advance(100, (1.0, 0, 0)) == pytest.approx((0.0, 0, 0))
+
+
+@pytest.mark.parametrize("reset", ["reset_world", "reset_simulation", "place"])
+def test_no_spike_when_it_is_put_elsewhere(reset):
+    with Simulation.of(FLOOR) as simulation:
+        robot = simulation.add(block(100))
+        samples = record(robot, "imu")
+        robot.command("cmd_vel", PlanarCommand(vx=0.5))
+        simulation.run_for(1.005)
+        before = len(samples)
+        if reset == "place":
+            robot.command("cmd_vel", PlanarCommand())
+            robot.place(Pose((3, 0, 0)))
+        else:
+            getattr(simulation, reset)()
+        simulation.run_for(0.5)
+    after = np.array([sample.specific_force for sample in samples[before:]])
+    assert len(after) >= 49
+    assert np.abs(after - (0, 0, G)).max() < 0.2
+
+
+# Noise
+
+
+def noisy(model, seed=1, seconds=20.0):
+    with empty(seed) as simulation:
+        samples = record(simulation.add(model), "imu")
+        simulation.run_for(seconds)
+    return samples
+
+
+def check_normal(errors, deviation):
+    """Mean and variance against their distributions, to 99.9 % each."""
+    number = len(errors)
+    assert abs(errors.mean()) < stats.norm.ppf(0.9995) * deviation / math.sqrt(number)
+    chi = number * np.mean(errors**2) / deviation**2
+    assert stats.chi2.ppf(0.0005, number) < chi < stats.chi2.ppf(0.9995, number)
+
+
+@BOTH
+def test_noise_and_covariances(make):
+    tags = "<gaussianNoise>0.05</gaussianNoise>"
+    if make is imu:
+        model = imu(tags + "<updateRate>100</updateRate>")
+    else:
+        rest = f"<topicName>imu</topicName>{FRAME}<updateRateHZ>100</updateRateHZ>"
+        model = imu_sensor(tags + rest)
+    samples = noisy(model)
+    check_normal(np.array([sample.specific_force for sample in samples]).ravel(), 0.05)
+    check_normal(np.array([sample.angular_velocity for sample in samples]).ravel(), 0.05)
+    # Half the rotation vector, near enough.
+    turns = 2.0 * np.array([sample.orientation[:3] for sample in samples]).ravel()
+    check_normal(turns, 0.05)
+    for sample in samples:
+        assert math.hypot(*sample.orientation) == pytest.approx(1.0, abs=1e-12)
+    last = samples[-1]
+    assert last.orientation_variance == pytest.approx(0.0025)
+    assert last.angular_velocity_variance == pytest.approx(0.0025)
+    assert last.specific_force_variance == pytest.approx(0.0025)
+
+
+def test_noise_of_the_sensor_element():
+    noise = "<noise><mean>{}</mean><stddev>{}</stddev><bias_mean>{}</bias_mean></noise>"
+    inner = (
+        f"<imu><angular_velocity><x>{noise.format(0, 0.02, 0)}</x></angular_velocity>"
+        f"<linear_acceleration><z>{noise.format(0, 0.3, 2.0)}</z></linear_acceleration></imu>"
+    )
+    samples = noisy(imu_sensor(inner=inner))
+    rates = np.array([sample.angular_velocity for sample in samples])
+    forces = np.array([sample.specific_force for sample in samples])
+    check_normal(rates[:, 0], 0.02)
+    assert not rates[:, 1:].any()
+    bias = round(forces[:, 2].mean())
+    assert abs(bias) == 2
+    check_normal(forces[:, 2] - bias, 0.3)
+    assert (samples[0].angular_velocity_variance, samples[0].specific_force_variance) == (
+        pytest.approx(4e-4),
+        pytest.approx(0.09),
+    )
+    assert samples[0].orientation_variance == 0.0
+    signs = {
+        round(noisy(imu_sensor(inner=inner), seed, 0.01)[0].specific_force[2] / 2.0)
+        for seed in range(20)
+    }
+    assert signs == {-1, 1}
+
+
+def test_the_seed_decides():
+    model = imu("<gaussianNoise>0.05</gaussianNoise>")
+    one, same, other = (noisy(model, seed, 0.05) for seed in (1, 1, 2))
+    assert one == same
+    assert all(a.specific_force != b.specific_force for a, b in zip(one, other))
+
+
+# Rates, frames, defaults, refusals
+
+
+@pytest.mark.parametrize("rate", [100, 30, 7])
+def test_the_mean_rate_is_exact(rate):
+    samples = noisy(imu(f"<updateRate>{rate}</updateRate>"), seconds=10.0)
+    assert len(samples) == 10 * rate
+
+
+def test_defaults_of_the_models_plugin():
+    bare = carrier(
+        '<gazebo><plugin name="imu" filename="libgazebo_ros_imu"><bodyName>base</bodyName>'
+        "</plugin></gazebo>"
+    )
+    with empty() as simulation:
+        samples = record(simulation.add(bare, namespace="ns"), "/default_imu")
+        simulation.run_for(0.005)
+    assert [(s.step, s.frame) for s in samples] == [(step, "base") for step in range(1, 6)]
+
+
+def test_defaults_of_the_sensors_plugin():
+    with empty() as simulation:
+        robot = simulation.add(imu_sensor(FRAME), namespace="ns", tf_prefix="robot")
+        samples = record(robot, "/ns/imu_data")
+        simulation.run_for(3.0)
+    assert [(s.step, s.frame) for s in samples] == [
+        (step, "robot/imu_link") for step in (1000, 2000, 3000)
+    ]
+
+
+def test_the_sensor_is_as_slow_as_the_slower_of_plugin_and_sensor():
+    samples = noisy(imu_sensor(inner="<update_rate>10</update_rate>"), seconds=1.0)
+    assert len(samples) == 10
+
+
+@pytest.mark.parametrize(("wanted", "yaw"), [("false", 0.7), ("true", 0.0)])
+def test_the_initial_orientation_may_be_the_reference(wanted, yaw):
+    tags = (
+        f"<topicName>imu</topicName>{FRAME}<updateRateHZ>100</updateRateHZ>"
+        f"<initialOrientationAsReference>{wanted}</initialOrientationAsReference>"
+    )
+    with empty() as simulation:
+        place = Pose.from_rpy((0, 0, 0), (0, 0, 0.7))
+        samples = record(simulation.add(imu_sensor(tags), pose=place), "imu")
+        simulation.run_for(0.01)
+    assert Pose(quaternion=samples[0].orientation).yaw == pytest.approx(yaw)
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (lambda: imu(body=""), "<bodyName>: is missing"),
+        (lambda: imu(body="nobody"), "no link 'nobody'"),
+        (lambda: imu("<gaussianNoise>-1</gaussianNoise>"), "<gaussianNoise>: -1 is negative"),
+        (lambda: imu("<xyzOffset>0 0</xyzOffset>"), "<xyzOffset>: '0 0' is not 3 finite numbers"),
+        (lambda: imu("<updateRate>-3</updateRate>"), "<updateRate>: a rate of -3 Hz"),
+        (lambda: imu_sensor(""), "<frameName>: is missing"),
+        (lambda: carrier(sensor("ray", "", "libgazebo_ros_imu_sensor.so", FRAME)), 'type="imu"'),
+    ],
+)
+def test_refusals(model, message):
+    with empty() as simulation, pytest.raises(LabError) as refusal:
+        simulation.add(model())
+    assert message in str(refusal.value)
+    assert "\n" not in str(refusal.value)

@@ -1,0 +1,226 @@
+"""Marker images and what they are printed on."""
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from bullet_lab.markers.dots import (
+    CLOSEST,
+    DOT_RADIUS,
+    DOTS_PER_SQUARE_METRE,
+    draw_dots,
+    scatter_dots,
+)
+from bullet_lab.markers.faces import (
+    WALL_GREY,
+    WALL_PIXELS,
+    Print,
+    dots_face,
+    nested_face,
+    plate_face,
+    wall_face,
+)
+from bullet_lab.markers.images import (
+    MarkerError,
+    dictionary_names,
+    marker_cells,
+    marker_image,
+    paste,
+)
+from bullet_lab.markers.plates import write_plate
+
+
+def detections(image, dictionary="DICT_APRILTAG_36h10"):
+    """Return the ids and the (n, 4, 2) corners that OpenCV finds."""
+    known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    corners, ids, _ = cv2.aruco.ArucoDetector(known).detectMarkers(image)
+    return ([] if ids is None else ids.ravel().tolist()), np.asarray(corners).reshape(-1, 4, 2)
+
+
+def seen_from(face, distance):
+    """Return the picture of the robot's camera, straight before a face that fills its wall."""
+    scale = 502.3 / distance * face.size / len(face.image)
+    seen = cv2.resize(face.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    canvas = np.full((480, 640), 60, dtype=np.uint8)
+    height, width = (min(a, b) for a, b in zip(seen.shape, canvas.shape))
+    top, left = (240 - height // 2, 320 - width // 2)
+    crop = [(have - kept) // 2 for have, kept in zip(seen.shape, (height, width))]
+    canvas[top : top + height, left : left + width] = seen[
+        crop[0] : crop[0] + height, crop[1] : crop[1] + width
+    ]
+    return canvas
+
+
+def side(corners):
+    return float(np.linalg.norm(corners[0] - corners[1]))
+
+
+@pytest.mark.parametrize("name", dictionary_names())
+def test_every_dictionary_has_markers_that_are_found_again(name):
+    attribute = next(a for a in dir(cv2.aruco) if a.lower() == f"dict_{name}")
+    last = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, attribute)).bytesList) - 1
+    for identifier in (0, last):
+        ids, _ = detections(marker_image(marker_cells(name, identifier), 12), attribute)
+        assert ids == [identifier]
+
+
+def test_a_marker_is_black_all_around():
+    cells = marker_cells("DICT_APRILTAG_36H10", 0)
+    assert cells.shape == (8, 8)
+    assert not np.concatenate([cells[0], cells[-1], cells[:, 0], cells[:, -1]]).any()
+    assert 0 < cells.sum() < 36
+
+
+def test_cells_and_quiet_zone_are_as_wide_as_asked():
+    image = marker_image(marker_cells("4x4_50", 3), 5, quiet=2)
+    assert image.shape == (50, 50) and image.dtype == np.uint8
+    assert (image[:10] == 255).all() and (image[:, -10:] == 255).all()
+    assert (image[10:15, 10:40] == 0).all()
+
+
+@pytest.mark.parametrize(
+    "make, said",
+    [
+        (lambda: marker_cells("apriltag_99", 0), "no dictionary 'apriltag_99'; there are 4x4_100"),
+        (lambda: marker_cells("4x4_50", 50), "4x4_50 has the ids 0 to 49, not 50"),
+        (lambda: marker_cells("4x4_50", -1), "not -1"),
+        (lambda: marker_image(np.zeros((6, 6), bool), 4, quiet=0), "at least one cell"),
+        (lambda: marker_image(np.zeros((6, 6), bool), 0), "at least one pixel"),
+        (lambda: Print(quiet=0), "1 to 20 cells wide, not 0"),
+        (lambda: Print(size=0.0), "size is from 0.001"),
+        (lambda: Print(size=float("nan")), "size is from 0.001"),
+        (lambda: Print(identifier=2320), "ids 0 to 2319"),
+        (lambda: wall_face(Print(size=0.201)), "multiple of 0.00625 m"),
+        (lambda: wall_face(Print(size=0.0125)), "of four or more"),
+        (lambda: wall_face(Print(size=0.9)), "does not fit"),
+        (lambda: dots_face(None, -1), "seed must be an integer >= 0, not -1"),
+        (lambda: nested_face(Print(size=0.1), Print(size=0.8)), "cell of 0.1 m"),
+        (lambda: nested_face(Print(size=0.075), Print(size=1.0)), "does not fit"),
+        (lambda: paste(np.zeros((4, 4)), np.zeros((2, 2)), 3, 0), "at (3, 0)"),
+    ],
+)
+def test_what_cannot_be_printed_is_refused(make, said):
+    with pytest.raises(MarkerError) as caught:
+        make()
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("name, size", [("apriltag_36h10", 0.2), ("5x5_100", 0.175)])
+def test_a_wall_has_the_marker_exactly_in_its_middle_and_as_large_as_it_is_said_to_be(name, size):
+    face = wall_face(Print(name, 3, size))
+    assert face.image.shape == (WALL_PIXELS, WALL_PIXELS)
+    rows, columns = np.nonzero(face.image == 0)
+    wanted = [0.5 * (1.0 - size) * WALL_PIXELS, 0.5 * (1.0 + size) * WALL_PIXELS - 1.0]
+    for found in (rows, columns):
+        assert [found.min(), found.max()] == pytest.approx(wanted)
+    assert face.image[0, 0] == face.image[-1, -1] == WALL_GREY
+
+
+def test_a_plate_is_the_marker_and_its_quiet_zone():
+    face = plate_face(Print(size=0.35, quiet=2))
+    assert face.size == pytest.approx(0.35 * 12 / 8)
+    assert (face.image[:64] == 255).all() and (face.image[64:96, 64:-64] == 0).all()
+
+
+def test_dots_are_as_many_as_in_figure_8_and_keep_apart():
+    rng = np.random.default_rng(5)
+    keep_out = (0.3, 0.4, 0.7, 0.8)
+    dots = scatter_dots(1.0, 1.0, keep_out, rng)
+    assert len(dots) == round(DOTS_PER_SQUARE_METRE * (1.0 - 0.4 * 0.4))
+    apart = np.linalg.norm(dots[:, None] - dots[None], axis=2) + np.eye(len(dots))
+    assert apart.min() >= CLOSEST
+    assert dots.min() >= DOT_RADIUS and dots.max() <= 1.0 - DOT_RADIUS
+    nearest = np.clip(dots, keep_out[:2], keep_out[2:])
+    assert np.linalg.norm(dots - nearest, axis=1).min() > DOT_RADIUS
+
+
+def test_the_ink_of_a_dot_is_that_of_its_disc():
+    canvas = np.full((100, 100), 255, dtype=np.uint8)
+    draw_dots(canvas, np.array([[0.05, 0.0503]]), 0.001)
+    ink = (255.0 - canvas).sum() / 255.0
+    assert ink == pytest.approx(np.pi * (DOT_RADIUS / 0.001) ** 2, rel=0.02)
+    rows, columns = np.nonzero(canvas < 255)
+    assert np.mean(columns) == pytest.approx(49.5, abs=0.1)
+    assert np.mean(rows) == pytest.approx(49.8, abs=0.2)
+
+
+def test_too_many_dots_are_refused_rather_than_searched_for_ever(monkeypatch):
+    monkeypatch.setattr("bullet_lab.markers.dots.DOTS_PER_SQUARE_METRE", 20000.0)
+    monkeypatch.setattr("bullet_lab.markers.dots.TRIES_PER_DOT", 3)
+    with pytest.raises(MarkerError, match="no room for 200 dots"):
+        scatter_dots(0.1, 0.1, (0.0, 0.0, 0.0, 0.0), np.random.default_rng(1))
+
+
+def test_dots_follow_from_the_seed():
+    assert np.array_equal(dots_face(None, 4).image, dots_face(None, 4).image)
+    assert not np.array_equal(dots_face(None, 4).image, dots_face(None, 5).image)
+
+
+def test_dots_leave_the_marker_and_its_quiet_zone_alone():
+    face, bare = dots_face(Print(), 1), wall_face(Print())
+    assert np.array_equal(face.image[480:800, 480:800], bare.image[480:800, 480:800])
+    assert detections(seen_from(face, 2.0))[0] == [0]
+    assert detections(seen_from(dots_face(None, 1), 2.0))[0] == []
+
+
+def test_the_marker_around_another_one_is_itself_valid():
+    wanted, around = Print(size=0.075), Print(size=0.8)
+    face = nested_face(wanted, around)
+    middle = face.image[590:690, 590:690]
+    assert np.array_equal(middle[2:-2, 2:-2], wanted.image(12)[12:-12, 12:-12])
+    face.image[590:690, 590:690] = 255
+    ids, corners = detections(seen_from(face, 2.0))
+    assert ids == [0]
+    assert side(corners[0]) == pytest.approx(0.8 * 502.3 / 2.0, rel=0.01)
+
+
+@pytest.mark.parametrize("distance, size", [(0.4, 0.075), (1.0, 0.075), (3.0, 0.8), (6.0, 0.8)])
+def test_nearby_the_wanted_marker_is_found_and_from_afar_the_one_around_it(distance, size):
+    ids, corners = detections(seen_from(nested_face(Print(size=0.075), Print(size=0.8)), distance))
+    assert ids == [0]
+    assert side(corners[0]) == pytest.approx(size * 502.3 / distance, rel=0.03)
+
+
+def test_the_marker_around_may_have_another_id():
+    face = nested_face(Print(size=0.05), Print(identifier=7, size=0.8))
+    assert detections(seen_from(face, 4.0))[0] == [7]
+
+
+def test_a_plate_shows_the_picture_upright_on_the_side_that_looks_along_minus_x(tmp_path):
+    face = plate_face(Print(size=0.2))
+    obj, mtl, png = write_plate(face, 0.02, tmp_path / "new", "plate")
+    assert np.array_equal(np.asarray(Image.open(png)), face.image)
+    assert "map_Kd plate.png" in mtl.read_text() and "mtllib plate.mtl" in obj.read_text()
+    corners, texture, faces = read_obj(obj)
+    # As one stands before it: up is up, the picture's right is at the right hand (-y).
+    for (x, y, z), (u, v) in front_corners(corners, texture, faces):
+        assert x == 0.0
+        assert y == pytest.approx(0.25 * (0.5 - u)) and z == pytest.approx(0.25 * (v - 0.5))
+
+
+def test_a_plate_is_a_closed_box_that_faces_outwards(tmp_path):
+    obj, _, _ = write_plate(plate_face(Print(size=0.2)), 0.02, tmp_path, "plate")
+    corners, _, faces = read_obj(obj)
+    triangles = np.array([[corners[v] for v, _ in triangle] for triangle in faces])
+    volumes = np.einsum("ij,ij->i", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2]))
+    # The divergence theorem: right only if all triangles are there and turn the same way.
+    assert volumes.sum() / 6.0 == pytest.approx(0.25 * 0.25 * 0.02)
+    assert triangles[:, :, 0].min() == 0.0 and triangles[:, :, 0].max() == 0.02
+
+
+def read_obj(path):
+    """Return the corners, the texture's coordinates, and (corner, texture) of each triangle."""
+    lines = [line.split() for line in path.read_text().splitlines()]
+    corners = [tuple(map(float, line[1:])) for line in lines if line[0] == "v"]
+    texture = [tuple(map(float, line[1:])) for line in lines if line[0] == "vt"]
+    faces = [
+        [tuple(int(i) - 1 for i in word.split("/")[:2]) for word in line[1:]]
+        for line in lines
+        if line[0] == "f"
+    ]
+    return corners, texture, faces
+
+
+def front_corners(corners, texture, faces):
+    return [(corners[v], texture[t]) for triangle in faces[:2] for v, t in triangle]

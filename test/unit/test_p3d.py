@@ -1,0 +1,140 @@
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from sensor_worlds import carrier, empty, record
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.pose import Pose
+
+ARM = (
+    '<link name="arm"><inertial><origin xyz="0.3 0 0"/><mass value="1e-3"/>'
+    '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3"/></inertial></link>'
+    '<joint name="j" type="continuous"><parent link="base"/><child link="arm"/>'
+    '<origin xyz="1 0 0"/><axis xyz="0 0 1"/></joint>'
+    '<link name="tip"/><joint name="f" type="fixed"><parent link="arm"/><child link="tip"/>'
+    '<origin xyz="0 0.5 0"/></joint>'
+)
+
+
+def p3d(tags="", body="base", topic="<topicName>truth</topicName>"):
+    plugin = (
+        '<gazebo><plugin name="p3d" filename="libgazebo_ros_p3d.so">'
+        f"<bodyName>{body}</bodyName>{topic}{tags}</plugin></gazebo>"
+    )
+    return carrier(plugin, links=ARM)
+
+
+def motion(model, step=1, pose=None, linear=(0, 0, 0), angular=(0, 0, 0), joint=(0.0, 0.0)):
+    with empty() as simulation:
+        robot = simulation.add(model, pose=pose)
+        samples = record(robot, "truth")
+        body = robot.bodies["base"]
+        body.set_velocity(linear, angular)
+        body.set_joint("j", *joint)
+        simulation.run_until(step)
+    return samples[-1]
+
+
+def test_pose_and_velocity_of_the_robots_link_in_the_world():
+    start = Pose.from_rpy((1, 2, 3), (0, 0, 0.5 * math.pi))
+    sample = motion(p3d(), pose=start, linear=(0.1, 0.2, 0.3), angular=(0, 0, 0.5))
+    assert sample.pose.position == pytest.approx((1, 2, 3), abs=1e-3)
+    assert sample.pose.yaw == pytest.approx(0.5 * math.pi, abs=1e-3)
+    # Along the axes of the world, not of the robot.
+    assert sample.linear == pytest.approx((0.1, 0.2, 0.3), abs=2e-3)
+    assert sample.angular == pytest.approx((0, 0, 0.5), abs=2e-3)
+    assert (sample.step, sample.frame, sample.child_frame) == (1, "world", "base")
+    assert sample.variance == 0.0
+
+
+def test_a_merged_link_on_a_moving_one():
+    joint = (0.5 * math.pi, 2.0)
+    sample = motion(p3d(body="tip"), joint=joint)
+    # The arm's y axis points along -x.
+    assert sample.pose.position == pytest.approx((0.5, 0, 0), abs=2e-3)
+    assert sample.pose.yaw == pytest.approx(0.5 * math.pi + 0.002, abs=1e-4)
+    assert sample.linear == pytest.approx((0, -1.0, 0), abs=5e-3)
+    assert sample.angular == pytest.approx((0, 0, 2.0), abs=5e-3)
+    assert sample.child_frame == "tip"
+
+
+def test_a_link_of_the_model_as_the_frame():
+    tags = "<frameName>base</frameName>"
+    start = Pose.from_rpy((5, 5, 5), (0.3, 0.2, 0.1))
+    joint = (0.5 * math.pi, 2.0)
+    sample = motion(p3d(tags, body="tip"), pose=start, joint=joint, angular=(0, 0, 0.7))
+    assert sample.frame == "base"
+    assert sample.pose.position == pytest.approx((0.5, 0, 0), abs=2e-3)
+    assert sample.linear == pytest.approx((0, -1.0, 0), abs=1e-2)
+    assert sample.angular == pytest.approx((0, 0, 2.0), abs=1e-2)
+
+
+def test_the_velocity_in_a_frame_is_the_change_of_the_position_in_it():
+    tags = "<frameName>base</frameName>"
+    model = p3d(tags, body="tip")
+    with empty() as simulation:
+        robot = simulation.add(model)
+        samples = record(robot, "truth")
+        robot.bodies["base"].set_velocity((0.2, 0, 0.1), (0.3, -0.2, 0.4))
+        robot.bodies["base"].set_joint("j", 0.4, 1.5)
+        simulation.run_until(20)
+    places = np.array([sample.pose.position for sample in samples])
+    middle = 0.5 * np.array([np.add(a.linear, b.linear) for a, b in zip(samples, samples[1:])])
+    assert middle == pytest.approx(np.diff(places, axis=0) / 1e-3, abs=5e-3)
+
+
+def test_the_offsets_move_the_pose_in_the_frame_and_nothing_else():
+    tags = "<xyzOffset>1 2 3</xyzOffset><rpyOffset>0 0 0.5</rpyOffset>"
+    start = Pose.from_rpy((1, 1, 1), (0, 0, 0.25))
+    sample = motion(p3d(tags), pose=start, linear=(0, 0, 0.3), angular=(0, 0, 0.5))
+    assert sample.pose.position == pytest.approx((2, 3, 4), abs=1e-3)
+    assert sample.pose.yaw == pytest.approx(0.75, abs=1e-3)
+    assert sample.linear == pytest.approx((0, 0, 0.3), abs=1e-3)
+
+
+def test_noise_is_on_the_velocity_and_its_square_in_the_covariances():
+    with empty(2) as simulation:
+        model = p3d("<gaussianNoise>0.2</gaussianNoise><updateRate>500</updateRate>")
+        samples = record(simulation.add(model), "truth")
+        simulation.run_for(4.0)
+    errors = np.array([(*sample.linear, *sample.angular) for sample in samples]).ravel()
+    number = len(errors)
+    assert number == 12_000
+    assert abs(errors.mean()) < stats.norm.ppf(0.9995) * 0.2 / math.sqrt(number)
+    chi = np.sum(errors**2) / 0.04
+    assert stats.chi2.ppf(0.0005, number) < chi < stats.chi2.ppf(0.9995, number)
+    assert {sample.pose.position for sample in samples} == {(0.0, 0.0, 0.0)}
+    assert samples[0].variance == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("rate", [50, 7])
+def test_the_mean_rate_is_exact(rate):
+    with empty() as simulation:
+        samples = record(simulation.add(p3d(f"<updateRate>{rate}</updateRate>")), "truth")
+        simulation.run_for(10.0)
+    assert len(samples) == 10 * rate
+
+
+def test_namespace_and_prefix():
+    with empty() as simulation:
+        robot = simulation.add(p3d(), namespace="ns", tf_prefix="robot")
+        samples = record(robot, "/ns/truth")
+        simulation.run_until(1)
+    assert (samples[0].frame, samples[0].child_frame) == ("robot/world", "robot/base")
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (lambda: p3d(body=""), "<bodyName>: is missing"),
+        (lambda: p3d(topic=""), "<topicName>: is missing"),
+        (lambda: p3d(body="nobody"), "no link 'nobody'"),
+        (lambda: p3d("<frameName>nowhere</frameName>"), "no link 'nowhere'"),
+        (lambda: p3d("<gaussianNoise>-1</gaussianNoise>"), "<gaussianNoise>: -1 is negative"),
+    ],
+)
+def test_refusals(model, message):
+    with empty() as simulation, pytest.raises(LabError, match=message):
+        simulation.add(model())

@@ -1,0 +1,54 @@
+import pytest
+
+pytest.importorskip("rospy")
+
+from bullet_lab.errors import LabError
+from bullet_lab.ros.depopulate import numbered
+from bullet_lab.ros.parameters import ParameterError, read_parameters
+from bullet_lab.ros.populate import PopulateParameters, description_of, places_of
+from bullet_lab.simulation.model_reader import read_description
+
+
+def wanted(**given):
+    return read_parameters(PopulateParameters, lambda name, default: given.get(name[1:], default))
+
+
+def test_by_default_the_three_beacons_of_the_report():
+    assert places_of(wanted()) == [(1.0, 1.0, 0.0), (5.0, 1.0, 0.0), (-5.0, 1.0, 0.0)]
+    model = read_description(description_of(wanted().model), "beacon")
+    assert model.static
+    assert model.links[0].collisions[0].geometry.path.name == "beacon.dae"
+
+
+@pytest.mark.parametrize("pattern", ["line", "grid", "circle"])
+def test_other_patterns_have_as_many_places_as_asked_for(pattern):
+    assert len(set(places_of(wanted(pattern=pattern, count=7)))) == 7
+
+
+def test_poses_of_ones_own():
+    assert places_of(wanted(poses=[[1, 2], [3, 4, 0.5]])) == [(1, 2, 0), (3, 4, 0.5)]
+
+
+@pytest.mark.parametrize(
+    "poses", [5, [1, 2], [[1]], [[1, 2, 3, 4]], [["1", "2"]], [[True, 1]], [[float("nan"), 0]]]
+)
+def test_poses_that_are_none(poses):
+    with pytest.raises(ParameterError, match=r"~poses is .*: it must be a list of \[x, y\]"):
+        wanted(poses=poses)
+
+
+def test_descriptions_are_files_or_references(package, tmp_path):
+    path = package / "urdf" / "beacon.urdf"
+    assert description_of(str(path)) == path.read_text()
+    assert description_of("package://bullet_lab/urdf/beacon.urdf") == path.read_text()
+    folder = read_description(description_of(str(package / "models" / "beacon")), "folder")
+    assert folder.name == "beacon"
+    assert "model://a&amp;b" in description_of("model://a&b")
+    with pytest.raises(LabError, match="no such file"):
+        description_of(str(tmp_path / "nix.sdf"))
+
+
+def test_only_numbered_names_are_taken_away():
+    names = ["beacon", "beacon_0", "beacon_12", "beacon_x", "beacon_1_2", "a_beacon_1", "b.acon_1"]
+    assert numbered(names, "beacon") == ["beacon_0", "beacon_12"]
+    assert numbered(names, "b.acon") == ["b.acon_1"]

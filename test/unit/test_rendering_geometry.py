@@ -1,0 +1,120 @@
+import cv2
+import numpy as np
+import pytest
+from picture_worlds import (
+    CAMERA,
+    FOCAL,
+    RENDERERS,
+    checkers,
+    plate,
+    simulation_of,
+    usable,
+    write_plate,
+)
+
+from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.rendering.finish import FinishError, Lens
+from bullet_lab.simulation.rendering.frame import FrameError, Shot
+
+COLUMNS, ROWS, CELL = 10, 8, 0.1
+PLACE = (2.0, 0.0, 1.0)
+# The inner corners in the world.
+CORNERS = np.array(
+    [
+        (PLACE[0], CELL * (COLUMNS / 2 - i), PLACE[2] + CELL * (ROWS / 2 - j))
+        for j in range(1, ROWS)
+        for i in range(1, COLUMNS)
+    ]
+)
+BENT = (-0.25, 0.08, 0.001, -0.002, 0.01)
+ODD = PinholeCamera(501, 333, 411.0, 370.0, 230.3, 190.8)
+
+
+@pytest.fixture(scope="module", params=RENDERERS)
+def board(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("board")
+    path = write_plate(folder, "board", checkers(COLUMNS, ROWS), COLUMNS * CELL, ROWS * CELL)
+    with simulation_of(plate(path, Pose(PLACE)), renderer=usable(request.param)) as simulation:
+        yield simulation.photographer()
+
+
+def in_optical_frame(pose, points):
+    """Points of the world as a camera at a pose has them: x right, y down, z ahead."""
+    local = [pose.inverse().rotate(tuple(p - np.array(pose.position))) for p in points]
+    return np.array([(-y, -z, x) for x, y, z in local])
+
+
+def errors(photographer, camera, samples, count=6):
+    """Offsets of the corners in pictures from where the camera's geometry has them."""
+    random = np.random.default_rng(1)
+    lens = Lens(camera)
+    found = []
+    for _ in range(count):
+        place = random.uniform((0.3, -0.3, 0.7), (1.0, 0.3, 1.3))
+        pose = Pose.from_rpy(tuple(place), tuple(random.uniform(-0.1, 0.1, 3)))
+        picture = lens.bend(photographer.take(pose, Shot(lens.ideal, samples=samples)))
+        assert picture.shape == (camera.height, camera.width, 3)
+        pixels = camera.project(in_optical_frame(pose, CORNERS))
+        edge = (camera.width - 21, camera.height - 21)
+        pixels = pixels[((pixels > 20) & (pixels < edge)).all(axis=1)]
+        start = (pixels + random.normal(0, 0.3, pixels.shape)).astype(np.float32)
+        grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
+        seen = cv2.cornerSubPix(grey, start[:, None].copy(), (5, 5), (-1, -1), criteria)[:, 0]
+        found.append(seen - pixels)
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize("samples", [1.0, 1.3, 2.0])
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, BENT])
+def test_corners_are_seen_where_camera_info_has_them(board, samples, distortion):
+    camera = PinholeCamera(640, 480, FOCAL, FOCAL, 319.5, 239.5, distortion)
+    offsets = errors(board, camera, samples)
+    assert len(offsets) > 200
+    assert np.abs(offsets.mean(axis=0)).max() < 0.02
+    assert np.hypot(*offsets.T).mean() < 0.1
+
+
+def test_any_principal_point_and_focal_lengths(board):
+    offsets = errors(board, ODD, 1.0)
+    assert np.abs(offsets.mean(axis=0)).max() < 0.02
+    assert np.hypot(*offsets.T).mean() < 0.1
+
+
+def test_pictures_larger_than_the_frame_buffer(board):
+    offsets = errors(board, PinholeCamera(1600, 1000, 1300.0, 1300.0, 799.5, 499.5), 1.0, count=2)
+    assert np.abs(offsets.mean(axis=0)).max() < 0.03
+    assert np.hypot(*offsets.T).mean() < 0.1
+
+
+def test_near_and_far_end_the_view(board):
+    pose = Pose((1.0, 0.0, 1.0))
+    middle = (slice(200, 280), slice(280, 360))
+    blue = (0, 0, 255)
+    assert (board.take(pose, Shot(CAMERA, near=1.1))[middle] == blue).all()
+    assert (board.take(pose, Shot(CAMERA, near=0.1, far=0.9))[middle] == blue).all()
+    assert (board.take(pose, Shot(CAMERA, near=0.9, far=1.1))[middle] != blue).any(axis=-1).all()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"near": 0.0},
+        {"near": 1.0, "far": 1.0},
+        {"far": float("inf")},
+        {"samples": 0.5},
+        {"samples": 9.0},
+        {"samples": float("nan")},
+        {"camera": PinholeCamera(64, 48, 50, 50, 31, 23, BENT)},
+    ],
+)
+def test_impossible_shots_are_refused(wrong):
+    with pytest.raises(FrameError):
+        Shot(**{"camera": CAMERA, **wrong})
+
+
+@pytest.mark.parametrize("distortion", [(-2.0, 0, 0, 0, 0), (9.0, 0, 0, 0, 0), (-0.9, 0, 0, 0, 0)])
+def test_distortions_that_no_picture_has_are_refused(distortion):
+    with pytest.raises(FinishError, match="distortion"):
+        Lens(PinholeCamera(640, 480, 300.0, 300.0, 319.5, 239.5, distortion))

@@ -1,0 +1,174 @@
+import shutil
+
+import numpy as np
+import pytest
+from picture_worlds import CAMERA, RENDERERS, plate, simulation_of, thing, usable, write_plate
+from PIL import Image
+
+from bullet_lab.simulation.description import Mesh
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.rendering.frame import Shot
+from bullet_lab.simulation.rendering.textures import TextureError, load_textured
+
+AHEAD = Pose((0.0, 0.0, 0.5))
+COLOURS = [(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30), (30, 200, 200)]
+
+
+@pytest.fixture(params=RENDERERS)
+def renderer(request):
+    return usable(request.param)
+
+
+def flat(colour):
+    return np.full((32, 32, 3), colour, np.uint8)
+
+
+def place(number):
+    return Pose((4.0, 2.0 - number, 0.5))
+
+
+def column(number):
+    """Where the plate at `place(number)` is in the picture."""
+    return round(319.5 - CAMERA.fx * (2.0 - number) / 4.0)
+
+
+def colours_in(picture):
+    return np.array([picture[240, column(n)] for n in range(5)], int)
+
+
+def test_each_plate_keeps_its_picture(renderer, tmp_path):
+    """Also after many others were loaded: PyBullet tells textures apart by their addresses."""
+    for turn in range(3):
+        order = np.roll(np.arange(5), turn)
+        plates = [
+            plate(write_plate(tmp_path, f"p{turn}{n}", flat(COLOURS[n]), 0.8, 0.8), place(spot))
+            for spot, n in enumerate(order)
+        ]
+        with simulation_of(*plates, renderer=renderer) as simulation:
+            picture = simulation.photographer().take(AHEAD, Shot(CAMERA))
+        assert colours_in(picture) == pytest.approx(np.array(COLOURS)[order], abs=2)
+
+
+def test_one_file_name_with_two_contents(renderer, tmp_path):
+    for colour in COLOURS[:2]:
+        path = write_plate(tmp_path, "same", flat(colour), 0.8, 0.8)
+        with simulation_of(plate(path, place(2)), renderer=renderer) as simulation:
+            picture = simulation.photographer().take(AHEAD, Shot(CAMERA))
+        assert picture[240, 320] == pytest.approx(colour, abs=2)
+
+
+def quarters():
+    pixels = np.zeros((64, 64, 3), np.uint8)
+    for n, part in enumerate((np.s_[:32, :32], np.s_[:32, 32:], np.s_[32:, :32], np.s_[32:, 32:])):
+        pixels[part] = COLOURS[n]
+    return pixels
+
+
+def seen_quarters(picture):
+    places = ((200, 280), (200, 360), (280, 280), (280, 360))
+    return np.array([picture[v, u] for v, u in places], int)
+
+
+def test_a_picture_is_the_right_way_round(renderer, tmp_path):
+    path = write_plate(tmp_path, "quarters", quarters(), 1.0, 1.0)
+    with simulation_of(plate(path, Pose((3.0, 0, 0.5))), renderer=renderer) as simulation:
+        picture = simulation.photographer().take(AHEAD, Shot(CAMERA))
+    assert seen_quarters(picture) == pytest.approx(np.array(COLOURS[:4]), abs=3)
+
+
+def test_a_mirrored_mesh_shows_its_picture_mirrored(renderer, tmp_path):
+    path = write_plate(tmp_path, "quarters", quarters(), 1.0, 1.0)
+    mesh = Mesh(path, path.name, (1.0, -1.0, 1.0))
+    with simulation_of(thing("m", mesh, Pose((3, 0, 0.5))), renderer=renderer) as simulation:
+        picture = simulation.photographer().take(AHEAD, Shot(CAMERA))
+    assert seen_quarters(picture) == pytest.approx(np.array(COLOURS)[[1, 0, 3, 2]], abs=3)
+
+
+def test_a_far_picture_is_its_mean_not_single_texels(renderer, tmp_path):
+    lines = np.zeros((512, 512), np.uint8)
+    lines[:, ::2] = 200
+    path = write_plate(tmp_path, "lines", lines, 2.0, 2.0)
+    with simulation_of(plate(path, Pose((8.0, 0, 0.5))), renderer=renderer) as simulation:
+        picture = simulation.photographer().take(AHEAD, Shot(CAMERA))
+    inner = picture[200:280, 280:360, 0].astype(float)
+    assert inner.mean() == pytest.approx(100, abs=6)
+    assert inner.std() < 8
+
+
+def test_several_materials_and_faces_without_a_picture(renderer, tmp_path):
+    for n in (0, 1):
+        Image.fromarray(flat(COLOURS[n])).save(tmp_path / f"c{n}.png")
+    (tmp_path / "m.mtl").write_text(
+        "# two\nnewmtl a\nmap_Kd c0.png\nnewmtl b\nKd 1 1 1\nmap_Kd -s 1 1 1 c1.png\nnewmtl c\n"
+    )
+    text = "mtllib m.mtl\nvt 0 0\nvt 1 0\nvt 1 1\n"
+    for n, material in enumerate("abc"):
+        y = 1.0 - n
+        text += f"v 0 {y + 0.4} -.4\nv 0 {y - 0.4} -.4\nv 0 {y - 0.4} .4\nv 0 {y + 0.4} .4\n"
+        text += f"usemtl {material}\n"
+        text += "f -4/1 -3/2 -2/3 -1/3\n" if material != "c" else "f -4 -3 -2 -1\n"
+    (tmp_path / "m.obj").write_text(text)
+    model = thing("m", Mesh(tmp_path / "m.obj", "m.obj"), Pose((4, 0, 0.5)), (0.5, 0.5, 0.5, 1))
+    with simulation_of(model, renderer=renderer) as simulation:
+        picture = simulation.photographer().take(AHEAD, Shot(CAMERA))
+    wanted = np.array([*COLOURS[:2], (255, 255, 255)]) / 2
+    assert colours_in(picture)[1:4] == pytest.approx(wanted, abs=3)
+
+
+@pytest.mark.parametrize(
+    ("statement", "message"),
+    [
+        ("map_Kd nix.png", "nix.png"),
+        ("map_Kd ../secret.png", "leaves its folder"),
+        ("map_Kd http://example.org/a.png", "only package://"),
+        ("map_Kd /etc/hostname", "outside the folders"),
+        ("map_Kd link.png", "leaves its folder"),
+    ],
+)
+def test_a_picture_that_is_not_there_is_one_line(tmp_path, statement, message):
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    path = write_plate(folder, "p", flat(COLOURS[0]), 1.0, 1.0)
+    shutil.copy(folder / "p.png", tmp_path / "secret.png")
+    (folder / "link.png").symlink_to(tmp_path / "secret.png")
+    (folder / "p.mtl").write_text(f"newmtl face\n{statement}\n")
+    with pytest.raises(TextureError, match=message) as caught:
+        simulation_of(plate(path, AHEAD))
+    assert str(caught.value).startswith(f"{folder / 'p.mtl'}: ")
+
+
+def test_pictures_beside_the_meshes_of_a_gazebo_model(tmp_path):
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "model.config").write_text("<model/>")
+    path = write_plate(tmp_path / "meshes", "p", flat(COLOURS[1]), 1.0, 1.0)
+    (tmp_path / "textures").mkdir()
+    shutil.move(tmp_path / "meshes" / "p.png", tmp_path / "textures" / "q.png")
+    (tmp_path / "meshes" / "p.mtl").write_text("newmtl face\nmap_Kd ../textures/q.png\n")
+    ((corners, _, image),) = load_textured(Mesh(path, ""))
+    assert corners.shape == (2, 3, 3)
+    assert image.startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("p.png", b"no image", "not a readable image"),
+        ("p.png", b"", "not a readable image"),
+        ("p.obj", b"mtllib p.mtl\nusemtl face\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "picture"),
+        ("p.obj", b"mtllib p.mtl\nv 0 0 0\nvt 0 0\nf 1/1 2/1 3/1\n", "not a readable mesh"),
+        ("p.obj", b"mtllib p.mtl\nv 0 0 x\n", "not a readable mesh"),
+        ("p.obj", b"mtllib p.mtl\nvt 0 0\nv 0 nan 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/1 3/1\n", "finite"),
+    ],
+)
+def test_broken_files_are_one_line(tmp_path, name, content, message):
+    path = write_plate(tmp_path, "p", flat(COLOURS[0]), 1.0, 1.0)
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(TextureError, match=message) as caught:
+        load_textured(Mesh(path, ""))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_material_file_that_nobody_has_is_passed_over(tmp_path):
+    path = write_plate(tmp_path, "p", flat(COLOURS[0]), 1.0, 1.0)
+    (tmp_path / "p.mtl").unlink()
+    assert load_textured(Mesh(path, "")) == []

@@ -1,0 +1,72 @@
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.simulation.description import Attenuation, Cone
+from bullet_lab.simulation.sdf_reader import read_world_file
+from bullet_lab.simulation.xml_input import XmlError
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(inner):
+        path = tmp_path / "lit.world"
+        path.write_text(f'<sdf version="1.6"><world name="lit">{inner}</world></sdf>')
+        return read_world_file(path)
+
+    return read
+
+
+def light(inner, kind="spot"):
+    return f'<light name="lamp" type="{kind}"><pose>1 2 3 0 0 0</pose>{inner}</light>'
+
+
+def test_a_light_without_anything(read):
+    (lamp,) = read(light("", "point")).lights
+    assert lamp.attenuation == Attenuation(10.0, 1.0, 0.0, 0.0)
+    assert lamp.direction == (0.0, 0.0, -1.0)
+    assert not lamp.casts_shadows
+
+
+def test_attenuation_and_cone(read):
+    fading = "<range>7</range><constant>0.5</constant><linear>0.1</linear>"
+    fading += "<quadratic>0.01</quadratic>"
+    spot = "<inner_angle>0.3</inner_angle><outer_angle>0.9</outer_angle><falloff>2</falloff>"
+    (lamp,) = read(light(f"<attenuation>{fading}</attenuation><spot>{spot}</spot>")).lights
+    assert lamp.attenuation == Attenuation(7.0, 0.5, 0.1, 0.01)
+    assert lamp.cone == Cone(0.3, 0.9, 2.0)
+
+
+def test_fading(read):
+    fading = Attenuation(5.0, 0.5, 0.1, 0.02)
+    left = fading.at(np.array([0.0, 4.0, 5.0, 5.1]))
+    # Never brighter than at the lamp itself.
+    assert left == pytest.approx([1.0, 1 / 1.22, 1 / 1.5, 0.0])
+
+
+def test_the_edge_of_a_cone():
+    cone = Cone(0.4, 1.0, 2.0)
+    half = (math.cos(0.2) + math.cos(0.5)) / 2
+    cosines = np.array([1.0, math.cos(0.19), half, math.cos(0.51), -1.0])
+    assert cone.at(cosines) == pytest.approx([1.0, 1.0, 0.25, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "<attenuation><range>-1</range></attenuation>",
+        "<attenuation><linear>none</linear></attenuation>",
+        "<spot><inner_angle>1</inner_angle><outer_angle>0.5</outer_angle></spot>",
+        "<spot><outer_angle>9</outer_angle></spot>",
+        "<spot><falloff>-1</falloff></spot>",
+    ],
+)
+def test_impossible_lights_are_refused(read, wrong):
+    with pytest.raises(XmlError, match="light 'lamp'"):
+        read(light(wrong))
+
+
+@pytest.mark.parametrize(("said", "shadows"), [("", True), ("<shadows>false</shadows>", False)])
+def test_shadows(read, said, shadows):
+    assert read(f"<scene>{said}</scene>").shadows is shadows

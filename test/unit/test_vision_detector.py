@@ -1,0 +1,274 @@
+"""Markers are found where they are, all of them and nothing else."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+from marker_images import CAMERA, View, corner_error, image_of, marker, true_corners
+
+from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
+from bullet_lab.vision.errors import VisionError
+from bullet_lab.vision.explanation import why_nothing
+from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector, noise_level
+
+TAGS = "apriltag_36h10"
+BENT = dataclasses.replace(CAMERA, distortion=(-0.3, 0.1, 0.001, -0.002, 0.02))
+
+
+def detect(image, camera=None, **settings):
+    return MarkerDetector(DetectorSettings(**settings)).detect(image, camera)
+
+
+def ids_of(detections):
+    return sorted(found.id for found in detections.markers)
+
+
+def nested(outer, inner, inner_size=0.1):
+    """A marker as one white cell of a larger one; the layers, the larger size and the centre."""
+    pattern = dictionary_named(TAGS).pattern(outer)
+    row, column = np.argwhere(pattern == 1)[8]
+    cell = inner_size * 10 / 8
+    centre = ((column + 0.5 - 4.0) * cell, (4.0 - row - 0.5) * cell)
+    layers = [marker(outer, size=8 * cell), marker(inner, size=inner_size, centre=centre)]
+    return layers, 8 * cell, centre
+
+
+# Accuracy
+
+
+@pytest.mark.parametrize("yaw", [0.0, 25.0, 50.0])
+@pytest.mark.parametrize("distance", [0.5, 1.0, 2.0, 4.0])
+def test_corners_are_exact_and_unbiased(distance, yaw):
+    errors = []
+    for number in range(3):
+        view = View(distance, yaw + number, 1.5 * number, 2.0 * number, (0.02 * distance, 0.03))
+        image = image_of([marker()], view, samples=8)
+        (found,) = detect(image).markers
+        errors.append(found.corners - true_corners(view))
+    errors = np.array(errors)
+    assert np.linalg.norm(errors, axis=2).max() < 0.1
+    # Neither moved nor too large or small.
+    assert np.abs(errors.mean(axis=(0, 1))).max() < 0.02
+    outward = errors * np.sign(true_corners(view) - true_corners(view).mean(axis=0))
+    assert abs(outward.mean()) < 0.03
+
+
+def test_corners_begin_at_the_top_left_of_a_marker_however_turned():
+    for roll in (0.0, 85.0, 180.0, -95.0):
+        view = View(1.0, yaw=10.0, roll=roll)
+        (found,) = detect(image_of([marker(3)], view, samples=6)).markers
+        assert corner_error(found.corners, true_corners(view)) < 0.05
+
+
+def test_a_lens_does_not_bend_what_is_found():
+    view = View(0.8, yaw=25.0, shift=(0.3, 0.2))
+    image = image_of([marker()], view, camera=BENT, samples=8)
+    true = true_corners(view, camera=BENT)
+    (found,) = detect(image, BENT).markers
+    assert corner_error(found.corners, true) < 0.05
+    (without,) = detect(image).markers
+    assert corner_error(without.corners, true) > 0.1
+
+
+# Which are found
+
+
+@pytest.mark.parametrize("name", DICTIONARY_NAMES)
+def test_markers_of_every_dictionary(name):
+    number = 7
+    image = image_of([marker(number, tags=name)], View(1.0, yaw=15.0), samples=4)
+    assert ids_of(detect(image, dictionary=name)) == [number]
+
+
+@pytest.mark.parametrize("yaw, farthest", [(0.0, 6.0), (30.0, 5.5), (60.0, 3.5)])
+def test_range_without_gaps(yaw, farthest):
+    distances = np.linspace(0.45, farthest, 12)
+    for distance in distances:
+        view = View(distance, yaw=yaw, pitch=1.0, roll=2.0)
+        image = image_of([marker()], view, samples=4, noise=2.0)
+        assert ids_of(detect(image)) == [0], distance
+
+
+def test_several_markers_largest_first():
+    layers = [marker(5, centre=(-0.3, 0.0)), marker(9, size=0.3, centre=(0.2, 0.0))]
+    found = detect(image_of(layers, View(1.5), samples=4)).markers
+    assert [m.id for m in found] == [9, 5]
+
+
+def test_one_id_twice_is_reported_twice():
+    layers = [marker(4, centre=(-0.3, 0.0)), marker(4, size=0.3, centre=(0.2, 0.1))]
+    assert ids_of(detect(image_of(layers, View(1.5), samples=4))) == [4, 4]
+
+
+@pytest.mark.parametrize("outer, inner", [(0, 0), (17, 0), (0, 17)])
+@pytest.mark.parametrize("distance", [1.3, 2.0, 3.0])
+def test_a_marker_in_a_cell_of_another_and_the_other(outer, inner, distance):
+    layers, size, centre = nested(outer, inner)
+    view = View(distance, yaw=12.0)
+    large, small = detect(image_of(layers, view, samples=6)).markers
+    assert (large.id, small.id) == (outer, inner)
+    assert corner_error(large.corners, true_corners(view, size)) < 0.1
+    assert corner_error(small.corners, true_corners(view, 0.1, centre=centre)) < 0.15
+
+
+def test_only_ids_that_were_asked_for():
+    image = image_of([marker(5), marker(6, centre=(0.3, 0.0))], View(1.5), samples=4)
+    detections = detect(image, ids=(6, 8))
+    assert ids_of(detections) == [6]
+    assert detections.report.other_ids == [5]
+
+
+def test_a_marker_at_the_edge_of_the_image_is_dropped():
+    for shift, count in (((0.53, 0.0), 1), ((0.536, 0.0), 0)):
+        detections = detect(image_of([marker()], View(1.0, shift=shift), samples=4))
+        assert len(detections.markers) == count, shift
+        assert detections.report.cropped == [0] * (1 - count)
+
+
+def test_bits_are_corrected_as_far_as_asked():
+    def damaged(count):
+        layer = marker(2)
+        for row, column in [(2, 2), (3, 5), (6, 4), (5, 7)][:count]:
+            layer.cells[row, column] = 240.0 - layer.cells[row, column]
+        return image_of([layer], View(1.0), samples=4)
+
+    # 36h10 could correct four.
+    assert [m.bit_errors for m in detect(damaged(2)).markers] == [2]
+    assert detect(damaged(3)).markers == []
+    assert [m.bit_errors for m in detect(damaged(4), correction=1.0).markers] == [4]
+    assert detect(damaged(1), correction=0.0).markers == []
+
+
+# Light
+
+
+@pytest.mark.parametrize(
+    "black, white, background, noise",
+    [
+        (4.0, 18.0, 8.0, 0.5),
+        (205.0, 255.0, 250.0, 1.0),
+        (8.0, 35.0, 250.0, 0.5),
+        (20.0, 220.0, 120.0, 12.0),
+        (90.0, 115.0, 100.0, 2.0),
+    ],
+    ids=["dark", "bright", "back-lit", "noisy", "faint"],
+)
+def test_light(black, white, background, noise):
+    for distance in (0.6, 1.5, 2.5):
+        view = View(distance, yaw=10.0, pitch=3.0)
+        layers = [marker(black=black, white=white)]
+        image = image_of(layers, view, background=background, noise=noise, samples=4)
+        (found,) = detect(image).markers
+        assert corner_error(found.corners, true_corners(view)) < 0.5
+
+
+def test_light_that_changes_across_the_marker():
+    image = image_of([marker()], View(0.8), samples=4).astype(float)
+    light = np.linspace(0.15, 1.0, image.shape[1])
+    assert ids_of(detect(np.rint(image * light).astype(np.uint8))) == [0]
+
+
+def test_the_second_look_is_taken_only_where_nothing_was_found():
+    bright = image_of([marker()], View(2.0), samples=4)
+    assert not detect(bright).report.second_pass
+    # Black and white are nearer than the first look wants, in an image of full range.
+    faint = image_of([marker(black=100.0, white=106.0)], View(1.0), background=103.0, samples=4)
+    faint[:40] = 255
+    faint[-40:] = 0
+    detections = detect(faint)
+    assert (ids_of(detections), detections.report.second_pass) == ([0], True)
+    assert detect(faint, second_pass=False).markers == []
+
+
+# False ones
+
+
+def dots(chance, noise):
+    """As figure 8: dots on white, some of them square."""
+    image = np.full((480, 640), 230, np.uint8)
+    radius = chance.uniform(1.5, 8.0)
+    for u, v in chance.uniform(0.0, 1.0, (chance.integers(200, 1500), 2)) * (640, 480):
+        centre = (int(u), int(v))
+        if chance.random() < 0.3:
+            other = (int(u + 2 * radius), int(v + 2 * radius))
+            cv2.rectangle(image, centre, other, int(chance.integers(0, 60)), -1)
+        else:
+            cv2.circle(image, centre, int(radius + 0.5), int(chance.integers(0, 60)), -1)
+    values = image + chance.normal(0.0, noise, image.shape)
+    return np.clip(values, 0, 255).astype(np.uint8)
+
+
+def test_no_marker_in_dots():
+    chance = np.random.default_rng(8)
+    for _ in range(40):
+        assert detect(dots(chance, chance.uniform(0.0, 6.0))).markers == []
+
+
+def test_the_reason_why_nothing_is_found():
+    name = "DICT_APRILTAG_36h10"
+    empty = np.full((480, 640), 5, np.uint8)
+    assert "flat" in why_nothing(detect(empty).report, name)
+    empty[:20, :20] = 60
+    assert "dark (mean" in why_nothing(detect(empty).report, name)
+    squares = np.full((480, 640), 200, np.uint8)
+    squares[100:200, 100:200] = 30
+    assert "1 dark quadrilaterals" in why_nothing(detect(squares).report, name)
+    other = image_of([marker(5)], View(1.0), samples=4)
+    assert "marker 5 seen" in why_nothing(detect(other, ids=(0,)).report, name)
+    cropped = image_of([marker(5)], View(1.0, shift=(0.5365, 0.0)), samples=4)
+    assert "marker 5 cut off" in why_nothing(detect(cropped).report, name)
+
+
+# What is refused, and the rest
+
+
+def test_images_that_are_none():
+    for image in (
+        np.zeros((480, 640)),
+        np.zeros((4, 4), np.uint8),
+        np.zeros((48, 64, 2), np.uint8),
+    ):
+        with pytest.raises(VisionError):
+            detect(image)
+
+
+def test_colour_images_are_looked_at_in_grey():
+    image = image_of([marker()], View(1.0), samples=4)
+    assert ids_of(detect(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))) == [0]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"dictionary": "x"},
+        {"ids": (2320,)},
+        {"ids": (-1,)},
+        {"windows": (4,)},
+        {"windows": ()},
+        {"border": -1.0},
+        {"min_side": 2.0},
+        {"correction": 1.5},
+        {"likeness": float("nan")},
+        {"max_quads": 0},
+    ],
+    ids=str,
+)
+def test_settings_that_are_not_allowed(wrong):
+    with pytest.raises(VisionError):
+        DetectorSettings(**wrong)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1.0, 4.0, 10.0])
+def test_noise_is_measured(sigma):
+    image = image_of([marker()], View(1.0), samples=4, noise=sigma)
+    assert noise_level(image) == pytest.approx(sigma, rel=0.1, abs=0.05)
+
+
+def test_the_number_of_tries_is_bounded():
+    image = np.full((480, 640), 200, np.uint8)
+    for v in range(10, 460, 24):
+        for u in range(10, 620, 24):
+            image[v : v + 14, u : u + 14] = 20
+    report = detect(image, max_quads=50, second_pass=False).report
+    assert report.quads <= 51

@@ -1,0 +1,198 @@
+"""Both poses of a marker, their covariance, and which of them it is."""
+
+import dataclasses
+import math
+
+import cv2
+import numpy as np
+import pytest
+from marker_images import CAMERA, View, angle_between, image_of, marker, true_corners
+
+from bullet_lab.vision.errors import VisionError
+from bullet_lab.vision.marker_detector import DetectorSettings
+from bullet_lab.vision.marker_observer import MarkerObserver, ObservedMarker
+from bullet_lab.vision.marker_pose import estimate_pose
+from bullet_lab.vision.pose_memory import PoseMemory
+
+SIZE = 0.2
+BENT = dataclasses.replace(CAMERA, distortion=(-0.3, 0.1, 0.001, -0.002, 0.02))
+VIEWS = [
+    # Upright before a level camera: half turns, at which rotation vectors fail.
+    View(2.0),
+    View(1.0, yaw=30.0),
+    View(1.0, pitch=-25.0),
+    View(1.5, yaw=-40.0, pitch=10.0, roll=30.0, shift=(0.4, -0.2)),
+    View(0.5, roll=180.0),
+    View(4.0, yaw=60.0, shift=(-1.0, 0.5)),
+]
+
+
+@pytest.mark.parametrize("camera", [CAMERA, BENT], ids=["ideal", "bent"])
+@pytest.mark.parametrize("view", VIEWS, ids=range(len(VIEWS)))
+def test_exact_corners_give_the_exact_pose(view, camera):
+    estimate = estimate_pose(true_corners(view, camera=camera), SIZE, camera)
+    pose = estimate.nearest_to(view.rotation)
+    assert pose.error < 1e-4
+    np.testing.assert_allclose(pose.translation, view.translation, atol=1e-5)
+    assert angle_between(pose.rotation, view.rotation) < 2e-4
+    assert estimate.best.error <= estimate.alternative.error
+
+
+def test_the_frame_of_a_marker_is_x_right_y_up_z_out_of_its_face():
+    pose = estimate_pose(true_corners(View(1.0)), SIZE, CAMERA).best
+    np.testing.assert_allclose(pose.rotation, np.diag([1.0, -1.0, -1.0]), atol=1e-6)
+    np.testing.assert_allclose(np.abs(pose.quaternion), [1.0, 0.0, 0.0, 0.0], atol=1e-6)
+    assert pose.distance == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=range(len(VIEWS)))
+def test_quaternions_are_the_rotations(view):
+    pose = estimate_pose(true_corners(view), SIZE, CAMERA).best
+    x, y, z, w = pose.quaternion
+    vector = np.array([x, y, z])
+    assert w * w + vector @ vector == pytest.approx(1.0)
+    point = np.array([0.3, -0.5, 0.8])
+    turned = point + 2.0 * np.cross(vector, np.cross(vector, point) + w * point)
+    np.testing.assert_allclose(turned, pose.rotation @ point, atol=1e-9)
+
+
+def test_the_two_poses_are_mirrored_about_the_line_of_sight():
+    view = View(1.5, yaw=30.0)
+    estimate = estimate_pose(true_corners(view), SIZE, CAMERA)
+    other = View(1.5, yaw=-30.0)
+    assert angle_between(estimate.alternative.rotation, other.rotation) < math.radians(4.0)
+    assert estimate.alternative.error > 1.0
+    assert not estimate.ambiguous
+
+
+def test_ambiguity_is_seen_where_noise_would_hide_the_difference():
+    corners = {d: true_corners(View(d, yaw=20.0)) for d in (1.0, 6.0)}
+    assert not estimate_pose(corners[1.0], SIZE, CAMERA, 0.1).ambiguous
+    assert estimate_pose(corners[6.0], SIZE, CAMERA, 0.1).ambiguous
+    assert not estimate_pose(corners[6.0], SIZE, CAMERA, 0.001).ambiguous
+
+
+@pytest.mark.parametrize("view", [View(0.6), View(1.0, yaw=30.0), VIEWS[3]], ids=range(3))
+def test_covariance_is_that_of_many_noisy_corners(view):
+    sigma, count = 0.05, 1500
+    chance = np.random.default_rng(3)
+    corners = true_corners(view)
+    expected = estimate_pose(corners, SIZE, CAMERA, sigma).nearest_to(view.rotation).covariance
+    errors = []
+    for _ in range(count):
+        noisy = corners + chance.normal(0.0, sigma, (4, 2))
+        pose = estimate_pose(noisy, SIZE, CAMERA, sigma).nearest_to(view.rotation)
+        turn = cv2.Rodrigues(pose.rotation @ view.rotation.T)[0].ravel()
+        errors.append(np.concatenate((pose.translation - view.translation, turn)))
+    sample = np.cov(np.array(errors).T)
+    # Whitened by the expected one, the sample's is the unit matrix, to 5 sigma of its estimate.
+    white = np.linalg.inv(np.linalg.cholesky(expected))
+    np.testing.assert_allclose(
+        white @ sample @ white.T, np.eye(6), atol=5.0 * math.sqrt(2.0 / count)
+    )
+
+
+def test_covariance_grows_with_the_square_of_sigma():
+    corners = true_corners(View(1.0, yaw=30.0))
+    one, two = (estimate_pose(corners, SIZE, CAMERA, s).best.covariance for s in (0.1, 0.2))
+    np.testing.assert_allclose(two, 4.0 * one, rtol=1e-9)
+
+
+def test_choice_by_a_former_pose_and_by_what_is_upright():
+    # The camera looks up at the marker: the mirrored pose leans over.
+    view = View(3.0, pitch=15.0)
+    estimate = estimate_pose(true_corners(view), SIZE, CAMERA)
+    assert estimate.nearest_to(view.rotation).error < 1e-6
+    lean = view.rotation @ np.array([0.0, 1.0, 0.0])
+    assert estimate.upright(lean) is estimate.nearest_to(view.rotation)
+    mirrored = estimate.alternative
+    assert estimate.upright(mirrored.rotation[:, 1]) is mirrored
+
+
+@pytest.mark.parametrize(
+    "corners, size, sigma",
+    [
+        (np.zeros((3, 2)), 0.2, 0.1),
+        (np.full((4, 2), np.nan), 0.2, 0.1),
+        (true_corners(View(1.0)), 0.0, 0.1),
+        (true_corners(View(1.0)), 0.2, 0.0),
+        (np.zeros((4, 2)), 0.2, 0.1),
+    ],
+    ids=["three", "nan", "size", "sigma", "point"],
+)
+def test_what_makes_no_pose_is_refused(corners, size, sigma):
+    with pytest.raises(VisionError):
+        estimate_pose(corners, size, CAMERA, sigma)
+
+
+# Detector and pose together
+
+
+def test_an_image_gives_markers_with_poses_and_their_own_sizes():
+    view = View(1.2, yaw=20.0, shift=(0.1, 0.05))
+    layers = [marker(0, centre=(-0.2, 0.0)), marker(7, size=0.1, centre=(0.1, 0.0))]
+    observer = MarkerObserver(DetectorSettings(ids=(0, 7)), 0.2, {7: 0.1})
+    found = {m.id: m for m in observer.observe(image_of(layers, view, samples=6), CAMERA).markers}
+    assert {number: m.size for number, m in found.items()} == {0: 0.2, 7: 0.1}
+    for number, x in ((0, -0.2), (7, 0.1)):
+        place = view.to_camera(np.array([[x, 0.0, 0.0]]))[0]
+        np.testing.assert_allclose(found[number].pose.best.translation, place, atol=0.004)
+
+
+def test_an_image_of_another_size_is_refused():
+    with pytest.raises(VisionError, match="320 x 240"):
+        MarkerObserver().observe(np.zeros((240, 320), np.uint8), CAMERA)
+    with pytest.raises(VisionError):
+        MarkerObserver(size=0.0)
+
+
+# From image to image
+
+
+def observed(view, number=0, sigma=0.3):
+    corners = true_corners(view)
+    return ObservedMarker(
+        number, SIZE, corners, 0, 10.0, estimate_pose(corners, SIZE, CAMERA, sigma)
+    )
+
+
+def flipped(marker_seen):
+    """The same with its two poses the other way round."""
+    estimate = marker_seen.pose
+    pose = dataclasses.replace(estimate, best=estimate.alternative, alternative=estimate.best)
+    return dataclasses.replace(marker_seen, pose=pose)
+
+
+def test_an_ambiguous_marker_keeps_the_pose_that_it_had():
+    memory = PoseMemory()
+    near = observed(View(1.0, yaw=20.0), sigma=0.01)
+    memory.choose([near], 1.0)
+    far = observed(View(1.1, yaw=20.0), sigma=1.0)
+    assert far.pose.ambiguous
+    (kept,) = memory.choose([flipped(far)], 1.1)
+    assert kept is far.pose.best
+    # Long after, nothing is left of it.
+    (alone,) = memory.choose([flipped(far)], 5.0)
+    assert alone is far.pose.alternative
+
+
+def test_markers_of_one_id_do_not_lend_each_other_their_pose():
+    memory = PoseMemory(upright=False)
+    memory.choose([observed(View(1.0, yaw=20.0), sigma=0.01)], 1.0)
+    other = flipped(observed(View(3.0, yaw=20.0, shift=(1.0, 0.0)), sigma=2.0))
+    (chosen,) = memory.choose([other], 1.1)
+    assert chosen is other.pose.best
+
+
+def test_markers_hang_upright_where_nothing_else_is_known():
+    lying = flipped(observed(View(2.0, yaw=3.0, shift=(0.0, 0.7)), sigma=3.0))
+    assert lying.pose.ambiguous
+    assert PoseMemory().choose([lying], 1.0)[0] is lying.pose.alternative
+    assert PoseMemory(upright=False).choose([lying], 1.0)[0] is lying.pose.best
+
+
+def test_a_clear_image_decides_whatever_was_before():
+    memory = PoseMemory()
+    memory.choose([observed(View(1.0, yaw=-30.0), sigma=0.01)], 1.0)
+    now = observed(View(1.0, yaw=30.0), sigma=0.01)
+    assert memory.choose([now], 1.03)[0] is now.pose.best

@@ -1,0 +1,143 @@
+import os
+
+import pytest
+from sensor_worlds import INERTIAL
+
+from bullet_lab.simulation import xacro_files
+from bullet_lab.simulation.description import Box
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.urdf_reader import read_urdf_file
+from bullet_lab.simulation.xacro_files import XacroError, expand_xacro
+
+pytest.importorskip("xacro")
+
+HEAD = '<robot name="made" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+LINK = (
+    f'<link name="base">{INERTIAL}<collision><geometry><box size="${{2 * w}} ${{w}} 1"/></geometry>'
+    "</collision></link>"
+)
+
+
+@pytest.fixture
+def write(tmp_path):
+    def writer(body, name="robot.urdf.xacro", head=HEAD):
+        path = tmp_path / name
+        path.write_text(f"{head}{body}</robot>" if head else body)
+        return path
+
+    return writer
+
+
+def test_properties_and_expressions(write):
+    model = read_urdf_file(write('<xacro:property name="w" value="${0.1 + 0.2}"/>' + LINK))
+    assert model.name == "made"
+    assert model.links[0].collisions[0].geometry == Box(pytest.approx((0.6, 0.3, 1.0)))
+
+
+def test_macros_arguments_and_conditions(write):
+    path = write(
+        '<xacro:arg name="wide" default="true"/><xacro:property name="w" value="1"/>'
+        '<xacro:macro name="plate" params="name w"><link name="${name}">'
+        f'{INERTIAL}<collision><geometry><box size="${{w}} 1 1"/></geometry></collision></link>'
+        '</xacro:macro><xacro:if value="$(arg wide)"><xacro:plate name="base" w="3"/></xacro:if>'
+        '<xacro:unless value="$(arg wide)"><xacro:plate name="base" w="2"/></xacro:unless>'
+    )
+    assert read_urdf_file(path).links[0].collisions[0].geometry.size == (3, 1, 1)
+    assert 'size="2 1 1"' in expand_xacro(path, {"wide": "false"})
+
+
+def test_includes_beside_it_and_in_packages(write, tmp_path):
+    write('<xacro:property name="w" value="0.5"/>', "sizes.xacro")
+    model = read_urdf_file(write('<xacro:include filename="sizes.xacro"/>' + LINK))
+    assert model.links[0].collisions[0].geometry.size == (1.0, 0.5, 1.0)
+    here = '<xacro:include filename="$(find bullet_lab)/urdf/block_robot.urdf"/>'
+    assert 'link name="laser_link"' in expand_xacro(write(here, "other.xacro"))
+
+
+def test_a_package_that_is_not_there(write):
+    path = write('<xacro:include filename="$(find nowhere_at_all)/x.xacro"/>')
+    with pytest.raises(XacroError, match="no ROS package 'nowhere_at_all'"):
+        expand_xacro(path)
+
+
+def test_it_can_be_spawned_by_its_path(write):
+    path = write('<xacro:property name="w" value="0.5"/>' + LINK)
+    with Simulation() as simulation:
+        assert simulation.spawn(str(path)).name == "made"
+
+
+@pytest.mark.parametrize(
+    ("body", "head", "message"),
+    [
+        ("<link", "", "no element found|unclosed token|not well-formed"),
+        ('<link name="${no_such_name}"/>', HEAD, "no_such_name"),
+        ('<xacro:no_such_macro/>', HEAD, "no_such_macro"),
+        ('<xacro:include filename="missing.xacro"/>', HEAD, "missing.xacro"),
+        ('<link name="$(arg never_given)"/>', HEAD, "never_given"),
+    ],
+)
+def test_refusals_are_one_line_with_the_file(write, body, head, message):
+    path = write(body, head=head)
+    with pytest.raises(XacroError, match=message) as refusal:
+        read_urdf_file(path)
+    assert str(refusal.value).startswith(f"{path}: ")
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(XacroError, match="No such file"):
+        read_urdf_file(tmp_path / "robot.xacro")
+
+
+def test_without_the_package_it_says_so(write, monkeypatch, tmp_path):
+    (tmp_path / "xacro.py").write_text("raise ImportError")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(XacroError, match="xacro is not installed"):
+        expand_xacro(write(""))
+
+
+@pytest.mark.parametrize(
+    "attempt",
+    [
+        "${__import__('os').getpid()}",
+        "${open('/etc/passwd').read()}",
+        "${().__class__.__bases__}",
+        "${xacro.load_yaml.__globals__}",
+    ],
+)
+def test_expressions_have_a_fence(write, attempt):
+    with pytest.raises(XacroError):
+        expand_xacro(write(f'<link name="{attempt}"/>'))
+
+
+def test_it_takes_no_more_time_than_it_is_given(write, monkeypatch):
+    monkeypatch.setattr(xacro_files, "SECONDS", 1)
+    path = write('<link name="${9 ** 9 ** 9}"/>')
+    with pytest.raises(XacroError, match=r"took (more|longer) than [12] s"):
+        expand_xacro(path)
+
+
+def test_it_takes_no_more_memory_than_it_is_given(write, monkeypatch):
+    monkeypatch.setattr(xacro_files, "MEMORY_BYTES", 256 << 20)
+    # Each line doubles what the one before says, as in the laughs by the billion.
+    doubling = "".join(
+        f'<xacro:property name="p{n + 1}" value="${{p{n} + p{n}}}"/>' for n in range(30)
+    )
+    body = f'<xacro:property name="p0" value="ha"/>{doubling}<link name="${{p30}}"/>'
+    with pytest.raises(XacroError, match="took more than 256 MB of memory"):
+        expand_xacro(write(body))
+
+
+def test_it_writes_no_file(write, tmp_path, monkeypatch):
+    # As if an expression had found its way through the fence.
+    (tmp_path / "xacro.py").write_text(
+        "def process_file(path, **_):\n"
+        "    with open(path + '.copy', 'w') as file:\n"
+        "        file.write('x')\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    path = write("")
+    with pytest.raises(XacroError):
+        expand_xacro(path)
+    copy = tmp_path / (path.name + ".copy")
+    assert not copy.exists() or os.path.getsize(copy) == 0
