@@ -61,17 +61,18 @@ def before_the_dock() -> List[Any]:
 
 
 def milliseconds(work: Work, pictures: List[np.ndarray], rounds: int) -> np.ndarray:
-    """Return how long each message took, in all rounds."""
+    """Return wall and processor time (n, 2) that each message took, in all rounds."""
     messages = [image_message(Header(), picture, "rgb8") for picture in pictures]
     times = []
     for number in range(rounds + 1):
         for message in messages:
-            start = time.perf_counter()
+            wall, processor = time.perf_counter(), time.process_time()
             work(message)
+            spent = (time.perf_counter() - wall, time.process_time() - processor)
             # The first round fills caches.
             if number:
-                times.append(1e3 * (time.perf_counter() - start))
-    return np.array(times)
+                times.append(spent)
+    return 1e3 * np.array(times)
 
 
 def plain_opencv() -> Work:
@@ -101,12 +102,15 @@ def measure(rounds: int) -> Dict[str, Any]:
     figures: Dict[str, Any] = {}
     for kind, pictures in kinds.items():
         times = milliseconds(ours, pictures, rounds)
+        plain = milliseconds(plain_opencv(), pictures, rounds)
         found = [len(observer.observe(picture, CAMERA).markers) > 0 for picture in pictures]
         figures[kind] = {
-            "median_ms": float(np.median(times)),
-            "percentile_95_ms": float(np.percentile(times, 95)),
-            "max_ms": float(times.max()),
-            "opencv_median_ms": float(np.median(milliseconds(plain_opencv(), pictures, rounds))),
+            "median_ms": float(np.median(times[:, 0])),
+            "percentile_95_ms": float(np.percentile(times[:, 0], 95)),
+            "max_ms": float(times[:, 0].max()),
+            "processor_median_ms": float(np.median(times[:, 1])),
+            "opencv_median_ms": float(np.median(plain[:, 0])),
+            "opencv_processor_median_ms": float(np.median(plain[:, 1])),
             "frames_with_markers": f"{sum(found)}/{len(found)}",
         }
     machine = {"machine": platform.processor() or platform.machine(), "cores": os.cpu_count()}
@@ -115,14 +119,19 @@ def measure(rounds: int) -> Dict[str, Any]:
 
 def print_table(figures: Dict[str, Any]) -> None:
     """Print what was measured."""
-    print(
-        f"{'image to pose, ms':30} {'median':>7} {'95 %':>7} {'max':>7} {'OpenCV':>7} {'found':>7}"
-    )
+    columns = {
+        "median": "median_ms",
+        "95 %": "percentile_95_ms",
+        "max": "max_ms",
+        "CPU": "processor_median_ms",
+        "OpenCV": "opencv_median_ms",
+        "its CPU": "opencv_processor_median_ms",
+    }
+    print(f"{'image to pose, ms':30} " + " ".join(f"{name:>8}" for name in columns) + "    found")
     for kind, row in figures["frames"].items():
-        times = (row["median_ms"], row["percentile_95_ms"], row["max_ms"], row["opencv_median_ms"])
-        numbers = " ".join(f"{value:7.1f}" for value in times)
-        print(f"{kind:30} {numbers} {row['frames_with_markers']:>7}")
-    print("asked: a median of at most 10 ms (OpenCV: its detection alone)")
+        numbers = " ".join(f"{row[key]:8.1f}" for key in columns.values())
+        print(f"{kind:30} {numbers} {row['frames_with_markers']:>8}")
+    print("asked: a median of at most 10 ms; OpenCV: its detection alone, with its defaults")
 
 
 def main() -> None:

@@ -72,11 +72,11 @@ def test_in_the_air_it_touches_nothing():
 
 
 def test_what_is_merely_near_is_not_touched():
-    # Bullet knows of the floor 5 mm below.
+    # Bullet knows of the floor 0.5 mm below.
     with Simulation.of(FLOOR) as simulation:
-        robot = simulation.add(bumper(), pose=Pose((0, 0, 0.105)))
+        robot = simulation.add(bumper(rate=1000), pose=Pose((0, 0, 0.1005)))
         samples = record(robot, "bumper_states")
-        simulation.run_for(0.01)
+        simulation.run_for(0.001)
         assert robot.bodies["base"].near_points()
     assert samples[-1].contacts == ()
 

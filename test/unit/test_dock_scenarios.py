@@ -5,13 +5,11 @@ import pytest
 
 from bullet_lab.experiments.dock_scenarios import (
     DATABASE_ERROR,
-    DOCK_POSE,
     FARTHEST,
     LARGEST_BLUR,
     LARGEST_IMAGE_NOISE,
     LARGEST_ODOMETRY_STD,
     NEAREST,
-    TURNING_RADIUS,
     WIDEST,
     WORLDS,
     DrawSettings,
@@ -19,6 +17,7 @@ from bullet_lab.experiments.dock_scenarios import (
     draw_scenario,
     obstacles,
 )
+from bullet_lab.experiments.docking import MARKER_POSE, TURNING_RADIUS
 
 COUNT = 400
 
@@ -44,7 +43,7 @@ def test_numbers_are_plain_ones_that_json_and_every_process_know(drawn):
 
 def test_starts_are_where_the_issue_wants_them(drawn):
     x, y, yaw = np.array([scenario.start for scenario in drawn]).T
-    distance = DOCK_POSE[0] - x
+    distance = MARKER_POSE[0] - x
     bearing = np.arctan2(y, distance)
     assert NEAREST <= distance.min() < NEAREST + 0.1
     assert FARTHEST >= distance.max() > FARTHEST - 0.1
@@ -116,6 +115,12 @@ def test_choices_can_be_narrowed():
 def test_what_cannot_be_drawn_is_refused(wrong):
     with pytest.raises(ScenarioError):
         DrawSettings(**wrong)
+
+
+def test_the_nested_world_has_a_dock_of_its_own(drawn):
+    for scenario in drawn:
+        nested = scenario.world.endswith("/docking_nested.world")
+        assert scenario.dock == ("nested_dock" if nested else "dock")
 
 
 def test_a_heading_is_an_angle(drawn):

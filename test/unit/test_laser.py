@@ -125,8 +125,7 @@ def test_the_robots_own_parts_are_seen_beyond_the_least_range_only(world):
 def test_shapes(world, geometry, distance):
     world.add(thing(geometry, "2 0 0 0 0 0"))
     scan = one_scan(world, laser(ray(1)))
-    # Bullet gives cylinders a margin of 1 mm.
-    assert scan.ranges[0] == pytest.approx(distance, abs=1.01e-3)
+    assert scan.ranges[0] == pytest.approx(distance, abs=1e-6)
 
 
 def test_the_floor_is_seen_by_a_laser_that_looks_down(world):

@@ -269,20 +269,22 @@ def test_reset_world_lets_time_go_on(world, robot):
     assert robot.pose().position[0] == pytest.approx(0.0, abs=1e-4)
 
 
-def test_200_models_come_and_go_and_leave_nothing(world, package, tmp_path, monkeypatch):
+def test_200_models_come_and_go_and_leave_nothing(package, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     mesh = Mesh(package / "meshes" / "beacon.dae", "", (0.1, 0.1, 0.1))
     models = [thing(), thing("mesh", mesh)]
-    count = bodies(world)
-    for number in range(100):
-        for model in models:
-            world.add(model, pose=Pose((number, 0, 1)))
-        for model in models:
-            world.remove(model.name)
+    with Simulation.of(EMPTY_WORLD) as world:
+        count = bodies(world)
+        for number in range(100):
+            for model in models:
+                world.add(model, pose=Pose((number, 0, 1)))
+            for model in models:
+                world.remove(model.name)
+        assert [path for path in tmp_path.rglob("*") if not path.is_dir()] == []
+        assert list(world.models) == ["ground_plane"]
+        assert bodies(world) == count
+        world.run_for(0.01)
     assert list(tmp_path.iterdir()) == []
-    assert list(world.models) == ["ground_plane"]
-    assert bodies(world) == count
-    world.run_for(0.01)
 
 
 def test_nothing_is_left_after_close(tmp_path, monkeypatch):

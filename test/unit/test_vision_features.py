@@ -86,14 +86,14 @@ def test_a_drawn_marker_has_outline_first_corner_axes_and_label(distance):
     near = image[int(middle[1]), int(middle[0]) - 2 : int(middle[0]) + 4].astype(int)
     assert (near[:, 1] > near[:, 0] + 30).any()
     top = int(corners[:, 1].min())
-    assert image[max(0, top - 30) : top - 4].max() == 255
+    assert image[max(0, top - 30) : top - 4].max() > 240
 
 
 def test_text_stays_in_the_image():
     for place in ((-50, -50), (10_000, 10_000)):
         image = np.full((60, 200, 3), 128, np.uint8)
         drawing.draw_text(image, "text", place)
-        assert (image == 255).any()
+        assert image.max() > 240
 
 
 def test_axes_behind_the_camera_are_not_drawn():

@@ -38,6 +38,10 @@ class WorkersError(LabError):
     """There is nobody to do the work."""
 
 
+class AddressError(WorkersError):
+    """What should be the address of a scheduler is none."""
+
+
 class TaskLostError(LabError):
     """A task has cost every worker that tried it its life."""
 
@@ -125,7 +129,7 @@ def _result_of(future: Any) -> Any:
 def _remote_client(scheduler: str) -> Iterator[Client]:
     # Of other words, Dask makes host names, and much noise.
     if not re.fullmatch(r"\w+://\S+:\d+", scheduler, re.ASCII):
-        raise WorkersError(f"'{scheduler}' is no address such as tcp://host:8786")
+        raise AddressError(f"'{scheduler}' is no address such as tcp://host:8786")
     try:
         client = Client(scheduler, timeout=SECONDS_FOR_SCHEDULER, set_as_default=False)
     except (OSError, ValueError, TimeoutError):

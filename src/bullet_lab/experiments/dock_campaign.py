@@ -30,6 +30,7 @@ from typing import (
 
 from bullet_lab.errors import LabError
 from bullet_lab.experiments.dask_workers import (
+    AddressError,
     TaskLostError,
     WorkersError,
     completed,
@@ -37,7 +38,6 @@ from bullet_lab.experiments.dask_workers import (
 )
 from bullet_lab.experiments.dock_progress import DockProgress
 from bullet_lab.experiments.dock_scenarios import (
-    DOCK_POSE,
     LIGHTS,
     ODOMETRY,
     WORLDS,
@@ -46,6 +46,7 @@ from bullet_lab.experiments.dock_scenarios import (
     obstacles,
 )
 from bullet_lab.experiments.dock_trial import Record, crashed_record, run_trial
+from bullet_lab.experiments.docking import MARKER_POSE
 from bullet_lab.plotting.campaign_figure import campaign_figure
 from bullet_lab.plotting.style import save
 from bullet_lab.recording.dock_log import DockLog
@@ -187,7 +188,7 @@ def _write_results(
         f"(seed {settings.draw.seed}; success rate over "
         f"{100.0 * summary['success_rate_lower_95']:.2f} % at 95 % confidence)"
     )
-    save(campaign_figure(records, standing, DOCK_POSE, title), folder / PICTURE)
+    save(campaign_figure(records, standing, MARKER_POSE, title), folder / PICTURE)
     write_json(folder / SUMMARY, summary)
     return summary
 
@@ -252,10 +253,9 @@ def main(arguments: Optional[Sequence[str]] = None) -> NoReturn:
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         _run(_parser().parse_args(words))
-    except WorkersError as error:
-        _end(str(error), STATUS_CANNOT_GO_ON)
     except LabError as error:
-        _end(str(error), STATUS_BAD_INPUT)
+        nobody = isinstance(error, WorkersError) and not isinstance(error, AddressError)
+        _end(str(error), STATUS_CANNOT_GO_ON if nobody else STATUS_BAD_INPUT)
     except KeyboardInterrupt:
         sys.exit(STATUS_INTERRUPTED)
     sys.exit(0)

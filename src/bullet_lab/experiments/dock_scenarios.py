@@ -10,20 +10,17 @@ from typing import Tuple
 import numpy as np
 
 from bullet_lab.errors import LabError
-from bullet_lab.experiments.docking import DockingScenario
+from bullet_lab.experiments.docking import MARKER_POSE, TURNING_RADIUS, DockingScenario
 from bullet_lab.simulation.floor_plan import Footprint, footprints
 from bullet_lab.simulation.resources import ResourceFinder
 from bullet_lab.simulation.sdf_reader import read_world_file
 
 WORLDS = ("docking", "docking_dots", "docking_nested", "docking_decoy")
+DOCKS = {"docking_nested": "nested_dock"}
+"""Names of docks in the database by worlds; of others it is "dock"."""
+
 LIGHTS = ("default", "dark", "bright", "backlit")
 ODOMETRY = ("odom", "noisy_odom")
-DOCK_POSE = (4.0, 0.0, 0.0)
-"""True pose of the dock in all of these worlds: the floor below the marker's face, m and rad."""
-
-TURNING_RADIUS = 0.29
-"""m; a start is drawn only where the robot can turn on the spot without touching anything."""
-
 ROBOT_HEIGHT = 0.55
 NEAREST, FARTHEST = 0.7, 5.0
 WIDEST = math.radians(60.0)
@@ -91,6 +88,7 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
         world=world_uri(world),
         lighting="" if light == "default" else world_uri(f"docking_{light}"),
         start=start,
+        dock=DOCKS.get(world, "dock"),
         dock_error=tuple(error.tolist()),
         odometry=odometry,
         odometry_std=float(odometry_std) if odometry == "noisy_odom" else 0.0,
@@ -116,7 +114,7 @@ def obstacles(world: str) -> Tuple[Footprint, ...]:
 def _draw_start(
     rng: np.random.Generator, walls: Tuple[Footprint, ...]
 ) -> Tuple[float, float, float]:
-    dock_x, dock_y, _ = DOCK_POSE
+    dock_x, dock_y, _ = MARKER_POSE
     distance = rng.uniform(NEAREST, FARTHEST)
     for _ in range(_MOST_ATTEMPTS):
         bearing = rng.uniform(-WIDEST, WIDEST)

@@ -53,7 +53,7 @@ def heat_map(world: str, rows: Sequence[Row]) -> Figure:
         _draw_map(axes, of_light, distances, bearings)
         axes.set_title(f"{light} light", fontsize=10, loc="left")
         axes.set_ylabel("bearing (°)")
-    grid[-1].set_xlabel("distance from camera to marker (m); grey: a wall is in between; white: no room")
+    grid[-1].set_xlabel("distance from camera to marker (m); grey: behind a wall; white: no room")
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 1.0 - 0.05 / size[1]))
     return figure
 
@@ -114,7 +114,7 @@ def range_figure(
         axes = figure.add_subplot(grid[1, 3 * index : 3 * index + 3])
         _show_picture(axes, snapshot)
         axes.set_title(f"{distance:g} m", fontsize=10)
-    figure.suptitle(_headline(world, ends), fontsize=15)
+    figure.suptitle(_headline(world, ends, own), fontsize=15)
     return figure
 
 
@@ -123,10 +123,13 @@ def _ends(entry: Mapping[str, Any], light: str) -> Tuple[Optional[float], Option
     return figures["closest_m"], figures["farthest_frontal_m"]
 
 
-def _headline(world: str, ends: Tuple[Optional[float], Optional[float]]) -> str:
+def _headline(
+    world: str, ends: Tuple[Optional[float], Optional[float]], rows: Sequence[Row]
+) -> str:
     if ends[0] is None:
         return f"{world}: the marker is found from nowhere"
-    return f"The marker is found from {ends[0]:g} m to {ends[1]:g} m straight ahead ({world})"
+    limit = ", the farthest tried" if ends[1] == max(row["distance_m"] for row in rows) else ""
+    return f"Straight ahead the marker is found from {ends[0]:g} m to {ends[1]:g} m{limit} ({world})"
 
 
 def _draw_floor(

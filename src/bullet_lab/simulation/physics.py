@@ -294,12 +294,16 @@ class Physics:
             deterministicOverlappingPairs=1, enableFileCaching=0, physicsClientId=self.client
         )
         self._shapes = SharedShapes(self.client)
+        # PyBullet reads files only, and only while it loads. To make and remove a folder each time
+        # would hold the simulation up for milliseconds.
+        self._files = tempfile.TemporaryDirectory(prefix="bullet_lab_")
 
     def close(self) -> None:
         """Give everything back; the object is of no use afterwards."""
         if self.client >= 0:
             pybullet.disconnect(self.client)
             self.client = -1
+            self._files.cleanup()
 
     def set_gravity(self, gravity: Vector) -> None:
         """Change gravity, in m/s²."""
@@ -337,18 +341,19 @@ class Physics:
             pybullet.removeBody(body.unique_id, self.client)
 
     def _load(self, links: List[Link], joints: List[Joint], model: Model, pose: Pose) -> Body:
-        # PyBullet reads files only, and only while it loads.
-        with tempfile.TemporaryDirectory(prefix="bullet_lab_") as name:
-            folder = Path(name)
+        folder = Path(self._files.name)
+        try:
             text = body_urdf(links, joints, model.static, folder)
             if len(links) == 1 and has_collision_mesh(links[0]):
-                # Mesh files are named by their content, so the key knows the shapes.
-                key = text.replace(name, "")
-                unique_id = self._shapes.make_body(key, links[0], model.static, folder)
+                # Mesh files are named by their content, so the text tells the shapes apart.
+                unique_id = self._shapes.make_body(text, links[0], model.static, folder)
             else:
                 path = folder / "body.urdf"
                 path.write_text(text, encoding="utf-8")
                 unique_id = self._load_file(path, model, pose)
+        finally:
+            for path in folder.iterdir():
+                path.unlink()
         body = Body(self.client, unique_id, links, joints)
         soften_contacts(body)
         if self_colliding(links):
@@ -373,8 +378,10 @@ class Physics:
 
 def _reading_flags(model: Model) -> int:
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE
-    if model.joints:
-        # Wheels are to be round: by default, a cylinder is a prism of 32 sides.
+    if model.joints or model.static:
+        # Wheels and posts are to be round: by default, a cylinder is a prism of 32 sides, and
+        # one that reads 1 mm too near to a laser. (The block robot's can stays one: another
+        # shape, and the last digits of what it drives would change.)
         flags |= pybullet.URDF_USE_IMPLICIT_CYLINDER
     if self_colliding(model.links):
         # Of any links but neighbours.

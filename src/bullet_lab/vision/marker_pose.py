@@ -24,6 +24,8 @@ from bullet_lab.vision.small_algebra import (
 _CLEAR_RATIO = 2.0
 _CLEAR_SIGMAS = 3.0
 _ITERATIONS = 10
+# px²; corners that span less are no marker's.
+_LEAST_AREA = 1.0
 # px²; a step that gains less changes nothing any more.
 _CONVERGED = 1e-7
 
@@ -114,6 +116,8 @@ def estimate_pose(
         raise VisionError("a marker has four finite corners")
     if not (np.isfinite(size) and size > 0.0 and np.isfinite(pixel_sigma) and pixel_sigma > 0.0):
         raise VisionError(f"a marker of {size} m with corners to {pixel_sigma} px")
+    if abs(_area(corners)) < _LEAST_AREA:
+        raise VisionError("the corners of a marker are not four")
     points = square_corners(size)
     rays = _undistorted(corners, camera)
     starts = _both_poses(points, rays)
@@ -129,6 +133,12 @@ def square_corners(size: float) -> np.ndarray:
     """Return the (4, 3) corners of a marker in its frame: top left, right, bottom right, left."""
     half = 0.5 * size
     return half * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
+
+
+def _area(corners: np.ndarray) -> float:
+    """Return the area of a quadrilateral, from its diagonals, px²."""
+    (ax, ay), (bx, by) = corners[2] - corners[0], corners[3] - corners[1]
+    return 0.5 * float(ax * by - ay * bx)
 
 
 def _undistorted(corners: np.ndarray, camera: PinholeCamera) -> np.ndarray:

@@ -23,11 +23,14 @@ from bullet_lab.simulation.native_output import hidden_native_output, native_out
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.rendering.choice import EGL, RendererError
 
+Matrix = Tuple[float, ...]
+
+IDENTITY = tuple(np.eye(4).ravel())
 PLUGIN = "eglRenderer"
 # EGL's frame buffer has this size, whatever is asked for: larger images come out wrong.
 EGL_BUFFER = (1024, 768)
-# EGL draws a shadow map of 4096 x 4096 for its light, unless the light is so far away that
-# nothing lies within the map: that saves half of the time of a frame.
+# EGL draws a shadow map of 4096 x 4096 pixels for its light. Where it has to, the light is so far
+# away that nothing lies within the map: no shadows, and some of the time of a frame is saved.
 EGL_LIGHT = (0.0, 0.0, 1e5)
 
 
@@ -94,7 +97,12 @@ class RenderEngine:
         pybullet.removeBody(body, self.client)
 
     def draw(
-        self, width: int, height: int, view: Tuple[float, ...], lens: Tuple[float, ...]
+        self,
+        width: int,
+        height: int,
+        view: Matrix,
+        lens: Matrix,
+        texture_map: Optional[Matrix] = None,
     ) -> Tuple[np.ndarray, np.ndarray]:
         """Draw what there is.
 
@@ -103,6 +111,8 @@ class RenderEngine:
             height: in pixels.
             view: OpenGL's view matrix, by columns.
             lens: OpenGL's projection matrix, by columns.
+            texture_map: with EGL, from places in the world to places in all pictures, by
+                columns; that is fast, since EGL then makes no shadow map.
 
         Returns:
             (height, width, 4) uint8 RGBA, and (height, width) depth in OpenGL's [0, 1] with 1
@@ -113,6 +123,10 @@ class RenderEngine:
         """
         if threading.get_ident() != self._thread:
             raise RendererError("images are drawn by the thread that drew the first one")
+        flags, extra = self._flags, {}
+        if texture_map is not None:
+            flags |= pybullet.ER_USE_PROJECTIVE_TEXTURE
+            extra = {"projectiveTextureView": texture_map, "projectiveTextureProj": IDENTITY}
         # The driver says its name with the first two pictures.
         self._drawn += 1
         with contextlib.nullcontext() if self._drawn > 2 else hidden_native_output():
@@ -127,8 +141,9 @@ class RenderEngine:
                 lightSpecularCoeff=0.0,
                 shadow=0,
                 renderer=self._kind,
-                flags=self._flags,
+                flags=flags,
                 physicsClientId=self.client,
+                **extra,
             )
         pixels = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
         return pixels, np.asarray(depth, dtype=np.float32).reshape(height, width)

@@ -113,7 +113,9 @@ class Photographer:
     ) -> np.ndarray:
         engine = self._scene.engine
         lens = projection_matrix(camera, shot.near, shot.far, PIXEL_SHIFT[engine.renderer])
-        pixels, depth = engine.draw(camera.width, camera.height, view, lens)
+        textures = self._scene.texture_map
+        columns = None if textures is None else textures.columns
+        pixels, depth = engine.draw(camera.width, camera.height, view, lens, columns)
         picture = cv2.cvtColor(pixels, cv2.COLOR_RGBA2RGB)
         gain = exposure * self._scene.lighting.peak
         if gain != 1.0:

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, List, Mapping, Optional
+from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
 
 import numpy as np
 
 from bullet_lab.simulation.attached_frame import AttachedFrame
-from bullet_lab.simulation.description import World
+from bullet_lab.simulation.description import Colour, World
 from bullet_lab.simulation.pose import Pose, Vector
+from bullet_lab.simulation.rendering.choice import EGL
 from bullet_lab.simulation.rendering.engine import RenderEngine
 from bullet_lab.simulation.rendering.lighting import Lighting
-from bullet_lab.simulation.rendering.painting import (
-    STANDING,
-    TUMBLING,
-    TURNING,
-    Painted,
-    paint_link,
-)
+from bullet_lab.simulation.rendering.painting import Painted, paint
 from bullet_lab.simulation.rendering.prefilter import fitting
+from bullet_lab.simulation.rendering.shading import STANDING, TUMBLING, TURNING, Part, Shader
+from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
+from bullet_lab.simulation.rendering.texture_map import TextureMap, common_map
 
 # Where copies of pictures wait that do not fit the present distance: far below all.
 ELSEWHERE = Pose((0.0, 0.0, -1e5))
@@ -63,12 +61,33 @@ class _Copy:
         return float(np.linalg.norm(local - np.clip(local, least, greatest)))
 
 
+@dataclass(frozen=True)
+class _Shape:
+    """What is to be seen of one link: surfaces with their colours, and where it is."""
+
+    surfaces: Tuple[Tuple[Surface, Colour], ...]
+    where: Callable[[], Pose]
+    motion: str
+
+    def pictures(self) -> List[Surface]:
+        """The surfaces with pictures, in the world."""
+        pose = self.where()
+        return [s.moved(pose) for s, _ in self.surfaces if s.texture is not None]
+
+
 @dataclass
 class _Copies:
-    """Copies of all that is seen of one model instance."""
+    """All that is seen of one model instance, and its copies in the engine."""
 
     instance: Any
+    shapes: List[_Shape]
     parts: List[_Copy] = field(default_factory=list)
+
+    def remove(self) -> None:
+        """Take the copies out."""
+        for part in self.parts:
+            part.remove()
+        self.parts.clear()
 
 
 class Scene:
@@ -86,6 +105,7 @@ class Scene:
         self.engine = engine
         self._models = models
         self._copies: Dict[str, _Copies] = {}
+        self._map: Optional[TextureMap] = None
 
     def update(self, eye: Vector, angle: float) -> None:
         """Bring the copies to where the models are.
@@ -99,13 +119,21 @@ class Scene:
         """
         self._take_engine()
         gone = [n for n, c in self._copies.items() if self._models.get(n) is not c.instance]
+        new = [name for name in self._models if name not in self._copies or name in gone]
         for name in gone:
             self._remove(name)
-        for name, instance in self._models.items():
-            if name not in self._copies:
-                self._add(name, instance)
-            for part in self._copies[name].parts:
+        for name in new:
+            self._copies[name] = _Copies(self._models[name], _shapes_of(self._models[name]))
+        if gone or new:
+            self._paint()
+        for copies in self._copies.values():
+            for part in copies.parts:
                 part.follow(eye, angle)
+
+    @property
+    def texture_map(self) -> Optional[TextureMap]:
+        """What EGL finds the places in pictures with; None for the shapes' own coordinates."""
+        return self._map
 
     def close(self) -> None:
         """Take everything out of the engine."""
@@ -125,18 +153,60 @@ class Scene:
                 owner.clear()
             self.engine.owner = self
 
-    def _add(self, name: str, instance: Any) -> None:
-        copies = _Copies(instance)
-        self._copies[name] = copies
-        for root, body in instance.bodies.items():
-            for link in body.links:
-                motion = STANDING if instance.model.static else TURNING
-                if link.name != root and not instance.model.static:
-                    motion = TUMBLING
-                place = AttachedFrame(body, link.name).pose
-                painted = paint_link(self.engine, link.visuals, place(), self.lighting, motion)
-                copies.parts.extend(_Copy(self.engine, part, place) for part in painted)
+    def _paint(self) -> None:
+        """Make the copies that are missing; all of them, if the way of drawing changes."""
+        found = self._common_map()
+        if not _equal(found, self._map):
+            for copies in self._copies.values():
+                copies.remove()
+            self._map = found
+        shader = Shader(self.lighting, self.engine.renderer == EGL, self._map)
+        for copies in self._copies.values():
+            if copies.parts:
+                continue
+            for shape in copies.shapes:
+                pose = shape.where()
+                lit: List[Part] = []
+                for surface, colour in shape.surfaces:
+                    lit.extend(shader.parts(surface, colour, pose, shape.motion))
+                painted = paint(self.engine, lit, pose)
+                copies.parts.extend(_Copy(self.engine, one, shape.where) for one in painted)
+
+    def _common_map(self) -> Optional[TextureMap]:
+        if self.engine.renderer != EGL:
+            return None
+        pictures: List[Surface] = []
+        for copies in self._copies.values():
+            for shape in copies.shapes:
+                found = shape.pictures()
+                if found and shape.motion != STANDING:
+                    return None
+                pictures.extend(found)
+        return common_map(pictures)
 
     def _remove(self, name: str) -> None:
-        for part in self._copies.pop(name).parts:
-            part.remove()
+        self._copies.pop(name).remove()
+
+
+def _shapes_of(instance: Any) -> List[_Shape]:
+    """Return what is seen of a model; raises LabError for an unusable mesh or texture."""
+    shapes = []
+    for root, body in instance.bodies.items():
+        for link in body.links:
+            motion = STANDING if instance.model.static else TURNING
+            if link.name != root and not instance.model.static:
+                motion = TUMBLING
+            surfaces = tuple(
+                (surface.moved(visual.pose), visual.colour)
+                for visual in link.visuals
+                for surface in surfaces_of(visual.geometry)
+            )
+            if surfaces:
+                shapes.append(_Shape(surfaces, AttachedFrame(body, link.name).pose, motion))
+    return shapes
+
+
+def _equal(one: Optional[TextureMap], other: Optional[TextureMap]) -> bool:
+    if one is None or other is None:
+        return one is other
+    return bool(np.array_equal(one.matrix, other.matrix))

@@ -1,0 +1,254 @@
+"""Tests of whole dockings in the stand-in, and of what goes wrong."""
+
+import math
+from dataclasses import replace
+
+import docking_standin as standin
+import numpy as np
+import pytest
+
+from bullet_lab.docking.settings import DockingSettings
+from bullet_lab.docking.task import DockingTask, DockingTaskError
+from bullet_lab.docking.types import DockingError, DockingState, Observation, Odometry, Sighting
+from bullet_lab.numerics import se2
+
+PLAIN = standin.Stand((1.0, 0.3, 0.4), (0.1, -0.15, 0.1))
+DECOY = standin.Print((-0.7, 1.65, 0.0), 0.5, 0.35)
+DECOY_PANEL = (-0.70, -0.68, 1.43, 1.87)
+
+
+def check_docked(run):
+    assert run.result.success, run.result
+    assert run.result.error == DockingError.NONE
+    assert not run.contact
+    assert abs(run.lateral_error) < 0.006
+    assert abs(run.distance_error) < 0.006
+    assert abs(math.degrees(run.yaw_error)) < 0.6
+    # What it says of itself is so.
+    assert run.result.lateral == pytest.approx(run.lateral_error, abs=0.005)
+    assert run.result.yaw == pytest.approx(run.yaw_error, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "stand",
+    [
+        PLAIN,
+        replace(PLAIN, image_rate=30.0),
+        replace(PLAIN, start=(3.1, 0.15, 3.0)),  # between the walls, looking out
+        replace(PLAIN, start=(3.2, -0.1, 0.3)),  # too near to correct its offset from there
+        replace(PLAIN, start=(3.1, 1.05, 1.0), seed=3),  # beside the left wall
+        replace(PLAIN, start=(0.5, -4.5, -2.0), dock_error=(0.3, 0.3, -0.17)),
+        replace(PLAIN, start=(2.5, -2.2, 2.0), dock_error=(-0.3, -0.3, 0.17)),
+        replace(PLAIN, dock=(-2.0, 5.0, 2.2), start=(-1.0, 3.0, 0.0)),  # any frame
+        replace(PLAIN, model="report", std=0.1, seed=4),
+        replace(PLAIN, model="rate_invariant", std=0.03, seed=5),
+        replace(PLAIN, walls=False),
+    ],
+)
+def test_docks(stand):
+    check_docked(standin.run(stand))
+
+
+@pytest.mark.parametrize("start", [(1.5, 1.6, 0.0), (0.5, 2.5, -0.5), (3.1, 1.0, -1.0)])
+def test_is_not_fooled_by_a_larger_copy_beside_the_dock(start):
+    prints = (standin.Print(), DECOY)
+    check_docked(
+        standin.run(replace(PLAIN, start=start, prints=prints, obstacles=(DECOY_PANEL,)))
+    )
+
+
+def test_docks_at_the_marker_within_a_larger_copy():
+    prints = (standin.Print(size=0.075), standin.Print((0.0, 0.05, 0.0), 0.45, 0.80))
+    marker = standin.DockMarker(standin.DICTIONARY, 0, 0.075, 0.5)
+    check_docked(standin.run(replace(PLAIN, prints=prints, marker=marker)))
+
+
+def test_same_numbers_give_the_same_drive():
+    first, second = standin.run(PLAIN), standin.run(PLAIN)
+    assert first.truth == second.truth
+
+
+@pytest.mark.parametrize(
+    "prints", [(), (standin.Print(id=1),), (standin.Print(height=0.9),), (DECOY,)]
+)
+def test_says_that_the_marker_is_not_there(prints):
+    run = standin.run(replace(PLAIN, prints=prints, obstacles=(DECOY_PANEL,)))
+    assert run.result.error == DockingError.NOT_DETECTED
+    assert not run.result.success
+    assert not run.contact
+    assert math.isnan(run.result.lateral)
+
+
+def test_a_covered_camera_sees_nothing_but_is_there():
+    run = standin.run(replace(PLAIN, dropout=1.0))
+    assert run.result.error == DockingError.NOT_DETECTED
+
+
+def test_without_search_only_what_is_in_sight_counts():
+    stand = replace(PLAIN, start=(1.0, 0.0, 3.0))
+    dock = standin.make_dock(stand)
+    task = DockingTask(dock, dock.pose, standin.MOUNT, search=False)
+    feed = Feed(task, stand.start)
+    feed.run(3.0)
+    assert task.result.error == DockingError.NOT_DETECTED
+    assert feed.moved == 0.0
+
+
+class Feed:
+    """Runs a task by hand, with things going wrong when asked to."""
+
+    def __init__(self, task, start=(1.0, 0.0, 0.0), stand=PLAIN):
+        self.task, self.stand = task, stand
+        self.pose = np.array(start, dtype=float)
+        self.now = self.moved = 0.0
+        self.command = (0.0, 0.0)
+        self.images = self.odometry = True
+        self.blocked = False
+        self.late = 0.0
+        self._rng = np.random.default_rng(1)
+        self._queue = []
+
+    def run(self, seconds, until=None):
+        """Tick for some time, or until a state; stops with the task."""
+        end = self.now + seconds
+        while self.now < end and self.task.result is None:
+            self.tick()
+            if until is not None and self.task.state == until:
+                return
+        if until is not None:
+            raise AssertionError(f"never {until}: {self.task.result}")
+
+    def tick(self):
+        if self.odometry:
+            self.task.add_odometry(Odometry(self.now, tuple(self.pose.tolist()), self.command))
+        if self.images:
+            seen = standin.see_print(
+                se2.between(self.stand.dock, self.pose), standin.Print(), self.stand, self._rng
+            )
+            sightings = () if seen is None else (Sighting(0, standin.DICTIONARY, seen),)
+            self._queue.append(Observation(self.now, standin.CAMERA, sightings))
+        while self._queue and self._queue[0].stamp <= self.now - self.late + 1e-9:
+            self.task.add_observation(self._queue.pop(0))
+        self.command = v, w = self.task.tick(self.now)
+        if not self.blocked:
+            self.pose = se2.compose(self.pose, (v * 0.05, 0.0, w * 0.05))
+            self.moved += abs(v) * 0.05 + abs(w) * 0.05
+        self.now += 0.05
+
+
+def approaching(**settings):
+    """Return a feed that is on its approach."""
+    dock = standin.make_dock(PLAIN)
+    task = DockingTask(dock, dock.pose, standin.MOUNT, DockingSettings(**settings), time_limit=90)
+    feed = Feed(task)
+    feed.run(30.0, until=DockingState.APPROACHING)
+    feed.run(1.0)
+    assert feed.command[0] > 0.05
+    return feed
+
+
+def check_ended(feed, error):
+    feed.run(10.0)
+    assert feed.task.result.error == error
+    assert not feed.task.result.success
+    assert feed.task.tick(feed.now) == (0.0, 0.0)
+    assert not feed.task.wants_images
+
+
+def test_images_may_be_late():
+    dock = standin.make_dock(PLAIN)
+    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT), (1.0, 0.3, 0.4))
+    feed.late = 0.35
+    feed.run(120.0)
+    assert feed.task.result.success, feed.task.result
+    x, y, yaw = se2.between(PLAIN.dock, feed.pose)
+    assert abs(y) < 0.006
+    assert abs(yaw) < math.radians(0.6)
+
+
+def test_preempting_stops_at_once():
+    feed = approaching()
+    feed.task.preempt()
+    assert feed.task.tick(feed.now) == (0.0, 0.0)
+    check_ended(feed, DockingError.PREEMPTED)
+
+
+def test_a_camera_that_stops_is_noticed():
+    feed = approaching()
+    feed.images = False
+    start = feed.pose.copy()
+    check_ended(feed, DockingError.CAMERA_LOST)
+    # Unseen, it does not go on for long.
+    assert math.dist(start[:2], feed.pose[:2]) < 0.5
+
+
+def test_odometry_that_stops_is_noticed():
+    feed = approaching()
+    feed.odometry = False
+    check_ended(feed, DockingError.ODOMETRY_LOST)
+
+
+@pytest.mark.parametrize("jump", [(0.4, 0.0, 0.0), (0.0, 0.0, 0.8), (math.nan, 0.0, 0.0)])
+def test_odometry_that_jumps_is_noticed(jump):
+    feed = approaching()
+    feed.pose = feed.pose + np.array(jump)
+    feed.tick()
+    check_ended(feed, DockingError.ODOMETRY_LOST)
+
+
+def test_a_blocked_robot_gives_up():
+    feed = approaching()
+    feed.blocked = True
+    check_ended(feed, DockingError.BLOCKED)
+
+
+def test_gives_up_when_its_time_is_over():
+    dock = standin.make_dock(PLAIN)
+    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT, time_limit=2.0))
+    check_ended(feed, DockingError.TIMED_OUT)
+
+
+def test_no_camera_at_all():
+    dock = standin.make_dock(PLAIN)
+    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT))
+    feed.images = False
+    check_ended(feed, DockingError.CAMERA_LOST)
+    assert feed.moved == 0.0
+
+
+def test_gives_up_after_its_retries():
+    # A tolerance that nothing meets.
+    stand = replace(PLAIN, start=(1.5, 0.0, 0.0))
+    dock = standin.make_dock(stand)
+    dock = replace(dock, tolerance=replace(dock.tolerance, lateral=1e-9))
+    task = DockingTask(dock, dock.pose, standin.MOUNT, max_retries=1)
+    feed = Feed(task, stand.start)
+    feed.run(120.0)
+    assert task.result.error == DockingError.CONTROL_FAILED
+    assert task.result.retries == 1
+
+
+def test_a_marker_that_vanishes_is_searched_again():
+    feed = approaching()
+    feed.stand = replace(feed.stand, dropout=1.0)
+    feed.run(20.0, until=DockingState.SEARCHING)
+    feed.stand = replace(feed.stand, dropout=0.0)
+    feed.run(120.0)
+    assert feed.task.result.success, feed.task.result
+
+
+def test_refuses_a_pose_that_is_none():
+    with pytest.raises(DockingTaskError, match="not finite"):
+        DockingTask(standin.make_dock(PLAIN), (1.0, math.nan, 0.0), standin.MOUNT)
+
+
+def test_the_status_says_how_it_goes():
+    feed = approaching()
+    status = feed.task.status
+    assert status.state == DockingState.APPROACHING
+    x, y, yaw = se2.between(PLAIN.dock, feed.pose)
+    assert status.distance == pytest.approx(-x - 0.16, abs=0.05)
+    assert status.lateral == pytest.approx(y, abs=0.05)
+    assert status.yaw == pytest.approx(yaw, abs=0.05)
+    assert np.hypot(*np.subtract(status.dock_pose[:2], (4.0, 0.0))) < 0.05
+    assert status.wants_images
