@@ -44,6 +44,12 @@ def unknown_library(number):
     raise ModuleNotFoundError("No module named 'bullet_lab'")
 
 
+def endless(number):
+    deadline = time.monotonic() + 300.0
+    while time.monotonic() < deadline:
+        pass
+
+
 def interruptible(number):
     before = signal.getsignal(signal.SIGINT)
     return before == signal.SIG_IGN
@@ -110,6 +116,27 @@ def test_a_task_whose_worker_dies_is_tried_again(tmp_path):
         found = dict(completed(client, dies_once(str(tmp_path / "died")), range(6)))
     assert found == {n: n for n in range(6)}
     assert (tmp_path / "died").exists()
+
+
+def test_interrupted_it_does_not_wait_for_its_tasks():
+    # Sooner than Dask itself would give up waiting.
+    def interrupt():
+        with dask_client(workers=2) as client:
+            pids = set(client.run(os.getpid).values())
+            results = completed(client, endless, range(4))
+            threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
+            try:
+                next(results)
+            finally:
+                started.append((time.monotonic(), pids))
+
+    started = []
+    with pytest.raises(KeyboardInterrupt):
+        interrupt()
+    (moment, pids) = started[0]
+    assert time.monotonic() - moment < 3.0
+    assert len(pids) == 2
+    assert not any(map(psutil.pid_exists, pids))
 
 
 def test_workers_that_cannot_do_it_are_an_error_of_one_line(client):

@@ -233,6 +233,8 @@ def test_killed_it_goes_on_with_what_it_has(reference, tmp_path):
     script.write_text(code)
     process = subprocess.Popen(
         [sys.executable, str(script), os.path.dirname(__file__), str(tmp_path)],
+        # What is killed cannot clear away its temporary files.
+        env=dict(os.environ, TMPDIR=str(tmp_path)),
         stderr=subprocess.DEVNULL,
     )
     deadline = time.monotonic() + 60.0

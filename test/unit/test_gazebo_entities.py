@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import BLOCK_ROBOT
 
 from bullet_lab.simulation.description import (
     Box,
@@ -28,6 +29,7 @@ from bullet_lab.simulation.entities import (
 )
 from bullet_lab.simulation.lumping import lump_fixed_joints
 from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation, SimulationError
 
 INERTIA = Inertia(2.0, (0.1, -0.2, 0.3), np.diag([0.1, 0.15, 0.2]))
@@ -57,6 +59,11 @@ def space():
 @pytest.fixture
 def robot(space):
     return space.add(arm(), "left", TILTED)
+
+
+@pytest.fixture
+def robot_on_floor(world):
+    return world.spawn(BLOCK_ROBOT)
 
 
 def close(one, other):
@@ -208,6 +215,14 @@ def test_a_restored_state_is_the_state(space, robot):
         assert again.links[name].linear == pytest.approx(link.linear)
         assert again.links[name].angular == pytest.approx(link.angular)
     assert again.joints["elbow"] == pytest.approx(state.joints["elbow"])
+
+
+def test_a_robot_that_is_pushed_about_rubs_as_gravity_has_it(world, robot_on_floor):
+    world.set_gravity((0.0, 0.0, -1.6))
+    robot_on_floor.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_for(1.0)
+    # Friction takes g·dt of the velocity at each step.
+    assert robot_on_floor.pose().position[0] == pytest.approx(0.2 - 0.0016, abs=2e-4)
 
 
 def test_gravity_can_be_changed(space, robot):

@@ -45,6 +45,14 @@ def in_optical_frame(pose, points):
     return np.array([(-y, -z, x) for x, y, z in local])
 
 
+def errors_of_board(folder, renderer, models):
+    """Offsets of the corners on the board, with other models beside it."""
+    path = write_plate(folder, "board", checkers(COLUMNS, ROWS), COLUMNS * CELL, ROWS * CELL)
+    models = [plate(path, Pose(PLACE)), *models]
+    with simulation_of(*models, renderer=renderer) as simulation:
+        return errors(simulation.photographer(), CAMERA, 1.0)
+
+
 def errors(photographer, camera, samples, count=6):
     """Offsets of the corners in pictures from where the camera's geometry has them."""
     random = np.random.default_rng(1)

@@ -76,6 +76,20 @@ def test_a_picture_is_the_right_way_round(renderer, tmp_path):
     assert seen_quarters(picture) == pytest.approx(np.array(COLOURS[:4]), abs=3)
 
 
+@pytest.mark.parametrize("side", [2, 3, 5, 10, 63])
+def test_pictures_of_any_width(renderer, tmp_path, side):
+    columns = np.arange(side) % 2 * 200 + 20
+    stripes = np.tile(columns.astype(np.uint8), (side, 1))
+    path = write_plate(tmp_path, "stripes", stripes, 2.0, 2.0)
+    with simulation_of(plate(path, Pose((2.5, 0, 0.5))), renderer=renderer) as simulation:
+        picture = simulation.photographer().take(AHEAD, Shot(CAMERA))
+    left, width = 319.5 - CAMERA.fx / 2.5, 2.0 * CAMERA.fx / 2.5 / side
+    middles = np.round(left + width * (np.arange(side) + 0.5)).astype(int)
+    for row in (100, 240, 380):
+        # Between two texels the nearest one, or a mean, is seen.
+        assert picture[row, middles, 0] == pytest.approx(columns, abs=15 if side < 60 else 90)
+
+
 def test_a_mirrored_mesh_shows_its_picture_mirrored(renderer, tmp_path):
     path = write_plate(tmp_path, "quarters", quarters(), 1.0, 1.0)
     mesh = Mesh(path, path.name, (1.0, -1.0, 1.0))

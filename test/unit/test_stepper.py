@@ -303,3 +303,15 @@ def test_the_speed_can_be_changed_on_the_way(running):
     time.sleep(0.1)
     # One step a second; a busy machine may take its time.
     assert run.step - before < 50
+
+
+def test_steps_that_are_asked_for_are_in_a_hurry(running):
+    run = running(rtf=0.001, paused=True)
+    seen = []
+    assert not run.stepper.hurried
+    run.stepper._after_steps = lambda: seen.append(run.stepper.hurried)
+    run.stepper.advance_by(500)
+    assert seen == [True, True, True]
+    assert not run.stepper.hurried
+    run.stepper.set_real_time_factor(0.0)
+    assert run.stepper.hurried

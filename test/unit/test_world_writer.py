@@ -195,6 +195,15 @@ def test_plugins_keep_all_their_tags_their_link_and_their_sensor(busy, tmp_path)
     assert camera.link in found["camera"].frames
 
 
+@pytest.mark.parametrize("tag", ["", "<robotNamespace></robotNamespace>"])
+def test_the_namespace_that_a_plugin_was_given_is_saved(tmp_path, world, tag):
+    text = MACHINE.replace("<updateRate>", f"{tag}<updateRate>")
+    world.add(read_description(text, "machine"), namespace="left")
+    path, _ = save(world, tmp_path)
+    plugins = read_world_file(path).models[-1].plugins
+    assert [plugin.tags["robotNamespace"] for plugin in plugins] == ["left", "left"]
+
+
 def test_a_camera_sees_the_same_in_a_saved_world(tmp_path):
     def picture(simulation):
         samples = []
@@ -276,6 +285,13 @@ def test_meshes_are_named_so_that_they_are_found(tmp_path, package):
         assert uris == {"own mesh.dae", "package://bullet_lab/meshes/beacon.dae"}
         with Simulation(read_world_file(path)) as again:
             assert same_state(simulation, again)
+        # A file of a package is named by it, whatever it was called.
+        plain = (package / "models/beacon/model.sdf").read_text()
+        plain = plain.replace("package://bullet_lab", package.as_uri())
+        simulation.remove("packaged")
+        simulation.add(read_description(plain, "plain"), "plain", Pose((5.0, 0.0, 0.0)))
+        text = save(simulation, tmp_path)[0].read_text()
+        assert set(re.findall("<uri>(.*)</uri>", text)) == uris
         # Elsewhere, the mesh is named by its place, and whoever saves is told.
         path, notes = save(simulation, inside)
         assert "own%20mesh.dae</uri>" in path.read_text()

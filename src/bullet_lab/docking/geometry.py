@@ -108,5 +108,8 @@ class View:
         x, y, heading = cameras[..., 0], cameras[..., 1], cameras[..., 2]
         off = np.arctan2(-y, -x) - heading
         off = np.abs(np.arctan2(np.sin(off), np.cos(off)))
-        reach = self.half_angle - self._half / np.maximum(np.hypot(x, y), 0.1)
-        return self.open_sight(x, y) & (off < reach)
+        return self.open_sight(x, y) & (off < self.reach(np.hypot(x, y)))
+
+    def reach(self, distance) -> np.ndarray:
+        """Return how far off its middle (rad) the marker is wholly in an image, by its range."""
+        return self.half_angle - np.arctan2(self._half, np.maximum(distance, 0.1))

@@ -34,7 +34,7 @@ _ENTRANCE = 0.35
 # many, how wide that may be (half, by the opening), and the share of such looks that miss it.
 _MOST_FAR_LOOKS = 14
 _WIDEST_PRINT = 0.42
-FAR_MISSED = 0.5
+FAR_MISSED = 0.3
 
 
 class DockingFailureError(LabError):

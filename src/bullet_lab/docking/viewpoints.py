@@ -23,7 +23,7 @@ _SAFE = 0.012
 # A look itself takes about so long; it is what makes a sure look worth a longer way.
 _LOOK_SECONDS = 3.0
 # Kept off the edge of the image, so that the marker is wholly in it after a turn.
-_EDGE = math.radians(4.0)
+_EDGE = math.radians(2.0)
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def chances(
     seen = se2.between(docks[None], flat)
     open_sight = view.open_sight(seen[..., 0], seen[..., 1])
     bearing = np.arctan2(to_dock[..., 1], to_dock[..., 0])
-    reach = view.half_angle - _EDGE
+    reach = view.reach(distance) - _EDGE
     shares = [
         np.mean(open_sight & (np.abs(wrap(bearing - heading)) < reach), axis=1)
         for heading in _HEADINGS

@@ -162,7 +162,21 @@ def _local_client(workers: int) -> Iterator[Client]:
                 env={"LP_NUM_THREADS": "1"},
             )
         stack.callback(_close, cluster)
-        yield stack.enter_context(contextlib.closing(Client(cluster, set_as_default=False)))
+        client = stack.enter_context(contextlib.closing(Client(cluster, set_as_default=False)))
+        try:
+            yield client
+        except BaseException:
+            _kill_workers(cluster)
+            raise
+
+
+def _kill_workers(cluster: LocalCluster) -> None:
+    """End workers in the middle of their tasks, for which Dask itself would wait."""
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        if nanny.pid is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGKILL)
 
 
 def _close(cluster: LocalCluster) -> None:

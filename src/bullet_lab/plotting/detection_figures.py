@@ -129,7 +129,8 @@ def _headline(
     if ends[0] is None:
         return f"{world}: the marker is found from nowhere"
     limit = ", the farthest tried" if ends[1] == max(row["distance_m"] for row in rows) else ""
-    return f"Straight ahead the marker is found from {ends[0]:g} m to {ends[1]:g} m{limit} ({world})"
+    where = f"from {ends[0]:g} m to {ends[1]:g} m{limit}"
+    return f"Straight ahead the marker is found {where} ({world})"
 
 
 def _draw_floor(

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from io import BytesIO
-from typing import Any
+from typing import Any, Optional
 
 import genpy
 import rospy
 from rospy.msg import serialize_message
+
+
+# Wall seconds between two looks at a queue that is full.
+ROOM_CHECK_SECONDS = 0.001
 
 
 class Publisher(rospy.Publisher):
@@ -44,8 +49,13 @@ class BatchPublisher(Publisher):
             self.impl.seq += 1
             serialize_message(self._batch, self.impl.seq, message)
 
-    def flush(self) -> None:
-        """Write what has come together."""
+    def flush(self, lossless: bool = False) -> None:
+        """Write what has come together.
+
+        Args:
+            lossless: wait for subscribers whose queue is full, which would lose its oldest
+                messages.
+        """
         data = self._batch.getvalue()
         if not data:
             return
@@ -54,11 +64,27 @@ class BatchPublisher(Publisher):
         # Once the node shuts down there is neither implementation nor anybody to write to.
         connections = () if self.impl is None else self.impl.connections
         for connection in connections:
+            if lossless:
+                await_room(connection, self.impl.queue_size)
             try:
                 connection.write_data(data)
             except (OSError, ValueError, rospy.exceptions.ROSInternalException):
                 # The subscriber is gone; rospy forgets the connection when it is closed.
                 connection.close()
+
+
+def await_room(connection: Any, size: Optional[int]) -> None:
+    """Wait until the queue of a connection has room for another message.
+
+    Args:
+        connection: rospy's, with a queue or without.
+        size: of the queue; None for none.
+    """
+    # The queue is no part of rospy's interface: without it, there is nothing to wait for.
+    while size and len(getattr(connection, "_queue", ())) >= size:
+        if connection.done or rospy.is_shutdown():
+            return
+        time.sleep(ROOM_CHECK_SECONDS)
 
 
 def lossless_publisher(

@@ -60,6 +60,7 @@ class Stepper:
         self.gate = gate
         self._tick = tick
         self._paused = paused
+        self._advancing = False
         self._is_over = is_over
         self._report_stall = report_stall
         self._after_steps = after_steps
@@ -75,6 +76,11 @@ class Stepper:
     def paused(self) -> bool:
         """Whether time stands still."""
         return self._paused
+
+    @property
+    def hurried(self) -> bool:
+        """Whether steps are made faster than the wall clock has it, and nothing may be lost."""
+        return self.pace.free or self._advancing
 
     def run(self) -> None:
         """Advance until all is over; to be called by one thread, once."""
@@ -241,11 +247,15 @@ class Stepper:
 
     def _advance_by(self, steps: int) -> int:
         goal = self.simulation.step + steps
-        while self.simulation.step < goal:
-            # Years of simulated time may be asked for.
-            if self._is_over():
-                raise StepperError("the simulation has ended")
-            self._run_until(min(goal, self.simulation.step + STEPS_AT_A_TIME))
+        self._advancing = True
+        try:
+            while self.simulation.step < goal:
+                # Years of simulated time may be asked for.
+                if self._is_over():
+                    raise StepperError("the simulation has ended")
+                self._run_until(min(goal, self.simulation.step + STEPS_AT_A_TIME))
+        finally:
+            self._advancing = False
         self.pace.restart(goal)
         return goal
 

@@ -54,7 +54,8 @@ class Wiring:
         """Return the publisher on a topic, one that fits the pace.
 
         At full speed nothing may be lost, so the simulation waits for its subscribers. Tied to
-        the wall clock it does not wait for anybody, as Gazebo does not.
+        the wall clock it does not wait for anybody, as Gazebo does not. A pace that changes later
+        on is followed by `flush`.
         """
         publisher = self._publishers.get(topic)
         if publisher is None:
@@ -68,8 +69,9 @@ class Wiring:
 
     def flush(self) -> None:
         """Write out what the last steps have brought."""
+        lossless = self._stepper.hurried
         for publisher in self._publishers.values():
-            publisher.flush()
+            publisher.flush(lossless)
 
     def connect(self, instance: ModelInstance) -> None:
         """Wire all devices of a model; raises WiringError for a topic that cannot be."""

@@ -9,15 +9,19 @@ import numpy as np
 from bullet_lab.vision.quads import intersections
 from bullet_lab.vision.sampling import Lens, sample
 
-# Between two samples across an edge, px.
-_STEP = 0.25
-# How far from the line to look for the edge, px; first, and once it is nearly known.
-_REACHES = (2.5, 2.0, 2.0)
+# How far from the line to look for the edge and how close to sample, px; first roughly, then
+# centred on what was found.
+_LOOKS = ((2.5, 0.5), (2.0, 0.25), (2.0, 0.25))
+# Places at which a side is crossed.
+_FEWEST_PLACES, _MOST_PLACES = 12, 48
 _LEAST_REACH = 1.25
 # The border is black one cell deep, and white outside as deep.
 _BORDER_PART = 0.9
 # Sides are looked at without so much of them at either end.
 _TRIM = 0.08
+# Where sides are crossed in the quick look, and at what part of these it has to be darker inside.
+_QUICK_PLACES = np.linspace(0.1, 0.9, 7)
+_FRAMED = 0.7
 # An edge that is seen at fewer of its places is none.
 _LEAST_SEEN = 0.5
 # Grey levels by which an edge has to rise.
@@ -44,15 +48,29 @@ def refine_corners(
     """
     lens = lens or Lens()
     corners = lens.ideal(quad)
-    for reach in _REACHES:
-        corners = _refine_once(image, corners, cells, lens, reach)
+    for reach, step in _LOOKS:
+        corners = _refine_once(image, corners, cells, lens, reach, step)
         if corners is None:
             return None
     return corners
 
 
+def looks_framed(image: np.ndarray, quad: np.ndarray, cells: int, lens: Lens) -> bool:
+    """Return whether a quadrilateral is darker inside its outline than outside, at most places.
+
+    A quick look before the long one: half a cell inside, in a marker's border, and outside.
+    """
+    corners = lens.ideal(quad)
+    middle = corners.mean(axis=0)
+    edges = np.roll(corners, -1, axis=0) - corners
+    outline = (corners[:, None] + edges[:, None] * _QUICK_PLACES[None, :, None]).reshape(-1, 2)
+    both = np.array([1.0 - 1.0 / cells, 1.0 + 1.0 / cells])[:, None, None]
+    inside, outside = sample(image, lens.seen(middle + (outline - middle) * both))
+    return float((outside > inside).mean()) >= _FRAMED
+
+
 def _refine_once(
-    image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens, reach: float
+    image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens, reach: float, step: float
 ) -> Optional[np.ndarray]:
     edges = np.roll(corners, -1, axis=0) - corners
     lengths = np.hypot(edges[:, 0], edges[:, 1])
@@ -62,9 +80,9 @@ def _refine_once(
     outward = np.column_stack((along[:, 1], -along[:, 0]))
     across = 0.5 * (np.roll(lengths, 1) + np.roll(lengths, -1)) / cells
     reaches = np.minimum(reach, np.maximum(_LEAST_REACH, _BORDER_PART * across))
-    count = int(np.clip(lengths.max(), 12, 60))
+    count = int(np.clip(lengths.max(), _FEWEST_PLACES, _MOST_PLACES))
     places = np.linspace(_TRIM, 1.0 - _TRIM, count)
-    steps = int(np.ceil(reach / _STEP))
+    steps = int(np.ceil(reach / step))
     offsets = np.linspace(-1, 1, 2 * steps + 1) * reaches[:, None]
     base = corners[:, None] + edges[:, None] * places[None, :, None]
     points = base[:, :, None] + outward[:, None, None] * offsets[:, None, :, None]

@@ -27,7 +27,7 @@ _ITERATIONS = 10
 # px²; corners that span less are no marker's.
 _LEAST_AREA = 1.0
 # px²; a step that gains less changes nothing any more.
-_CONVERGED = 1e-7
+_CONVERGED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,17 +246,30 @@ def _linearised(
 ) -> Tuple[np.ndarray, np.ndarray]:
     """Return the (8,) residuals in px and their (8, 6) derivatives by x, y, z and rotations."""
     turned = points @ rotation.T
-    seen = turned + translation
-    step = 1e-6 * float(np.abs(translation[2]))
-    # By central differences, as they go through any lens.
-    shifts = step * np.vstack((np.zeros(3), np.eye(3), -np.eye(3)))
-    pixels = camera.project((seen[:, None] + shifts).reshape(-1, 3)).reshape(4, 7, 2)
-    by_point = np.swapaxes((pixels[:, 1:4] - pixels[:, 4:]) / (2.0 * step), 1, 2)
+    pixels, by_point = _projected(turned + translation, camera)
     crosses = np.zeros((4, 3, 3))
     crosses[:, 0, 1], crosses[:, 0, 2], crosses[:, 1, 2] = turned[:, 2], -turned[:, 1], turned[:, 0]
     crosses -= np.swapaxes(crosses, 1, 2)
     jacobian = np.concatenate((by_point, by_point @ crosses), axis=2).reshape(8, 6)
-    return (pixels[:, 0] - corners).ravel(), jacobian
+    return (pixels - corners).ravel(), jacobian
+
+
+def _projected(seen: np.ndarray, camera: PinholeCamera) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the pixels (n, 2) of points of the optical frame and their (n, 2, 3) derivatives."""
+    if not any(camera.distortion):
+        x, y = seen[:, 0], seen[:, 1]
+        z = np.where(seen[:, 2] > 0.0, seen[:, 2], np.nan)
+        u, v = camera.fx * x / z, camera.fy * y / z
+        by_point = np.zeros((len(seen), 2, 3))
+        by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -u / z
+        by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -v / z
+        return np.column_stack((u + camera.cx, v + camera.cy)), by_point
+    # By central differences through the lens.
+    step = 1e-6 * float(np.abs(seen[:, 2]).mean())
+    shifts = step * np.vstack((np.zeros(3), np.eye(3), -np.eye(3)))
+    pixels = camera.project((seen[:, None] + shifts).reshape(-1, 3)).reshape(len(seen), 7, 2)
+    by_point = np.swapaxes((pixels[:, 1:4] - pixels[:, 4:]) / (2.0 * step), 1, 2)
+    return pixels[:, 0], by_point
 
 
 def _is_ambiguous(best: MarkerPose, other: MarkerPose, sigma: float) -> bool:

@@ -45,8 +45,7 @@ def paint(engine: RenderEngine, parts: List[Part], pose: Pose) -> List[Painted]:
     for part in apart:
         levels = levels_of(part.surface)
         copies = [
-            [replace(part, surface=replace(part.surface, texture=level.image))]
-            for level in levels
+            [replace(part, surface=replace(part.surface, texture=level.image))] for level in levels
         ]
         painted.append(Painted(tuple(map(painter.write, copies)), levels, _box([part])))
     return painted

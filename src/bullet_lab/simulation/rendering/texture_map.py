@@ -19,6 +19,8 @@ from bullet_lab.simulation.rendering.surfaces import Surface
 # Greatest misfit of a picture's coordinates, of its size.
 TOLERANCE = 1e-5
 LARGEST_SIDE = 4096
+# Pixels of a redrawn picture per pixel of the original, along each side.
+FINEST = 4.0
 
 
 class TextureMap:
@@ -86,20 +88,30 @@ def _redrawn(texture: bytes, fit: np.ndarray, first: np.ndarray) -> Optional[byt
     with Image.open(BytesIO(texture)) as image:
         picture = np.array(image.convert("RGB"))
     height, width = picture.shape[:2]
-    # At least as many pixels as the texture has there.
-    sides = np.ceil(np.hypot(fit[0, :2] * width, fit[1, :2] * height)).astype(int)
-    if sides.max() > LARGEST_SIDE or sides.min() < 1:
+    # More pixels than the texture has there, in rows of a length that EGL reads.
+    sides = np.hypot(fit[0, :2] * width, fit[1, :2] * height)
+    if not 1e-3 < sides.min() <= sides.max() <= LARGEST_SIDE:
         return None
+    finer = min(FINEST, LARGEST_SIDE / sides.max())
+    sides = np.ceil(finer * sides / 4).astype(int) * 4
     across = (np.arange(sides[0]) + 0.5) / sides[0]
     down = 1.0 - (np.arange(sides[1]) + 0.5) / sides[1]
     # The picture repeats: this is the repetition that begins at `first`.
     across, down = (axis + np.ceil(start - axis) for axis, start in zip((across, down), first))
     grid = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     u, v = np.mod(_apply(fit, grid), 1.0).T
-    columns = (u * width - 0.5).astype(np.float32).reshape(sides[1], sides[0])
-    rows = ((1.0 - v) * height - 0.5).astype(np.float32).reshape(sides[1], sides[0])
+    columns, rows = (
+        _sharp(places, finer).astype(np.float32).reshape(sides[1], sides[0])
+        for places in (u * width - 0.5, (1.0 - v) * height - 0.5)
+    )
     redrawn = cv2.remap(
         picture[:, :, ::-1], columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
     )
     ok, data = cv2.imencode(".png", redrawn, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     return data.tobytes() if ok else None
+
+
+def _sharp(places: np.ndarray, finer: float) -> np.ndarray:
+    """Return where to look between texels so that their edges are one drawn pixel wide."""
+    whole = np.floor(places)
+    return whole + np.clip((places - whole - 0.5) * finer + 0.5, 0.0, 1.0)

@@ -132,6 +132,9 @@ def _image(path: Path) -> bytes:
         with Image.open(BytesIO(data)) as image:
             # Drawn without transparency; written anew so that the engine reads what was checked.
             plain = image.convert("RGB")
+            # EGL takes rows to begin at every fourth byte.
+            times = {0: 1, 2: 2}.get(plain.width % 4, 4)
+            plain = plain.resize((times * plain.width, times * plain.height), Image.NEAREST)
     except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise TextureError(f"{path}: not a readable image") from error
     out = BytesIO()
