@@ -22,10 +22,14 @@ MARKER_SIZE, MARKER_HEIGHT = 0.2, 0.5
 FRAME = "camera_optical_frame"
 STEP = 0.01
 SPEED = 8.0
+# Wall seconds for a command at each tick, once there was one at the tick before.
+ANSWER_SECONDS = 0.3
 
 
 class StandIn:
     """Simulates what dock.py is told, `SPEED` times as fast as the wall clock.
+
+    Time waits a little for a node that sends commands, so that a busy machine changes nothing.
 
     Attributes:
         pose: x, y, yaw of the robot; the marker stands at x = 4.
@@ -44,6 +48,8 @@ class StandIn:
         self.time = 1.0
         self.shift = (0.0, 0.0)
         self._command = (0.0, 0.0)
+        self._answered = threading.Event()
+        self._answers = False
         self._over = False
         self._publishers = {
             "clock": self._publisher("/clock", Clock),
@@ -70,13 +76,19 @@ class StandIn:
 
     def _take(self, message):
         self._command = (message.linear.x, message.angular.z)
+        self._answers = True
+        self._answered.set()
 
     def _run(self):
-        start, number = time.monotonic(), 0
+        next_time, number = time.monotonic(), 0
         while not self._over:
             number += 1
-            time.sleep(max(0.0, start + number * STEP / SPEED - time.monotonic()))
+            next_time = max(next_time + STEP / SPEED, time.monotonic())
+            time.sleep(max(0.0, next_time - time.monotonic()))
             self._step(number)
+            if self._answers and number % 5 == 0:
+                self._answers = self._answered.wait(ANSWER_SECONDS)
+                self._answered.clear()
 
     def _step(self, number):
         self.time += STEP

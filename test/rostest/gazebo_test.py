@@ -185,6 +185,8 @@ class SpawnTest(GazeboCase):
 
     def test_robot_in_a_namespace_speaks_and_falls_silent(self):
         self.start(robot=ROBOT)
+        rospy.set_param("/left/tf_prefix", "second")
+        self.addCleanup(rospy.delete_param, "/left/tf_prefix")
         answer = spawn("second", BLOCK, at(0.0, 3.0, 0.0), "left", service="spawn_urdf_model")
         self.assertTrue(answer.success, answer)
         first, second = self.topic("odom", Odometry), self.topic("left/odom", Odometry)
@@ -195,6 +197,7 @@ class SpawnTest(GazeboCase):
         call("/bullet_lab/advance", Advance, rospy.get_name(), end_of_time, 1)
         step(1000)
         self.assertGreater(second.wait(20)[-1].pose.pose.position.x, 0.4)
+        self.assertEqual("second/odom", second.messages[-1].header.frame_id)
         self.assert_near((0.0,), (first.wait(20)[-1].pose.pose.position.x,), 1e-3)
         self.assertTrue(call("/gazebo/delete_model", DeleteModel, "second").success)
         published = dict(rosgraph.Master("/test").getPublishedTopics(""))

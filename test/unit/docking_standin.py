@@ -101,9 +101,7 @@ def make_dock(stand: Stand) -> Dock:
 def body_clearance(pose, boxes) -> float:
     """Return the distance of the robot's square from boxes, all in one frame; 0 at contact."""
     edge = np.linspace(-0.2, 0.2, 9)
-    outline = np.concatenate(
-        [[(e, 0.2), (e, -0.2), (0.2, e), (-0.2, e)] for e in edge]
-    )
+    outline = np.concatenate([[(e, 0.2), (e, -0.2), (0.2, e), (-0.2, e)] for e in edge])
     flat = np.column_stack([outline, np.zeros(len(outline))])
     points = se2.compose(pose, flat)[:, :2]
     best = math.inf

@@ -11,6 +11,8 @@ from bullet_lab.vision.dictionaries import dictionary_named
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 TAGS = "apriltag_36h10"
+# Of large images fewer samples will do, as they have longer edges.
+_MOST_SAMPLES = 1.0e6
 
 
 @dataclass
@@ -77,6 +79,8 @@ def image_of(layers, view, camera=CAMERA, background=120.0, samples=6, blur=0.0,
     values = np.full((camera.height, camera.width), float(background))
     left, top, right, bottom = _bounds(layers, view, camera)
     if right > left and bottom > top:
+        each_way = math.sqrt(_MOST_SAMPLES / ((right - left) * (bottom - top)))
+        samples = max(2, min(samples, int(each_way)))
         grid_u, grid_v = _grid(left, top, right, bottom, samples)
         x, y = _on_plane(grid_u, grid_v, view, camera)
         fine = np.full(grid_u.shape, float(background))

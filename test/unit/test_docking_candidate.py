@@ -13,16 +13,17 @@ from bullet_lab.docking.types import Odometry
 from bullet_lab.numerics import se2
 
 DOCK = np.array([4.0, 0.0, 0.0])
+MARKER = standin.Print()
 VIEW = Viewpoint(standin.CAMERA, standin.MOUNT)
 QUIET = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.15, dropout=0.0, tilt=0.0, walls=False)
 WIDE = np.diag([0.3, 0.3, 0.2]) ** 2
 
 
-def look(pose, rng, shown=standin.Print()):
+def look(pose, rng, shown=MARKER):
     return standin.see_print(se2.between(DOCK, pose), shown, QUIET, rng)
 
 
-def drive(start, steps, shown=standin.Print(), prior=None, seed=1, images_per_step=1):
+def drive(start, steps, shown=MARKER, prior=None, seed=1):
     """Follow a drive of equal steps (dx, dy, dyaw); return candidate and last pose."""
     rng = np.random.default_rng(seed)
     pose = np.array(start, dtype=float)
@@ -33,10 +34,9 @@ def drive(start, steps, shown=standin.Print(), prior=None, seed=1, images_per_st
     for step in steps:
         pose = se2.compose(pose, step)
         candidate.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), Odometry(0.2, tuple(step))))
-        for _ in range(images_per_step):
-            corners = look(pose, rng, shown)
-            if corners is not None:
-                candidate.see(corners, VIEW)
+        corners = look(pose, rng, shown)
+        if corners is not None:
+            candidate.see(corners, VIEW)
     return candidate, pose
 
 

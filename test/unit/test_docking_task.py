@@ -7,6 +7,7 @@ import docking_standin as standin
 import numpy as np
 import pytest
 
+from bullet_lab.docking.database import DockUncertainty
 from bullet_lab.docking.settings import DockingSettings
 from bullet_lab.docking.task import DockingTask, DockingTaskError
 from bullet_lab.docking.types import DockingError, DockingState, Observation, Odometry, Sighting
@@ -39,7 +40,7 @@ def check_docked(run):
         replace(PLAIN, start=(3.1, 1.05, 1.0), seed=3),  # beside the left wall
         replace(PLAIN, start=(0.5, -4.5, -2.0), dock_error=(0.3, 0.3, -0.17)),
         replace(PLAIN, start=(2.5, -2.2, 2.0), dock_error=(-0.3, -0.3, 0.17)),
-        replace(PLAIN, dock=(-2.0, 5.0, 2.2), start=(-1.0, 3.0, 0.0)),  # any frame
+        replace(PLAIN, dock=(-2.0, 5.0, 2.2), start=(-0.48, 2.4, 2.6)),  # any frame
         replace(PLAIN, model="report", std=0.1, seed=4),
         replace(PLAIN, model="rate_invariant", std=0.03, seed=5),
         replace(PLAIN, walls=False),
@@ -52,9 +53,7 @@ def test_docks(stand):
 @pytest.mark.parametrize("start", [(1.5, 1.6, 0.0), (0.5, 2.5, -0.5), (3.1, 1.0, -1.0)])
 def test_is_not_fooled_by_a_larger_copy_beside_the_dock(start):
     prints = (standin.Print(), DECOY)
-    check_docked(
-        standin.run(replace(PLAIN, start=start, prints=prints, obstacles=(DECOY_PANEL,)))
-    )
+    check_docked(standin.run(replace(PLAIN, start=start, prints=prints, obstacles=(DECOY_PANEL,))))
 
 
 def test_docks_at_the_marker_within_a_larger_copy():
@@ -235,6 +234,14 @@ def test_a_marker_that_vanishes_is_searched_again():
     feed.stand = replace(feed.stand, dropout=0.0)
     feed.run(120.0)
     assert feed.task.result.success, feed.task.result
+
+
+def test_a_start_within_the_walls_is_not_valid():
+    sure = DockUncertainty(0.05, 0.02)
+    dock = replace(standin.make_dock(replace(PLAIN, dock_error=(0.0, 0.0, 0.0))), uncertainty=sure)
+    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT), (3.0, 0.6, 0.0))
+    check_ended(feed, DockingError.NOT_VALID)
+    assert feed.moved == 0.0
 
 
 def test_refuses_a_pose_that_is_none():

@@ -53,7 +53,7 @@ def errors_of_board(folder, renderer, models):
         return errors(simulation.photographer(), CAMERA, 1.0)
 
 
-def errors(photographer, camera, samples, count=6):
+def errors(photographer, camera, samples, count=4):
     """Offsets of the corners in pictures from where the camera's geometry has them."""
     random = np.random.default_rng(1)
     lens = Lens(camera)
@@ -74,12 +74,12 @@ def errors(photographer, camera, samples, count=6):
     return np.concatenate(found)
 
 
-@pytest.mark.parametrize("samples", [1.0, 1.3, 2.0])
+@pytest.mark.parametrize("samples", [1.0, 1.5])
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, BENT])
 def test_corners_are_seen_where_camera_info_has_them(board, samples, distortion):
     camera = PinholeCamera(640, 480, FOCAL, FOCAL, 319.5, 239.5, distortion)
     offsets = errors(board, camera, samples)
-    assert len(offsets) > 200
+    assert len(offsets) > 150
     assert np.abs(offsets.mean(axis=0)).max() < 0.02
     assert np.hypot(*offsets.T).mean() < 0.1
 

@@ -154,3 +154,13 @@ def test_both_renderers_draw_the_same(tmp_path):
     assert np.ptp(pictures[0]) > 150
     assert differences.mean() < 1.0
     assert (differences > 30).mean() < 2e-3
+
+
+def test_standing_things_are_lit_where_they_are_put(renderer):
+    light = sun((1.0, 0.0, 0.0), 0.5)
+    with simulation_of(BOX, renderer=renderer, ambient=GREY, lights=(light,)) as simulation:
+        photographer = simulation.photographer()
+        levels = [photographer.take(AHEAD, Shot(CAMERA))[240, 320, 0]]
+        simulation.models["box"].place(Pose.from_rpy((2.0, 0.0, 0.5), (0.0, 0.0, 0.6)))
+        levels.append(photographer.take(AHEAD, Shot(CAMERA))[240, 320, 0])
+    assert levels == pytest.approx([204 * 0.75, 204 * (0.25 + 0.5 * math.cos(0.6))], abs=2)

@@ -76,6 +76,22 @@ def test_a_picture_is_the_right_way_round(renderer, tmp_path):
     assert seen_quarters(picture) == pytest.approx(np.array(COLOURS[:4]), abs=3)
 
 
+def test_faces_that_show_a_single_point_have_its_colour(renderer, tmp_path):
+    path = write_plate(tmp_path, "quarters", quarters(), 1.0, 1.0)
+    text = path.read_text() + "vt 0.75 0.75\n"
+    for y in (-0.8, 0.8):
+        corners = ((y + 0.2, -0.2), (y - 0.2, -0.2), (y - 0.2, 0.2), (y + 0.2, 0.2))
+        text += "".join(f"v 0 {a} {b}\n" for a, b in corners) + "f -4/5 -3/5 -2/5 -1/5\n"
+    path.write_text(text)
+    model = thing("m", Mesh(path, path.name), Pose((3.0, 0, 0.5)), (0.5, 1.0, 0.5, 1.0))
+    with simulation_of(model, renderer=renderer) as simulation:
+        picture = simulation.photographer().take(AHEAD, Shot(CAMERA))
+    for u in (320 - round(0.8 * CAMERA.fx / 3), 320 + round(0.8 * CAMERA.fx / 3)):
+        assert picture[240, u] == pytest.approx(np.array(COLOURS[1]) * (0.5, 1, 0.5), abs=2)
+    wanted = np.array(COLOURS[:4]) * (0.5, 1, 0.5)
+    assert seen_quarters(picture) == pytest.approx(wanted, abs=3)
+
+
 @pytest.mark.parametrize("side", [2, 3, 5, 10, 63])
 def test_pictures_of_any_width(renderer, tmp_path, side):
     columns = np.arange(side) % 2 * 200 + 20

@@ -115,7 +115,8 @@ def test_copies_move_on_their_own_and_keep_their_colours(space, frame):
     assert first.pose().position == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     assert second.pose().position == pytest.approx((10.0, 0.0, 0.0), abs=1e-6)
     for instance, colour in ((first, RED), (second, BLUE)):
-        (shape,) = pybullet.getVisualShapeData(instance.bodies["l"].unique_id, space.client)
+        body = instance.bodies["l"].unique_id
+        (shape,) = pybullet.getVisualShapeData(body, physicsClientId=space.client)
         assert shape[7] == pytest.approx(colour)
 
 

@@ -140,6 +140,16 @@ def test_bits_are_corrected_as_far_as_asked():
     assert detect(damaged(1), correction=0.0).markers == []
 
 
+def test_misread_cells_of_the_border_are_counted():
+    layer = marker(2)
+    # Grey, so that the outline is seen, and nearer to white.
+    for place in (3, 5, 6):
+        layer.cells[1, place] = layer.cells[place, 1] = 150.0
+    image = image_of([layer], View(1.0), samples=4)
+    assert ids_of(detect(image, border_rate=0.5)) == [2]
+    assert detect(image, border_rate=0.1).markers == []
+
+
 # Light
 
 
@@ -164,9 +174,11 @@ def test_light(black, white, background, noise):
 
 
 def test_light_that_changes_across_the_marker():
-    image = image_of([marker()], View(0.8), samples=4).astype(float)
-    light = np.linspace(0.15, 1.0, image.shape[1])
-    assert ids_of(detect(np.rint(image * light).astype(np.uint8))) == [0]
+    image = image_of([marker()], View(0.5), samples=4).astype(float)
+    light = np.interp(np.arange(image.shape[1]), (260, 400), (0.15, 1.0))
+    for brightness in (light, light[::-1]):
+        lit = np.rint(image * brightness).astype(np.uint8)
+        assert ids_of(detect(lit, correction=0.0)) == [0]
 
 
 def test_the_second_look_is_taken_only_where_nothing_was_found():
@@ -201,7 +213,7 @@ def dots(chance, noise):
 
 def test_no_marker_in_dots():
     chance = np.random.default_rng(8)
-    for _ in range(40):
+    for _ in range(15):
         assert detect(dots(chance, chance.uniform(0.0, 6.0))).markers == []
 
 
@@ -270,5 +282,5 @@ def test_the_number_of_tries_is_bounded():
     for v in range(10, 460, 24):
         for u in range(10, 620, 24):
             image[v : v + 14, u : u + 14] = 20
-    report = detect(image, max_quads=50, second_pass=False).report
-    assert report.quads <= 51
+    for count in (20, 50):
+        assert detect(image, max_quads=count, second_pass=False).report.quads == count

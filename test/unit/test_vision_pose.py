@@ -72,6 +72,15 @@ def test_ambiguity_is_seen_where_noise_would_hide_the_difference():
     assert not estimate_pose(corners[6.0], SIZE, CAMERA, 0.001).ambiguous
 
 
+def test_ambiguity_is_seen_where_neither_pose_fits_well():
+    corners = true_corners(View(4.0, yaw=20.0))
+    # No pose moves one corner alone.
+    corners[0] += (2.0, 2.0)
+    estimate = estimate_pose(corners, SIZE, CAMERA, 0.01)
+    assert estimate.alternative.error - estimate.best.error > 0.05
+    assert estimate.ambiguous
+
+
 @pytest.mark.parametrize("view", [View(0.6), View(1.0, yaw=30.0), VIEWS[3]], ids=range(3))
 def test_covariance_is_that_of_many_noisy_corners(view):
     sigma, count = 0.05, 500

@@ -127,7 +127,10 @@ class Confirm(Phase):
         if pilot.resting() < pilot.settings.settle_time or self._frames is None:
             self._frames, self._since = candidate.frames, pilot.now
             return STANDSTILL, None
-        if candidate.frames - self._frames < pilot.settings.final_frames:
+        wanted = pilot.settings.final_frames
+        if float(estimate.deviations[2]) > 0.3 * pilot.dock.tolerance.yaw:
+            wanted *= 3
+        if candidate.frames - self._frames < wanted:
             if pilot.now - self._since > 5.0 * pilot.settings.unseen_timeout:
                 return STANDSTILL, retreat(pilot, left, "the marker is lost before the dock")
             return STANDSTILL, None

@@ -35,7 +35,7 @@ _START_DEVIATION = math.radians(5.0)
 _PER_SCALE = 3
 _LEAST_WEIGHT = 1e-6
 _LEAST_SHARE = 1e-5
-_FRAMES_AT_A_SPOT = 5
+_FRAMES_AT_A_SPOT = 8
 _OUTLIER = 40.0
 _LINEAR = 4.0
 _STUBBORN = 4
@@ -65,7 +65,7 @@ class DockPrior:
         """Return by how much (n, 3) poses are farther off than 3.3 standard deviations, squared."""
         off = poses - self.mean
         off[:, 2] = wrap(off[:, 2])
-        squares = np.einsum("ni,ij,nj->n", off, np.linalg.inv(self.covariance), off)
+        squares = np.sum((off @ np.linalg.inv(self.covariance)) * off, axis=1)
         return np.maximum(squares - 11.0, 0.0)
 
     def moved(self, motion: MotionStep) -> DockPrior:
@@ -127,8 +127,8 @@ class Candidate:
         off[:, 2] = wrap(off[:, 2])
         shift = weights @ off
         spread = off - shift
-        covariance = np.einsum("n,nij->ij", weights, covariances)
-        covariance += np.einsum("n,ni,nj->ij", weights, spread, spread)
+        covariance = np.sum(weights[:, None, None] * covariances, axis=0)
+        covariance += (weights[:, None] * spread).T @ spread
         mean = best + shift
         mean[2] = wrap(float(mean[2]))
         return DockEstimate(mean, covariance)
@@ -148,7 +148,7 @@ class Candidate:
         chosen = rng.choice(len(weights), size=count, p=weights)
         roots = np.linalg.cholesky(covariances + 1e-12 * np.eye(3))
         drawn = poses[chosen]
-        drawn += np.einsum("nij,nj->ni", roots[chosen], rng.standard_normal((count, 3)))
+        drawn += _apply(roots[chosen], rng.standard_normal((count, 3)))
         drawn[:, 2] = wrap(drawn[:, 2])
         return drawn
 
@@ -387,14 +387,22 @@ def _innovations(start, x, p, sizes, corners, view: Viewpoint, noise: PixelNoise
     seen[bad], by_state[bad], tilts[bad] = 1e4, 0.0, 0.0
     off = start - x
     off[:, 2] = wrap(off[:, 2])
-    rest = corners.reshape(8) - seen - np.einsum("nij,nj->ni", by_state, off)
+    rest = corners.reshape(8) - seen - _apply(by_state, off)
     covariance = noise_covariance(noise, extent_of(corners), tilts)
     return rest, by_state, covariance + by_state @ p @ by_state.transpose(0, 2, 1)
 
 
 def _squares(rest: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Return squared Mahalanobis distances (n,)."""
-    return np.einsum("ni,ni->n", rest, np.linalg.solve(covariance, rest[..., None])[..., 0])
+    return np.sum(rest * np.linalg.solve(covariance, rest[..., None])[..., 0], axis=1)
+
+
+def _apply(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Return products (n, i) of matrices (n, i, j) and vectors (n, j).
+
+    Not by einsum, whose last bits depend on where the arrays happen to lie in memory.
+    """
+    return (matrices @ vectors[..., None])[..., 0]
 
 
 def _update(start, p, sizes, corners, view: Viewpoint, noise: PixelNoise, rounds: int = 3):
@@ -409,7 +417,7 @@ def _update(start, p, sizes, corners, view: Viewpoint, noise: PixelNoise, rounds
     for number in range(rounds):
         rest, by_state, covariance = _innovations(start, x, p, sizes, corners, view, noise)
         gain = np.linalg.solve(covariance, by_state @ p).transpose(0, 2, 1)
-        before, x = x, start + np.einsum("nij,nj->ni", gain, rest)
+        before, x = x, start + _apply(gain, rest)
         x[:, 2] = wrap(x[:, 2])
         if number == 0 and rounds < 6 and np.max(np.abs(rest)) < _LINEAR:
             break

@@ -54,11 +54,16 @@ class DockCloud:
         """Return the (n, 3) poses of the robot in the frames of the docks."""
         return se2.inverse(self.poses)
 
-    def stands_free(self, radius: float) -> None:
-        """Drop what would have the robot touch a wall: a circle about it is free."""
+    def stands_free(self, radius: float) -> bool:
+        """Drop what would have the robot touch a wall: a circle about it is free.
+
+        Returns:
+            Whether that is possible at all.
+        """
         free = clearance(self.robot_in_dock()[:, :2], self._boxes) > radius
         if not np.all(free):
             self._learn(np.where(free, 1.0, 1e-6), counts=False)
+        return bool(np.any(free))
 
     def not_seen(self, expected: np.ndarray, missed: float, counts: bool = True) -> None:
         """Learn from a look that found nothing.
@@ -95,7 +100,7 @@ class DockCloud:
         mean[2] = np.angle(self.weights @ turn)
         off = self.poses - mean
         off[:, 2] = wrap(off[:, 2])
-        covariance = np.einsum("n,ni,nj->ij", self.weights, off, off)
+        covariance = (self.weights[:, None] * off).T @ off
         return DockPrior(mean, 1.2 * covariance + np.diag([0.05, 0.05, 0.03]) ** 2)
 
     def samples(self, count: int) -> np.ndarray:

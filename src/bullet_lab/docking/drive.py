@@ -95,9 +95,7 @@ class FollowWay:
             self._turning = abs(off) > 0.06
             if self._turning:
                 return turn_command(off, self._settings.turn_speed, 0.0)
-        speed = min(
-            self._settings.drive_speed, math.sqrt(0.6 * self._settings.acceleration * left)
-        )
+        speed = min(self._settings.drive_speed, math.sqrt(0.6 * self._settings.acceleration * left))
         return speed * math.cos(off), clip(2.0 * off, 0.7 * self._settings.turn_speed)
 
 

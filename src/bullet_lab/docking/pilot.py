@@ -214,9 +214,7 @@ class Pilot:
     def _ahead_of_robot(self, way) -> np.ndarray:
         """Return points of a way without its first decimetres, where the robot stands anyway."""
         points = sample_way(way, 0.05)
-        travelled = np.cumsum(
-            np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)])
-        )
+        travelled = np.cumsum(np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)]))
         return points[(travelled > 0.15) & (travelled < 1.6)]
 
     def outlook(self) -> Optional[Outlook]:
@@ -268,8 +266,10 @@ class Pilot:
         found = self.knowledge.copy_on_the_wall()
         if found is None:
             return False
-        if self.cue_used is None or self.cue_used[0] is not found or (
-            found.frames > 1.3 * self.cue_used[1]
+        if (
+            self.cue_used is None
+            or self.cue_used[0] is not found
+            or (found.frames > 1.3 * self.cue_used[1])
         ):
             self.cue_used = (found, found.frames)
             walls = self.dock.walls

@@ -114,15 +114,16 @@ class DockingTask:
                     self._end(DockingError.ODOMETRY_LOST, "odometry went back in time")
                 return
             step = motion_step(before, odometry)
-            trouble = jump(
-                step, seconds, self._settings.drive_speed, self._settings.turn_speed
-            )
+            trouble = jump(step, seconds, self._settings.drive_speed, self._settings.turn_speed)
             if trouble:
                 self._end(DockingError.ODOMETRY_LOST, trouble)
                 return
             self._stuck.moved(step.step, seconds)
         self._knowledge.add_odometry(odometry)
-        self._knowledge.cloud.stands_free(self._pilot.shape.inner_radius)
+        free = self._knowledge.cloud.stands_free(self._pilot.shape.inner_radius)
+        if before is None and not free:
+            self._end(DockingError.NOT_VALID, "the robot stands where the dock's walls must be")
+            return
         while self._waiting and self._waiting[0].stamp <= odometry.stamp + 1e-6:
             self._knowledge.observe(self._waiting.popleft())
 

@@ -41,9 +41,7 @@ class Outlook:
     chance: float
 
 
-def chances(
-    points: np.ndarray, ahead: float, docks: np.ndarray, view: View
-) -> np.ndarray:
+def chances(points: np.ndarray, ahead: float, docks: np.ndarray, view: View) -> np.ndarray:
     """Return the share of docks whose marker is seen, (n, 36) for each point and heading.
 
     Args:
@@ -100,9 +98,7 @@ def _best_outlook(
     costs = np.concatenate([[0.0], costs[safe]])
     found = chances(points, ahead, docks, view)
     turns = np.abs(wrap(_HEADINGS - robot[2]))
-    seconds = costs[:, None] / speed + np.where(
-        costs[:, None] > 0.0, 2.0, turns[None] / turn_speed
-    )
+    seconds = costs[:, None] / speed + np.where(costs[:, None] > 0.0, 2.0, turns[None] / turn_speed)
     # Of headings that find as much, the one with the likely place in the middle is best.
     smooth = (np.roll(found, 1, axis=1) + found + np.roll(found, -1, axis=1)) / 3.0
     worth = (found + 0.05 * smooth) / (_LOOK_SECONDS + seconds)

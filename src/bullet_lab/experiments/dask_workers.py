@@ -31,6 +31,15 @@ _CONFIGURATION = {
     "distributed.admin.tick.limit": "1h",
     "distributed.scheduler.allowed-failures": LIVES - 1,
     "distributed.worker.profile.enabled": False,
+    # One thread for each library that would start one per core. Dask's own choice also has
+    # memory given back at every turn (MALLOC_TRIM_THRESHOLD_), which costs a third of the time
+    # where images come and go.
+    "distributed.nanny.pre-spawn-environ": {
+        "LP_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+    },
 }
 
 
@@ -159,7 +168,6 @@ def _local_client(workers: int) -> Iterator[Client]:
                 memory_limit=None,
                 local_directory=folder,
                 silence_logs=logging.CRITICAL,
-                env={"LP_NUM_THREADS": "1"},
             )
         stack.callback(_close, cluster)
         client = stack.enter_context(contextlib.closing(Client(cluster, set_as_default=False)))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import functools
 import re
-import signal
 import sys
 import time
 from dataclasses import asdict, dataclass
@@ -47,11 +46,13 @@ from bullet_lab.experiments.dock_scenarios import (
 )
 from bullet_lab.experiments.dock_trial import Record, crashed_record, run_trial
 from bullet_lab.experiments.docking import MARKER_POSE
+from bullet_lab.experiments.interruption import interrupt_once
 from bullet_lab.plotting.campaign_figure import campaign_figure
 from bullet_lab.plotting.style import save
 from bullet_lab.recording.dock_log import DockLog
 from bullet_lab.recording.dock_summary import DOCKED, campaign_summary, write_campaign_csv
 from bullet_lab.recording.files import make_folder, write_json
+from bullet_lab.simulation.rendering.choice import AUTO, CHOICES, choose_renderer
 
 LOG, TABLE, SUMMARY, PICTURE = "dockings.jsonl", "campaign.csv", "summary.json", "campaign.png"
 MOST_DOCKINGS = 1_000_000
@@ -240,6 +241,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--worlds", nargs="+", default=WORLDS, metavar="WORLD")
     parser.add_argument("--lights", nargs="+", default=LIGHTS, metavar="LIGHT")
     parser.add_argument("--odom", nargs="+", default=ODOMETRY, metavar="TOPIC")
+    parser.add_argument("--renderer", choices=CHOICES, default=AUTO)
     parser.add_argument("--workers", type=int, default=0, help="processes; 0: one per core")
     parser.add_argument("--scheduler", default="", help="of a Dask cluster, tcp://host:port")
     return parser
@@ -251,7 +253,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> NoReturn:
     # roslaunch adds its own: __name:=… and __log:=…
     words = [word for word in words if not re.match(r"__\w+:=", word)]
     try:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        interrupt_once()
         _run(_parser().parse_args(words))
     except LabError as error:
         nobody = isinstance(error, WorkersError) and not isinstance(error, AddressError)
@@ -264,7 +266,14 @@ def main(arguments: Optional[Sequence[str]] = None) -> NoReturn:
 def _run(values: argparse.Namespace) -> None:
     if not 0 <= values.workers <= MOST_WORKERS:
         raise CampaignError(f"workers must be from 0 to {MOST_WORKERS}, not {values.workers}")
-    draw = DrawSettings(values.seed, tuple(values.worlds), tuple(values.lights), tuple(values.odom))
+    draw = DrawSettings(
+        values.seed,
+        tuple(values.worlds),
+        tuple(values.lights),
+        tuple(values.odom),
+        # Chosen once for all workers, wherever they are.
+        choose_renderer(values.renderer),
+    )
     settings = CampaignSettings(draw, values.n)
     # A world that is missing is better known now than from each worker.
     draw_scenario(draw, 0)

@@ -194,9 +194,7 @@ def _world(scenario: DockingScenario):
     if not scenario.lighting:
         return world
     light = read_world_file(finder.find(scenario.lighting))
-    return replace(
-        world, lights=light.lights, ambient=light.ambient, background=light.background
-    )
+    return replace(world, lights=light.lights, ambient=light.ambient, background=light.background)
 
 
 class _Drive:
@@ -325,6 +323,7 @@ class _Drive:
             tuple(frames),
             self._simulation.photographer().renderer if record.images else "",
         )
+
 
 def _thin_out(frames: List[Any], most: int) -> None:
     """Drop images so that those that stay are spread evenly; the last one stays."""

@@ -7,6 +7,8 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Callable
 
+import cv2
+
 
 def in_own_thread(call: Callable[..., Any], *arguments: Any) -> Any:
     """Call something in the one thread of this process that draws, and return what it returns.
@@ -19,6 +21,7 @@ def in_own_thread(call: Callable[..., Any], *arguments: Any) -> Any:
 
 @functools.lru_cache(maxsize=None)
 def _thread() -> ThreadPoolExecutor:
-    # The graphics library would start a thread for each core; the cores have a process each.
+    # Graphics and vision would start a thread for each core; the cores have a process each.
     os.environ.setdefault("LP_NUM_THREADS", "1")
+    cv2.setNumThreads(1)
     return ThreadPoolExecutor(max_workers=1, thread_name_prefix="drawing")

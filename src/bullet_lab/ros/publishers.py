@@ -11,7 +11,6 @@ import genpy
 import rospy
 from rospy.msg import serialize_message
 
-
 # Wall seconds between two looks at a queue that is full.
 ROOM_CHECK_SECONDS = 0.001
 

@@ -13,7 +13,7 @@ from bullet_lab.simulation.pose import Pose, Vector, add, cross
 from bullet_lab.simulation.schedule import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from bullet_lab.simulation.simulation import ModelInstance
+    from bullet_lab.simulation.model_instance import ModelInstance
 
 # Beyond this, in N or N m, numbers overflow rather than bodies move.
 STRONGEST = 1e9

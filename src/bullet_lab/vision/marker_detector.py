@@ -61,7 +61,7 @@ class DetectorSettings:
     correction: float = 0.5
     border_rate: float = 0.1
     likeness: float = 0.6
-    max_quads: int = 100
+    max_quads: int = 60
     second_pass: bool = True
 
     def __post_init__(self) -> None:
@@ -202,9 +202,9 @@ class MarkerDetector:
                 continue
             same = same_quads(quad, quads) & ~done
             done |= same
-            report.quads += 1
-            if report.quads > self.settings.max_quads:
+            if report.quads == self.settings.max_quads:
                 break
+            report.quads += 1
             decoded = None
             for version in np.flatnonzero(same)[:_TRIES]:
                 decoded = self._decode(image, quads[version], lens)
@@ -224,7 +224,9 @@ class MarkerDetector:
             grey = cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC)
         windows = [scale * (w - 1) + 1 for w in settings.windows]
         levels = _LEVELS if scale > 1 else ()
-        quads = find_quads(grey, windows, contrast, scale * settings.min_side, levels)
+        quads = find_quads(
+            grey, windows, contrast, scale * settings.min_side, levels, settings.max_quads
+        )
         # Pixels are numbered at their centres.
         quads = (quads + 0.5) / scale - 0.5
         sides = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).mean(axis=1)

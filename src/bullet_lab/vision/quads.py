@@ -22,6 +22,7 @@ def find_quads(
     contrast: float,
     min_side: float,
     levels: Sequence[float] = (),
+    most: int = 1000,
 ) -> np.ndarray:
     """Return the outlines of dark quadrilaterals, to about a pixel.
 
@@ -31,6 +32,7 @@ def find_quads(
         contrast: by how many grey levels it is.
         min_side: least mean length of the sides, px.
         levels: grey levels up to which a pixel is dark as well, whatever its neighbourhood.
+        most: so many are returned for each window and level, those with the longest outline.
 
     Returns:
         (n, 4, 2) corners u, v in px, clockwise as one looks at the image. The same
@@ -43,19 +45,26 @@ def find_quads(
         mean = cv2.blur(grey, (window, window), borderType=cv2.BORDER_REPLICATE)
         darker = cv2.subtract(mean, grey)
         _, dark = cv2.threshold(darker, constant - 1, 255, cv2.THRESH_BINARY)
-        found += _outlines(dark, min_side)
+        found += _outlines(dark, min_side, most)
     for level in levels:
         _, dark = cv2.threshold(grey, level, 255, cv2.THRESH_BINARY_INV)
-        found += _outlines(dark, min_side)
+        found += _outlines(dark, min_side, most)
     return np.array(found).reshape(-1, 4, 2)
 
 
-def _outlines(dark: np.ndarray, min_side: float) -> List[np.ndarray]:
+def _outlines(dark: np.ndarray, min_side: float, most: int) -> List[np.ndarray]:
     contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     # A diagonal step counts as one pixel.
-    least = 2.8 * min_side
-    quads = (_quad_of(contour, min_side) for contour in contours if len(contour) >= least)
-    return [quad for quad in quads if quad is not None]
+    long = [contour for contour in contours if len(contour) >= 2.8 * min_side]
+    long.sort(key=len, reverse=True)
+    quads: List[np.ndarray] = []
+    for contour in long:
+        quad = _quad_of(contour, min_side)
+        if quad is not None:
+            quads.append(quad)
+        if len(quads) == most:
+            break
+    return quads
 
 
 def same_quads(first: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Iterator, Tuple
+from typing import Iterator, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -66,6 +66,7 @@ class Photographer:
     def __init__(self, scene: Scene, background: Vector):
         self._scene = scene
         self._background = np.asarray(background, dtype=float)
+        self._last_sky: Optional[np.ndarray] = None
 
     def take(self, pose: Pose, shot: Shot, exposure: float = 1.0) -> np.ndarray:
         """Return what is seen along the x axis of a pose, its z axis upwards.
@@ -122,9 +123,17 @@ class Photographer:
             picture = cv2.convertScaleAbs(picture, alpha=gain)
         empty = cv2.compare(depth, _EMPTY[engine.renderer], cv2.CMP_GE)
         if cv2.countNonZero(empty):
-            colour = np.clip(np.round(255.0 * exposure * self._background), 0, 255)
-            cv2.copyTo(np.full_like(picture, colour.astype(np.uint8)), empty, picture)
+            cv2.copyTo(self._sky(picture.shape, exposure), empty, picture)
         return picture
+
+    def _sky(self, shape: Tuple[int, ...], exposure: float) -> np.ndarray:
+        """Return a picture of nothing."""
+        colour = np.clip(np.round(255.0 * exposure * self._background), 0, 255).astype(np.uint8)
+        sky = self._last_sky
+        # Filling one takes as long as all else that is done to a picture.
+        if sky is None or sky.shape != shape or (sky[0, 0] != colour).any():
+            sky = self._last_sky = np.full(shape, colour)
+        return sky
 
 
 # Depth of what nothing was drawn to: TinyRenderer's is a rounding below EGL's.

@@ -82,12 +82,21 @@ class _Copies:
     instance: Any
     shapes: List[_Shape]
     parts: List[_Copy] = field(default_factory=list)
+    painted: List[Pose] = field(default_factory=list)
+
+    def is_painted(self) -> bool:
+        """Whether there are copies, lit where the shapes are now or may be anywhere."""
+        return bool(self.painted) and all(
+            shape.motion != STANDING or shape.where() == pose
+            for shape, pose in zip(self.shapes, self.painted)
+        )
 
     def remove(self) -> None:
         """Take the copies out."""
         for part in self.parts:
             part.remove()
         self.parts.clear()
+        self.painted.clear()
 
 
 class Scene:
@@ -124,7 +133,7 @@ class Scene:
             self._remove(name)
         for name in new:
             self._copies[name] = _Copies(self._models[name], _shapes_of(self._models[name]))
-        if gone or new:
+        if gone or not all(c.is_painted() for c in self._copies.values() if c.shapes):
             self._paint()
         for copies in self._copies.values():
             for part in copies.parts:
@@ -156,16 +165,17 @@ class Scene:
     def _paint(self) -> None:
         """Make the copies that are missing; all of them, if the way of drawing changes."""
         found = self._common_map()
-        if not _equal(found, self._map):
-            for copies in self._copies.values():
+        same, self._map = _equal(found, self._map), found
+        for copies in self._copies.values():
+            if not (same and copies.is_painted()):
                 copies.remove()
-            self._map = found
         shader = Shader(self.lighting, self.engine.renderer == EGL, self._map)
         for copies in self._copies.values():
-            if copies.parts:
+            if copies.painted:
                 continue
             for shape in copies.shapes:
                 pose = shape.where()
+                copies.painted.append(pose)
                 lit: List[Part] = []
                 for surface, colour in shape.surfaces:
                     lit.extend(shader.parts(surface, colour, pose, shape.motion))

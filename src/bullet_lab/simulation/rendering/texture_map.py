@@ -19,6 +19,8 @@ from bullet_lab.simulation.rendering.surfaces import Surface
 # Greatest misfit of a picture's coordinates, of its size.
 TOLERANCE = 1e-5
 LARGEST_SIDE = 4096
+# Larger ones take long to load: they are not made finer than the original.
+COMMON_SIDE = 2048
 # Pixels of a redrawn picture per pixel of the original, along each side.
 FINEST = 4.0
 
@@ -92,7 +94,7 @@ def _redrawn(texture: bytes, fit: np.ndarray, first: np.ndarray) -> Optional[byt
     sides = np.hypot(fit[0, :2] * width, fit[1, :2] * height)
     if not 1e-3 < sides.min() <= sides.max() <= LARGEST_SIDE:
         return None
-    finer = min(FINEST, LARGEST_SIDE / sides.max())
+    finer = max(1.0, min(FINEST, COMMON_SIDE / sides.max()))
     sides = np.ceil(finer * sides / 4).astype(int) * 4
     across = (np.arange(sides[0]) + 0.5) / sides[0]
     down = 1.0 - (np.arange(sides[1]) + 0.5) / sides[1]
@@ -101,7 +103,7 @@ def _redrawn(texture: bytes, fit: np.ndarray, first: np.ndarray) -> Optional[byt
     grid = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     u, v = np.mod(_apply(fit, grid), 1.0).T
     columns, rows = (
-        _sharp(places, finer).astype(np.float32).reshape(sides[1], sides[0])
+        places.astype(np.float32).reshape(sides[1], sides[0])
         for places in (u * width - 0.5, (1.0 - v) * height - 0.5)
     )
     redrawn = cv2.remap(
@@ -109,9 +111,3 @@ def _redrawn(texture: bytes, fit: np.ndarray, first: np.ndarray) -> Optional[byt
     )
     ok, data = cv2.imencode(".png", redrawn, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     return data.tobytes() if ok else None
-
-
-def _sharp(places: np.ndarray, finer: float) -> np.ndarray:
-    """Return where to look between texels so that their edges are one drawn pixel wide."""
-    whole = np.floor(places)
-    return whole + np.clip((places - whole - 0.5) * finer + 0.5, 0.0, 1.0)
