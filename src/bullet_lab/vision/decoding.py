@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Optional
 
 import numpy as np
@@ -15,6 +16,11 @@ from bullet_lab.vision.small_algebra import solve_symmetric
 _SPREAD = np.array([-0.24, -0.08, 0.08, 0.24])
 # How far each cell is pushed away from its neighbours, against blur.
 _SHARPENING = 0.25
+# A glance: places along each side, the part of them that has to be brighter outside, and what
+# the brightest data cell has to have of that rise.
+_GLANCES = 7
+_FRAMED = 0.7
+_NOT_EMPTY = 0.25
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,40 @@ def homography(corners: np.ndarray) -> np.ndarray:
             [g, h, 1.0],
         ]
     )
+
+
+def may_be_marker(image: np.ndarray, quad: np.ndarray, cells: int, lens: Lens) -> bool:
+    """Return whether it is worth looking closer: dark just inside, brighter outside, not empty.
+
+    Args:
+        image: (h, w) grey levels.
+        quad: (4, 2) corners, px, roughly.
+        cells: data cells along an edge.
+        lens: straightens edges.
+    """
+    places = _glance(cells) @ homography(lens.ideal(quad)).T
+    values = sample(image, lens.seen(places[:, :2] / places[:, 2:]))
+    outside, border, inside = np.split(values, (4 * _GLANCES, 8 * _GLANCES))
+    if float((outside > border).mean()) < _FRAMED:
+        return False
+    rise = float(np.sort(outside)[len(outside) // 2] - np.sort(border)[len(border) // 2])
+    return float(inside.max() - border.min()) > _NOT_EMPTY * rise
+
+
+@lru_cache(maxsize=None)
+def _glance(cells: int) -> np.ndarray:
+    """Return (n, 3) places of the unit square: outside the border, in it, in the data cells."""
+    cell = 1.0 / (cells + 2)
+    along = np.linspace(cell, 1.0 - cell, _GLANCES)
+    places = []
+    for ring in (-0.5 * cell, 0.5 * cell):
+        low, high = np.full(_GLANCES, ring), np.full(_GLANCES, 1.0 - ring)
+        for pair in ((along, low), (along, high), (low, along), (high, along)):
+            places.append(np.column_stack(pair))
+    middles = (np.arange(cells) + 1.5) * cell
+    places.append(np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2))
+    points = np.vstack(places)
+    return np.column_stack((points, np.ones(len(points))))
 
 
 def read_cells(image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens) -> np.ndarray:

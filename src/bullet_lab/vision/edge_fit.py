@@ -19,9 +19,6 @@ _LEAST_REACH = 1.25
 _BORDER_PART = 0.9
 # Sides are looked at without so much of them at either end.
 _TRIM = 0.08
-# Where sides are crossed in the quick look, and at what part of these it has to be darker inside.
-_QUICK_PLACES = np.linspace(0.1, 0.9, 7)
-_FRAMED = 0.7
 # An edge that is seen at fewer of its places is none.
 _LEAST_SEEN = 0.5
 # Grey levels by which an edge has to rise.
@@ -53,20 +50,6 @@ def refine_corners(
         if corners is None:
             return None
     return corners
-
-
-def looks_framed(image: np.ndarray, quad: np.ndarray, cells: int, lens: Lens) -> bool:
-    """Return whether a quadrilateral is darker inside its outline than outside, at most places.
-
-    A quick look before the long one: half a cell inside, in a marker's border, and outside.
-    """
-    corners = lens.ideal(quad)
-    middle = corners.mean(axis=0)
-    edges = np.roll(corners, -1, axis=0) - corners
-    outline = (corners[:, None] + edges[:, None] * _QUICK_PLACES[None, :, None]).reshape(-1, 2)
-    both = np.array([1.0 - 1.0 / cells, 1.0 + 1.0 / cells])[:, None, None]
-    inside, outside = sample(image, lens.seen(middle + (outline - middle) * both))
-    return float((outside > inside).mean()) >= _FRAMED
 
 
 def _refine_once(

@@ -11,9 +11,9 @@ import numpy as np
 
 from bullet_lab.numerics.pinhole import PinholeCamera
 from bullet_lab.vision import images
-from bullet_lab.vision.decoding import Match, interpret, match, read_cells
+from bullet_lab.vision.decoding import Match, interpret, match, may_be_marker, read_cells
 from bullet_lab.vision.dictionaries import dictionary_named
-from bullet_lab.vision.edge_fit import looks_framed, refine_corners
+from bullet_lab.vision.edge_fit import refine_corners
 from bullet_lab.vision.errors import VisionError
 from bullet_lab.vision.quads import find_quads, mean_side, same_quads
 from bullet_lab.vision.sampling import Lens
@@ -236,7 +236,7 @@ class MarkerDetector:
         self, image: np.ndarray, quad: np.ndarray, lens: Lens
     ) -> Optional[Tuple[Match, np.ndarray]]:
         cells = self.dictionary.cells
-        if not looks_framed(image, quad, cells + 2, lens):
+        if not may_be_marker(image, quad, cells, lens):
             return None
         corners = refine_corners(image, quad, cells + 2, lens)
         if corners is None or not np.isfinite(corners).all():
