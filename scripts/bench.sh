@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
-# Measures how fast the lab is: scripts/bench.sh [bridge|noise|laser|camera|aruco|world] [option …]
+# Measures how fast the lab is: scripts/bench.sh [bridge|noise|laser|camera|aruco|world|dock] [option …]
 #   bridge (default)  the bridge beside the bare engine: --rounds N, --seconds S
 #   noise             noisy paths by the thousand beside the per-message loop: --rounds N, --paths N
 #   camera            frames beside bare ones, 30 Hz with aruco.py: --frames N, --seconds S
 #   aruco             from image to pose, beside OpenCV's own detector: --rounds N
 #   laser             scans, and fleets of robots with lasers: --rounds N, --seconds S (simulated)
 #   world             models that come and go, a crowded world saved: --models N, --camera
+#   dock              a campaign of dockings on all cores: --dockings N
 # Prints a table and writes results/bench/bench.json, or noise.json and so on. No part of the tests.
 set -euo pipefail
 
@@ -36,9 +37,13 @@ main() {
       bench=world out=world
       shift
       ;;
+    dock)
+      bench=dock out=dock
+      shift
+      ;;
     -* | "") ;;
     *)
-      echo "bench.sh: there is no bench '$1'; benches: bridge, noise, laser, camera, aruco, world" >&2
+      echo "bench.sh: there is no bench '$1'; benches: bridge, noise, laser, camera, aruco, world, dock" >&2
       exit 2
       ;;
   esac

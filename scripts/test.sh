@@ -23,7 +23,7 @@ attribute() {
 run_unit_tests() {
   local results=$LOG/unit.xml tests failed skipped status=0
   rm -f "$results"
-  python -m pytest "$LAB_ROOT/test/unit" --junitxml="$results" || status=$?
+  python -m pytest -n auto "$LAB_ROOT/test/unit" --junitxml="$results" || status=$?
   tests=$(attribute tests "$results")
   skipped=$(attribute skipped "$results")
   failed=$(($(attribute failures "$results") + $(attribute errors "$results")))

@@ -30,6 +30,7 @@ from bullet_lab.ros.dock_inputs import (
 from bullet_lab.ros.odometry import OdometryError
 from bullet_lab.ros.touches import TouchCounter
 from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 
 DOCK = Dock(
@@ -243,13 +244,15 @@ def test_touches_are_counted_anew_each_time_and_the_floor_is_none():
         assert listener.messages[-1].models == []
         assert len(listener.messages) == 5
         for times in (1, 2):
-            # Against the left wall, and away from it.
-            robot.place(Pose((3.0, 0.31, 0.0)))
-            simulation.run_for(0.2)
-            assert sum(listener.messages[-1].touches) == times
+            # Into the left wall, pushing against it for a second, and away from it.
+            robot.place(Pose.from_rpy((3.0, 0.25, 0.0), (0.0, 0.0, math.pi / 2)))
+            robot.command("cmd_vel", PlanarCommand(0.2))
+            simulation.run_for(1.3)
+            assert listener.messages[-1].models == ["docking_station"]
+            assert times <= listener.messages[-1].touches[0] <= 4 * times
             robot.place(Pose((3.0, 0.0, 0.0)))
             simulation.run_for(0.2)
-        assert listener.messages[-1].header.stamp.to_sec() == pytest.approx(1.3)
+        assert listener.messages[-1].header.stamp.to_sec() == pytest.approx(3.5)
         listener.listens = False
         count = len(listener.messages)
         simulation.run_for(0.2)

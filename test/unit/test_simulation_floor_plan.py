@@ -7,14 +7,16 @@ from bullet_lab.simulation.description import Box, Collision, Link, Model, Spher
 from bullet_lab.simulation.floor_plan import footprints
 from bullet_lab.simulation.pose import Pose
 
+HERE = Pose()
 
-def world_of(*collisions, pose=Pose(), static=True):
+
+def world_of(*collisions, pose=HERE, static=True):
     return World(
         "w", (Model("thing", (Link("link", collisions=collisions),), pose=pose, static=static),)
     )
 
 
-def box(size=(2.0, 1.0, 0.5), pose=Pose()):
+def box(size=(2.0, 1.0, 0.5), pose=HERE):
     return Collision(Box(size), pose)
 
 

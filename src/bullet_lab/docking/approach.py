@@ -42,6 +42,8 @@ class Approach(Phase):
         trouble = gate(pilot, robot, left)
         if trouble:
             return STANDSTILL, retreat(pilot, left, trouble)
+        if pilot.off_lane(robot, estimate):
+            return STANDSTILL, aside(pilot, left)
         if pilot.within_walls(robot) and not self._entered:
             self._entered = True
             if not pilot.sure(candidate):
@@ -53,6 +55,17 @@ class Approach(Phase):
         if self._held is None:
             self._held = pilot.now
         return Measure() if pilot.now - self._held > pilot.settings.unseen_timeout else None
+
+
+def aside(pilot: Pilot, left: float) -> Phase:
+    """Return the way back from before the entrance, where the axis is not known well enough.
+
+    It costs one of the drives to the staging point, so that it does not go on for ever.
+    """
+    pilot.stagings += 1
+    if pilot.stagings > pilot.settings.max_stagings:
+        pilot.fail(DockingError.STAGING_FAILED, "the entrance is not found")
+    return Retreat(left + 0.5, counts=False)
 
 
 def gate(pilot: Pilot, robot: np.ndarray, left: float) -> str:

@@ -35,7 +35,7 @@ _START_DEVIATION = math.radians(5.0)
 _PER_SCALE = 3
 _LEAST_WEIGHT = 1e-6
 _LEAST_SHARE = 1e-5
-_FRAMES_AT_A_SPOT = 8
+_FRAMES_AT_A_SPOT, _OF_A_SMALL_ONE, _SMALL = 8, 3, 40.0
 _OUTLIER = 40.0
 _LINEAR = 4.0
 _STUBBORN = 4
@@ -221,7 +221,7 @@ class Candidate:
         Images from one spot share their errors; after some of them, more say little.
         """
         corners = np.asarray(corners, dtype=float)
-        noise = self._noise_here()
+        noise = self._noise_here(extent_of(corners))
         x, p, squares, logs = _update(self._x, self._p, self._sizes, corners, view, noise)
         if np.min(squares) > _OUTLIER:
             self._outliers += 1
@@ -246,16 +246,18 @@ class Candidate:
         pixels = view.camera.fy * self._size / reach
         return reach, reach * self._noise.corner / max(pixels, 1.0)
 
-    def _noise_here(self) -> PixelNoise:
+    def _noise_here(self, extent: float) -> PixelNoise:
         if self._spot is None or self._spot[0] > 0.012 or self._spot[1] > math.radians(0.7):
             self._spot, self._spot_frames = np.zeros(2), 0
         self._spot_frames += 1
-        repeated = max(1.0, self._spot_frames / _FRAMES_AT_A_SPOT)
+        few = _OF_A_SMALL_ONE if extent < _SMALL else _FRAMES_AT_A_SPOT
+        repeated = max(1.0, self._spot_frames / few)
         noise = self._noise
         return replace(
             noise,
             corner=noise.corner * repeated,
             relative=noise.relative * repeated,
+            small=noise.small * repeated,
             tilt=noise.tilt * repeated,
             turn=noise.turn * repeated,
         )
@@ -298,6 +300,7 @@ class Candidate:
         update = _update(states, covariance, sizes, corners, view, self._noise, rounds=6)
         self._x, self._p, squares, _ = update
         unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
+        self._believe(prior)
         logs = -0.5 * np.minimum(squares + unlikely, 2000.0)
         # Within a size the yaws compete; between the sizes the best of each does.
         best = np.array([np.max(logs[scale == index]) for index in range(len(SCALES))])
@@ -308,6 +311,18 @@ class Candidate:
         self._sizing = SizeTest(*self._reach(corners, view))
         self.frames = 1
         self._reduce()
+
+    def _believe(self, prior: DockPrior) -> None:
+        """Fuse what was believed before with what it is if it is real."""
+        real = self._scale == 0
+        x, p = self._x[real], self._p[real]
+        off = prior.mean - x[:, :3]
+        off[:, 2] = wrap(off[:, 2])
+        gain = np.linalg.solve(p[:, :3, :3] + prior.covariance, p[:, :3]).transpose(0, 2, 1)
+        x = x + _apply(gain, off)
+        x[:, 2] = wrap(x[:, 2])
+        p = p - gain @ p[:, :3]
+        self._x[real], self._p[real] = x, 0.5 * (p + p.transpose(0, 2, 1))
 
     def _reduce(self) -> None:
         """Merge Gaussians that have become the same and drop the weakest of each size."""

@@ -57,6 +57,7 @@ class DockKnowledge:
         self.track = OdometryTrack()
         self.cloud: Optional[DockCloud] = None
         self.prior: Optional[DockPrior] = None
+        self._database: Optional[DockPrior] = None
         self.view: Optional[View] = None
         self._camera = None
         self._tracked: List[_Tracked] = []
@@ -131,7 +132,7 @@ class DockKnowledge:
             if candidate.sized < _SURE_OF_SIZE:
                 continue
             pose = candidate.likeliest().mean
-            if self.prior.excess(pose[None].copy())[0] <= 0.0:
+            if self._database.excess(pose[None].copy())[0] <= 0.0:
                 return candidate
         return None
 
@@ -144,11 +145,11 @@ class DockKnowledge:
         if before is None:
             rough = se2.between(odometry.pose, self._dock_pose)
             self.cloud = DockCloud(self.dock, tuple(rough.tolist()), self._rng)
-            self.prior = self.cloud.prior()
+            self.prior = self._database = self.cloud.prior()
             return None
         step = motion_step(before, odometry)
         self.cloud.move(step)
-        self.prior = self.prior.moved(step)
+        self.prior, self._database = self.prior.moved(step), self._database.moved(step)
         for tracked in self._tracked:
             tracked.candidate.move(step)
         return step
@@ -167,6 +168,11 @@ class DockKnowledge:
         view = Viewpoint(observation.camera, self.mount, moved)
         corners = [s.corners for s in observation.sightings if self._wanted(s)]
         self._associate([np.asarray(c, dtype=float) for c in corners], view, observation.stamp)
+
+    def narrow(self, estimate: DockEstimate, play: float) -> None:
+        """Believe that the dock is at a pose, with so much more play to either side in m."""
+        self.cloud.gather(estimate, play)
+        self.prior = self.cloud.prior()
 
     def forget(self, candidate: Candidate) -> None:
         """Drop a candidate that is not where it should be; the cloud keeps a trace of it."""

@@ -28,12 +28,15 @@ class PixelNoise:
     Attributes:
         corner: px, standard deviation of each corner, on its own.
         relative: as part of the marker's size in the image, added to it.
+        small: px², divided by the size in the image and added too: corners of a marker of few
+            pixels per cell are off together with the pattern and the blur.
         tilt: rad, pitch and roll of the robot, for all corners together.
         turn: rad, of its yaw at the moment of the image.
     """
 
     corner: float = 0.35
     relative: float = 0.0015
+    small: float = 8.0
     tilt: float = math.radians(0.15)
     turn: float = math.radians(0.03)
 
@@ -75,10 +78,13 @@ def corner_points(states: np.ndarray, sizes) -> np.ndarray:
     Returns:
         (..., 4, 3): top left, top right, bottom right and bottom left, as one looks at it.
     """
-    half = 0.5 * (np.asarray(sizes, dtype=float) * np.exp(states[..., 4]))[..., None]
+    # Copies, since numpy's functions round differently where they take columns of a larger array
+    # to overlap with their result, which depends on where that happens to lie in memory.
+    half = 0.5 * (np.asarray(sizes, dtype=float) * np.exp(states[..., 4].copy()))[..., None]
     across = half * np.array([1.0, -1.0, -1.0, 1.0])
     up = half * np.array([1.0, 1.0, -1.0, -1.0])
     x, y, yaw, height = (states[..., i, None] for i in range(4))
+    yaw = yaw.copy()
     return np.stack([x - np.sin(yaw) * across, y + np.cos(yaw) * across, height + up], axis=-1)
 
 
@@ -125,7 +131,7 @@ def noise_covariance(noise: PixelNoise, extent: float, tilts: np.ndarray) -> np.
         extent: px, size of the marker in the image.
         tilts: (n, 8, 3) derivatives by pitch, roll and yaw.
     """
-    own = noise.corner**2 + (noise.relative * extent) ** 2
+    own = noise.corner**2 + (noise.relative * extent) ** 2 + (noise.small / extent) ** 2
     spread = tilts * np.array([noise.tilt, noise.tilt, noise.turn])
     return own * np.eye(8) + spread @ spread.transpose(0, 2, 1)
 

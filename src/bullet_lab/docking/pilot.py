@@ -30,6 +30,8 @@ _SAMPLES = 120
 _RISKY = 0.03
 _PROBE = 0.6
 _ENTRANCE = 0.35
+_BEFORE_ENTRANCE = 0.55
+_EDGE_PLAY = 0.08
 # Looks for a larger print, where the marker itself is too small to be found from outside: how
 # many, how wide that may be (half, by the opening), and the share of such looks that miss it.
 _MOST_FAR_LOOKS = 14
@@ -150,6 +152,14 @@ class Pilot:
             return math.inf
         free = 0.5 * self.dock.walls.opening - self.settings.wall_margin
         return max(free - self.shape.turning_radius, 0.02)
+
+    def off_lane(self, robot: np.ndarray, estimate: DockEstimate) -> bool:
+        """Say whether going on would lead at a wall's front edge, as far as is known."""
+        walls, before = self.dock.walls, -float(robot[0])
+        if walls is None or not walls.depth < before < walls.depth + _BEFORE_ENTRANCE:
+            return False
+        beside = abs(float(robot[1])) + 2.0 * self.deviation(estimate)
+        return beside > self.corridor() + _EDGE_PLAY + 0.4 * (before - walls.depth)
 
     def in_lane(self, estimate: DockEstimate) -> bool:
         """Say whether the robot can approach from where it is."""
@@ -274,7 +284,7 @@ class Pilot:
             self.cue_used = (found, found.frames)
             walls = self.dock.walls
             play = 0.1 if walls is None else 0.5 * (walls.opening - found.likeliest_size())
-            self.knowledge.cloud.gather(found.likeliest(), max(play, 0.03))
+            self.knowledge.narrow(found.likeliest(), max(play, 0.03))
         return True
 
     def probing_way(self) -> float:

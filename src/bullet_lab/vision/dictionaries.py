@@ -26,7 +26,7 @@ class MarkerDictionary:
         codes: (number of ids, 4, cells²) of ±1, white +1, row by row. The second axis counts
             quarter turns: the pattern as read from the corner that is k-th of the real ones,
             clockwise from the top left.
-        packed: (number of ids · 4, bytes): the same as bits, eight in a byte.
+        packed: (bytes, number of ids · 4): the same as bits, eight in a byte.
         distance: least number of bits in which two markers differ, or a marker and itself
             turned.
     """
@@ -42,7 +42,7 @@ class MarkerDictionary:
 
         (In bytes, as a product of matrices would start threads.)
         """
-        different = _ONES[self.packed ^ np.packbits(bits > 0)].sum(axis=1)
+        different = _ONES[self.packed ^ np.packbits(bits > 0)[:, None]].sum(axis=0, dtype=np.uint8)
         best = int(different.argmin())
         return best // 4, best % 4, int(different[best])
 
@@ -106,7 +106,7 @@ def _load(name: str) -> MarkerDictionary:
         signs = 2.0 * bits.astype(np.float32) - 1.0
         for turns in range(4):
             codes[marker, turns] = np.rot90(signs, turns).ravel()
-    packed = np.packbits(codes.reshape(-1, cells * cells) > 0, axis=1)
+    packed = np.ascontiguousarray(np.packbits(codes.reshape(-1, cells * cells) > 0, axis=1).T)
     return MarkerDictionary(name, cells, codes, packed, _distance(codes))
 
 

@@ -75,7 +75,7 @@ def _refine_once(
     middles = 0.5 * (offsets[:, None, 1:] + offsets[:, None, :-1])
     with np.errstate(invalid="ignore", divide="ignore"):
         heights = (rises * middles).sum(axis=2) / weights
-    seen = weights > np.maximum(_LEAST_RISE, 0.25 * np.median(weights, axis=1, keepdims=True))
+    seen = weights > np.maximum(_LEAST_RISE, 0.25 * weights.mean(axis=1, keepdims=True))
     if seen.mean(axis=1).min() < _LEAST_SEEN:
         return None
     weights = np.where(seen, weights, 0.0)

@@ -14,6 +14,8 @@ _OUTLINE_TOLERANCE = 0.035
 _MIN_EDGE = 0.05
 # A side's line is fitted to its contour without so much at either end.
 _TRIM = 0.15
+# The four orders of corners.
+_TURNS = np.array([[(corner - turn) % 4 for corner in range(4)] for turn in range(4)])
 
 
 def find_quads(
@@ -71,11 +73,9 @@ def same_quads(first: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Return which of (n, 4, 2) quadrilaterals are the same as (4, 2), to a fraction of a cell."""
     # A marker's white surroundings on a bright ground are a dark square one cell larger.
     tolerance = 1.0 + 0.04 * mean_side(first)
-    near = np.zeros(len(others), dtype=bool)
-    for turn in range(4):
-        distance = np.abs(others - np.roll(first, turn, axis=0)).max(axis=(1, 2))
-        near |= distance < tolerance
-    return near
+    # (4, n, 4, 2): in each of the four orders.
+    turned = first[_TURNS][:, None]
+    return (np.abs(others - turned).max(axis=(2, 3)) < tolerance).any(axis=0)
 
 
 def mean_side(quad: np.ndarray) -> float:
