@@ -15,6 +15,8 @@ STATUS_INTERRUPTED = 130
 def run(module: str) -> None:
     """Import a module and call its `main`; end with one line where a library is missing."""
     name = os.path.basename(sys.argv[0])
+    # With several, the last bit of a sum depends on how many cores there are.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         main = importlib.import_module(module).main
     except KeyboardInterrupt:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import functools
 import re
-import signal
 import sys
 from pathlib import Path
 from typing import (
@@ -32,6 +31,7 @@ from tqdm import tqdm
 from bullet_lab.errors import LabError
 from bullet_lab.experiments.dask_workers import TaskLostError, completed, dask_client
 from bullet_lab.experiments.detection_tasks import (
+from bullet_lab.experiments.interruption import interrupt_once
     RangeError,
     RangeSettings,
     Result,
@@ -173,7 +173,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> NoReturn:
     # roslaunch adds its own: __name:=… and __log:=…
     words = [word for word in words if not re.match(r"__\w+:=", word)]
     try:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        interrupt_once()
         _run(_parser().parse_args(words))
     except LabError as error:
         _end(str(error), STATUS_BAD_INPUT)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import signal
 import sys
 import time
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List, NoReturn, Optional, Sequence, Tuple
 
 from bullet_lab.errors import LabError
+from bullet_lab.experiments.interruption import interrupt_once
 from bullet_lab.experiments.square_drive import SECONDS_PER_STEP, drive_square
 from bullet_lab.numerics.noisy_paths import study_generator
 from bullet_lab.numerics.odometry_noise import MODELS
@@ -278,7 +278,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> NoReturn:
     words = [word for word in words if not re.match(r"__\w+:=", word)]
     try:
         # What is half done is then cleared away, as on Ctrl-C.
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        interrupt_once()
         values = _parser().parse_args(words)
         _run(values)
     except LabError as error:
