@@ -34,7 +34,8 @@ class Approach(Phase):
             return STANDSTILL, Measure()
         robot = pilot.robot(estimate)
         left = pilot.left(robot)
-        if pilot.now - pilot.knowledge.last_seen(candidate) > pilot.settings.unseen_timeout:
+        unseen = pilot.now - pilot.knowledge.last_seen(candidate)
+        if unseen > pilot.settings.unseen_timeout and pilot.in_reach(robot):
             return STANDSTILL, self._hold(pilot)
         self._held = None
         if left <= _THERE:

@@ -53,6 +53,20 @@ class DockEstimate:
         """Standard deviations of x, y (m) and yaw (rad)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
+    def turned_to(self, yaw: float, variance: float) -> DockEstimate:
+        """Return it with a yaw (rad, rad²) taken into account that something else tells.
+
+        One that contradicts what is known, beyond four standard deviations, is left alone.
+        """
+        off = wrap(yaw - float(self.mean[2]))
+        total = float(self.covariance[2, 2]) + variance
+        if off * off > 16.0 * total:
+            return self
+        gain = self.covariance[:, 2] / total
+        mean = self.mean + gain * off
+        mean[2] = wrap(float(mean[2]))
+        return DockEstimate(mean, self.covariance - np.outer(gain, self.covariance[2]))
+
 
 @dataclass(frozen=True, eq=False)
 class DockPrior:

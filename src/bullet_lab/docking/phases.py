@@ -185,6 +185,8 @@ class Measure(Phase):
         if candidate.frames - self._frames >= pilot.settings.measure_frames:
             return STANDSTILL, decide(pilot)
         if pilot.now - self._waited > 2.0 * pilot.settings.unseen_timeout and self._missing(pilot):
+            if not pilot.in_reach(pilot.robot(estimate)):
+                return STANDSTILL, decide(pilot)
             pilot.knowledge.forget(candidate)
             return STANDSTILL, Look()
         return STANDSTILL, None

@@ -28,6 +28,8 @@ from bullet_lab.numerics.angles import wrap
 
 _SAMPLES = 120
 _RISKY = 0.03
+# How far, in rad, two prints on one wall may differ in yaw.
+_SAME_WALL = 0.015
 _PROBE = 0.6
 _ENTRANCE = 0.35
 _BEFORE_ENTRANCE = 0.55
@@ -93,9 +95,18 @@ class Pilot:
         return 0.0 if self.at_rest_since is None else self.now - self.at_rest_since
 
     def estimate(self) -> Optional[DockEstimate]:
-        """Return the dock's pose in the robot's frame; None before the marker was seen."""
+        """Return the dock's pose in the robot's frame; None before the marker was seen.
+
+        A small marker tells little of its yaw; a larger copy on the same wall tells more.
+        """
         best = self.knowledge.best()
-        return None if best is None else best.estimate()
+        estimate = None if best is None else best.estimate()
+        copy = self.knowledge.copy_on_the_wall()
+        if estimate is None or copy is None:
+            return estimate
+        other = copy.likeliest()
+        variance = float(other.covariance[2, 2]) + _SAME_WALL**2
+        return estimate.turned_to(float(other.mean[2]), variance)
 
     def robot(self, estimate: DockEstimate) -> np.ndarray:
         """Return the robot's pose (3,) in the dock's frame."""
@@ -122,6 +133,12 @@ class Pilot:
             return True
         camera = np.array([self.ahead, 0.0, 0.0])
         return bool(view.seen(se2.between(estimate.mean, camera)))
+
+    def in_reach(self, robot: np.ndarray) -> bool:
+        """Say whether the marker is near enough to be found."""
+        view = self.knowledge.view
+        reach = math.hypot(float(robot[0]) + self.ahead, float(robot[1]))
+        return view is None or reach < view.farthest
 
     # What is allowed --------------------------------------------------------------------------
 

@@ -31,13 +31,13 @@ from tqdm import tqdm
 from bullet_lab.errors import LabError
 from bullet_lab.experiments.dask_workers import TaskLostError, completed, dask_client
 from bullet_lab.experiments.detection_tasks import (
-from bullet_lab.experiments.interruption import interrupt_once
     RangeError,
     RangeSettings,
     Result,
     do_task,
     tasks,
 )
+from bullet_lab.experiments.interruption import interrupt_once
 from bullet_lab.plotting.detection_figures import heat_map, range_figure
 from bullet_lab.plotting.style import save
 from bullet_lab.recording.detection_summary import describe, detection_summary, write_cells
