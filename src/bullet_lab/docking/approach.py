@@ -66,7 +66,8 @@ def aside(pilot: Pilot, left: float) -> Phase:
     pilot.stagings += 1
     if pilot.stagings > pilot.settings.max_stagings:
         pilot.fail(DockingError.STAGING_FAILED, "the entrance is not found")
-    return Retreat(left + 0.5, counts=False)
+    # Out of sight of a small marker as well: what a larger copy tells needs the way.
+    return Retreat(left + 0.5, counts=False, in_sight=False)
 
 
 def gate(pilot: Pilot, robot: np.ndarray, left: float) -> str:
@@ -96,13 +97,14 @@ class Retreat(Phase):
     Args:
         left: m, to go at least when it has ended.
         counts: it is a retry, not a way to get a better start.
+        in_sight: go only as far as the marker can be found.
     """
 
     state = DockingState.RETREATING
     detail = "backing out"
 
-    def __init__(self, left: float, counts: bool):
-        self._target = left
+    def __init__(self, left: float, counts: bool, in_sight: bool = True):
+        self._target, self._in_sight = left, in_sight
         if not counts:
             self.state = DockingState.STAGING
 
@@ -111,7 +113,8 @@ class Retreat(Phase):
         if estimate is None:
             return STANDSTILL, Measure()
         robot = pilot.robot(estimate)
-        left = pilot.in_sight(self._target) - pilot.left(robot)
+        target = pilot.in_sight(self._target) if self._in_sight else self._target
+        left = target - pilot.left(robot)
         unseen = pilot.now - pilot.knowledge.last_seen(pilot.knowledge.best())
         if left <= 0.0 or unseen > 2.0 * pilot.settings.unseen_timeout:
             return STANDSTILL, Measure()
