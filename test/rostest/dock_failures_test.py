@@ -92,7 +92,7 @@ class DockFailuresTest(unittest.TestCase):
         self.assertEqual(before, self.robot.pose)
 
     def wait_until_approaching(self):
-        wait_for(lambda: self.states[-1:] == [APPROACHING], "the approach")
+        wait_for(lambda: APPROACHING in self.states, "the approach")
         wait_for(lambda: self.commands.messages[-1].linear.x > 0.05, "motion")
 
     def pose(self, frame, x, y, yaw=0.0):

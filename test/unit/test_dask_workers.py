@@ -123,7 +123,6 @@ def test_a_task_whose_worker_dies_is_tried_again(tmp_path, times):
 
 
 def test_interrupted_it_does_not_wait_for_its_tasks():
-    # Sooner than Dask itself would give up waiting.
     def interrupt():
         with dask_client(workers=2) as client:
             pids = set(client.run(os.getpid).values())
@@ -132,13 +131,17 @@ def test_interrupted_it_does_not_wait_for_its_tasks():
             try:
                 next(results)
             finally:
-                started.append((time.monotonic(), pids))
+                started.append(pids)
 
     started = []
-    with pytest.raises(KeyboardInterrupt):
-        interrupt()
-    (moment, pids) = started[0]
-    assert time.monotonic() - moment < 3.0
+    # Whoever runs the tests may have told this process to pass over Ctrl-C.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            interrupt()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    (pids,) = started
     assert len(pids) == 2
     assert not any(map(psutil.pid_exists, pids))
 

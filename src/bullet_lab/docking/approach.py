@@ -16,6 +16,7 @@ _THERE = 0.0008
 _CREEP = 0.012
 _FINE_TURN = 0.05
 _MOST_CORRECTIONS = 8
+_LEAST_RETREAT = 0.2
 
 
 class Approach(Phase):
@@ -44,11 +45,11 @@ class Approach(Phase):
         if trouble:
             return STANDSTILL, retreat(pilot, left, trouble)
         if pilot.off_lane(robot, estimate):
-            return STANDSTILL, aside(pilot, left)
+            return STANDSTILL, back_out(pilot, left, 0.5)
         if pilot.within_walls(robot) and not self._entered:
             self._entered = True
             if not pilot.sure(candidate):
-                return STANDSTILL, Retreat(left + 0.35, counts=False)
+                return STANDSTILL, back_out(pilot, left, 0.35)
         return pilot.tracker.forwards(robot, left), None
 
     def _hold(self, pilot: Pilot) -> Optional[Phase]:
@@ -58,16 +59,18 @@ class Approach(Phase):
         return Measure() if pilot.now - self._held > pilot.settings.unseen_timeout else None
 
 
-def aside(pilot: Pilot, left: float) -> Phase:
-    """Return the way back from before the entrance, where the axis is not known well enough.
+def back_out(pilot: Pilot, left: float, further: float) -> Phase:
+    """Return the way back on the axis for a better start.
 
+    It goes out of sight of a small marker where it must: what a larger copy tells needs the way.
     It costs one of the drives to the staging point, so that it does not go on for ever.
     """
     pilot.stagings += 1
     if pilot.stagings > pilot.settings.max_stagings:
-        pilot.fail(DockingError.STAGING_FAILED, "the entrance is not found")
-    # Out of sight of a small marker as well: what a larger copy tells needs the way.
-    return Retreat(left + 0.5, counts=False, in_sight=False)
+        pilot.fail(DockingError.STAGING_FAILED, "no way into the dock is found")
+    target = left + further
+    in_sight = pilot.in_sight(target) > left + _LEAST_RETREAT
+    return Retreat(target, counts=False, in_sight=in_sight)
 
 
 def gate(pilot: Pilot, robot: np.ndarray, left: float) -> str:

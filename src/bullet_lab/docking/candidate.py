@@ -56,16 +56,20 @@ class DockEstimate:
     def turned_to(self, yaw: float, variance: float) -> DockEstimate:
         """Return it with a yaw (rad, rad²) taken into account that something else tells.
 
-        One that contradicts what is known, beyond four standard deviations, is left alone.
+        If the two contradict each other, the more certain of them is right: few pixels are off
+        together, and then in all images alike.
         """
         off = wrap(yaw - float(self.mean[2]))
-        total = float(self.covariance[2, 2]) + variance
-        if off * off > 16.0 * total:
-            return self
-        gain = self.covariance[:, 2] / total
+        own = self.covariance
+        doubt = off * off / (4.0 * (float(own[2, 2]) + variance))
+        if doubt > 1.0:
+            if variance > own[2, 2]:
+                return self
+            own = own * doubt
+        gain = own[:, 2] / (own[2, 2] + variance)
         mean = self.mean + gain * off
         mean[2] = wrap(float(mean[2]))
-        return DockEstimate(mean, self.covariance - np.outer(gain, self.covariance[2]))
+        return DockEstimate(mean, own - np.outer(gain, own[2]))
 
 
 @dataclass(frozen=True, eq=False)

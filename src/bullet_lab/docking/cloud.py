@@ -20,6 +20,7 @@ from bullet_lab.numerics.angles import wrap
 PARTICLES = 600
 # The database may lie somewhat more than it says.
 _MARGIN = 1.1
+_SIZE_PLAY = 0.05
 
 
 class DockCloud:
@@ -78,7 +79,11 @@ class DockCloud:
     def gather(self, estimate: DockEstimate, play: float) -> None:
         """Move the cloud to a pose, with so much more play to either side in m."""
         count = len(self.poses)
-        root = _root(estimate.covariance + np.diag([0.02, 0.01, 0.012]) ** 2)
+        # How large the copy is, and so how far, is known to some per cent only.
+        far = np.outer(estimate.mean[:2], estimate.mean[:2]) * _SIZE_PLAY**2
+        covariance = estimate.covariance + np.diag([0.02, 0.01, 0.012]) ** 2
+        covariance[:2, :2] += far
+        root = _root(covariance)
         drawn = estimate.mean + self._rng.standard_normal((count, 3)) @ root.T
         beside = np.zeros((count, 3))
         beside[:, 1] = self._rng.uniform(-play, play, count)

@@ -36,7 +36,7 @@ class PixelNoise:
 
     corner: float = 0.35
     relative: float = 0.0015
-    small: float = 8.0
+    small: float = 16.0
     tilt: float = math.radians(0.15)
     turn: float = math.radians(0.03)
 

@@ -230,16 +230,16 @@ class Stage(Phase):
 
 def decide(pilot: Pilot) -> Phase:
     """Return what to do about a marker that was measured at rest."""
-    from bullet_lab.docking.approach import Approach, Retreat
+    from bullet_lab.docking.approach import Approach, back_out
 
     estimate, candidate = pilot.estimate(), pilot.knowledge.best()
     robot = pilot.robot(estimate)
     if pilot.within_walls(robot):
         if not pilot.sure(candidate):
-            return Retreat(pilot.left(robot) + 0.35, counts=False)
+            return back_out(pilot, pilot.left(robot), 0.35)
         if pilot.in_lane(estimate):
             return Approach()
-        return Retreat(pilot.left(robot) + 0.30, counts=False)
+        return back_out(pilot, pilot.left(robot), 0.30)
     if pilot.in_lane(estimate):
         return Approach()
     return go_to_staging(pilot)
