@@ -57,6 +57,14 @@ def interruptible(number):
     return before == signal.SIG_IGN
 
 
+@pytest.fixture(autouse=True, scope="module")
+def ctrl_c():
+    # Whoever runs the tests may have told this process to pass over it.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture(scope="module")
 def client():
     with dask_client(workers=2) as client:
@@ -134,13 +142,8 @@ def test_interrupted_it_does_not_wait_for_its_tasks():
                 started.append(pids)
 
     started = []
-    # Whoever runs the tests may have told this process to pass over Ctrl-C.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            interrupt()
-    finally:
-        signal.signal(signal.SIGINT, before)
+    with pytest.raises(KeyboardInterrupt):
+        interrupt()
     (pids,) = started
     assert len(pids) == 2
     assert not any(map(psutil.pid_exists, pids))

@@ -119,7 +119,8 @@ class Retreat(Phase):
         target = pilot.in_sight(self._target) if self._in_sight else self._target
         left = target - pilot.left(robot)
         unseen = pilot.now - pilot.knowledge.last_seen(pilot.knowledge.best())
-        if left <= 0.0 or unseen > 2.0 * pilot.settings.unseen_timeout:
+        lost = unseen > 2.0 * pilot.settings.unseen_timeout and self._in_sight
+        if left <= 0.0 or lost:
             return STANDSTILL, Measure()
         return pilot.tracker.backwards(robot, left), None
 

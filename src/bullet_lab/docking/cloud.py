@@ -70,11 +70,11 @@ class DockCloud:
         """Learn from a look that found nothing.
 
         Args:
-            expected: (n,) whether the marker should have been found, for each pose.
-            missed: probability that it is not found all the same.
+            expected: (n,) probability that the marker is found, for each pose.
+            missed: probability that a look misses what it should find.
             counts: whether `mass`, the share of the prior that is left, falls.
         """
-        self._learn(np.where(expected, missed, 1.0), counts)
+        self._learn(1.0 - (1.0 - missed) * expected, counts)
 
     def gather(self, estimate: DockEstimate, play: float) -> None:
         """Move the cloud to a pose, with so much more play to either side in m."""

@@ -110,6 +110,15 @@ class View:
         off = np.abs(np.arctan2(np.sin(off), np.cos(off)))
         return self.open_sight(x, y) & (off < self.reach(np.hypot(x, y)))
 
+    def quality(self, distance) -> np.ndarray:
+        """Return how likely it is to be found by its range; low light and noise cost range."""
+        share = np.asarray(distance) / self.farthest
+        return np.clip((1.15 - share) / 0.45, 0.2, 1.0)
+
+    def chance(self, cameras: np.ndarray) -> np.ndarray:
+        """Return the probability that the marker is found by (..., 3) cameras in its frame."""
+        return self.seen(cameras) * self.quality(np.hypot(cameras[..., 0], cameras[..., 1]))
+
     def reach(self, distance) -> np.ndarray:
         """Return how far off its middle (rad) the marker is wholly in an image, by its range."""
         return self.half_angle - np.arctan2(self._half, np.maximum(distance, 0.1))

@@ -78,10 +78,10 @@ class Look(Phase):
         knowledge, settings = pilot.knowledge, pilot.settings
         cloud = knowledge.cloud
         camera = np.array([pilot.ahead, 0.0, 0.0])
-        expected = knowledge.view.seen(se2.between(cloud.poses, camera))
+        expected = knowledge.view.chance(se2.between(cloud.poses, camera))
         cloud.not_seen(expected, settings.missed)
         if pilot.far_view is not None and not knowledge.copies_seen():
-            seen_far = pilot.far_view.seen(se2.between(cloud.poses, camera))
+            seen_far = pilot.far_view.chance(se2.between(cloud.poses, camera))
             cloud.not_seen(seen_far, FAR_MISSED, counts=False)
         if not pilot.search:
             pilot.fail(DockingError.NOT_DETECTED, "the marker is not in sight")
@@ -185,7 +185,8 @@ class Measure(Phase):
         if candidate.frames - self._frames >= pilot.settings.measure_frames:
             return STANDSTILL, decide(pilot)
         if pilot.now - self._waited > 2.0 * pilot.settings.unseen_timeout and self._missing(pilot):
-            if not pilot.in_reach(pilot.robot(estimate)):
+            out_of_reach = not pilot.in_reach(pilot.robot(estimate))
+            if out_of_reach and pilot.knowledge.copy_on_the_wall() is not None:
                 return STANDSTILL, decide(pilot)
             pilot.knowledge.forget(candidate)
             return STANDSTILL, Look()

@@ -42,7 +42,7 @@ class Outlook:
 
 
 def chances(points: np.ndarray, ahead: float, docks: np.ndarray, view: View) -> np.ndarray:
-    """Return the share of docks whose marker is seen, (n, 36) for each point and heading.
+    """Return the probability of finding the marker, (n, 36) for each point and heading.
 
     Args:
         points: (n, 2) of the robot in the odometry frame.
@@ -55,12 +55,13 @@ def chances(points: np.ndarray, ahead: float, docks: np.ndarray, view: View) -> 
     eyes = points[:, None] + to_dock * (ahead / np.maximum(distance, ahead))[..., None]
     flat = np.concatenate([eyes, np.zeros((*eyes.shape[:2], 1))], axis=-1)
     seen = se2.between(docks[None], flat)
-    open_sight = view.open_sight(seen[..., 0], seen[..., 1])
+    found = view.open_sight(seen[..., 0], seen[..., 1]) * view.quality(
+        np.hypot(seen[..., 0], seen[..., 1])
+    )
     bearing = np.arctan2(to_dock[..., 1], to_dock[..., 0])
     reach = view.reach(distance) - _EDGE
     shares = [
-        np.mean(open_sight & (np.abs(wrap(bearing - heading)) < reach), axis=1)
-        for heading in _HEADINGS
+        np.mean(found * (np.abs(wrap(bearing - heading)) < reach), axis=1) for heading in _HEADINGS
     ]
     return np.stack(shares, axis=1)
 
