@@ -36,6 +36,8 @@ debian_packages() {
         libactionlib-msgs-dev libdiagnostic-msgs-dev \
         libgeometry-msgs-dev libnav-msgs-dev libsensor-msgs-dev libstd-msgs-dev \
         libstd-srvs-dev libtf2-ros-dev libvisualization-msgs-dev libroscpp-dev \
+        ros-actionlib-msgs ros-diagnostic-msgs ros-geometry-msgs ros-nav-msgs \
+        ros-rosgraph-msgs ros-sensor-msgs ros-std-msgs ros-std-srvs ros-tf2-msgs ros-visualization-msgs \
         ros-robot-state-publisher libegl1 libgl1-mesa-dri
       ;;
     rviz) echo rviz xvfb ;;
