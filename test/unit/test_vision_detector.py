@@ -5,7 +5,7 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from marker_images import CAMERA, View, corner_error, image_of, marker, true_corners
+from marker_images import CAMERA, Layer, View, corner_error, image_of, marker, true_corners
 
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.errors import VisionError
@@ -110,6 +110,32 @@ def test_a_marker_in_a_cell_of_another_and_the_other(outer, inner, distance):
     assert (large.id, small.id) == (outer, inner)
     assert corner_error(large.corners, true_corners(view, size)) < 0.1
     assert corner_error(small.corners, true_corners(view, 0.1, centre=centre)) < 0.15
+
+
+@pytest.mark.parametrize("distance, blur", [(1.5, 1.0), (1.8, 0.8), (2.2, 0.5)])
+def test_a_marker_in_a_cell_in_the_dark(distance, blur):
+    pattern = dictionary_named(TAGS).pattern(0)
+    row, column = np.argwhere(pattern == 1)[8]
+    centre = ((column + 0.5 - 4.0) * 0.1, (4.0 - row - 0.5) * 0.1)
+    layers = [
+        marker(0, size=0.8, black=2.0, white=28.0),
+        marker(0, size=0.075, centre=centre, black=2.0, white=28.0),
+    ]
+    view = View(distance, yaw=10.0)
+    for seed in range(5):
+        image = image_of(layers, view, background=15.0, blur=blur, noise=5.0, seed=seed)
+        large, small = detect(image).markers
+        assert corner_error(large.corners, true_corners(view, 0.8)) < 1.5
+        assert corner_error(small.corners, true_corners(view, 0.075, centre=centre)) < 1.5
+
+
+@pytest.mark.parametrize("distance", [1.5, 2.0, 2.8])
+def test_nothing_is_found_in_cells_that_hold_something_else(distance):
+    layers, _, centre = nested(0, 0)
+    other = Layer(np.kron([[20.0, 220.0], [220.0, 20.0]], np.ones((4, 4))), 0.1, centre)
+    for view in (View(distance), View(distance, yaw=30.0)):
+        image = image_of([layers[0], other], view, noise=3.0)
+        assert ids_of(detect(image)) == [0]
 
 
 def test_only_ids_that_were_asked_for():

@@ -15,6 +15,7 @@ from bullet_lab.vision.decoding import Match, interpret, match, may_be_marker, r
 from bullet_lab.vision.dictionaries import dictionary_named
 from bullet_lab.vision.edge_fit import refine_corners
 from bullet_lab.vision.errors import VisionError
+from bullet_lab.vision.nested import quads_in_cells
 from bullet_lab.vision.quads import find_quads, mean_side, same_quads
 from bullet_lab.vision.sampling import Lens
 
@@ -214,7 +215,22 @@ class MarkerDetector:
                 report.undecoded += 1
             elif not any(_same_marker(decoded, other) for other in found):
                 found.append(decoded)
+        self._look_into_cells(image, found, lens)
         return self._choose(found, grey.shape, lens, report)
+
+    def _look_into_cells(
+        self, image: np.ndarray, found: List[Tuple[Match, np.ndarray]], lens: Lens
+    ) -> None:
+        """Add the markers in the white cells of those that were found."""
+        for read, corners in found[:]:
+            pattern = self.dictionary.pattern(read.marker)
+            quads = quads_in_cells(image, corners, pattern, lens, self.settings.min_side)
+            for quad in quads:
+                if any(same_quads(quad, other[None])[0] for _, other in found):
+                    continue
+                decoded = self._decode(image, quad, lens)
+                if decoded is not None and not any(_same_marker(decoded, m) for m in found):
+                    found.append(decoded)
 
     def _quads(self, grey: np.ndarray, contrast: float, scale: int) -> np.ndarray:
         """Return candidates in px of the image, the largest first."""
