@@ -2,6 +2,7 @@
 """The sensors of Gazebo's robots as an unmodified client sees them."""
 
 import math
+import struct
 import sys
 import tempfile
 import unittest
@@ -14,7 +15,8 @@ from gazebo_msgs.msg import ContactsState
 from geometry_msgs.msg import Twist
 from lab_testing import Node, Topic, publisher, wait_for
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import Imu, LaserScan, Range
+from sensor_msgs.msg import CameraInfo, Image, Imu, LaserScan, PointCloud2, Range
+from sensor_msgs.point_cloud2 import read_points
 
 BLOCK_ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 MILLISECOND = 1_000_000
@@ -81,6 +83,30 @@ ROVER = (
     + WHEEL.format("right_rear", -0.2, -0.2)
     + '<gazebo><plugin name="drive" filename="libgazebo_ros_skid_steer_drive.so">'
     "<wheelDiameter>0.2</wheelDiameter><updateRate>20</updateRate></plugin></gazebo></robot>"
+)
+
+WATCHER = """<robot name="watcher">
+  <link name="base"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1"/></inertial>
+    <collision><origin xyz="0 0 0.1"/><geometry><box size="0.2 0.2 0.2"/></geometry></collision>
+  </link>
+  <link name="eye"/>
+  <joint name="j" type="fixed"><parent link="base"/><child link="eye"/>
+    <origin xyz="0 0 0.7"/></joint>
+  <gazebo reference="eye"><sensor type="depth" name="kinect"><update_rate>10</update_rate>
+    <visualize>true</visualize>
+    <camera><horizontal_fov>1.0</horizontal_fov><clip><near>0.05</near><far>8</far></clip>
+      <image><width>64</width><height>48</height><format>R8G8B8</format></image></camera>
+    <plugin name="kinect" filename="libgazebo_ros_openni_kinect.so">
+      <cameraName>camera</cameraName><imageTopicName>rgb/image_raw</imageTopicName>
+      <cameraInfoTopicName>rgb/camera_info</cameraInfoTopicName>
+      <pointCloudTopicName>depth/points</pointCloudTopicName>
+      <frameName>eye_optical</frameName><pointCloudCutoffMax>3.0</pointCloudCutoffMax>
+    </plugin></sensor></gazebo>
+</robot>"""
+SEEN_WALL = WORLD.replace(
+    "</geometry></collision></link></model>",
+    """</geometry></collision><visual name="paint"><geometry><box><size>0.2 20 1</size></box>
+    </geometry></visual></link></model>""",
 )
 
 
@@ -203,6 +229,43 @@ class SensorsTest(unittest.TestCase):
         )
         for normal in state.contact_normals:
             self.assertAlmostEqual(1.0, normal.z, 6)
+
+    def test_depth_camera(self):
+        self.start(
+            world=self.file("seen.world", SEEN_WALL),
+            robot=self.file("watcher.urdf", WATCHER),
+            renderer="tiny",
+        )
+        offered = dict(rospy.get_published_topics("/camera"))
+        self.assertEqual("sensor_msgs/PointCloud2", offered.pop("/camera/depth/points"))
+        for part in ("rgb", "depth"):
+            self.assertEqual("sensor_msgs/Image", offered.pop(f"/camera/{part}/image_raw"))
+            self.assertEqual("sensor_msgs/CameraInfo", offered.pop(f"/camera/{part}/camera_info"))
+        self.assertEqual({}, offered)
+        depth = self.last_of("/camera/depth/image_raw", Image, 100)
+        self.assertEqual(("32FC1", 64, 48, 256), (depth.encoding, depth.width, depth.height,
+                                                  depth.step))  # fmt: skip
+        values = struct.unpack(f"<{64 * 48}f", depth.data)
+        self.assertAlmostEqual(1.0, values[64 * 24 + 32], 3)
+        # The sky above the wall.
+        self.assertTrue(math.isnan(values[32]))
+        image = self.last_of("/camera/rgb/image_raw", Image, 100)
+        self.assertEqual(("rgb8", 64, 48), (image.encoding, image.width, image.height))
+        infos = [self.last_of(f"/camera/{part}/camera_info", CameraInfo, 100)
+                 for part in ("rgb", "depth")]  # fmt: skip
+        self.assertEqual(infos[0].K, infos[1].K)
+        cloud = self.last_of("/camera/depth/points", PointCloud2, 100)
+        self.assertEqual(["x", "y", "z", "rgb"], [field.name for field in cloud.fields])
+        self.assertEqual((64, 48, False), (cloud.width, cloud.height, cloud.is_dense))
+        for message in (depth, image, *infos, cloud):
+            self.assertEqual("eye_optical", message.header.frame_id)
+        points = list(read_points(cloud))
+        self.assertEqual(64 * 48, len(points))
+        x, y, z, _ = points[64 * 24 + 60]
+        focal = 32 / math.tan(0.5)
+        for found, exact in zip((x, y, z), ((60 - 31.5) / focal, (24 - 23.5) / focal, 1.0)):
+            self.assertAlmostEqual(exact, found, 3)
+        self.assertTrue(all(math.isnan(part) for part in points[32][:3]))
 
     def test_true_pose(self):
         self.crate(robot_pose="0 1 0 0 0 0.5")

@@ -1,3 +1,5 @@
+import struct
+
 import numpy as np
 import pytest
 
@@ -5,7 +7,7 @@ pytest.importorskip("rospy")
 
 from bullet_lab.numerics.pinhole import PinholeCamera
 from bullet_lab.ros.conversions import OUTPUT_CONVERTERS
-from bullet_lab.simulation.samples import CameraInfoSample, ImageSample
+from bullet_lab.simulation.samples import CameraInfoSample, ImageSample, PointsSample
 
 CAMERA = PinholeCamera(64, 48, 50.0, 51.0, 31.5, 23.5, (0.1, 0.2, 0.3, 0.4, 0.5))
 
@@ -42,3 +44,38 @@ def test_camera_info():
     assert message.K == [50.0, 0.0, 31.5, 0.0, 51.0, 23.5, 0.0, 0.0, 1.0]
     assert message.R == [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     assert message.P == [50.0, 0.0, 31.5, -10.0, 0.0, 51.0, 23.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+
+
+def test_depth_images():
+    depths = np.array([[1.5, np.nan], [0.4, 5.0], [2.0, 3.0]], np.float32)
+    message = message_of(ImageSample(7, "optical", "32FC1", depths))
+    assert (message.width, message.height, message.step) == (2, 3, 8)
+    np.testing.assert_array_equal(np.frombuffer(message.data, "<f4").reshape(3, 2), depths)
+    whole = message_of(ImageSample(7, "optical", "16UC1", np.array([[65000, 1]], np.uint16)))
+    assert (whole.step, whole.data) == (4, b"\xe8\xfd\x01\x00")
+
+
+def test_points_are_read_as_what_they_were():
+    points = np.random.default_rng(0).normal(size=(3, 4, 3)).astype(np.float32)
+    colours = np.random.default_rng(1).integers(0, 256, (3, 4, 3), dtype=np.uint8)
+    sample = PointsSample(9, "optical", points, colours)
+    converter = OUTPUT_CONVERTERS[PointsSample]()
+    message = converter.convert(sample)
+    assert message.header.stamp.to_nsec() == 9_000_000
+    assert (message.height, message.width, message.is_dense) == (3, 4, True)
+    assert (message.point_step, message.row_step, message.is_bigendian) == (32, 128, False)
+    assert [(f.name, f.offset, f.datatype, f.count) for f in message.fields] == [
+        ("x", 0, 7, 1),
+        ("y", 4, 7, 1),
+        ("z", 8, 7, 1),
+        ("rgb", 16, 7, 1),
+    ]
+    for (u, v) in ((0, 0), (3, 2), (1, 2)):
+        at = v * message.row_step + u * message.point_step
+        assert struct.unpack_from("<fff", message.data, at) == tuple(points[v, u])
+        # As PCL takes them apart: blue, green, red.
+        assert tuple(message.data[at + 16 : at + 20]) == (*colours[v, u][::-1], 0)
+    points[1, 1] = np.nan
+    assert not converter.convert(sample).is_dense
+    smaller = PointsSample(9, "optical", points[:2], colours[:2])
+    assert len(converter.convert(smaller).data) == 2 * 4 * 32

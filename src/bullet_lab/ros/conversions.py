@@ -14,7 +14,11 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 from tf2_msgs.msg import TFMessage
 
-from bullet_lab.ros.image_conversions import CameraInfoConverter, ImageConverter
+from bullet_lab.ros.image_conversions import (
+    CameraInfoConverter,
+    ImageConverter,
+    PointsConverter,
+)
 from bullet_lab.ros.sensor_conversions import SENSOR_CONVERTERS
 from bullet_lab.ros.stamps import NANOSECONDS_PER_STEP, first_step_at, set_time, time_of
 from bullet_lab.simulation.pose import Pose
@@ -24,6 +28,7 @@ from bullet_lab.simulation.samples import (
     JointSample,
     OdometrySample,
     PlanarCommand,
+    PointsSample,
     TransformSample,
 )
 
@@ -133,6 +138,7 @@ OUTPUT_CONVERTERS: Dict[type, Type[Any]] = {
     JointSample: JointConverter,
     ImageSample: ImageConverter,
     CameraInfoSample: CameraInfoConverter,
+    PointsSample: PointsConverter,
     **SENSOR_CONVERTERS,
 }
 INPUT_CONVERTERS: Dict[type, Type[Any]] = {PlanarCommand: TwistConverter}

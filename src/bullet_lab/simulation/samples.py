@@ -70,7 +70,8 @@ class ImageSample:
     """An image as `frame`, an optical frame, sees it.
 
     `encoding` is one of sensor_msgs/image_encodings; `pixels` has the shape (height, width, 3)
-    or (height, width) and is not changed after it was sent.
+    or (height, width) and is not changed after it was sent. A depth image (32FC1) holds metres
+    along the optical axis, NaN where nothing was measured; in 16UC1 it is mm and 0.
     """
 
     step: int
@@ -87,6 +88,20 @@ class CameraInfoSample:
     frame: str
     camera: PinholeCamera
     baseline: float = 0.0
+
+
+@dataclass(frozen=True)
+class PointsSample:
+    """What a depth camera sees, as points in `frame`, an optical one.
+
+    `points` are x, y, z in m, NaN where nothing was measured, shape (height, width, 3) float32;
+    `colours` are RGB, shape (height, width, 3) uint8.
+    """
+
+    step: int
+    frame: str
+    points: np.ndarray
+    colours: np.ndarray
 
 
 @dataclass(frozen=True)

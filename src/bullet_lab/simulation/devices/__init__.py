@@ -3,6 +3,7 @@
 from bullet_lab.simulation.devices import (
     bumper,
     camera,
+    depth_camera,
     diff_drive,
     imu,
     joint_states,
@@ -30,6 +31,7 @@ __all__ = [
     "Output",
     "bumper",
     "camera",
+    "depth_camera",
     "diff_drive",
     "imu",
     "joint_states",

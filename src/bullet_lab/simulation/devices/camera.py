@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import replace
-from typing import Optional, Tuple
+from typing import ClassVar, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -15,6 +15,7 @@ from bullet_lab.simulation.devices.device import Device, DeviceError, Mount, Out
 from bullet_lab.simulation.devices.sensor_tag import SensorTag
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.rendering.choice import EGL
+from bullet_lab.simulation.rendering.depth import depth_step
 from bullet_lab.simulation.rendering.finish import CameraSettings, Lens, SensorNoise, blurred
 from bullet_lab.simulation.rendering.frame import Photographer, Shot
 from bullet_lab.simulation.samples import CameraInfoSample, ImageSample
@@ -26,8 +27,6 @@ ENCODINGS = {"R8G8B8": "rgb8", "B8G8R8": "bgr8", "L8": "mono8"}
 LARGEST_SIDE = 8192
 DEFAULT_RATE = 30.0
 DISTORTION_TAGS = {"K1": "k1", "K2": "k2", "T1": "p1", "T2": "p2", "K3": "k3"}
-# With depth in 16 bits, a step at distance z is z² / near / 65536.
-DEPTH_STEP = 1.0 / 65536.0
 # Nearer ends of the view than this, in m, cost too much of it.
 COARSE_NEAR = 0.05
 # The table of noise is drawn by the generator of a step that never comes.
@@ -50,14 +49,16 @@ class Camera(Device):
     simulation, in the plugin: samples, exposure and blur, see `CameraSettings`.
     """
 
+    sensors: ClassVar[Tuple[str, ...]] = ("camera",)
+
     def __init__(self, mount: Mount):
         super().__init__(mount)
-        tag = SensorTag(mount, ("camera",))
+        tag = SensorTag(mount, self.sensors)
         self._place = tag.place()
         self.lens = Lens(_geometry(mount, tag))
-        self._near = tag.number("camera/clip/near", 0.1)
-        self._far = tag.number("camera/clip/far", 100.0)
-        self._encoding = _encoding(tag)
+        self.near = tag.number("camera/clip/near", 0.1)
+        self.far = tag.number("camera/clip/far", 100.0)
+        self.encoding = _encoding(tag)
         self.settings = _settings(mount, tag)
         self._shot()
         self._baseline = mount.number("hackBaseline", 0.0)
@@ -65,11 +66,9 @@ class Camera(Device):
         self._noise = mount.noise()
         self._warned = False
         self._table: Optional[Tuple[tuple, SensorNoise]] = None
-        name = mount.text("cameraName", tag.attribute("camera", "name") or "camera")
-        image = mount.text("imageTopicName", "image_raw")
-        info = mount.text("cameraInfoTopicName", "camera_info")
-        self.image = Output(_topic(mount, name, image), ImageSample)
-        self.info = Output(_topic(mount, name, info), CameraInfoSample)
+        self._name = mount.text("cameraName", tag.attribute("camera", "name") or "camera")
+        self.image = self.output("imageTopicName", "image_raw", ImageSample)
+        self.info = self.output("cameraInfoTopicName", "camera_info", CameraInfoSample)
         self.outputs = (self.image, self.info)
         self.schedule = _schedule(mount, tag)
 
@@ -86,12 +85,27 @@ class Camera(Device):
         """Return the camera's pose in the world: x ahead, z up."""
         return self._place.pose()
 
+    def output(self, tag: str, default: str, kind: type) -> Output:
+        """Return an output on the topic in a tag, which is below the camera's name."""
+        name = self.mount.text(tag, default)
+        return Output(
+            self.mount.topic(name if name.startswith("/") else f"{self._name}/{name}"), kind
+        )
+
     def produce(self, step: int) -> None:
         """Send a picture and its geometry."""
         if self.image.wanted:
-            self.image.send(ImageSample(step, self.frame, self._encoding, self.take(step)))
-        if self.info.wanted:
-            self.info.send(CameraInfoSample(step, self.frame, self.camera, self._baseline))
+            self.send_picture(step, self.take(step))
+        self.send_geometry(step, self.info)
+
+    def send_picture(self, step: int, picture: np.ndarray) -> None:
+        """Send a picture as an image."""
+        self.image.send(ImageSample(step, self.frame, self.encoding, picture))
+
+    def send_geometry(self, step: int, output: Output) -> None:
+        """Send the geometry of the picture, if somebody wants it there."""
+        if output.wanted:
+            output.send(CameraInfoSample(step, self.frame, self.camera, self._baseline))
 
     def take(self, step: int) -> np.ndarray:
         """Return the picture of this moment; noise follows from the step.
@@ -103,32 +117,33 @@ class Camera(Device):
             LabError: something in the world cannot be drawn.
         """
         settings = self.settings
-        photographer = self._photographer()
+        photographer = self.photographer()
         picture = photographer.take(self.pose(), self._shot(), settings.exposure)
         picture = blurred(self.lens.bend(picture), settings.blur)
-        if self._encoding == "bgr8":
+        if self.encoding == "bgr8":
             picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-        elif self._encoding == "mono8":
+        elif self.encoding == "mono8":
             picture = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
         if settings.noise_mean or settings.noise_stddev:
             picture = self._noisy(picture, step)
         return picture
 
-    def _photographer(self) -> Photographer:
+    def photographer(self) -> Photographer:
+        """Return who takes the pictures; says once where EGL's depth is coarse."""
         photographer = self.mount.photographer()
-        if self._near < COARSE_NEAR and not self._warned and photographer.renderer == EGL:
+        if self.near < COARSE_NEAR and not self._warned and photographer.renderer == EGL:
             self._warned = True
             LOG.warning(
                 "model '%s': a camera that sees from %g m on: EGL's 16 bits of depth do not tell "
                 "apart what lies %.0f mm behind each other at 4 m",
                 self.mount.model.name,
-                self._near,
-                1e3 * DEPTH_STEP * 4.0**2 / self._near,
+                self.near,
+                1e3 * depth_step(4.0, self.near),
             )
         return photographer
 
     def _shot(self) -> Shot:
-        return Shot(self.lens.ideal, self._near, self._far, self.settings.samples)
+        return Shot(self.lens.ideal, self.near, self.far, self.settings.samples)
 
     def _noisy(self, picture: np.ndarray, step: int) -> np.ndarray:
         key = (self.settings.noise_mean, self.settings.noise_stddev)
@@ -184,10 +199,6 @@ def _encoding(tag: SensorTag) -> str:
         known = ", ".join(ENCODINGS)
         raise DeviceError(f"{tag.where('camera/image/format')}: '{said}' is not one of {known}")
     return ENCODINGS[said]
-
-
-def _topic(mount: Mount, camera: str, name: str) -> str:
-    return mount.topic(name if name.startswith("/") else f"{camera}/{name}")
 
 
 def _schedule(mount: Mount, tag: SensorTag) -> Schedule:

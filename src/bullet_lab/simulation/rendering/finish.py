@@ -114,6 +114,29 @@ class Lens:
             return picture
         return cv2.remap(picture, *self._map, cv2.INTER_LINEAR)
 
+    def pick(self, values: np.ndarray) -> np.ndarray:
+        """Return the values of `camera`'s pixels, given those of `ideal`: of the nearest pixel.
+
+        Between the depths of two things there is nothing, so they are not mixed.
+        """
+        if self._map is None:
+            return values
+        return cv2.remap(values, *self._map, cv2.INTER_NEAREST)
+
+    def slopes(self) -> np.ndarray:
+        """Return x/z and y/z of what each pixel sees in the optical frame.
+
+        Returns:
+            (2, height, width) float32.
+        """
+        camera = self.ideal
+        if self._map is None:
+            v, u = np.mgrid[0 : camera.height, 0 : camera.width]
+        else:
+            u, v = self._map
+        slopes = ((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
+        return np.array(slopes, dtype=np.float32)
+
     def _bend(self, camera: PinholeCamera) -> None:
         rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
         pixels = np.column_stack((columns.ravel(), rows.ravel())).astype(float)

@@ -100,6 +100,29 @@ class Photographer:
             return picture
         return cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
 
+    def measure(self, pose: Pose, shot: Shot) -> np.ndarray:
+        """Return the distance along the view of what is seen through each pixel.
+
+        Args:
+            pose: of the camera in the world: x ahead, z up.
+            shot: how to look; always with one sample per pixel.
+
+        Returns:
+            (height, width) float32 in metres, +inf where nothing is within the view.
+
+        Raises:
+            LabError: a model cannot be drawn.
+        """
+        camera, renderer = shot.camera, self._scene.engine.renderer
+        self._scene.update(pose.position, 1.0 / max(camera.fx, camera.fy))
+        view = view_matrix(pose * BACK[renderer])
+        depths = np.empty((camera.height, camera.width), np.float32)
+        for left, top, part in _tiles(camera, renderer):
+            where = np.s_[top : top + part.height, left : left + part.width]
+            _, depth = self._render(part, shot, view)
+            depths[where] = _metres(depth, shot, _EMPTY[renderer])
+        return depths
+
     def close(self) -> None:
         """Give up the scene."""
         self._scene.close()
@@ -112,19 +135,25 @@ class Photographer:
     def _draw(
         self, camera: PinholeCamera, shot: Shot, view: Tuple[float, ...], exposure: float
     ) -> np.ndarray:
-        engine = self._scene.engine
-        lens = projection_matrix(camera, shot.near, shot.far, PIXEL_SHIFT[engine.renderer])
-        textures = self._scene.texture_map
-        columns = None if textures is None else textures.columns
-        pixels, depth = engine.draw(camera.width, camera.height, view, lens, columns)
+        pixels, depth = self._render(camera, shot, view)
         picture = cv2.cvtColor(pixels, cv2.COLOR_RGBA2RGB)
         gain = exposure * self._scene.lighting.peak
         if gain != 1.0:
             picture = cv2.convertScaleAbs(picture, alpha=gain)
-        empty = cv2.compare(depth, _EMPTY[engine.renderer], cv2.CMP_GE)
+        empty = cv2.compare(depth, _EMPTY[self._scene.engine.renderer], cv2.CMP_GE)
         if cv2.countNonZero(empty):
             cv2.copyTo(self._sky(picture.shape, exposure), empty, picture)
         return picture
+
+    def _render(
+        self, camera: PinholeCamera, shot: Shot, view: Tuple[float, ...]
+    ) -> Tuple[np.ndarray, np.ndarray]:
+        """Return RGBA and depth as the engine draws them."""
+        engine = self._scene.engine
+        lens = projection_matrix(camera, shot.near, shot.far, PIXEL_SHIFT[engine.renderer])
+        textures = self._scene.texture_map
+        columns = None if textures is None else textures.columns
+        return engine.draw(camera.width, camera.height, view, lens, columns)
 
     def _sky(self, shape: Tuple[int, ...], exposure: float) -> np.ndarray:
         """Return a picture of nothing."""
@@ -165,6 +194,13 @@ def projection_matrix(
     matrix[2, 3] = -2.0 * far * near / (far - near)
     matrix[3, 2] = -1.0
     return tuple(matrix.T.ravel())
+
+
+def _metres(depth: np.ndarray, shot: Shot, empty: float) -> np.ndarray:
+    """Return distances in m for OpenGL's depths; +inf where nothing was drawn."""
+    near, far = shot.near, shot.far
+    metres = far * near / (far - (far - near) * depth.astype(np.float64))
+    return np.where(depth >= empty, np.inf, metres)
 
 
 def _resized(camera: PinholeCamera, width: int, height: int) -> PinholeCamera:

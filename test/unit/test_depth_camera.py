@@ -1,0 +1,293 @@
+"""The depth camera against closed-form geometry."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from picture_worlds import RENDERERS, simulation_of, thing, usable
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.description import Box, Sphere
+from bullet_lab.simulation.devices.depth_camera import DepthCamera
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.rendering.depth import depth_step
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.urdf_reader import read_urdf
+
+ROBOT = """<robot name="robot">
+  <link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>
+  <link name="mast"/>
+  <joint name="up" type="fixed"><parent link="base"/><child link="mast"/>
+    <origin xyz="0.1 0 0.5" rpy="0 0.2 0.3"/></joint>
+  <gazebo reference="{link}"><sensor type="{kind}" name="s"><update_rate>20</update_rate>
+    <camera name="eye"><horizontal_fov>1.2</horizontal_fov>
+      <image><width>160</width><height>120</height><format>{format}</format></image>
+      <clip><near>{near}</near><far>{far}</far></clip></camera>
+    <plugin filename="libgazebo_ros_{plugin}.so" name="c">{tags}</plugin></sensor></gazebo>
+</robot>"""
+FOCAL = 80 / math.tan(0.6)
+
+
+def robot_text(**changes):
+    values = {"link": "base", "kind": "depth", "format": "R8G8B8", "near": 0.05, "far": 8.0}
+    return ROBOT.format(**{**values, "plugin": "openni_kinect", "tags": "", **changes})
+
+
+def add(simulation, **changes):
+    robot = simulation.add(read_urdf(robot_text(**changes), "robot"))
+    (camera,) = (device for device in robot.devices if isinstance(device, DepthCamera))
+    return robot, camera
+
+
+def listen(robot, topic):
+    samples = []
+    robot.listen(topic, samples.append)
+    return samples
+
+
+def cutoff(least, greatest):
+    return f"<pointCloudCutoff>{least}</pointCloudCutoff>" + (
+        f"<pointCloudCutoffMax>{greatest}</pointCloudCutoffMax>"
+    )
+
+
+def rays():
+    """Slopes x/z and y/z of the pixels, each (120, 160)."""
+    v, u = np.mgrid[0:120, 0:160]
+    return (u - 79.5) / FOCAL, (v - 59.5) / FOCAL
+
+
+def wall(distance, yaw, colour=(1.0, 1.0, 1.0, 1.0)):
+    """A wall through a point ahead, turned about z, and its normal."""
+    normal = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    middle = np.array([distance, 0.0, 0.0]) + 0.1 * normal
+    pose = Pose.from_rpy(tuple(middle), (0.0, 0.0, yaw))
+    return thing("wall", Box((0.2, 60.0, 60.0)), pose, colour), normal
+
+
+def world(*models, renderer="tiny"):
+    return simulation_of(*models, renderer=usable(renderer), gravity=(0.0, 0.0, 0.0))
+
+
+# The closed form
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -0.4])
+@pytest.mark.parametrize(("distance", "error"), [(0.5, 1e-4), (2.0, 3e-4), (4.5, 6e-4)])
+def test_depth_of_an_oblique_wall(renderer, yaw, distance, error):
+    model, normal = wall(distance, yaw)
+    x, _ = rays()
+    exact = distance * normal[0] / (normal[0] - normal[1] * x)
+    with world(model, renderer=renderer) as simulation:
+        depths = add(simulation)[1].measure()
+    assert depths.dtype == np.float32
+    inside = (exact > 0.4 + error) & (exact < 5.0 - error)
+    assert inside.any()
+    assert np.abs(depths - exact)[inside].max() < error
+    assert np.isnan(depths[(exact < 0.4 - error) | (exact > 5.0 + error)]).all()
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_points_lie_where_the_wall_is(renderer):
+    model, normal = wall(2.0, 0.5)
+    with world(model, renderer=renderer) as simulation:
+        _, camera = add(simulation, link="mast")
+        points = camera.points_at(camera.measure())
+        pose = camera.pose()
+    # From the optical frame to the link's, whose x axis is the optical z axis.
+    ahead = np.dstack((points[..., 2], -points[..., 0], -points[..., 1]))
+    there = ahead @ pose.rotation_matrix().T + pose.position
+    assert np.isfinite(points).mean() > 0.9
+    assert np.nanmax(np.abs(there @ normal - 2.0 * normal[0])) < 5e-4
+    assert points.shape == (120, 160, 3)
+    # A point is seen at its own pixel.
+    x, y = rays()
+    np.testing.assert_allclose(points[..., 0] / points[..., 2], x, atol=1e-6)
+    np.testing.assert_allclose(points[..., 1] / points[..., 2], y, atol=1e-6)
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_points_on_a_ball(renderer):
+    ball = thing("ball", Sphere(0.5), Pose((2.0, 0.0, 0.0)))
+    with world(ball, renderer=renderer) as simulation:
+        _, camera = add(simulation)
+        points = camera.points_at(camera.measure())
+    x, y = rays()
+    across = np.hypot(x, y) / np.sqrt(1.0 + x * x + y * y) * 2.0
+    np.testing.assert_array_equal(np.isfinite(points).all(axis=2)[across < 0.49], True)
+    assert np.isnan(points[across > 0.5]).all()
+    radii = np.linalg.norm(points - (0.0, 0.0, 2.0), axis=2)
+    # It is drawn with flat faces.
+    assert np.nanmax(radii) < 0.5 + 1e-3
+    assert np.nanmin(radii) > 0.5 - 8e-3
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_what_is_too_near_hides_what_is_behind_it(renderer):
+    plate = thing("plate", Box((0.02, 0.1, 0.1)), Pose((0.3, 0.0, 0.0)))
+    with world(wall(2.0, 0.0)[0], plate, renderer=renderer) as simulation:
+        robot, camera = add(simulation)
+        depths = camera.measure()
+        assert np.isnan(depths[50:70, 65:95]).all()
+        assert depths[60, 5] == pytest.approx(2.0, abs=1e-3)
+        _, eager = simulation.remove("robot"), add(simulation, tags=cutoff(0.1, 5.0))[1]
+        assert eager.measure()[60, 80] == pytest.approx(0.29, abs=1e-4)
+
+
+@pytest.mark.parametrize("distance", [0.62, 0.63, 0.632, 0.6325, 0.633, 0.64])
+def test_the_two_looks_of_egl_leave_no_gap(distance):
+    # They meet at sqrt(0.05 * 1.01 * 8).
+    with world(wall(distance, 0.0)[0], renderer="egl") as simulation:
+        _, camera = add(simulation, tags=cutoff(0.1, 8.0))
+        np.testing.assert_allclose(camera.measure(), distance, atol=1e-4)
+
+
+def test_the_floor_is_flat():
+    with Simulation.of("package://bullet_lab/worlds/empty.world", renderer="tiny") as simulation:
+        _, camera = add(simulation, link="mast")
+        points = camera.points_at(camera.measure())
+        pose = camera.pose()
+    ahead = np.dstack((points[..., 2], -points[..., 0], -points[..., 1]))
+    heights = (ahead @ pose.rotation_matrix().T + pose.position)[..., 2]
+    assert np.isfinite(heights).mean() > 0.3
+    assert np.nanmax(np.abs(heights)) < 1e-3
+
+
+def test_a_distorted_pixel_has_the_depth_of_what_it_shows():
+    model, normal = wall(2.0, 0.6)
+    tags = "<distortionK1>-0.2</distortionK1><distortionK2>0.03</distortionK2>"
+    with world(model) as simulation:
+        _, camera = add(simulation, tags=tags)
+        points = camera.points_at(camera.measure()).reshape(-1, 3)
+    v, u = np.mgrid[0:120, 0:160]
+    seen = camera.camera.project(points)
+    np.testing.assert_allclose(seen, np.column_stack((u.ravel(), v.ravel())), atol=0.02)
+    # The depth is that of the nearest ideal pixel: half a pixel off at most.
+    off = points @ np.array([-normal[1], 0.0, normal[0]]) - 2.0 * normal[0]
+    assert np.abs(off).max() < 2.0 * 0.75 / FOCAL
+
+
+def test_steps_of_the_depth_buffer():
+    # With depth d = far (z - near) / (z (far - near)): how far z goes while d goes a step.
+    near, far, z = 0.1, 10.0, 5.0
+    slope = far * near / (far - near) / (z * z)
+    assert depth_step(z, near, far) == pytest.approx(1.0 / 65536 / slope)
+
+
+# Names and tags
+
+
+def test_names_follow_the_tags():
+    tags = "<cameraName>kinect</cameraName><imageTopicName>rgb/image_raw</imageTopicName>"
+    tags += "<cameraInfoTopicName>rgb/camera_info</cameraInfoTopicName>"
+    tags += "<depthImageTopicName>d/image</depthImageTopicName><frameName>optical</frameName>"
+    tags += "<depthImageCameraInfoTopicName>d/info</depthImageCameraInfoTopicName>"
+    tags += "<pointCloudTopicName>/cloud</pointCloudTopicName><robotNamespace>bot</robotNamespace>"
+    with world() as simulation:
+        _, camera = add(simulation, tags=tags)
+    assert [output.topic for output in camera.outputs] == [
+        "/bot/kinect/rgb/image_raw",
+        "/bot/kinect/rgb/camera_info",
+        "/bot/kinect/d/image",
+        "/bot/kinect/d/info",
+        "/cloud",
+    ]
+    assert camera.frame == "optical"
+
+
+@pytest.mark.parametrize("plugin", ["openni_kinect", "depth_camera"])
+def test_names_without_tags(plugin, caplog):
+    tags = "<reduceNormals>50</reduceNormals><normalsTopicName>n</normalsTopicName>"
+    with world() as simulation:
+        _, camera = add(simulation, plugin=plugin, tags=tags)
+    names = ["image_raw", "camera_info", "depth/image_raw", "depth/camera_info", "points"]
+    assert [output.topic for output in camera.outputs] == [f"eye/{name}" for name in names]
+    assert not caplog.messages
+
+
+@pytest.mark.parametrize(("plugin", "seen"), [("openni_kinect", False), ("depth_camera", True)])
+def test_how_far_each_plugin_sees_by_default(plugin, seen):
+    with world(wall(6.0, 0.0)[0]) as simulation:
+        depths = add(simulation, plugin=plugin)[1].measure()
+    assert np.isfinite(depths).all() == seen
+
+
+def test_each_output_is_worked_out_only_while_it_is_wanted(monkeypatch):
+    with world(wall(2.0, 0.0)[0]) as simulation:
+        robot, camera = add(simulation)
+        calls = []
+        for name in ("take", "measure"):
+            method = getattr(camera, name)
+
+            def noted(*args, name=name, method=method):
+                calls.append(name)
+                return method(*args)
+
+            monkeypatch.setattr(camera, name, noted)
+        wanted = {}
+        for output in camera.outputs:
+            output.connect(lambda _: None, lambda topic=output.topic: topic in wanted)
+
+        def calls_for(*topics):
+            wanted.clear()
+            wanted.update(dict.fromkeys(f"eye/{topic}" for topic in topics))
+            calls.clear()
+            simulation.run_for(0.05)
+            return calls[:]
+
+        assert calls_for() == []
+        assert calls_for("camera_info", "depth/camera_info") == []
+        assert calls_for("image_raw") == ["take"]
+        assert calls_for("depth/image_raw") == ["measure"]
+        assert calls_for("points") == ["take", "measure"]
+        assert calls_for("points", "image_raw", "depth/image_raw") == ["take", "measure"]
+
+
+@pytest.mark.parametrize("format", ["R8G8B8", "B8G8R8", "L8"])
+def test_all_is_of_one_moment_and_points_have_the_colours_of_the_picture(format):
+    with world(wall(2.0, 0.0, (1.0, 0.5, 0.25, 1.0))[0]) as simulation:
+        robot, camera = add(simulation, format=format)
+        topics = [output.topic for output in camera.outputs]
+        found = {topic: listen(robot, topic) for topic in topics}
+        simulation.run_for(0.1)
+        assert {topic: [s.step for s in samples] for topic, samples in found.items()} == (
+            dict.fromkeys(topics, [50, 100])
+        )
+        cloud, depth = found["eye/points"][0], found["eye/depth/image_raw"][0]
+        assert depth.encoding == "32FC1"
+        np.testing.assert_array_equal(cloud.points[..., 2], depth.pixels)
+        grey = 0.299 * 255 + 0.587 * 128 + 0.114 * 64
+        wanted = (grey,) * 3 if format == "L8" else (255, 128, 64)
+        assert cloud.colours[60, 80] == pytest.approx(wanted, abs=1.5)
+        geometry = {found[f"eye/{name}camera_info"][0].camera for name in ("", "depth/")}
+        assert geometry == {camera.camera}
+
+
+def test_millimetres_where_they_are_asked_for():
+    with world(wall(2.0, 0.9)[0]) as simulation:
+        robot, _ = add(simulation, tags="<useDepth16UC1Format>true</useDepth16UC1Format>")
+        images = listen(robot, "eye/depth/image_raw")
+        simulation.run_for(0.05)
+    (image,) = images
+    assert (image.encoding, image.pixels.dtype) == ("16UC1", np.uint16)
+    assert image.pixels[60, 79:81].mean() == pytest.approx(2000.0, abs=1.0)
+    # The far end of the wall is out of range.
+    assert (image.pixels == 0).any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kind": "camera"}, 'needs a <sensor type="depth">'),
+        ({"tags": cutoff(3.0, 2.0)}, "<pointCloudCutoff>: nothing is between 3 m and 2 m"),
+        ({"tags": cutoff(9.0, 20.0)}, "nothing is between 9 m and 8 m"),
+        ({"tags": cutoff("near", 2.0)}, "'near' is not a finite number"),
+        ({"near": 3.0, "far": 2.0}, "no view reaches from 3 m to 2 m"),
+        ({"tags": "<useDepth16UC1Format>2</useDepth16UC1Format>"}, "'2' is not true"),
+    ],
+)
+def test_tags_that_make_no_depth_camera(changes, message):
+    with world() as simulation, pytest.raises(LabError, match=re.escape(message)):
+        add(simulation, **changes)
