@@ -160,7 +160,11 @@ class Topic:
 
     def connect(self):
         """Wait for a publisher."""
-        wait_for(lambda: self._subscriber.get_num_connections() > 0, f"somebody on {self._name}")
+        wait_for(self.is_connected, f"somebody on {self._name}")
+
+    def is_connected(self):
+        """Whether there is a publisher."""
+        return self._subscriber.get_num_connections() > 0
 
     def stamps(self):
         """The stamps of the messages so far, in ns."""

@@ -114,12 +114,13 @@ class ClosedLoopSide:
         return 0.0, 0.0
 
 
-def approach(left: float, fastest: float, slowest: float) -> float:
+def approach(left: float, fastest: float, slowest: float, gain: float = SLOWING_GAIN) -> float:
     """Return the speed at which to cover the rest of a way.
 
     Args:
         left: what is left, in m or rad, > 0.
         fastest: the speed far from the target, in units of `left` per second.
         slowest: the speed close to it, unless `fastest` is slower still.
+        gain: speed for each unit that is left, in between, 1/s.
     """
-    return min(fastest, max(slowest, SLOWING_GAIN * left))
+    return min(fastest, max(slowest, gain * left))

@@ -51,6 +51,7 @@ from bullet_lab.ros.dock_inputs import (
 from bullet_lab.ros.dock_parameters import USUAL, DockParameters
 from bullet_lab.ros.dock_sender import StoppableSender
 from bullet_lab.ros.dock_topics import DockTopics
+from bullet_lab.ros.free_rate import FreeRate
 from bullet_lab.ros.lock_step import CountedPublisher, LockStepRate
 from bullet_lab.ros.node import private_parameters, run_node, wait_until
 from bullet_lab.ros.parameters import ParameterError
@@ -131,7 +132,7 @@ class DockServer:
             wait_until(self._is_connected, "odometry, camera and the bridge")
             rate = LockStepRate(self._wanted.rate, self._commands)
         else:
-            rate = _FreeRate(self._wanted.rate)
+            rate = FreeRate(self._wanted.rate)
         for server in self._servers:
             server.start()
         last = rate.now
@@ -327,24 +328,6 @@ class DockServer:
         return with_tolerances(
             dock, wanted.tolerance_distance, wanted.tolerance_lateral, wanted.tolerance_yaw
         )
-
-
-class _FreeRate:
-    """Ticks by ROS time, which may be set back."""
-
-    def __init__(self, hz: float):
-        self._hz = hz
-        self._rate = rospy.Rate(hz)
-        self.now = rospy.Time.now()
-
-    def sleep(self) -> None:
-        try:
-            self._rate.sleep()
-        except rospy.exceptions.ROSTimeMovedBackwardsException:
-            self._rate = rospy.Rate(self._hz)
-        if rospy.is_shutdown():
-            raise rospy.ROSInterruptException("shutdown")
-        self.now = rospy.Time.now()
 
 
 def _read_docks(name: str):
