@@ -5,7 +5,7 @@ pytest.importorskip("rospy")
 from bullet_lab.errors import LabError
 from bullet_lab.ros.depopulate import numbered
 from bullet_lab.ros.parameters import ParameterError, read_parameters
-from bullet_lab.ros.populate import PopulateParameters, description_of, places_of
+from bullet_lab.ros.populate import PopulateParameters, description_of, names_of, places_of
 from bullet_lab.simulation.model_reader import read_description
 
 
@@ -52,3 +52,10 @@ def test_only_numbered_names_are_taken_away():
     names = ["beacon", "beacon_0", "beacon_12", "beacon_x", "beacon_1_2", "a_beacon_1", "b.acon_1"]
     assert numbered(names, "beacon") == ["beacon_0", "beacon_12"]
     assert numbered(names, "b.acon") == ["b.acon_1"]
+
+
+def test_names_are_numbered_but_that_of_one_model():
+    assert names_of(wanted(prefix="post", pattern="line", count=2)) == ["post_0", "post_1"]
+    assert names_of(wanted(name="robot1", poses=[[1, 2]])) == ["robot1"]
+    with pytest.raises(ParameterError, match="~name is 'robot1': 3 models cannot share one name"):
+        names_of(wanted(name="robot1"))

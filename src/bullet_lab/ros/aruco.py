@@ -9,7 +9,7 @@
       without a usable camera_info the markers have no poses, and a size of 0
     - ~pose (geometry_msgs/PoseStamped) and ~pose_with_covariance
       (geometry_msgs/PoseWithCovarianceStamped) of the marker that is largest in the image
-    - /tf, with ~publish_tf: fiducial_<id> in the camera's optical frame
+    - /tf, with ~publish_tf: fiducial_<id> in the camera's optical frame, with the node's tf_prefix
     - ~image_annotated, ~camera_info, /diagnostics, see `image_node`
 
 Stamps and frames are those of the images.
@@ -41,6 +41,7 @@ from bullet_lab.ros.marker_messages import (
 )
 from bullet_lab.ros.parameters import ParameterError
 from bullet_lab.ros.publishers import Publisher, lossless_publisher
+from bullet_lab.ros.tf_prefix import own_tf_prefix
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.drawing import draw_axes, draw_marker, draw_text
 from bullet_lab.vision.errors import VisionError
@@ -162,6 +163,7 @@ class Aruco(ImageNode):
         self._detections = self.output("detections", MarkerDetectionArray)
         self._pose = self.output("pose", PoseStamped)
         self._covariance = self.output("pose_with_covariance", PoseWithCovarianceStamped)
+        self._prefix = own_tf_prefix()
         self._tf = _tf_publisher(wanted.lock_step) if wanted.publish_tf else None
 
     def look(self, frame: Frame) -> Mapping[str, Any]:
@@ -230,7 +232,11 @@ class Aruco(ImageNode):
         if self._tf is not None:
             # Of several markers of one id, the largest in the image.
             by_id = {observed.id: pose for observed, pose in reversed(located)}
-            self._tf.publish(TFMessage([marker_transform(header, *item) for item in by_id.items()]))
+            transforms = [
+                marker_transform(header, f"{self._prefix}fiducial_{marker}", pose)
+                for marker, pose in by_id.items()
+            ]
+            self._tf.publish(TFMessage(transforms))
 
     def _draw(
         self,

@@ -6,10 +6,11 @@
     - /bullet_lab/world (visualization_msgs/MarkerArray): the shapes of the world, all of them
       for a new subscriber, then those that change
     - /gazebo/model_states, /gazebo/link_states, while somebody listens
-    - /bullet_lab/touched (bullet_lab/TouchedModels): what the robot has run into
+    - /bullet_lab/touched, in each robot's namespace (bullet_lab/TouchedModels): what it has
+      run into
     - /tf, and /tf_static if asked for
-    - whatever the plugins of the robot name, such as odom (nav_msgs/Odometry)
-:ROS Subscribers: whatever the plugins of the robot name, such as cmd_vel (geometry_msgs/Twist)
+    - whatever the plugins of the robots name, such as odom (nav_msgs/Odometry)
+:ROS Subscribers: whatever the plugins of the robots name, such as cmd_vel (geometry_msgs/Twist)
 :ROS Services:
     - /gazebo/pause_physics, unpause_physics, reset_world, reset_simulation (std_srvs/Empty)
     - the other services of /gazebo: see the modules `bullet_lab.ros.gazebo_…`
@@ -29,13 +30,10 @@ from typing import Any, Callable, List, Optional, Sequence, Tuple
 import rospy
 import rospy.impl.simtime
 import rospy.rostime
-import tf2_ros
-from geometry_msgs.msg import TransformStamped
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty, EmptyResponse
 
 from bullet_lab.errors import LabError
-from bullet_lab.msg import TouchedModels
 from bullet_lab.ros import parameters
 from bullet_lab.ros.conversions import (
     NANOSECONDS_PER_STEP,
@@ -46,19 +44,19 @@ from bullet_lab.ros.conversions import (
 from bullet_lab.ros.gazebo import Gazebo
 from bullet_lab.ros.gazebo_services import RunningWorld
 from bullet_lab.ros.node import private_parameters, run_node
+from bullet_lab.ros.odometry_frames import OdometryFrames
 from bullet_lab.ros.pace import Pace
 from bullet_lab.ros.simulators import answers, refuse_second_simulator
 from bullet_lab.ros.stepper import Stepper
+from bullet_lab.ros.tf_prefix import tf_prefixes
 from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
-from bullet_lab.ros.touches import TOPIC as TOUCHED
-from bullet_lab.ros.touches import TouchCounter
+from bullet_lab.ros.touches import Touches
 from bullet_lab.ros.wiring import Wiring
 from bullet_lab.simulation.description import Model
 from bullet_lab.simulation.devices.camera import Camera
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.rendering.choice import AUTO, CHOICES
 from bullet_lab.simulation.resources import ResourceFinder
-from bullet_lab.simulation.samples import OdometrySample
 from bullet_lab.simulation.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
 from bullet_lab.simulation.urdf_reader import read_urdf, read_urdf_file
@@ -80,7 +78,10 @@ class BridgeParameters:
         "package://bullet_lab/worlds/empty.world", "SDF world: a path, package:// or model://"
     )
     robot: str = parameters.text(
-        "", "URDF robot: a path or package://; empty for the parameter robot_description"
+        "", "URDF robot: a path or package://; empty for the parameter ~robot_description names"
+    )
+    robot_description: str = parameters.text(
+        "robot_description", "parameter that holds the robot's URDF; empty for no robot"
     )
     robot_name: str = parameters.text("", "name of the robot's model; its own if empty")
     robot_namespace: str = parameters.text("", "robotNamespace of plugins that have none")
@@ -133,7 +134,6 @@ class PyBulletBridge:
         )
         self._wiring = Wiring(self.stepper)
         self._silences: Counter = Counter()
-        self._static_tf = tf2_ros.StaticTransformBroadcaster()
         _stop_listening_to_the_clock()
         self._clock = Clock()
         self._clock_publisher = self._wiring.publisher("/clock", Clock)
@@ -145,6 +145,10 @@ class PyBulletBridge:
         world = RunningWorld(self.stepper, self._wiring)
         hidden = "" if robot is None else robot.name
         self._gazebo = Gazebo(world, wanted.world_frame, hidden, wanted.states_rate)
+        self._touches = Touches(world)
+        self._frames = OdometryFrames(
+            world, wanted.world_frame if wanted.publish_world_tf else ""
+        )
         self._services = self._offer_services()
 
     def spin(self) -> None:
@@ -167,39 +171,21 @@ class PyBulletBridge:
             return None
         x, y, z, roll, pitch, yaw = self._wanted.robot_pose
         pose = Pose.from_rpy((x, y, z), (roll, pitch, yaw))
+        namespace = self._wanted.robot_namespace
         robot = self.simulation.add(
-            model, self._wanted.robot_name, pose, self._wanted.robot_namespace
+            model, self._wanted.robot_name, pose, namespace, tf_prefixes(model, namespace)
         )
         self._wiring.connect(robot)
-        touched = self._wiring.publisher(TOUCHED, TouchedModels)
-        self._touches = TouchCounter(self.simulation, robot.name, touched)
         if self._wanted.camera_rate:
             _set_camera_rate(robot, self._wanted.camera_rate)
-        if self._wanted.publish_world_tf:
-            self._publish_odometry_frames(robot)
         return robot
 
     def _read_robot(self) -> Optional[Model]:
         if self._wanted.robot:
             return read_urdf_file(ResourceFinder.anywhere().find(self._wanted.robot))
-        text = rospy.get_param("robot_description", "")
-        return read_urdf(str(text), "robot_description") if text else None
-
-    def _publish_odometry_frames(self, robot: ModelInstance) -> None:
-        """Say that odometry, which is the absolute pose, is given in the world's frame."""
-        frames = {
-            device.frame
-            for device in robot.devices
-            if any(output.kind is OdometrySample for output in device.outputs)
-        }
-        transforms = []
-        for frame in sorted(frames):
-            transform = TransformStamped()
-            transform.header.frame_id = self._wanted.world_frame
-            transform.child_frame_id = frame
-            transform.transform.rotation.w = 1.0
-            transforms.append(transform)
-        self._static_tf.sendTransform(transforms)
+        name = self._wanted.robot_description
+        text = rospy.get_param(name, "") if name else ""
+        return read_urdf(str(text), name) if text else None
 
     # Services
 
@@ -290,12 +276,13 @@ def _set_log_time(step: int) -> None:
     rospy.rostime._set_rostime(rospy.Time(*divmod(step * NANOSECONDS_PER_STEP, 10**9)))
 
 
-def main() -> None:
-    """Run the node."""
+def serve(name: str, read: Callable[[], BridgeParameters]) -> None:
+    """Run the bridge as a node; `read` gives its parameters once the node is there."""
     # A waiting thread gets its turn after this long instead of 5 ms: many steps at full speed.
     sys.setswitchinterval(5e-4)
+    run_node(name, lambda: PyBulletBridge(read()).spin(), before=refuse_second_simulator)
 
-    def body() -> None:
-        PyBulletBridge(private_parameters(BridgeParameters)).spin()
 
-    run_node("pybullet_bridge", body, before=refuse_second_simulator)
+def main() -> None:
+    """Run the node."""
+    serve("pybullet_bridge", lambda: private_parameters(BridgeParameters))

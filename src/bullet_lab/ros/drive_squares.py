@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from dataclasses import dataclass
 from typing import Any, Optional, Tuple
 
 import rospy
 from geometry_msgs.msg import Twist
-from nav_msgs.msg import Odometry
 from std_msgs.msg import Time
 from tqdm import tqdm
 
@@ -30,18 +28,12 @@ from bullet_lab.numerics.square_driver import (
 )
 from bullet_lab.ros import parameters
 from bullet_lab.ros.lock_step import CountedPublisher, LockStepRate, Rate
-from bullet_lab.ros.node import NodeError, Refusals, private_parameters, run_node, wait_until
-from bullet_lab.ros.odometry import OdometryError, planar_pose
+from bullet_lab.ros.newest_odometry import NewestOdometry
+from bullet_lab.ros.node import private_parameters, run_node, wait_until
 from bullet_lab.ros.publishers import lossless_publisher
 
 # At rest before and after, so that a recording shows where the robot stood.
 REST_SECONDS = 0.5
-# Seconds of ROS time without odometry after which a closed loop stops the robot.
-STALE_SECONDS = 0.5
-# Wall seconds to wait for odometry before a closed loop gives up.
-ODOMETRY_TIMEOUT = 5.0
-# Wall seconds between two looks whether Ctrl-C was pressed meanwhile.
-POLL_SECONDS = 0.2
 # Wall seconds for a latched message to reach subscribers that are still connecting.
 GOODBYE_SECONDS = 0.5
 
@@ -83,7 +75,7 @@ class DriveSquares:
         # Written out at once, so that the last command is on its way before the node ends.
         self.pub = CountedPublisher(lossless_publisher(wanted.cmd_vel, Twist))
         self._finished = lossless_publisher("~finished", Time, latch=True)
-        self._odometry = _NewestOdometry(wanted.odom) if self._closed_loop else None
+        self._odometry = NewestOdometry(wanted.odom) if self._closed_loop else None
         self._heading: Optional[float] = None
         self._progress: Optional[tqdm] = None
         self._sending = threading.RLock()
@@ -194,63 +186,6 @@ class DriveSquares:
 
 
 PROGRESS_FORMAT = "{desc} {percentage:3.0f}%|{bar:30}| {n:.1f} of {total:.1f} m, {elapsed}"
-
-
-class _NewestOdometry:
-    """The newest usable pose on an odometry topic."""
-
-    def __init__(self, topic: str):
-        self._topic = topic
-        self._new = threading.Condition()
-        self._pose: Optional[Tuple[float, float, float]] = None
-        self._stamp = rospy.Time(0)
-        self._period: Optional[rospy.Duration] = None
-        self._received = rospy.Time(0)
-        self._refusals = Refusals()
-        self._subscriber = rospy.Subscriber(topic, Odometry, self._receive, tcp_nodelay=True)
-
-    def newest(self, now: Optional[rospy.Time]) -> Tuple[float, float, float]:
-        """Return the newest pose (m, m, rad).
-
-        Args:
-            now: in lock step, the simulated time: what was sent up to then is awaited.
-
-        Raises:
-            NodeError: no odometry comes.
-        """
-        deadline = time.monotonic() + ODOMETRY_TIMEOUT
-        with self._new:
-            while not self._is_new(now):
-                self._new.wait(POLL_SECONDS)
-                if rospy.is_shutdown():
-                    raise rospy.ROSInterruptException("shutdown")
-                if time.monotonic() > deadline:
-                    raise NodeError(f"no odometry on {self._topic} for {ODOMETRY_TIMEOUT:g} s")
-            return self._pose
-
-    def is_stale(self) -> bool:
-        """Return whether the newest pose came long ago, in ROS time."""
-        return rospy.Time.now() - self._received > rospy.Duration(STALE_SECONDS)
-
-    def _is_new(self, now: Optional[rospy.Time]) -> bool:
-        if self._pose is None:
-            return False
-        if now is None:
-            return not self.is_stale()
-        return self._period is None or self._stamp > now - self._period
-
-    def _receive(self, message: Odometry) -> None:
-        try:
-            pose = planar_pose(message)
-        except OdometryError as error:
-            self._refusals.refuse(self._topic, str(error))
-            return
-        with self._new:
-            if self._pose is not None and message.header.stamp > self._stamp:
-                self._period = message.header.stamp - self._stamp
-            self._pose, self._stamp = pose, message.header.stamp
-            self._received = rospy.Time.now()
-            self._new.notify_all()
 
 
 def main() -> None:

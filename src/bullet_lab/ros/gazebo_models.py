@@ -6,15 +6,15 @@ get_model_properties.
 
 from __future__ import annotations
 
-from typing import Any, List
+from typing import Any, Callable, List
 
-import rosgraph
 import rospy
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo_messages import pose_of
 from bullet_lab.ros.gazebo_services import Answer, RunningWorld, offer
 from bullet_lab.ros.gazebo_types import srv
+from bullet_lab.ros.tf_prefix import tf_prefixes
 from bullet_lab.simulation.description import Model
 from bullet_lab.simulation.entities import find_model, frame_state
 from bullet_lab.simulation.model_reader import read_description
@@ -60,17 +60,19 @@ class GazeboModels:
         pose = pose_of(request.initial_pose)
         # Read in this thread, so that the simulation does not wait for it.
         model = read_description(request.model_xml, f"model_xml of '{name}'")
-        prefix = _tf_prefix(request.robot_namespace)
-        self._world.change(lambda: self._add(model, pose, request, prefix))
+        prefixes = tf_prefixes(model, request.robot_namespace)
+        self._world.change(lambda: self._add(model, pose, request, prefixes))
         return {}
 
-    def _add(self, model: Model, pose: Pose, request: Any, prefix: str) -> str:
+    def _add(
+        self, model: Model, pose: Pose, request: Any, prefixes: Callable[[str], str]
+    ) -> str:
         name = request.model_name or model.name
         if name in self._world.models:
             raise SpawnError("entity already exists.")
         frame = frame_state(self._world.models, request.reference_frame).pose
         instance = self._world.simulation.add(
-            model, name, frame * pose * model.pose, request.robot_namespace, prefix
+            model, name, frame * pose * model.pose, request.robot_namespace, prefixes
         )
         try:
             self._world.wiring.connect(instance)
@@ -115,14 +117,3 @@ class GazeboModels:
 
 def _geometry_names(model: Model) -> List[str]:
     return [shape.name for link in model.links for shape in link.collisions]
-
-
-def _tf_prefix(namespace: str) -> str:
-    """Return the tf_prefix that holds in a robot's namespace, as tf finds it."""
-    master = rosgraph.Master(f"/{namespace.strip('/')}/spawned".replace("//", "/"))
-    try:
-        found = master.searchParam("tf_prefix")
-        return str(master.getParam(found)) if found else ""
-    except rosgraph.MasterException:
-        # There is none.
-        return ""

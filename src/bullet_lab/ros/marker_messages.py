@@ -47,9 +47,9 @@ def located_message(
     return message
 
 
-def marker_transform(header: Header, marker: int, pose: MarkerPose) -> TransformStamped:
-    """Return a marker's pose as the transform of fiducial_<id>."""
-    message = TransformStamped(header=header, child_frame_id=f"fiducial_{marker}")
+def marker_transform(header: Header, frame: str, pose: MarkerPose) -> TransformStamped:
+    """Return a marker's pose as the transform of a frame."""
+    message = TransformStamped(header=header, child_frame_id=frame)
     message.transform.translation = Vector3(*map(float, pose.translation))
     message.transform.rotation = Quaternion(*pose.quaternion)
     return message

@@ -25,20 +25,17 @@ from bullet_lab.numerics.ellipse import ellipse_points
 from bullet_lab.numerics.trajectory import Trajectory
 from bullet_lab.plotting.noise_figure import noise_figure
 from bullet_lab.plotting.style import save
-from bullet_lab.recording.files import FileError, make_folder, move_file, write_json
-from bullet_lab.recording.paths import PathsRecording, RecordingError
+from bullet_lab.recording.files import write_json
 from bullet_lab.recording.squares_summary import squares_summary
 from bullet_lab.ros import parameters
 from bullet_lab.ros.node import Refusals, private_parameters, run_node
-from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
+from bullet_lab.ros.odometry_recorder import NOISY, PERFECT, OdometryRecorder
 from bullet_lab.ros.publishers import Publisher
 from bullet_lab.ros.recorder import EndOfRecording, Stopwatch, record
 
 PATHS_PERIOD_SECONDS = 0.5
 # How many ellipses are drawn along the noisy path.
 ELLIPSES = 12
-# Where the messages of each topic go.
-FILES = {"odom": PathsRecording.PERFECT, "noisy_odom": PathsRecording.NOISY}
 
 
 @dataclass(frozen=True)
@@ -62,19 +59,13 @@ class PlotNoise:
         self._wanted = wanted
         self._lock = threading.Lock()
         self._folder = FilePath(wanted.out)
-        self._recording = PathsRecording(self._folder)
-        self._runs = 0
         self._stopwatch = Stopwatch()
         self._refusals = Refusals()
-        self._guards = {"odom": FrameGuard(), "noisy_odom": FrameGuard()}
-        self._left_behind: Optional[str] = None
-        self._left_at: Optional[int] = None
-        self._failure: Optional[FileError] = None
+        self._recorder = OdometryRecorder(self._folder, self._refusals, self._forget)
         self._finished = False
         self._covariances: Dict[int, Tuple[Tuple[float, float], Tuple[float, float]]] = {}
         self.end = EndOfRecording(wanted.until)
-        self._perfect_path = _PathTopic("odom_path")
-        self._noisy_path = _PathTopic("noisy_odom_path")
+        self._paths = {PERFECT: _PathTopic("odom_path"), NOISY: _PathTopic("noisy_odom_path")}
         self.sub_noisy = rospy.Subscriber("noisy_odom", Odometry, self.odom_callback_noisy)
         self.sub_perfect = rospy.Subscriber("odom", Odometry, self.odom_callback_perfect)
 
@@ -89,12 +80,14 @@ class PlotNoise:
     def extract_data(self, msg: Optional[Odometry], msg2: Optional[Odometry]) -> None:
         """Record a noisy message, a perfect one, or both."""
         with self._lock:
-            if self._finished or self._failure is not None:
+            if self._finished:
                 return
             if msg2 is not None:
-                self._record("odom", msg2, self._perfect_path)
-            if msg is not None:
-                self._record("noisy_odom", msg, self._noisy_path)
+                self._record(PERFECT, msg2)
+            if msg is not None and self._record(NOISY, msg):
+                entries = msg.pose.covariance
+                covariance = ((entries[0], entries[1]), (entries[6], entries[7]))
+                self._covariances[msg.header.stamp.to_nsec()] = covariance
 
     def is_complete(self) -> bool:
         """Return whether both odometries have come to the announced end.
@@ -103,10 +96,8 @@ class PlotNoise:
             FileError: what came could not be written.
         """
         with self._lock:
-            if self._failure is not None:
-                raise self._failure
-            stamps = [self._recording.last(name) for name in FILES.values()]
-        return self.end.reached(None if None in stamps else min(stamps))
+            last = self._recorder.last()
+        return self.end.reached(last)
 
     def is_connected(self) -> bool:
         """Return whether both odometries have a publisher."""
@@ -116,7 +107,7 @@ class PlotNoise:
     def plot_now(self) -> None:
         """Renew paths.png and summary.json with what there is."""
         with self._lock:
-            perfect, pairs = self._recording.perfect(), self._recording.pairs()
+            perfect, pairs = self._recorder.paths.perfect(), self._recorder.paths.pairs()
         self.plot_noise(pairs, perfect)
         self._write_summary(perfect, pairs, finished=False)
 
@@ -150,8 +141,8 @@ class PlotNoise:
         with self._lock:
             # A message may be on its way in still.
             self._finished = True
-            self._recording.finish(self.end.until if complete else None)
-            perfect, pairs = self._recording.perfect(), self._recording.pairs()
+            self._recorder.paths.finish(self.end.until if complete else None)
+            perfect, pairs = self._recorder.paths.perfect(), self._recorder.paths.pairs()
         self._write_summary(perfect, pairs, finished=complete)
         self.plot_noise(pairs, perfect)
         rospy.loginfo("%s", describe(squares_summary(perfect, pairs)))
@@ -172,54 +163,19 @@ class PlotNoise:
         except ImportError as error:
             rospy.logwarn("~show: matplotlib has no window toolkit here: %s", error)
 
-    def _record(self, topic: str, msg: Odometry, path: _PathTopic) -> None:
-        try:
-            pose = planar_pose(msg)
-            self._guards[topic].check(msg)
-            stamp = msg.header.stamp.to_nsec()
-            if not self._belongs_to_this_run(topic, stamp):
-                return
-            if topic == "odom":
-                self._recording.add_perfect(stamp, pose)
-            else:
-                self._recording.add_noisy(stamp, pose)
-                entries = msg.pose.covariance
-                self._covariances[stamp] = ((entries[0], entries[1]), (entries[6], entries[7]))
-        except (OdometryError, RecordingError) as error:
-            self._refusals.refuse(topic, str(error))
-            return
-        except FileError as error:
-            self._failure = error
-            return
-        self._stopwatch.note()
-        path.append(msg)
+    def _record(self, topic: str, msg: Odometry) -> bool:
+        recorded = self._recorder.record(topic, msg)
+        if recorded:
+            self._stopwatch.note()
+            self._paths[topic].append(msg)
+        return recorded
 
-    def _belongs_to_this_run(self, topic: str, stamp: int) -> bool:
-        """Begin a new run where time was set back; drop what the old run still sends after."""
-        last = self._recording.last(FILES[topic])
-        if self._left_behind == topic:
-            if self._left_at is not None and stamp > self._left_at:
-                return False
-            self._left_behind = None
-        elif last is not None and stamp < last:
-            other = "noisy_odom" if topic == "odom" else "odom"
-            # Its messages of the old run may come yet, all of them later than its last one.
-            self._left_behind, self._left_at = other, self._recording.last(FILES[other])
-            self._begin_new_run()
-        return True
-
-    def _begin_new_run(self) -> None:
-        self._recording.finish()
-        self._runs += 1
-        old = make_folder(self._folder / f"run_{self._runs}")
-        for name in (*FILES.values(), PathsRecording.PAIRS):
-            move_file(self._folder / name, old)
-        rospy.loginfo("time was set back: what was recorded before is in %s", old)
-        self._recording = PathsRecording(self._folder)
+    def _forget(self) -> None:
+        """Begin a new run; what was before is in a folder of its own."""
         self._stopwatch = Stopwatch()
         self._covariances.clear()
-        self._perfect_path.clear()
-        self._noisy_path.clear()
+        for path in self._paths.values():
+            path.clear()
 
     def _write_summary(
         self,

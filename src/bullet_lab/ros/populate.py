@@ -20,6 +20,7 @@ from bullet_lab.ros import parameters
 from bullet_lab.ros.gazebo_client import call
 from bullet_lab.ros.gazebo_types import srv
 from bullet_lab.ros.node import private_parameters, run_node
+from bullet_lab.ros.parameters import ParameterError
 from bullet_lab.simulation.resources import ResourceFinder
 from bullet_lab.simulation.xml_input import read_text
 
@@ -64,7 +65,10 @@ class PopulateParameters:
     origin: Tuple[float, ...] = parameters.number_list(
         (0.0, 0.0, 0.0), "what the pattern is moved by: x y z in m"
     )
-    namespace: str = parameters.text("", "robotNamespace of plugins that have none")
+    name: str = parameters.text("", "name of the model, where it is one only")
+    namespace: str = parameters.text(
+        "", "robotNamespace of plugins that have none; the node's own namespace if empty"
+    )
 
 
 def places_of(wanted: PopulateParameters) -> List[patterns.Place]:
@@ -76,6 +80,16 @@ def places_of(wanted: PopulateParameters) -> List[patterns.Place]:
     if wanted.pattern == "circle":
         return patterns.circle(wanted.count, wanted.radius)
     return list(wanted.poses)
+
+
+def names_of(wanted: PopulateParameters) -> List[str]:
+    """Return what the models are called; raises ParameterError for one name for several."""
+    count = len(places_of(wanted))
+    if not wanted.name:
+        return [f"{wanted.prefix}_{index}" for index in range(count)]
+    if count != 1:
+        raise ParameterError(f"~name is '{wanted.name}': {count} models cannot share one name")
+    return [wanted.name]
 
 
 def description_of(model: str) -> str:
@@ -94,12 +108,12 @@ def description_of(model: str) -> str:
 
 def populate(wanted: PopulateParameters) -> int:
     """Place the models and return how many there are; raises LabError."""
+    names = names_of(wanted)
     text = description_of(wanted.model)
-    places = places_of(wanted)
-    for index, place in enumerate(places):
-        name = f"{wanted.prefix}_{index}"
-        call(SERVICE, srv.SpawnModel, name, text, wanted.namespace, _pose(place, wanted), "")
-    return len(places)
+    namespace = wanted.namespace or rospy.get_namespace()
+    for name, place in zip(names, places_of(wanted)):
+        call(SERVICE, srv.SpawnModel, name, text, namespace, _pose(place, wanted), "")
+    return len(names)
 
 
 def _pose(place: patterns.Place, wanted: PopulateParameters) -> PoseMessage:
@@ -118,6 +132,6 @@ def main() -> None:
     def body() -> None:
         wanted = private_parameters(PopulateParameters)
         number = populate(wanted)
-        rospy.loginfo("%d models placed: %s_0 …", number, wanted.prefix)
+        rospy.loginfo("%d models placed: %s …", number, names_of(wanted)[0])
 
     run_node("populate", body)

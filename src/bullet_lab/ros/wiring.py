@@ -90,12 +90,16 @@ class Wiring:
         for subscriber in wires.subscribers:
             subscriber.unregister()
         for topic in wires.topics:
-            self._users[topic] -= 1
-            if not self._users[topic]:
-                del self._users[topic]
-                publisher = self._publishers.pop(topic)
-                publisher.flush()
-                publisher.unregister()
+            self.release(topic)
+
+    def release(self, topic: str) -> None:
+        """Give up the publisher on a topic, once all that have asked for it have done so."""
+        self._users[topic] -= 1
+        if not self._users[topic]:
+            del self._users[topic]
+            publisher = self._publishers.pop(topic)
+            publisher.flush()
+            publisher.unregister()
 
     def _connect_output(self, output: Output) -> None:
         converter = OUTPUT_CONVERTERS[output.kind]()

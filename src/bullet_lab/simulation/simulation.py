@@ -42,6 +42,8 @@ __all__ = ["ModelInstance", "Simulation", "SimulationError", "Snapshot", "Timer"
 
 LOG = logging.getLogger(__name__)
 
+TfPrefix = Union[str, Callable[[str], str]]
+
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -157,7 +159,7 @@ class Simulation:
         name: str = "",
         pose: Optional[Pose] = None,
         namespace: str = "",
-        tf_prefix: str = "",
+        tf_prefix: TfPrefix = "",
     ) -> ModelInstance:
         """Read a robot from the URDF file that a path or URI names and add it; see `add`."""
         model = read_urdf_file(ResourceFinder.anywhere().find(urdf))
@@ -169,7 +171,7 @@ class Simulation:
         name: str = "",
         pose: Optional[Pose] = None,
         namespace: str = "",
-        tf_prefix: str = "",
+        tf_prefix: TfPrefix = "",
     ) -> ModelInstance:
         """Put a model into the world.
 
@@ -178,7 +180,8 @@ class Simulation:
             name: its name in the world; the model's own if empty.
             pose: of the model's frame in the world; the model's own pose if None.
             namespace: robotNamespace of every plugin that has none.
-            tf_prefix: what stands before the names of its frames on TF.
+            tf_prefix: what stands before the names of its frames on TF; or what gives that for
+                the robotNamespace of a plugin.
 
         Raises:
             LabError: the name is taken, or the model or one of its plugins makes no sense.
@@ -299,9 +302,11 @@ class Simulation:
         self.step = step
 
     def _mount(
-        self, model: Model, bodies: Mapping[str, Body], plugin: Plugin, tf_prefix: str
+        self, model: Model, bodies: Mapping[str, Body], plugin: Plugin, tf_prefix: TfPrefix
     ) -> Mount:
         gravity = -self.world.gravity[2]
+        if callable(tf_prefix):
+            tf_prefix = tf_prefix(plugin.tags.get("robotNamespace", ""))
         return Mount(
             model,
             bodies,
@@ -314,7 +319,7 @@ class Simulation:
         )
 
     def _make_devices(
-        self, model: Model, bodies: Mapping[str, Body], tf_prefix: str
+        self, model: Model, bodies: Mapping[str, Body], tf_prefix: TfPrefix
     ) -> Tuple[Device, ...]:
         devices = []
         for plugin in model.plugins:
