@@ -1,7 +1,9 @@
 """Says how far the robot is from each beacon.
 
 :ROS Parameters: see `TrackRobotParameters`.
-:ROS Subscribers: odom (nav_msgs/Odometry)
+:ROS Subscribers:
+    - odom (nav_msgs/Odometry)
+    - /bullet_lab/world (visualization_msgs/MarkerArray), if ~watch: beacons that come and go
 :ROS Publishers, for each beacon, named as the beacon:
     - beacon_0 (std_msgs/String): the report's line
     - beacon_0/range (sensor_msgs/Range): the same distance as a number, stamped as the odometry
@@ -11,6 +13,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass
 from typing import Any, List, Tuple, Union
 
@@ -23,10 +26,13 @@ from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.ros import parameters
+from bullet_lab.ros.depopulate import numbered
 from bullet_lab.ros.lock_step import join_when
 from bullet_lab.ros.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
 from bullet_lab.ros.publishers import Publisher, lossless_publisher
+from bullet_lab.ros.standing_models import TOPIC as WORLD
+from bullet_lab.ros.standing_models import StandingModels
 
 Number = Union[int, float]
 DEFAULT_BEACONS = (("beacon_0", 1, 1), ("beacon_1", 5, 1), ("beacon_2", -5, 1))
@@ -69,6 +75,10 @@ class TrackRobotParameters:
         "a list of [name, x, y] with names that topics can have and finite x and y in metres",
         accept_beacons,
     )
+    watch: bool = parameters.boolean(
+        False, "take up beacons that are placed in the world, and drop those taken away"
+    )
+    prefix: str = parameters.text("beacon", "first part of those beacons' names: beacon_0 …")
     lock_step: bool = parameters.boolean(False, "tell the bridge when ready; lose no message")
 
 
@@ -97,15 +107,25 @@ class _BeaconTopics:
         message.min_range, message.max_range, message.range = 0.0, math.inf, dist
         self._range.publish(message)
 
+    def close(self) -> None:
+        """Publish nothing more."""
+        self._line.unregister()
+        self._range.unregister()
+
 
 class TrackRobot:
     """Measures the distances whenever the robot says where it is."""
 
     def __init__(self, wanted: TrackRobotParameters):
-        self._beacons = [_BeaconTopics(beacon, wanted.lock_step) for beacon in wanted.beacons]
+        self._wanted = wanted
+        self._lock = threading.Lock()
+        self._beacons = tuple(_BeaconTopics(one, wanted.lock_step) for one in wanted.beacons)
         self._markers = Publisher("beacon_markers", MarkerArray, queue_size=1)
         self._frames = FrameGuard()
         self._refusals = Refusals()
+        self._standing = StandingModels()
+        if wanted.watch:
+            self._world = rospy.Subscriber(WORLD, MarkerArray, self._watch)
         self.sub = rospy.Subscriber("odom", Odometry, self.callback, tcp_nodelay=True)
 
     def callback(self, msg: Odometry) -> None:
@@ -116,11 +136,44 @@ class TrackRobot:
         except OdometryError as error:
             self._refusals.refuse("odom", str(error))
             return
+        with self._lock:
+            self._measure(msg, x, y)
+
+    def _measure(self, msg: Odometry, x: float, y: float) -> None:
         distances = [distance(x, y, t.beacon.x, t.beacon.y) for t in self._beacons]
         for topics, dist in zip(self._beacons, distances):
             topics.publish(Header(0, msg.header.stamp, msg.child_frame_id), dist)
         if self._markers.get_num_connections() > 0:
             self._markers.publish(self._draw(msg, distances))
+
+    def _watch(self, message: MarkerArray) -> None:
+        self._standing.take(message)
+        with self._lock:
+            self._follow_the_world()
+
+    def _follow_the_world(self) -> None:
+        """Keep to the beacons that stand in the world, each where it stands now."""
+        names = set(numbered(self._standing.names(), self._wanted.prefix))
+        kept, gone = [], []
+        for topics in self._beacons:
+            listed = topics.beacon in self._wanted.beacons
+            (kept if listed or topics.beacon.name in names else gone).append(topics)
+        for topics in kept:
+            names.discard(topics.beacon.name)
+            place = self._standing.origin(topics.beacon.name)
+            if place is not None and topics.beacon not in self._wanted.beacons:
+                topics.beacon = Beacon(topics.beacon.name, *place[:2])
+        for name in sorted(names):
+            x, y, _ = self._standing.origin(name)
+            kept.append(_BeaconTopics(Beacon(name, x, y), self._wanted.lock_step))
+            rospy.loginfo("%s stands at (%.2f, %.2f) m", name, x, y)
+        self._beacons = tuple(kept)
+        for topics in gone:
+            rospy.loginfo("%s is gone", topics.beacon.name)
+            topics.close()
+        if gone:
+            # Fewer labels than before: those that stay are drawn anew.
+            self._markers.publish(MarkerArray([Marker(action=Marker.DELETEALL)]))
 
     def _draw(self, msg: Odometry, distances: List[float]) -> MarkerArray:
         markers = []
