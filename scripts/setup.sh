@@ -71,6 +71,7 @@ noetic_packages() {
 # ---- Steps: each has its inputs; it is done again when their checksum changes ----
 
 inputs_of() {
+  local name
   echo "$LAB_ROOT $LAB_ROS"
   case $1 in
     debian-*) debian_packages "${1#debian-}" ;;
@@ -82,7 +83,10 @@ inputs_of() {
     build)
       package_entries
       cat "$LAB_ROOT"/{CMakeLists.txt,package.xml,setup.py} "$LAB_ROOT"/{action,msg,srv}/*
-      has_gazebo_msgs || cat "$LAB_ROOT"/stand_ins/gazebo_msgs/{CMakeLists.txt,package.xml}
+      for name in $(stand_ins); do
+        ls "$LAB_ROOT/stand_ins/$name"/*
+        cat "$LAB_ROOT/stand_ins/$name"/{CMakeLists.txt,package.xml}
+      done
       ;;
   esac
 }
@@ -245,16 +249,23 @@ link_package() {
   done
 }
 
-has_gazebo_msgs() { [[ -e $LAB_ROS/share/gazebo_msgs/package.xml ]]; }
+# What was written for Gazebo names its packages: where the real ones are absent, ours are built
+# beside us.
+stand_ins() {
+  local folder name
+  for folder in "$LAB_ROOT"/stand_ins/*/; do
+    name=$(basename "$folder")
+    [[ -e $LAB_ROS/share/$name/package.xml ]] || echo "$name"
+  done
+}
 
 step_build() {
-  local title=$1 log=$2
+  local title=$1 log=$2 name
   link_package "$LAB_WS/src/bullet_lab"
-  rm -rf "$LAB_WS/src/gazebo_msgs"
-  # Clients of Gazebo import its message package: without the real one, ours is built beside us.
-  if ! has_gazebo_msgs; then
-    ln -s "$LAB_ROOT/stand_ins/gazebo_msgs" "$LAB_WS/src/gazebo_msgs"
-  fi
+  find "$LAB_WS/src" -maxdepth 1 -lname "*/stand_ins/*" -delete
+  for name in $(stand_ins); do
+    ln -s "$LAB_ROOT/stand_ins/$name" "$LAB_WS/src/$name"
+  done
   # What was built elsewhere, before the clone was moved, is of no use.
   if ! grep -qsxF "CMAKE_HOME_DIRECTORY:INTERNAL=$LAB_WS/src" "$LAB_WS/build/CMakeCache.txt"; then
     rm -rf "$LAB_WS/build" "$LAB_WS/devel"

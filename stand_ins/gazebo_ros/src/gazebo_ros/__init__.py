@@ -1,0 +1,1 @@
+"""What scripts import of Gazebo's gazebo_ros."""

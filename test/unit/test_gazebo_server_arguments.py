@@ -1,0 +1,69 @@
+import os
+
+import pytest
+
+from bullet_lab.ros.gazebo_server_arguments import (
+    ServerArguments,
+    ServerArgumentsError,
+    find_world,
+    parse_server_arguments,
+)
+from bullet_lab.simulation.resources import package_share
+
+
+def parse(line):
+    return parse_server_arguments(line.split(" "))
+
+
+def test_what_empty_world_launch_says():
+    assert parse("-u    --verbose -e ode  worlds/empty.world") == ServerArguments(paused=True)
+    assert parse("   -e ode  /a/b.world") == ServerArguments("/a/b.world")
+
+
+def test_nothing_said():
+    assert parse_server_arguments([]) == ServerArguments("worlds/empty.world", False, 0, ())
+
+
+def test_what_has_no_meaning_here_is_passed_over():
+    line = "-r --record_path /tmp/x -q --minimal_comms --lockstep -e bullet -o default my.world"
+    assert parse(line) == ServerArguments("my.world")
+
+
+def test_seed_and_plugins():
+    line = "--seed 7 -s libgazebo_ros_api_plugin.so -s /lib/libgazebo_ros_paths_plugin.so -s w.so a"
+    assert parse(line) == ServerArguments("a", seed=7, plugins=("w.so",))
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("-p state.log", "--play is not simulated"),
+        ("--iters 100 a.world", "--iters is not simulated"),
+        ("--seed -3", "--seed -3 is negative"),
+        ("--seed x", "argument --seed: invalid int value: 'x'"),
+        ("a.world b.world", "unrecognized arguments: b.world"),
+        ("--nix", "unrecognized arguments: --nix"),
+    ],
+)
+def test_refusals(line, said):
+    with pytest.raises(ServerArgumentsError, match=said):
+        parse(line)
+
+
+def test_worlds_are_looked_up_as_in_gazebo(tmp_path, monkeypatch):
+    here, first, second = (tmp_path / name for name in ("here", "first", "second"))
+    for folder in (here, first, second):
+        (folder / "worlds").mkdir(parents=True)
+    monkeypatch.setenv("GAZEBO_RESOURCE_PATH", os.pathsep.join(map(str, (first, "", second))))
+    own = package_share() / "worlds" / "empty.world"
+    assert find_world("worlds/empty.world", here) == str(own)
+    for folder in (second, first, here):
+        (folder / "worlds" / "empty.world").write_text("<sdf/>")
+        assert find_world("worlds/empty.world", here) == str(folder / "worlds" / "empty.world")
+    with pytest.raises(ServerArgumentsError, match="'nix.world' is in none of .*first.*second"):
+        find_world("nix.world", here)
+
+
+@pytest.mark.parametrize("name", ["/nix/a.world", "package://p/w.world", "model://m/w.world"])
+def test_worlds_that_need_no_search(name):
+    assert find_world(name) == name

@@ -1,0 +1,97 @@
+import pytest
+
+from bullet_lab.ros.spawn_arguments import (
+    SpawnArgumentsError,
+    database_text,
+    packages_to_models,
+    parse_spawn_arguments,
+)
+from bullet_lab.simulation.pose import Pose
+
+
+def parse(line, namespace="/"):
+    return parse_spawn_arguments(line.split(), namespace)
+
+
+def test_the_line_of_most_launch_files():
+    told = parse("-urdf -param robot_description -model rover -x 1 -y -2.5 -z 0.1 -Y 1.57")
+    assert (told.urdf, told.source, told.source_name) == (True, "param", "robot_description")
+    assert (told.model, told.robot_namespace, told.gazebo_namespace) == ("rover", "/", "/gazebo")
+    assert told.pose.position == (1.0, -2.5, 0.1)
+    assert told.pose.rpy() == pytest.approx((0.0, 0.0, 1.57))
+    assert not (told.unpause or told.bond or told.package_to_model)
+    assert (told.wait, told.reference_frame, told.joints) == ("", "", {})
+
+
+def test_all_of_it():
+    told = parse(
+        "-sdf -file /a/b.sdf -model m -reference_frame other::link -robot_namespace left "
+        "-gazebo_namespace /sim/ -wait ground_plane -unpause -package_to_model -b "
+        "-R 0.1 -P -0.2 -Y 3 -J shoulder 0.5 -J elbow -1e-3"
+    )
+    assert (told.urdf, told.source, told.source_name) == (False, "file", "/a/b.sdf")
+    assert (told.reference_frame, told.robot_namespace) == ("other::link", "left")
+    assert (told.gazebo_namespace, told.wait) == ("/sim", "ground_plane")
+    assert (told.unpause, told.package_to_model, told.bond) == (True, True, True)
+    assert told.pose.rpy() == pytest.approx((0.1, -0.2, 3.0))
+    assert told.joints == {"shoulder": 0.5, "elbow": -1e-3}
+
+
+@pytest.mark.parametrize("x", ["-1", "-1.5", "-.5", "-1e-3", "1e2", "+2", "-2E+1", "-3."])
+def test_numbers_in_any_spelling(x):
+    told = parse(f"-sdf -stdin -model m -x {x} -J j {x}")
+    assert told.pose == Pose((float(x), 0.0, 0.0))
+    assert told.joints["j"] == pytest.approx(float(x), abs=1e-15)
+
+
+def test_the_robot_is_in_the_namespace_of_the_node_if_nothing_else_is_said():
+    assert parse("-urdf -stdin -model m", "/left/").robot_namespace == "/left/"
+    assert parse("-urdf -stdin -model m -namespace /right", "/l/").robot_namespace == "/right"
+
+
+def test_sources():
+    assert parse("-sdf -database table -model t").source == "database"
+    assert parse("-sdf -stdin -model t").source == "stdin"
+    assert parse("-gazebo -file f -model t").urdf is False
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("-file f -model m", "one of the arguments -urdf -sdf/-gazebo is required"),
+        ("-urdf -sdf -file f -model m", "not allowed with argument"),
+        ("-urdf -model m", "one of the arguments -file -param -database -stdin is required"),
+        ("-urdf -file f -param p -model m", "not allowed with argument"),
+        ("-urdf -file f", "required: -model"),
+        ("-urdf -file f -model m -x one", "'one' is not a finite number"),
+        ("-urdf -file f -model m -z nan", "'nan' is not a finite number"),
+        ("-urdf -file f -model m -Y", "-Y: expected one argument"),
+        ("-urdf -file f -model m -J j", "-J: expected 2 arguments"),
+        ("-urdf -file f -model m -J j far", "'far' is not a finite number"),
+        ("-trimesh -file f -model m", "required"),
+        ("-urdf -file f -model m -trimesh_mass 1", "unrecognized arguments: -trimesh_mass 1"),
+    ],
+)
+def test_refusals(line, said):
+    with pytest.raises(SpawnArgumentsError) as caught:
+        parse(line)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_empty_names():
+    with pytest.raises(SpawnArgumentsError, match="-model: it is empty"):
+        parse_spawn_arguments(["-urdf", "-stdin", "-model", ""])
+
+
+def test_a_model_of_the_database_is_included():
+    assert "<uri>model://a&amp;b</uri>" in database_text("a&b")
+
+
+def test_meshes_of_packages_as_models():
+    text = """<mesh filename="package://a/b.dae"/><mesh scale="1 1 1" filename='package://c/d'/>
+<texture filename="package://e/f.png"/>"""
+    assert packages_to_models(text) == (
+        """<mesh filename="model://a/b.dae"/><mesh scale="1 1 1" filename='model://c/d'/>
+<texture filename="package://e/f.png"/>"""
+    )
