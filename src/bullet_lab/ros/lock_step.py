@@ -12,6 +12,7 @@ from typing import Any, Callable, Protocol
 
 import rospy
 
+from bullet_lab.ros.connections import publishers_know_this_node
 from bullet_lab.ros.node import NodeError, wait_until
 from bullet_lab.ros.publishers import Publisher
 from bullet_lab.srv import Advance, AdvanceRequest
@@ -26,6 +27,12 @@ class Rate(Protocol):
 
     def sleep(self) -> None:
         """Wait for the next tick."""
+
+
+class Counted(Protocol):
+    """What knows how many messages have been sent to the bridge."""
+
+    count: int
 
 
 class LockStep:
@@ -45,7 +52,11 @@ class LockStep:
         self._call = rospy.ServiceProxy(SERVICE, Advance, persistent=True)
 
     def listen_only(self) -> None:
-        """Join as one that never holds time back: "I am ready, do start"."""
+        """Join as one that never holds time back: "I am ready, do start".
+
+        Waits until all publishers that this node has found will send to it.
+        """
+        wait_until(publishers_know_this_node, "the publishers to take note of this node")
         self.advance(END_OF_TIME)
 
     def advance(self, until: rospy.Time, commands: int = 0) -> rospy.Time:
@@ -103,10 +114,10 @@ class LockStepRate:
 
     Args:
         hz: ticks per simulated second.
-        commands: the publisher of what the node tells the bridge.
+        commands: the publisher of what the node tells the bridge, or what counts for several.
     """
 
-    def __init__(self, hz: float, commands: CountedPublisher):
+    def __init__(self, hz: float, commands: Counted):
         self._period = rospy.Duration(1.0 / hz)
         self._commands = commands
         self._lock_step = LockStep()

@@ -6,12 +6,14 @@
     - noisy_odom (nav_msgs/Odometry), one message for each on odom, with its stamp
     - noisy_odom_ellipse (visualization_msgs/Marker): where the robot is with 95 % probability
 :ROS Services: noisy_odom_node/set_noise (bullet_lab/SetNoise): another noise from now on
+
+With ~robots, one node does this for as many robots, each in its namespace: robot1 and so on.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import List, Optional, Tuple
+from dataclasses import dataclass, replace
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 import rospy
@@ -30,7 +32,9 @@ from bullet_lab.numerics.odometry_noise import (
     make_rule,
 )
 from bullet_lab.numerics.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
+from bullet_lab.numerics.seeds import derived_seed
 from bullet_lab.ros import parameters
+from bullet_lab.ros.fleet_names import MOST_ROBOTS, robot_names
 from bullet_lab.ros.lock_step import join_when
 from bullet_lab.ros.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
@@ -55,6 +59,9 @@ class NoisyOdomParameters:
     alpha3: float = parameters.number(0.01, "probabilistic: distance from distance", minimum=0.0)
     alpha4: float = parameters.number(0.001, "probabilistic: distance from rotation", minimum=0.0)
     seed: int = parameters.integer(0, "of the random draws", minimum=0)
+    robots: int = parameters.integer(
+        0, "serve robot1 … robot<n>, each with a seed of its own derived from ~seed", 0, MOST_ROBOTS
+    )
     as_published: bool = parameters.boolean(False, "run the report's algorithm, defects and all")
     rate: float = parameters.number(
         PUBLISHED_RATE, "Hz at which as_published samples the odometry", above=0.0
@@ -63,9 +70,14 @@ class NoisyOdomParameters:
 
 
 class NoisyOdometry:
-    """Puts noise on odom and publishes noisy_odom."""
+    """Puts noise on odom and publishes noisy_odom.
 
-    def __init__(self, wanted: NoisyOdomParameters):
+    Args:
+        wanted: parameters.
+        namespace: of the robot, with a slash at its end; empty for the node's own.
+    """
+
+    def __init__(self, wanted: NoisyOdomParameters, namespace: str = ""):
         self.std = wanted.std
         self.msg: Optional[Odometry] = None
         self.last_odom: Optional[Odometry] = None
@@ -78,14 +90,15 @@ class NoisyOdometry:
         self._frames = FrameGuard()
         self._refusals = Refusals()
         self.pub = (
-            lossless_publisher("noisy_odom", Odometry)
+            lossless_publisher(f"{namespace}noisy_odom", Odometry)
             if wanted.lock_step
-            else Publisher("noisy_odom", Odometry, queue_size=QUEUE_SIZE)
+            else Publisher(f"{namespace}noisy_odom", Odometry, queue_size=QUEUE_SIZE)
         )
-        self._ellipse = Publisher("noisy_odom_ellipse", Marker, queue_size=1)
-        self._service = rospy.Service("~set_noise", SetNoise, self.set_noise)
+        self._ellipse = Publisher(f"{namespace}noisy_odom_ellipse", Marker, queue_size=1)
+        self._service = rospy.Service(_service_name(namespace), SetNoise, self.set_noise)
+        self._topic = f"{namespace}odom"
         # No queue size: a message that is dropped here would be missing in the noisy path.
-        self.sub = rospy.Subscriber("odom", Odometry, self.odom_callback, tcp_nodelay=True)
+        self.sub = rospy.Subscriber(self._topic, Odometry, self.odom_callback, tcp_nodelay=True)
 
     def odom_callback(self, msg: Odometry) -> None:
         """Take the next message; refuse it if it is no pose in the frames of the first."""
@@ -95,7 +108,7 @@ class NoisyOdometry:
             if self.msg is not None:
                 self._check_time(msg)
         except OdometryError as error:
-            self._refusals.refuse("odom", str(error))
+            self._refusals.refuse(self._topic, str(error))
             return
         self.msg = msg
         if self._sampler is None or self._sampler.due(msg.header.stamp.to_sec()):
@@ -146,6 +159,24 @@ class NoisyOdometry:
         if self.last_odom is None:
             return None
         return (msg.header.stamp - self.last_odom.header.stamp).to_sec()
+
+
+def _service_name(namespace: str) -> str:
+    """Return the name that set_noise would have if a node ran in each namespace."""
+    if not namespace:
+        return "~set_noise"
+    node = rospy.get_name().rsplit("/", 1)[-1]
+    return f"{namespace}{node}/set_noise"
+
+
+def robots_of(wanted: NoisyOdomParameters) -> Dict[str, NoisyOdomParameters]:
+    """Return the parameters of each robot by its namespace, with a slash at its end."""
+    if not wanted.robots:
+        return {"": wanted}
+    return {
+        f"{name}/": replace(wanted, seed=derived_seed(wanted.seed, index))
+        for index, name in enumerate(robot_names(wanted.robots))
+    }
 
 
 def _copy(msg: Odometry) -> Odometry:
@@ -214,9 +245,12 @@ def main() -> None:
 
     def body() -> None:
         wanted = private_parameters(NoisyOdomParameters)
-        odom = NoisyOdometry(wanted)
+        robots = [NoisyOdometry(its, name) for name, its in robots_of(wanted).items()]
         if wanted.lock_step:
-            join_when(lambda: odom.sub.get_num_connections() > 0, "somebody to publish odom")
+            join_when(
+                lambda: all(robot.sub.get_num_connections() > 0 for robot in robots),
+                "somebody to publish odom",
+            )
         rospy.spin()
 
     run_node("noisy_odom_node", body)

@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+
+pytest.importorskip("rospy")
+
+from bullet_lab.numerics.seeds import derived_seed
+from bullet_lab.numerics.trajectory import Trajectory
+from bullet_lab.plotting.fleet_figure import RobotPaths, fleet_figure
+from bullet_lab.recording.fleet_summary import fleet_summary
+from bullet_lab.recording.squares_summary import squares_summary
+from bullet_lab.ros.fleet_names import robot_names
+from bullet_lab.ros.noisy_odom import NoisyOdomParameters, robots_of
+from bullet_lab.ros.parameters import read_parameters
+
+FIGURES = {"final_error_m": 0.3, "final_heading_error_deg": -2.0, "ape_rmse_m": 0.1}
+
+
+def path(x=0.0, y=0.0):
+    places = np.array([(0, 0, 0), (1, 0, 0), (1, -1, 0), (0, -1, 0)], dtype=float)
+    return Trajectory(np.arange(4.0), places + (x, y, 0.0))
+
+
+def test_robots_are_counted_from_one():
+    assert robot_names(3) == ["robot1", "robot2", "robot3"]
+
+
+def test_each_robot_has_noise_of_its_own():
+    given = {"~robots": 2, "~seed": 7, "~std": 0.3}
+    wanted = read_parameters(NoisyOdomParameters, given.get)
+    robots = robots_of(wanted)
+    assert list(robots) == ["robot1/", "robot2/"]
+    assert [its.seed for its in robots.values()] == [derived_seed(7, 0), derived_seed(7, 1)]
+    assert {its.std for its in robots.values()} == {0.3}
+
+
+def test_without_a_number_of_robots_there_is_one_in_the_nodes_namespace():
+    wanted = read_parameters(NoisyOdomParameters, {"~seed": 7}.get)
+    assert robots_of(wanted) == {"": wanted}
+
+
+def test_summary_has_mean_and_largest_errors():
+    robots = [
+        {"name": "robot1", **FIGURES},
+        {"name": "robot2", **FIGURES, "final_error_m": 0.4, "final_heading_error_deg": 1.0},
+    ]
+    summary = fleet_summary(robots)
+    assert summary["final_error_m_rms"] == pytest.approx(np.sqrt((0.09 + 0.16) / 2))
+    assert summary["final_error_m_largest"] == 0.4
+    assert summary["final_heading_error_deg_largest"] == 2.0
+    assert summary["robots"] == robots
+
+
+def test_summary_of_robots_that_have_not_moved_has_no_errors():
+    robots = [{"name": "robot1", **FIGURES}, {"name": "robot2", **squares_summary(None, None)}]
+    assert fleet_summary(robots)["final_error_m_rms"] is None
+    assert fleet_summary([])["ape_rmse_m_largest"] is None
+
+
+@pytest.mark.parametrize("number", [1, 2, 7, 20])
+def test_figure_shows_all_paths_to_one_scale(number):
+    robots = [
+        RobotPaths(name, path(2.5 * (k % 5), 2.5 * (k // 5)), path(2.5 * (k % 5) + 0.1))
+        for k, name in enumerate(robot_names(number))
+    ]
+    figure = fleet_figure(robots, "fleet")
+    (axes,) = figure.axes
+    assert axes.get_aspect() == 1.0
+    assert [text.get_text() for text in axes.texts] == robot_names(number)
+    for robot in robots:
+        for trajectory in (robot.perfect, robot.noisy):
+            drawn = [line.get_xydata() for line in axes.lines]
+            assert any(np.array_equal(trajectory.poses[:, :2], line) for line in drawn)
+    low, high = np.transpose([axes.get_xlim(), axes.get_ylim()])
+    places = np.concatenate([robot.perfect.poses[:, :2] for robot in robots])
+    assert (places > low).all() and (places < high).all()
+
+
+def test_figure_of_robots_that_have_sent_nothing_yet():
+    figure = fleet_figure([RobotPaths("robot1", None, None)], "fleet")
+    figure.canvas.draw()
+    assert not figure.axes[0].texts
