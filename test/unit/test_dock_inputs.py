@@ -1,6 +1,7 @@
 import math
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from bullet_lab.ros.dock_inputs import (
     sightings_of,
 )
 from bullet_lab.ros.odometry import OdometryError
-from bullet_lab.ros.touches import TouchCounter
+from bullet_lab.ros.touches import Touches
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
@@ -239,7 +240,11 @@ def test_touches_are_counted_anew_each_time_and_the_floor_is_none():
     listener = Listener()
     with Simulation.of("package://bullet_lab/worlds/docking.world") as simulation:
         robot = simulation.spawn("package://bullet_lab/urdf/camera_robot.urdf")
-        TouchCounter(simulation, robot.name, listener)
+        wiring = SimpleNamespace(publisher=lambda topic, kind: listener)
+        world = SimpleNamespace(
+            simulation=simulation, models=simulation.models, wiring=wiring, changed=[]
+        )
+        Touches(world)
         simulation.run_for(0.5)
         assert listener.messages[-1].models == []
         assert len(listener.messages) == 5
