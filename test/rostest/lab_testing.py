@@ -204,3 +204,29 @@ def odometry(seconds, x=0.0, y=0.0, yaw=0.0, frame="odom", child="base_footprint
     turn = message.pose.pose.orientation
     turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(yaw)
     return message
+
+
+def run_job(job, *words, folder, status=0, timeout=250):
+    """Run a job on a master of its own; return its output folder and what it printed.
+
+    Args:
+        job: its name.
+        words: arguments such as "seed:=1".
+        folder: where a folder for this run is made.
+        status: that it is to end with.
+        timeout: s that it may take.
+    """
+    where = Path(tempfile.mkdtemp(dir=folder))
+    environment = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
+    run = subprocess.run(
+        [sys.executable, "-m", "bullet_lab.ros.launcher", job, *words, "out:=out"],
+        cwd=where,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=timeout,
+    )
+    if run.returncode != status:
+        raise AssertionError(f"{job} {words} ended with status {run.returncode}:\n{run.stdout}")
+    return where / "out", run.stdout

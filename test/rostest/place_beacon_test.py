@@ -121,7 +121,8 @@ class PlaceBeaconTest(unittest.TestCase):
         self.placed.wait(1)
         ranges, line = self.topic("beacon_3/range", Range), self.topic("beacon_3", String)
         self.assertAlmostEqual(5.0, ranges.wait(2)[-1].range, 2)
-        self.assertTrue(line.wait(1)[0].data.startswith("source: beacon_3, position: x:3.0 y:-4.0,"))
+        said = "source: beacon_3, position: x:3.0 y:-4.0,"
+        self.assertTrue(line.wait(1)[0].data.startswith(said))
         delete("beacon_3")
         wait_for(lambda: not ranges.is_connected(), "the beacon's topic to go")
         # The configured ones stay, whatever becomes of them.

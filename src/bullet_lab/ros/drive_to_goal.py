@@ -170,7 +170,9 @@ class DriveToGoal:
             self._refuse(message, str(error))
             return
         with self._noted:
-            self._events.append(_Request(self._make_id(message), frame, goal))
+            request = _Request(self._make_id(message), frame, goal)
+            self._topics.say(request.goal_id, GoalStatus.PENDING, "taken up at the next tick")
+            self._events.append(request)
 
     def _receive_cancel(self, message: GoalID) -> None:
         with self._noted:

@@ -48,6 +48,8 @@ class VirtualScreen:
         self._display = f":{number}"
         os.environ["DISPLAY"] = self._display
         os.environ["LIBGL_ALWAYS_SOFTWARE"] = "1"
+        # For launch files: nobody sits before this screen.
+        os.environ["BULLET_LAB_VIRTUAL_SCREEN"] = self._display
         return self
 
     def _start(self, writer: int) -> None:

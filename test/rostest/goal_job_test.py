@@ -1,0 +1,51 @@
+#!/usr/bin/env python3
+"""The goal job ends at the goal, with either robot, and runs the same way each time."""
+
+import json
+import math
+import tempfile
+import unittest
+
+import rostest
+from lab_testing import run_job
+
+from bullet_lab.numerics.trajectory import read_tum
+
+FOLDER = tempfile.TemporaryDirectory()
+
+
+def run(*words):
+    out, _ = run_job("goal", *words, folder=FOLDER.name)
+    return out, json.loads((out / "summary.json").read_text())
+
+
+class GoalJobTest(unittest.TestCase):
+    """Short ways, so that it does not take long."""
+
+    def test_the_robot_stops_at_the_goal_and_the_run_can_be_repeated(self):
+        words = ("x:=0.5", "y:=-0.3", "yaw:=90")
+        (out, summary), (again, _) = run(*words), run(*words)
+        self.assertTrue(summary["finished"])
+        (goal,) = summary["goals"]
+        self.assertTrue(goal["reached"], goal)
+        self.assertLess(goal["distance_m"], 0.05)
+        self.assertLess(abs(goal["yaw_error_deg"]), 3.0)
+        self.assertLessEqual(summary["greatest_speed_mps"], 0.2)
+        path = read_tum(out / "truth.tum")
+        self.assertLess(math.dist(path.poses[-1][:2], (0.5, -0.3)), 0.05)
+        self.assertTrue((out / "path.png").is_file())
+        # To the byte, though the nodes run in processes of their own.
+        self.assertTrue((out / "truth.tum").read_bytes() == (again / "truth.tum").read_bytes())
+
+    def test_the_camera_robot_by_noisy_odometry_without_heading(self):
+        _, summary = run(
+            "x:=-0.4", "y:=0.2", "robot:=camera_robot", "odom:=noisy_odom", "heading:=false"
+        )
+        (goal,) = summary["goals"]
+        self.assertTrue(goal["reached"], goal)
+        # The noise is 0.1 m per metre.
+        self.assertLess(goal["distance_m"], 0.2)
+
+
+if __name__ == "__main__":
+    rostest.rosrun("bullet_lab", "goal_job_test", "__main__")

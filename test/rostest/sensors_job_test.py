@@ -1,0 +1,75 @@
+#!/usr/bin/env python3
+"""The sensors job leaves what each sensor measured, true to the world."""
+
+import csv
+import json
+import tempfile
+import unittest
+
+import numpy as np
+import rostest
+from lab_testing import run_job
+
+FOLDER = tempfile.TemporaryDirectory()
+# Of worlds/sensors.world and urdf/sensor_robot.urdf.
+WALL_X, SONAR_X = 3.15, 0.12
+COLUMN_NEAREST = 0.45
+CRATE_WEIGHT, CRATE_FRICTION = 2.0 * 9.8, 0.5
+
+
+class SensorsJobTest(unittest.TestCase):
+    """One run for all tests."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.out, _ = run_job("sensors", "bag:=true", folder=FOLDER.name)
+        cls.summary = json.loads((cls.out / "summary.json").read_text())
+
+    def rows(self, name):
+        with (self.out / f"{name}.csv").open() as file:
+            reader = csv.reader(file)
+            header = next(reader)
+            values = np.array([[float(cell) for cell in row] for row in reader])
+        self.assertEqual("stamp", header[0])
+        return values
+
+    def test_every_message_of_every_sensor(self):
+        self.assertTrue(self.summary["finished"])
+        self.assertEqual(0, self.summary["refused_messages"])
+        for name, period in {"odom": 50, "scan": 100, "range": 50, "imu": 20, "bumper": 50}.items():
+            stamps = np.round(1000.0 * self.rows(name)[:, 0])
+            self.assertEqual({period}, set(np.diff(stamps)), name)
+
+    def test_the_sonar_sees_the_wall_come(self):
+        sonar, odom = self.rows("range"), self.rows("odom")
+        first_side = (sonar[:, 0] > 1.5) & (sonar[:, 0] < 9.0)
+        x = np.interp(sonar[first_side, 0], odom[:, 0], odom[:, 1])
+        error = sonar[first_side, 1] - (WALL_X - SONAR_X - x)
+        self.assertLess(abs(error.mean()), 0.005)
+        self.assertAlmostEqual(0.005, error.std(), delta=0.002)
+
+    def test_the_scanner_passes_the_column(self):
+        scans = self.rows("scan")
+        self.assertEqual(361, scans.shape[1])
+        passing = scans[(scans[:, 0] > 4.0) & (scans[:, 0] < 6.0), 1:]
+        self.assertAlmostEqual(COLUMN_NEAREST, np.median(passing.min(axis=1)), delta=0.03)
+
+    def test_the_bumper_feels_the_friction_of_the_crate(self):
+        self.assertEqual(["crate"], self.summary["touched"])
+        self.assertAlmostEqual(
+            CRATE_FRICTION * CRATE_WEIGHT, self.summary["median_push_N"], delta=0.5
+        )
+        bumper = self.rows("bumper")
+        self.assertEqual(0.0, np.abs(bumper[bumper[:, 0] < 15.0, 1:]).max())
+
+    def test_gravity_and_turns(self):
+        self.assertAlmostEqual(9.8, self.summary["mean_upward_acceleration_mps2"], delta=0.01)
+        self.assertAlmostEqual(0.52, self.summary["greatest_turn_rate_radps"], delta=0.05)
+
+    def test_picture_and_bag(self):
+        self.assertTrue((self.out / "sensors.png").is_file())
+        self.assertTrue((self.out / "sensors.bag").is_file())
+
+
+if __name__ == "__main__":
+    rostest.rosrun("bullet_lab", "sensors_job_test", "__main__")

@@ -1,0 +1,90 @@
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.plotting.sensors_figure import sensors_figure
+from bullet_lab.recording.sensors import Angles, SensorsRecording, scan_points, sensors_summary
+from bullet_lab.recording.series import Series, SeriesError
+
+MS = 1_000_000
+
+
+def test_rows_are_in_the_file_at_once_and_cut_at_the_end(tmp_path):
+    path = tmp_path / "deep" / "a.csv"
+    series = Series(path, ("x", "y"))
+    series.add(50 * MS, (1, math.inf))
+    assert path.read_text() == "stamp,x,y\n0.050000000,1.0,inf\n"
+    series.add(100 * MS, (0.1, -2.0))
+    series.finish(60 * MS)
+    assert path.read_text() == "stamp,x,y\n0.050000000,1.0,inf\n"
+    stamps, rows = series.table()
+    assert stamps.tolist() == [0.05]
+    assert rows.tolist() == [[1.0, math.inf]]
+
+
+def test_an_empty_series(tmp_path):
+    series = Series(tmp_path / "a.csv", ("x", "y"))
+    assert series.last is None
+    assert series.table()[1].shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "values"), [(100 * MS, (1.0, 2.0)), (200 * MS, (1.0,)), (200 * MS, (math.nan, 1.0))]
+)
+def test_rows_that_are_refused(tmp_path, stamp, values):
+    series = Series(tmp_path / "a.csv", ("x", "y"))
+    series.add(100 * MS, (0.0, 0.0))
+    with pytest.raises(SeriesError):
+        series.add(stamp, values)
+    assert len((tmp_path / "a.csv").read_text().splitlines()) == 2
+
+
+@pytest.fixture
+def recording(tmp_path):
+    found = SensorsRecording(tmp_path, 4)
+    for k in range(4):
+        found.odom.add(50 * k * MS, (0.1 * k, 0.0, math.pi / 2))
+        found.imu.add((50 * k + 1) * MS, (0.0, 0.0, 9.8, 0.0, 0.0, -0.1 * k))
+        found.range.add(50 * k * MS, (3.0 - k,))
+        found.bumper.add(50 * k * MS, (k // 2, -3.0 * (k // 2), 4.0 * (k // 2), 0.0))
+    found.scan.add(100 * MS, (1.0, math.inf, 2.0, -math.inf))
+    return found
+
+
+def test_scans_are_placed_by_the_pose_of_their_moment(recording):
+    points = scan_points(recording, Angles(-math.pi / 2, math.pi / 2))
+    # The robot is at (0.2, 0) and looks along y: the first ray goes along x, the third along -x.
+    np.testing.assert_allclose(points, [(1.2, 0.0), (-1.8, 0.0)], atol=1e-12)
+
+
+def test_a_scan_before_all_odometry_is_left_out(tmp_path):
+    found = SensorsRecording(tmp_path, 1)
+    found.scan.add(0, (1.0,))
+    assert scan_points(found, Angles(0.0, 0.0)).shape == (0, 2)
+    found.odom.add(50 * MS, (0.0, 0.0, 0.0))
+    assert scan_points(found, Angles(0.0, 0.0)).shape == (0, 2)
+
+
+def test_summary(recording):
+    figures = sensors_summary(recording, {"crate", "box"})
+    assert figures["messages"] == {"odom": 4, "scan": 1, "range": 4, "imu": 4, "bumper": 4}
+    assert figures["nearest_scan_m"] == 1.0
+    assert figures["nearest_range_m"] == 0.0
+    assert figures["mean_upward_acceleration_mps2"] == pytest.approx(9.8)
+    assert figures["greatest_turn_rate_radps"] == pytest.approx(0.3)
+    assert (figures["touched"], figures["first_touch_s"]) == (["box", "crate"], 0.1)
+    assert figures["median_push_N"] == pytest.approx(5.0)
+
+
+def test_nothing_measured(tmp_path):
+    found = SensorsRecording(tmp_path, 1)
+    figures = sensors_summary(found, ())
+    assert figures["median_push_N"] is figures["nearest_scan_m"] is None
+    sensors_figure(found, Angles(0.0, 0.0), "nothing")
+
+
+def test_the_picture_has_a_panel_for_each_sensor(recording):
+    figure = sensors_figure(recording, Angles(-math.pi / 2, math.pi / 2), "title")
+    assert len(figure.axes) == 6
+    assert all(axes.lines for axes in figure.axes)
