@@ -6,7 +6,8 @@ import docking_standin as standin
 import numpy as np
 import pytest
 
-from bullet_lab.docking.candidate import Candidate, DockPrior
+from bullet_lab.docking.candidate import Candidate
+from bullet_lab.docking.estimates import DockPrior
 from bullet_lab.docking.marker_model import PixelNoise, Viewpoint, predict
 from bullet_lab.docking.motion import motion_step
 from bullet_lab.docking.types import Odometry

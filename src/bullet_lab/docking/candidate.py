@@ -10,19 +10,21 @@ changes by more or less than it should; the marker's height betrays many at once
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Optional, Tuple
 
 import numpy as np
 
-from bullet_lab.docking.marker_model import (
-    STATES,
-    PixelNoise,
-    Viewpoint,
-    extent_of,
-    noise_covariance,
-    predict,
+from bullet_lab.docking.corner_filter import (
+    applied,
+    filtered,
+    innovations,
+    line_of_sight,
+    squared_distances,
+    turned_place,
 )
+from bullet_lab.docking.estimates import DockEstimate, DockPrior, step_derivatives
+from bullet_lab.docking.marker_model import STATES, PixelNoise, Viewpoint, extent_of, predict
 from bullet_lab.docking.motion import MotionStep
 from bullet_lab.docking.size_test import SCALES, SizeTest
 from bullet_lab.numerics import se2
@@ -37,61 +39,9 @@ _LEAST_WEIGHT = 1e-6
 _LEAST_SHARE = 1e-5
 _FRAMES_AT_A_SPOT, _OF_A_SMALL_ONE, _SMALL = 8, 3, 40.0
 _OUTLIER = 40.0
-_LINEAR = 4.0
 _STUBBORN = 4
-
-
-@dataclass(frozen=True, eq=False)
-class DockEstimate:
-    """Pose of a dock in the robot's frame: mean (3,) and covariance (3, 3)."""
-
-    mean: np.ndarray
-    covariance: np.ndarray
-
-    @property
-    def deviations(self) -> np.ndarray:
-        """Standard deviations of x, y (m) and yaw (rad)."""
-        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-
-    def turned_to(self, yaw: float, variance: float) -> DockEstimate:
-        """Return it with a yaw (rad, rad²) taken into account that something else tells.
-
-        If the two contradict each other, the more certain of them is right: few pixels are off
-        together, and then in all images alike.
-        """
-        off = wrap(yaw - float(self.mean[2]))
-        own = self.covariance
-        doubt = off * off / (4.0 * (float(own[2, 2]) + variance))
-        if doubt > 1.0:
-            if variance > own[2, 2]:
-                return self
-            own = own * doubt
-        gain = own[:, 2] / (own[2, 2] + variance)
-        mean = self.mean + gain * off
-        mean[2] = wrap(float(mean[2]))
-        return DockEstimate(mean, own - np.outer(gain, own[2]))
-
-
-@dataclass(frozen=True, eq=False)
-class DockPrior:
-    """What was believed before the marker was seen: mean (3,) and covariance (3, 3)."""
-
-    mean: np.ndarray
-    covariance: np.ndarray
-
-    def excess(self, poses: np.ndarray) -> np.ndarray:
-        """Return by how much (n, 3) poses are farther off than 3.3 standard deviations, squared."""
-        off = poses - self.mean
-        off[:, 2] = wrap(off[:, 2])
-        squares = np.sum((off @ np.linalg.inv(self.covariance)) * off, axis=1)
-        return np.maximum(squares - 11.0, 0.0)
-
-    def moved(self, motion: MotionStep) -> DockPrior:
-        """Return it as seen by a robot after a step."""
-        mean = se2.between(motion.step, self.mean)
-        by_state, by_step = _step_derivatives(mean, motion.step[2])
-        covariance = by_state @ self.covariance @ by_state.T
-        return DockPrior(mean, covariance + by_step @ motion.covariance @ by_step.T)
+# Wider than this, in px, a marker tells its yaw itself; more deviations, squared, contradict it.
+_CLEAR, _CONTRADICTION = 60.0, 9.0
 
 
 class Candidate:
@@ -121,6 +71,7 @@ class Candidate:
         self._spot: Optional[np.ndarray] = None
         self._spot_frames = 0
         self._outliers = 0
+        self._extent = extent_of(corners)
         self._start(np.asarray(corners, dtype=float), view, height, prior)
 
     # What it is -----------------------------------------------------------------------------
@@ -166,7 +117,7 @@ class Candidate:
         chosen = rng.choice(len(weights), size=count, p=weights)
         roots = np.linalg.cholesky(covariances + 1e-12 * np.eye(3))
         drawn = poses[chosen]
-        drawn += _apply(roots[chosen], rng.standard_normal((count, 3)))
+        drawn += applied(roots[chosen], rng.standard_normal((count, 3)))
         drawn[:, 2] = wrap(drawn[:, 2])
         return drawn
 
@@ -200,7 +151,7 @@ class Candidate:
         dx, dy, turn = motion.step
         self._travel(motion)
         self._x[:, :3] = se2.between(motion.step, self._x[:, :3])
-        by_pose, by_step = _step_derivatives(self._x[:, :3], turn)
+        by_pose, by_step = step_derivatives(self._x[:, :3], turn)
         by_state = np.eye(STATES)
         by_state[:3, :3] = by_pose
         self._p = by_state @ self._p @ by_state.T
@@ -220,18 +171,20 @@ class Candidate:
         beside = float(ray[0] * moved[1] - ray[1] * moved[0])
         self._sizing.travel(-float(ray @ moved), abs(beside), variance)
 
-    def foretell(self, view: Viewpoint) -> np.ndarray:
-        """Return the (4, 2) corners as the likeliest Gaussian foretells them; NaN if behind."""
-        best = np.argmax(self._weights)
-        seen, _, _ = predict(self._x[best : best + 1], self._sizes[best : best + 1], view)
-        return seen[0].reshape(4, 2)
+    def nearest(self, corners: np.ndarray, view: Viewpoint) -> Tuple[float, np.ndarray]:
+        """Return how badly corners fit it, and where it foretells them.
 
-    def misfit(self, corners: np.ndarray, view: Viewpoint) -> float:
-        """Return how badly corners fit it: the least squared Mahalanobis distance (8 values)."""
-        rest, _, covariance = _innovations(
+        Returns:
+            The least squared Mahalanobis distance (of 8 values) of its Gaussians, and the (4, 2)
+            corners as that one foretells them; NaN if behind the camera.
+        """
+        rest, _, covariance = innovations(
             self._x, self._x, self._p, self._sizes, corners, view, self._noise
         )
-        return float(np.min(_squares(rest, covariance)))
+        squares = squared_distances(rest, covariance)
+        best = int(np.argmin(squares))
+        seen, _, _ = predict(self._x[best : best + 1], self._sizes[best : best + 1], view)
+        return float(squares[best]), seen[0].reshape(4, 2)
 
     def see(self, corners: np.ndarray, view: Viewpoint) -> None:
         """Take the corners of one more image into account.
@@ -239,14 +192,15 @@ class Candidate:
         Images from one spot share their errors; after some of them, more say little.
         """
         corners = np.asarray(corners, dtype=float)
-        noise = self._noise_here(extent_of(corners))
-        x, p, squares, logs = _update(self._x, self._p, self._sizes, corners, view, noise)
+        self._extent = extent_of(corners)
+        noise = self._noise_here(self._extent)
+        x, p, squares, logs = filtered(self._x, self._p, self._sizes, corners, view, noise)
         if np.min(squares) > _OUTLIER:
             self._outliers += 1
             if self._outliers < _STUBBORN:
                 return
             self._p[:, :3, :3] *= 4.0
-            x, p, squares, logs = _update(self._x, self._p, self._sizes, corners, view, noise)
+            x, p, squares, logs = filtered(self._x, self._p, self._sizes, corners, view, noise)
         else:
             self._outliers = 0
         self.frames += 1
@@ -258,9 +212,27 @@ class Candidate:
         self._sizing.see(*self._reach(corners, view))
         self._reduce()
 
+    def agree(self, yaw: float, variance: float) -> None:
+        """Take over a yaw (rad, rad²) that something larger tells, where all of its own differ.
+
+        A few pixels that face the camera look alike over 20 degrees, and in all images alike.
+        """
+        real = np.flatnonzero(self._scale == 0)
+        if not len(real) or self._extent > _CLEAR:
+            return
+        off = wrap(yaw - self._x[real, 2])
+        if np.min(off**2 / (self._p[real, 2, 2] + variance)) < _CONTRADICTION:
+            return
+        best = real[np.argmax(self._within[real])]
+        self._x[best, 2] = yaw
+        self._p[best, 2, :] = self._p[best, :, 2] = 0.0
+        self._p[best, 2, 2] = variance
+        self._within[real] = real == best
+        self._reduce()
+
     def _reach(self, corners: np.ndarray, view: Viewpoint) -> Tuple[float, float]:
         """Return the seeming range in m and its standard deviation."""
-        _, reach = _line_of_sight(corners, view, self._size)
+        _, reach = line_of_sight(corners, view, self._size)
         pixels = view.camera.fy * self._size / reach
         return reach, reach * self._noise.corner / max(pixels, 1.0)
 
@@ -298,13 +270,13 @@ class Candidate:
     # How it starts and is kept small --------------------------------------------------------
 
     def _start(self, corners, view: Viewpoint, height: float, prior: DockPrior) -> None:
-        ray, reach = _line_of_sight(corners, view, self._size)
+        ray, reach = line_of_sight(corners, view, self._size)
         count = len(_SLANTS)
         scale = np.repeat(np.arange(len(SCALES)), count)
         slants = np.tile(_SLANTS, len(SCALES))
         sizes = self._size * SCALES[scale]
         distance = reach * SCALES[scale]
-        eye = np.array([*view.moved[:2], 0.0]) + _turned(view.mount, view.moved[2])
+        eye = np.array([*view.moved[:2], 0.0]) + turned_place(view.mount, view.moved[2])
         states = np.zeros((len(scale), STATES))
         states[:, :2] = eye[:2] + distance[:, None] * ray[:2]
         states[:, 2] = wrap(math.atan2(ray[1], ray[0]) + slants)
@@ -315,8 +287,8 @@ class Candidate:
         covariance[:, 3, 3] = np.where(scale == 0, _HEIGHT_KNOWN, _HEIGHT_FREE) ** 2
         covariance[:, 4, 4] = np.where(scale == 0, _GROWTH_KNOWN, _GROWTH_FREE) ** 2
         self._scale, self._sizes = scale, sizes
-        update = _update(states, covariance, sizes, corners, view, self._noise, rounds=6)
-        self._x, self._p, squares, _ = update
+        fitted = filtered(states, covariance, sizes, corners, view, self._noise, rounds=6)
+        self._x, self._p, squares, _ = fitted
         unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
         self._believe(prior)
         logs = -0.5 * np.minimum(squares + unlikely, 2000.0)
@@ -337,7 +309,7 @@ class Candidate:
         off = prior.mean - x[:, :3]
         off[:, 2] = wrap(off[:, 2])
         gain = np.linalg.solve(p[:, :3, :3] + prior.covariance, p[:, :3]).transpose(0, 2, 1)
-        x = x + _apply(gain, off)
+        x = x + applied(gain, off)
         x[:, 2] = wrap(x[:, 2])
         p = p - gain @ p[:, :3]
         self._x[real], self._p[real] = x, 0.5 * (p + p.transpose(0, 2, 1))
@@ -368,94 +340,3 @@ class Candidate:
         off[2] = wrap(float(off[2]))
         spread = np.sqrt(np.diag(self._p[first]))
         return bool(np.all(np.abs(off) < 0.7 * spread + 1e-5))
-
-
-def _step_derivatives(poses: np.ndarray, turn: float) -> Tuple[np.ndarray, np.ndarray]:
-    """Return what a step of the robot does to errors of (..., 3) poses, given after the step.
-
-    Returns:
-        Derivatives by the pose before, (3, 3), and by the step, (..., 3, 3).
-    """
-    cos, sin = math.cos(turn), math.sin(turn)
-    by_pose = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    by_step = np.zeros((*poses.shape[:-1], 3, 3))
-    by_step[..., :2, :2] = -by_pose[:2, :2]
-    by_step[..., 0, 2], by_step[..., 1, 2] = poses[..., 1], -poses[..., 0]
-    by_step[..., 2, 2] = -1.0
-    return by_pose, by_step
-
-
-def _turned(mount, yaw: float) -> np.ndarray:
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    return np.array([cos * mount.x - sin * mount.y, sin * mount.x + cos * mount.y, mount.z])
-
-
-def _line_of_sight(corners, view: Viewpoint, size: float) -> Tuple[np.ndarray, float]:
-    """Return the direction of the marker's centre in the robot's frame, and its range.
-
-    The direction is scaled to unit length on the floor. A slanted marker is narrower than it is
-    tall, so the range comes from its height.
-    """
-    camera = view.camera
-    centre = np.mean(corners, axis=0)
-    across = (camera.cx - centre[0]) / camera.fx
-    ahead = np.array([1.0, across, (camera.cy - centre[1]) / camera.fy])
-    ray = view.mount.rotation() @ ahead
-    cos, sin = math.cos(view.moved[2]), math.sin(view.moved[2])
-    ray = np.array([cos * ray[0] - sin * ray[1], sin * ray[0] + cos * ray[1], ray[2]])
-    tall = 0.5 * (np.hypot(*(corners[3] - corners[0])) + np.hypot(*(corners[2] - corners[1])))
-    depth = camera.fy * size / max(float(tall), 1.0)
-    floor = math.hypot(ray[0], ray[1])
-    return ray / floor, depth * floor
-
-
-def _innovations(start, x, p, sizes, corners, view: Viewpoint, noise: PixelNoise):
-    """Compare corners with states `start` of covariance `p`, linearised at states `x`.
-
-    Returns:
-        What is left to explain (n, 8), derivatives (n, 8, 5) and covariance (n, 8, 8).
-    """
-    seen, by_state, tilts = predict(x, sizes, view)
-    bad = ~np.isfinite(seen).all(axis=1)
-    seen[bad], by_state[bad], tilts[bad] = 1e4, 0.0, 0.0
-    off = start - x
-    off[:, 2] = wrap(off[:, 2])
-    rest = corners.reshape(8) - seen - _apply(by_state, off)
-    covariance = noise_covariance(noise, extent_of(corners), tilts)
-    return rest, by_state, covariance + by_state @ p @ by_state.transpose(0, 2, 1)
-
-
-def _squares(rest: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return squared Mahalanobis distances (n,)."""
-    return np.sum(rest * np.linalg.solve(covariance, rest[..., None])[..., 0], axis=1)
-
-
-def _apply(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Return products (n, i) of matrices (n, i, j) and vectors (n, j).
-
-    Not by einsum, whose last bits depend on where the arrays happen to lie in memory.
-    """
-    return (matrices @ vectors[..., None])[..., 0]
-
-
-def _update(start, p, sizes, corners, view: Viewpoint, noise: PixelNoise, rounds: int = 3):
-    """Take corners into account by the iterated extended Kalman filter.
-
-    Returns:
-        States (n, 5), covariances (n, 5, 5), squared Mahalanobis distances of the corners (n,)
-        and logarithms of the determinants of their covariances (n,).
-    """
-    corners = np.asarray(corners, dtype=float)
-    x = start
-    for number in range(rounds):
-        rest, by_state, covariance = _innovations(start, x, p, sizes, corners, view, noise)
-        gain = np.linalg.solve(covariance, by_state @ p).transpose(0, 2, 1)
-        before, x = x, start + _apply(gain, rest)
-        x[:, 2] = wrap(x[:, 2])
-        if number == 0 and rounds < 6 and np.max(np.abs(rest)) < _LINEAR:
-            break
-        if np.max(np.abs(x - before)) < 1e-4:
-            break
-    left = p - gain @ by_state @ p
-    left = 0.5 * (left + left.transpose(0, 2, 1))
-    return x, left, _squares(rest, covariance), np.linalg.slogdet(covariance)[1]

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bullet_lab.docking.candidate import DockEstimate, DockPrior
 from bullet_lab.docking.database import Dock
+from bullet_lab.docking.estimates import DockEstimate, DockPrior
 from bullet_lab.docking.geometry import clearance, wall_boxes
 from bullet_lab.docking.motion import MotionStep
 from bullet_lab.docking.types import PlanarPose

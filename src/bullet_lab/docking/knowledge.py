@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import List, Optional
+from typing import Dict, List, Optional
 
 import numpy as np
 
-from bullet_lab.docking.candidate import Candidate, DockEstimate, DockPrior
+from bullet_lab.docking.candidate import Candidate
 from bullet_lab.docking.cloud import DockCloud
 from bullet_lab.docking.database import Dock
+from bullet_lab.docking.estimates import DockEstimate, DockPrior
 from bullet_lab.docking.geometry import View
 from bullet_lab.docking.marker_model import Viewpoint, extent_of
 from bullet_lab.docking.motion import MotionStep, OdometryTrack, motion_step
@@ -21,8 +22,12 @@ _SMALLEST = 6.0
 _BORDER = 3.0
 _MOST_CANDIDATES = 8
 _FIT = 45.0
+# By so much may the fit to an old candidate be worse than that to a new one, at most.
+_FAMILIAR = 20
 _SURE_OF_SIZE = 0.8
 _HARDLY_REAL = 0.01
+SAME_WALL = 0.015
+"""How far, in rad, two prints on one wall may differ in yaw (a standard deviation)."""
 
 
 class _Tracked:
@@ -168,6 +173,7 @@ class DockKnowledge:
         view = Viewpoint(observation.camera, self.mount, moved)
         corners = [s.corners for s in observation.sightings if self._wanted(s)]
         self._associate([np.asarray(c, dtype=float) for c in corners], view, observation.stamp)
+        self._agree_on_yaw()
 
     def narrow(self, estimate: DockEstimate, play: float) -> None:
         """Believe that the dock is at a pose, with so much more play to either side in m."""
@@ -207,18 +213,37 @@ class DockKnowledge:
                 cost = _association_cost(tracked.candidate, corners, view)
                 if cost is not None:
                     pairs.append((cost, number, tracked))
-        taken: List[int] = []
-        used: List[_Tracked] = []
+        owners: Dict[int, _Tracked] = {}
         for _, number, tracked in sorted(pairs, key=lambda pair: pair[0]):
-            if number in taken or tracked in used:
-                continue
-            taken.append(number)
-            used.append(tracked)
+            if number not in owners and tracked not in owners.values():
+                owners[number] = tracked
+        self._drop_twins(pairs, owners)
+        for number, tracked in owners.items():
             tracked.candidate.see(sightings[number], view)
             tracked.stamp = stamp
         for number, corners in enumerate(sightings):
-            if number not in taken:
+            if number not in owners:
                 self._begin(corners, view, stamp)
+
+    def _agree_on_yaw(self) -> None:
+        """Set right the yaw of a small marker by a larger copy on the same wall."""
+        copy = self.copy_on_the_wall()
+        if copy is None:
+            return
+        other = copy.likeliest()
+        for tracked in self._tracked:
+            if tracked.candidate is not copy:
+                variance = float(other.covariance[2, 2]) + SAME_WALL**2
+                tracked.candidate.agree(float(other.mean[2]), variance)
+
+    def _drop_twins(self, pairs, owners: Dict[int, _Tracked]) -> None:
+        """Drop younger candidates for what belongs to an older one: it is one thing."""
+        for _, number, tracked in pairs:
+            owner = owners.get(number)
+            if owner is None or tracked in owners.values() or tracked not in self._tracked:
+                continue
+            if tracked.candidate.frames < owner.candidate.frames:
+                self._tracked.remove(tracked)
 
     def _begin(self, corners: np.ndarray, view: Viewpoint, stamp: float) -> None:
         marker, noise = self.dock.marker, self._settings.noise
@@ -239,11 +264,13 @@ def plain_name(dictionary: str) -> str:
 def _association_cost(
     candidate: Candidate, corners: np.ndarray, view: Viewpoint
 ) -> Optional[float]:
-    """Return how badly corners fit a candidate, None if they are not of it."""
-    misfit = candidate.misfit(corners, view)
+    """Return how badly corners fit a candidate, None if they are not of it.
+
+    What was seen often is preferred to what is new and fits anything.
+    """
+    misfit, foretold = candidate.nearest(corners, view)
     if misfit < _FIT:
-        return misfit
-    foretold = candidate.foretell(view)
+        return misfit - min(candidate.frames, _FAMILIAR)
     if not np.isfinite(foretold).all():
         return None
     extent, expected = extent_of(corners), extent_of(foretold)

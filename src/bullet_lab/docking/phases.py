@@ -87,11 +87,10 @@ class Look(Phase):
             pilot.fail(DockingError.NOT_DETECTED, "the marker is not in sight")
         if cloud.mass < settings.give_up_mass:
             pilot.fail(DockingError.NOT_DETECTED, "the marker is not where the dock may be")
-        if knowledge.copies_seen() and not pilot.use_cue() and pilot.probes < _MOST_PROBES:
-            way = pilot.probing_way()
-            if way:
-                pilot.probes += 1
-                return Probe(way)
+        if knowledge.copies_seen() and not pilot.use_cue():
+            probe = probe_size(pilot, searching=True)
+            if probe is not None:
+                return probe
         outlook = pilot.outlook() or pilot.far_outlook()
         if outlook is None:
             pilot.fail(DockingError.NOT_DETECTED, "no safe place to look for the marker from")
@@ -135,12 +134,14 @@ class Probe(Phase):
 
     Args:
         way: m, ahead; negative: back.
+        searching: it ends as soon as the marker is found.
     """
 
     detail = "finding out how large it is what shows the marker"
 
-    def __init__(self, way: float):
+    def __init__(self, way: float, searching: bool = True):
         self._way = way
+        self._searching = searching
         self._start: Optional[np.ndarray] = None
 
     def step(self, pilot: Pilot) -> Tuple[Command, Optional[Phase]]:  # noqa: D102 - inherited
@@ -149,7 +150,7 @@ class Probe(Phase):
             self._start = pose
         moved = se2.between(self._start, pose)
         left = abs(self._way) - abs(float(moved[0]))
-        if left <= 0.0 or pilot.knowledge.best() is not None:
+        if left <= 0.0 or (self._searching and pilot.knowledge.best() is not None):
             return STANDSTILL, Look()
         speed = math.copysign(min(0.2, 0.05 + left), self._way)
         return (speed, clip(-2.0 * float(moved[2]), 0.3)), None
@@ -229,6 +230,17 @@ class Stage(Phase):
         return STANDSTILL, Measure()
 
 
+def probe_size(pilot: Pilot, searching: bool) -> Optional[Phase]:
+    """Return a little drive that tells the sizes of what is seen; None if there were enough."""
+    if pilot.probes >= _MOST_PROBES:
+        return None
+    way = pilot.probing_way()
+    if not way:
+        return None
+    pilot.probes += 1
+    return Probe(way, searching)
+
+
 def decide(pilot: Pilot) -> Phase:
     """Return what to do about a marker that was measured at rest."""
     from bullet_lab.docking.approach import Approach, back_out
@@ -247,7 +259,11 @@ def decide(pilot: Pilot) -> Phase:
 
 
 def go_to_staging(pilot: Pilot) -> Phase:
-    """Return the drive to the staging point; fails after too many, or without a way."""
+    """Return the drive to the staging point; fails after too many, or without a way.
+
+    What shows the marker and is of unknown size may be anywhere on the line of sight, and so in
+    the way; a little drive tells where it is.
+    """
     estimate = pilot.estimate()
     pilot.stagings += 1
     if pilot.stagings > pilot.settings.max_stagings:
@@ -255,5 +271,8 @@ def go_to_staging(pilot: Pilot) -> Phase:
     goal = pilot.staging_point(estimate)
     way = pilot.way_to(goal)
     if way is None:
+        probe = probe_size(pilot, searching=False)
+        if probe is not None:
+            return probe
         pilot.fail(DockingError.STAGING_FAILED, "no safe way to the point before the dock")
     return Stage(FollowWay(way, pilot.settings), goal[2])

@@ -7,12 +7,13 @@ from typing import List, Optional, Tuple
 
 import numpy as np
 
-from bullet_lab.docking.candidate import Candidate, DockEstimate
+from bullet_lab.docking.candidate import Candidate
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.drive import AxisTracker
+from bullet_lab.docking.estimates import DockEstimate
 from bullet_lab.docking.floor_map import FloorMap, Point, sample_way
 from bullet_lab.docking.geometry import View, clearance, wall_boxes
-from bullet_lab.docking.knowledge import DockKnowledge
+from bullet_lab.docking.knowledge import SAME_WALL, DockKnowledge
 from bullet_lab.docking.settings import DockingSettings
 from bullet_lab.docking.types import (
     CameraMount,
@@ -28,9 +29,9 @@ from bullet_lab.numerics.angles import wrap
 
 _SAMPLES = 120
 _RISKY = 0.03
-# How far, in rad, two prints on one wall may differ in yaw.
-_SAME_WALL = 0.015
 _PROBE = 0.6
+# How far apart, in m along the dock's axis, two prints on one wall may seem.
+_SAME_PLANE = 0.2
 _ENTRANCE = 0.35
 _BEFORE_ENTRANCE = 0.55
 _EDGE_PLAY = 0.08
@@ -105,7 +106,7 @@ class Pilot:
         if estimate is None or copy is None:
             return estimate
         other = copy.likeliest()
-        variance = float(other.covariance[2, 2]) + _SAME_WALL**2
+        variance = float(other.covariance[2, 2]) + SAME_WALL**2
         return estimate.turned_to(float(other.mean[2]), variance)
 
     def robot(self, estimate: DockEstimate) -> np.ndarray:
@@ -191,8 +192,18 @@ class Pilot:
         """Say whether a candidate may be driven at between the walls; asked for, it counts."""
         if candidate.real >= self.settings.sure or (self.doubts >= 3 and candidate.real > 0.2):
             return True
+        if candidate.real > 0.5 and self._on_the_copys_wall(candidate):
+            return True
         self.doubts += 1
         return False
+
+    def _on_the_copys_wall(self, candidate: Candidate) -> bool:
+        """Say whether it is, if real, where a larger copy says that the dock's back wall is."""
+        copy, walls = self.knowledge.copy_on_the_wall(), self.dock.walls
+        if copy is None or walls is None:
+            return False
+        off = se2.between(copy.likeliest().mean, candidate.likeliest().mean)
+        return abs(float(off[0])) < _SAME_PLANE and abs(float(off[1])) < 0.5 * walls.opening
 
     def in_sight(self, left: float) -> float:
         """Return how much may be left to go (m), so much wanted, with the marker still found."""

@@ -58,7 +58,7 @@ class DockingSettings:
     gate_lateral: float = 0.025
     gate_yaw: float = math.radians(6.0)
     wall_margin: float = 0.04
-    smallest_marker: float = 22.0
+    smallest_marker: float = 18.0
     missed: float = 0.25
     give_up_mass: float = 0.004
     sure: float = 0.9
