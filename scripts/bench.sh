@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Measures how fast the lab is: scripts/bench.sh [bridge|noise|laser|camera|aruco|world|dock] [option …]
+# Measures how fast the lab is: scripts/bench.sh [bridge|noise|laser|camera|aruco|world|dock|robots|models] [option …]
 #   bridge (default)  the bridge beside the bare engine: --rounds N, --seconds S
 #   noise             noisy paths by the thousand beside the per-message loop: --rounds N, --paths N
 #   camera            frames beside bare ones, 30 Hz with aruco.py: --frames N, --seconds S
@@ -7,6 +7,8 @@
 #   laser             scans, and fleets of robots with lasers: --rounds N, --seconds S (simulated)
 #   world             models that come and go, a crowded world saved: --models N, --camera
 #   dock              a campaign of dockings on all cores: --dockings N
+#   robots            speed against the number of robots: --rounds N, --seconds S (simulated)
+#   models            speed against the number of models: the same
 # Prints a table and writes results/bench/bench.json, or noise.json and so on. No part of the tests.
 set -euo pipefail
 
@@ -41,9 +43,14 @@ main() {
       bench=dock out=dock
       shift
       ;;
+    robots | models)
+      bench=scaling out=$1
+      shift
+      ;;
     -* | "") ;;
     *)
-      echo "bench.sh: there is no bench '$1'; benches: bridge, noise, laser, camera, aruco, world, dock" >&2
+      echo "bench.sh: there is no bench '$1'; benches: bridge, noise, laser, camera, aruco," \
+        "world, dock, robots, models" >&2
       exit 2
       ;;
   esac

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from typing import Dict, Optional, Set
 
 import rospy
@@ -34,6 +33,7 @@ class OdometryFrames:
         self._world = world
         self._frame = frame
         self._places: Dict[str, Dict[str, Pose]] = {}
+        self._shared: Set[str] = set()
         # The last message holds all frames, since subscribers that come later get no other.
         self._publisher = (
             Publisher(TOPIC, TFMessage, queue_size=10, latch=True) if frame else None
@@ -55,17 +55,20 @@ class OdometryFrames:
             self._publish()
 
     def _warn(self, newcomers: Set[str]) -> None:
-        claims = defaultdict(list)
+        """Name the first two robots that claim a frame, once for each frame."""
+        owners: Dict[str, str] = {}
         for model, places in self._places.items():
             for frame in places:
-                claims[frame].append(model)
-        for frame, models in claims.items():
-            if len(models) > 1 and newcomers.intersection(models):
-                rospy.logwarn(
-                    "the frame '%s' belongs to %s: give each robot a tf_prefix in its namespace",
-                    frame,
-                    " and ".join(f"'{model}'" for model in models),
-                )
+                first = owners.setdefault(frame, model)
+                if first != model and model in newcomers and frame not in self._shared:
+                    self._shared.add(frame)
+                    rospy.logwarn(
+                        "the frame '%s' belongs to '%s' and '%s': give each robot a tf_prefix in "
+                        "its namespace",
+                        frame,
+                        first,
+                        model,
+                    )
 
     def _publish(self) -> None:
         if self._publisher is None:

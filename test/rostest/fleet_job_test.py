@@ -1,0 +1,103 @@
+#!/usr/bin/env python3
+"""The job fleet leaves the paths of all robots, each driven as if it were alone."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+import numpy as np
+import rostest
+
+from bullet_lab.experiments.squares import SquaresSettings, run_squares
+from bullet_lab.numerics.seeds import derived_seed
+from bullet_lab.numerics.trajectory import read_tum
+
+ROBOTS = 3
+SEED = 5
+SPACING = 2.5
+# How much farther from the origin the same numbers are rounded differently.
+ROUNDING = 1e-6
+
+
+class FleetJobTest(unittest.TestCase):
+    """The job is run once for all tests that look at what it leaves."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = tempfile.TemporaryDirectory()
+        root = Path(cls.folder.name)
+        cls.out, cls.plain = root / "out", root / "plain"
+        environment = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
+        words = ["fleet", f"n:={ROBOTS}", f"seed:={SEED}", "out:=out"]
+        run = subprocess.run(
+            [sys.executable, "-m", "bullet_lab.ros.launcher", *words],
+            cwd=root,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=200,
+        )
+        if run.returncode:
+            raise AssertionError(f"the job ended with status {run.returncode}:\n{run.stdout}")
+        cls.summary = json.loads((cls.out / "summary.json").read_text())
+        # The first robot of the fleet starts where that of the squares does.
+        run_squares(cls.plain, SquaresSettings(seed=derived_seed(SEED, 0)))
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.folder.cleanup()
+
+    def path(self, robot, name="odom"):
+        return read_tum(self.out / f"robot{robot}" / f"{name}.tum")
+
+    def test_first_robot_drives_as_if_it_were_alone(self):
+        for name in ("odom.tum", "noisy_odom.tum", "paths.csv"):
+            # Not assertEqual, which would print them.
+            same = (self.plain / name).read_bytes() == (self.out / "robot1" / name).read_bytes()
+            self.assertTrue(same, f"{name} differs from that of the squares")
+
+    def test_all_drive_the_same_square_side_by_side(self):
+        first = self.path(1)
+        for robot, place in ((2, (SPACING, 0.0)), (3, (0.0, SPACING))):
+            other = self.path(robot)
+            np.testing.assert_array_equal(first.stamps, other.stamps)
+            np.testing.assert_allclose(
+                first.poses + (*place, 0.0), other.poses, rtol=0.0, atol=ROUNDING
+            )
+
+    def test_each_has_noise_of_its_own(self):
+        errors = [
+            self.path(robot, "noisy_odom").poses[-1] - self.path(robot).poses[-1]
+            for robot in range(1, ROBOTS + 1)
+        ]
+        for one, other in ((0, 1), (0, 2), (1, 2)):
+            self.assertGreater(np.linalg.norm(errors[one] - errors[other]), 1e-3)
+
+    def test_summary_says_what_was_run_and_how_it_went(self):
+        said = {"job": "fleet", "n": ROBOTS, "seed": SEED, "finished": True, "refused_messages": 0}
+        self.assertEqual(said, {key: self.summary[key] for key in said})
+        self.assertGreater(self.summary["real_time_factor"], 0.0)
+        robots = self.summary["robots"]
+        self.assertEqual(["robot1", "robot2", "robot3"], [robot["name"] for robot in robots])
+        self.assertEqual(
+            [derived_seed(SEED, index) for index in range(ROBOTS)],
+            [robot["seed"] for robot in robots],
+        )
+        for robot in robots:
+            self.assertEqual((4, 4), (len(robot["side_lengths_m"]), len(robot["turns_deg"])))
+            # 54.6 s at 20 Hz: not a message is missing.
+            self.assertEqual(1092, robot["pairs"])
+        errors = [robot["final_error_m"] for robot in robots]
+        self.assertEqual(max(errors), self.summary["final_error_m_largest"])
+
+    def test_there_is_a_picture(self):
+        self.assertEqual(b"\x89PNG", (self.out / "fleet.png").read_bytes()[:4])
+
+
+if __name__ == "__main__":
+    rostest.rosrun("bullet_lab", "fleet_job_test", "__main__")

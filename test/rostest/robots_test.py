@@ -1,0 +1,147 @@
+#!/usr/bin/env python3
+"""Robots in one world have topics and frames of their own, and touch each other."""
+
+import json
+import tempfile
+import unittest
+from pathlib import Path
+
+import rospy
+import rostest
+import tf2_ros
+import yaml
+from bullet_lab.msg import TouchedModels
+from bullet_lab.srv import SetNoise
+from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
+from lab_testing import PACKAGE, Node, Topic, publisher, wait_for
+from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Log
+from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan, Range
+from std_msgs.msg import String
+
+from bullet_lab.ros.connections import publishers_know_this_node
+from bullet_lab.ros.gazebo_types import srv
+
+# Topic, type and frame of all that has a header.
+TOPICS = (
+    ("left/odom", Odometry, "left/odom"),
+    ("left/noisy_odom", Odometry, "left/odom"),
+    ("left/scan", LaserScan, "left/laser_link"),
+    ("left/beacon_0/range", Range, "left/base_footprint"),
+    ("right/odom", Odometry, "right/odom"),
+    ("right/mycamera/image_raw", Image, "right/camera_optical_frame"),
+    ("right/mycamera/camera_info", CameraInfo, "right/camera_optical_frame"),
+)
+BLOCK = (PACKAGE / "urdf" / "block_robot.urdf").read_text()
+
+
+class RobotsTest(unittest.TestCase):
+    """The robots left and right, each in a namespace with a tf_prefix."""
+
+    def topic(self, name, kind):
+        topic = Topic(name, kind)
+        self.addCleanup(topic.close)
+        return topic
+
+    def drive(self, robot, speed):
+        commands = publisher(f"{robot}/cmd_vel", Twist)
+        self.addCleanup(commands.unregister)
+        commands.publish(Twist(linear=Vector3(speed, 0.0, 0.0)))
+        self.addCleanup(commands.publish, Twist())
+
+    def test_topics_are_in_the_namespace_and_frames_have_the_prefix(self):
+        for name, kind, frame in TOPICS:
+            message = self.topic(name, kind).wait(1)[0]
+            self.assertEqual(frame, message.header.frame_id, name)
+        for robot in ("left", "right"):
+            message = self.topic(f"{robot}/odom", Odometry).wait(1)[0]
+            self.assertEqual(f"{robot}/base_footprint", message.child_frame_id)
+        joints = self.topic("right/joint_states", JointState).wait(1)[0]
+        # Names of joints are no frames.
+        self.assertEqual({"left_wheel_joint", "right_wheel_joint"}, set(joints.name))
+        self.topic("left/beacon_0", String).wait(1)
+
+    def test_no_topic_and_no_frame_is_shared(self):
+        buffer = tf2_ros.Buffer()
+        listener = tf2_ros.TransformListener(buffer)
+        self.addCleanup(listener.unregister)
+        leaves = ("left/laser_link", "right/camera_optical_frame", "right/left_wheel")
+        for leaf in leaves:
+            wait_for(lambda leaf=leaf: buffer.can_transform("world", leaf, rospy.Time(0)), leaf)
+        frames = yaml.safe_load(buffer.all_frames_as_yaml())
+        self.assertEqual({"left", "right"}, {name.split("/")[0] for name in frames})
+        self.assertEqual("world", frames["left/odom"]["parent"])
+        place = buffer.lookup_transform("world", "left/laser_link", rospy.Time(0))
+        self.assertAlmostEqual(0.075, place.transform.translation.z, delta=0.002)
+        shared = ("/odom", "/cmd_vel", "/scan", "/joint_states", "/noisy_odom")
+        names = [name for name, _ in rospy.get_published_topics()]
+        self.assertEqual(set(), set(shared) & set(names))
+
+    def test_a_command_moves_one_robot(self):
+        left, right = self.topic("left/odom", Odometry), self.topic("right/odom", Odometry)
+        starts = [topic.wait(1)[-1].pose.pose.position for topic in (left, right)]
+        self.drive("left", -0.5)
+        wait_for(
+            lambda: left.messages[-1].pose.pose.position.x < starts[0].x - 0.2, "left to move"
+        )
+        moved = right.messages[-1].pose.pose.position
+        self.assertAlmostEqual(starts[1].x, moved.x, delta=0.002)
+
+    def test_each_says_what_it_touches(self):
+        touched = {
+            robot: self.topic(f"/{robot}/bullet_lab/touched", TouchedModels)
+            for robot in ("left", "right")
+        }
+        self.drive("left", 0.5)
+        for robot, other in (("left", "right"), ("right", "left")):
+            topic = touched[robot]
+            wait_for(lambda topic=topic: topic.messages and topic.messages[-1].models, robot)
+            self.assertEqual(
+                (robot, [other]), (topic.messages[-1].robot, topic.messages[-1].models)
+            )
+
+    def test_nodes_run_in_a_namespace(self):
+        with tempfile.TemporaryDirectory() as name:
+            space = {"__ns": "right"}
+            noise = Node("noisy_odom.py", remap=space)
+            self.addCleanup(noise.end)
+            plot = Node(
+                "plot_noise.py", remap=space, out=name, until="drive_squares/finished"
+            )
+            self.addCleanup(plot.end)
+            pairs = Path(name) / "paths.csv"
+            wait_for(
+                lambda: pairs.is_file() and len(pairs.read_text().splitlines()) > 1, "a recording"
+            )
+            drive = Node(
+                "drive_squares.py", remap=space, mode="closed_loop", side=0.1, sides=1, speed=0.2
+            )
+            self.addCleanup(drive.end)
+            self.assertEqual(0, drive.wait(), drive.err)
+            self.assertEqual(0, plot.wait(), plot.err)
+            summary = json.loads((Path(name) / "summary.json").read_text())
+            self.assertTrue(summary["finished"])
+            # Not in lock step: on a busy machine it drives on for a while.
+            self.assertGreater(summary["path_length_m"], 0.08)
+        call = rospy.ServiceProxy("/left/noisy_odom_node/set_noise", SetNoise)
+        self.assertTrue(call("report", 0.2, []).success)
+
+    def test_robots_that_share_a_frame_are_warned_about(self):
+        log = self.topic("/rosout", Log)
+        spawn = rospy.ServiceProxy("/gazebo/spawn_urdf_model", srv.SpawnModel)
+        delete = rospy.ServiceProxy("/gazebo/delete_model", srv.DeleteModel)
+        for number, name in enumerate(("one", "two")):
+            self.addCleanup(delete, name)
+            pose = Pose(Point(0.0, 5.0 + number, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
+            self.assertTrue(spawn(name, BLOCK, name, pose, "").success)
+        said = "the frame 'odom' belongs to 'one' and 'two': give each robot a tf_prefix"
+        wait_for(lambda: any(said in message.msg for message in log.messages), said)
+
+    def test_a_subscriber_knows_when_it_will_be_sent_to(self):
+        self.topic("left/odom", Odometry).wait(1)
+        self.assertTrue(publishers_know_this_node())
+
+
+if __name__ == "__main__":
+    rospy.init_node("robots_test")
+    rostest.rosrun("bullet_lab", "robots_test", "__main__")
