@@ -130,3 +130,25 @@ def test_an_odd_image_is_passed_over_and_a_new_place_believed_in_the_end():
     for _ in range(30):
         candidate.see(look(se2.compose(pose, (0.0, 0.03, 0.1)), rng), VIEW)
     assert abs(candidate.estimate().mean[2] - before[2] + 0.1) < 0.05
+
+
+def test_a_small_marker_takes_over_the_yaw_of_a_larger_one():
+    small = standin.Print(size=0.075)
+    rng = np.random.default_rng(5)
+    believed = DockPrior(np.array([1.5, 0.0, 0.0]), WIDE)
+    pose = np.array([2.5, 0.0, 0.0])
+    candidate = Candidate(look(pose, rng, small), VIEW, 0.075, 0.5, believed, PixelNoise())
+    yaw = candidate.estimate().mean[2]
+    candidate.agree(yaw, 0.015**2)
+    assert candidate.estimate().mean[2] == pytest.approx(yaw)
+    far_off = yaw + 10.0 * max(candidate.estimate().deviations[2], 0.015)
+    candidate.agree(far_off, 0.015**2)
+    assert candidate.estimate().mean[2] == pytest.approx(far_off)
+    assert candidate.estimate().deviations[2] == pytest.approx(0.015)
+
+
+def test_a_large_marker_keeps_its_yaw():
+    candidate, _ = drive((3.0, 0.0, 0.0), [(0.01, 0.0, 0.0)] * 5)
+    yaw = candidate.estimate().mean[2]
+    candidate.agree(yaw + 1.0, 0.015**2)
+    assert candidate.estimate().mean[2] == pytest.approx(yaw)

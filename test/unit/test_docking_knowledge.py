@@ -1,0 +1,91 @@
+"""Tests of what becomes of sightings: one thing in the world is one candidate."""
+
+import docking_standin as standin
+import numpy as np
+
+from bullet_lab.docking.knowledge import DockKnowledge
+from bullet_lab.docking.marker_model import extent_of
+from bullet_lab.docking.types import Observation, Odometry, Sighting
+from bullet_lab.numerics import se2
+
+STAND = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.15, dropout=0.0, tilt=0.0, walls=False)
+MARKER, COPY = standin.Print(), standin.Print((0.0, 0.9, 0.0), 0.5, 0.35)
+
+
+class Lookout:
+    """A robot that looks at prints, and what is known from it."""
+
+    def __init__(self, pose=(1.5, 0.0, 0.0)):
+        self.rng = np.random.default_rng(2)
+        self.pose, self.stamp = np.array(pose), 0.0
+        dock = standin.make_dock(STAND)
+        self.knowledge = DockKnowledge(dock, dock.pose, standin.MOUNT, STAND.settings, self.rng)
+        self.knowledge.add_odometry(Odometry(0.0, tuple(self.pose)))
+
+    def look(self, *prints, step=(0.0, 0.0, 0.0), change=None):
+        self.pose = se2.compose(self.pose, step)
+        self.stamp += 0.2
+        self.knowledge.add_odometry(Odometry(self.stamp, tuple(self.pose)))
+        seen = []
+        for shown in prints:
+            corners = standin.see_print(se2.between(STAND.dock, self.pose), shown, STAND, self.rng)
+            seen.append(corners if change is None else change(corners))
+        sightings = tuple(Sighting(0, standin.DICTIONARY, corners) for corners in seen)
+        self.knowledge.observe(Observation(self.stamp, standin.CAMERA, sightings))
+
+    @property
+    def candidates(self):
+        return [tracked.candidate for tracked in self.knowledge._tracked]
+
+
+def test_two_prints_are_two_candidates():
+    lookout = Lookout()
+    for _ in range(20):
+        lookout.look(MARKER, COPY, step=(0.03, 0.0, 0.0))
+    assert len(lookout.candidates) == 2
+    assert [c.real > 0.9 for c in lookout.candidates] == [True, False]
+
+
+def test_a_marker_found_twice_in_one_image_is_one_candidate_in_the_end():
+    def white_border(corners):
+        middle = corners.mean(axis=0)
+        return middle + 1.15 * (corners - middle)
+
+    lookout = Lookout()
+    for _ in range(6):
+        lookout.look(MARKER)
+    lookout.look(MARKER, MARKER, change=lambda corners: corners)
+    twin = standin.see_print(se2.between(STAND.dock, lookout.pose), MARKER, STAND, lookout.rng)
+    sightings = tuple(
+        Sighting(0, standin.DICTIONARY, corners) for corners in (twin, white_border(twin))
+    )
+    lookout.knowledge.observe(Observation(lookout.stamp, standin.CAMERA, sightings))
+    assert len(lookout.candidates) > 1
+    for _ in range(3):
+        lookout.look(MARKER)
+    (only,) = lookout.candidates
+    assert only.frames > 6
+
+
+def test_a_print_that_a_wall_begins_to_hide_stays_the_same_candidate():
+    def cut(corners):
+        """The left edge is the wall's: a fortieth of the marker is hidden."""
+        hidden = corners.copy()
+        hidden[[0, 3]] += 0.03 * extent_of(corners) * np.array([1.0, 0.0])
+        return hidden
+
+    lookout = Lookout((0.6, 0.4, -0.1))
+    for _ in range(12):
+        lookout.look(COPY)
+    for _ in range(12):
+        lookout.look(COPY, step=(-0.02, 0.0, 0.0), change=cut)
+    assert len(lookout.candidates) == 1
+
+
+def test_what_is_seen_elsewhere_is_another_candidate():
+    lookout = Lookout()
+    for _ in range(5):
+        lookout.look(MARKER)
+    for _ in range(5):
+        lookout.look(standin.Print((0.0, 0.6, 0.0)))
+    assert len(lookout.candidates) == 2
