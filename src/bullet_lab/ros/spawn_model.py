@@ -4,7 +4,7 @@ Usage: spawn_model -urdf|-sdf -file FILE|-param NAME|-database MODEL|-stdin -mod
     [-x -y -z -R -P -Y NUMBER] [-reference_frame NAME] [-robot_namespace NAME]
     [-gazebo_namespace NAME] [-wait MODEL] [-unpause] [-J JOINT POSITION] [-package_to_model] [-b]
 
-There is no database on the network: -database looks in the folders of GAZEBO_MODEL_PATH.
+There is no database on the network: -database looks in the simulation's GAZEBO_MODEL_PATH.
 
 :ROS Service clients: /gazebo/spawn_urdf_model or spawn_sdf_model (gazebo_msgs/SpawnModel),
     set_model_configuration, unpause_physics, delete_model
@@ -32,7 +32,6 @@ from bullet_lab.ros.spawn_arguments import (
     packages_to_models,
     parse_spawn_arguments,
 )
-from bullet_lab.simulation.resources import ResourceFinder
 from bullet_lab.simulation.xml_input import read_text
 
 USAGE_STATUS = 2
@@ -45,8 +44,6 @@ def description_of(told: SpawnArguments) -> str:
     elif told.source == "param":
         text = str(rospy.get_param(told.source_name, ""))
     elif told.source == "database":
-        with_model = f"model://{told.source_name}"
-        ResourceFinder().find(with_model)
         text = database_text(told.source_name)
     else:
         text = sys.stdin.read()

@@ -6,7 +6,6 @@ import contextlib
 import json
 import resource
 import sys
-import types
 from io import StringIO
 from typing import Any, Mapping
 
@@ -16,11 +15,13 @@ def main() -> int:
     # Run as a file, Python looks for modules beside it first.
     del sys.path[0]
     order = json.load(sys.stdin)
+    from bullet_lab.simulation.xacro_packages import find_packages_of_ros1
+
     try:
         import xacro
     except ImportError:
         return _fail("the Python package xacro is not installed")
-    _find_packages_as_the_lab_does()
+    find_packages_of_ros1()
     _limit(order)
     try:
         text = _expand(xacro, order)
@@ -44,22 +45,6 @@ def _for_want_of_memory(error: Any) -> bool:
     while error is not None and not isinstance(error, MemoryError):
         error = getattr(error, "exc", None)
     return error is not None
-
-
-def _find_packages_as_the_lab_does() -> None:
-    """Have $(find package) look where package:// does: PyPI's xacro would ask ROS 2."""
-    from bullet_lab.simulation.resources import ros_package_folder
-
-    def share_folder(name: str) -> str:
-        folder = ros_package_folder(name)
-        if folder is None:
-            raise LookupError(f"no ROS package '{name}'")
-        return str(folder)
-
-    packages = types.ModuleType("ament_index_python.packages")
-    packages.get_package_share_directory = share_folder
-    sys.modules["ament_index_python"] = types.ModuleType("ament_index_python")
-    sys.modules["ament_index_python.packages"] = packages
 
 
 def _limit(order: Mapping[str, Any]) -> None:

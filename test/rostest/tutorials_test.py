@@ -1,0 +1,355 @@
+#!/usr/bin/env python3
+"""Launch files, robots and scripts written for Gazebo do here what they do there."""
+
+import contextlib
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import unittest
+from collections import defaultdict
+
+import rospkg
+import rospy
+import rostest
+from gazebo_msgs.srv import GetJointProperties, GetModelState, GetWorldProperties
+from lab_testing import PACKAGE, wait_for
+from std_srvs.srv import Empty
+
+TUTORIALS = PACKAGE / "test" / "tutorials"
+# Not by rosrun, which looks about for a second.
+SPAWN_MODEL = os.path.join(rospkg.RosPack().get_path("gazebo_ros"), "scripts", "spawn_model")
+# Lines in scripts' output that are not theirs.
+LOG_LINE = re.compile(r"^(\x1b|\[)")
+NUMBER = re.compile(r"-?\d+(\.\d+)?$")
+
+
+def environment():
+    """That of somebody who has the package in a workspace."""
+    paths = [str(TUTORIALS), *os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)]
+    return dict(os.environ, ROS_PACKAGE_PATH=os.pathsep.join(paths))
+
+
+def command(*words, stdin=None):
+    """Run a command to its end; return status, output and what went to standard error."""
+    done = subprocess.run(
+        words, env=environment(), input=stdin, capture_output=True, text=True, timeout=90
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def spawn_model(line, stdin=None):
+    """Run gazebo_ros's spawn_model; return its status and the last line that it has said."""
+    status, out, err = command(SPAWN_MODEL, *line.split(), stdin=stdin)
+    lines = [text for text in (out + err).splitlines() if text]
+    return status, lines[-1] if lines else ""
+
+
+class Process:
+    """Something that runs until it is ended, with what it says in a file."""
+
+    def __init__(self, *words):
+        # Open as long as this object is there.
+        self._file = tempfile.TemporaryFile("w+")  # noqa: SIM115
+        self.process = subprocess.Popen(
+            words, env=environment(), stdout=self._file, stderr=subprocess.STDOUT
+        )
+
+    def said(self):
+        """What it has said so far."""
+        with open(f"/proc/self/fd/{self._file.fileno()}") as file:
+            return file.read()
+
+    def end(self):
+        """End it as Ctrl-C does."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        try:
+            self.process.wait(20)
+        finally:
+            self.process.kill()
+
+
+def world():
+    """Names of all models."""
+    rospy.wait_for_service("/gazebo/get_world_properties", 60)
+    return rospy.ServiceProxy("/gazebo/get_world_properties", GetWorldProperties)().model_names
+
+
+def state_of(name):
+    """State of a model."""
+    return rospy.ServiceProxy("/gazebo/get_model_state", GetModelState)(name, "")
+
+
+class TutorialsTest(unittest.TestCase):
+    """One simulation, started by a launch file in the manner of gazebo_ros."""
+
+    launch = None
+    robot = None
+
+    @classmethod
+    def tearDownClass(cls):
+        for process in (cls.robot, cls.launch):
+            if process is not None:
+                process.end()
+
+    def setUp(self):
+        # Not in setUpClass, of whose errors rosunit says nothing.
+        cls = type(self)
+        if cls.launch is None:
+            cls.launch = Process("roslaunch", "--wait", "tutorials", "world.launch", "gui:=false")
+            cls.robot = Process("roslaunch", "--wait", "tutorials", "rover.launch")
+            with contextlib.suppress(AssertionError):
+                wait_for(lambda: "has finished cleanly" in cls.robot.said(), "the rover")
+        said = f"{cls.launch.said()}\n{cls.robot.said()}"
+        self.assertIn("Successfully spawned", said)
+
+    def run_script(self, name):
+        """Run a script; return what it prints: values by what they are of."""
+        status, out, err = command(sys.executable, str(TUTORIALS / "scripts" / name))
+        self.assertEqual(0, status, f"{out}\n{err}")
+        found = defaultdict(list)
+        for line in out.splitlines():
+            if not LOG_LINE.match(line):
+                what, _, values = line.partition(": ")
+                found[what].append(values)
+        return {what: values[0] if len(values) == 1 else values for what, values in found.items()}
+
+    def check(self, script, **tolerances):
+        """Return a function that checks a value, numbers to a tolerance."""
+        found = self.run_script(script)
+
+        def expect(what, wanted, tolerance=0.0):
+            self.assertIn(what, found, found)
+            values = found[what]
+            if tolerance and isinstance(values, str):
+                numbers = [float(part) for part in values.split()]
+                parts = [float(part) for part in str(wanted).split()]
+                self.assertEqual(len(parts), len(numbers), f"{what}: {values}")
+                for part, number in zip(parts, numbers):
+                    self.assertAlmostEqual(part, number, delta=tolerance, msg=f"{what}: {values}")
+            else:
+                self.assertEqual(wanted, values, what)
+
+        return expect
+
+    # Launch files
+
+    def test_launch_files(self):
+        self.assertEqual(["ground_plane", "wall", "rover"], world()[:3])
+        self.assertTrue(rospy.get_param("/use_sim_time"))
+        for said in (self.launch.said(), self.robot.said()):
+            self.assertNotIn("Traceback", said)
+            self.assertNotIn("has died", said)
+
+    # One script for each feature
+
+    def test_spawn_and_delete(self):
+        expect = self.check("spawn_and_delete.py")
+        expect("spawned", 3 * ["SpawnModel: Successfully spawned entity"])
+        expect("again", "SpawnModel: Failure - entity already exists.")
+        expect("deleted", "True False")
+        expect("left", "crate_0 crate_2")
+
+    def test_the_functions_of_gazebo_ros(self):
+        self.check("spawner.py")("spawned", ["True", "False"])
+
+    def test_states(self):
+        expect = self.check("states.py")
+        expect("set", "True")
+        expect("at", "-3 4 0.15", 1e-3)
+        expect("from the wall", "-6.1 4", 1e-3)
+        expect("unknown", "False")
+        expect("by topic", "-5", 1e-2)
+        expect("link set", "True")
+        expect("link at", "6", 1e-2)
+
+    def test_what_things_are_made_of(self):
+        expect = self.check("model_info.py")
+        expect("bodies", "base_footprint left_wheel right_wheel")
+        expect("joints", "left_wheel_joint right_wheel_joint")
+        expect("static", "False")
+        expect("mass", "0.5", 1e-6)
+
+    def test_wrenches(self):
+        expect = self.check("wrench.py")
+        expect("pushed", "True")
+        expect("speed", "1", 0.01)
+        # The push acts between two calls.
+        expect("gained", "0.1", 0.1)
+
+    def test_joint_effort(self):
+        expect = self.check("joint_effort.py")
+        expect("applied", "True")
+        expect("rate", "1", 0.01)
+        expect("unknown", "False")
+        expect("configured", "True")
+        expect("position", "0.5", 1e-3)
+
+    def test_physics_properties(self):
+        expect = self.check("physics_properties.py")
+        expect("earth", "-9.8", 1e-6)
+        expect("step", "0.001", 1e-9)
+        expect("set", "True")
+        expect("acceleration", "-1.62", 1e-3)
+        expect("back", "-9.8", 1e-6)
+
+    def test_laser(self):
+        expect = self.check("laser.py")
+        expect("frame", "laser")
+        expect("rays", "181")
+        # Where the rover has driven to by now, the wall has not.
+        distance = 2.9 - state_of("rover").pose.position.x
+        expect("ahead", str(distance), 0.05)
+        ahead = int(math.degrees(math.atan2(2.0, distance)))
+        expect("free", str(181 - 2 * ahead), 4.0)
+        expect("angles", "-1.571 1.571", 1e-3)
+        expect("ranges", "0.1 10", 1e-6)
+
+    def test_camera(self):
+        expect = self.check("camera.py")
+        expect("frame", "camera_optical")
+        expect("image", "320 240 rgb8")
+        expect("red", "True")
+        expect("focal length", str(160 / math.tan(0.5 * 1.3962634)), 0.01)
+        expect("model", "plumb_bob 5")
+        expect("baseline", "0.07", 1e-6)
+
+    def test_depth_camera(self):
+        expect = self.check("depth_camera.py")
+        expect("encoding", "32FC1")
+        expect("frame", "eye_optical")
+        expect("ahead", "2", 1e-3)
+        expect("sky", "True")
+        focal = 80 / math.tan(0.5 * 1.047198)
+        expect("point", f"{1 / focal} {1 / focal} 2", 1e-3)
+        expect("green", "True")
+        expect("organised", "160 120")
+        expect("focal length", str(focal), 0.01)
+
+    def test_imu(self):
+        expect = self.check("imu.py")
+        expect("frame", "base_link")
+        expect("up", "9.8", 0.1)
+        expect("turning", "0", 0.05)
+        expect("level", "1", 0.01)
+
+    def test_bumper_and_sonar(self):
+        expect = self.check("bumper_and_sonar.py")
+        expect("sonar", "1", 1e-2)
+        expect("ultrasound", "True")
+        expect("touches", "lookout::post::post_collision_collision ground_plane::link::collision")
+        expect("weight", "98", 5.0)
+
+    def test_differential_drive_and_joint_states(self):
+        expect = self.check("diff_drive.py")
+        expect("frames", "odom base_footprint")
+        # For a second, and as long as the listening takes.
+        expect("driven", "0.55", 0.15)
+        expect("off", "0", 0.01)
+        expect("truth in", "world")
+        expect("joints", "left_wheel_joint right_wheel_joint")
+        expect("wheels", "5 5", 0.5)
+        rospy.ServiceProxy("/gazebo/reset_world", Empty)()
+
+    def test_planar_move_in_two_namespaces(self):
+        expect = self.check("planar_move.py")
+        expect("spawned", ["True", "True"])
+        expect("one", "-10 0.5", 0.1)
+        expect("two", "-12 0", 0.01)
+
+    def test_skid_steer_from_xacro(self):
+        expect = self.check("skid_steer.py")
+        expect("spawned", "True")
+        expect("ahead", "0.4", 0.05)
+        # Its wheels have to slip: how far it turns is up to friction.
+        expect("turned", "1.3", 1.0)
+
+    def test_materials_textures_and_lights(self):
+        found = self.run_script("materials_and_lights.py")
+        colours = {
+            what: [int(part) for part in values.split()] for what, values in found.items()
+        }
+        red, green, blue = colours["Green"]
+        self.assertGreater(green, 3 * max(red, blue, 20))
+        red, green, blue = colours["Purple"]
+        self.assertGreater(min(red, blue), 3 * max(green, 20))
+        red, green, blue = colours["left"]
+        self.assertGreater(min(red, green), 3 * max(blue, 20))
+        red, green, blue = colours["right"]
+        self.assertGreater(blue, 2 * max(red, green, 20))
+        self.assertGreater(colours["near the lamp"][0], colours["far the lamp"][0] + 20)
+
+    def test_pause_and_reset(self):
+        expect = self.check("pause_and_reset.py")
+        expect("while paused", "True")
+        expect("stands", "0.000")
+        expect("fallen", "True")
+        expect("back", "True")
+        expect("time goes on", "True")
+        expect("time from zero", "0.000")
+
+    # spawn_model
+
+    def test_spawn_model_puts_joints_where_it_is_told(self):
+        path = TUTORIALS / "urdf" / "pendulum.urdf"
+        line = f"-urdf -file {path} -model arm -x -40 -y 1e0 -z 0.1 -Y 1.5708 -J hinge -1e-1"
+        self.assertEqual(0, spawn_model(line)[0])
+        pose = state_of("arm").pose
+        self.assertAlmostEqual(-40.0, pose.position.x, 2)
+        self.assertAlmostEqual(math.sin(math.pi / 4), pose.orientation.z, 3)
+        joint = rospy.ServiceProxy("/gazebo/get_joint_properties", GetJointProperties)("hinge")
+        self.assertAlmostEqual(-0.1, joint.position[0], 3)
+
+    def test_spawn_model_from_stdin_and_from_the_model_folders(self):
+        text = (TUTORIALS / "models" / "crate" / "model.sdf").read_text()
+        self.assertEqual(0, spawn_model("-sdf -stdin -model first -x -41", text)[0])
+        line = "-sdf -database crate -model second -x 2 -reference_frame first -wait first"
+        self.assertEqual(0, spawn_model(line)[0])
+        self.assertAlmostEqual(-39.0, state_of("second").pose.position.x, 2)
+        status, line = spawn_model("-sdf -database cafe_table -model table")
+        self.assertEqual(1, status)
+        self.assertIn("'model://cafe_table': in none of the model folders", line)
+
+    def test_spawn_model_unpauses(self):
+        rospy.ServiceProxy("/gazebo/pause_physics", Empty)()
+        before = rospy.get_rostime()
+        self.assertEqual(0, spawn_model("-sdf -database crate -model third -y -40 -unpause")[0])
+        wait_for(lambda: rospy.get_rostime() > before, "time to go on")
+
+    def test_spawn_model_says_what_is_wrong(self):
+        for line, wanted, said in (
+            ("-urdf -file /nix.urdf -model m", 1, "/nix.urdf"),
+            ("-urdf -param /nix -model m", 1, "-param /nix: there is nothing in it"),
+            ("-sdf -database crate -model wall", 1, "entity already exists"),
+            ("-urdf -model m", 2, "-file -param -database -stdin is required"),
+        ):
+            status, last = spawn_model(line)
+            self.assertEqual(wanted, status, line)
+            self.assertIn(said, last)
+            self.assertNotIn("m", world())
+
+    def test_a_bonded_model_goes_with_its_spawner(self):
+        words = ("-sdf", "-database", "crate", "-model", "guest", "-y", "-42", "-b")
+        spawner = Process(SPAWN_MODEL, *words)
+        self.addCleanup(spawner.end)
+        wait_for(lambda: "guest" in world(), "the guest")
+        time.sleep(0.2)
+        spawner.end()
+        wait_for(lambda: "guest" not in world(), "the guest to leave")
+
+    def test_the_window_that_is_not_there(self):
+        window = Process("rosrun", "gazebo_ros", "gzclient")
+        self.addCleanup(window.end)
+        wait_for(lambda: "there is no window here" in window.said(), "gzclient to say so")
+        self.assertIsNone(window.process.poll())
+
+
+if __name__ == "__main__":
+    rospy.set_param("/use_sim_time", True)
+    rospy.init_node("tutorials_test")
+    rostest.rosrun("bullet_lab", "tutorials_test", TutorialsTest)

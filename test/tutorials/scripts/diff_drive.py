@@ -1,0 +1,29 @@
+#!/usr/bin/env python3
+"""Drives the rover forward and compares its odometry with the truth; reads its joints."""
+
+import rospy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import JointState
+
+rospy.init_node("diff_drive")
+publisher = rospy.Publisher("cmd_vel", Twist, queue_size=10)
+start = rospy.wait_for_message("odom", Odometry, timeout=10).pose.pose.position.x
+command = Twist()
+command.linear.x = 0.5
+rate = rospy.Rate(20)
+for _ in range(20):
+    publisher.publish(command)
+    rate.sleep()
+joints = rospy.wait_for_message("joint_states", JointState, timeout=10)
+turning = dict(zip(joints.name, joints.velocity))
+publisher.publish(Twist())
+rospy.sleep(0.5)
+odom = rospy.wait_for_message("odom", Odometry, timeout=10)
+truth = rospy.wait_for_message("ground_truth", Odometry, timeout=10)
+print("frames:", odom.header.frame_id, odom.child_frame_id)
+print("driven: %.3f" % (odom.pose.pose.position.x - start))
+print("off: %.3f" % abs(odom.pose.pose.position.x - truth.pose.pose.position.x))
+print("truth in:", truth.header.frame_id)
+print("joints:", " ".join(joints.name))
+print("wheels: %.2f %.2f" % (turning["left_wheel_joint"], turning["right_wheel_joint"]))
