@@ -10,7 +10,7 @@ import tempfile
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Dict, List, Tuple
+from typing import Dict, List, Mapping, Tuple
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.bullet_urdf import body_urdf
@@ -24,7 +24,7 @@ from bullet_lab.simulation.link_contacts import (
 )
 from bullet_lab.simulation.native_output import hidden_native_output
 from bullet_lab.simulation.pose import Pose, Vector, add, cross
-from bullet_lab.simulation.shared_shapes import SharedShapes, has_collision_mesh
+from bullet_lab.simulation.shared_shapes import SharedShapes, can_share
 from bullet_lab.simulation.tree import top_down
 
 STEP_SECONDS = 1e-3
@@ -55,9 +55,17 @@ class Body:
     plain tuples, and `set_velocity(linear, angular)` sets the root link's velocity in m/s and
     rad/s in the world; `near_points()` returns PyBullet's tuples of contact points. All three
     go without a detour, for the inner loop.
+
+    Args:
+        client: PyBullet's, that it lives in.
+        unique_id: PyBullet's number of it.
+        links: that it consists of, the root first.
+        names: of its links and joints, by those that PyBullet knows them by where they differ.
     """
 
-    def __init__(self, client: int, unique_id: int, links: List[Link], joints: List[Joint]):
+    def __init__(
+        self, client: int, unique_id: int, links: List[Link], names: Mapping[str, str]
+    ):
         self.unique_id = unique_id
         self.links = tuple(links)
         self._client = client
@@ -72,10 +80,13 @@ class Body:
         root = links[0].inertia
         self._com = Pose() if root is None else principal_axes(root)[1]
         self._com_inverse = self._com.inverse()
-        self._joints = {
-            pybullet.getJointInfo(unique_id, index, client)[1].decode(): index
+        infos = [
+            pybullet.getJointInfo(unique_id, index, client)
             for index in range(pybullet.getNumJoints(unique_id, client))
-        }
+        ]
+        joints, below = ([info[place].decode() for info in infos] for place in (1, 12))
+        self._joints = {names.get(name, name): index for index, name in enumerate(joints)}
+        self._links = {names.get(name, name): index for index, name in enumerate(below)}
         self._free_the_joints()
         self._remove_damping()
         for link in links:
@@ -274,10 +285,7 @@ class Body:
 
     def link_index(self, name: str) -> int:
         """Return PyBullet's index of a link, -1 for the root."""
-        for index in self._joints.values():
-            if pybullet.getJointInfo(self.unique_id, index, self._client)[12].decode() == name:
-                return index
-        return -1
+        return self._links.get(name, -1)
 
 
 class Physics:
@@ -344,9 +352,13 @@ class Physics:
         folder = Path(self._files.name)
         try:
             text = body_urdf(links, joints, model.static, folder)
-            if len(links) == 1 and has_collision_mesh(links[0]):
+            names: Mapping[str, str] = {}
+            if can_share(links, joints, model.static):
                 # Mesh files are named by their content, so the text tells the shapes apart.
-                unique_id = self._shapes.make_body(text, links[0], model.static, folder)
+                flags = _reading_flags(model) if joints else 0
+                unique_id, names = self._shapes.make_body(
+                    text, links, joints, model.static, folder, flags
+                )
             else:
                 path = folder / "body.urdf"
                 path.write_text(text, encoding="utf-8")
@@ -354,7 +366,7 @@ class Physics:
         finally:
             for path in folder.iterdir():
                 path.unlink()
-        body = Body(self.client, unique_id, links, joints)
+        body = Body(self.client, unique_id, links, names)
         soften_contacts(body)
         if self_colliding(links):
             spare_the_others(body)
