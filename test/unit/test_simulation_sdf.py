@@ -117,6 +117,15 @@ def test_meshes(package):
     assert found.collisions[0].geometry == Mesh(path, BEACON, (1, 2, 3))
 
 
+def test_shapes_throw_shadows_unless_they_say_otherwise():
+    said = ("", "<cast_shadows>true</cast_shadows>", "<cast_shadows>0</cast_shadows>")
+    shapes = "".join(shape("<sphere><radius>1</radius></sphere>", s, "visual") for s in said)
+    (body,) = read_model_text(model(link(shapes)), "s").links
+    assert [visual.casts_shadows for visual in body.visuals] == [True, True, False]
+    with pytest.raises(LabError, match="cast_shadows"):
+        read_model_text(model(link(shapes.replace(">0<", ">some<"))), "s")
+
+
 def test_poses_colours_friction_and_static():
     pose = "<pose>1 2 3 0 0 1</pose>"
     mu = "<surface><friction><ode><mu>0.25</mu></ode></friction></surface>"

@@ -28,7 +28,8 @@ MACHINE = """<sdf version="1.6"><model name="machine"><pose>1 2 3 0.1 0.2 0.3</p
     <collision name="c"><geometry><box><size>0.3 0.2 0.1</size></box></geometry>
       <surface><friction><ode><mu>0.3</mu></ode></friction>
         <contact><ode><kp>1e5</kp><kd>10</kd></ode></contact></surface></collision>
-    <visual name="v"><geometry><sphere><radius>0.1</radius></sphere></geometry>
+    <visual name="v"><cast_shadows>false</cast_shadows>
+      <geometry><sphere><radius>0.1</radius></sphere></geometry>
       <material><diffuse>0.1 0.2 0.3 0.5</diffuse></material></visual></link>
   <link name="arm"><pose>0 0 0.5 0 0 0</pose>
     <inertial><mass>1</mass>
@@ -159,6 +160,7 @@ def same_link(link, other):
         assert again.pose.position == pytest.approx(shape.pose.position)
     for shape, again in zip(link.visuals, other.visuals):
         assert (again.geometry, again.colour) == (shape.geometry, shape.colour)
+        assert again.casts_shadows == shape.casts_shadows
         assert turned_as(shape.pose.quaternion, again.pose.quaternion)
     counts = len(link.collisions), len(link.visuals)
     assert (len(other.collisions), len(other.visuals)) == counts

@@ -75,6 +75,7 @@ class Visual:
     pose: Pose = Pose()
     colour: Colour = WHITE
     name: str = ""
+    casts_shadows: bool = True
 
 
 @dataclass(frozen=True)

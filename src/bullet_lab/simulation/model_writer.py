@@ -79,6 +79,8 @@ class ModelWriter:
             _add_surface(child, collision)
         for name, visual in _named(link.visuals, "visual"):
             child = self._add_shape(element, "visual", name, visual)
+            if not visual.casts_shadows:
+                add_flag(child, "cast_shadows", False)
             colour = numbers_text(visual.colour)
             material = SubElement(child, "material")
             add_text(material, "ambient", colour)

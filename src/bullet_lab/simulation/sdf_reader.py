@@ -254,7 +254,10 @@ def _link(element: Element, static: bool, context: _Context) -> Link:
         geometry = _geometry(child, inner)
         if geometry is not None:
             colour = _visual_colour(child, geometry, inner)
-            visuals.append(Visual(geometry, _pose(child, inner), colour, child.get("name", "")))
+            said = child_text(child, "cast_shadows", "true")
+            casts = boolean(said, f"{inner.source}: <cast_shadows>")
+            name_of = child.get("name", "")
+            visuals.append(Visual(geometry, _pose(child, inner), colour, name_of, casts))
     collisions: List[Collision] = []
     for child in element.findall("collision"):
         geometry = _geometry(child, inner)

@@ -12,7 +12,7 @@ of a spot. Colours of lights count by their mean; there are no highlights.
 from __future__ import annotations
 
 import math
-from typing import Iterable
+from typing import Iterable, Optional
 
 import numpy as np
 
@@ -39,11 +39,19 @@ class Lighting:
         """Whether it changes from place to place."""
         return any(light.kind != "directional" for light in self._lights)
 
-    def shade(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Return the brightness at points with unit normals, both (…, 3) in the world: (…)."""
+    def shade(
+        self, points: np.ndarray, normals: np.ndarray, unseen: Optional[np.ndarray] = None
+    ) -> np.ndarray:
+        """Return the brightness at points with unit normals, both (n, …, 3) in the world: (n, …).
+
+        With shadows, `unseen` (n, lights) says which lights do not reach the points.
+        """
         total = np.full(points.shape[:-1], self._ambient)
-        for light in self._lights:
-            total += _from_light(light, points, normals)
+        for k, light in enumerate(self._lights):
+            lit = _from_light(light, points, normals)
+            if unseen is not None:
+                lit[unseen[:, k]] = 0.0
+            total += lit
         return total
 
     def mean_shade(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:

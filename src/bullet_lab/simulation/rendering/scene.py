@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Tuple
 
 import numpy as np
 
 from bullet_lab.simulation.attached_frame import AttachedFrame
-from bullet_lab.simulation.description import Colour, World
+from bullet_lab.simulation.description import Colour, Geometry, Visual, World
 from bullet_lab.simulation.pose import Pose, Vector
+from bullet_lab.simulation.rendering.casters import Caster, casters_of
 from bullet_lab.simulation.rendering.choice import EGL
 from bullet_lab.simulation.rendering.engine import RenderEngine
 from bullet_lab.simulation.rendering.lighting import Lighting
 from bullet_lab.simulation.rendering.painting import Painted, paint
 from bullet_lab.simulation.rendering.prefilter import fitting
 from bullet_lab.simulation.rendering.shading import STANDING, TUMBLING, TURNING, Part, Shader
+from bullet_lab.simulation.rendering.shadows import Shadows, casting_lights
 from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
 from bullet_lab.simulation.rendering.texture_map import TextureMap, common_map
+
+# Shapes are known to the shadows by numbers.
+_NUMBERS = itertools.count()
 
 # Where copies of pictures wait that do not fit the present distance: far below all.
 ELSEWHERE = Pose((0.0, 0.0, -1e5))
@@ -62,12 +68,55 @@ class _Copy:
 
 
 @dataclass(frozen=True)
-class _Shape:
-    """What is to be seen of one link: surfaces with their colours, and where it is."""
+class _Visual:
+    """A shape of a link with its surfaces in the link's frame, and a number of its own."""
 
-    surfaces: Tuple[Tuple[Surface, Colour], ...]
+    surfaces: Tuple[Surface, ...]
+    colour: Colour
+    number: int
+    geometry: Optional[Geometry]
+
+    def casters(self, pose: Pose) -> List[Caster]:
+        """Return what throws shadows, in the world, for a link at a pose."""
+        if self.geometry is None:
+            return []
+        return casters_of(self.geometry, [s.moved(pose) for s in self.surfaces], self.number)
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """What is to be seen of one link, and where it is."""
+
+    visuals: Tuple[_Visual, ...]
     where: Callable[[], Pose]
     motion: str
+    _cast: Dict[Pose, List[Caster]] = field(default_factory=dict)
+
+    @property
+    def surfaces(self) -> Iterator[Tuple[Surface, _Visual]]:
+        """The surfaces in the link's frame, and what they belong to."""
+        return ((surface, visual) for visual in self.visuals for surface in visual.surfaces)
+
+    def casters(self) -> List[Caster]:
+        """Return what throws shadows, in the world; the same objects until it moves."""
+        if self.motion != STANDING:
+            return []
+        pose = self.where()
+        if pose not in self._cast:
+            self._cast.clear()
+            self._cast[pose] = [c for visual in self.visuals for c in visual.casters(pose)]
+        return self._cast[pose]
+
+    def shaded_by(self, shadows: Shadows) -> List[Tuple[int, Caster]]:
+        """Return, by the number of the light, what may throw a shadow on it."""
+        if self.motion != STANDING:
+            return []
+        pose = self.where()
+        return [
+            found
+            for surface, visual in self.surfaces
+            for found in shadows.reaching(surface.moved(pose).corners, visual.number)
+        ]
 
     def pictures(self) -> List[Surface]:
         """The surfaces with pictures, in the world."""
@@ -83,6 +132,16 @@ class _Copies:
     shapes: List[_Shape]
     parts: List[_Copy] = field(default_factory=list)
     painted: List[Pose] = field(default_factory=list)
+    shadows: Optional[Shadows] = None
+    shaded_by: List[Tuple[int, Caster]] = field(default_factory=list)
+
+    def see(self, shadows: Optional[Shadows]) -> bool:
+        """Take the shadows in the world; return whether those on this model are as before."""
+        before, same = self.shaded_by, self.shadows is shadows
+        if not same and shadows is not None:
+            self.shadows = shadows
+            self.shaded_by = [found for s in self.shapes for found in s.shaded_by(shadows)]
+        return same or before == self.shaded_by
 
     def is_painted(self) -> bool:
         """Whether there are copies, lit where the shapes are now or may be anywhere."""
@@ -115,6 +174,8 @@ class Scene:
         self._models = models
         self._copies: Dict[str, _Copies] = {}
         self._map: Optional[TextureMap] = None
+        self._world = world
+        self._shadows: Optional[Shadows] = None
 
     def update(self, eye: Vector, angle: float) -> None:
         """Bring the copies to where the models are.
@@ -166,10 +227,11 @@ class Scene:
         """Make the copies that are missing; all of them, if the way of drawing changes."""
         found = self._common_map()
         same, self._map = _equal(found, self._map), found
+        shadows = self._cast()
         for copies in self._copies.values():
-            if not (same and copies.is_painted()):
+            if not (copies.see(shadows) and same and copies.is_painted()):
                 copies.remove()
-        shader = Shader(self.lighting, self.engine.renderer == EGL, self._map)
+        shader = Shader(self.lighting, self.engine.renderer == EGL, self._map, shadows)
         for copies in self._copies.values():
             if copies.painted:
                 continue
@@ -177,10 +239,19 @@ class Scene:
                 pose = shape.where()
                 copies.painted.append(pose)
                 lit: List[Part] = []
-                for surface, colour in shape.surfaces:
-                    lit.extend(shader.parts(surface, colour, pose, shape.motion))
+                for surface, of in shape.surfaces:
+                    lit.extend(shader.parts(surface, of.colour, pose, shape.motion, of.number))
                 painted = paint(self.engine, lit, pose)
                 copies.parts.extend(_Copy(self.engine, one, shape.where) for one in painted)
+
+    def _cast(self) -> Optional[Shadows]:
+        """Return the shadows in the world, the same until something is added, moved or gone."""
+        if casting_lights(self._world):
+            shapes = (shape for copies in self._copies.values() for shape in copies.shapes)
+            casters = [caster for shape in shapes for caster in shape.casters()]
+            if self._shadows is None or self._shadows.casters != casters:
+                self._shadows = Shadows(self._world, casters)
+        return self._shadows
 
     def _common_map(self) -> Optional[TextureMap]:
         if self.engine.renderer != EGL:
@@ -206,14 +277,16 @@ def _shapes_of(instance: Any) -> List[_Shape]:
             motion = STANDING if instance.model.static else TURNING
             if link.name != root and not instance.model.static:
                 motion = TUMBLING
-            surfaces = tuple(
-                (surface.moved(visual.pose), visual.colour)
-                for visual in link.visuals
-                for surface in surfaces_of(visual.geometry)
-            )
-            if surfaces:
-                shapes.append(_Shape(surfaces, AttachedFrame(body, link.name).pose, motion))
+            visuals = tuple(map(_visual_of, link.visuals))
+            if visuals:
+                shapes.append(_Shape(visuals, AttachedFrame(body, link.name).pose, motion))
     return shapes
+
+
+def _visual_of(visual: Visual) -> _Visual:
+    surfaces = tuple(surface.moved(visual.pose) for surface in surfaces_of(visual.geometry))
+    geometry = visual.geometry if visual.casts_shadows else None
+    return _Visual(surfaces, visual.colour, next(_NUMBERS), geometry)
 
 
 def _equal(one: Optional[TextureMap], other: Optional[TextureMap]) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 from bullet_lab.simulation.description import Colour
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.rendering.lighting import Lighting
+from bullet_lab.simulation.rendering.shadows import Cut, Shadows
 from bullet_lab.simulation.rendering.surfaces import Surface
 from bullet_lab.simulation.rendering.texture_map import TextureMap
 
@@ -57,14 +58,24 @@ class Shader:
         egl: whether EGL draws.
         texture_map: what EGL finds the places in pictures with, see there; None for the
             coordinates of the surfaces.
+        shadows: on what stands still.
     """
 
-    def __init__(self, lighting: Lighting, egl: bool, texture_map: Optional[TextureMap] = None):
+    def __init__(
+        self,
+        lighting: Lighting,
+        egl: bool,
+        texture_map: Optional[TextureMap] = None,
+        shadows: Optional[Shadows] = None,
+    ):
         self._lighting = lighting
         self._egl = egl
         self._map = texture_map
+        self._shadows = shadows
 
-    def parts(self, surface: Surface, colour: Colour, pose: Pose, motion: str) -> List[Part]:
+    def parts(
+        self, surface: Surface, colour: Colour, pose: Pose, motion: str, shape: int = 0
+    ) -> List[Part]:
         """Return a surface of a link in lit parts.
 
         Args:
@@ -73,22 +84,30 @@ class Shader:
             pose: of the link in the world now.
             motion: "standing" things are lit where they are; "turning" ones may have any
                 heading, "tumbling" ones, such as wheels, any attitude.
+            shape: the number by which its shadows are known.
         """
         colour = tuple(a * b for a, b in zip(colour, surface.tint)) + (colour[3],)
         if self._lighting.local and motion == STANDING:
             surface = _cut_up(surface)
-        shades = self._shades(surface.moved(pose), pose, motion) / self._lighting.peak
+        if surface.texture is not None and self._map is not None:
+            surface = replace(surface, texture=self._map.image(surface.moved(pose)))
+        cut = None
+        if self._shadows is not None and motion == STANDING:
+            cut = self._shadows.on(surface.moved(pose), shape)
+        surface = surface if cut is None else cut.of(surface)
+        shades = self._shades(surface.moved(pose), pose, motion, cut) / self._lighting.peak
         if surface.texture is not None:
-            return self._with_picture(surface, shades, colour, pose)
+            return self._with_picture(surface, shades, colour)
         if motion == TUMBLING and self._egl:
             return [Part(surface, _scaled(colour, shades.mean() / EGL_MEAN))]
         if self._map is not None:
             return self._in_bands(surface, shades, colour)
         return [Part(_on_ramp(surface, shades), self._even(colour), -np.ones(shades.shape))]
 
-    def _shades(self, world: Surface, pose: Pose, motion: str) -> np.ndarray:
+    def _shades(self, world: Surface, pose: Pose, motion: str, cut: Optional[Cut]) -> np.ndarray:
         if motion == STANDING:
-            return self._lighting.shade(world.corners, world.normals)
+            unseen = None if cut is None else cut.unseen
+            return self._lighting.shade(world.corners, world.normals, unseen)
         if motion == TURNING:
             return self._lighting.mean_shade(world.corners, world.normals)
         points = np.broadcast_to(np.asarray(pose.position), _ALL_WAYS.shape)
@@ -99,11 +118,7 @@ class Shader:
         """Return the colour that comes out as this one for normals at the cosine -1."""
         return _scaled(colour, 1.0 / DARKEST) if self._egl else colour
 
-    def _with_picture(
-        self, surface: Surface, shades: np.ndarray, colour: Colour, pose: Pose
-    ) -> List[Part]:
-        if self._map is not None:
-            surface = replace(surface, texture=self._map.image(surface.moved(pose)))
+    def _with_picture(self, surface: Surface, shades: np.ndarray, colour: Colour) -> List[Part]:
         steps = np.round(shades.mean(axis=1) * SHADES).astype(int)
         parts = []
         for step in np.unique(steps):

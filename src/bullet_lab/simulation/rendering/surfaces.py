@@ -38,7 +38,12 @@ class Surface:
     def select(self, chosen: np.ndarray) -> Surface:
         """Return some of the triangles, by truth values."""
         picture = None if self.picture is None else self.picture[chosen]
-        corners, normals = self.corners[chosen], self.normals[chosen]
+        return self.with_triangles(self.corners[chosen], self.normals[chosen], picture)
+
+    def with_triangles(
+        self, corners: np.ndarray, normals: np.ndarray, picture: Optional[np.ndarray]
+    ) -> Surface:
+        """Return other triangles that look the same."""
         return replace(self, corners=corners, normals=normals, picture=picture)
 
     def moved(self, pose: Pose) -> Surface:

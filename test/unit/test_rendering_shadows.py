@@ -1,0 +1,176 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from picture_worlds import CAMERA, RENDERERS, plate, simulation_of, thing, usable, write_plate
+
+from bullet_lab.simulation.description import (
+    Attenuation,
+    Box,
+    Cylinder,
+    Inertia,
+    Light,
+    Plane,
+    Sphere,
+)
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.rendering.frame import Shot
+
+HALF = (0.5, 0.5, 0.5, 1.0)
+SUN = Light("sun", "directional", Pose(), HALF, (0.8, 0.0, -0.6), casts_shadows=True)
+LAMP = Light(
+    "lamp",
+    "point",
+    Pose((0.0, 0.0, 4.0)),
+    HALF,
+    casts_shadows=True,
+    attenuation=Attenuation(range=50.0),
+)
+LIGHT = {"ambient": (0.25, 0.25, 0.25, 1.0), "lights": (SUN,)}
+FLOOR = thing("floor", Plane())
+# From 1 m above the floor on: no side of it is seen from above but the upper one.
+BOX = thing("box", Box((0.4, 0.4, 0.4)), Pose((0.0, 0.0, 1.2)))
+DOWN = Pose.from_rpy((0.0, 0.0, 5.0), (0.0, math.pi / 2, 0.0))
+
+
+@pytest.fixture(params=RENDERERS)
+def renderer(request):
+    return usable(request.param)
+
+
+def take(*models, pose=DOWN, **light):
+    with simulation_of(*models, **{**LIGHT, **light}) as simulation:
+        return simulation.photographer().take(pose, Shot(CAMERA))[..., 0].astype(int)
+
+
+def at(picture, x, y):
+    """The brightness of the floor at (x, y), seen from above with x up in the picture."""
+    return picture[round(239.5 - CAMERA.fy * x / 5.0), round(319.5 - CAMERA.fx * y / 5.0)]
+
+
+def extent(dark):
+    """Least and greatest x and y of the floor where a picture from above is dark."""
+    rows, columns = np.nonzero(dark)
+    x, y = (239.5 - rows) * 5.0 / CAMERA.fy, (319.5 - columns) * 5.0 / CAMERA.fx
+    return x.min(), x.max(), y.min(), y.max()
+
+
+def test_the_shadow_of_a_box_under_a_sun_is_where_geometry_says(renderer):
+    seen = take(FLOOR, BOX, renderer=renderer)
+    dark = np.abs(seen - 0.25 * 255) < 3
+    # Lower edge at 1 m, upper one at 1.4 m; the light goes 4 / 3 m along x for each.
+    wanted = (4 / 3 - 0.2, 1.4 * 4 / 3 + 0.2, -0.2, 0.2)
+    assert extent(dark) == pytest.approx(wanted, abs=0.015)
+    length, pixel = wanted[1] - wanted[0], 5.0 / CAMERA.fx
+    assert dark.sum() * pixel**2 == pytest.approx(length * 0.4, rel=0.02)
+    assert at(seen, -1.0, 0.5) == pytest.approx(255 * (0.25 + 0.5 * 0.6), abs=2)
+
+
+def test_the_shadow_of_a_box_under_a_lamp_is_where_geometry_says(renderer):
+    box = thing("box", Box((0.4, 0.4, 0.4)), Pose((0.6, 0.0, 1.8)))
+    seen = take(FLOOR, box, renderer=renderer, lights=(LAMP,))
+    dark = np.abs(seen - 0.25 * 255) < 3
+    # From the near side's lower edge at 1.6 m, at x = 0.4, to the far side's upper one at 2 m.
+    # It is wider than what the box hides of the floor, and so seen beside the box.
+    wanted = (0.4 * 4 / 2.4, 0.8 * 4 / 2, -0.4, 0.4)
+    assert extent(dark) == pytest.approx(wanted, abs=0.02)
+
+
+@pytest.mark.parametrize("change", ["scene", "light", "visual", "moving"])
+def test_shadows_that_are_off(renderer, change):
+    bare = take(FLOOR, renderer=renderer)
+    (link,) = BOX.links
+    if change == "scene":
+        seen = take(FLOOR, BOX, renderer=renderer, shadows=False)
+    elif change == "light":
+        seen = take(FLOOR, BOX, renderer=renderer, lights=(replace(SUN, casts_shadows=False),))
+    elif change == "visual":
+        quiet = replace(link, visuals=(replace(link.visuals[0], casts_shadows=False),))
+        seen = take(FLOOR, replace(BOX, links=(quiet,)), renderer=renderer)
+    else:
+        heavy = replace(link, inertia=Inertia(1.0, (0.0, 0.0, 0.0), np.eye(3)))
+        robot = replace(BOX, links=(heavy,), static=False)
+        seen = take(FLOOR, robot, renderer=renderer)
+    where = (slice(0, 150), slice(None))
+    assert np.array_equal(seen[where], bare[where])
+    assert not np.array_equal(take(FLOOR, BOX, renderer=renderer)[where], bare[where])
+
+
+def test_a_shadow_goes_with_what_throws_it(renderer):
+    other = thing("other", Box((0.4, 0.4, 0.4)), Pose((0.0, 1.5, 1.2)))
+    with simulation_of(FLOOR, BOX, renderer=renderer, **LIGHT) as simulation:
+        photographer = simulation.photographer()
+
+        def floor(y):
+            return at(photographer.take(DOWN, Shot(CAMERA))[..., 0].astype(int), 1.6, y)
+
+        dark, bright = floor(0.0), floor(-1.0)
+        assert bright - dark > 60
+        simulation.models["box"].place(Pose((0.0, -1.0, 1.2)))
+        assert (floor(0.0), floor(-1.0)) == pytest.approx((bright, dark), abs=1)
+        simulation.add(other)
+        assert (floor(1.5), floor(-1.0)) == pytest.approx((dark, dark), abs=1)
+        simulation.remove("other")
+        assert (floor(1.5), floor(-1.0)) == pytest.approx((bright, dark), abs=1)
+        simulation.remove("box")
+        assert (floor(0.0), floor(-1.0)) == pytest.approx((bright, bright), abs=1)
+
+
+def test_a_picture_on_a_wall_lies_in_shadow_too(renderer, tmp_path):
+    path = write_plate(tmp_path, "grey", np.full((64, 64), 160, np.uint8), 2.0, 2.0)
+    wall = plate(path, Pose((2.0, 0.0, 1.0)))
+    # It hides the light of the wall's left half, above and beside what is seen.
+    blind = thing("blind", Box((0.02, 3.0, 3.0)), Pose((0.5, 1.5, 2.5)))
+    look = Pose((0.8, 0.0, 1.0))
+    seen = take(wall, blind, pose=look, renderer=renderer)
+    row = seen[240]
+    assert row[[300, 100]] == pytest.approx((160 * 0.25,) * 2, abs=2)
+    assert row[[340, 540]] == pytest.approx((160 * (0.25 + 0.5 * 0.8),) * 2, abs=2)
+
+
+def test_only_what_a_shadow_reaches_is_painted_again(renderer):
+    far = thing("far", Box((0.4, 0.4, 0.4)), Pose((0.0, 9.0, 0.2)))
+    with simulation_of(FLOOR, BOX, far, renderer=renderer, **LIGHT) as simulation:
+        photographer = simulation.photographer()
+        photographer.take(DOWN, Shot(CAMERA))
+        loaded = []
+        engine = photographer._scene.engine
+        load, engine.load = engine.load, lambda path: loaded.append(path) or load(path)
+        try:
+            simulation.add(thing("post", Box((0.2, 0.2, 1.0)), Pose((0.0, -3.0, 0.5))))
+            photographer.take(DOWN, Shot(CAMERA))
+            assert len(loaded) == 2
+            photographer.take(DOWN, Shot(CAMERA))
+            assert len(loaded) == 2
+        finally:
+            engine.load = load
+
+
+def many_things():
+    random = np.random.default_rng(5)
+    shapes = (Box((0.5, 0.4, 0.6)), Cylinder(0.2, 0.8), Sphere(0.3))
+    for k in range(12):
+        x, y, z = random.uniform((2.0, -2.0, 0.2), (6.0, 2.0, 1.2))
+        pose = Pose.from_rpy((x, y, z), tuple(random.uniform(-3.0, 3.0, 3)))
+        yield thing(f"thing{k}", shapes[k % 3], pose)
+
+
+def test_both_renderers_draw_the_same_shadows_and_no_cracks():
+    usable("egl")
+    models = (thing("floor", Plane(), colour=(0.6, 0.6, 0.6, 1.0)), *many_things())
+    slanting = Pose.from_rpy((0.0, 0.0, 4.0), (0.0, 0.8, 0.0))
+    spot = replace(LAMP, kind="spot", pose=Pose.from_rpy((3.0, 1.0, 6.0), (0.1, 0.0, 0.0)))
+    for lights in ((SUN,), (SUN, LAMP, spot)):
+        pictures = []
+        for kind in RENDERERS:
+            options = {**LIGHT, "lights": lights, "background": (1.0, 0.0, 0.0, 1.0)}
+            with simulation_of(*models, renderer=kind, **options) as simulation:
+                taken = simulation.photographer().take(slanting, Shot(CAMERA)).astype(int)
+            # Red is only where the background shows.
+            assert (taken[60:, :, 0] - taken[60:, :, 1] > 60).sum() <= 2
+            pictures.append(taken[..., 0])
+        differences = np.abs(pictures[0] - pictures[1])
+        assert differences.mean() < 1.0
+        assert (differences > 30).mean() < 2e-3
+        assert np.ptp(pictures[0][100:]) > 60
