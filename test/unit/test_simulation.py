@@ -1,5 +1,6 @@
 import math
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -342,3 +343,14 @@ def test_limits_hold_and_may_be_left_out(kind, limits, stops):
         (body,) = simulation.add(model).bodies.values()
         simulation.run_for(0.4)
         assert (body.joint_state("j").position > -0.15) == stops
+
+
+def test_where_wall_time_goes_is_known_by_plugin(world):
+    robot = world.spawn(BLOCK_ROBOT)
+    world.every(10.0, lambda _: time.sleep(0.01))
+    robot.listen("odom", lambda _: time.sleep(0.02))
+    world.run_for(0.2)
+    spent = world.take_spent()
+    assert spent["plugin 'planar_move' of 'block_robot'"] >= 0.08
+    assert spent["clock and states"] >= 0.02
+    assert world.take_spent() == {}

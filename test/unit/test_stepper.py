@@ -6,6 +6,7 @@ import pytest
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros import stepper as stepper_module
+from bullet_lab.ros.loop_watch import LoopWatch
 from bullet_lab.ros.pace import Pace
 from bullet_lab.ros.stepper import Stepper, StepperError
 from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
@@ -315,3 +316,108 @@ def test_steps_that_are_asked_for_are_in_a_hurry(running):
     assert not run.stepper.hurried
     run.stepper.set_real_time_factor(0.0)
     assert run.stepper.hurried
+
+
+class SlowWorld:
+    """A stepper of which all happens in a time of its own, in the thread of the test.
+
+    Every step costs `cost` wall seconds, and waiting costs what it takes.
+    """
+
+    def __init__(self, monkeypatch, cost, rtf=1.0, paused=False, expected=()):
+        self.now = 0.0
+        self.lags = []
+        self.stalls = []
+        self.simulation = Simulation()
+        self.gate = TimeGate(expected)
+        monkeypatch.setattr(stepper_module.time, "monotonic", lambda: self.now)
+        advance = self.simulation.run_until
+
+        def run_until(step):
+            self.now += cost * (step - self.simulation.step)
+            advance(step)
+
+        monkeypatch.setattr(self.simulation, "run_until", run_until)
+        self.stepper = Stepper(
+            self.simulation,
+            Pace(rtf, lambda: self.now),
+            self.gate,
+            tick=10,
+            paused=paused,
+            is_over=lambda: self.now >= self.end,
+            report_stall=self.stalls.append,
+            after_steps=lambda: None,
+            report_lag=self.lags.append,
+            watch=LoopWatch(lambda: self.now),
+        )
+        monkeypatch.setattr(self.stepper, "_wait", self.wait)
+
+    def wait(self, seconds, _wakeups):
+        self.now += max(seconds, 1e-4)
+
+    def run(self, seconds):
+        self.end = self.now + seconds
+        self.stepper.run()
+        self.simulation.close()
+
+
+def test_a_speed_that_is_not_reached_is_reported_every_few_seconds(monkeypatch):
+    world = SlowWorld(monkeypatch, cost=2e-3)
+    world.run(21.0)
+    assert len(world.lags) == 4
+    assert all(lag.reached == pytest.approx(0.5, abs=0.02) for lag in world.lags)
+    assert world.lags[0].causes == (("steps", pytest.approx(1.0, abs=0.02)),)
+
+
+@pytest.mark.parametrize(("cost", "rtf"), [(1e-4, 1.0), (9e-4, 1.0), (9e-3, 0.1), (2e-3, 0.0)])
+def test_a_speed_that_is_reached_is_no_news(monkeypatch, cost, rtf):
+    world = SlowWorld(monkeypatch, cost, rtf)
+    world.run(21.0)
+    assert world.lags == []
+
+
+def test_a_pause_is_no_lag(monkeypatch):
+    world = SlowWorld(monkeypatch, cost=1e-4, paused=True)
+    world.run(30.0)
+    assert (world.lags, world.stalls) == ([], [])
+    # Nor does it count afterwards.
+    world = SlowWorld(monkeypatch, cost=1e-4)
+    world.stepper._set_paused(True)
+    world.now += 30.0
+    world.stepper._set_paused(False)
+    world.run(20.0)
+    assert world.lags == []
+
+
+def test_who_holds_time_back_for_long_is_reported_as_a_stall_alone(monkeypatch):
+    world = SlowWorld(monkeypatch, cost=1e-4)
+    world.gate.grant("/a", 1000)
+    world.run(20.0)
+    assert world.lags == []
+    assert len(world.stalls) > 5
+
+
+def test_who_holds_time_back_again_and_again_is_named(monkeypatch):
+    world = SlowWorld(monkeypatch, cost=1e-4)
+    world.gate.grant("/a", 0)
+    wait = world.wait
+
+    def grant_late(seconds, wakeups):
+        wait(seconds, wakeups)
+        if world.gate.limit() <= world.simulation.step:
+            world.gate.grant("/a", world.simulation.step + 50)
+
+    monkeypatch.setattr(world.stepper, "_wait", grant_late)
+    world.run(11.0)
+    assert len(world.lags) == 2
+    assert world.lags[1].causes[0][0] == "waiting for /a"
+
+
+def test_the_plugin_that_takes_the_time_is_named(monkeypatch):
+    world = SlowWorld(monkeypatch, cost=2e-3)
+    monkeypatch.setattr(world.simulation, "take_spent", lambda: {"plugin 'eye' of 'r'": 3.0})
+    world.run(5.5)
+    assert world.lags[0].causes == (
+        ("plugin 'eye' of 'r'", pytest.approx(0.6, abs=0.02)),
+        ("steps", pytest.approx(0.4, abs=0.02)),
+    )

@@ -23,6 +23,8 @@
 from __future__ import annotations
 
 import sys
+import threading
+import time
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any, Callable, List, Optional, Sequence, Tuple
@@ -66,6 +68,8 @@ from bullet_lab.srv import Advance, AdvanceResponse, Step, StepResponse
 LOG_TIME_RATE = 5.0
 # A member of the lock step that has not answered so many times in a row is dead.
 SILENCES = 3
+# Wall seconds between two looks at whether the loop is stuck.
+LOOP_CHECK_SECONDS = 1.0
 # A grant up to here, the end of ROS time, means "for ever".
 END_OF_TIME = 2**31 - 1
 
@@ -131,6 +135,7 @@ class PyBulletBridge:
             is_over=rospy.is_shutdown,
             report_stall=self._report_stall,
             after_steps=lambda: self._wiring.flush(),
+            report_lag=lambda lag: rospy.logwarn("%s", lag),
         )
         self._wiring = Wiring(self.stepper)
         self._silences: Counter = Counter()
@@ -154,10 +159,19 @@ class PyBulletBridge:
     def spin(self) -> None:
         """Run until ROS shuts down."""
         rospy.on_shutdown(self.stepper.wake)
+        threading.Thread(target=self._watch_the_loop, daemon=True).start()
         try:
             self.stepper.run()
         finally:
             self.simulation.close()
+
+    def _watch_the_loop(self) -> None:
+        """Say so when the loop is stuck, which it cannot say itself."""
+        while not rospy.is_shutdown():
+            stuck = self.stepper.watch.stuck()
+            if stuck:
+                rospy.logwarn("simulated time stands still: busy with %s for %.0f s", *stuck)
+            time.sleep(LOOP_CHECK_SECONDS)
 
     def _publish_clock(self, step: int) -> None:
         set_time(self._clock.clock, step)

@@ -14,6 +14,7 @@ from collections import Counter
 from typing import Any, Callable, Optional, Sequence
 
 from bullet_lab.errors import LabError
+from bullet_lab.ros.loop_watch import Lag, LoopWatch
 from bullet_lab.ros.pace import Pace
 from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
 from bullet_lab.simulation.simulation import Simulation
@@ -42,6 +43,8 @@ class Stepper:
         is_over: says whether to end.
         report_stall: called with the names of those who hold time back, every `PATIENCE`.
         after_steps: called when steps have been made, before anybody is told of them.
+        report_lag: called when time does not hold its speed, every few seconds.
+        watch: notices that.
     """
 
     def __init__(
@@ -54,6 +57,8 @@ class Stepper:
         is_over: Callable[[], bool],
         report_stall: Callable[[Sequence[str]], None],
         after_steps: Callable[[], None],
+        report_lag: Callable[[Lag], None] = lambda _: None,
+        watch: Optional[LoopWatch] = None,
     ):
         self.simulation = simulation
         self.pace = pace
@@ -64,6 +69,8 @@ class Stepper:
         self._is_over = is_over
         self._report_stall = report_stall
         self._after_steps = after_steps
+        self._report_lag = report_lag
+        self.watch = watch or LoopWatch()
         self._reached = simulation.step
         self._stalled_since: Optional[float] = None
         self._tasks: queue.Queue[_Task] = queue.Queue()
@@ -84,7 +91,7 @@ class Stepper:
 
     def run(self) -> None:
         """Advance until all is over; to be called by one thread, once."""
-        self.pace.restart(self.simulation.step)
+        self._restart(self.simulation.step)
         try:
             while not self._is_over():
                 self._run_tasks()
@@ -201,9 +208,12 @@ class Stepper:
         step = self.simulation.step
         limit = -1 if self._paused else self.gate.limit()
         if limit is None or limit <= step:
+            if limit is None:
+                self._restart(step)
             self.pace.restart(step)
             self._watch_the_stall()
-            self._wait(LONGEST_WAIT, wakeups)
+            with self.watch.doing(f"waiting for {' and '.join(self.gate.holding())}"):
+                self._wait(LONGEST_WAIT, wakeups)
             return
         self._stalled_since = None
         due = self.pace.due(step)
@@ -212,13 +222,16 @@ class Stepper:
             self._wait(min(LONGEST_WAIT, wait), wakeups)
             due = self.pace.due(step)
         self._run_until(int(min(limit, due, step + STEPS_AT_A_TIME)))
+        self._watch_the_speed()
         if limit != FOR_EVER:
             with self._wake:
                 self._wake.notify_all()
 
     def _run_until(self, step: int) -> None:
-        self.simulation.run_until(step)
-        self._after_steps()
+        with self.watch.doing("steps"):
+            self.simulation.run_until(step)
+        with self.watch.doing("handing messages to subscribers"):
+            self._after_steps()
         self._reached = self.simulation.step
 
     def _wait(self, seconds: float, wakeups: int) -> None:
@@ -229,7 +242,9 @@ class Stepper:
     def _run_tasks(self) -> None:
         with contextlib.suppress(queue.Empty):
             while True:
-                self._tasks.get_nowait().run()
+                task = self._tasks.get_nowait()
+                with self.watch.doing("services"):
+                    task.run()
 
     def _catch_up_and(self, action: Callable[[], None]) -> None:
         step, limit = self.simulation.step, self.gate.limit()
@@ -239,11 +254,11 @@ class Stepper:
 
     def _set_paused(self, paused: bool) -> None:
         self._paused = paused
-        self.pace.restart(self.simulation.step)
+        self._restart(self.simulation.step)
 
     def _set_real_time_factor(self, factor: float) -> None:
         self.pace.real_time_factor = factor
-        self.pace.restart(self.simulation.step)
+        self._restart(self.simulation.step)
 
     def _advance_by(self, steps: int) -> int:
         goal = self.simulation.step + steps
@@ -256,14 +271,14 @@ class Stepper:
                 self._run_until(min(goal, self.simulation.step + STEPS_AT_A_TIME))
         finally:
             self._advancing = False
-        self.pace.restart(goal)
+        self._restart(goal)
         return goal
 
     def _reset_simulation(self) -> None:
         self.simulation.reset_simulation()
         self._reached = 0
         self.gate.restart()
-        self.pace.restart(0)
+        self._restart(0)
         with self._wake:
             self._resets += 1
             self._wake.notify_all()
@@ -271,12 +286,30 @@ class Stepper:
     def _is_settled(self, resets: int, step: float) -> bool:
         return self._reached >= step or self._resets != resets or self._is_over()
 
+    def _restart(self, step: int) -> None:
+        """Let speed be measured from now on, with time at a step."""
+        self.pace.restart(step)
+        self.watch.restart(step)
+        self.simulation.take_spent()
+
+    def _watch_the_speed(self) -> None:
+        if not self.watch.due:
+            return
+        for what, seconds in self.simulation.take_spent().items():
+            self.watch.spend(what, seconds)
+            self.watch.spend("steps", -seconds)
+        lag = self.watch.look(self.simulation.step, self.pace.real_time_factor)
+        if lag is not None:
+            self._report_lag(lag)
+
     def _watch_the_stall(self) -> None:
         now = time.monotonic()
         if self._paused or self._stalled_since is None:
             self._stalled_since = now
         elif now - self._stalled_since >= PATIENCE:
             self._stalled_since = now
+            # One report is enough.
+            self._restart(self.simulation.step)
             self._report_stall(self.gate.holding())
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import logging
 import math
+import time
 from dataclasses import dataclass, replace
 from typing import Callable, Dict, List, Mapping, Optional, Tuple, Union
 
@@ -93,6 +94,7 @@ class Simulation:
         self._acting: List[Device] = []
         self._measuring: List[Union[Device, Timer]] = []
         self._timers: List[Union[Device, Timer]] = []
+        self._spent: Dict[Union[Device, Timer], float] = {}
         self.forces = Forces()
         try:
             for model in self.world.models:
@@ -217,6 +219,8 @@ class Simulation:
             raise SimulationError(f"there is no model '{name}'")
         self._physics.remove(instance.bodies)
         self.forces.forget(instance)
+        for device in instance.devices:
+            self._spent.pop(device, None)
         for body in instance.bodies.values():
             del self._owners[body.unique_id]
         self._acting = [d for d in self._acting if d not in instance.devices]
@@ -270,7 +274,21 @@ class Simulation:
             for timer in timers:
                 if timer.schedule.next_step <= self.step:
                     timer.schedule.advance()
+                    start = time.perf_counter()
                     timer.produce(self.step)
+                    took = time.perf_counter() - start
+                    self._spent[timer] = self._spent.get(timer, 0.0) + took
+
+    def take_spent(self) -> Dict[str, float]:
+        """Return the wall seconds that each plugin's samples have taken since the last call."""
+        taken: Dict[str, float] = {}
+        for timer, seconds in self._spent.items():
+            name = "clock and states"
+            if isinstance(timer, Device):
+                name = f"plugin '{timer.mount.plugin.name}' of '{timer.mount.model.name}'"
+            taken[name] = taken.get(name, 0.0) + seconds
+        self._spent.clear()
+        return taken
 
     def reset_world(self) -> None:
         """Put all models back to where they were added; time goes on."""

@@ -1,0 +1,118 @@
+import pytest
+
+from bullet_lab.ros.loop_watch import WINDOW, LoopWatch
+
+
+class Clock:
+    def __init__(self):
+        self.now = 50.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def watch(clock):
+    return LoopWatch(clock)
+
+
+def after(clock, watch, seconds, step, wanted=1.0):
+    clock.now += seconds
+    return watch.look(step, wanted)
+
+
+def test_time_that_keeps_its_speed(clock, watch):
+    for second in range(1, 8):
+        assert after(clock, watch, 5.0, 5000 * second) is None
+    assert after(clock, watch, 5.0, 35_000 + 4600) is None
+    assert after(clock, watch, 5.0, 39_600 + 4400) is not None
+
+
+def test_time_that_falls_behind(clock, watch):
+    lag = after(clock, watch, 5.0, 2500)
+    assert (lag.wanted, lag.reached, lag.seconds, lag.causes) == (1.0, 0.5, 5.0, ())
+    assert str(lag) == (
+        "simulated time falls behind: real-time factor 0.50 instead of 1 in the last 5 s"
+    )
+    # Counted anew.
+    assert after(clock, watch, 5.0, 7500) is None
+    assert after(clock, watch, 6.0, 7500 + 9000, wanted=2.0).reached == pytest.approx(1.5)
+
+
+def test_as_fast_as_it_goes_is_never_too_slow(clock, watch):
+    assert after(clock, watch, 5.0, 1, wanted=0.0) is None
+
+
+def test_enough_is_due_once_in_a_window(clock, watch):
+    assert not watch.due
+    clock.now += WINDOW
+    assert watch.due
+    watch.look(0, 1.0)
+    assert not watch.due
+
+
+def test_a_pause_does_not_count(clock, watch):
+    clock.now += 100.0
+    watch.restart(7)
+    assert after(clock, watch, 5.0, 5007) is None
+
+
+def test_where_the_time_goes(clock, watch):
+    with watch.doing("services"):
+        clock.now += 1.0
+        with watch.doing("steps"):
+            clock.now += 2.0
+        clock.now += 0.5
+    with watch.doing("handing messages to subscribers"):
+        clock.now += 0.3
+    watch.spend("plugin 'camera'", 1.2)
+    watch.spend("steps", -1.2)
+    lag = after(clock, watch, 1.2, 1000)
+    assert [what for what, _ in lag.causes] == ["services", "plugin 'camera'", "steps"]
+    assert [share for _, share in lag.causes] == pytest.approx([0.3, 0.24, 0.16])
+    assert str(lag).endswith("(of the time: services 30 %, plugin 'camera' 24 %, steps 16 %)")
+
+
+def test_what_was_done_before_a_restart_is_forgotten(clock, watch):
+    with watch.doing("steps"):
+        clock.now += 4.0
+    watch.restart(0)
+    assert after(clock, watch, 5.0, 0).causes == ()
+
+
+def test_a_loop_that_is_stuck_is_told_of_once_in_a_window(clock, watch):
+    clock.now += 60.0
+    assert watch.stuck() is None
+    with watch.doing("services"):
+        clock.now += WINDOW - 0.1
+        assert watch.stuck() is None
+        clock.now += 0.2
+        what, seconds = watch.stuck()
+        assert (what, round(seconds, 1)) == ("services", WINDOW + 0.1)
+        clock.now += WINDOW - 0.1
+        assert watch.stuck() is None
+        clock.now += 0.2
+        assert watch.stuck()[1] > 2 * WINDOW
+    clock.now += 60.0
+    assert watch.stuck() is None
+
+
+def test_a_long_way_in_many_pieces_is_not_stuck(clock, watch):
+    clock.now += 60.0
+    with watch.doing("services"):
+        for _ in range(100):
+            with watch.doing("steps"):
+                clock.now += 1.0
+            assert watch.stuck() is None
+
+
+def test_an_error_ends_what_was_done(clock, watch):
+    with pytest.raises(ValueError), watch.doing("services"):
+        raise ValueError
+    clock.now += 60.0
+    assert watch.stuck() is None
