@@ -310,6 +310,17 @@ def test_tf_prefix_stands_before_the_frames(world):
             assert (sample.frame, sample.child_frame) == (frame, "one/base_footprint")
 
 
+def test_tf_prefix_may_depend_on_the_namespace_of_the_plugin(world):
+    own = block("<robotNamespace>own</robotNamespace>")
+    for name, model, frame in (("one", own, "own_tf/odom"), ("two", block(), "given_tf/odom")):
+        robot = world.add(
+            model, name, namespace="given", tf_prefix=lambda namespace: f"{namespace}_tf"
+        )
+        samples = record(robot, f"/{frame.replace('_tf', '')}")
+        world.run_for(0.05)
+        assert samples[0].frame == frame
+
+
 def test_robot_namespace(world):
     model = block()
     inner = world.add(block("<robotNamespace>/own/</robotNamespace>"), "one", namespace="given")
