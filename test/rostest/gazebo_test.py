@@ -222,6 +222,9 @@ class SpawnTest(GazeboCase):
     def test_bad_models_are_refused_while_a_robot_drives_on(self):
         bridge = self.start(robot=ROBOT, paused=False, rtf=1)
         clock = self.topic("/clock", Clock)
+        commands = publisher("cmd_vel", Twist)
+        self.addCleanup(commands.unregister)
+        commands.publish(Twist(linear=Vector3(0.5, 0.0, 0.0)))
         bad = {
             "not well-formed": "<sdf",
             "neither <sdf> nor <robot>": "<html/>",
@@ -231,6 +234,36 @@ class SpawnTest(GazeboCase):
             "in none of the model folders": BEACON.replace("beacon", "nix"),
             "not a finite number": BALL.replace("<radius>0.1", "<radius>nan"),
             "no body has the principal moments": BALL.replace("<ixx>0.1", "<ixx>9"),
+            "link 'link'.*'model://beacon/nix.dae'": BALL.replace(
+                "<sphere><radius>0.1</radius></sphere>",
+                "<mesh><uri>model://beacon/nix.dae</uri></mesh>",
+            ),
+            "link 'foot'.*mesh.*meshes/nix.stl": PENDULUM.replace(
+                '<box size="2 2 0.2"/>', '<mesh filename="package://bullet_lab/meshes/nix.stl"/>'
+            ),
+            "loop of joints at foot, rod": PENDULUM.replace(
+                "</robot>",
+                '<joint name="back" type="fixed"><parent link="rod"/><child link="foot"/></joint>'
+                "</robot>",
+            ),
+            "child link 'rod' appears twice": PENDULUM.replace(
+                "</robot>",
+                '<joint name="twice" type="fixed"><parent link="foot"/><child link="rod"/></joint>'
+                "</robot>",
+            ),
+            "a <link> without a name": PENDULUM.replace('<link name="rod">', "<link>"),
+            "link 'rod'.*mass -1 kg is negative": PENDULUM.replace(
+                '<mass value="1"/>', '<mass value="-1"/>'
+            ),
+            "link 'rod'.*no body has the principal moments": PENDULUM.replace(
+                'ixx="0.5"', 'ixx="-0.5"'
+            ),
+            "joint 'hinge'.*type 'wheel'": PENDULUM.replace("continuous", "wheel"),
+            "plugin 'drive'.*'far' is not a finite number": PENDULUM.replace(
+                "</robot>",
+                '<gazebo><plugin name="drive" filename="libgazebo_ros_planar_move.so">'
+                "<odometryRate>far</odometryRate></plugin></gazebo></robot>",
+            ),
         }
         for said, xml in bad.items():
             self.assert_refused(f"SpawnModel: Failure - .*{said}", spawn("bad", xml))
@@ -238,12 +271,19 @@ class SpawnTest(GazeboCase):
         self.assert_refused("position is not finite", nowhere)
         self.assert_refused("out of all proportion", spawn("bad", BALL, at(1e9, 0.0, 0.0)))
         self.assert_refused("cannot be called", spawn("new\nline", BALL))
+        self.assert_refused("entity already exists", spawn("block_robot", BALL))
+        crooked = at(0.0, 0.0, 1.0)
+        crooked.orientation.w = math.inf
+        self.assert_refused("not finite", spawn("bad", BALL, crooked))
         clash = BLOCK.replace("<odometryTopic>odom<", "<odometryTopic>no good name!<")
         self.assert_refused("no topic is called 'no good name!'", spawn("bad", clash))
         self.assertEqual(["ground_plane", "block_robot"], names())
         clock.wait(len(clock.messages) + 20)
         self.assertTrue(bridge.runs())
         self.assertNotIn("Traceback", bridge.err)
+        x, y, _ = place_of("block_robot")
+        self.assertGreater(x, 0.1)
+        self.assert_near((0.0,), (y,), 1e-3)
 
     def test_what_a_model_is_made_of(self):
         self.start(robot=ROBOT)
