@@ -163,6 +163,16 @@ def test_the_defaults_are_gazebos(world, model):
         record(robot, "joint_states")
 
 
+@pytest.mark.parametrize("mode", ["true", "false", None])
+def test_the_legacy_mode_changes_nothing_as_in_noetic(world, spawn, mode, caplog):
+    robot = spawn(legacyMode=mode)
+    robot.command("cmd_vel", PlanarCommand(wz=0.5))
+    world.run_for(1.0)
+    assert robot.pose().yaw > 0.3
+    told = [line for line in caplog.messages if "<legacyMode> is passed over" in line]
+    assert len(caplog.messages) == len(told) == (1 if mode == "true" else 0)
+
+
 def test_torque_limits_the_acceleration(world, spawn):
     robot = spawn(wheelTorque="0.7")
     robot.command("cmd_vel", PlanarCommand(vx=2.0))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Dict, Iterator, List, Mapping, Optional, Tuple, Union
+from typing import Dict, Iterator, List, Mapping, Optional, Set, Tuple, Union
 from xml.etree.ElementTree import Element
 
 from bullet_lab.simulation.description import (
@@ -37,6 +37,7 @@ from bullet_lab.simulation.plugin_tags import plugins_in
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.sdf_state import read_states
+from bullet_lab.simulation.sdf_unknown import report_unknown
 from bullet_lab.simulation.tree import check_forest
 from bullet_lab.simulation.xml_input import (
     XmlError,
@@ -78,13 +79,15 @@ def read_world_file(path: Path, finder: Optional[ResourceFinder] = None) -> Worl
     element = root.find("world") if root.tag == "sdf" else None
     if element is None:
         raise SdfError(f"{path}: no <sdf> with a <world>")
+    report_unknown(root, context.source, context.reported)
     return _world(element, context)
 
 
 def read_model_text(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
     """Read one model from SDF text; raises as `read_world_file`."""
     context = _Context(source, finder or ResourceFinder())
-    models = [m for m in _parts_of_sdf(parse_text(text, source), context) if isinstance(m, Model)]
+    root = parse_text(text, source)
+    models = [part for part in _parts_of_sdf(root, context) if isinstance(part, Model)]
     if len(models) != 1:
         raise SdfError(f"{source}: {len(models)} models where one is wanted")
     return models[0]
@@ -94,13 +97,15 @@ def read_model_text(text: str, source: str, finder: Optional[ResourceFinder] = N
 class _Context:
     """Where an element comes from: for messages, and to find the files that it names.
 
-    `static` is what an <include> says about all models in it, if it says anything.
+    `static` is what an <include> says about all models in it, if it says anything; `reported`
+    is what the user was told of that is not simulated.
     """
 
     source: str
     finder: ResourceFinder
     depth: int = 0
     static: Optional[bool] = None
+    reported: Set[str] = field(default_factory=set)
 
     def find(self, uri: str, where: str) -> Path:
         try:
@@ -157,6 +162,7 @@ def _parts(element: Element, context: _Context) -> Iterator[Part]:
 def _parts_of_sdf(root: Element, context: _Context) -> Iterator[Part]:
     if root.tag != "sdf":
         raise SdfError(f"{context.source}: the root element is <{root.tag}>, not <sdf>")
+    report_unknown(root, context.source, context.reported)
     return _parts(root, context)
 
 
@@ -169,7 +175,13 @@ def _include(element: Element, context: _Context) -> Iterator[Part]:
     path = _model_file(context.find(uri, f"{context.source}: <include>"))
     said = child_text(element, "static")
     static = boolean(said, f"{context.source}: <static>") if said else context.static
-    inner = _Context(str(path), context.finder.beside(path), context.depth + 1, static)
+    inner = replace(
+        context,
+        source=str(path),
+        finder=context.finder.beside(path),
+        depth=context.depth + 1,
+        static=static,
+    )
     for part in _parts_of_sdf(parse_text(read_text(path), str(path)), inner):
         name = child_text(element, "name", part.name)
         pose = _pose(element, context) if element.find("pose") is not None else part.pose

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from typing import Tuple
 
@@ -26,6 +27,8 @@ from bullet_lab.simulation.samples import (
 from bullet_lab.simulation.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.wheel import Wheel
 
+LOG = logging.getLogger(__name__)
+
 STANDSTILL = PlanarCommand()
 SOURCES = ("world", "encoder")
 # As in Gazebo: x and y are known, what the robot cannot do is not.
@@ -49,7 +52,9 @@ class DiffDrive(Device):
     wheelAcceleration (m/s² at the rim), wheelTorque, updateRate, commandTopic, odometryTopic,
     odometryFrame, robotBaseFrame, odometrySource, publishTf, publishOdomTF, publishWheelTF,
     publishWheelJointState and robotNamespace, which stands before topics and frames.
-    Unlike in Gazebo, publishTf only takes away transforms, never the odometry.
+    Unlike in Gazebo, publishTf only takes away transforms, never the odometry. legacyMode, with
+    which the plugins of ROS Jade to Lunar took the left wheel for the right one, is passed over,
+    as Noetic's plugin does: leftJoint is the wheel on the left.
 
     Attributes:
         frame: name of the odometry's frame.
@@ -63,6 +68,11 @@ class DiffDrive(Device):
         self._body = mount.body
         self.frame = _frame(mount, mount.text("odometryFrame", "odom"))
         self._base_frame = _frame(mount, mount.text("robotBaseFrame", "base_footprint"))
+        if mount.boolean("legacyMode", False):
+            LOG.warning(
+                "%s is passed over, as in ROS Noetic: <leftJoint> is the wheel on the left",
+                mount.where("legacyMode"),
+            )
         self._from_wheels = _source(mount) == "encoder"
         self._separation = at_least(mount, "wheelSeparation", 0.34)
         self._radius = 0.5 * at_least(mount, "wheelDiameter", 0.15)

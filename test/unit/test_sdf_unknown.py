@@ -1,0 +1,103 @@
+import pytest
+
+from bullet_lab.simulation.sdf_reader import read_model_text, read_world_file
+from bullet_lab.simulation.simulation import Simulation
+
+MODEL = """<model name="m">{model}<link name="l">{link}
+  <collision name="c"><geometry><sphere><radius>1</radius></sphere></geometry>{collision}
+  </collision><visual name="v"><geometry><sphere><radius>1</radius></sphere></geometry>{visual}
+  </visual></link></model>"""
+
+
+def model_text(**parts):
+    empty = dict.fromkeys(("model", "link", "collision", "visual"), "")
+    return f"<sdf>{MODEL.format(**{**empty, **parts})}</sdf>"
+
+
+@pytest.mark.parametrize(
+    ("part", "xml", "said"),
+    [
+        ("model", "<enable_wind>true</enable_wind>", "<model>: <enable_wind>"),
+        ("link", "<gravity>0</gravity>", "<link>: <gravity>"),
+        ("link", "<kinematic>1</kinematic>", "<link>: <kinematic>"),
+        ("link", "<velocity_decay><linear>1</linear></velocity_decay>", "<link>: <velocity_decay>"),
+        ("visual", "<transparency>0.5</transparency>", "<visual>: <transparency>"),
+        (
+            "collision",
+            "<surface><bounce><restitution_coefficient>0.7</restitution_coefficient></bounce>"
+            "</surface>",
+            "<surface>: <bounce>",
+        ),
+    ],
+)
+def test_what_is_not_simulated_is_told_once(part, xml, said, caplog):
+    read_model_text(model_text(**{part: xml + xml}), "the text")
+    assert caplog.messages == [f"the text: {said} is not simulated"]
+
+
+@pytest.mark.parametrize(
+    ("part", "xml"),
+    [
+        ("model", "<allow_auto_disable>1</allow_auto_disable><enable_wind>0</enable_wind>"),
+        ("model", "<self_collide>0</self_collide>"),
+        ("link", "<gravity>1</gravity><kinematic>false</kinematic>"),
+        ("link", "<sensor name='s' type='ray'><visualize>true</visualize></sensor>"),
+        ("visual", "<cast_shadows>1</cast_shadows><transparency>0</transparency><meta/>"),
+        ("collision", "<max_contacts>10</max_contacts><laser_retro>0</laser_retro>"),
+        ("collision", "<surface><bounce/><friction><ode><mu>1</mu></ode></friction></surface>"),
+    ],
+)
+def test_what_changes_nothing_is_not_told(part, xml, caplog):
+    read_model_text(model_text(**{part: xml}), "the text")
+    assert caplog.messages == []
+
+
+def write_world(folder, inner):
+    path = folder / "some.world"
+    path.write_text(f'<sdf version="1.6"><world name="w">{inner}</world></sdf>')
+    return path
+
+
+def test_worlds(tmp_path, caplog):
+    inner = (
+        "<physics type='ode'><max_step_size>0.005</max_step_size><real_time_factor>1"
+        "</real_time_factor><ode><solver><iters>50</iters></solver></ode></physics>"
+        "<gui><camera name='user'/></gui><wind/><atmosphere type='adiabatic'/>"
+        "<plugin name='wind' filename='libwind.so'/><road name='r'/>"
+    )
+    path = write_world(tmp_path, inner)
+    read_world_file(path)
+    assert caplog.messages == [
+        f"{path}: <physics>: <max_step_size> is not simulated",
+        f"{path}: <world>: plugin 'wind' (libwind.so) is not simulated",
+        f"{path}: <world>: <road> is not simulated",
+    ]
+
+
+def test_a_model_that_is_included_often_is_told_of_once(tmp_path, caplog):
+    (tmp_path / "m").mkdir()
+    (tmp_path / "m" / "model.sdf").write_text(model_text(link="<gravity>0</gravity>"))
+    include = "<include><uri>m</uri><name>{}</name></include>"
+    path = write_world(tmp_path, "".join(include.format(name) for name in "abc"))
+    assert len(read_world_file(path).models) == 3
+    (message,) = caplog.messages
+    assert message.endswith("model.sdf: <link>: <gravity> is not simulated")
+
+
+def test_plugins_of_sdf_models_and_their_tags(caplog):
+    plugins = (
+        '<plugin name="fly" filename="libfly.so"/>'
+        '<plugin name="move" filename="libgazebo_ros_planar_move.so"><speed>1</speed></plugin>'
+    )
+    model = read_model_text(model_text(model=plugins), "text")
+    with Simulation() as simulation:
+        simulation.add(model)
+    assert len(caplog.messages) == 2
+    assert "plugin 'fly' (libfly.so) is not simulated" in caplog.messages[0]
+    assert caplog.messages[1] == "model 'm': plugin 'move': <speed> is not known and skipped"
+
+
+def test_our_own_worlds_say_nothing_unknown(package, caplog):
+    for path in sorted((package / "worlds").glob("*.world")):
+        read_world_file(path)
+    assert caplog.messages == []
