@@ -10,7 +10,7 @@ CHECKS=(ruff shellcheck catkin_lint xml sdf launch)
 # Also where there is no git, whose list of ignored files ruff follows.
 check_ruff() { python -m ruff check --quiet --output-format concise --extend-exclude build,results .; }
 
-check_shellcheck() { shellcheck --external-sources scripts/*.sh .ci/run; }
+check_shellcheck() { shellcheck --external-sources scripts/*.sh test/clients/*.sh .ci/run; }
 
 check_catkin_lint() { catkin_lint --offline --quiet --strict .; }
 

@@ -120,7 +120,7 @@ def goal_markers(
     disc = Marker(header=header, ns="goal", id=1, type=Marker.CYLINDER, color=colour)
     disc.scale = Vector3(2.0 * tolerance, 2.0 * tolerance, 0.01)
     label = Marker(header=header, ns="goal", id=2, type=Marker.TEXT_VIEW_FACING)
-    label.color = ColorRGBA(0.1, 0.1, 0.1, 1.0)
+    label.color = ColorRGBA(1.0, 1.0, 1.0, 1.0)
     label.scale.z = 0.2
     label.text = "" if math.isnan(left) else f"{left:.2f} m"
     for marker in (arrow, disc, label):

@@ -1,0 +1,30 @@
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+PACKAGE = Path(__file__).resolve().parents[2]
+LAUNCH_FILES = sorted((PACKAGE / "launch").glob("*.launch"))
+CONFIGURATIONS = sorted((PACKAGE / "rviz").glob("*.rviz"))
+# Jobs that have no ROS nodes but one that computes: there is nothing to show.
+WITHOUT = {"detection_range", "dock_campaign", "noise_study", "published_noise"}
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.stem)
+def test_each_job_has_a_configuration_of_its_own(path):
+    named = re.findall(r"/rviz/(\w+)\.rviz", path.read_text())
+    assert named == ([] if path.stem in WITHOUT else [path.stem])
+    assert all((PACKAGE / "rviz" / f"{name}.rviz").is_file() for name in named)
+
+
+@pytest.mark.parametrize("path", CONFIGURATIONS, ids=lambda path: path.stem)
+def test_configurations_show_the_world_in_its_frame(path):
+    manager = yaml.safe_load(path.read_text())["Visualization Manager"]
+    assert manager["Global Options"]["Fixed Frame"] == "world"
+    displays = manager["Displays"]
+    names = [display["Name"] for display in displays]
+    assert len(set(names)) == len(names)
+    assert "/bullet_lab/world" in [display.get("Marker Topic") for display in displays]
+    # Displays that come with RViz: others would be an error on a plain installation.
+    assert all(display["Class"].startswith("rviz/") for display in displays)
