@@ -208,7 +208,7 @@ class DriveToGoalTest(unittest.TestCase):
             self.cancels.publish(GoalID(id="another"))
             time.sleep(0.2)
             self.assertGreater(self.velocity()[0], 0.1)
-            self.cancels.publish(active.goal_id if by_id else GoalID())
+            self.cancels.publish(GoalID(id=active.goal_id.id) if by_id else GoalID())
             self.assertIn("request", self.wait_for_status(GoalStatus.PREEMPTED, number).text)
             self.assert_stands()
 
