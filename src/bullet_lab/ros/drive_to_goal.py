@@ -30,19 +30,17 @@ from nav_msgs.msg import Odometry
 
 from bullet_lab.errors import LabError
 from bullet_lab.numerics.goal_driver import (
-    LEAST_TOLERANCE,
     STANDSTILL,
     Command,
     DrivePhase,
     GoalDriver,
-    GoalLimits,
     PlanarPose,
 )
-from bullet_lab.ros import parameters
 from bullet_lab.ros.dock_inputs import Inbox
 from bullet_lab.ros.dock_sender import StoppableSender
 from bullet_lab.ros.frame_finder import FrameFinder
 from bullet_lab.ros.free_rate import FreeRate
+from bullet_lab.ros.goal_parameters import DriveToGoalParameters
 from bullet_lab.ros.goal_topics import GoalTopics
 from bullet_lab.ros.lock_step import CountedPublisher, LockStepRate
 from bullet_lab.ros.node import Refusals, private_parameters, run_node, wait_until
@@ -50,44 +48,9 @@ from bullet_lab.ros.odometry import OdometryError, planar_pose
 from bullet_lab.ros.publishers import lossless_publisher
 
 GOAL, CANCEL = "move_base_simple/goal", "move_base/cancel"
-USUAL = GoalLimits()
 # Wall seconds that a goal waits for the first odometry, which names the frame.
 ODOMETRY_PATIENCE = 5.0
 POLL_SECONDS = 0.02
-
-
-@dataclass(frozen=True)
-class DriveToGoalParameters:
-    """Private parameters of drive_to_goal."""
-
-    cmd_vel: str = parameters.text("cmd_vel", "topic of the commands")
-    odom: str = parameters.text("odom", "topic of the odometry, perfect or noisy")
-    speed: float = parameters.number(USUAL.speed, "at most, m/s", above=0.0)
-    turn_speed: float = parameters.number(USUAL.turn_speed, "at most, rad/s", above=0.0)
-    acceleration: float = parameters.number(USUAL.acceleration, "at most, m/s²", above=0.0)
-    turn_acceleration: float = parameters.number(
-        USUAL.turn_acceleration, "at most, rad/s²", above=0.0
-    )
-    gain: float = parameters.number(USUAL.gain, "m/s for each m to the goal", above=0.0)
-    turn_gain: float = parameters.number(USUAL.turn_gain, "rad/s for each rad", above=0.0)
-    tolerance: float = parameters.number(
-        USUAL.tolerance, "m from the goal to stop within", minimum=LEAST_TOLERANCE
-    )
-    yaw_tolerance: float = parameters.number(
-        USUAL.yaw_tolerance, "rad from its heading to stop within", minimum=LEAST_TOLERANCE
-    )
-    heading: bool = parameters.boolean(True, "turn to the goal's heading at the end")
-    rate: float = parameters.number(20.0, "commands per second", minimum=5.0, maximum=100.0)
-    odom_rate: float = parameters.number(
-        20.0, "lock step: messages of odometry per second", above=0.0, maximum=1000.0
-    )
-    stale: float = parameters.number(
-        0.5, "s without odometry after which the robot is stopped", above=0.0
-    )
-    patience: float = parameters.number(
-        5.0, "s without odometry after which the goal is given up", above=0.0
-    )
-    lock_step: bool = parameters.boolean(False, "hold simulated time back while working")
 
 
 @dataclass(frozen=True)
@@ -108,17 +71,7 @@ class DriveToGoal:
 
     def __init__(self, wanted: DriveToGoalParameters):
         self._wanted = wanted
-        self._limits = GoalLimits(
-            wanted.speed,
-            wanted.turn_speed,
-            wanted.acceleration,
-            wanted.turn_acceleration,
-            wanted.gain,
-            wanted.turn_gain,
-            wanted.tolerance,
-            wanted.yaw_tolerance,
-            wanted.heading,
-        )
+        self._limits = wanted.limits()
         self._commands = CountedPublisher(lossless_publisher(wanted.cmd_vel, Twist))
         self._sender = StoppableSender(self._commands)
         rospy.on_shutdown(self._sender.end)
