@@ -186,8 +186,7 @@ class Measure(Phase):
         if candidate.frames - self._frames >= pilot.settings.measure_frames:
             return STANDSTILL, decide(pilot)
         if pilot.now - self._waited > 2.0 * pilot.settings.unseen_timeout and self._missing(pilot):
-            out_of_reach = not pilot.in_reach(pilot.robot(estimate))
-            if out_of_reach and pilot.knowledge.copy_on_the_wall() is not None:
+            if not pilot.in_reach(pilot.robot(estimate)):
                 return STANDSTILL, decide(pilot)
             pilot.knowledge.forget(candidate)
             return STANDSTILL, Look()
@@ -268,11 +267,11 @@ def go_to_staging(pilot: Pilot) -> Phase:
     pilot.stagings += 1
     if pilot.stagings > pilot.settings.max_stagings:
         pilot.fail(DockingError.STAGING_FAILED, "the point before the dock is not reached")
-    goal = pilot.staging_point(estimate)
-    way = pilot.way_to(goal)
-    if way is None:
+    found = pilot.way_to_staging(estimate)
+    if found is None:
         probe = probe_size(pilot, searching=False)
         if probe is not None:
             return probe
         pilot.fail(DockingError.STAGING_FAILED, "no safe way to the point before the dock")
-    return Stage(FollowWay(way, pilot.settings), goal[2])
+    way, heading = found
+    return Stage(FollowWay(way, pilot.settings), heading)

@@ -30,6 +30,8 @@ from bullet_lab.numerics.angles import wrap
 _SAMPLES = 120
 _RISKY = 0.03
 _PROBE = 0.6
+# Between the walls' front edges and the circle in which the robot turns, at the least, in m.
+_ROOM_TO_TURN = 0.17
 # How far apart, in m along the dock's axis, two prints on one wall may seem.
 _SAME_PLANE = 0.2
 _ENTRANCE = 0.35
@@ -219,7 +221,7 @@ class Pilot:
             knowledge.pose[:2],
             knowledge.samples(_SAMPLES),
             self.boxes,
-            knowledge.obstacles(),
+            self._obstacles(),
             self.shape.turning_radius + self.settings.wall_margin,
         )
 
@@ -243,11 +245,20 @@ class Pilot:
         touched = clearance(there, self.boxes) < radius
         if float(np.max(np.mean(touched, axis=0), initial=0.0)) > 2.0 * _RISKY:
             return False
-        for x, y, size, weight in self.knowledge.obstacles():
+        for x, y, size, weight in self._obstacles():
             near = np.hypot(points[:, 0] - x, points[:, 1] - y) < size + radius
             if weight > 0.3 and np.any(near):
                 return False
         return True
+
+    def _obstacles(self) -> np.ndarray:
+        """Return (n, 4) what bears copies, without what cannot be: where the robot stands is free.
+
+        A print of unknown size could otherwise be a tiny one right before the camera.
+        """
+        rows = self.knowledge.obstacles()
+        away = np.hypot(*(rows[:, :2] - self.knowledge.pose[:2]).T) - rows[:, 2]
+        return rows[away > self.shape.turning_radius + self.settings.wall_margin]
 
     def _ahead_of_robot(self, way) -> np.ndarray:
         """Return points of a way without its first decimetres, where the robot stands anyway."""
@@ -291,10 +302,23 @@ class Pilot:
             settings.turn_speed,
         )
 
-    def staging_point(self, estimate: DockEstimate) -> PlanarPose:
-        """Return the pose before the dock, in the odometry frame."""
-        there = se2.compose(estimate.mean, (-self.dock.staging_distance, 0.0, 0.0))
-        return tuple(se2.compose(self.knowledge.pose, there).tolist())
+    def way_to_staging(self, estimate: DockEstimate) -> Optional[Tuple[List[Point], float]]:
+        """Return a safe way to a point before the dock, and its heading in the odometry frame.
+
+        That is where the marker is found, if need be nearer than the database says, or else there.
+        """
+        wanted, view = self.dock.staging_distance, self.knowledge.view
+        distances = [wanted]
+        if view is not None:
+            room = self.depth + self.shape.turning_radius + _ROOM_TO_TURN
+            distances.insert(0, min(wanted, max(room, 0.9 * view.farthest + self.ahead)))
+        for distance in distances:
+            there = se2.compose(estimate.mean, (-distance, 0.0, 0.0))
+            x, y, heading = se2.compose(self.knowledge.pose, there).tolist()
+            way = self.way_to((x, y, heading))
+            if way is not None:
+                return way, heading
+        return None
 
     def use_cue(self) -> bool:
         """Narrow the cloud by a copy that can only be on the dock's back wall; say if there is.
