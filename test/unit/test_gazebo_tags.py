@@ -239,7 +239,7 @@ def test_unknown_tags_are_reported_once_each_by_name(caplog):
     robot = (
         "<gazebo reference='base'><turnGravityOff>true</turnGravityOff><maxVel>1</maxVel></gazebo>"
         "<gazebo reference='base'><maxVel>1</maxVel></gazebo>"
-        "<gazebo><static>false</static></gazebo>"
+        "<gazebo><static>true</static></gazebo>"
     )
     messages = warnings_of(caplog, lambda: carrier(robot))
     assert messages == [
@@ -252,6 +252,9 @@ def test_unknown_tags_are_reported_once_each_by_name(caplog):
 def test_what_is_for_the_eye_alone_is_not_reported(caplog):
     sensor = "<sensor type='ray' name='s'><visualize>true</visualize></sensor>"
     robot = f"<gazebo reference='base'><visualize>1</visualize>{sensor}</gazebo>"
+    # And what is so anyway.
+    robot += "<gazebo reference='base'><gravity>true</gravity></gazebo>"
+    robot += "<gazebo><static>false</static></gazebo>"
     assert warnings_of(caplog, lambda: carrier(robot)) == []
 
 

@@ -97,6 +97,11 @@ def test_plugins_of_sdf_models_and_their_tags(caplog):
     assert caplog.messages[1] == "model 'm': plugin 'move': <speed> is not known and skipped"
 
 
+def test_a_model_in_an_include(caplog):
+    read_model_text("<sdf><include><uri>model://beacon</uri></include></sdf>", "text")
+    assert caplog.messages == []
+
+
 def test_our_own_worlds_say_nothing_unknown(package, caplog):
     for path in sorted((package / "worlds").glob("*.world")):
         read_world_file(path)

@@ -15,6 +15,8 @@ LOG = logging.getLogger(__name__)
 
 # Read elsewhere, or for the eye alone.
 QUIET_TAGS = frozenset(("plugin", "sensor", "visualize", "visual"))
+# Texts that ask for what happens anyway.
+AS_IT_IS = {"gravity": ("1", "true"), "turnGravityOff": ("0", "false"), "static": ("0", "false")}
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,8 @@ class GazeboTags:
 
     def _report_unknown(self, element: Element, known: Iterable[str]) -> None:
         for child in element:
-            if child.tag not in QUIET_TAGS and child.tag not in known:
+            is_as_it_is = (child.text or "").strip() in AS_IT_IS.get(child.tag, ())
+            if child.tag not in QUIET_TAGS and child.tag not in known and not is_as_it_is:
                 self._report(f"{self._source}: <gazebo>: <{child.tag}> is not simulated")
 
     def _report(self, message: str) -> None:

@@ -12,7 +12,7 @@ LOG = logging.getLogger(__name__)
 
 # The elements that are looked into, and what is read of each.
 READ = {
-    "sdf": {"world", "model", "light"},
+    "sdf": {"world", "model", "light", "include"},
     "world": {"model", "light", "include", "gravity", "scene", "state", "physics"},
     "model": {"link", "joint", "plugin", "pose", "static", "frame", "include", "model"},
     "link": {"pose", "inertial", "visual", "collision", "sensor", "plugin", "self_collide"},
