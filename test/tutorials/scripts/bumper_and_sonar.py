@@ -16,7 +16,7 @@ rospy.wait_for_service("/gazebo/spawn_urdf_model")
 with open(os.path.join(HERE, "..", "urdf", "lookout.urdf")) as f:
     pose = Pose(Point(0, -30, 0), Quaternion(0, 0, 0, 1))
     spawn = rospy.ServiceProxy("/gazebo/spawn_urdf_model", SpawnModel)
-    spawn("lookout", f.read(), "/post", pose, "world")
+    spawn("post", f.read(), "/post", pose, "world")
 crate = '<sdf version="1.6"><include><uri>model://crate</uri></include></sdf>'
 pose = Pose(Point(1.31, -30, 0.3), Quaternion(0, 0, 0, 1))
 rospy.ServiceProxy("/gazebo/spawn_sdf_model", SpawnModel)("target", crate, "", pose, "")
@@ -30,5 +30,5 @@ while not contacts.states:
 state = contacts.states[0]
 print("touches:", state.collision1_name, state.collision2_name)
 print("weight: %.1f" % state.total_wrench.force.z)
-for name in ("lookout", "target"):
+for name in ("post", "target"):
     rospy.ServiceProxy("/gazebo/delete_model", DeleteModel)(name)
