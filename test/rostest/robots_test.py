@@ -10,7 +10,8 @@ import rospy
 import rostest
 import tf2_ros
 import yaml
-from bullet_lab.msg import TouchedModels
+from actionlib import SimpleActionClient
+from bullet_lab.msg import DockAction, DockGoal, TouchedModels
 from bullet_lab.srv import SetNoise
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 from lab_testing import PACKAGE, Node, Topic, publisher, wait_for
@@ -125,6 +126,15 @@ class RobotsTest(unittest.TestCase):
             self.assertGreater(summary["path_length_m"], 0.08)
         call = rospy.ServiceProxy("/left/noisy_odom_node/set_noise", SetNoise)
         self.assertTrue(call("report", 0.2, []).success)
+
+    def test_docking_finds_the_frames_with_the_prefix(self):
+        client = SimpleActionClient("right/dock", DockAction)
+        self.assertTrue(client.wait_for_server(rospy.Duration(30)))
+        client.send_goal(DockGoal(dock_id="dock", search=False))
+        self.assertTrue(client.wait_for_result(rospy.Duration(30)))
+        result = client.get_result()
+        # The camera was found in the robot's frame, the dock's place in that of the odometry.
+        self.assertEqual("the marker is not in sight", result.message)
 
     def test_robots_that_share_a_frame_are_warned_about(self):
         log = self.topic("/rosout", Log)

@@ -22,7 +22,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import replace
-from typing import Callable, List, Optional, Tuple
+from typing import Callable, Dict, List, Optional, Tuple
 
 import rospy
 import tf2_ros
@@ -56,6 +56,7 @@ from bullet_lab.ros.lock_step import CountedPublisher, LockStepRate
 from bullet_lab.ros.node import private_parameters, run_node, wait_until
 from bullet_lab.ros.parameters import ParameterError
 from bullet_lab.ros.publishers import lossless_publisher
+from bullet_lab.ros.tf_prefix import own_frame
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.resources import ResourceFinder
 
@@ -74,6 +75,7 @@ class DockServer:
     def __init__(self, wanted: DockParameters):
         self._wanted = wanted
         self._docks = _read_docks(wanted.docks)
+        self._base_frame = own_frame(wanted.base_frame)
         if wanted.dock not in self._docks:
             known = ", ".join(sorted(self._docks))
             raise ParameterError(f"~dock is '{wanted.dock}': the database has {known}")
@@ -108,7 +110,7 @@ class DockServer:
         self._sender = StoppableSender(self._commands)
         rospy.on_shutdown(self._sender.end)
         self._finished = lossless_publisher("~finished", Time, latch=True)
-        self._topics = DockTopics(wanted.dock_frame)
+        self._topics = DockTopics(own_frame(wanted.dock_frame))
         self._transforms = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._transforms)
         self._noted = threading.Lock()
@@ -260,7 +262,7 @@ class DockServer:
             if self._camera is None:
                 what = self._camera_info.trouble or "nothing comes"
                 raise InputError(f"{self._camera_info.topic}: {what}")
-            return mount_of(self._transform(self._wanted.base_frame, self._camera[0]))
+            return mount_of(self._transform(self._base_frame, self._camera[0]))
         except InputError as error:
             if needed:
                 raise NotYetError(DockingError.CAMERA_LOST, str(error)) from None
@@ -330,11 +332,13 @@ class DockServer:
         )
 
 
-def _read_docks(name: str):
+def _read_docks(name: str) -> Dict[str, Dock]:
+    """Read the database; its frames take the node's tf_prefix."""
     try:
-        return read_docks(ResourceFinder.anywhere().find(name))
+        docks = read_docks(ResourceFinder.anywhere().find(name))
     except LabError as error:
         raise ParameterError(f"~docks: {error}") from error
+    return {name: replace(dock, frame=own_frame(dock.frame)) for name, dock in docks.items()}
 
 
 def main() -> None:

@@ -4,7 +4,7 @@
 :ROS Actions: calls dock (bullet_lab/DockAction)
 :ROS Subscribers:
     - odom (nav_msgs/Odometry): the true pose, as the simulation sends it
-    - /bullet_lab/touched (bullet_lab/TouchedModels): what the robot has run into
+    - bullet_lab/touched (bullet_lab/TouchedModels): what the robot has run into
     - aruco/image_annotated (sensor_msgs/Image): what the camera saw
     - dock/feedback, dock/plan, dock/finished
 :ROS Publishers: ~path (nav_msgs/Path), latched: the true path
@@ -46,6 +46,7 @@ from bullet_lab.ros.node import NodeError, Refusals, private_parameters, run_nod
 from bullet_lab.ros.odometry import OdometryError, planar_pose
 from bullet_lab.ros.publishers import Publisher
 from bullet_lab.ros.recorder import PATIENCE, Stopwatch
+from bullet_lab.ros.tf_prefix import own_frame
 from bullet_lab.simulation.floor_plan import footprints
 from bullet_lab.simulation.resources import ResourceFinder
 from bullet_lab.simulation.sdf_reader import read_world_file
@@ -109,7 +110,7 @@ class PlotDocking:
         self._path = Publisher("~path", Path, queue_size=1, latch=True)
         self._subscribers = [
             rospy.Subscriber("odom", Odometry, self._receive_odometry, tcp_nodelay=True),
-            rospy.Subscriber("/bullet_lab/touched", TouchedModels, self._receive_touched),
+            rospy.Subscriber("bullet_lab/touched", TouchedModels, self._receive_touched),
             rospy.Subscriber("aruco/image_annotated", Image, self._receive_image),
             rospy.Subscriber("dock/feedback", DockActionFeedback, self._receive_feedback),
             rospy.Subscriber("dock/plan", Path, self._receive_plan),
@@ -248,7 +249,7 @@ class PlotDocking:
             path = self._truth.until(None)
         if path is not None:
             message = Path()
-            message.header.frame_id = "odom"
+            message.header.frame_id = own_frame("odom")
             for x, y, _ in path.poses:
                 stamped = PoseStamped()
                 stamped.pose.position.x, stamped.pose.position.y = x, y

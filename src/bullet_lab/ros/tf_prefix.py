@@ -41,3 +41,15 @@ def own_tf_prefix() -> str:
     found = rospy.search_param(PARAMETER)
     prefix = str(rospy.get_param(found)).strip("/") if found else ""
     return f"{prefix}/" if prefix else ""
+
+
+def own_frame(frame: str) -> str:
+    """Return the full name of a frame that the node that asks means.
+
+    As with the tf library, its tf_prefix goes before names that do not begin with a slash; a
+    name that has it already stays.
+    """
+    prefix = own_tf_prefix()
+    if not frame or frame.startswith(("/", prefix)):
+        return frame.lstrip("/")
+    return prefix + frame
