@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from marker_images import CAMERA, Layer, View, corner_error, image_of, marker, true_corners
 
+from bullet_lab.vision.decoding import Match
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.errors import VisionError
 from bullet_lab.vision.explanation import why_nothing
-from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector, noise_level
+from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector, noise_level, take
 
 TAGS = "apriltag_36h10"
 BENT = dataclasses.replace(CAMERA, distortion=(-0.3, 0.1, 0.001, -0.002, 0.02))
@@ -99,6 +100,20 @@ def test_several_markers_largest_first():
 def test_one_id_twice_is_reported_twice():
     layers = [marker(4, centre=(-0.3, 0.0)), marker(4, size=0.3, centre=(0.2, 0.1))]
     assert ids_of(detect(image_of(layers, View(1.5), samples=4))) == [4, 4]
+
+
+def test_of_two_outlines_of_one_marker_the_likelier_stays():
+    """As of a panel before a bright sky: its own outline, and that of its marker."""
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    panel = (Match(0, 0, 2, 0.7), 100.0 + 27.0 * square)
+    marker_itself = (Match(0, 0, 0, 0.95), 100.5 + 25.0 * square)
+    inner = (Match(0, 0, 0, 0.9), 101.0 + 2.5 * square)
+    other_id = (Match(3, 0, 0, 0.8), 100.0 + 25.0 * square)
+    beside = (Match(0, 0, 0, 0.8), 100.0 + 25.0 * square + (60.0, 0.0))
+    found = []
+    for decoded in (panel, marker_itself, panel, inner, other_id, beside):
+        take(decoded, found)
+    assert found == [marker_itself, inner, other_id, beside]
 
 
 @pytest.mark.parametrize("outer, inner", [(0, 0), (17, 0), (0, 17)])

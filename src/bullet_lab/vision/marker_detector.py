@@ -33,6 +33,9 @@ _SMOOTHED = 0.37
 # Standard deviations of noise by which dark pixels are darker.
 _CONFIDENCE = 4.5
 _LEAST_CONTRAST = 3.0
+# Outlines of one id are of one marker if their sizes are within this factor, and their middles
+# within this part of the smaller one's side.
+_ONE_MARKER, _BESIDE = 1.5, 0.25
 
 
 @dataclass(frozen=True)
@@ -213,8 +216,8 @@ class MarkerDetector:
                     break
             if decoded is None:
                 report.undecoded += 1
-            elif not any(_same_marker(decoded, other) for other in found):
-                found.append(decoded)
+            else:
+                take(decoded, found)
         self._look_into_cells(image, found, lens)
         return self._choose(found, grey.shape, lens, report)
 
@@ -229,8 +232,8 @@ class MarkerDetector:
                 if any(same_quads(quad, other[None])[0] for _, other in found):
                     continue
                 decoded = self._decode(image, quad, lens)
-                if decoded is not None and not any(_same_marker(decoded, m) for m in found):
-                    found.append(decoded)
+                if decoded is not None:
+                    take(decoded, found)
 
     def _quads(self, grey: np.ndarray, contrast: float, scale: int) -> np.ndarray:
         """Return candidates in px of the image, the largest first."""
@@ -288,10 +291,25 @@ class MarkerDetector:
         return chosen
 
 
+def take(decoded: Tuple[Match, np.ndarray], found: List[Tuple[Match, np.ndarray]]) -> None:
+    """Add a marker; of two outlines of one marker, the one that looks more like it stays.
+
+    A panel before a bright sky has an outline of its own, about as large as its marker's.
+    """
+    for index, other in enumerate(found):
+        if _same_marker(decoded, other):
+            if decoded[0].likeness > other[0].likeness:
+                found[index] = decoded
+            return
+    found.append(decoded)
+
+
 def _same_marker(first: Tuple[Match, np.ndarray], second: Tuple[Match, np.ndarray]) -> bool:
     if first[0].marker != second[0].marker:
         return False
-    return bool(same_quads(first[1], second[1][None])[0])
+    sides = mean_side(first[1]), mean_side(second[1])
+    away = np.linalg.norm(first[1].mean(axis=0) - second[1].mean(axis=0))
+    return max(sides) < _ONE_MARKER * min(sides) and bool(away < _BESIDE * min(sides))
 
 
 def _prepare(grey: np.ndarray, low: float, high: float, noise: float) -> Tuple[np.ndarray, float]:
