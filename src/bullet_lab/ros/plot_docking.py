@@ -14,7 +14,6 @@ Leaves truth.tum, written row by row, path.png, camera.png and summary.json.
 
 from __future__ import annotations
 
-import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -24,7 +23,7 @@ import cv2
 import rospy
 from actionlib import GoalStatus, SimpleActionClient
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Odometry, Path
+from nav_msgs.msg import Path
 from sensor_msgs.msg import Image
 from std_msgs.msg import Time
 
@@ -33,34 +32,23 @@ from bullet_lab.msg import DockAction, DockActionFeedback, DockGoal, TouchedMode
 from bullet_lab.plotting.docking_figure import docking_figure, strip_figure
 from bullet_lab.plotting.style import save
 from bullet_lab.recording.docking_run import (
-    DockingRunError,
     Keepsakes,
-    PathRecording,
     docking_errors,
 )
-from bullet_lab.recording.files import FileError, make_folder, write_json
+from bullet_lab.recording.files import make_folder, write_json
 from bullet_lab.ros import parameters
+from bullet_lab.ros.errand_recorder import ErrandRecorder
 from bullet_lab.ros.image_messages import ImageError, pixels_of
-from bullet_lab.ros.lock_step import LockStep
-from bullet_lab.ros.node import NodeError, Refusals, private_parameters, run_node, wait_until
-from bullet_lab.ros.odometry import OdometryError, planar_pose
+from bullet_lab.ros.node import private_parameters, run_node
 from bullet_lab.ros.publishers import Publisher
-from bullet_lab.ros.recorder import PATIENCE, Stopwatch
 from bullet_lab.ros.tf_prefix import own_frame
 from bullet_lab.simulation.floor_plan import footprints
 from bullet_lab.simulation.resources import ResourceFinder
 from bullet_lab.simulation.sdf_reader import read_world_file
 
-# Simulated time of the goal: between two ticks of the server, which has seen the one before.
-GOAL_TIME = rospy.Time(0, 525_000_000)
-# What comes before is not recorded: somebody may not have been connected yet.
-BEGINNING = rospy.Time(0, 500_000_000)
 # Simulated seconds that are recorded after the end: a robot that should stand, stands.
 REST = rospy.Duration(0, 500_000_000)
 ROBOT_HEIGHT = 0.55
-# Wall seconds for the server to accept a goal.
-ACCEPTANCE = 30.0
-POLL_SECONDS = 0.02
 PATH_PERIOD_SECONDS = 0.5
 PICTURE_WIDTH = 320
 
@@ -88,28 +76,25 @@ class PlotDockingParameters:
     lock_step: bool = parameters.boolean(False, "hold simulated time back until the goal is sent")
 
 
-class PlotDocking:
+class PlotDocking(ErrandRecorder):
     """Client and recorder of one docking."""
 
     def __init__(self, wanted: PlotDockingParameters):
         self._wanted = wanted
         self._folder = make_folder(FilePath(wanted.out))
         self._plan_of_world = _plan(wanted.world)
-        self._lock = threading.Lock()
-        self._refusals = Refusals()
-        self._stopwatch = Stopwatch()
-        self._truth = PathRecording(self._folder / "truth.tum")
+        super().__init__(self._folder, wanted.lock_step, "dock")
         self._frames = Keepsakes(wanted.pictures)
         self._images = 0
         self._states: List[Tuple[float, str]] = []
         self._plan: Tuple[Tuple[float, float], ...] = ()
         self._touched: Optional[TouchedModels] = None
         self._finished: Optional[rospy.Time] = None
-        self._failure: Optional[FileError] = None
         self._client = SimpleActionClient("dock", DockAction)
         self._path = Publisher("~path", Path, queue_size=1, latch=True)
+        self._shown = time.monotonic()
         self._subscribers = [
-            rospy.Subscriber("odom", Odometry, self._receive_odometry, tcp_nodelay=True),
+            self._listen_to_odometry(),
             rospy.Subscriber("bullet_lab/touched", TouchedModels, self._receive_touched),
             rospy.Subscriber("aruco/image_annotated", Image, self._receive_image),
             rospy.Subscriber("dock/feedback", DockActionFeedback, self._receive_feedback),
@@ -117,25 +102,10 @@ class PlotDocking:
             rospy.Subscriber("dock/finished", Time, self._receive_finished),
         ]
 
-    def run(self) -> None:
-        """Send the goal, record until some time after its end, and write everything."""
-        try:
-            self._send_goal()
-            self._wait_for_the_end()
-        finally:
-            self._write()
-
-    def _send_goal(self) -> None:
-        wait_until(self._is_connected, "the bridge, aruco and dock")
-        lock_step = LockStep() if self._wanted.lock_step else None
-        if lock_step is not None:
-            lock_step.advance(GOAL_TIME)
+    def _send(self) -> None:
         wanted = self._wanted
         goal = DockGoal(wanted.dock_id, PoseStamped(), wanted.search, wanted.max_retries)
         self._client.send_goal(goal)
-        self._await_acceptance()
-        if lock_step is not None:
-            lock_step.listen_only()
 
     def _is_connected(self) -> bool:
         client = self._client.action_client
@@ -143,39 +113,19 @@ class PlotDocking:
             client.pub_goal.get_num_connections() > 0
             and client.result_sub.get_num_connections() > 0
             and client.status_sub.get_num_connections() > 0
-            and all(one.get_num_connections() > 0 for one in self._subscribers)
+            and super()._is_connected()
         )
 
-    def _await_acceptance(self) -> None:
-        deadline = time.monotonic() + ACCEPTANCE
-        while self._client.get_state() == GoalStatus.PENDING:
-            if rospy.is_shutdown():
-                raise rospy.ROSInterruptException("shutdown")
-            if time.monotonic() > deadline:
-                raise NodeError(f"dock has not accepted the goal for {ACCEPTANCE:g} s")
-            time.sleep(POLL_SECONDS)
+    def _is_taken(self) -> bool:
+        return self._client.get_state() != GoalStatus.PENDING
 
-    def _wait_for_the_end(self) -> None:
-        announced: Optional[float] = None
-        shown = time.monotonic()
-        while not self._is_complete():
-            if rospy.is_shutdown():
-                return
-            if self._failure is not None:
-                raise self._failure
-            now = time.monotonic()
-            if now - shown > PATH_PERIOD_SECONDS:
-                shown = now
-                self._publish_path()
-            if self._finished is not None:
-                announced = announced or now
-                if now - announced > PATIENCE:
-                    rospy.logwarn("the end was announced and nothing more comes")
-                    return
-            time.sleep(POLL_SECONDS)
+    def _meanwhile(self) -> None:
+        now = time.monotonic()
+        if now - self._shown > PATH_PERIOD_SECONDS:
+            self._shown = now
+            self._publish_path()
 
     def _is_complete(self) -> bool:
-        """Return whether result, path and contacts have come up to the end."""
         until = self._until()
         with self._lock:
             if until is None or self._touched is None or self._truth.last is None:
@@ -190,20 +140,6 @@ class PlotDocking:
         return self._client.get_result() if self._client.gh is not None else None
 
     # What comes in
-
-    def _receive_odometry(self, message: Odometry) -> None:
-        if message.header.stamp < BEGINNING:
-            return
-        try:
-            pose = planar_pose(message)
-            with self._lock:
-                self._truth.add(message.header.stamp.to_nsec(), pose)
-        except (OdometryError, DockingRunError) as error:
-            self._refusals.refuse("odom", str(error))
-        except FileError as error:
-            self._failure = error
-        else:
-            self._stopwatch.note()
 
     def _receive_touched(self, message: TouchedModels) -> None:
         with self._lock:

@@ -12,8 +12,6 @@ Leaves truth.tum, written row by row, path.png and summary.json.
 
 from __future__ import annotations
 
-import threading
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Dict, List, Mapping, Optional, Tuple
@@ -21,7 +19,6 @@ from typing import Any, Dict, List, Mapping, Optional, Tuple
 import rospy
 from actionlib_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Odometry
 from std_msgs.msg import Time
 from visualization_msgs.msg import MarkerArray
 
@@ -29,29 +26,19 @@ from bullet_lab.numerics.angles import yaw_from_quaternion
 from bullet_lab.numerics.trajectory import Trajectory
 from bullet_lab.plotting.goal_figure import goal_figure
 from bullet_lab.plotting.style import save
-from bullet_lab.recording.docking_run import DockingRunError, PathRecording
-from bullet_lab.recording.files import FileError, make_folder, write_json
+from bullet_lab.recording.files import make_folder, write_json
 from bullet_lab.recording.goal_summary import GoalRecord, goal_figures, greatest_speed, title_of
 from bullet_lab.ros import parameters
 from bullet_lab.ros.depopulate import numbered
 from bullet_lab.ros.dock_goals import stamped_pose
-from bullet_lab.ros.lock_step import LockStep
-from bullet_lab.ros.node import NodeError, Refusals, private_parameters, run_node, wait_until
-from bullet_lab.ros.odometry import OdometryError, planar_pose
+from bullet_lab.ros.errand_recorder import ErrandRecorder
+from bullet_lab.ros.node import private_parameters, run_node
 from bullet_lab.ros.publishers import Publisher
-from bullet_lab.ros.recorder import PATIENCE, Stopwatch
 from bullet_lab.ros.standing_models import TOPIC as WORLD
 from bullet_lab.ros.standing_models import StandingModels
 
-# Simulated time of the goal: between two ticks of the driver.
-GOAL_TIME = rospy.Time(0, 525_000_000)
-# What comes before is not recorded: somebody may not have been connected yet.
-BEGINNING = rospy.Time(0, 500_000_000)
 # Simulated seconds that are recorded after the end: a robot that should stand, stands.
 REST = rospy.Duration(1)
-# Wall seconds for the driver to answer.
-ACCEPTANCE = 30.0
-POLL_SECONDS = 0.02
 
 
 @dataclass(frozen=True)
@@ -69,80 +56,38 @@ class PlotGoalParameters:
     lock_step: bool = parameters.boolean(False, "hold simulated time back until the goal is sent")
 
 
-class PlotGoal:
+class PlotGoal(ErrandRecorder):
     """Sends the first goal and records what is driven."""
 
     def __init__(self, wanted: PlotGoalParameters):
         self._wanted = wanted
         self._folder = make_folder(Path(wanted.out))
-        self._lock = threading.Lock()
-        self._refusals = Refusals()
-        self._stopwatch = Stopwatch()
-        self._truth = PathRecording(self._folder / "truth.tum")
+        super().__init__(self._folder, wanted.lock_step, "drive_to_goal")
         # What the driver says of its goals, in their order.
         self._poses: List[PoseStamped] = []
         self._ends: List[float] = []
         self._answers: Dict[str, GoalStatus] = {}
         self._refused: List[str] = []
-        self._failure: Optional[FileError] = None
         self._standing = StandingModels()
         self._sender = Publisher("move_base_simple/goal", PoseStamped, queue_size=10)
         self._subscribers = [
-            rospy.Subscriber("odom", Odometry, self._receive_odometry, tcp_nodelay=True),
+            self._listen_to_odometry(),
             rospy.Subscriber("drive_to_goal/current_goal", PoseStamped, self._receive_goal),
             rospy.Subscriber("drive_to_goal/status", GoalStatus, self._receive_status),
             rospy.Subscriber("drive_to_goal/finished", Time, self._receive_finished),
         ]
         self._world = rospy.Subscriber(WORLD, MarkerArray, self._standing.take)
 
-    def run(self) -> None:
-        """Send the goal, record until some time after its end, and write everything."""
-        try:
-            self._send_goal()
-            self._wait_for_the_end()
-        finally:
-            self._write()
-
-    def _send_goal(self) -> None:
-        wait_until(self._is_connected, "the bridge and drive_to_goal")
-        lock_step = LockStep() if self._wanted.lock_step else None
-        if lock_step is not None:
-            lock_step.advance(GOAL_TIME)
+    def _send(self) -> None:
         goal = stamped_pose(rospy.Time.now(), self._wanted.frame, self._wanted.goal)
         self._sender.publish(goal)
-        # In lock step time stands until the driver has the goal: it is taken up at its next tick.
-        deadline = time.monotonic() + ACCEPTANCE
-        while lock_step is not None and not self._is_taken():
-            if rospy.is_shutdown():
-                raise rospy.ROSInterruptException("shutdown")
-            if time.monotonic() > deadline:
-                raise NodeError(f"drive_to_goal has not taken the goal for {ACCEPTANCE:g} s")
-            time.sleep(POLL_SECONDS)
-        if lock_step is not None:
-            lock_step.listen_only()
 
     def _is_connected(self) -> bool:
-        heard = all(one.get_num_connections() > 0 for one in self._subscribers)
-        return heard and self._sender.has_connections()
+        return super()._is_connected() and self._sender.has_connections()
 
     def _is_taken(self) -> bool:
         with self._lock:
             return bool(self._answers or self._refused)
-
-    def _wait_for_the_end(self) -> None:
-        announced: Optional[float] = None
-        while not self._is_complete():
-            if rospy.is_shutdown():
-                return
-            if self._failure is not None:
-                raise self._failure
-            now = time.monotonic()
-            if self._until() is not None:
-                announced = announced or now
-                if now - announced > PATIENCE and not self._wanted.stay:
-                    rospy.logwarn("the end was announced and nothing more comes")
-                    return
-            time.sleep(POLL_SECONDS)
 
     def _is_complete(self) -> bool:
         if self._wanted.stay:
@@ -154,26 +99,11 @@ class PlotGoal:
             return until is not None and (self._truth.last or 0) >= until
 
     def _until(self) -> Optional[int]:
-        """Return the time in ns that is recorded up to; None while that is not known."""
         if self._wanted.stay or not self._ends:
             return None
         return rospy.Time.from_sec(self._ends[0]).to_nsec() + REST.to_nsec()
 
     # What comes in
-
-    def _receive_odometry(self, message: Odometry) -> None:
-        if message.header.stamp < BEGINNING:
-            return
-        try:
-            pose = planar_pose(message)
-            with self._lock:
-                self._truth.add(message.header.stamp.to_nsec(), pose)
-        except (OdometryError, DockingRunError) as error:
-            self._refusals.refuse("odom", str(error))
-        except FileError as error:
-            self._failure = error
-        else:
-            self._stopwatch.note()
 
     def _receive_goal(self, message: PoseStamped) -> None:
         with self._lock:
