@@ -44,9 +44,9 @@ class Approach(Phase):
         trouble = gate(pilot, robot, left)
         if trouble:
             return STANDSTILL, retreat(pilot, left, trouble)
-        if pilot.off_lane(robot, estimate):
+        if pilot.lane.leads_at_an_edge(robot, pilot.deviation(estimate)):
             return STANDSTILL, back_out(pilot, left, 0.5)
-        if pilot.within_walls(robot) and not self._entered:
+        if pilot.lane.within_walls(robot) and not self._entered:
             self._entered = True
             if not pilot.sure(candidate):
                 return STANDSTILL, back_out(pilot, left, 0.35)
@@ -81,7 +81,7 @@ def gate(pilot: Pilot, robot: np.ndarray, left: float) -> str:
         return f"{1e3 * beside:.0f} mm beside the axis"
     if left < 0.6 * settings.gate_distance and turned > settings.gate_yaw:
         return f"{math.degrees(turned):.1f} degrees against the axis"
-    if pilot.within_walls(robot) and beside > pilot.corridor():
+    if pilot.lane.within_walls(robot) and beside > pilot.lane.corridor:
         return "too near the walls"
     return ""
 

@@ -246,7 +246,7 @@ def decide(pilot: Pilot) -> Phase:
 
     estimate, candidate = pilot.estimate(), pilot.knowledge.best()
     robot = pilot.robot(estimate)
-    if pilot.within_walls(robot):
+    if pilot.lane.within_walls(robot):
         if not pilot.sure(candidate):
             return back_out(pilot, pilot.left(robot), 0.35)
         if pilot.in_lane(estimate):

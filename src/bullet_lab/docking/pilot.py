@@ -14,6 +14,7 @@ from bullet_lab.docking.estimates import DockEstimate
 from bullet_lab.docking.floor_map import FloorMap, Point, sample_way
 from bullet_lab.docking.geometry import View, clearance, wall_boxes
 from bullet_lab.docking.knowledge import SAME_WALL, DockKnowledge
+from bullet_lab.docking.lane import Lane
 from bullet_lab.docking.settings import DockingSettings
 from bullet_lab.docking.types import (
     CameraMount,
@@ -34,9 +35,6 @@ _PROBE = 0.6
 _ROOM_TO_TURN = 0.17
 # How far apart, in m along the dock's axis, two prints on one wall may seem.
 _SAME_PLANE = 0.2
-_ENTRANCE = 0.35
-_BEFORE_ENTRANCE = 0.55
-_EDGE_PLAY = 0.08
 # Looks for a larger print, where the marker itself is too small to be found from outside: how
 # many, how wide that may be (half, by the opening), and the share of such looks that miss it.
 _MOST_FAR_LOOKS = 14
@@ -78,6 +76,7 @@ class Pilot:
         self.dock, self.knowledge, self.settings = dock, knowledge, settings
         self.shape, self.search, self.max_retries = shape, search, max_retries
         self.boxes = wall_boxes(dock)
+        self.lane = Lane(dock, shape, settings.wall_margin, mount.x)
         self.tracker = AxisTracker(settings, mount.x)
         self.ahead = mount.x
         self.now = 0.0
@@ -145,50 +144,10 @@ class Pilot:
 
     # What is allowed --------------------------------------------------------------------------
 
-    @property
-    def depth(self) -> float:
-        """Of the walls, m; 0 without."""
-        return 0.0 if self.dock.walls is None else self.dock.walls.depth
-
-    def within_walls(self, robot: np.ndarray) -> bool:
-        """Say whether a pose in the dock's frame is between the walls or just before them."""
-        walls = self.dock.walls
-        if walls is None:
-            return False
-        return -float(robot[0]) < walls.depth + _ENTRANCE and abs(robot[1]) < 0.5 * walls.opening
-
-    def half_lane(self, left: float) -> float:
-        """Return how far off the axis (m) an approach may be with so much left to go."""
-        lane = 0.006 + 0.22 * max(left - 0.25, 0.0)
-        if self.dock.walls is None:
-            return lane
-        entrance = self.depth + _ENTRANCE - self.dock.docked_distance - self.ahead
-        inside = self.corridor()
-        return min(lane, inside + 0.3 * max(left - entrance, 0.0))
-
-    def corridor(self) -> float:
-        """Return how far off the axis (m) the robot may be between the walls, turned or not."""
-        if self.dock.walls is None:
-            return math.inf
-        free = 0.5 * self.dock.walls.opening - self.settings.wall_margin
-        return max(free - self.shape.turning_radius, 0.02)
-
-    def off_lane(self, robot: np.ndarray, estimate: DockEstimate) -> bool:
-        """Say whether going on would lead at a wall's front edge, as far as is known."""
-        walls, before = self.dock.walls, -float(robot[0])
-        if walls is None or not walls.depth < before < walls.depth + _BEFORE_ENTRANCE:
-            return False
-        beside = abs(float(robot[1])) + 2.0 * self.deviation(estimate)
-        return beside > self.corridor() + _EDGE_PLAY + 0.4 * (before - walls.depth)
-
     def in_lane(self, estimate: DockEstimate) -> bool:
         """Say whether the robot can approach from where it is."""
         robot = self.robot(estimate)
-        left = self.left(robot)
-        lane = self.half_lane(left)
-        # What is not known yet will be, on the way; the gate is there for what is not.
-        beside = abs(float(robot[1])) + min(2.0 * self.deviation(estimate), 0.4 * lane)
-        return left > 0.05 and beside < lane and left < 4.5
+        return self.lane.holds(robot, self.left(robot), self.deviation(estimate))
 
     def sure(self, candidate: Candidate) -> bool:
         """Say whether a candidate may be driven at between the walls; asked for, it counts."""
@@ -310,7 +269,7 @@ class Pilot:
         wanted, view = self.dock.staging_distance, self.knowledge.view
         distances = [wanted]
         if view is not None:
-            room = self.depth + self.shape.turning_radius + _ROOM_TO_TURN
+            room = self.lane.depth + self.shape.turning_radius + _ROOM_TO_TURN
             distances.insert(0, min(wanted, max(room, 0.9 * view.farthest + self.ahead)))
         for distance in distances:
             there = se2.compose(estimate.mean, (-distance, 0.0, 0.0))
