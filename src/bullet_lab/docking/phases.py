@@ -184,10 +184,10 @@ class Measure(Phase):
             self._waited = pilot.now
             return STANDSTILL, None
         if candidate.frames - self._frames >= pilot.settings.measure_frames:
-            return STANDSTILL, decide(pilot)
+            return STANDSTILL, pilot.decide(pilot)
         if pilot.now - self._waited > 2.0 * pilot.settings.unseen_timeout and self._missing(pilot):
             if not pilot.in_reach(pilot.robot(estimate)):
-                return STANDSTILL, decide(pilot)
+                return STANDSTILL, pilot.decide(pilot)
             pilot.knowledge.forget(candidate)
             return STANDSTILL, Look()
         return STANDSTILL, None
@@ -238,40 +238,3 @@ def probe_size(pilot: Pilot, searching: bool) -> Optional[Phase]:
         return None
     pilot.probes += 1
     return Probe(way, searching)
-
-
-def decide(pilot: Pilot) -> Phase:
-    """Return what to do about a marker that was measured at rest."""
-    from bullet_lab.docking.approach import Approach, back_out
-
-    estimate, candidate = pilot.estimate(), pilot.knowledge.best()
-    robot = pilot.robot(estimate)
-    if pilot.lane.within_walls(robot):
-        if not pilot.sure(candidate):
-            return back_out(pilot, pilot.left(robot), 0.35)
-        if pilot.in_lane(estimate):
-            return Approach()
-        return back_out(pilot, pilot.left(robot), 0.30)
-    if pilot.in_lane(estimate):
-        return Approach()
-    return go_to_staging(pilot)
-
-
-def go_to_staging(pilot: Pilot) -> Phase:
-    """Return the drive to the staging point; fails after too many, or without a way.
-
-    What shows the marker and is of unknown size may be anywhere on the line of sight, and so in
-    the way; a little drive tells where it is.
-    """
-    estimate = pilot.estimate()
-    pilot.stagings += 1
-    if pilot.stagings > pilot.settings.max_stagings:
-        pilot.fail(DockingError.STAGING_FAILED, "the point before the dock is not reached")
-    found = pilot.way_to_staging(estimate)
-    if found is None:
-        probe = probe_size(pilot, searching=False)
-        if probe is not None:
-            return probe
-        pilot.fail(DockingError.STAGING_FAILED, "no safe way to the point before the dock")
-    way, heading = found
-    return Stage(FollowWay(way, pilot.settings), heading)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import List, Optional, Tuple
+from typing import Any, Callable, List, Optional, Tuple
 
 import numpy as np
 
@@ -61,6 +61,7 @@ class Pilot:
         settings: see `DockingSettings`.
         search: whether to look for the marker where it is not seen at once.
         max_retries: retreats before it gives up.
+        decide: returns the phase that follows a measurement at rest.
     """
 
     def __init__(
@@ -72,9 +73,11 @@ class Pilot:
         settings: DockingSettings,
         search: bool,
         max_retries: int,
+        decide: Callable[[Pilot], Any],
     ):
         self.dock, self.knowledge, self.settings = dock, knowledge, settings
         self.shape, self.search, self.max_retries = shape, search, max_retries
+        self.decide = decide
         self.boxes = wall_boxes(dock)
         self.lane = Lane(dock, shape, settings.wall_margin, mount.x)
         self.tracker = AxisTracker(settings, mount.x)

@@ -10,6 +10,7 @@ import numpy as np
 
 from bullet_lab.docking.approach import Docked
 from bullet_lab.docking.database import Dock
+from bullet_lab.docking.decision import decide
 from bullet_lab.docking.drive import CommandRamp
 from bullet_lab.docking.geometry import clearance
 from bullet_lab.docking.knowledge import DockKnowledge
@@ -86,7 +87,7 @@ class DockingTask:
         rng = np.random.default_rng(seed)
         self._knowledge = DockKnowledge(dock, dock_pose, mount, settings, rng)
         retries = settings.max_retries if max_retries is None or max_retries < 0 else max_retries
-        self._pilot = Pilot(dock, self._knowledge, mount, shape, settings, search, retries)
+        self._pilot = Pilot(dock, self._knowledge, mount, shape, settings, search, retries, decide)
         self._time_limit = settings.time_limit if time_limit is None else time_limit
         self._waiting: Deque[Observation] = deque(maxlen=_MOST_WAITING)
         self._ramp = CommandRamp(settings)
