@@ -1,7 +1,8 @@
 # Sourced by the other scripts: where things are, and how to enter the lab's environment.
 # shellcheck shell=bash disable=SC2034 # not all of them use all of it
 
-LAB_ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
+# The workspace has a link to this folder: `cd -P` finds the package and not what links to it.
+LAB_ROOT=$(cd -P "$(dirname "${BASH_SOURCE[0]}")" && cd .. && pwd)
 # rosrun searches packages for executables, and leaves out their build/ alone.
 LAB_DIR=$LAB_ROOT/build
 LAB_VENV=$LAB_DIR/venv
