@@ -199,8 +199,14 @@ def test_a_bag(tmp_path):
     trajectory = read_path(tmp_path / "a.bag")
     np.testing.assert_array_equal(trajectory.stamps, [1.0, 2.0, 3.0])
     np.testing.assert_array_equal(trajectory.poses[:, 0], [0.0, 0.5, 1.0])
-    with pytest.raises(PathFileError, match="nothing on the topic /nix"):
+    with pytest.raises(PathFileError, match="nothing on the topic /nix; odometry is on /odom"):
         read_path(tmp_path / "a.bag", "/nix")
+
+
+def test_a_topic_of_a_bag_is_the_same_with_and_without_its_slash(tmp_path):
+    odometry = pytest.importorskip("nav_msgs.msg").Odometry
+    bag_with(tmp_path / "a.bag", odometry)
+    assert len(read_path(tmp_path / "a.bag", "odom").stamps) == 3
 
 
 def test_a_bag_with_something_else_or_a_repeated_stamp(tmp_path):

@@ -99,13 +99,20 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
         raise PathFileError(f"cannot read {path} without ROS's rosbag: {error}") from None
     try:
         with rosbag.Bag(str(path)) as bag:
-            messages = [message for _, message, _ in bag.read_messages(topics=[topic])]
+            _, seen = bag.get_type_and_topic_info()
+            topics = {name: info.msg_type for name, info in seen.items()}
+            wanted = [name for name in topics if name.strip("/") == topic.strip("/")]
+            # Without a topic rosbag reads all of them.
+            found = bag.read_messages(topics=wanted) if wanted else ()
+            messages = [message for _, message, _ in found]
     except OSError as error:
         raise PathFileError(f"cannot read {path}: {error.strerror or error}") from None
     except Exception as error:  # rosbag raises whatever it stumbles over in a broken bag
         raise PathFileError(f"cannot read {path}: {error or type(error).__name__}") from None
     if not messages:
-        raise PathFileError(f"{path}: nothing on the topic {topic}")
+        paths = sorted(name for name, kind in topics.items() if kind == ODOMETRY_KIND)
+        there = f"odometry is on {', '.join(paths)}" if paths else "there is no odometry"
+        raise PathFileError(f"{path}: nothing on the topic {topic}; {there}")
     if messages[0]._type != ODOMETRY_KIND:
         raise PathFileError(f"{path}: {topic} is of {messages[0]._type}, not {ODOMETRY_KIND}")
     return _trajectory(path, [_odometry_values(message) for message in messages])
