@@ -3,14 +3,11 @@
 
 import functools
 import json
-import os
-import subprocess
-import sys
 import tempfile
 import unittest
-from pathlib import Path
 
 import rostest
+from lab_testing import run_job
 
 from bullet_lab.numerics.trajectory import read_tum
 
@@ -21,22 +18,9 @@ LARGEST = {"distance_error_m": 0.02, "lateral_error_m": 0.01, "yaw_error_deg": 1
 
 
 @functools.lru_cache(maxsize=None)
-def dock(*words):
+def dock(*words, status=0):
     """Run the job in a folder of its own; return its output folder."""
-    folder = Path(tempfile.mkdtemp(dir=FOLDER.name))
-    environment = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
-    run = subprocess.run(
-        [sys.executable, "-m", "bullet_lab.ros.launcher", "dock", *words, "out:=out"],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=TIMEOUT,
-    )
-    if run.returncode:
-        raise AssertionError(f"{words} ended with status {run.returncode}:\n{run.stdout}")
-    return folder / "out"
+    return run_job("dock", *words, folder=FOLDER.name, status=status, timeout=TIMEOUT)[0]
 
 
 def summary_of(out):
@@ -87,7 +71,7 @@ class DockJobTest(unittest.TestCase):
         self.assert_docked(dock("world:=docking_decoy", "x:=1.5", "y:=0.4", "yaw:=10"))
 
     def test_a_start_inside_of_a_wall(self):
-        summary = summary_of(dock("x:=2.8", "y:=0.45"))
+        summary = summary_of(dock("x:=2.8", "y:=0.45", status=1))
         self.assertFalse(summary["docked"])
         self.assertNotIn(summary["error_name"], ("NONE", "UNKNOWN"))
         self.assertGreater(summary["error_code"], 900)

@@ -37,11 +37,20 @@ def test_time_that_falls_behind(clock, watch):
     lag = after(clock, watch, 5.0, 2500)
     assert (lag.wanted, lag.reached, lag.seconds, lag.causes) == (1.0, 0.5, 5.0, ())
     assert str(lag) == (
-        "simulated time falls behind: real-time factor 0.50 instead of 1 in the last 5 s"
+        "simulated time falls behind: real-time factor 0.50 instead of 1 in the last 5 s "
+        "(of the time: other threads and programs 100 %)"
     )
     # Counted anew.
     assert after(clock, watch, 5.0, 7500) is None
     assert after(clock, watch, 6.0, 7500 + 9000, wanted=2.0).reached == pytest.approx(1.5)
+
+
+def test_a_machine_that_stays_too_slow_is_told_of_less_and_less_often(clock, watch):
+    told = [second for second in range(5, 400, 5) if after(clock, watch, 5.0, second)]
+    assert told == [5, 10, 20, 40, 80, 160, 240, 320]
+    # Once it is fast enough, it begins anew.
+    assert after(clock, watch, 5.0, 100_000) is None
+    assert after(clock, watch, 5.0, 100_001) is not None
 
 
 def test_as_fast_as_it_goes_is_never_too_slow(clock, watch):
@@ -75,7 +84,10 @@ def test_where_the_time_goes(clock, watch):
     lag = after(clock, watch, 1.2, 1000)
     assert [what for what, _ in lag.causes] == ["services", "plugin 'camera'", "steps"]
     assert [share for _, share in lag.causes] == pytest.approx([0.3, 0.24, 0.16])
-    assert str(lag).endswith("(of the time: services 30 %, plugin 'camera' 24 %, steps 16 %)")
+    assert str(lag).endswith(
+        "(of the time: services 30 %, other threads and programs 30 %, plugin 'camera' 24 %, "
+        "steps 16 %)"
+    )
 
 
 def test_what_was_done_before_a_restart_is_forgotten(clock, watch):

@@ -125,9 +125,10 @@ def _draw_histogram(axes: Axes, values: Sequence[float], label: str) -> None:
     if not values:
         return
     axes.hist(values, bins=BINS, color=BLUE, edgecolor="white", linewidth=0.4)
-    for value, style, name in (
-        (np.median(values), "-", "median"),
-        (values[int(np.argmax(np.abs(values)))], ":", "largest"),
-    ):
-        axes.axvline(value, color=BLACK, linestyle=style, label=f"{name} {value:.2f}")
+    median = float(np.median(np.abs(values)))
+    # Half of the dockings are between these two lines.
+    axes.axvline(-median, color=BLACK, linestyle="-")
+    axes.axvline(median, color=BLACK, linestyle="-", label=f"median of the sizes {median:.2f}")
+    largest = values[int(np.argmax(np.abs(values)))]
+    axes.axvline(largest, color=BLACK, linestyle=":", label=f"largest {abs(largest):.2f}")
     axes.legend(fontsize="small")

@@ -48,12 +48,17 @@ class ErrandRecorder:
         self._subscribers: List[rospy.Subscriber] = []
 
     def run(self) -> None:
-        """Send the goal, record until some time after its end, and write everything."""
+        """Send the goal, record until some time after its end, and write everything.
+
+        Raises:
+            NodeError: the goal was not taken, or not reached.
+        """
         try:
             self._begin()
             self._wait_for_the_end()
         finally:
             self._write()
+        self._judge()
 
     # What a subclass says
 
@@ -83,6 +88,9 @@ class ErrandRecorder:
     def _write(self) -> None:
         """Leave everything behind."""
         raise NotImplementedError
+
+    def _judge(self) -> None:
+        """Raise NodeError where the robot has come to an end, but not to its goal."""
 
     # The errand
 

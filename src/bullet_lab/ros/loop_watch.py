@@ -7,6 +7,7 @@ stuck.
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections import Counter
 from dataclasses import dataclass
@@ -14,8 +15,9 @@ from typing import Callable, Iterator, Optional, Tuple
 
 from bullet_lab.simulation.schedule import STEPS_PER_SECOND
 
-# Wall seconds over which the speed is looked at, and between two reports.
-WINDOW = 5.0
+# Wall seconds over which the speed is looked at, and at most between two reports of a machine
+# that stays too slow: each comes after twice the time of the one before.
+WINDOW, LONGEST_SILENCE = 5.0, 80.0
 # Less than this share of the wanted speed is too slow.
 TOLERATED = 0.9
 # Causes with a smaller share of the time are not told.
@@ -43,8 +45,11 @@ class Lag:
             f"simulated time falls behind: real-time factor {self.reached:.2f} instead of "
             f"{self.wanted:g} in the last {self.seconds:.0f} s"
         )
-        causes = ", ".join(f"{what} {100.0 * share:.0f} %" for what, share in self.causes)
-        return f"{line} (of the time: {causes})" if causes else line
+        rest = 1.0 - sum(share for _, share in self.causes)
+        others = [("other threads and programs", rest)] if rest >= WORTH_TELLING else []
+        told = sorted([*self.causes, *others], key=lambda cause: -cause[1])
+        causes = ", ".join(f"{what} {100.0 * share:.0f} %" for what, share in told)
+        return f"{line} (of the time: {causes})"
 
 
 class LoopWatch:
@@ -59,6 +64,7 @@ class LoopWatch:
         self._spent: Counter = Counter()
         self._busy: Optional[Tuple[str, float]] = None
         self._told = clock()
+        self._silence, self._lag_told = WINDOW, -math.inf
         self.restart(0)
 
     def restart(self, step: int) -> None:
@@ -92,7 +98,9 @@ class LoopWatch:
         return self._clock() - self._start >= WINDOW
 
     def look(self, step: int, wanted: float) -> Optional[Lag]:
-        """Return how far time has fallen behind since it was looked at; None if it has not.
+        """Return how far time has fallen behind since it was looked at.
+
+        None if it has not, or if that was told of a short while ago.
 
         Args:
             step: that time has reached.
@@ -103,7 +111,15 @@ class LoopWatch:
         shares = ((what, spent / seconds) for what, spent in self._spent.most_common())
         causes = tuple(cause for cause in shares if cause[1] >= WORTH_TELLING)
         self.restart(step)
-        return Lag(wanted, reached, seconds, causes) if reached < TOLERATED * wanted else None
+        if reached >= TOLERATED * wanted:
+            self._silence, self._lag_told = WINDOW, -math.inf
+            return None
+        if self._clock() - self._lag_told < self._silence:
+            return None
+        if self._lag_told > -math.inf:
+            self._silence = min(2.0 * self._silence, LONGEST_SILENCE)
+        self._lag_told = self._clock()
+        return Lag(wanted, reached, seconds, causes)
 
     def stuck(self) -> Optional[Tuple[str, float]]:
         """Return what the loop has been doing for too long, and for how many wall seconds.

@@ -14,6 +14,7 @@ Leaves truth.tum, written row by row, path.png, camera.png and summary.json.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -39,7 +40,7 @@ from bullet_lab.recording.files import make_folder, write_json
 from bullet_lab.ros import parameters
 from bullet_lab.ros.errand_recorder import ErrandRecorder
 from bullet_lab.ros.image_messages import ImageError, pixels_of
-from bullet_lab.ros.node import private_parameters, run_node
+from bullet_lab.ros.node import NodeError, private_parameters, run_node
 from bullet_lab.ros.publishers import Publisher
 from bullet_lab.ros.tf_prefix import own_frame
 from bullet_lab.simulation.floor_plan import footprints
@@ -93,6 +94,11 @@ class PlotDocking(ErrandRecorder):
         self._client = SimpleActionClient("dock", DockAction)
         self._path = Publisher("~path", Path, queue_size=1, latch=True)
         self._shown = time.monotonic()
+        self._missed = ""
+        # What an earlier docking has left is not of this one.
+        for name in ("path.png", "camera.png", "summary.json"):
+            with contextlib.suppress(FileNotFoundError):
+                (self._folder / name).unlink()
         self._subscribers = [
             self._listen_to_odometry(),
             rospy.Subscriber("bullet_lab/touched", TouchedModels, self._receive_touched),
@@ -215,7 +221,14 @@ class PlotDocking(ErrandRecorder):
         if frames:
             save(strip_figure(frames), self._folder / "camera.png")
         write_json(self._folder / "summary.json", summary)
-        rospy.loginfo("%s", title)
+        if summary["docked"] or not summary["finished"]:
+            rospy.loginfo("%s", title)
+        else:
+            self._missed = title
+
+    def _judge(self) -> None:
+        if self._missed:
+            raise NodeError(self._missed)
 
     def _state_at(self, seconds: float) -> str:
         before = [name for at, name in self._states if at <= seconds]

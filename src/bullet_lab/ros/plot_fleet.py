@@ -91,6 +91,7 @@ class PlotFleet:
         self.refusals = Refusals()
         self.markers = FleetMarkers()
         self.end = EndOfRecording(wanted.until)
+        _clear_away(self._folder, robot_names(wanted.robots))
         self._robots = [
             _Robot(name, derived_seed(wanted.seed, index), self, self._folder)
             for index, name in enumerate(robot_names(wanted.robots))
@@ -190,6 +191,17 @@ def describe(summary: Mapping[str, Any]) -> str:
     if factor is not None:
         parts.append(f"{factor:.1f} times real time")
     return "; ".join(parts)
+
+
+def _clear_away(folder: Path, names: Sequence[str]) -> None:
+    """Remove what an earlier, larger fleet has left in a folder, and nothing else."""
+    for old in folder.glob("robot*"):
+        if old.name in names or not old.name[len("robot") :].isdigit():
+            continue
+        with contextlib.suppress(OSError):
+            for path in (f"{PERFECT}.tum", f"{NOISY}.tum"):
+                (old / path).unlink()
+            old.rmdir()
 
 
 def main() -> None:

@@ -32,7 +32,7 @@ from bullet_lab.ros import parameters
 from bullet_lab.ros.depopulate import numbered
 from bullet_lab.ros.dock_goals import stamped_pose
 from bullet_lab.ros.errand_recorder import ErrandRecorder
-from bullet_lab.ros.node import private_parameters, run_node
+from bullet_lab.ros.node import NodeError, private_parameters, run_node
 from bullet_lab.ros.publishers import Publisher
 from bullet_lab.ros.standing_models import TOPIC as WORLD
 from bullet_lab.ros.standing_models import StandingModels
@@ -68,6 +68,7 @@ class PlotGoal(ErrandRecorder):
         self._ends: List[float] = []
         self._answers: Dict[str, GoalStatus] = {}
         self._refused: List[str] = []
+        self._missed = ""
         self._standing = StandingModels()
         self._sender = Publisher("move_base_simple/goal", PoseStamped, queue_size=10)
         self._subscribers = [
@@ -152,7 +153,17 @@ class PlotGoal(ErrandRecorder):
         picture = goal_figure(truth, records, beacons, self._wanted.tolerance, title)
         save(picture, self._folder / "path.png")
         write_json(self._folder / "summary.json", self._summary(figures, truth))
-        rospy.loginfo("%s", title)
+        missed = bool(self._refused) or any(
+            one.ended is not None and not one.reached for one in records
+        )
+        if missed and not self._wanted.stay:
+            self._missed = title
+        else:
+            rospy.loginfo("%s", title)
+
+    def _judge(self) -> None:
+        if self._missed:
+            raise NodeError(self._missed)
 
     def _summary(self, figures: List[Dict[str, Any]], truth: Optional[Trajectory]) -> Dict:
         seconds = 0.0 if truth is None else float(truth.stamps[-1] - truth.stamps[0])

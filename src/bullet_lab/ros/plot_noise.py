@@ -205,7 +205,9 @@ def describe(summary: Mapping[str, Any]) -> str:
     """Return the main figures of a squares summary as one line for people."""
     sides = " ".join(f"{side:.3f}" for side in summary["side_lengths_m"])
     turns = " ".join(f"{turn:.2f}" for turn in summary["turns_deg"])
-    parts = [f"sides {sides} m, turns {turns} deg"] if sides else ["no sides"]
+    parts = [f"sides {sides} m"] if sides else ["no sides"]
+    if turns:
+        parts.append(f"turns {turns} deg")
     if summary["final_error_m"] is not None:
         parts.append(
             f"noisy path ends {summary['final_error_m']:.3f} m and "

@@ -19,7 +19,7 @@ from bullet_lab.numerics.angles import quaternion_from_yaw
 from bullet_lab.ros import parameters
 from bullet_lab.ros.gazebo_client import call
 from bullet_lab.ros.gazebo_types import srv
-from bullet_lab.ros.node import private_parameters, run_node
+from bullet_lab.ros.node import NodeError, private_parameters, run_node
 from bullet_lab.ros.parameters import ParameterError
 from bullet_lab.simulation.resources import ResourceFinder
 from bullet_lab.simulation.xml_input import read_text
@@ -112,7 +112,10 @@ def populate(wanted: PopulateParameters) -> int:
     text = description_of(wanted.model)
     namespace = wanted.namespace or rospy.get_namespace()
     for name, place in zip(names, places_of(wanted)):
-        call(SERVICE, srv.SpawnModel, name, text, namespace, _pose(place, wanted), "")
+        try:
+            call(SERVICE, srv.SpawnModel, name, text, namespace, _pose(place, wanted), "")
+        except NodeError as error:
+            raise NodeError(f"cannot place '{name}': {error}") from error
     return len(names)
 
 

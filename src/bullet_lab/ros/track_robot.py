@@ -38,7 +38,7 @@ Number = Union[int, float]
 DEFAULT_BEACONS = (("beacon_0", 1, 1), ("beacon_1", 5, 1), ("beacon_2", -5, 1))
 QUEUE_SIZE = 10
 # Height of the beacons of meshes/beacon.dae, in m; the labels float above it.
-LABEL_HEIGHT = 2.3
+LABEL_HEIGHT, LABEL_SIZE = 2.3, 0.25
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class TrackRobot:
             label = Marker(header=header, ns="label", id=number, type=Marker.TEXT_VIEW_FACING)
             label.pose.position = Point(beacon.x, beacon.y, LABEL_HEIGHT)
             label.pose.orientation.w = 1.0
-            label.scale.z = 0.5
+            label.scale.z = LABEL_SIZE
             label.color = ColorRGBA(1.0, 0.55, 0.1, 1.0)
             label.text = f"{beacon.name}: {dist:.2f} m"
             ray = Marker(header=header, ns="ray", id=number, type=Marker.LINE_LIST)
