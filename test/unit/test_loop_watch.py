@@ -1,6 +1,6 @@
 import pytest
 
-from bullet_lab.ros.loop_watch import WINDOW, LoopWatch
+from bullet_lab.ros.loop_watch import WAITING, WINDOW, LoopWatch
 
 
 class Clock:
@@ -88,6 +88,14 @@ def test_where_the_time_goes(clock, watch):
         "(of the time: services 30 %, other threads and programs 30 %, plugin 'camera' 24 %, "
         "steps 16 %)"
     )
+
+
+def test_waiting_is_no_cause(clock, watch):
+    with watch.doing(WAITING):
+        clock.now += 4.0
+    lag = after(clock, watch, 1.0, 2000)
+    assert (lag.waiting, lag.causes) == (pytest.approx(0.8), ())
+    assert str(lag).endswith("(of the time: other threads and programs 20 %)")
 
 
 def test_what_was_done_before_a_restart_is_forgotten(clock, watch):

@@ -22,6 +22,8 @@ WINDOW, LONGEST_SILENCE = 5.0, 80.0
 TOLERATED = 0.9
 # Causes with a smaller share of the time are not told.
 WORTH_TELLING = 0.1
+WAITING = "waiting"
+"""What the loop is doing until the next step is due; no cause of anything."""
 
 
 @dataclass(frozen=True)
@@ -33,23 +35,25 @@ class Lag:
         reached: what came of it.
         seconds: wall seconds over which that was measured.
         causes: what took how large a share of them, the largest first.
+        waiting: share of them that was waited for the next step.
     """
 
     wanted: float
     reached: float
     seconds: float
     causes: Tuple[Tuple[str, float], ...]
+    waiting: float = 0.0
 
     def __str__(self) -> str:
         line = (
             f"simulated time falls behind: real-time factor {self.reached:.2f} instead of "
             f"{self.wanted:g} in the last {self.seconds:.0f} s"
         )
-        rest = 1.0 - sum(share for _, share in self.causes)
+        rest = 1.0 - self.waiting - sum(share for _, share in self.causes)
         others = [("other threads and programs", rest)] if rest >= WORTH_TELLING else []
         told = sorted([*self.causes, *others], key=lambda cause: -cause[1])
         causes = ", ".join(f"{what} {100.0 * share:.0f} %" for what, share in told)
-        return f"{line} (of the time: {causes})"
+        return f"{line} (of the time: {causes})" if causes else line
 
 
 class LoopWatch:
@@ -108,6 +112,7 @@ class LoopWatch:
         """
         seconds = self._clock() - self._start
         reached = (step - self._step) / STEPS_PER_SECOND / seconds
+        waiting = self._spent.pop(WAITING, 0.0) / seconds
         shares = ((what, spent / seconds) for what, spent in self._spent.most_common())
         causes = tuple(cause for cause in shares if cause[1] >= WORTH_TELLING)
         self.restart(step)
@@ -119,7 +124,7 @@ class LoopWatch:
         if self._lag_told > -math.inf:
             self._silence = min(2.0 * self._silence, LONGEST_SILENCE)
         self._lag_told = self._clock()
-        return Lag(wanted, reached, seconds, causes)
+        return Lag(wanted, reached, seconds, causes, waiting)
 
     def stuck(self) -> Optional[Tuple[str, float]]:
         """Return what the loop has been doing for too long, and for how many wall seconds.

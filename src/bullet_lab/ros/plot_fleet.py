@@ -10,10 +10,11 @@ and fleet.png and summary.json, which are renewed while it runs.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import rospy
 from nav_msgs.msg import Odometry
@@ -198,9 +199,11 @@ def _clear_away(folder: Path, names: Sequence[str]) -> None:
     for old in folder.glob("robot*"):
         if old.name in names or not old.name[len("robot") :].isdigit():
             continue
-        with contextlib.suppress(OSError):
-            for path in (f"{PERFECT}.tum", f"{NOISY}.tum"):
+        for path in (f"{PERFECT}.tum", f"{NOISY}.tum", "paths.csv"):
+            with contextlib.suppress(FileNotFoundError):
                 (old / path).unlink()
+        # Somebody may keep files of their own there.
+        with contextlib.suppress(OSError):
             old.rmdir()
 
 

@@ -14,7 +14,7 @@ from collections import Counter
 from typing import Any, Callable, Optional, Sequence
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.loop_watch import Lag, LoopWatch
+from bullet_lab.ros.loop_watch import WAITING, Lag, LoopWatch
 from bullet_lab.ros.pace import Pace
 from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
 from bullet_lab.simulation.simulation import Simulation
@@ -219,7 +219,8 @@ class Stepper:
         due = self.pace.due(step)
         if due <= step:
             wait = self.pace.seconds_until(step + self._tick)
-            self._wait(min(LONGEST_WAIT, wait), wakeups)
+            with self.watch.doing(WAITING):
+                self._wait(min(LONGEST_WAIT, wait), wakeups)
             due = self.pace.due(step)
         self._run_until(int(min(limit, due, step + STEPS_AT_A_TIME)))
         self._watch_the_speed()
