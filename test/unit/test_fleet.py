@@ -11,6 +11,7 @@ from bullet_lab.recording.squares_summary import squares_summary
 from bullet_lab.ros.fleet_names import robot_names
 from bullet_lab.ros.noisy_odom import NoisyOdomParameters, robots_of
 from bullet_lab.ros.parameters import read_parameters
+from bullet_lab.ros.plot_fleet import clear_away
 
 FIGURES = {"final_error_m": 0.3, "final_heading_error_deg": -2.0, "ape_rmse_m": 0.1}
 
@@ -79,3 +80,15 @@ def test_figure_of_robots_that_have_sent_nothing_yet():
     figure = fleet_figure([RobotPaths("robot1", None, None)], "fleet")
     figure.canvas.draw()
     assert not figure.axes[0].texts
+
+
+def test_what_a_larger_fleet_has_left_goes_and_nothing_else(tmp_path):
+    left = ("robot1/odom.tum", "robot3/odom.tum", "robot3/paths.csv", "robot4/noisy_odom.tum")
+    own = ("robot4/notes.txt", "robots/odom.tum", "other/odom.tum")
+    for name in left + own:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("x")
+    clear_away(tmp_path, ["robot1", "robot2"])
+    files = sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file())
+    assert files == sorted(("robot1/odom.tum", *own))
+    assert not (tmp_path / "robot3").exists()

@@ -92,7 +92,7 @@ class PlotFleet:
         self.refusals = Refusals()
         self.markers = FleetMarkers()
         self.end = EndOfRecording(wanted.until)
-        _clear_away(self._folder, robot_names(wanted.robots))
+        clear_away(self._folder, robot_names(wanted.robots))
         self._robots = [
             _Robot(name, derived_seed(wanted.seed, index), self, self._folder)
             for index, name in enumerate(robot_names(wanted.robots))
@@ -194,7 +194,7 @@ def describe(summary: Mapping[str, Any]) -> str:
     return "; ".join(parts)
 
 
-def _clear_away(folder: Path, names: Sequence[str]) -> None:
+def clear_away(folder: Path, names: Sequence[str]) -> None:
     """Remove what an earlier, larger fleet has left in a folder, and nothing else."""
     for old in folder.glob("robot*"):
         if old.name in names or not old.name[len("robot") :].isdigit():
