@@ -40,7 +40,7 @@ Work = Callable[[Any], Any]
 def frames(world: str, poses: List[Any]) -> List[np.ndarray]:
     """Return what the camera sees from (x, y, yaw) in a world, rgb8."""
     simulation = Simulation.of(f"package://bullet_lab/worlds/{world}.world")
-    photographer = simulation.photographer()
+    photographer = simulation.renderer()
     shot = Shot(CAMERA, near=0.1, far=100.0)
     pictures = []
     for x, y, yaw in poses:

@@ -3,26 +3,16 @@
 import math
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from bullet_lab.numerics.pinhole import PinholeCamera
 from bullet_lab.simulation.description import Link, Mesh, Model, Visual, World
 from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.rendering.choice import probe_egl
 from bullet_lab.simulation.simulation import Simulation
 
 WHITE_LIGHT = (1.0, 1.0, 1.0, 1.0)
-RENDERERS = ("tiny", "egl")
 FOCAL = 320 / math.tan(math.radians(65) / 2)
 CAMERA = PinholeCamera(640, 480, FOCAL, FOCAL, 319.5, 239.5)
-
-
-def usable(renderer):
-    """Skip a test where its renderer does not work."""
-    if renderer == "egl" and not probe_egl()[0]:
-        pytest.skip("EGL does not work here")
-    return renderer
 
 
 def checkers(columns, rows, pixels=16, dark=20, bright=235):
@@ -55,7 +45,7 @@ def plate(path, pose):
     return thing(path.stem, Mesh(path, path.name), pose)
 
 
-def simulation_of(*models, renderer="tiny", **light):
+def simulation_of(*models, **light):
     """A simulation with these models, by default in even light that leaves all as it is."""
     world = {"ambient": WHITE_LIGHT, "background": (0.0, 0.0, 1.0, 1.0), **light}
-    return Simulation(World("pictures", tuple(models), **world), renderer=renderer)
+    return Simulation(World("pictures", tuple(models), **world))

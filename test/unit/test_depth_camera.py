@@ -5,13 +5,12 @@ import re
 
 import numpy as np
 import pytest
-from picture_worlds import RENDERERS, simulation_of, thing, usable
+from picture_worlds import simulation_of, thing
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.description import Box, Sphere
 from bullet_lab.simulation.devices.depth_camera import DepthCamera
 from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.rendering.depth import MARGIN, depth_step
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.urdf_reader import read_urdf
 
@@ -66,21 +65,20 @@ def wall(distance, yaw, colour=(1.0, 1.0, 1.0, 1.0)):
     return thing("wall", Box((0.2, 60.0, 60.0)), pose, colour), normal
 
 
-def world(*models, renderer="tiny"):
-    return simulation_of(*models, renderer=usable(renderer), gravity=(0.0, 0.0, 0.0))
+def world(*models):
+    return simulation_of(*models, gravity=(0.0, 0.0, 0.0))
 
 
 # The closed form
 
 
-@pytest.mark.parametrize("renderer", RENDERERS)
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -0.4])
 @pytest.mark.parametrize(("distance", "error"), [(0.5, 1e-4), (2.0, 3e-4), (4.5, 6e-4)])
-def test_depth_of_an_oblique_wall(renderer, yaw, distance, error):
+def test_depth_of_an_oblique_wall(yaw, distance, error):
     model, normal = wall(distance, yaw)
     x, _ = rays()
     exact = distance * normal[0] / (normal[0] - normal[1] * x)
-    with world(model, renderer=renderer) as simulation:
+    with world(model) as simulation:
         depths = add(simulation)[1].measure()
     assert depths.dtype == np.float32
     inside = (exact > 0.4 + error) & (exact < 5.0 - error)
@@ -89,10 +87,9 @@ def test_depth_of_an_oblique_wall(renderer, yaw, distance, error):
     assert np.isnan(depths[(exact < 0.4 - error) | (exact > 5.0 + error)]).all()
 
 
-@pytest.mark.parametrize("renderer", RENDERERS)
-def test_points_lie_where_the_wall_is(renderer):
+def test_points_lie_where_the_wall_is():
     model, normal = wall(2.0, 0.5)
-    with world(model, renderer=renderer) as simulation:
+    with world(model) as simulation:
         _, camera = add(simulation, link="mast")
         points = camera.points_at(camera.measure())
         pose = camera.pose()
@@ -108,10 +105,9 @@ def test_points_lie_where_the_wall_is(renderer):
     np.testing.assert_allclose(points[..., 1] / points[..., 2], y, atol=1e-6)
 
 
-@pytest.mark.parametrize("renderer", RENDERERS)
-def test_points_on_a_ball(renderer):
+def test_points_on_a_ball():
     ball = thing("ball", Sphere(0.5), Pose((2.0, 0.0, 0.0)))
-    with world(ball, renderer=renderer) as simulation:
+    with world(ball) as simulation:
         _, camera = add(simulation)
         points = camera.points_at(camera.measure())
     x, y = rays()
@@ -124,10 +120,9 @@ def test_points_on_a_ball(renderer):
     assert np.nanmin(radii) > 0.5 - 8e-3
 
 
-@pytest.mark.parametrize("renderer", RENDERERS)
-def test_what_is_too_near_hides_what_is_behind_it(renderer):
+def test_what_is_too_near_hides_what_is_behind_it():
     plate = thing("plate", Box((0.02, 0.1, 0.1)), Pose((0.3, 0.0, 0.0)))
-    with world(wall(2.0, 0.0)[0], plate, renderer=renderer) as simulation:
+    with world(wall(2.0, 0.0)[0], plate) as simulation:
         robot, camera = add(simulation)
         depths = camera.measure()
         assert np.isnan(depths[50:70, 65:95]).all()
@@ -136,16 +131,8 @@ def test_what_is_too_near_hides_what_is_behind_it(renderer):
         assert eager.measure()[60, 80] == pytest.approx(0.29, abs=1e-4)
 
 
-@pytest.mark.parametrize("before", [-1e-4, -1e-5, 1e-5, 3e-5, 5e-5, 1e-4, 1e-2])
-def test_the_two_looks_of_egl_leave_no_gap(before):
-    distance = math.sqrt(0.05 * MARGIN * 8.0) - before
-    with world(wall(distance, 0.0)[0], renderer="egl") as simulation:
-        _, camera = add(simulation, tags=cutoff(0.1, 8.0))
-        np.testing.assert_allclose(camera.measure(), distance, atol=1e-4)
-
-
 def test_the_floor_is_flat():
-    with Simulation.of("package://bullet_lab/worlds/empty.world", renderer="tiny") as simulation:
+    with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
         _, camera = add(simulation, link="mast")
         points = camera.points_at(camera.measure())
         pose = camera.pose()
@@ -167,13 +154,6 @@ def test_a_distorted_pixel_has_the_depth_of_what_it_shows():
     # The depth is that of the nearest ideal pixel: half a pixel off at most.
     off = points @ np.array([-normal[1], 0.0, normal[0]]) - 2.0 * normal[0]
     assert np.abs(off).max() < 2.0 * 0.75 / FOCAL
-
-
-def test_steps_of_the_depth_buffer():
-    # With depth d = far (z - near) / (z (far - near)): how far z goes while d goes a step.
-    near, far, z = 0.1, 10.0, 5.0
-    slope = far * near / (far - near) / (z * z)
-    assert depth_step(z, near, far) == pytest.approx(1.0 / 65536 / slope)
 
 
 # Names and tags

@@ -110,7 +110,6 @@ def test_choices_can_be_narrowed():
         {"worlds": ("kitchen",)},
         {"lights": ("candle",)},
         {"odometry": ("gps",)},
-        {"renderer": "ray"},
     ],
 )
 def test_what_cannot_be_drawn_is_refused(wrong):

@@ -214,13 +214,13 @@ def test_a_camera_sees_the_same_in_a_saved_world(tmp_path):
         simulation.run_for(0.04)
         return samples[0].pixels
 
-    with Simulation.of("package://bullet_lab/worlds/beacons.world", renderer="tiny") as simulation:
+    with Simulation.of("package://bullet_lab/worlds/beacons.world") as simulation:
         simulation.spawn(CAMERA_ROBOT, pose=Pose((-2.0, 0.5, 0.0)))
         simulation.run_for(0.01)
         path, _ = save(simulation, tmp_path)
         simulation.reset_simulation()
         seen = picture(simulation)
-        with Simulation(read_world_file(path), renderer="tiny") as again:
+        with Simulation(read_world_file(path)) as again:
             difference = np.abs(seen.astype(int) - picture(again).astype(int))
     assert seen.std() > 10.0
     assert np.mean(difference > 8) < 0.002

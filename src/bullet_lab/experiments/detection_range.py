@@ -42,7 +42,8 @@ from bullet_lab.plotting.detection_figures import heat_map, range_figure
 from bullet_lab.plotting.style import save
 from bullet_lab.recording.detection_summary import describe, detection_summary, write_cells
 from bullet_lab.recording.files import make_folder, write_json
-from bullet_lab.simulation.rendering.choice import CHOICES, choose_renderer
+from bullet_lab.simulation.rendering.choice import AUTO, CHOICES, check_choice
+from bullet_lab.simulation.rendering.graphics import driver_name
 
 SUMMARY, TABLE, PICTURE = "summary.json", "cells.csv", "detection_range.png"
 LINES = 10
@@ -83,7 +84,7 @@ def run_detection_range(
 
     Args:
         folder: where the files go; made if need be.
-        settings: what is tried; the renderer is already chosen.
+        settings: what is tried.
         run: has a task done for numbers and yields these and the results as they come.
         tell: gets a line of text now and then, where there is no terminal.
 
@@ -101,7 +102,7 @@ def run_detection_range(
     summary = {
         "job": "detection_range",
         "seed": settings.seed,
-        "renderer": settings.renderer,
+        "renderer": driver_name(),
         "frames_per_cell": settings.frames,
         **detection_summary(rows),
         "dots": {
@@ -159,7 +160,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--frames", type=int, default=default.frames, help="in each cell")
     parser.add_argument("--dots", type=int, default=default.dots, help="pictures of the dots")
     parser.add_argument("--seed", type=int, default=default.seed)
-    parser.add_argument("--renderer", choices=CHOICES, default=default.renderer)
+    parser.add_argument("--renderer", choices=CHOICES, default=AUTO, help="passed over")
     parser.add_argument(
         "--every-light", action="store_true", help="try all worlds in all lights"
     )
@@ -193,9 +194,9 @@ def _run(values: argparse.Namespace) -> None:
         values.frames,
         values.dots,
         values.seed,
-        choose_renderer(values.renderer),
         values.every_light,
     )
+    check_choice(values.renderer)
     # Better known now than after the work.
     make_folder(values.out)
     run = workers(values.workers)

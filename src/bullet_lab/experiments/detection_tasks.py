@@ -11,7 +11,6 @@ from bullet_lab.errors import LabError
 from bullet_lab.experiments.detection_scenes import LIGHTS, WORLDS, Cell, is_reachable
 from bullet_lab.experiments.detection_trial import TrialSettings, count_false, try_cell
 from bullet_lab.experiments.own_thread import in_own_thread
-from bullet_lab.simulation.rendering.choice import AUTO
 
 DOTS = "docking_dots"
 DOTS_PER_BLOCK = 25
@@ -40,7 +39,6 @@ class RangeSettings:
         frames: pictures in each cell.
         dots: pictures of the dots, in which nothing may be found but the marker.
         seed: of all that is random.
-        renderer: "egl", "tiny" or "auto".
         every_light: try all worlds in all lights.
     """
 
@@ -54,7 +52,6 @@ class RangeSettings:
     frames: int = 10
     dots: int = 1000
     seed: int = 1
-    renderer: str = AUTO
     every_light: bool = False
 
     def __post_init__(self) -> None:
@@ -78,7 +75,7 @@ class RangeSettings:
 
     def trial(self, frames: int) -> TrialSettings:
         """Return how pictures are taken."""
-        return TrialSettings(frames, self.seed, self.renderer)
+        return TrialSettings(frames, self.seed)
 
 
 def _several(name: str, values: Sequence) -> Sequence:

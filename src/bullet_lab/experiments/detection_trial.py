@@ -124,11 +124,10 @@ def _spread(name: str, values: List[float]) -> Dict[str, Optional[float]]:
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """How a cell is tried: pictures per cell, seed, and what draws them."""
+    """How a cell is tried: pictures per cell, and seed."""
 
     frames: int
     seed: int
-    renderer: str
 
 
 def try_cell(settings: TrialSettings, cell: Cell, keep: bool = False) -> CellResult:
@@ -146,7 +145,7 @@ def try_cell(settings: TrialSettings, cell: Cell, keep: bool = False) -> CellRes
     """
     visible = is_visible(cell)
     count = settings.frames if visible else math.ceil(HIDDEN_SHARE * settings.frames)
-    eyes = _eyes(cell.world, cell.light, settings.seed, settings.renderer)
+    eyes = _eyes(cell.world, cell.light, settings.seed)
     shots = views(cell, count, settings.seed)
     frames = tuple(eyes.judge(view) for view in shots)
     side = float(np.mean([eyes.side(view.pose) for view in shots]))
@@ -165,25 +164,25 @@ def count_false(settings: TrialSettings, world: str, block: int) -> Tuple[int, i
     Returns:
         How many false detections there were, and in how many pictures the marker was found.
     """
-    eyes = _eyes(world, "default", settings.seed, settings.renderer)
+    eyes = _eyes(world, "default", settings.seed)
     shots = strewn_views(world, settings.frames, settings.seed, block)
     frames = [eyes.judge(view) for view in shots]
     return sum(frame.false for frame in frames), sum(frame.found for frame in frames)
 
 
 @functools.lru_cache(maxsize=None)
-def _eyes(world: str, light: str, seed: int, renderer: str) -> Eyes:
+def _eyes(world: str, light: str, seed: int) -> Eyes:
     # A process has one core: neither the graphics library nor OpenCV shall take others'.
     os.environ.setdefault("LP_NUM_THREADS", "1")
     cv2.setNumThreads(1)
-    return Eyes(world, light, seed, renderer)
+    return Eyes(world, light, seed)
 
 
 class Eyes:
     """Camera and detector in a world whose markers are known."""
 
-    def __init__(self, world: str, light: str, seed: int, renderer: str):
-        self._camera = FreeCamera(lit_world(world, light), seed, renderer)
+    def __init__(self, world: str, light: str, seed: int):
+        self._camera = FreeCamera(lit_world(world, light), seed)
         self._known = WORLDS[world]
         self._observer = MarkerObserver(DetectorSettings(DICTIONARY), self._known.wanted.size)
 

@@ -52,7 +52,7 @@ from bullet_lab.plotting.style import save
 from bullet_lab.recording.dock_log import DockLog
 from bullet_lab.recording.dock_summary import DOCKED, campaign_summary, write_campaign_csv
 from bullet_lab.recording.files import make_folder, write_json
-from bullet_lab.simulation.rendering.choice import AUTO, CHOICES, choose_renderer
+from bullet_lab.simulation.rendering.choice import AUTO, CHOICES, check_choice
 
 LOG, TABLE, SUMMARY, PICTURE = "dockings.jsonl", "campaign.csv", "summary.json", "campaign.png"
 MOST_DOCKINGS = 1_000_000
@@ -241,7 +241,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--worlds", nargs="+", default=WORLDS, metavar="WORLD")
     parser.add_argument("--lights", nargs="+", default=LIGHTS, metavar="LIGHT")
     parser.add_argument("--odom", nargs="+", default=ODOMETRY, metavar="TOPIC")
-    parser.add_argument("--renderer", choices=CHOICES, default=AUTO)
+    parser.add_argument("--renderer", choices=CHOICES, default=AUTO, help="passed over")
     parser.add_argument("--workers", type=int, default=0, help="processes; 0: one per core")
     parser.add_argument("--scheduler", default="", help="of a Dask cluster, tcp://host:port")
     return parser
@@ -271,9 +271,8 @@ def _run(values: argparse.Namespace) -> None:
         tuple(values.worlds),
         tuple(values.lights),
         tuple(values.odom),
-        # Chosen once for all workers, wherever they are.
-        choose_renderer(values.renderer),
     )
+    check_choice(values.renderer)
     settings = CampaignSettings(draw, values.n)
     # A world that is missing is better known now than from each worker.
     draw_scenario(draw, 0)

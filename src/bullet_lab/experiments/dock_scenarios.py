@@ -12,7 +12,6 @@ import numpy as np
 from bullet_lab.errors import LabError
 from bullet_lab.experiments.docking import MARKER_POSE, TURNING_RADIUS, DockingScenario
 from bullet_lab.simulation.floor_plan import Footprint, footprints
-from bullet_lab.simulation.rendering.choice import AUTO, CHOICES
 from bullet_lab.simulation.resources import ResourceFinder
 from bullet_lab.simulation.sdf_reader import read_world_file
 
@@ -46,15 +45,12 @@ class DrawSettings:
         worlds: names of worlds, each as likely as the others.
         lights: of `LIGHTS`, likewise; the world's own is "default".
         odometry: of `ODOMETRY`, likewise.
-        renderer: "egl" or "tiny", or "auto" for what works where a docking runs; the pictures of
-            the two are not the same to the bit.
     """
 
     seed: int = 1
     worlds: Tuple[str, ...] = WORLDS
     lights: Tuple[str, ...] = LIGHTS
     odometry: Tuple[str, ...] = ODOMETRY
-    renderer: str = AUTO
 
     def __post_init__(self):
         if self.seed < 0:
@@ -66,8 +62,6 @@ class DrawSettings:
             for value in values:
                 if value not in known:
                     raise ScenarioError(f"{name}: '{value}' is not one of {', '.join(known)}")
-        if self.renderer not in CHOICES:
-            raise ScenarioError(f"renderer '{self.renderer}' is not one of {', '.join(CHOICES)}")
 
 
 def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
@@ -102,7 +96,6 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
         image_noise=float(image_noise),
         image_blur=float(image_blur),
         image_seed=int(image_seed),
-        renderer=settings.renderer,
     )
 
 

@@ -67,7 +67,6 @@ class DockingScenario:
         image_noise: standard deviation as a share of white.
         image_blur: standard deviation in px.
         image_seed: of the image noise.
-        renderer: "auto", "egl" or "tiny".
         time_limit: s of simulated time.
         max_retries: None: as docking has it.
         search: look for the marker where it is not seen at once.
@@ -88,7 +87,6 @@ class DockingScenario:
     image_noise: float = 0.0
     image_blur: float = 0.0
     image_seed: int = 0
-    renderer: str = "auto"
     time_limit: float = 300.0
     max_retries: Optional[int] = None
     search: bool = True
@@ -129,7 +127,7 @@ class DockingOutcome:
             in the world by the true pose of the dock.
         states: when which state began.
         frames: the images that were kept.
-        renderer: that drew the images.
+        renderer: driver that drew the images.
     """
 
     docked: bool
@@ -170,7 +168,7 @@ def run_docking(scenario: DockingScenario) -> DockingOutcome:
         LabError: the scenario names what does not exist, or noise that makes no sense.
     """
     dock = _wrong_dock(scenario)
-    with Simulation(_world(scenario), scenario.image_seed, scenario.renderer) as simulation:
+    with Simulation(_world(scenario), scenario.image_seed) as simulation:
         return _Drive(scenario, dock, simulation).run()
 
 
@@ -321,7 +319,7 @@ class _Drive:
             np.array(record.estimate).reshape(-1, 4),
             tuple(record.states),
             tuple(frames),
-            self._simulation.photographer().renderer if record.images else "",
+            self._simulation.renderer().driver if record.images else "",
         )
 
 

@@ -12,7 +12,6 @@ from bullet_lab.numerics.pinhole import PinholeCamera
 from bullet_lab.simulation.description import Link, Model, World
 from bullet_lab.simulation.devices.camera import Camera
 from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.rendering.choice import AUTO
 from bullet_lab.simulation.resources import ResourceFinder
 from bullet_lab.simulation.samples import ImageSample
 from bullet_lab.simulation.simulation import Simulation
@@ -36,16 +35,15 @@ class FreeCamera:
     Args:
         world: what there is to see.
         seed: of the noise.
-        renderer: "egl", "tiny" or "auto", see `rendering.choice`.
         robot: URDF file with the camera.
 
     Raises:
         LabError: a file cannot be read, or the robot has no camera.
     """
 
-    def __init__(self, world: World, seed: int = 0, renderer: str = AUTO, robot: str = ROBOT):
+    def __init__(self, world: World, seed: int = 0, robot: str = ROBOT):
         model = camera_alone(read_urdf_file(ResourceFinder.anywhere().find(robot)))
-        self._simulation = Simulation(world, seed, renderer)
+        self._simulation = Simulation(world, seed)
         self._instance = self._simulation.add(model)
         self._device: Camera = self._instance.devices[0]
         self._device.image.connect(self._keep)

@@ -27,7 +27,7 @@ import threading
 import time
 from collections import Counter
 from dataclasses import dataclass
-from typing import Any, Callable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, List, Optional, Sequence, Set, Tuple
 
 import rospy
 import rospy.impl.simtime
@@ -57,7 +57,7 @@ from bullet_lab.ros.wiring import Wiring
 from bullet_lab.simulation.description import Model
 from bullet_lab.simulation.devices.camera import Camera
 from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.rendering.choice import AUTO, CHOICES
+from bullet_lab.simulation.rendering.choice import AUTO, CHOICES, check_choice
 from bullet_lab.simulation.resources import ResourceFinder
 from bullet_lab.simulation.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
@@ -99,7 +99,7 @@ class BridgeParameters:
         100.0, "messages on /clock per simulated second", above=0.0, maximum=1000.0
     )
     renderer: str = parameters.choice(
-        AUTO, "what draws the cameras' pictures; auto: EGL where it works", CHOICES
+        AUTO, "passed over: Panda3D draws the cameras' pictures, through EGL", CHOICES
     )
     camera_rate: float = parameters.number(
         0.0, "images per second of the robot's cameras; 0: as the robot says", minimum=0.0,
@@ -125,7 +125,10 @@ class PyBulletBridge:
 
     def __init__(self, wanted: BridgeParameters):
         self._wanted = wanted
-        self.simulation = Simulation.of(wanted.world, wanted.seed, wanted.renderer)
+        check_choice(wanted.renderer)
+        self.simulation = Simulation.of(wanted.world, wanted.seed)
+        self._failures: Set[Tuple[str, str]] = set()
+        self.simulation.go_on_after(self._report_failure)
         self.stepper = Stepper(
             self.simulation,
             Pace(wanted.rtf),
@@ -238,6 +241,13 @@ class PyBulletBridge:
         message = "" if reached else "time was set back, or the bridge shuts down"
         now = time_of(self.simulation.step)
         return AdvanceResponse(now=now, success=reached, status_message=message)
+
+    def _report_failure(self, device: str, error: LabError) -> None:
+        """Say once what a device cannot measure, and why."""
+        failure = (device, str(error))
+        if failure not in self._failures:
+            self._failures.add(failure)
+            rospy.logerr("%s: %s; the rest goes on", *failure)
 
     def _report_stall(self, holding: Sequence[str]) -> None:
         """Say who holds time back; go on without members that have died."""

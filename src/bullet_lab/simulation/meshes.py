@@ -48,12 +48,16 @@ def load_triangles(mesh: Mesh) -> Triangles:
             are not finite.
         XmlError: a COLLADA file that is missing, not well-formed or has a document type.
     """
+    return _load(mesh, file_version(mesh.path))
+
+
+def file_version(path: Path) -> Tuple[int, int]:
+    """Return what tells a file from what it was before it was written anew; zeros for no file."""
     try:
-        found = mesh.path.stat()
-        version = (found.st_mtime_ns, found.st_size)
+        found = path.stat()
     except OSError:
-        version = (0, 0)
-    return _load(mesh, version)
+        return 0, 0
+    return found.st_mtime_ns, found.st_size
 
 
 @functools.lru_cache(maxsize=CACHED_MESHES)

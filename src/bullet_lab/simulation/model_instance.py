@@ -22,7 +22,11 @@ class SimulationError(LabError):
 
 
 class ModelInstance:
-    """A model in a running simulation."""
+    """A model in a running simulation.
+
+    Attributes:
+        moves: how often it was put somewhere: what is static moves in no other way.
+    """
 
     def __init__(
         self, model: Model, bodies: Mapping[str, Body], devices: Tuple[Device, ...]
@@ -30,6 +34,7 @@ class ModelInstance:
         self.model = model
         self.bodies = bodies
         self.devices = devices
+        self.moves = 0
         self._frames: Dict[str, AttachedFrame] = {}
 
     @property
@@ -47,8 +52,7 @@ class ModelInstance:
         check_pose(pose, self.name)
         for root in self.model.root_links():
             self.bodies[root.name].place(pose * root.pose)
-        for device in self.devices:
-            device.placed()
+        self._note_move()
 
     def move(self, pose: Pose, linear: Vector, angular: Vector) -> None:
         """Put the model somewhere in motion; its joints keep their positions and stand still.
@@ -69,8 +73,7 @@ class ModelInstance:
             offset = before * body.pose()
             arm = pose.rotate(offset.position)
             body.move(pose * offset, add(linear, cross(angular, arm)), angular)
-        for device in self.devices:
-            device.placed()
+        self._note_move()
 
     def configure(self, positions: Mapping[str, float]) -> None:
         """Put joints somewhere (rad or m), at rest.
@@ -84,6 +87,7 @@ class ModelInstance:
                 raise SimulationError(f"model '{self.name}': joint '{name}' at {position}")
         for name, body in bodies.items():
             body.set_joint(name, positions[name])
+        self.moves += 1
 
     def state(self) -> ModelState:
         """Return where all parts of the model are and how they move."""
@@ -109,8 +113,7 @@ class ModelInstance:
             self.bodies[root.name].move(link.pose, link.linear, link.angular)
         for name, (position, velocity) in state.joints.items():
             self.body_of_joint(name).set_joint(name, position, velocity)
-        for device in self.devices:
-            device.placed()
+        self._note_move()
 
     def body_of_joint(self, name: str) -> Body:
         """Return the body that has a joint; raises SimulationError for an unknown one."""
@@ -172,6 +175,11 @@ class ModelInstance:
             raise SimulationError(f"model '{self.name}' has no output '{topic}'")
         for output in sending:
             output.connect(listener)
+
+    def _note_move(self) -> None:
+        self.moves += 1
+        for device in self.devices:
+            device.placed()
 
 
 def check_pose(pose: Pose, model: str) -> None:

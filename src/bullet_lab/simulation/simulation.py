@@ -28,10 +28,7 @@ from bullet_lab.simulation.model_instance import ModelInstance, SimulationError,
 from bullet_lab.simulation.physics import Body, Physics
 from bullet_lab.simulation.pose import Pose, Vector
 from bullet_lab.simulation.proportions import check_proportions
-from bullet_lab.simulation.rendering.choice import AUTO, choose_renderer
-from bullet_lab.simulation.rendering.engine import shared_engine
-from bullet_lab.simulation.rendering.frame import Photographer
-from bullet_lab.simulation.rendering.scene import Scene
+from bullet_lab.simulation.rendering.renderer import Renderer
 from bullet_lab.simulation.rendering.textures import check_textures
 from bullet_lab.simulation.resources import ResourceFinder
 from bullet_lab.simulation.schedule import STEPS_PER_SECOND, Schedule
@@ -70,20 +67,15 @@ class Simulation:
     PyBullet wants all calls from one thread at a time.
     """
 
-    def __init__(
-        self, world: Optional[World] = None, seed: int = 0, renderer: str = AUTO
-    ):
+    def __init__(self, world: Optional[World] = None, seed: int = 0):
         """Load a world; an empty one with gravity if none is given.
 
         Args:
             world: what to load.
             seed: of the noise of all sensors.
-            renderer: what draws the cameras' pictures: "egl", "tiny", or "auto" for EGL where it
-                works. Nothing is loaded for it before the first picture.
         """
         self.world = world or World("default")
-        self._renderer = renderer
-        self._photographers: Dict[str, Photographer] = {}
+        self._renderer: Optional[Renderer] = None
         self.seed = seed
         self.step = 0
         self._physics = Physics(self.world.gravity)
@@ -94,6 +86,7 @@ class Simulation:
         self._acting: List[Device] = []
         self._measuring: List[Union[Device, Timer]] = []
         self._timers: List[Union[Device, Timer]] = []
+        self._on_failure: Optional[Callable[[str, LabError], None]] = None
         self._spent: Dict[Union[Device, Timer], float] = {}
         self.forces = Forces()
         try:
@@ -106,9 +99,9 @@ class Simulation:
             raise
 
     @classmethod
-    def of(cls, world: str, seed: int = 0, renderer: str = AUTO) -> Simulation:
+    def of(cls, world: str, seed: int = 0) -> Simulation:
         """Load the world file that a path or URI names; raises LabError."""
-        return cls(read_world_file(ResourceFinder.anywhere().find(world)), seed, renderer)
+        return cls(read_world_file(ResourceFinder.anywhere().find(world)), seed)
 
     def __enter__(self) -> Simulation:
         return self
@@ -118,9 +111,9 @@ class Simulation:
 
     def close(self) -> None:
         """Give memory and files back."""
-        for photographer in self._photographers.values():
-            photographer.close()
-        self._photographers.clear()
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
         self._physics.close()
 
     @property
@@ -138,22 +131,15 @@ class Simulation:
         """All models by name."""
         return self._instances
 
-    def photographer(self, renderer: str = "") -> Photographer:
-        """Return who takes pictures of this world.
-
-        All are to be taken by the thread that takes the first one.
-
-        Args:
-            renderer: "egl", "tiny" or "auto"; that of the simulation if empty.
+    def renderer(self) -> Renderer:
+        """Return what draws this world; nothing is loaded for it before it is asked for.
 
         Raises:
-            RendererError: the renderer that is asked for does not work.
+            RendererError: nothing can be drawn here.
         """
-        renderer = choose_renderer(renderer or self._renderer)
-        if renderer not in self._photographers:
-            scene = Scene(self.world, self._instances, shared_engine(renderer))
-            self._photographers[renderer] = Photographer(scene, self.world.background[:3])
-        return self._photographers[renderer]
+        if self._renderer is None:
+            self._renderer = Renderer(self.world, self._instances)
+        return self._renderer
 
     def spawn(
         self,
@@ -262,6 +248,15 @@ class Simulation:
         """
         self._timers.append(Timer(Schedule(rate, self.step), call))
 
+    def go_on_after(self, failed: Callable[[str, LabError], None]) -> None:
+        """Go on where a device cannot measure, as a camera without a driver to draw with.
+
+        Args:
+            failed: is told the device's name and the reason, each time. Without this, `run_until`
+                raises what the device raises.
+        """
+        self._on_failure = failed
+
     def run_for(self, seconds: float) -> None:
         """Advance by a simulated duration, rounded to whole steps."""
         self.run_until(self.step + round(seconds * STEPS_PER_SECOND))
@@ -275,7 +270,7 @@ class Simulation:
                 if timer.schedule.next_step <= self.step:
                     timer.schedule.advance()
                     start = time.perf_counter()
-                    timer.produce(self.step)
+                    self._produce(timer)
                     took = time.perf_counter() - start
                     self._spent[timer] = self._spent.get(timer, 0.0) + took
 
@@ -283,9 +278,7 @@ class Simulation:
         """Return the wall seconds that each plugin's samples have taken since the last call."""
         taken: Dict[str, float] = {}
         for timer, seconds in self._spent.items():
-            name = "clock and states"
-            if isinstance(timer, Device):
-                name = f"plugin '{timer.mount.plugin.name}' of '{timer.mount.model.name}'"
+            name = _name_of(timer)
             taken[name] = taken.get(name, 0.0) + seconds
         self._spent.clear()
         return taken
@@ -304,6 +297,14 @@ class Simulation:
         self.reset_world()
         for timer in self._timers + self._measuring:
             timer.schedule.restart(0)
+
+    def _produce(self, timer: Union[Device, Timer]) -> None:
+        try:
+            timer.produce(self.step)
+        except LabError as error:
+            if self._on_failure is None:
+                raise
+            self._on_failure(_name_of(timer), error)
 
     def _march(self, stop: int) -> None:
         """Advance the physics; this is the loop that decides the speed."""
@@ -332,7 +333,7 @@ class Simulation:
             gravity,
             self.seed,
             tf_prefix,
-            self.photographer,
+            self.renderer,
             self._touched_shapes.name,
         )
 
@@ -358,6 +359,13 @@ class Simulation:
                 for tag in device.mount.unread_tags():
                     LOG.warning("%s is not known and skipped", device.mount.where(tag))
         return tuple(devices)
+
+
+def _name_of(timer: Union[Device, Timer]) -> str:
+    """Name in messages what takes its time."""
+    if isinstance(timer, Timer):
+        return "clock and states"
+    return f"plugin '{timer.mount.plugin.name}' of '{timer.mount.model.name}'"
 
 
 def _in_namespace(plugin: Plugin, namespace: str) -> Plugin:

@@ -10,8 +10,7 @@ import numpy as np
 from bullet_lab.errors import LabError
 from bullet_lab.numerics.pinhole import PinholeCamera
 from bullet_lab.simulation.pose import Pose, Vector
-from bullet_lab.simulation.rendering.choice import TINY
-from bullet_lab.simulation.rendering.frame import Shot
+from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
 
 
@@ -42,16 +41,13 @@ class View:
     far: float = 100.0
 
 
-def take_picture(
-    simulation: Simulation, view: View, renderer: str = TINY, samples: float = 1.0
-) -> np.ndarray:
+def take_picture(simulation: Simulation, view: View, samples: int = 1) -> np.ndarray:
     """Draw the world as it is now.
 
     Args:
         simulation: what to draw.
         view: from where.
-        renderer: "tiny", which works everywhere, "egl" or "auto".
-        samples: drawn pixels per pixel, along each side.
+        samples: of each pixel: 1, 2 or 4.
 
     Returns:
         (height, width, 3) array of uint8, RGB. The same world and view give the same bytes.
@@ -59,7 +55,7 @@ def take_picture(
     Raises:
         ViewError: the picture has no area or depth, a number is not finite, or the target is
             straight above or below the eye.
-        LabError: something in the world cannot be drawn.
+        LabError: nothing can be drawn here.
     """
     if not all(map(math.isfinite, (*view.eye, *view.target, view.near, view.far))):
         raise ViewError("the view has a number that is not finite")
@@ -73,7 +69,7 @@ def take_picture(
     centre = (0.5 * (view.width - 1), 0.5 * (view.height - 1))
     camera = PinholeCamera(view.width, view.height, focal, focal, *centre)
     shot = Shot(camera, view.near, view.far, samples)
-    return simulation.photographer(renderer).take(_pose(view), shot)
+    return simulation.renderer().picture(_pose(view), shot)
 
 
 def _pose(view: View) -> Pose:

@@ -14,10 +14,9 @@ from bullet_lab.numerics.pinhole import PinholeCamera
 from bullet_lab.simulation.devices.device import Device, DeviceError, Mount, Output, device
 from bullet_lab.simulation.devices.sensor_tag import SensorTag
 from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.rendering.choice import EGL
-from bullet_lab.simulation.rendering.depth import depth_step
 from bullet_lab.simulation.rendering.finish import CameraSettings, Lens, SensorNoise, blurred
-from bullet_lab.simulation.rendering.frame import Photographer, Shot
+from bullet_lab.simulation.rendering.graphics import SAMPLES
+from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.samples import CameraInfoSample, ImageSample
 from bullet_lab.simulation.schedule import Schedule, ScheduleError
 
@@ -27,8 +26,6 @@ ENCODINGS = {"R8G8B8": "rgb8", "B8G8R8": "bgr8", "L8": "mono8"}
 LARGEST_SIDE = 8192
 DEFAULT_RATE = 30.0
 DISTORTION_TAGS = {"K1": "k1", "K2": "k2", "T1": "p1", "T2": "p2", "K3": "k3"}
-# Nearer ends of the view than this, in m, cost too much of it.
-COARSE_NEAR = 0.05
 # The table of noise is drawn by the generator of a step that never comes.
 TABLE_STEP = 2**63
 # Gazebo lets these say another geometry than that of the picture.
@@ -45,7 +42,8 @@ class Camera(Device):
 
     Tags: as in Gazebo cameraName, imageTopicName, cameraInfoTopicName, frameName, updateRate,
     hackBaseline, distortionK1 … T2 and robotNamespace of the plugin; update_rate, pose and
-    <camera> with horizontal_fov, image, clip, noise and distortion of the sensor. Of this
+    <camera> with horizontal_fov, image (anti_aliasing: the greatest number of samples that there
+    is up to it), clip, noise and distortion of the sensor. Of this
     simulation, in the plugin: samples, exposure and blur, see `CameraSettings`.
     """
 
@@ -64,7 +62,6 @@ class Camera(Device):
         self._baseline = mount.number("hackBaseline", 0.0)
         self.frame = mount.frame(mount.text("frameName", mount.plugin.link))
         self._noise = mount.noise()
-        self._warned = False
         self._table: Optional[Tuple[tuple, SensorNoise]] = None
         self._name = mount.text("cameraName", tag.attribute("camera", "name") or "camera")
         self.image = self.output("imageTopicName", "image_raw", ImageSample)
@@ -117,8 +114,7 @@ class Camera(Device):
             LabError: something in the world cannot be drawn.
         """
         settings = self.settings
-        photographer = self.photographer()
-        picture = photographer.take(self.pose(), self._shot(), settings.exposure)
+        picture = self.mount.renderer().picture(self.pose(), self._shot(), settings.exposure)
         picture = blurred(self.lens.bend(picture), settings.blur)
         if self.encoding == "bgr8":
             picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
@@ -127,20 +123,6 @@ class Camera(Device):
         if settings.noise_mean or settings.noise_stddev:
             picture = self._noisy(picture, step)
         return picture
-
-    def photographer(self) -> Photographer:
-        """Return who takes the pictures; says once where EGL's depth is coarse."""
-        photographer = self.mount.photographer()
-        if self.near < COARSE_NEAR and not self._warned and photographer.renderer == EGL:
-            self._warned = True
-            LOG.warning(
-                "model '%s': a camera that sees from %g m on: EGL's 16 bits of depth do not tell "
-                "apart what lies %.0f mm behind each other at 4 m",
-                self.mount.model.name,
-                self.near,
-                1e3 * depth_step(4.0, self.near),
-            )
-        return photographer
 
     def _shot(self) -> Shot:
         return Shot(self.lens.ideal, self.near, self.far, self.settings.samples)
@@ -189,8 +171,18 @@ def _settings(mount: Mount, tag: SensorTag) -> CameraSettings:
         )
     elif tag.has("camera/noise") and kind != "none":
         raise DeviceError(f"{tag.where('camera/noise/type')}: '{kind}' is not gaussian or none")
-    own = ("samples", "exposure", "blur")
-    return replace(settings, **{k: mount.number(k, getattr(settings, k)) for k in own})
+    own = ("exposure", "blur")
+    settings = replace(settings, **{k: mount.number(k, getattr(settings, k)) for k in own})
+    return replace(settings, samples=_samples(mount, tag))
+
+
+def _samples(mount: Mount, tag: SensorTag) -> int:
+    """Return how many samples a pixel gets: the plugin's own tag, or SDF's `<anti_aliasing>`."""
+    asked = tag.number("camera/image/anti_aliasing", CameraSettings.samples)
+    default = max(number for number in SAMPLES if number <= max(asked, SAMPLES[0]))
+    samples = mount.number("samples", default)
+    # What is no whole number is refused as what is not among SAMPLES.
+    return int(samples) if samples == round(samples) else samples
 
 
 def _encoding(tag: SensorTag) -> str:

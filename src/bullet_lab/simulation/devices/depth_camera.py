@@ -9,7 +9,7 @@ import numpy as np
 
 from bullet_lab.simulation.devices.camera import Camera
 from bullet_lab.simulation.devices.device import DeviceError, Mount, device
-from bullet_lab.simulation.rendering.depth import DepthRange, measure_depths
+from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.samples import CameraInfoSample, ImageSample, PointsSample
 
 KINECT = "libgazebo_ros_openni_kinect"
@@ -17,6 +17,8 @@ KINECTS_CUTOFF = 5.0
 # What is published beside points only where somebody has asked Gazebo for it, and not here.
 NOT_SIMULATED = ("reduceNormals", "normalsTopicName", "reflectanceTopicName")
 TO_RGB = {"bgr8": cv2.COLOR_BGR2RGB, "mono8": cv2.COLOR_GRAY2RGB}
+# The view reaches beyond what is measured, by this factor.
+FARTHER = 1.01
 # The greatest number of millimetres that a 16UC1 image holds.
 MOST_MILLIMETRES = 65535
 
@@ -41,7 +43,7 @@ class DepthCamera(Camera):
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
-        self._range = self._measured_range()
+        self._closest, self._farthest = self._measured_range()
         self._in_millimetres = mount.boolean("useDepth16UC1Format", False)
         for tag in NOT_SIMULATED:
             mount.text(tag)
@@ -74,7 +76,9 @@ class DepthCamera(Camera):
         Raises:
             LabError: something in the world cannot be drawn.
         """
-        depths = measure_depths(self.photographer(), self.pose(), self.lens.ideal, self._range)
+        shot = Shot(self.lens.ideal, self.near, FARTHER * self._farthest)
+        depths = self.mount.renderer().depths(self.pose(), shot)
+        depths[(depths <= self._closest) | (depths >= self._farthest)] = np.nan
         return self.lens.pick(depths)
 
     def points_at(self, depths: np.ndarray) -> np.ndarray:
@@ -96,7 +100,8 @@ class DepthCamera(Camera):
         code = TO_RGB.get(self.encoding)
         return picture if code is None else cv2.cvtColor(picture, code)
 
-    def _measured_range(self) -> DepthRange:
+    def _measured_range(self) -> Tuple[float, float]:
+        """Return between which distances along the view (m) depth is measured."""
         mount = self.mount
         is_kinect = mount.plugin.filename.startswith(KINECT)
         closest = max(self.near, mount.number("pointCloudCutoff", 0.4))
@@ -107,4 +112,4 @@ class DepthCamera(Camera):
                 f"{mount.where('pointCloudCutoff')}: nothing is between {closest:g} m and "
                 f"{farthest:g} m"
             )
-        return DepthRange(self.near, closest, farthest)
+        return closest, farthest

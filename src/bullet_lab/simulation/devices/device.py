@@ -18,7 +18,7 @@ from bullet_lab.simulation.description import Model, Plugin
 from bullet_lab.simulation.devices.noise import StepNoise
 from bullet_lab.simulation.physics import Body
 from bullet_lab.simulation.pose import Pose, Vector
-from bullet_lab.simulation.rendering.frame import Photographer
+from bullet_lab.simulation.rendering.renderer import Renderer
 from bullet_lab.simulation.schedule import Schedule, ScheduleError
 from bullet_lab.simulation.xml_input import boolean, number, numbers
 
@@ -30,7 +30,7 @@ class DeviceError(LabError):
     """A plugin's tags make no device, or a command is refused."""
 
 
-def _nothing_to_see() -> Photographer:
+def _nothing_to_see() -> Renderer:
     raise DeviceError("there is no world to take pictures of")
 
 
@@ -43,7 +43,7 @@ class Mount:
     """What a device is fixed to: a model, its bodies by root link, and its plugin tag.
 
     `gravity` is in m/s² and points down, `seed` is the simulation's, `tf_prefix` stands
-    before the names of the robot's frames, `photographer` gives who takes its pictures, and
+    before the names of the robot's frames, `renderer` gives what draws its pictures, and
     `name_shape` the full name of the shape at a place on a link (`TouchedShapes.name`).
     """
 
@@ -53,7 +53,7 @@ class Mount:
     gravity: float
     seed: int = 0
     tf_prefix: str = ""
-    photographer: Callable[[], Photographer] = field(default=_nothing_to_see, repr=False)
+    renderer: Callable[[], Renderer] = field(default=_nothing_to_see, repr=False)
     name_shape: Callable[[int, int, Vector], str] = field(default=_nothing_to_touch, repr=False)
     _read: Set[str] = field(default_factory=set, repr=False)
 

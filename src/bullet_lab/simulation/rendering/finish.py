@@ -11,7 +11,7 @@ import numpy as np
 
 from bullet_lab.errors import LabError
 from bullet_lab.numerics.pinhole import PinholeCamera
-from bullet_lab.simulation.rendering.frame import MOST_SAMPLES, FrameError
+from bullet_lab.simulation.rendering.graphics import SAMPLES
 
 # Numbers in the table of noise beyond those of one picture: so many pictures differ.
 SPARE_NOISE = 1 << 20
@@ -29,14 +29,14 @@ class CameraSettings:
     """What may change between two pictures of a camera.
 
     Attributes:
-        samples: drawn pixels per pixel along each side, 1 to 8; whole numbers are not needed.
+        samples: of each pixel, 1, 2 or 4.
         exposure: factor to the brightness.
         blur: standard deviation of the blur in pixels.
         noise_mean: of what is added to each number of the picture, as a share of white.
         noise_stddev: of what is added, as a share of white.
     """
 
-    samples: float = 1.0
+    samples: int = 1
     exposure: float = 1.0
     blur: float = 0.0
     noise_mean: float = 0.0
@@ -47,8 +47,9 @@ class CameraSettings:
         values = (self.samples, self.exposure, self.blur, self.noise_mean, self.noise_stddev)
         if not all(map(math.isfinite, values)):
             raise FinishError("a camera's setting is not finite")
-        if not 1.0 <= self.samples <= MOST_SAMPLES:
-            raise FinishError(f"{self.samples:g} samples per pixel are not within 1 … 8")
+        if self.samples not in SAMPLES:
+            known = ", ".join(map(str, SAMPLES))
+            raise FinishError(f"{self.samples:g} samples for each pixel are not one of {known}")
         if min(self.exposure, self.blur, self.noise_stddev) < 0.0:
             raise FinishError("exposure, blur and the noise's deviation are not negative")
         if abs(self.noise_mean) > 1.0 or self.noise_stddev > 1.0:
@@ -163,6 +164,3 @@ class Lens:
             (u - left).astype(np.float32).reshape(shape),
             (v - top).astype(np.float32).reshape(shape),
         )
-
-
-__all__ = ["CameraSettings", "FinishError", "FrameError", "Lens", "SensorNoise", "blurred"]

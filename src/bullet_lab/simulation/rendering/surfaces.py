@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from io import BytesIO
 from typing import List, Optional, Tuple
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from bullet_lab.simulation.description import Box, Cylinder, Geometry, Mesh, Plane, Sphere
 from bullet_lab.simulation.meshes import load_triangles
 from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.rendering.textures import load_textured
+from bullet_lab.simulation.rendering.textures import Image, load_textured
 
 CYLINDER_SIDES = 48
 SPHERE_RINGS = 16
@@ -25,26 +24,13 @@ class Surface:
         corners: (n, 3, 3) positions.
         normals: (n, 3, 3) unit normals at the corners.
         picture: (n, 3, 2) coordinates in the texture, from its lower left; None without one.
-        texture: the image file's content (PNG, JPEG, …); None without one.
-        tint: RGB that the colour of the shape is multiplied with.
+        image: on the surface; None without one.
     """
 
     corners: np.ndarray
     normals: np.ndarray
     picture: Optional[np.ndarray] = None
-    texture: Optional[bytes] = None
-    tint: Tuple[float, float, float] = (1.0, 1.0, 1.0)
-
-    def select(self, chosen: np.ndarray) -> Surface:
-        """Return some of the triangles, by truth values."""
-        picture = None if self.picture is None else self.picture[chosen]
-        return self.with_triangles(self.corners[chosen], self.normals[chosen], picture)
-
-    def with_triangles(
-        self, corners: np.ndarray, normals: np.ndarray, picture: Optional[np.ndarray]
-    ) -> Surface:
-        """Return other triangles that look the same."""
-        return replace(self, corners=corners, normals=normals, picture=picture)
+    image: Optional[Image] = None
 
     def moved(self, pose: Pose) -> Surface:
         """Return the same, seen from the frame that `pose` is given in."""
@@ -126,37 +112,12 @@ def _sphere(radius: float) -> Surface:
 def _mesh(mesh: Mesh) -> List[Surface]:
     textured = load_textured(mesh)
     if textured:
-        whole = [Surface(c, _face_normals(c), p, image) for c, p, image in textured]
-        return [part for surface in whole for part in _without_points(surface)]
+        return [Surface(c, _face_normals(c), p, image) for c, p, image in textured]
     triangles = load_triangles(mesh)
     corners = triangles.vertices[triangles.faces]
     if np.prod(mesh.scale) < 0.0:
         corners = corners[:, ::-1]
     return [Surface(corners, _face_normals(corners))]
-
-
-def _without_points(surface: Surface) -> List[Surface]:
-    """Return the surface without triangles that show a single point of the picture, and those.
-
-    Such triangles, as the sides of a box with a picture on its front, just have a colour.
-    """
-    if surface.texture is None:
-        return [surface]
-    from PIL import Image
-
-    with Image.open(BytesIO(surface.texture)) as image:
-        pixels = np.array(image.convert("RGB"))
-    height, width = pixels.shape[:2]
-    single = np.ptp(surface.picture, axis=1).max(axis=1) * max(width, height) < 1e-3
-    parts = [surface.select(~single)] if not single.all() else []
-    u, v = np.mod(surface.picture[single, 0].T, 1.0)
-    columns, rows = (u * width).astype(int), ((1.0 - v) * height).astype(int)
-    colours = pixels[np.minimum(rows, height - 1), np.minimum(columns, width - 1)]
-    for colour in np.unique(colours, axis=0):
-        chosen = np.flatnonzero(single)[(colours == colour).all(axis=1)]
-        plain = Surface(surface.corners[chosen], surface.normals[chosen])
-        parts.append(replace(plain, tint=tuple((colour / 255.0).tolist())))
-    return parts
 
 
 def _face_normals(corners: np.ndarray) -> np.ndarray:

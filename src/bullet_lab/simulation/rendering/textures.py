@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import Dict, List, Optional, Tuple
@@ -14,12 +16,24 @@ from bullet_lab.simulation.description import Mesh, Model
 from bullet_lab.simulation.resources import ResourceError, ResourceFinder
 
 MAXIMUM_BYTES = 100_000_000
-# Corners (n, 3, 3) in m, picture coordinates (n, 3, 2), and the image file's content, if any.
-Textured = Tuple[np.ndarray, Optional[np.ndarray], Optional[bytes]]
+# Of an image's sides, in pixels: what the graphics side takes; larger images are made smaller.
+LARGEST_SIDE = 8192
 
 
 class TextureError(LabError):
     """A picture that a mesh names is not there or is none."""
+
+
+@dataclass(frozen=True)
+class Image:
+    """An image: `pixels` (height, width, 3) uint8, RGB; equal to others by their `digest`."""
+
+    digest: str
+    pixels: np.ndarray = field(compare=False, repr=False)
+
+
+# Corners (n, 3, 3) in m, picture coordinates (n, 3, 2) from the lower left, and the image, if any.
+Textured = Tuple[np.ndarray, Optional[np.ndarray], Optional[Image]]
 
 
 def load_textured(mesh: Mesh) -> List[Textured]:
@@ -124,22 +138,19 @@ def _index(word: str, count: int) -> int:
     return index
 
 
-def _image(path: Path) -> bytes:
-    from PIL import Image, UnidentifiedImageError
+def _image(path: Path) -> Image:
+    import PIL.Image
 
     data = _bytes(path)
     try:
-        with Image.open(BytesIO(data)) as image:
-            # Drawn without transparency; written anew so that the engine reads what was checked.
+        with PIL.Image.open(BytesIO(data)) as image:
+            # Drawn without transparency.
             plain = image.convert("RGB")
-            # EGL takes rows to begin at every fourth byte.
-            times = {0: 1, 2: 2}.get(plain.width % 4, 4)
-            plain = plain.resize((times * plain.width, times * plain.height), Image.NEAREST)
-    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+            plain.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
+            pixels = np.array(plain)
+    except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as error:
         raise TextureError(f"{path}: not a readable image") from error
-    out = BytesIO()
-    plain.save(out, "PNG", compress_level=1)
-    return out.getvalue()
+    return Image(hashlib.sha256(pixels.tobytes()).hexdigest(), pixels)
 
 
 def _find(name: str, user: Path) -> Path:
