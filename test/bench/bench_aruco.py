@@ -23,7 +23,7 @@ from std_msgs.msg import Header
 from bullet_lab.numerics.pinhole import PinholeCamera
 from bullet_lab.ros.image_messages import image_message, pixels_of
 from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.rendering.frame import Shot
+from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.vision.marker_detector import DetectorSettings
 from bullet_lab.vision.marker_observer import MarkerObserver
@@ -40,12 +40,12 @@ Work = Callable[[Any], Any]
 def frames(world: str, poses: List[Any]) -> List[np.ndarray]:
     """Return what the camera sees from (x, y, yaw) in a world, rgb8."""
     simulation = Simulation.of(f"package://bullet_lab/worlds/{world}.world")
-    photographer = simulation.renderer()
+    renderer = simulation.renderer()
     shot = Shot(CAMERA, near=0.1, far=100.0)
     pictures = []
     for x, y, yaw in poses:
         pose = Pose.from_rpy((x, y, HEIGHT), (0.0, 0.0, yaw))
-        pictures.append(photographer.take(pose, shot).copy())
+        pictures.append(renderer.picture(pose, shot))
     simulation.close()
     return pictures
 

@@ -1,14 +1,16 @@
 """Measures the camera of the bridge; run it with scripts/bench.sh camera.
 
-First, what the bridge adds to the bare picture: the time from the start of a frame to the moment
-at which its message is written, over that of `pybullet.getCameraImage` alone, call by call in
-turns. Then a whole setup in real time: the bridge with the camera at 30 Hz and `aruco.py`
-listening, whether every frame arrives, and what it costs. Prints a table and writes JSON.
+First, the time from the start of a frame to the moment at which its message is written, without
+multisampling and with 4 samples for each pixel, over that of PyBullet's own `getCameraImage` of
+the same things at its fastest setting: without light and shadows, frame by frame in turns. Then
+a whole setup in real time: the bridge with the camera at 30 Hz, and `aruco.py` listening, whether
+every frame arrives, and what it costs. Prints a table and writes JSON.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import platform
@@ -16,6 +18,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Dict, List
 
@@ -27,15 +30,24 @@ from sensor_msgs.msg import CameraInfo
 
 from bullet_lab.ros.bridge import BridgeParameters, PyBulletBridge
 from bullet_lab.ros.launcher.master import prepare_master
+from bullet_lab.simulation.description import Box, Cylinder, Mesh, Plane, Sphere, Visual
 from bullet_lab.simulation.devices.camera import Camera
 from bullet_lab.simulation.engine import pybullet
-from bullet_lab.simulation.rendering.choice import EGL, TINY, probe_egl
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.rendering.graphics import driver_name
+from bullet_lab.simulation.simulation import Simulation
 
 WORLD = "package://bullet_lab/worlds/docking.world"
 ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
 RATE = 30.0
+SAMPLES = (1, 4)
+# What is asked for: of a bare call without and with multisampling, and of a core.
+ASKED = {1: 0.6, 4: 1.3}
+CPU_ASKED = 30.0
 STOP_SECONDS = 10.0
 PATIENCE = 60.0
+# The first frames load the world and compile the driver's programs.
+SKIPPED = 6
 
 LISTENER = """
 import rospy
@@ -46,88 +58,122 @@ rospy.spin()
 """
 
 
+class PyBulletCamera:
+    """What is to be seen of a simulation, drawn by PyBullet's EGL plugin."""
+
+    def __init__(self, simulation: Simulation, camera: Camera):
+        self._client = pybullet.connect(pybullet.DIRECT)
+        plugin = importlib.util.find_spec("eglRenderer").origin
+        pybullet.loadPlugin(plugin, "_eglRendererPlugin", physicsClientId=self._client)
+        for instance in simulation.models.values():
+            for link in instance.model.links:
+                where = instance.frame(link.name).pose()
+                for visual in link.visuals:
+                    self._add(visual, where * visual.pose)
+        geometry = camera.camera
+        eye = camera.pose()
+        target, up = (eye * Pose((1.0, 0.0, 0.0))).position, eye.rotate((0.0, 0.0, 1.0))
+        angle = np.degrees(2.0 * np.arctan(0.5 * geometry.height / geometry.fy))
+        size = geometry.width, geometry.height
+        self._arguments = (
+            *size,
+            pybullet.computeViewMatrix(eye.position, target, up),
+            pybullet.computeProjectionMatrixFOV(
+                float(angle), size[0] / size[1], camera.near, camera.far
+            ),
+        )
+
+    def seconds(self) -> float:
+        """Draw a picture; return how long that took."""
+        start = time.perf_counter()
+        pybullet.getCameraImage(
+            *self._arguments,
+            renderer=pybullet.ER_BULLET_HARDWARE_OPENGL,
+            # With a projective texture, it draws no shadow map.
+            flags=pybullet.ER_NO_SEGMENTATION_MASK | pybullet.ER_USE_PROJECTIVE_TEXTURE,
+            projectiveTextureView=np.eye(4).ravel().tolist(),
+            projectiveTextureProj=np.eye(4).ravel().tolist(),
+            physicsClientId=self._client,
+        )
+        return time.perf_counter() - start
+
+    def _add(self, visual: Visual, pose: Pose) -> None:
+        geometry, shape = visual.geometry, {}
+        if isinstance(geometry, (Box, Plane)):
+            size = geometry.size if isinstance(geometry, Box) else (*geometry.size, 0.001)
+            shape = {"shapeType": pybullet.GEOM_BOX, "halfExtents": [0.5 * side for side in size]}
+        elif isinstance(geometry, Cylinder):
+            size = {"radius": geometry.radius, "length": geometry.length}
+            shape = {"shapeType": pybullet.GEOM_CYLINDER, **size}
+        elif isinstance(geometry, Sphere):
+            shape = {"shapeType": pybullet.GEOM_SPHERE, "radius": geometry.radius}
+        elif isinstance(geometry, Mesh):
+            shape = {"shapeType": pybullet.GEOM_MESH, "fileName": str(geometry.path)}
+        drawn = pybullet.createVisualShape(
+            **shape, rgbaColor=visual.colour, physicsClientId=self._client
+        )
+        pybullet.createMultiBody(
+            0, -1, drawn, pose.position, pose.quaternion, physicsClientId=self._client
+        )
+
+
 class Stopwatch:
-    """Times each frame of a bridge in this process, and a bare picture before each."""
+    """Times each frame of a bridge in this process, and PyBullet's picture before each."""
 
     def __init__(self, bridge: PyBulletBridge, frames: int):
         (robot,) = (m for m in bridge.simulation.models.values() if m.model.name == "camera_robot")
         (self._camera,) = (d for d in robot.devices if isinstance(d, Camera))
         self._frames = frames
+        self._bare = PyBulletCamera(bridge.simulation, self._camera)
         self.bare: List[float] = []
-        self.plain: List[float] = []
-        self.bridge: List[float] = []
-        self._call: Dict[str, Any] = {}
-        self._note_the_call()
+        self.bridge: Dict[int, List[float]] = {samples: [] for samples in SAMPLES}
         self._produce = self._camera.produce
         self._camera.produce = self._timed_produce
         self._after_steps = bridge.stepper._after_steps
         bridge.stepper._after_steps = self._timed_flush
         self._in_frame = 0.0
 
-    def _note_the_call(self) -> None:
-        """Keep the arguments with which the bridge draws."""
-        draw = pybullet.getCameraImage
-
-        def noting(*arguments: Any, **named: Any) -> Any:
-            self._call = {"arguments": arguments, "named": named}
-            return draw(*arguments, **named)
-
-        self._draw = draw
-        pybullet.getCameraImage = noting
-
     def _timed_produce(self, step: int) -> None:
         if not self._camera.image.wanted:
             return
-        if self._call:
-            self.bare.append(self._timed(self._call["named"]))
-            everything = {**self._call["named"], "flags": 0, "lightDirection": (1.0, 0.3, 1.0)}
-            self.plain.append(self._timed(everything))
+        self.bare.append(self._bare.seconds())
+        samples = SAMPLES[len(self.bare) % len(SAMPLES)]
+        self._camera.settings = replace(self._camera.settings, samples=samples)
         start = time.perf_counter()
         self._produce(step)
         self._in_frame = time.perf_counter() - start
-
-    def _timed(self, named: Dict[str, Any]) -> float:
-        start = time.perf_counter()
-        self._draw(*self._call["arguments"], **named)
-        return time.perf_counter() - start
 
     def _timed_flush(self) -> None:
         start = time.perf_counter()
         self._after_steps()
         if not self._in_frame:
             return
-        # The first frames load the world and compile the driver's programs.
-        self.bridge.append(self._in_frame + time.perf_counter() - start)
+        times = self.bridge[self._camera.settings.samples]
+        times.append(self._in_frame + time.perf_counter() - start)
         self._in_frame = 0.0
-        if len(self.bridge) > self._frames:
-            pybullet.getCameraImage = self._draw
+        if len(times) >= self._frames + SKIPPED:
             rospy.signal_shutdown("measured")
 
 
-def frame_times(renderer: str, frames: int) -> Dict[str, float]:
-    """Return medians in ms of bare pictures, PyBullet's plain ones, and whole frames.
+def frame_times(frames: int) -> Dict[str, Any]:
+    """Return medians in ms of PyBullet's pictures and of whole frames, by samples.
 
     To be called in a process of its own: a ROS node is set up once.
     """
     rospy.init_node("bench_bridge", disable_signals=True)
-    wanted = BridgeParameters(world=WORLD, robot=ROBOT, rtf=1.0, renderer=renderer)
-    bridge = PyBulletBridge(wanted)
+    bridge = PyBulletBridge(BridgeParameters(world=WORLD, robot=ROBOT, rtf=1.0))
     watch = Stopwatch(bridge, frames)
     listener = subprocess.Popen([sys.executable, "-c", LISTENER])
     try:
         bridge.spin()
     finally:
         stop(listener)
-    skipped = 3
-    bare, plain, whole = (
-        np.array(values[skipped:frames]) for values in (watch.bare, watch.plain, watch.bridge[1:])
-    )
-    count = min(map(len, (bare, whole)))
+    bare = float(np.median(watch.bare[SKIPPED:]))
+    whole = {s: float(np.median(times[SKIPPED:])) for s, times in watch.bridge.items()}
     return {
-        "bare_ms": 1e3 * float(np.median(bare)),
-        "pybullet_defaults_ms": 1e3 * float(np.median(plain)),
-        "render_to_publish_ms": 1e3 * float(np.median(whole)),
-        "render_to_publish_over_bare": float(np.median(whole[:count] / bare[:count])),
+        "bare_ms": 1e3 * bare,
+        "render_to_publish_ms": {s: 1e3 * value for s, value in whole.items()},
+        "render_to_publish_over_bare": {s: value / bare for s, value in whole.items()},
     }
 
 
@@ -142,11 +188,10 @@ class Stamps:
         self.times.append(message.header.stamp.to_nsec() // 1_000_000)
 
 
-def real_time(renderer: str, seconds: float) -> Dict[str, Any]:
+def real_time(seconds: float) -> Dict[str, Any]:
     """Return how the camera does at real-time factor 1 with `aruco.py` listening."""
     rospy.set_param("/use_sim_time", True)
-    bridge = start("pybullet_bridge.py", f"_world:={WORLD}", f"_robot:={ROBOT}", "_rtf:=1",
-                   f"_renderer:={renderer}")  # fmt: skip
+    bridge = start("pybullet_bridge.py", f"_world:={WORLD}", f"_robot:={ROBOT}", "_rtf:=1")
     aruco = start("aruco.py", "_image:=/mycamera/image_raw", "__name:=aruco")
     sent = Stamps("/mycamera/camera_info", CameraInfo)
     seen = Stamps("/aruco/detections", MarkerDetectionArray)
@@ -212,60 +257,62 @@ def wait_for(condition: Any, what: str) -> None:
 
 def measure(frames: int, seconds: float) -> Dict[str, Any]:
     """Run everything and return the figures."""
-    works, reason = probe_egl()
-    renderers = [EGL, TINY] if works else [TINY]
     figures: Dict[str, Any] = {
         "machine": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
-        "egl": reason,
+        "driver": driver_name(),
         "load_average": os.getloadavg()[0],
+        "frames": {},
     }
-    for renderer in renderers:
-        print(f"frames of {renderer} …", flush=True)
-        command = [sys.executable, __file__, "--frames-of", renderer, "--frames", str(frames)]
-        out = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
-        figures[renderer] = json.loads(out.strip().splitlines()[-1])
-    for renderer in renderers:
-        print(f"real time with {renderer} …", flush=True)
-        figures[renderer].update(real_time(renderer, seconds))
+    for threads in (1, 2):
+        print(f"frames with {threads} threads of the driver …", flush=True)
+        command = [sys.executable, __file__, "--frames-only", "--frames", str(frames)]
+        environment = {**os.environ, "LP_NUM_THREADS": str(threads)}
+        out = subprocess.run(
+            command, env=environment, check=True, stdout=subprocess.PIPE, text=True
+        ).stdout
+        figures["frames"][threads] = json.loads(out.strip().splitlines()[-1])
+    print("real time …", flush=True)
+    figures["real_time"] = real_time(seconds)
     return figures
 
 
 def print_table(figures: Dict[str, Any]) -> None:
     """Print what was measured beside what is asked for."""
-    for renderer in (name for name in (EGL, TINY) if name in figures):
-        found = figures[renderer]
-        expected = found["frames_expected"]
-        rows = [
-            ("getCameraImage as the bridge calls it, ms", f"{found['bare_ms']:.1f}", ""),
-            ("getCameraImage with its defaults, ms", f"{found['pybullet_defaults_ms']:.1f}", ""),
-            ("render to publish, ms", f"{found['render_to_publish_ms']:.1f}", ""),
-            (
-                "render to publish / getCameraImage",
-                f"{found['render_to_publish_over_bare']:.2f}",
-                "<= 1.30",
-            ),
-            ("30 Hz, aruco.py: real-time factor", f"{found['real_time_factor']:.3f}", ">= 0.99"),
-            ("frames sent", f"{found['frames_sent']}", f"{expected}"),
-            ("frames processed by aruco.py", f"{found['frames_processed']}", f"{expected}"),
-            ("bridge, % of a core", f"{found['bridge_cpu_percent_of_a_core']:.0f}", ""),
-            ("aruco.py, % of a core", f"{found['aruco_cpu_percent_of_a_core']:.0f}", ""),
-        ]
-        print(f"\n{renderer:44} {'measured':>9} {'asked':>9}")
-        for name, value, asked in rows:
-            print(f"{name:44} {value:>9} {asked:>9}")
+    rows = []
+    for threads, found in figures["frames"].items():
+        of = f"LP_NUM_THREADS={threads}"
+        rows.append((f"{of}: getCameraImage at its fastest, ms", f"{found['bare_ms']:.1f}", ""))
+        for samples, asked in ASKED.items():
+            whole = found["render_to_publish_ms"][str(samples)]
+            share = found["render_to_publish_over_bare"][str(samples)]
+            title = f"{of}: drawing to publishing, {samples} sample{'s' * (samples > 1)}"
+            rows.append((f"{title}, ms", f"{whole:.1f}", ""))
+            rows.append((f"{title} / getCameraImage", f"{share:.2f}", f"<= {asked:g}"))
+    found = figures["real_time"]
+    expected = f"{found['frames_expected']}"
+    rows += [
+        ("30 Hz, aruco.py: real-time factor", f"{found['real_time_factor']:.3f}", ">= 0.99"),
+        ("frames sent", f"{found['frames_sent']}", expected),
+        ("frames processed by aruco.py", f"{found['frames_processed']}", expected),
+        ("bridge, % of a core", f"{found['bridge_cpu_percent_of_a_core']:.0f}", f"<= {CPU_ASKED:g}"),
+        ("aruco.py, % of a core", f"{found['aruco_cpu_percent_of_a_core']:.0f}", ""),
+    ]
+    print(f"\n{figures['driver']:64} {'measured':>9} {'asked':>9}")
+    for name, value, asked in rows:
+        print(f"{name:64} {value:>9} {asked:>9}")
 
 
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path, nargs="?", help="JSON file to write")
-    parser.add_argument("--frames", type=int, default=100, help="timed frames of each renderer")
+    parser.add_argument("--frames", type=int, default=100, help="timed frames of each kind")
     parser.add_argument("--seconds", type=float, default=20.0, help="wall seconds in real time")
-    parser.add_argument("--frames-of", help=argparse.SUPPRESS)
+    parser.add_argument("--frames-only", action="store_true", help=argparse.SUPPRESS)
     wanted = parser.parse_args()
-    if wanted.frames_of:
-        print(json.dumps(frame_times(wanted.frames_of, wanted.frames)))
+    if wanted.frames_only:
+        print(json.dumps(frame_times(wanted.frames)))
         return
     prepare_master()
     rospy.init_node("bench", disable_signals=True)

@@ -8,10 +8,7 @@ from bullet_lab.simulation.description import (
     Attenuation,
     Box,
     Cone,
-    Cylinder,
     Light,
-    Plane,
-    Sphere,
 )
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.rendering.renderer import Shot

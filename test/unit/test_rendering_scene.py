@@ -1,7 +1,15 @@
-import pytest
-from picture_worlds import CAMERA, simulation_of, thing
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
 
-from bullet_lab.simulation.description import Box, World
+import numpy as np
+import pytest
+from picture_worlds import CAMERA, checkers, plate, simulation_of, thing, write_plate
+
+from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.simulation.description import Box, Light, Plane, World
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
@@ -13,6 +21,11 @@ RED, GREEN = (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)
 
 def cube(name, colour, x=2.0):
     return thing(name, Box((0.5, 0.5, 0.5)), Pose((x, 0.0, 0.5)), colour)
+
+
+def resident_megabytes():
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096 / 1e6
 
 
 def middle(simulation):
@@ -83,3 +96,128 @@ def test_physics_does_not_notice_the_pictures():
                     simulation.renderer().picture(AHEAD, Shot(CAMERA))
             ends.add((robot.pose(), robot.bodies["base_footprint"].velocity()))
     assert len(ends) == 1
+
+
+def board(folder, name="board"):
+    return plate(write_plate(folder, name, checkers(8, 8), 1.0, 1.0), Pose((2.5, 0.3, 0.6)))
+
+
+SUNNY = {
+    "ambient": (0.3, 0.3, 0.3, 1.0),
+    "lights": (Light("sun", "directional", Pose(), (0.6,) * 4, (0.6, 0.3, -0.7), True),),
+}
+
+
+def look(simulation, samples=1):
+    return simulation.renderer().picture(AHEAD, Shot(CAMERA, samples=samples)).tobytes()
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_a_picture_does_not_depend_on_what_was_drawn_before(tmp_path, samples):
+    models = (board(tmp_path), cube("a", RED, 2.0), thing("floor", Plane()))
+    with simulation_of(*models, **SUNNY) as simulation:
+        wanted = look(simulation, samples)
+    for size in (64, 333, 1280):
+        camera = PinholeCamera(size, size, 300.0, 300.0, size / 2, size / 2)
+        with simulation_of(cube("b", GREEN), board(tmp_path, "other"), **SUNNY) as other:
+            other.renderer().picture(AHEAD, Shot(camera))
+            other.renderer().depths(AHEAD, Shot(camera))
+            with simulation_of(*models, **SUNNY) as simulation:
+                assert look(simulation, samples) == wanted
+                # What came and went, or moved there and back, leaves nothing.
+                simulation.add(cube("c", GREEN, 1.0))
+                assert look(simulation, samples) != wanted
+                simulation.remove("c")
+                assert look(simulation, samples) == wanted
+                simulation.models["a"].place(Pose((2.0, -0.5, 0.5)))
+                assert look(simulation, samples) != wanted
+                simulation.models["a"].place(simulation.models["a"].model.pose)
+                assert look(simulation, samples) == wanted
+
+
+def test_a_picture_stays_as_it_was_while_others_are_drawn():
+    with simulation_of(cube("a", RED)) as simulation:
+        kept = simulation.renderer().picture(AHEAD, Shot(CAMERA))
+        copy = kept.copy()
+        simulation.remove("a")
+        simulation.renderer().picture(AHEAD, Shot(CAMERA))
+        assert (kept == copy).all()
+
+
+def test_panels_that_come_and_go_leave_no_memory_behind(tmp_path):
+    random = np.random.default_rng(3)
+    with simulation_of(cube("a", RED), **SUNNY) as simulation:
+
+        def come_and_go(count):
+            for _ in range(count):
+                pixels = random.integers(0, 255, (400, 400, 3), dtype=np.uint8)
+                path = write_plate(tmp_path, "panel", pixels, 1.0, 1.0)
+                simulation.add(plate(path, Pose((2.0, 0.0, 0.5))))
+                look(simulation)
+                simulation.remove("panel")
+                look(simulation)
+
+        come_and_go(30)
+        before = resident_megabytes()
+        come_and_go(60)
+        # One texture with its smaller copies has 0.85 MB.
+        assert resident_megabytes() - before < 5.0
+
+
+def test_any_thread_draws():
+    with simulation_of(cube("a", RED)) as simulation:
+        seen = [middle(simulation)]
+        simulation.models["a"].place(Pose((2.0, 3.0, 0.5)))
+        thread = threading.Thread(target=lambda: seen.append(middle(simulation)))
+        thread.start()
+        thread.join()
+        simulation.reset_world()
+        seen.append(middle(simulation))
+    assert seen == [(255, 0, 0), BLUE, (255, 0, 0)]
+
+
+def test_glass_shows_what_is_behind_it_and_air_nothing():
+    glass = (0.0, 1.0, 0.0, 0.5)
+    with simulation_of(cube("pane", glass, 1.0), cube("a", RED)) as simulation:
+        assert middle(simulation) == pytest.approx((128, 128, 0), abs=1)
+    with simulation_of(cube("air", (0.0, 1.0, 0.0, 0.0), 1.0), cube("a", RED)) as simulation:
+        assert middle(simulation) == (255, 0, 0)
+
+
+def test_what_cannot_be_read_is_left_out_and_the_rest_is_drawn(tmp_path, caplog):
+    path = write_plate(tmp_path, "p", checkers(2, 2), 0.5, 0.5)
+    with simulation_of(cube("a", RED)) as simulation:
+        simulation.add(plate(path, Pose((1.0, 0.0, 0.5))))
+        path.write_text("v 0 0 x\n")
+        assert [middle(simulation) for _ in range(3)] == [(255, 0, 0)] * 3
+    (message,) = caplog.messages
+    assert message.startswith("model 'p': link 'link' is not drawn as it should be: ")
+
+
+def test_a_machine_without_a_driver_is_told_the_packages():
+    code = "from bullet_lab.simulation.rendering.graphics import driver_name, RendererError\n"
+    code += "for _ in range(2):\n  try: driver_name()\n  except RendererError as e: print(e)"
+    hidden = {"__EGL_VENDOR_LIBRARY_FILENAMES": os.devnull, "LIBGL_DRIVERS_PATH": os.devnull}
+    path = os.pathsep.join(filter(None, sys.path))
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, **hidden, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    line = "pictures need EGL and a driver: on Debian, install libegl1 and libgl1-mesa-dri"
+    assert (run.stdout.splitlines(), run.stderr) == ([line, line], "")
+
+
+def test_nothing_is_loaded_before_the_first_picture():
+    code = "import sys\nfrom bullet_lab.simulation.simulation import Simulation\n"
+    code += "world = Simulation.of('package://bullet_lab/worlds/docking.world')\n"
+    code += "world.spawn('package://bullet_lab/urdf/camera_robot.urdf'); world.run_for(0.1)\n"
+    code += "print('panda3d' in sys.modules)"
+    path = os.pathsep.join(filter(None, sys.path))
+    environment = {**os.environ, "PYTHONPATH": path}
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert run.stdout.strip() == "False"

@@ -22,8 +22,6 @@ from bullet_lab.simulation.rendering.textures import Image
 
 LOG = logging.getLogger(__name__)
 
-# How many samples along its longer side the footprint of a pixel in a texture gets at most.
-ANISOTROPY = 1
 # Corners of one drawing call above which it takes too long to see which are the same.
 MOST_SHARED = 100_000
 # Floats of a corner: place, normal, colour, place in the texture.
@@ -52,7 +50,8 @@ class _Texture:
         self.texture.set_ram_image(np.ascontiguousarray(image.pixels[::-1, :, ::-1]).tobytes())
         self.texture.set_minfilter(core.SamplerState.FT_linear_mipmap_linear)
         self.texture.set_magfilter(core.SamplerState.FT_linear)
-        self.texture.set_anisotropic_degree(ANISOTROPY)
+        # Without this, the driver keeps it for as long as the context lives.
+        weakref.finalize(self, self.texture.release_all)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +148,8 @@ class Drawables:
             path.set_bin("transparent", 0)
         else:
             # Floors last: most of them is hidden. Else in the order in which things were added,
-            # so that equal worlds give equal pictures.
-            path.set_bin("fixed", int(look.is_plane))
+            # so that equal worlds give equal pictures. ("fixed" would come after "transparent".)
+            path.set_bin("background", int(look.is_plane))
         for bit in BITS.values():
             path.hide(core.BitMask32.bit(bit))
         path.show(core.BitMask32.bit(BITS[PICTURE]))

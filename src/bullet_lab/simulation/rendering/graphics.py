@@ -100,7 +100,7 @@ class Graphics:
 
     def __init__(self):
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="graphics")
-        self._kept: "OrderedDict[tuple, Target]" = OrderedDict()
+        self._kept: OrderedDict[tuple, Target] = OrderedDict()
         self.core = core = _panda3d()
         self._engine = core.GraphicsEngine.get_global_ptr()
         with hidden_native_output():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
-from typing import Any, Mapping, Optional
+from typing import Any, Dict, Mapping, Union
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from bullet_lab.simulation.description import World
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.rendering.graphics import (
     SAMPLES,
-    Graphics,
     RendererError,
     Target,
     shared_graphics,
@@ -25,6 +24,7 @@ from bullet_lab.simulation.rendering.shaders import DEPTH_FRAGMENT, DEPTH_VERTEX
 
 LOG = logging.getLogger(__name__)
 
+DEPTH = "depth"
 # From x ahead, z up to Panda3D's axes of a camera: y ahead, z up.
 AHEAD = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, -0.5 * math.pi))
 
@@ -75,11 +75,15 @@ class Renderer:
         # Pictures are drawn upside down, which spares turning them round: so what is clockwise
         # turns, too.
         turned = core.CullFaceAttrib.make(core.CullFaceAttrib.M_cull_counter_clockwise)
-        self._states = {}
-        for kind in ("picture", "depth"):
+        self._states: Dict[Union[int, str], Any] = {}
+        for kind in (*SAMPLES, DEPTH):
             state = core.NodePath("state")
             state.set_attrib(turned)
-            if kind == "depth":
+            # Neither is left to what was drawn last.
+            several = kind in SAMPLES and kind > 1
+            modes = core.AntialiasAttrib
+            state.set_antialias(modes.M_multisample if several else modes.M_none, OVERRIDE)
+            if kind == DEPTH:
                 program = self._graphics.program(DEPTH_VERTEX, DEPTH_FRAGMENT)
                 state.set_shader(program, OVERRIDE)
                 state.set_transparency(core.TransparencyAttrib.M_none, OVERRIDE)
@@ -109,7 +113,7 @@ class Renderer:
         self._scene.root.set_shader_input("exposure", float(exposure))
         # Blue first: what Panda3D hands out as blue is red then.
         target.clear_with(np.clip(exposure * self._background, 0.0, 1.0)[::-1])
-        self._draw(target, "picture", pose, shot)
+        self._draw(target, shot.samples, pose, shot)
         return target.pixels(np.uint8, 3)
 
     def depths(self, pose: Pose, shot: Shot) -> np.ndarray:
@@ -127,7 +131,7 @@ class Renderer:
         """
         target = self._graphics.depth_target(shot.camera.width, shot.camera.height)
         target.clear_with((0.0, 0.0, 0.0))
-        self._draw(target, "depth", pose, shot)
+        self._draw(target, DEPTH, pose, shot)
         depths = target.pixels(np.float32, 1)[..., 0]
         depths[depths == 0.0] = np.inf
         return depths
@@ -136,7 +140,7 @@ class Renderer:
         """Give everything back."""
         self._scene.close()
 
-    def _draw(self, target: Target, kind: str, pose: Pose, shot: Shot) -> None:
+    def _draw(self, target: Target, kind: Union[int, str], pose: Pose, shot: Shot) -> None:
         shadow_maps = self._scene.update()
         (path,) = target.cameras
         core = self._graphics.core

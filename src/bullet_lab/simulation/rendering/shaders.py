@@ -127,7 +127,7 @@ vec3 painted(vec2 there) {
   vec2 along = lies ? right : down;
   float longer = max(length(r), length(d));
   float shorter = max(1.0, abs(r.x * d.y - r.y * d.x) / max(longer, 1e-6));
-  float count = min(ceil(longer / shorter - 0.1), 8.0);
+  float count = min(ceil(longer / shorter - 0.3), 8.0);
   if (count <= 1.0) return texture(p3d_Texture0, there).rgb;
   float level = log2(max(shorter, longer / count));
   vec3 sum = vec3(0.0);
