@@ -41,7 +41,7 @@ EDGE = np.ones((7, 7), np.uint8)
 
 def boxes():
     random = np.random.default_rng(5)
-    for k in range(12):
+    for _ in range(12):
         x, y, z = random.uniform((1.0, -1.8, 0.1), (5.0, 1.8, 1.2))
         pose = Pose.from_rpy((x, y, z), tuple(random.uniform(-3.0, 3.0, 3)))
         size = tuple(random.uniform(0.15, 0.7, 3))

@@ -5,7 +5,14 @@ import numpy as np
 import pytest
 from picture_worlds import CAMERA, plate, simulation_of, thing, write_plate
 
-from bullet_lab.simulation.description import Attenuation, Box, Light, Plane
+from bullet_lab.simulation.description import (
+    Attenuation,
+    Box,
+    Cone,
+    Inertia,
+    Light,
+    Plane,
+)
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.rendering.renderer import Shot
 
@@ -113,3 +120,57 @@ def test_a_picture_on_a_wall_lies_in_shadow_too(tmp_path):
     row = seen[240]
     assert row[[300, 100]] == pytest.approx((160 * 0.25,) * 2, abs=2)
     assert row[[340, 540]] == pytest.approx((160 * (0.25 + 0.5 * 0.8),) * 2, abs=2)
+
+
+SPOT = Light(
+    "spot",
+    "spot",
+    Pose((-2.0, 0.0, 4.0)),
+    HALF,
+    casts_shadows=True,
+    attenuation=Attenuation(range=50.0),
+    cone=Cone(2.0, 2.8),
+)
+
+
+@pytest.mark.parametrize("light", [SUN, LAMP, SPOT])
+@pytest.mark.parametrize("place", [None, (90.0, 0.0, 60.0)])
+def test_where_nothing_throws_a_shadow_there_is_none(light, place):
+    others = [] if place is None else [thing("far", Box((0.4, 0.4, 0.4)), Pose(place))]
+    bare = take(FLOOR, lights=(replace(light, casts_shadows=False),))
+    assert np.array_equal(take(FLOOR, *others, lights=(light,)), bare)
+
+
+@pytest.mark.parametrize("light", [SUN, SPOT])
+def test_the_shadow_of_what_moves_goes_with_it(light):
+    heavy = replace(BOX.links[0], inertia=Inertia(1.0, (0.0, 0.0, 0.0), np.eye(3)))
+    robot = replace(BOX, links=(heavy,), static=False)
+    bare = take(FLOOR, lights=(light,))
+    with simulation_of(FLOOR, robot, **{**LIGHT, "lights": (light,)}) as simulation:
+        for y in (0.0, 1.0, -0.6):
+            simulation.models["box"].place(Pose((0.0, y, 1.2)))
+            seen = simulation.renderer().picture(DOWN, Shot(CAMERA))[..., 0].astype(int)
+            still = take(FLOOR, replace(BOX, pose=Pose((0.0, y, 1.2))), lights=(light,))
+            assert (np.abs(seen - still) > 5).mean() < 2e-3
+            assert (np.abs(seen - bare) > 5).mean() > 0.01
+        simulation.remove("box")
+        again = simulation.renderer().picture(DOWN, Shot(CAMERA))[..., 0].astype(int)
+    assert np.array_equal(again, bare)
+
+
+def test_a_floor_that_is_a_huge_box_leaves_shadows_sharp():
+    slab = thing("floor", Box((400.0, 400.0, 1.0)), Pose((0.0, 0.0, -0.5)))
+    seen = take(slab, BOX)
+    dark = np.abs(seen - 0.25 * 255) < 3
+    wanted = (4 / 3 - 0.2, 1.4 * 4 / 3 + 0.2, -0.2, 0.2)
+    assert extent(dark) == pytest.approx(wanted, abs=0.02)
+    assert at(seen, -1.0, 0.5) == pytest.approx(255 * (0.25 + 0.5 * 0.6), abs=2)
+
+
+def test_more_lights_with_shadows_than_there_are_maps(caplog):
+    lights = tuple(replace(SUN, name=f"sun{k}", diffuse=(0.05,) * 4) for k in range(12))
+    seen = take(FLOOR, BOX, lights=lights)
+    # Seven throw shadows, with a map for what stands still and one for what moves.
+    assert at(seen, 1.6, 0.0) == pytest.approx(255 * (0.25 + 5 * 0.05 * 0.6), abs=2)
+    assert at(seen, -1.0, 0.5) == pytest.approx(255 * (0.25 + 12 * 0.05 * 0.6), abs=2)
+    assert caplog.text.count("throws no shadows: too many others do") == 5

@@ -1,6 +1,7 @@
-"""Images of a simulation: what the camera device and `view.py` draw with.
+"""Pictures of a simulation: what cameras and `view.py` draw with, on Panda3D.
 
-`choice` decides between EGL and PyBullet's TinyRenderer, `engine` is the PyBullet client that
-draws, `scene` keeps a lit copy of the world in it, `frame` takes the pictures of one pinhole
-camera, `finish` does what a lens and a sensor do to them.
+`graphics` is the engine with its buffers, `scene` what is to be seen, with each link's `drawables`
+and the `lights` with their shadow maps, `shaders` the programs that draw, and `renderer` takes
+pictures and depths through a pinhole. `surfaces` and `textures` read shapes; `finish` does to a
+picture what a lens and a sensor do.
 """

@@ -43,9 +43,10 @@ class _Texture:
 
     def __init__(self, graphics: Graphics, image: Image):
         core = graphics.core
+        kind = core.Texture
         height, width = image.pixels.shape[:2]
-        self.texture = core.Texture("image")
-        self.texture.setup_2d_texture(width, height, core.Texture.T_unsigned_byte, core.Texture.F_rgb)
+        self.texture = kind("image")
+        self.texture.setup_2d_texture(width, height, kind.T_unsigned_byte, kind.F_rgb)
         # Panda3D has the lowest row first, and blue before green before red.
         self.texture.set_ram_image(np.ascontiguousarray(image.pixels[::-1, :, ::-1]).tobytes())
         self.texture.set_minfilter(core.SamplerState.FT_linear_mipmap_linear)
