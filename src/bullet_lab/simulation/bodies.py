@@ -3,28 +3,20 @@
 PyBullet takes 16 shapes in one call, and a mesh by its corners alone. So a link carries the first
 such group of its shapes, and helper links without mass, fixed to it, carry one more each.
 
-What PyBullet has made of a shape is given back only with the whole world, not with the body:
-70 kB for a mesh of 200 corners. So equal shapes are made once.
+PyBullet gives shapes back only with the whole world: 70 kB for a mesh of 200 corners. So equal
+ones are made once.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.description import (
-    Box,
-    Collision,
-    Cylinder,
-    Joint,
-    Link,
-    Mesh,
-    Plane,
-    Sphere,
-)
+from bullet_lab.simulation.description import Box, Collision, Joint, Link, Mesh
 from bullet_lab.simulation.engine import pybullet
 from bullet_lab.simulation.inertia import principal_axes
+from bullet_lab.simulation.joint_dynamics import joint_properties
 from bullet_lab.simulation.link_contacts import contact_properties, self_colliding
 from bullet_lab.simulation.meshes import file_version, hull_corners, triangle_corners
 from bullet_lab.simulation.pose import Pose, Vector
@@ -35,20 +27,12 @@ MOST_SHAPES = 16
 MOST_LINKS = 127
 # "No shape" and "the root link" in PyBullet's numbers.
 NONE = ROOT = -1
-SHAPE_TYPES = {
-    Box: pybullet.GEOM_BOX,
-    Cylinder: pybullet.GEOM_CYLINDER,
-    Sphere: pybullet.GEOM_SPHERE,
-    Plane: pybullet.GEOM_PLANE,
-}
 JOINT_TYPES = {
     "fixed": pybullet.JOINT_FIXED,
     "continuous": pybullet.JOINT_REVOLUTE,
     "revolute": pybullet.JOINT_REVOLUTE,
     "prismatic": pybullet.JOINT_PRISMATIC,
 }
-# Where a joint that is limited on one side ends on the other, as in SDF.
-FAR = 1e16
 HELPER_JOINT = Joint("", "fixed", "", "")
 # Bullet's collision group and mask of what never moves: it touches all but its like.
 STATIC_FILTER = (2, ~2)
@@ -89,10 +73,11 @@ class Part:
 
 
 class BodyMaker:
-    """Makes the bodies of one PyBullet client."""
+    """Makes the bodies of one PyBullet client, which is stepped by `step` seconds."""
 
-    def __init__(self, client: int):
+    def __init__(self, client: int, step: float):
         self._client = client
+        self._step = step
         self._made: Dict[Hashable, List[int]] = {}
 
     def make(
@@ -116,17 +101,13 @@ class BodyMaker:
         try:
             parts = self._parts(links, joints, static)
             if len(parts) - 1 > MOST_LINKS:
-                raise PhysicsError(
-                    f"its joints and shapes need {len(parts) - 1} links beside the root, "
-                    f"and the engine holds {MOST_LINKS}"
-                )
+                need = f"its joints and shapes need {len(parts) - 1} links beside the root"
+                raise PhysicsError(f"{need}, and the engine holds {MOST_LINKS}")
             return self._make(parts, static, pose), parts
         except pybullet.error as error:
             raise PhysicsError(f"PyBullet cannot make it: {error}") from error
 
-    def _parts(
-        self, links: Sequence[Link], joints: Sequence[Joint], static: bool
-    ) -> List[Part]:
+    def _parts(self, links: Sequence[Link], joints: Sequence[Joint], static: bool) -> List[Part]:
         above = {joint.child: joint for joint in joints}
         places = {link.name: place for place, link in enumerate(links)}
         parts, helpers = [], []
@@ -144,13 +125,7 @@ class BodyMaker:
         if self_colliding(part.link for part in parts):
             flags |= pybullet.URDF_USE_SELF_COLLISION
         body = pybullet.createMultiBody(
-            mass,
-            parts[0].shape,
-            NONE,
-            pose.position,
-            pose.quaternion,
-            centre.position,
-            centre.quaternion,
+            *(mass, parts[0].shape, NONE, *astuple(pose), *astuple(centre)),
             linkMasses=[mass for mass, _, _ in masses],
             linkCollisionShapeIndices=[part.shape for part in parts[1:]],
             linkVisualShapeIndices=[NONE for _ in masses],
@@ -165,86 +140,71 @@ class BodyMaker:
             physicsClientId=self._client,
         )
         # Not in one call with what is a link's: these turn any link's index into the root's.
-        free = {"linearDamping": 0.0, "angularDamping": 0.0, "maxJointVelocity": FASTEST}
-        self._change(body, ROOT, **free)
+        self._change(body, ROOT, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=FASTEST)
         for index, (part, (_, moments, _)) in enumerate(zip(parts, inertias), start=ROOT):
-            properties = {**contact_properties(part.link), **_joint_properties(part.joint)}
-            self._change(body, index, localInertiaDiagonal=moments, **properties)
+            properties = {"localInertiaDiagonal": moments, **contact_properties(part.link)}
+            if part.joint:
+                ends = (parts[part.parent].link, part.link)
+                properties.update(joint_properties(part.joint, *ends, self._step))
+            self._change(body, index, **properties)
             if static and index > ROOT:
-                filtered = (body, index, *STATIC_FILTER, self._client)
-                pybullet.setCollisionFilterGroupMask(*filtered)
+                pybullet.setCollisionFilterGroupMask(body, index, *STATIC_FILTER, self._client)
         return body
 
     def _change(self, body: int, index: int, **properties: Any) -> None:
         pybullet.changeDynamics(body, index, physicsClientId=self._client, **properties)
 
     def _shapes(self, link: Link, static: bool) -> List[Tuple[Tuple[Collision, ...], int]]:
-        """Return the shapes of a link in groups, each with PyBullet's id of it."""
-        simple = [shape for shape in link.collisions if type(shape.geometry) in SHAPE_TYPES]
-        found = []
-        for start in range(0, len(simple), MOST_SHAPES):
-            group = tuple(simple[start : start + MOST_SHAPES])
-            key = tuple((shape.geometry, shape.pose) for shape in group)
-            if key not in self._made:
-                columns = _columns(group)
-                self._made[key] = [
-                    pybullet.createCollisionShapeArray(physicsClientId=self._client, **columns)
-                ]
-            found += [(group, made) for made in self._made[key]]
-        for shape in link.collisions:
-            if isinstance(shape.geometry, Mesh):
-                found += [((shape,), made) for made in self._mesh(shape, static)]
-        return found
+        """Return the shapes of a link as PyBullet takes them in one call, with its ids of them."""
+        meshes = [(shape,) for shape in link.collisions if isinstance(shape.geometry, Mesh)]
+        simple = [shape for shape in link.collisions if not isinstance(shape.geometry, Mesh)]
+        starts = range(0, len(simple), MOST_SHAPES)
+        groups = [tuple(simple[start : start + MOST_SHAPES]) for start in starts]
+        return [(group, made) for group in groups + meshes for made in self._once(group, static)]
 
-    def _mesh(self, shape: Collision, static: bool) -> List[int]:
-        """Return PyBullet's ids of the pieces of a mesh: hollow if static, else its hull."""
-        mesh, pose = shape.geometry, shape.pose
-        key = (mesh, file_version(mesh), pose, static)
+    def _once(self, group: Sequence[Collision], static: bool) -> List[int]:
+        """Return PyBullet's ids of a group of shapes, or of the pieces of a mesh."""
+        mesh = group[0].geometry if isinstance(group[0].geometry, Mesh) else None
+        key: Hashable = tuple((shape.geometry, shape.pose) for shape in group)
+        if mesh:
+            key = (key, file_version(mesh), static)
         if key not in self._made:
-            pieces = triangle_corners(mesh) if static else [hull_corners(mesh)]
-            self._made[key] = [self._corners(corners.tolist(), pose, static) for corners in pieces]
+            if mesh:
+                pieces = triangle_corners(mesh) if static else [hull_corners(mesh)]
+                made = [self._mesh(piece.tolist(), group[0].pose, static) for piece in pieces]
+            else:
+                made = [self._simple(group)]
+            self._made[key] = made
         return self._made[key]
 
-    def _corners(self, corners: List[Vector], pose: Pose, static: bool) -> int:
+    def _simple(self, group: Sequence[Collision]) -> int:
+        shapes = [shape.geometry for shape in group]
+        boxes = [shape.size if isinstance(shape, Box) else (0.0, 0.0, 0.0) for shape in shapes]
+        # The description calls shapes as PyBullet does.
+        return pybullet.createCollisionShapeArray(
+            [getattr(pybullet, f"GEOM_{type(shape).__name__.upper()}") for shape in shapes],
+            radii=[getattr(shape, "radius", 0.0) for shape in shapes],
+            halfExtents=[tuple(0.5 * side for side in size) for size in boxes],
+            lengths=[getattr(shape, "length", 0.0) for shape in shapes],
+            planeNormals=[getattr(shape, "normal", (0.0, 0.0, 1.0)) for shape in shapes],
+            collisionFramePositions=[shape.pose.position for shape in group],
+            collisionFrameOrientations=[shape.pose.quaternion for shape in group],
+            physicsClientId=self._client,
+        )
+
+    def _mesh(self, corners: List[Vector], pose: Pose, hollow: bool) -> int:
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_MESH,
             vertices=corners,
             # Without triangles, Bullet takes the convex hull.
-            indices=list(range(len(corners))) if static else [],
+            indices=list(range(len(corners))) if hollow else [],
             collisionFramePosition=pose.position,
             collisionFrameOrientation=pose.quaternion,
             physicsClientId=self._client,
         )
-        if static:
+        if hollow:
             # No skin of 1 mm around triangles. What is set for a root's shape is so for all.
             body = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
             self._change(body, ROOT, collisionMargin=0.0)
             pybullet.removeBody(body, self._client)
         return shape
-
-
-def _joint_properties(joint: Optional[Joint]) -> Dict[str, float]:
-    """Return damping and limits of a joint as PyBullet's properties of the link below it."""
-    if joint is None:
-        return {}
-    properties = {"jointDamping": joint.damping}
-    if joint.kind in ("revolute", "prismatic") and {"lower", "upper"} & set(joint.limits):
-        # A lower limit above the upper one means none, and PyBullet passes over it.
-        properties["jointLowerLimit"] = joint.limits.get("lower", -FAR)
-        properties["jointUpperLimit"] = joint.limits.get("upper", FAR)
-    return properties
-
-
-def _columns(shapes: Sequence[Collision]) -> Dict[str, list]:
-    """Return shapes as PyBullet wants them: one list for each property."""
-    geometries = [shape.geometry for shape in shapes]
-    boxes = [g.size if isinstance(g, Box) else (0.0, 0.0, 0.0) for g in geometries]
-    return {
-        "shapeTypes": [SHAPE_TYPES[type(g)] for g in geometries],
-        "radii": [getattr(g, "radius", 0.0) for g in geometries],
-        "halfExtents": [tuple(0.5 * side for side in size) for size in boxes],
-        "lengths": [getattr(g, "length", 0.0) for g in geometries],
-        "planeNormals": [getattr(g, "normal", (0.0, 0.0, 1.0)) for g in geometries],
-        "collisionFramePositions": [shape.pose.position for shape in shapes],
-        "collisionFrameOrientations": [shape.pose.quaternion for shape in shapes],
-    }

@@ -14,6 +14,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.simulation.bodies import ROOT, BodyMaker, Part, PhysicsError
 from bullet_lab.simulation.description import Joint, Link, Model
 from bullet_lab.simulation.engine import pybullet
+from bullet_lab.simulation.joint_dynamics import allowed_effort, net_motor
 from bullet_lab.simulation.link_contacts import part_the_links, self_colliding
 from bullet_lab.simulation.pose import Pose, Vector, add, cross
 from bullet_lab.simulation.tree import top_down
@@ -155,22 +156,15 @@ class Body:
     def exert(self, joint: str, effort: float) -> None:
         """Turn (N m) or push (N) a joint in the coming step, whatever its motor does besides.
 
-        As in Gazebo, no harder than the joint's effort limit, and not at all in the direction in
-        which it moves faster than its velocity limit. A negative limit is none.
+        As far as the joint's limits of effort and velocity allow.
         """
-        limits = self._joint(joint).limits
-        most, fastest = (limits.get(key, -1.0) for key in ("effort", "velocity"))
-        if most >= 0.0:
-            effort = min(max(effort, -most), most)
-        if fastest >= 0.0:
-            velocity = self.joint_state(joint).velocity
-            if abs(velocity) > fastest and velocity * effort > 0.0:
-                return
+        described = self._joint(joint)
+        velocity = self.joint_state(joint).velocity if "velocity" in described.limits else 0.0
         pybullet.setJointMotorControl2(
             self.unique_id,
             self._joints[joint],
             pybullet.TORQUE_CONTROL,
-            force=effort,
+            force=allowed_effort(described, effort, velocity),
             physicsClientId=self._client,
         )
 
@@ -196,14 +190,13 @@ class Body:
             velocity: that the motor tries to reach, in rad/s or m/s.
             effort: the most that it exerts, in N m or N.
         """
-        friction = max(0.0, self._joint(name).friction)
-        spare = effort + (friction if velocity == 0.0 else -friction)
+        velocity, effort = net_motor(self._joint(name), velocity, effort)
         pybullet.setJointMotorControl2(
             self.unique_id,
             self._joints[name],
             pybullet.VELOCITY_CONTROL,
-            targetVelocity=velocity if spare > 0.0 else 0.0,
-            force=abs(spare),
+            targetVelocity=velocity,
+            force=effort,
             physicsClientId=self._client,
         )
 
@@ -221,7 +214,7 @@ class Body:
             targetVelocity=0.0,
             positionGain=HOLDING_GAIN,
             velocityGain=1.0,
-            force=effort + max(0.0, self._joint(name).friction),
+            force=net_motor(self._joint(name), 0.0, effort)[1],
             physicsClientId=self._client,
         )
 
@@ -281,7 +274,7 @@ class Physics:
         pybullet.setPhysicsEngineParameter(
             deterministicOverlappingPairs=1, physicsClientId=self.client
         )
-        self._maker = BodyMaker(self.client)
+        self._maker = BodyMaker(self.client, STEP_SECONDS)
 
     def close(self) -> None:
         """Give everything back; the object is of no use afterwards."""
