@@ -19,6 +19,7 @@ from bullet_lab.simulation.inertia import principal_axes
 from bullet_lab.simulation.joint_dynamics import joint_properties
 from bullet_lab.simulation.link_contacts import contact_properties, self_colliding
 from bullet_lab.simulation.meshes import file_version, hull_corners, triangle_corners
+from bullet_lab.simulation.native_output import hidden_native_output
 from bullet_lab.simulation.pose import Pose, Vector
 from bullet_lab.simulation.proportions import FASTEST
 
@@ -98,14 +99,15 @@ class BodyMaker:
             MeshError: a mesh is not usable.
             PhysicsError: there are more parts than PyBullet can hold, or PyBullet's refusal.
         """
-        try:
-            parts = self._parts(links, joints, static)
-            if len(parts) - 1 > MOST_LINKS:
-                need = f"its joints and shapes need {len(parts) - 1} links beside the root"
-                raise PhysicsError(f"{need}, and the engine holds {MOST_LINKS}")
-            return self._make(parts, static, pose), parts
-        except pybullet.error as error:
-            raise PhysicsError(f"PyBullet cannot make it: {error}") from error
+        with hidden_native_output():
+            try:
+                parts = self._parts(links, joints, static)
+                if len(parts) - 1 > MOST_LINKS:
+                    need = f"its joints and shapes need {len(parts) - 1} links beside the root"
+                    raise PhysicsError(f"{need}, and the engine holds {MOST_LINKS}")
+                return self._make(parts, static, pose), parts
+            except pybullet.error as error:
+                raise PhysicsError(f"PyBullet cannot make it: {error}") from error
 
     def _parts(self, links: Sequence[Link], joints: Sequence[Joint], static: bool) -> List[Part]:
         above = {joint.child: joint for joint in joints}
