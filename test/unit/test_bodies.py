@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.bodies import MOST_LINKS, PhysicsError
+from bullet_lab.simulation.bodies import MOST_LINKS
 from bullet_lab.simulation.description import (
     Box,
     Collision,
@@ -24,7 +24,7 @@ from bullet_lab.simulation.description import (
     Sphere,
     World,
 )
-from bullet_lab.simulation.engine import pybullet
+from bullet_lab.simulation.engine import PhysicsError, pybullet
 from bullet_lab.simulation.inertia import principal_axes
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.samples import PlanarCommand
@@ -264,8 +264,7 @@ def test_every_shape_of_random_trees_acts(space, cube, seed, static):
             assert found[0] == body.unique_id, (link.name, shape)
             assert shape in body.part_at(found[1]).shapes
             surface = (middle * Pose((0.0, 0.0, height))).position
-            # Bullet's hulls have a skin of 1 mm.
-            assert found[3] == pytest.approx(surface, abs=2.1e-3)
+            assert found[3] == pytest.approx(surface, abs=1e-3)
 
 
 def snake(cube):
@@ -388,6 +387,13 @@ class TestMotion:
         space.run_for(0.2)
         assert body.joint_state("j").position == pytest.approx(0.0, abs=1e-9)
 
+    def test_friction_helps_a_motor_that_holds(self, space, kind, inertia):
+        body = body_of(space, jointed(kind, friction=0.1))
+        body.hold_joint("j", 0.0, 0.3)
+        assert push(space, body, 0.38, 0.5).position == pytest.approx(0.0, abs=1e-6)
+        gained = push(space, body, 0.5, 0.2).velocity
+        assert gained == pytest.approx((0.5 - 0.4) * 0.2 / inertia, rel=1e-6)
+
     def test_no_more_than_the_limit_of_effort(self, space, kind, inertia):
         body = body_of(space, jointed(kind, limits={"effort": 0.2}))
         for effort, exerted in ((9.0, 0.2), (-9.0, -0.2), (0.1, 0.1)):
@@ -484,7 +490,7 @@ def test_any_number_of_shapes_acts(space, cube, count, every, static):
     shapes = row(count, cube, every)
     space.add(Model("comb", (Link("l", Pose(), UNIT, (), shapes),), static=static))
     for number in range(count):
-        assert hits(space, 2.0 * number, 0.1) == pytest.approx(0.5, abs=2e-3)
+        assert hits(space, 2.0 * number, 0.1) == pytest.approx(0.5, abs=2e-4)
         assert hits(space, 2.0 * number + 1.0, 0.1) is None
 
 
@@ -529,17 +535,26 @@ def feet(shape, **properties):
 
 @pytest.mark.parametrize("meshed", [False, True])
 def test_a_helper_stands_and_slides_as_its_link(hall, cube, meshed):
-    """On a floor with friction 1: bodies that stand on the seventeenth of their shapes."""
+    """On a floor with friction 1: bodies that stand on the seventeenth of their shapes.
+
+    Of the frictions of a link's shapes the greatest counts, wherever that shape is.
+    """
     foot = replace(cube, scale=(1.0, 1.0, 0.2)) if meshed else Box((1.0, 1.0, 0.2))
     inertia = Inertia(2.0, (0.0, 0.0, 0.0), 0.2 * np.eye(3))
     for number, friction in enumerate((0.2, 0.5)):
-        shapes = tuple(replace(shape, friction=friction) for shape in feet(foot))
+        shapes = feet(foot)
+        rough = number * (len(shapes) - 1)
+        shapes = tuple(
+            replace(shape, friction=friction if place == rough else 0.05)
+            for place, shape in enumerate(shapes)
+        )
+        plain_foot = replace(shapes[-1], friction=friction)
         bodies = [
             hall.add(
                 Model(f"m{number}{name}", (Link("l", Pose(), inertia, (), own),)),
                 pose=Pose((0.0, 20.0 * number + y, 0.1)),
             ).bodies["l"]
-            for name, own, y in (("helped", shapes, 0.0), ("plain", shapes[-1:], 5.0))
+            for name, own, y in (("helped", shapes, 0.0), ("plain", (plain_foot,), 5.0))
         ]
         helped, plain = bodies
         hall.run_for(0.5)
@@ -547,6 +562,8 @@ def test_a_helper_stands_and_slides_as_its_link(hall, cube, meshed):
         (touching,) = {point[3] for point in helped.near_points()}
         assert helped.part_at(touching).shapes == shapes[-1:]
         for body in bodies:
+            # Bullet's skin of 1 mm around meshes is nearly taken off.
+            assert body.pose().position[2] == pytest.approx(0.1, abs=1.5e-4)
             body.set_velocity((2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         hall.run_for(0.2)
         slower = 2.0 - friction * G * 0.2
@@ -713,6 +730,7 @@ def test_helpers_touch_neither_each_other_nor_their_link_nor_its_neighbours(spac
     model = spinner(shapes, touchy=(0, 1))
     assert positions(space, model) == [0.0]
     assert space.models["spinner"].pose().position == (0.0, 0.0, 0.0)
+    assert pybullet.getContactPoints(physicsClientId=space.client) == ()
 
 
 def test_helpers_touch_other_links_of_their_body_that_want_it(space):
@@ -777,7 +795,7 @@ def test_what_is_static_keeps_its_hollows_and_what_moves_is_convex(space, frame)
     assert hits(space, 0.75, 0.0) == pytest.approx(1.0)
     space.remove("thing")
     space.add(thing(frame))
-    assert hits(space, 0.0, 0.0) == pytest.approx(1.0, abs=0.01)
+    assert hits(space, 0.0, 0.0) == pytest.approx(1.0, abs=2e-4)
 
 
 def test_shapes_of_one_body_are_where_they_belong(space, frame):

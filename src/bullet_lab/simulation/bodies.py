@@ -12,9 +12,8 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass
 from typing import Any, Dict, Hashable, List, Optional, Sequence, Tuple
 
-from bullet_lab.errors import LabError
 from bullet_lab.simulation.description import Box, Collision, Joint, Link, Mesh
-from bullet_lab.simulation.engine import pybullet
+from bullet_lab.simulation.engine import PhysicsError, pybullet
 from bullet_lab.simulation.inertia import principal_axes
 from bullet_lab.simulation.joint_dynamics import joint_properties
 from bullet_lab.simulation.link_contacts import contact_properties, self_colliding
@@ -34,13 +33,11 @@ JOINT_TYPES = {
     "revolute": pybullet.JOINT_REVOLUTE,
     "prismatic": pybullet.JOINT_PRISMATIC,
 }
+# Around convex meshes, in m, instead of Bullet's 1 mm. Without one, most rays go through them.
+SKIN = 1e-4
 HELPER_JOINT = Joint("", "fixed", "", "")
 # Bullet's collision group and mask of what never moves: it touches all but its like.
 STATIC_FILTER = (2, ~2)
-
-
-class PhysicsError(LabError):
-    """PyBullet refused something."""
 
 
 @dataclass(frozen=True)
@@ -61,26 +58,21 @@ class Part:
     shapes: Tuple[Collision, ...] = ()
     shape: int = NONE
 
-    @property
-    def helper(self) -> bool:
-        """Whether it only carries shapes of its link."""
-        return self.joint is HELPER_JOINT
-
     def mass_properties(self) -> Tuple[float, Vector, Pose]:
         """Return mass in kg, principal moments in kg m², and the pose of the principal frame."""
-        if self.helper or self.link.inertia is None:
+        if self.joint is HELPER_JOINT or self.link.inertia is None:
             return 0.0, (0.0, 0.0, 0.0), Pose()
         return (self.link.inertia.mass, *principal_axes(self.link.inertia))
 
 
 class BodyMaker:
-    """Makes the bodies of one PyBullet client, which is stepped by `step` seconds."""
+    """Makes the bodies of one PyBullet client."""
 
-    def __init__(self, client: int, step: float):
+    def __init__(self, client: int):
         self._client = client
-        self._step = step
         self._made: Dict[Hashable, List[int]] = {}
 
+    @hidden_native_output()
     def make(
         self, links: Sequence[Link], joints: Sequence[Joint], static: bool, pose: Pose
     ) -> Tuple[int, List[Part]]:
@@ -99,15 +91,14 @@ class BodyMaker:
             MeshError: a mesh is not usable.
             PhysicsError: there are more parts than PyBullet can hold, or PyBullet's refusal.
         """
-        with hidden_native_output():
-            try:
-                parts = self._parts(links, joints, static)
-                if len(parts) - 1 > MOST_LINKS:
-                    need = f"its joints and shapes need {len(parts) - 1} links beside the root"
-                    raise PhysicsError(f"{need}, and the engine holds {MOST_LINKS}")
-                return self._make(parts, static, pose), parts
-            except pybullet.error as error:
-                raise PhysicsError(f"PyBullet cannot make it: {error}") from error
+        try:
+            parts = self._parts(links, joints, static)
+            if len(parts) - 1 > MOST_LINKS:
+                need = f"its joints and shapes need {len(parts) - 1} links beside the root"
+                raise PhysicsError(f"{need}, and the engine holds {MOST_LINKS}")
+            return self._make(parts, static, pose), parts
+        except pybullet.error as error:
+            raise PhysicsError(f"PyBullet cannot make it: {error}") from error
 
     def _parts(self, links: Sequence[Link], joints: Sequence[Joint], static: bool) -> List[Part]:
         above = {joint.child: joint for joint in joints}
@@ -144,11 +135,10 @@ class BodyMaker:
         # Not in one call with what is a link's: these turn any link's index into the root's.
         self._change(body, ROOT, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=FASTEST)
         for index, (part, (_, moments, _)) in enumerate(zip(parts, inertias), start=ROOT):
-            properties = {"localInertiaDiagonal": moments, **contact_properties(part.link)}
+            given = {"localInertiaDiagonal": moments, **contact_properties(part.link)}
             if part.joint:
-                ends = (parts[part.parent].link, part.link)
-                properties.update(joint_properties(part.joint, *ends, self._step))
-            self._change(body, index, **properties)
+                given.update(joint_properties(part.joint, parts[part.parent].link, part.link))
+            self._change(body, index, **given)
             if static and index > ROOT:
                 pybullet.setCollisionFilterGroupMask(body, index, *STATIC_FILTER, self._client)
         return body
@@ -166,17 +156,15 @@ class BodyMaker:
 
     def _once(self, group: Sequence[Collision], static: bool) -> List[int]:
         """Return PyBullet's ids of a group of shapes, or of the pieces of a mesh."""
-        mesh = group[0].geometry if isinstance(group[0].geometry, Mesh) else None
         key: Hashable = tuple((shape.geometry, shape.pose) for shape in group)
-        if mesh:
+        mesh, pose = group[0].geometry, group[0].pose
+        if isinstance(mesh, Mesh):
             key = (key, file_version(mesh), static)
-        if key not in self._made:
-            if mesh:
+            if key not in self._made:
                 pieces = triangle_corners(mesh) if static else [hull_corners(mesh)]
-                made = [self._mesh(piece.tolist(), group[0].pose, static) for piece in pieces]
-            else:
-                made = [self._simple(group)]
-            self._made[key] = made
+                self._made[key] = [self._mesh(corners.tolist(), pose, static) for corners in pieces]
+        elif key not in self._made:
+            self._made[key] = [self._simple(group)]
         return self._made[key]
 
     def _simple(self, group: Sequence[Collision]) -> int:
@@ -204,9 +192,8 @@ class BodyMaker:
             collisionFrameOrientation=pose.quaternion,
             physicsClientId=self._client,
         )
-        if hollow:
-            # No skin of 1 mm around triangles. What is set for a root's shape is so for all.
-            body = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
-            self._change(body, ROOT, collisionMargin=0.0)
-            pybullet.removeBody(body, self._client)
+        # What is set for a shape of one body's root is so for all that have it.
+        body = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
+        self._change(body, ROOT, collisionMargin=0.0 if hollow else SKIN)
+        pybullet.removeBody(body, self._client)
         return shape

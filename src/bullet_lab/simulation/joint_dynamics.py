@@ -6,13 +6,14 @@ from typing import Dict, Tuple
 
 from bullet_lab.simulation.description import Joint, Link
 from bullet_lab.simulation.inertia import mobility
+from bullet_lab.simulation.schedule import STEPS_PER_SECOND
 
 # Where a joint that is limited on one side ends on the other, as in SDF.
 FAR = 1e16
 LIMITED = ("revolute", "prismatic")
 
 
-def joint_properties(joint: Joint, parent: Link, child: Link, step: float) -> Dict[str, float]:
+def joint_properties(joint: Joint, parent: Link, child: Link) -> Dict[str, float]:
     """Return damping and limits of a joint as PyBullet's properties of the link below it.
 
     PyBullet takes the damping of a step from the velocity before it. A strong damper on a light
@@ -23,12 +24,11 @@ def joint_properties(joint: Joint, parent: Link, child: Link, step: float) -> Di
         joint: to be described.
         parent: the link that carries it.
         child: the link below it.
-        step: of the simulation, in s.
     """
     properties = {"jointDamping": joint.damping}
-    loose = _mobility(joint, parent, child)
+    loose = _mobility(joint, parent, child) if joint.damping > 0.0 else 0.0
     if loose > 0.0:
-        properties["jointDamping"] = min(joint.damping, 1.0 / (loose * step))
+        properties["jointDamping"] = min(joint.damping, STEPS_PER_SECOND / loose)
     if joint.kind in LIMITED and {"lower", "upper"} & set(joint.limits):
         # A lower limit above the upper one means none, and PyBullet passes over it.
         properties["jointLowerLimit"] = joint.limits.get("lower", -FAR)

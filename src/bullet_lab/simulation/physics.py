@@ -11,9 +11,9 @@ from functools import partial
 from typing import Dict, List, Sequence, Tuple
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.bodies import ROOT, BodyMaker, Part, PhysicsError
+from bullet_lab.simulation.bodies import HELPER_JOINT, ROOT, BodyMaker, Part
 from bullet_lab.simulation.description import Joint, Link, Model
-from bullet_lab.simulation.engine import pybullet
+from bullet_lab.simulation.engine import PhysicsError, pybullet
 from bullet_lab.simulation.joint_dynamics import allowed_effort, net_motor
 from bullet_lab.simulation.link_contacts import part_the_links, self_colliding
 from bullet_lab.simulation.pose import Pose, Vector, add, cross
@@ -55,7 +55,7 @@ class Body:
     def __init__(self, client: int, unique_id: int, parts: Sequence[Part]):
         self.unique_id = unique_id
         self.parts = tuple(parts)
-        self.links = tuple(part.link for part in parts if not part.helper)
+        self.links = tuple(part.link for part in parts if part.joint is not HELPER_JOINT)
         self._client = client
         # Called at every step: bound once, in C.
         self.com_place = partial(pybullet.getBasePositionAndOrientation, unique_id, client)
@@ -274,7 +274,7 @@ class Physics:
         pybullet.setPhysicsEngineParameter(
             deterministicOverlappingPairs=1, physicsClientId=self.client
         )
-        self._maker = BodyMaker(self.client, STEP_SECONDS)
+        self._maker = BodyMaker(self.client)
 
     def close(self) -> None:
         """Give everything back; the object is of no use afterwards."""
