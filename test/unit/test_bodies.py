@@ -449,6 +449,45 @@ class TestMotion:
         assert body.joint_state("j").position == pytest.approx(0.0 + 150.0 * 0.1, rel=2.0)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_a_random_joint_moves_as_it_is_described(space, seed):
+    """Effort, inertia about an axis anywhere, damping, friction and limit of effort in one."""
+    chance = random.Random(seed)
+    kind, axis, child = chance.choice(KINDS[1:]), some_axis(chance), some_inertia(chance)
+    inertia = child.mass
+    if kind != "prismatic":
+        x, centre = np.array(axis), np.array(child.centre)
+        arm = centre @ centre - (x @ centre) ** 2
+        inertia = float(x @ child.matrix @ x) + child.mass * arm
+    most, damping, friction = chance.uniform(2, 3), chance.uniform(0, 1), chance.uniform(0, 1)
+    model = jointed(kind)
+    joint = replace(model.joints[0], axis=axis, pose=some_pose(chance, 2.0), damping=damping,
+                    friction=friction, limits={"effort": most})  # fmt: skip
+    links = (model.links[0], replace(model.links[1], inertia=child))
+    effort, velocity, position = chance.uniform(2.0, 4.0), 0.0, 0.0
+    found = push(space, body_of(space, replace(model, links=links, joints=(joint,))), effort, 0.2)
+    for _ in range(200):
+        velocity += 0.001 / inertia * (min(effort, most) - damping * velocity - friction)
+        position += 0.001 * velocity
+    assert found.velocity == pytest.approx(velocity, rel=1e-6)
+    assert found.position == pytest.approx(position, rel=1e-6)
+
+
+def test_no_joint_of_a_long_chain_passes_its_ends(space, cube):
+    model = snake(cube)
+    body = body_of(space, model)
+    limited = [joint.name for joint in model.joints if joint.kind in ("revolute", "prismatic")]
+    for name in limited:
+        body.drive_joint(name, 1.0, 0.2)
+    farthest = []
+    for _ in range(100):
+        space.run_for(0.01)
+        farthest.append([abs(body.joint_state(name).position) for name in limited])
+    reached = np.max(farthest, axis=0)
+    assert np.max(reached) < 0.101
+    assert np.median(reached) > 0.099
+
+
 def test_a_continuous_joint_has_no_ends(space):
     body = body_of(space, jointed("continuous", limits={"lower": -0.1, "upper": 0.1}))
     assert push(space, body, 1.0, 1.0).position > 2.0

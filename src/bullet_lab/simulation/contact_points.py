@@ -36,7 +36,7 @@ class ContactPoint:
 def contact_points(body: Body, link: str) -> List[ContactPoint]:
     """Return the points where a link touches something; none if the body has no such link."""
     own = [(body.unique_id, index) for index in body.link_indices(link)]
-    if not body.near_points():
+    if not any(body.near_points(linkIndexA=index) for _, index in own):
         return []
     # All of the world's: asked for one body, PyBullet turns points round to have it first, but
     # not their friction.
