@@ -34,7 +34,7 @@ class ContactPoint:
 
 
 def contact_points(body: Body, link: str) -> List[ContactPoint]:
-    """Return the points where a link touches something; none if the body has no such link."""
+    """Return the points where a link touches something, by its name."""
     own = [(body.unique_id, index) for index in body.link_indices(link)]
     if not any(body.near_points(linkIndexA=index) for _, index in own):
         return []

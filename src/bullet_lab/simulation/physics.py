@@ -46,10 +46,15 @@ class Body:
     rad/s in the world; `near_points()` returns PyBullet's tuples of contact points. All three
     go without a detour, for the inner loop.
 
+    Attributes:
+        unique_id: PyBullet's number of it.
+        parts: what is a link to PyBullet, in its order; its index of the first, the root, is -1.
+        links: of the description, the root first.
+
     Args:
         client: PyBullet's, that it lives in.
         unique_id: PyBullet's number of it.
-        parts: that it consists of, the root first; PyBullet's index of the root is -1.
+        parts: that it consists of, the root first.
     """
 
     def __init__(self, client: int, unique_id: int, parts: Sequence[Part]):
@@ -233,8 +238,7 @@ class Body:
                 self.unique_id, index, frictionAnchor=int(sticking), physicsClientId=self._client
             )
             if sticking:
-                # Only new points of contact stick: setting the filter, to what it is, drops the
-                # old.
+                # Only new points stick: setting the filter, to what it is, drops the old.
                 pybullet.setCollisionFilterGroupMask(
                     self.unique_id, index, *FREE_BODY_FILTER, physicsClientId=self._client
                 )
