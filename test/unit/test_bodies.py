@@ -488,6 +488,18 @@ def test_no_joint_of_a_long_chain_passes_its_ends(space, cube):
     assert np.median(reached) > 0.099
 
 
+def test_a_strong_damper_between_light_links_does_not_swing_up(space):
+    """The joint turns about the thin axis of the rod that carries it."""
+    rod, ball = (Inertia(1.0, (0, 0, 0), np.diag(d)) for d in ((0.1, 0.1, 1e-3), (0.2, 0.2, 0.2)))
+    turned = Pose.from_rpy((0.0, 0.0, 0.1), (0.0, -0.5 * np.pi, 0.0))
+    joint = Joint("j", "revolute", "rod", "ball", turned, (1.0, 0.0, 0.0), damping=1e3)
+    model = Model("m", (Link("rod", inertia=rod), Link("ball", inertia=ball)), (joint,))
+    body = body_of(space, model)
+    body.set_joint("j", 0.0, 0.1)
+    space.run_for(0.05)
+    assert abs(body.joint_state("j").velocity) < 1e-6
+
+
 def test_a_continuous_joint_has_no_ends(space):
     body = body_of(space, jointed("continuous", limits={"lower": -0.1, "upper": 0.1}))
     assert push(space, body, 1.0, 1.0).position > 2.0
