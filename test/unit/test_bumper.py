@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,6 +64,21 @@ def test_a_crate_on_the_floor_is_carried_by_it():
         assert normal == pytest.approx((0, 0, 1), abs=1e-6)
         assert 0.0 < depth < 1e-4
     assert sample.frame == "world"
+
+
+def test_shapes_beyond_what_the_engine_takes_at_once_are_felt():
+    """The crate's floor is the last of twenty shapes; the others are in the air."""
+    model = bumper()
+    (link,) = model.links
+    small = tuple(
+        Collision(Box((0.01, 0.01, 0.01)), Pose((0.0, 0.01 * n - 0.1, 0.0)), name=f"c{n}")
+        for n in range(19)
+    )
+    bottom = Collision(Box((0.2, 0.2, 0.02)), Pose((0.0, 0.0, -0.09)), name="bottom")
+    model = replace(model, links=(replace(link, collisions=(*small, bottom)),))
+    (contact,) = run(model)[-1].contacts
+    assert contact.first == "crate::base::bottom"
+    assert total(contact.forces) == pytest.approx((0, 0, MASS * G), rel=1e-3, abs=1e-2)
 
 
 def test_in_the_air_it_touches_nothing():

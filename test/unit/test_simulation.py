@@ -196,9 +196,10 @@ def test_half_a_model_does_not_stay(world, tmp_path):
     (tmp_path / "bad.stl").write_text("nonsense")
     bad = Mesh(tmp_path / "bad.stl", "bad.stl")
     good, weightless = thing().links[0], Link("other")
-    broken = Link("other", inertia=UNIT, visuals=(Visual(bad),))
+    invisible = Link("other", inertia=UNIT, visuals=(Visual(bad),))
+    broken = Link("other", inertia=UNIT, collisions=(Collision(bad),))
     count = bodies(world)
-    for second, error in ((weightless, PhysicsError), (broken, MeshError)):
+    for second, error in ((weightless, PhysicsError), (invisible, MeshError), (broken, MeshError)):
         with pytest.raises(error):
             world.add(Model("m", (good, second)))
         assert bodies(world) == count

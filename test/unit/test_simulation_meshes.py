@@ -8,7 +8,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.simulation import meshes
 from bullet_lab.simulation.description import Mesh, Model
 from bullet_lab.simulation.engine import pybullet
-from bullet_lab.simulation.meshes import MeshError, Triangles, load_triangles, write_obj
+from bullet_lab.simulation.meshes import MeshError, load_triangles
 from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.samples import PlanarCommand
 from bullet_lab.simulation.urdf_reader import read_urdf_file
@@ -198,13 +198,46 @@ def test_missing_and_huge_files(tmp_path, monkeypatch):
         load_triangles(Mesh(tmp_path / "huge.stl", ""))
 
 
-def test_written_meshes_are_read_back_and_shared(tmp_path):
-    triangles = Triangles(np.array(CORNERS, float) / 3, np.array([[0, 1, 2]]))
-    path = write_obj(triangles, tmp_path)
-    assert write_obj(triangles, tmp_path) == path
-    other = write_obj(Triangles(2 * triangles.vertices, triangles.faces), tmp_path)
-    assert other != path
-    assert load_triangles(Mesh(path, "")).vertices == pytest.approx(triangles.vertices)
+def stored(vertices, folder):
+    """A mesh file with a triangle for each three of the vertices."""
+    lines = ["v " + " ".join(map(repr, vertex)) for vertex in np.asarray(vertices).tolist()]
+    lines += [f"f {i} {i + 1} {i + 2}" for i in range(1, len(lines), 3)]
+    path = folder / "mesh.obj"
+    path.write_text("\n".join(lines) + "\n")
+    return Mesh(path, "")
+
+
+def random_ball(count):
+    points = np.random.default_rng(3).normal(size=(count, 3))
+    points *= (0.3, 2.0, 40.0) / np.linalg.norm(points, axis=1, keepdims=True)
+    return points
+
+
+def test_a_hull_has_each_corner_once(tmp_path):
+    mesh = stored(CORNERS + CORNERS[::-1], tmp_path)
+    assert sorted(meshes.hull_corners(mesh).tolist()) == sorted(CORNERS)
+
+
+def test_a_hull_of_too_many_corners_is_the_same_to_a_thousandth(tmp_path, monkeypatch):
+    monkeypatch.setattr(meshes, "MOST_CORNERS", 20_000)
+    points = random_ball(30_000)
+    mesh = stored(points, tmp_path)
+    corners = meshes.hull_corners(mesh)
+    assert len(corners) <= 20_000
+    assert {*map(tuple, corners.tolist())} <= {*map(tuple, points.tolist())}
+    for direction in np.random.default_rng(4).normal(size=(50, 3)):
+        direction /= np.linalg.norm(direction)
+        reach = (points @ direction).max()
+        assert 0.0 <= reach - (corners @ direction).max() <= 1e-3 * reach
+
+
+def test_triangles_in_pieces(tmp_path, monkeypatch):
+    monkeypatch.setattr(meshes, "MOST_CORNERS", 8)
+    points = random_ball(12)
+    mesh = stored(points, tmp_path)
+    pieces = meshes.triangle_corners(mesh)
+    assert [len(piece) for piece in pieces] == [6, 6]
+    assert np.array_equal(np.concatenate(pieces), points)
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ class ContactPoint:
     """One point of contact in the last step, in the world.
 
     Attributes:
+        index: PyBullet's index of the link, or of the helper that carries what touches.
         other: unique id of the other body, and PyBullet's index of its link.
         place: on the link, in m.
         place_on_other: on the other link, in m.
@@ -23,6 +24,7 @@ class ContactPoint:
         force: on this link, friction included, in N.
     """
 
+    index: int
     other: Tuple[int, int]
     place: Vector
     place_on_other: Vector
@@ -31,23 +33,15 @@ class ContactPoint:
     force: Vector
 
 
-def contact_points(body: Body, index: int) -> List[ContactPoint]:
-    """Return the points where a link touches something.
-
-    Args:
-        body: whose link it is.
-        index: PyBullet's index of the link.
-    """
-    own = (body.unique_id, index)
-    near = pybullet.getContactPoints(
-        bodyA=body.unique_id, linkIndexA=index, physicsClientId=body.client
-    )
-    if not near:
+def contact_points(body: Body, link: str) -> List[ContactPoint]:
+    """Return the points where a link touches something, by its name."""
+    own = [(body.unique_id, index) for index in body.link_indices(link)]
+    if not any(body.near_points(linkIndexA=index) for _, index in own):
         return []
     # All of the world's: asked for one body, PyBullet turns points round to have it first, but
     # not their friction.
     everything = pybullet.getContactPoints(physicsClientId=body.client)
-    return [_seen_from(point, own) for point in everything if _concerns(point, own)]
+    return [_seen_from(point, end) for point in everything for end in own if _concerns(point, end)]
 
 
 def _concerns(point: tuple, own: Tuple[int, int]) -> bool:
@@ -67,9 +61,10 @@ def _seen_from(point: tuple, own: Tuple[int, int]) -> ContactPoint:
     )
     if own == (first, first_link):
         return ContactPoint(
-            (second, second_link), on_first, on_second, normal, -distance, force
+            first_link, (second, second_link), on_first, on_second, normal, -distance, force
         )
     return ContactPoint(
+        second_link,
         (first, first_link),
         on_second,
         on_first,

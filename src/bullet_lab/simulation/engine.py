@@ -1,4 +1,4 @@
-"""The one place that imports PyBullet."""
+"""The one place that imports PyBullet, and how it fails."""
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.native_output import hidden_native_output
@@ -6,6 +6,10 @@ from bullet_lab.simulation.native_output import hidden_native_output
 
 class EngineMissingError(LabError):
     """PyBullet is not installed for this Python."""
+
+
+class PhysicsError(LabError):
+    """PyBullet refused something."""
 
 
 try:
@@ -19,4 +23,4 @@ except ImportError as error:
         "or 'pip install pybullet'"
     ) from error
 
-__all__ = ["EngineMissingError", "pybullet"]
+__all__ = ["EngineMissingError", "PhysicsError", "pybullet"]

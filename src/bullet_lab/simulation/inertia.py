@@ -7,7 +7,7 @@ from typing import Sequence, Tuple
 import numpy as np
 
 from bullet_lab.simulation.description import Inertia
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.pose import Pose, Vector
 from bullet_lab.simulation.xml_input import XmlError
 
 # Rounded figures in a file miss the limits of what is physical by this much at most.
@@ -63,6 +63,19 @@ def combine(parts: Sequence[Tuple[Inertia, Pose]]) -> Inertia:
         steiner = inertia.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
         matrix += turn @ inertia.matrix @ turn.T + steiner
     return Inertia(float(mass), tuple(float(value) for value in centre), matrix)
+
+
+def mobility(inertia: Inertia, axis: Vector, turning: bool) -> float:
+    """Return the acceleration of a free body per torque about an axis, or per force along it.
+
+    Args:
+        inertia: of the body, with a mass.
+        axis: a unit vector in the axes of the inertia.
+        turning: whether it is a torque.
+    """
+    if not turning:
+        return 1.0 / inertia.mass
+    return float(np.dot(axis, np.linalg.solve(inertia.matrix, axis)))
 
 
 def principal_axes(inertia: Inertia) -> Tuple[Tuple[float, float, float], Pose]:

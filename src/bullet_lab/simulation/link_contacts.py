@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
-from typing import TYPE_CHECKING, Sequence
+from typing import TYPE_CHECKING, Dict, Iterable
 
 from bullet_lab.simulation.description import Link
 from bullet_lab.simulation.engine import pybullet
@@ -16,45 +16,46 @@ HARD = 1e18
 DEFAULT_DAMPING = 0.1
 
 
-def soften_contacts(body: Body) -> None:
-    """Make springs of the contacts of links whose shapes have a stiffness or damping.
+def contact_properties(link: Link) -> Dict[str, float]:
+    """Return friction, stiffness and damping of a link's contacts as PyBullet's properties.
 
-    Bullet knows links only: the softest shape decides. The spring and damper are solved
-    implicitly, as in ODE, so that stiff ones do not blow up.
+    PyBullet knows links only: the roughest and the softest shape decide. Shapes with a stiffness
+    or damping touch as a spring and damper, which are solved implicitly, as in ODE, so that stiff
+    ones do not blow up.
     """
-    for link in body.links:
-        stiffness = [c.stiffness for c in link.collisions if c.stiffness is not None]
-        damping = [c.damping for c in link.collisions if c.damping is not None]
-        if stiffness or damping:
-            pybullet.changeDynamics(
-                body.unique_id,
-                body.link_index(link.name),
-                contactStiffness=min(stiffness, default=HARD),
-                contactDamping=max(damping, default=DEFAULT_DAMPING),
-                physicsClientId=body.client,
-            )
+    properties = {"lateralFriction": max((c.friction for c in link.collisions), default=1.0)}
+    stiffness = [c.stiffness for c in link.collisions if c.stiffness is not None]
+    damping = [c.damping for c in link.collisions if c.damping is not None]
+    if stiffness or damping:
+        properties["contactStiffness"] = min(stiffness, default=HARD)
+        properties["contactDamping"] = max(damping, default=DEFAULT_DAMPING)
+    return properties
 
 
-def self_colliding(links: Sequence[Link]) -> bool:
+def self_colliding(links: Iterable[Link]) -> bool:
     """Return whether any link touches others of its own body."""
     return any(link.self_collide for link in links)
 
 
-def spare_the_others(body: Body) -> None:
-    """Keep links of a self-colliding body apart that are not to touch each other.
+def part_the_links(body: Body) -> None:
+    """Say which links of a self-colliding body touch each other, and which do not.
 
-    As in Gazebo, two links touch if one of them says so.
+    As in Gazebo, two links touch if one of them says so, but never over a joint.
     """
-    for one, other in combinations(body.links, 2):
-        if not (one.self_collide or other.self_collide):
-            pybullet.setCollisionFilterPair(
-                body.unique_id,
-                body.unique_id,
-                body.link_index(one.name),
-                body.link_index(other.name),
-                0,
-                physicsClientId=body.client,
-            )
+    joined = {(part.joint.parent, part.link.name) for part in body.parts if part.joint}
+    for (first, one), (second, other) in combinations(enumerate(body.parts, start=-1), 2):
+        names = (one.link.name, other.link.name)
+        apart = names[0] == names[1] or names in joined or names[::-1] in joined
+        touchy = one.link.self_collide or other.link.self_collide
+        # Of every pair: PyBullet remembers what was said of a body that had this id before.
+        pybullet.setCollisionFilterPair(
+            body.unique_id,
+            body.unique_id,
+            first,
+            second,
+            int(touchy and not apart),
+            physicsClientId=body.client,
+        )
 
 
 def use_friction_pyramid(body: Body) -> None:

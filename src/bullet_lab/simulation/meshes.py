@@ -1,26 +1,29 @@
-"""Mesh files, made ready for PyBullet and measured."""
+"""Mesh files, read and made ready for PyBullet."""
 
 from __future__ import annotations
 
 import functools
-import hashlib
 import re
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Tuple
+from typing import List, Tuple
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.description import Mesh
+from bullet_lab.simulation.description import Mesh, Model
 from bullet_lab.simulation.xml_input import number, parse_text, read_text
 
 KNOWN_SUFFIXES = (".dae", ".stl", ".obj")
 MAXIMUM_BYTES = 200_000_000
 # Meshes that are kept as they were read, since many models may share one.
 CACHED_MESHES = 16
+# PyBullet takes so many corners in one call.
+MOST_CORNERS = 131_072
+# That corners of a larger convex hull are looked for in.
+DIRECTIONS = 4096
 UNUSABLE_NUMBER = re.compile(r"nan|inf", re.IGNORECASE)
 COLLADA = "{http://www.collada.org/2005/11/COLLADASchema}"
 
@@ -48,16 +51,16 @@ def load_triangles(mesh: Mesh) -> Triangles:
             are not finite.
         XmlError: a COLLADA file that is missing, not well-formed or has a document type.
     """
-    return _load(mesh, file_version(mesh.path))
+    return _load(mesh, file_version(mesh))
 
 
-def file_version(path: Path) -> Tuple[int, int]:
-    """Return what tells a file from what it was before it was written anew; zeros for no file."""
+def file_version(mesh: Mesh) -> Tuple[int, int]:
+    """Return what changes when the file of a mesh does: its time (ns) and its size (bytes)."""
     try:
-        found = path.stat()
+        found = mesh.path.stat()
     except OSError:
-        return 0, 0
-    return found.st_mtime_ns, found.st_size
+        return (0, 0)
+    return (found.st_mtime_ns, found.st_size)
 
 
 @functools.lru_cache(maxsize=CACHED_MESHES)
@@ -77,18 +80,50 @@ def _load(mesh: Mesh, _version: Tuple[int, int]) -> Triangles:
     return Triangles(vertices, faces)
 
 
-def write_obj(triangles: Triangles, folder: Path) -> Path:
-    """Write a mesh as a Wavefront .obj into a folder and return the file.
+def check_visible_meshes(model: Model) -> None:
+    """Refuse a model that could not be drawn; raises as `load_triangles`."""
+    for link in model.links:
+        for visual in link.visuals:
+            if isinstance(visual.geometry, Mesh):
+                load_triangles(visual.geometry)
 
-    The name follows from the content, so equal meshes share one file.
+
+def hull_corners(mesh: Mesh) -> np.ndarray:
+    """Return corners (n, 3) that have the same convex hull as a mesh, as many as Bullet takes.
+
+    Bullet itself drops those within the hull. Of a mesh with too many, those stay that are
+    farthest in one of many directions, which is the same to a thousandth of its size.
+
+    Raises:
+        MeshError, XmlError: as `load_triangles`.
     """
-    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in triangles.vertices.tolist()]
-    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in triangles.faces.tolist()]
-    text = "\n".join(lines) + "\n"
-    path = folder / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}.obj"
-    if not path.exists():
-        path.write_text(text)
-    return path
+    corners = np.unique(load_triangles(mesh).vertices, axis=0)
+    if len(corners) <= MOST_CORNERS:
+        return corners
+    spans = np.ptp(corners, axis=0)
+    round_ = (corners / np.where(spans > 0.0, spans, 1.0)).T
+    blocks = np.array_split(_directions(), DIRECTIONS // 32)
+    return corners[np.unique([np.argmax(block @ round_, axis=1) for block in blocks])]
+
+
+def triangle_corners(mesh: Mesh) -> List[np.ndarray]:
+    """Return a mesh in pieces that Bullet takes: corners (n, 3), three for each triangle.
+
+    Raises:
+        MeshError, XmlError: as `load_triangles`.
+    """
+    triangles = load_triangles(mesh)
+    corners = triangles.vertices[triangles.faces.ravel()]
+    piece = MOST_CORNERS // 3 * 3
+    return [corners[start : start + piece] for start in range(0, len(corners), piece)]
+
+
+def _directions() -> np.ndarray:
+    """Return unit vectors that are spread evenly, shape (DIRECTIONS, 3): Fibonacci's sphere."""
+    number = np.arange(DIRECTIONS) + 0.5
+    height, turn = 1.0 - 2.0 * number / DIRECTIONS, number * np.pi * (3.0 - np.sqrt(5.0))
+    level = np.sqrt(1.0 - height * height)
+    return np.column_stack((level * np.cos(turn), level * np.sin(turn), height))
 
 
 def _read(path: Path, suffix: str) -> Tuple[np.ndarray, np.ndarray]:

@@ -6,36 +6,26 @@ client, so several simulations can live in one process.
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from typing import Dict, List, Mapping, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.bullet_urdf import body_urdf
+from bullet_lab.simulation.bodies import HELPER_JOINT, ROOT, BodyMaker, Part
 from bullet_lab.simulation.description import Joint, Link, Model
-from bullet_lab.simulation.engine import pybullet
-from bullet_lab.simulation.inertia import principal_axes
-from bullet_lab.simulation.link_contacts import (
-    self_colliding,
-    soften_contacts,
-    spare_the_others,
-)
-from bullet_lab.simulation.native_output import hidden_native_output
+from bullet_lab.simulation.engine import PhysicsError, pybullet
+from bullet_lab.simulation.joint_dynamics import allowed_effort, net_motor
+from bullet_lab.simulation.link_contacts import part_the_links, self_colliding
 from bullet_lab.simulation.pose import Pose, Vector, add, cross
-from bullet_lab.simulation.shared_shapes import SharedShapes, can_share
 from bullet_lab.simulation.tree import top_down
+
+__all__ = ["STEP_SECONDS", "Body", "JointState", "Physics", "PhysicsError"]
 
 STEP_SECONDS = 1e-3
 # What part of its distance from the held position a joint is brought back in one step.
 HOLDING_GAIN = 0.1
 # Bullet's collision group and mask of all that moves: it collides with everything.
 FREE_BODY_FILTER = (1, -1)
-
-
-class PhysicsError(LabError):
-    """PyBullet refused something."""
 
 
 @dataclass(frozen=True)
@@ -56,18 +46,21 @@ class Body:
     rad/s in the world; `near_points()` returns PyBullet's tuples of contact points. All three
     go without a detour, for the inner loop.
 
+    Attributes:
+        unique_id: PyBullet's number of it.
+        parts: what is a link to PyBullet, in its order; its index of the first, the root, is -1.
+        links: of the description, the root first.
+
     Args:
         client: PyBullet's, that it lives in.
         unique_id: PyBullet's number of it.
-        links: that it consists of, the root first.
-        names: of its links and joints, by those that PyBullet knows them by where they differ.
+        parts: that it consists of, the root first.
     """
 
-    def __init__(
-        self, client: int, unique_id: int, links: List[Link], names: Mapping[str, str]
-    ):
+    def __init__(self, client: int, unique_id: int, parts: Sequence[Part]):
         self.unique_id = unique_id
-        self.links = tuple(links)
+        self.parts = tuple(parts)
+        self.links = tuple(part.link for part in parts if part.joint is not HELPER_JOINT)
         self._client = client
         # Called at every step: bound once, in C.
         self.com_place = partial(pybullet.getBasePositionAndOrientation, unique_id, client)
@@ -77,20 +70,16 @@ class Body:
         self.near_points = partial(
             pybullet.getContactPoints, unique_id, physicsClientId=client
         )
-        root = links[0].inertia
-        self._com = Pose() if root is None else principal_axes(root)[1]
+        self._com = self.parts[0].mass_properties()[2]
         self._com_inverse = self._com.inverse()
-        infos = [
-            pybullet.getJointInfo(unique_id, index, client)
-            for index in range(pybullet.getNumJoints(unique_id, client))
-        ]
-        joints, below = ([info[place].decode() for info in infos] for place in (1, 12))
-        self._joints = {names.get(name, name): index for index, name in enumerate(joints)}
-        self._links = {names.get(name, name): index for index, name in enumerate(below)}
-        self._free_the_joints()
-        self._remove_damping()
-        for link in links:
-            self._set_friction(link)
+        self._links: Dict[str, Tuple[int, ...]] = {}
+        self._joints: Dict[str, int] = {}
+        for index, part in enumerate(parts, start=ROOT):
+            self._links[part.link.name] = (*self._links.get(part.link.name, ()), index)
+            if part.joint and part.joint.kind != "fixed":
+                self._joints[part.joint.name] = index
+                # PyBullet holds every joint still with a motor until told otherwise.
+                self.drive_joint(part.joint.name, 0.0, 0.0)
 
     @property
     def client(self) -> int:
@@ -170,12 +159,17 @@ class Body:
         pybullet.applyExternalTorque(self.unique_id, index, torque, world, self._client)
 
     def exert(self, joint: str, effort: float) -> None:
-        """Turn (N m) or push (N) a joint in the coming step, whatever its motor does besides."""
+        """Turn (N m) or push (N) a joint in the coming step, whatever its motor does besides.
+
+        As far as the joint's limits of effort and velocity allow.
+        """
+        described = self._joint(joint)
+        velocity = self.joint_state(joint).velocity if "velocity" in described.limits else 0.0
         pybullet.setJointMotorControl2(
             self.unique_id,
             self._joints[joint],
             pybullet.TORQUE_CONTROL,
-            force=effort,
+            force=allowed_effort(described, effort, velocity),
             physicsClientId=self._client,
         )
 
@@ -194,11 +188,14 @@ class Body:
     def drive_joint(self, name: str, velocity: float, effort: float) -> None:
         """Let a motor turn a joint from now on; raises KeyError for an unknown name.
 
+        The joint's friction helps a motor that stops it and hinders one that moves it.
+
         Args:
             name: of the joint.
             velocity: that the motor tries to reach, in rad/s or m/s.
             effort: the most that it exerts, in N m or N.
         """
+        velocity, effort = net_motor(self._joint(name), velocity, effort)
         pybullet.setJointMotorControl2(
             self.unique_id,
             self._joints[name],
@@ -222,7 +219,7 @@ class Body:
             targetVelocity=0.0,
             positionGain=HOLDING_GAIN,
             velocityGain=1.0,
-            force=effort,
+            force=net_motor(self._joint(name), 0.0, effort)[1],
             physicsClientId=self._client,
         )
 
@@ -236,56 +233,37 @@ class Body:
         Raises:
             KeyError: an unknown name.
         """
-        index = self._joints[name]
-        pybullet.changeDynamics(
-            self.unique_id, index, frictionAnchor=int(sticking), physicsClientId=self._client
-        )
-        if sticking:
-            # Only new points of contact stick: setting the filter, to what it is, drops the old.
-            pybullet.setCollisionFilterGroupMask(
-                self.unique_id, index, *FREE_BODY_FILTER, physicsClientId=self._client
+        for index in self._links[self.part_at(self._joints[name]).link.name]:
+            pybullet.changeDynamics(
+                self.unique_id, index, frictionAnchor=int(sticking), physicsClientId=self._client
             )
+            if sticking:
+                # Only new points stick: setting the filter, to what it is, drops the old.
+                pybullet.setCollisionFilterGroupMask(
+                    self.unique_id, index, *FREE_BODY_FILTER, physicsClientId=self._client
+                )
 
     def remove_sliding_friction(self) -> None:
         """Let the body slide freely, for a device that models its friction itself."""
-        for index in range(-1, len(self._joints)):
+        for index in range(ROOT, len(self.parts) - 1):
             pybullet.changeDynamics(
                 self.unique_id, index, lateralFriction=0.0, physicsClientId=self._client
             )
 
-    def _free_the_joints(self) -> None:
-        # PyBullet holds every joint still with a motor until told otherwise.
-        for index in self._joints.values():
-            pybullet.setJointMotorControl2(
-                self.unique_id,
-                index,
-                pybullet.VELOCITY_CONTROL,
-                force=0.0,
-                physicsClientId=self._client,
-            )
-
-    def _remove_damping(self) -> None:
-        pybullet.changeDynamics(
-            self.unique_id,
-            -1,
-            linearDamping=0.0,
-            angularDamping=0.0,
-            physicsClientId=self._client,
-        )
-
-    def _set_friction(self, link: Link) -> None:
-        # Not in one call with the damping, which turns any link's index into the root's.
-        friction = max((c.friction for c in link.collisions), default=1.0)
-        pybullet.changeDynamics(
-            self.unique_id,
-            self.link_index(link.name),
-            lateralFriction=friction,
-            physicsClientId=self._client,
-        )
-
     def link_index(self, name: str) -> int:
         """Return PyBullet's index of a link, -1 for the root."""
-        return self._links.get(name, -1)
+        return self.link_indices(name)[0]
+
+    def link_indices(self, name: str) -> Tuple[int, ...]:
+        """Return PyBullet's indices of a link and of the helpers that carry its other shapes."""
+        return self._links.get(name, (ROOT,))
+
+    def part_at(self, index: int) -> Part:
+        """Return the part that has an index of PyBullet's."""
+        return self.parts[index - ROOT]
+
+    def _joint(self, name: str) -> Joint:
+        return self.parts[self._joints[name] - ROOT].joint
 
 
 class Physics:
@@ -298,20 +276,15 @@ class Physics:
         pybullet.setGravity(*gravity, physicsClientId=self.client)
         pybullet.setTimeStep(STEP_SECONDS, self.client)
         pybullet.setPhysicsEngineParameter(
-            # The cache goes by file name and would give one body the shape of another.
-            deterministicOverlappingPairs=1, enableFileCaching=0, physicsClientId=self.client
+            deterministicOverlappingPairs=1, physicsClientId=self.client
         )
-        self._shapes = SharedShapes(self.client)
-        # PyBullet reads files only, and only while it loads. To make and remove a folder each time
-        # would hold the simulation up for milliseconds.
-        self._files = tempfile.TemporaryDirectory(prefix="bullet_lab_")
+        self._maker = BodyMaker(self.client)
 
     def close(self) -> None:
         """Give everything back; the object is of no use afterwards."""
         if self.client >= 0:
             pybullet.disconnect(self.client)
             self.client = -1
-            self._files.cleanup()
 
     def set_gravity(self, gravity: Vector) -> None:
         """Change gravity, in m/s²."""
@@ -322,7 +295,8 @@ class Physics:
         """Load a model at its pose and return its bodies by the name of their root link.
 
         Raises:
-            PhysicsError: a movable root without mass, or PyBullet's refusal.
+            PhysicsError: a link that moves and has no mass, more links than the engine holds, or
+                its refusal.
             MeshError: a mesh is not usable.
         """
         bodies: Dict[str, Body] = {}
@@ -336,8 +310,16 @@ class Physics:
                     # Without a centre of mass, the body's frame is that of its root link.
                     links = [replace(link, inertia=None) for link in links]
                 else:
-                    _check_masses(links, model.name)
-                bodies[root.name] = self._load(links, joints, model, model.pose * root.pose)
+                    _check_masses(links)
+                place = model.pose * root.pose
+                body = Body(self.client, *self._maker.make(links, joints, model.static, place))
+                bodies[root.name] = body
+                if self_colliding(links):
+                    part_the_links(body)
+                body.place(place)
+        except PhysicsError as error:
+            self.remove(bodies)
+            raise PhysicsError(f"model '{model.name}': {error}") from error
         except LabError:
             self.remove(bodies)
             raise
@@ -348,60 +330,8 @@ class Physics:
         for body in bodies.values():
             pybullet.removeBody(body.unique_id, self.client)
 
-    def _load(self, links: List[Link], joints: List[Joint], model: Model, pose: Pose) -> Body:
-        folder = Path(self._files.name)
-        try:
-            text = body_urdf(links, joints, model.static, folder)
-            names: Mapping[str, str] = {}
-            if can_share(links, joints, model.static):
-                # Mesh files are named by their content, so the text tells the shapes apart.
-                flags = _reading_flags(model) if joints else 0
-                unique_id, names = self._shapes.make_body(
-                    text, links, joints, model.static, folder, flags
-                )
-            else:
-                path = folder / "body.urdf"
-                path.write_text(text, encoding="utf-8")
-                unique_id = self._load_file(path, model, pose)
-        finally:
-            for path in folder.iterdir():
-                path.unlink()
-        body = Body(self.client, unique_id, links, names)
-        soften_contacts(body)
-        if self_colliding(links):
-            spare_the_others(body)
-        body.place(pose)
-        return body
 
-    def _load_file(self, path: Path, model: Model, pose: Pose) -> int:
-        with hidden_native_output():
-            try:
-                return pybullet.loadURDF(
-                    str(path),
-                    pose.position,
-                    pose.quaternion,
-                    useFixedBase=model.static,
-                    flags=_reading_flags(model),
-                    physicsClientId=self.client,
-                )
-            except pybullet.error as error:
-                raise PhysicsError(f"PyBullet cannot load '{model.name}': {error}") from error
-
-
-def _reading_flags(model: Model) -> int:
-    flags = pybullet.URDF_USE_INERTIA_FROM_FILE
-    if model.joints or model.static:
-        # Wheels and posts are to be round: by default, a cylinder is a prism of 32 sides, and
-        # one that reads 1 mm too near to a laser. (The block robot's can stays one: another
-        # shape, and the last digits of what it drives would change.)
-        flags |= pybullet.URDF_USE_IMPLICIT_CYLINDER
-    if self_colliding(model.links):
-        # Of any links but neighbours.
-        flags |= pybullet.URDF_USE_SELF_COLLISION
-    return flags
-
-
-def _check_masses(links: List[Link], model: str) -> None:
+def _check_masses(links: List[Link]) -> None:
     for link in links:
         if link.inertia is None or link.inertia.mass == 0.0:
-            raise PhysicsError(f"model '{model}': link '{link.name}' moves and has no mass")
+            raise PhysicsError(f"link '{link.name}' moves and has no mass")

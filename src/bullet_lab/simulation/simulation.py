@@ -24,6 +24,7 @@ from bullet_lab.simulation.contacts import Contact, contacts_of
 from bullet_lab.simulation.description import Model, ModelState, Plugin, World
 from bullet_lab.simulation.devices import Device, Mount, known_plugins, make_device
 from bullet_lab.simulation.forces import Forces
+from bullet_lab.simulation.meshes import check_visible_meshes
 from bullet_lab.simulation.model_instance import ModelInstance, SimulationError, check_pose
 from bullet_lab.simulation.physics import Body, Physics
 from bullet_lab.simulation.pose import Pose, Vector
@@ -184,6 +185,7 @@ class Simulation:
         check_proportions(model)
         plugins = tuple(_in_namespace(plugin, namespace) for plugin in model.plugins)
         model = replace(model, name=name, pose=pose or model.pose, plugins=plugins)
+        check_visible_meshes(model)
         check_textures(model)
         bodies = self._physics.add(model)
         try:

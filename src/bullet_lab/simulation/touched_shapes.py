@@ -1,4 +1,4 @@
-"""Which shape of a link is touched: PyBullet knows links only."""
+"""Which shape of a link is touched: PyBullet knows its own links only."""
 
 from __future__ import annotations
 
@@ -80,14 +80,13 @@ class TouchedShapes:
         """
         instance = self._instance_of(unique_id)
         body = _body_of(instance.bodies, unique_id)
-        link = next(part for part in body.links if body.link_index(part.name) == index)
-        shapes = link.collisions
-        if len(shapes) == 1:
-            (shape,) = shapes
+        part = body.part_at(index)
+        if len(part.shapes) == 1:
+            (shape,) = part.shapes
         else:
-            point = AttachedFrame(body, link.name).pose().inverse() * Pose(place)
-            shape = nearest_shape(shapes, point.position)
-        return f"{instance.name}::{link.name}::{shape.name}"
+            point = AttachedFrame(body, part.link.name).pose().inverse() * Pose(place)
+            shape = nearest_shape(part.shapes, point.position)
+        return f"{instance.name}::{part.link.name}::{shape.name}"
 
 
 def _body_of(bodies: Mapping[str, Body], unique_id: int) -> Body:

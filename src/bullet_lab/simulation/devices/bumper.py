@@ -60,9 +60,9 @@ class Bumper(Device):
     def _touched(self) -> Dict[Tuple[str, str], List[ContactPoint]]:
         """Return the points of contact by the names of the two shapes, the own one first."""
         pairs: Dict[Tuple[str, str], List[ContactPoint]] = {}
-        body, index, name = self._place.body, self._place.index, self.mount.name_shape
-        for point in contact_points(body, index):
-            first = name(body.unique_id, index, point.place)
+        body, name = self._place.body, self.mount.name_shape
+        for point in contact_points(body, self._place.link):
+            first = name(body.unique_id, point.index, point.place)
             if first in self._watched:
                 second = name(*point.other, point.place_on_other)
                 pairs.setdefault((first, second), []).append(point)

@@ -95,7 +95,7 @@ class Drawables:
             casts: STILL or MOVING: the shadow maps that it is drawn into.
             where: names the link in messages.
         """
-        meshes = [v.geometry.path for v in link.visuals if isinstance(v.geometry, Mesh)]
+        meshes = [v.geometry for v in link.visuals if isinstance(v.geometry, Mesh)]
         key = (link.visuals, casts, tuple(map(file_version, meshes)))
         found = self._made.get(key)
         if found is None:

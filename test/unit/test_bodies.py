@@ -1,0 +1,930 @@
+"""What the engine holds is what the description says: masses, frames, joints and every shape."""
+
+import os
+import random
+import struct
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bullet_lab.simulation.bodies import MOST_LINKS
+from bullet_lab.simulation.description import (
+    Box,
+    Collision,
+    Cylinder,
+    Inertia,
+    Joint,
+    Link,
+    Mesh,
+    Model,
+    Plane,
+    Sphere,
+    World,
+)
+from bullet_lab.simulation.engine import PhysicsError, pybullet
+from bullet_lab.simulation.inertia import principal_axes
+from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.sdf_reader import read_world_file
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.urdf_reader import read_urdf_file
+
+UNIT = Inertia(2.0, (0.1, 0.2, 0.3), np.diag([0.1, 0.15, 0.2]))
+G = 9.8
+ENDS = ("name", "parent", "child")
+KINDS = ("fixed", "revolute", "continuous", "prismatic")
+PYBULLET_KINDS = {
+    "fixed": pybullet.JOINT_FIXED,
+    "revolute": pybullet.JOINT_REVOLUTE,
+    "continuous": pybullet.JOINT_REVOLUTE,
+    "prismatic": pybullet.JOINT_PRISMATIC,
+}
+
+
+@pytest.fixture
+def space():
+    with Simulation(World("space", gravity=(0.0, 0.0, 0.0))) as simulation:
+        yield simulation
+
+
+@pytest.fixture
+def hall():
+    floor = Model("floor", (Link("l", collisions=(Collision(Plane(), name="ground"),)),),
+                  static=True)  # fmt: skip
+    with Simulation(World("hall", (floor,), gravity=(0.0, 0.0, -G))) as simulation:
+        yield simulation
+
+
+@pytest.fixture
+def frame(tmp_path):
+    """A square frame with a hole, as a mesh file."""
+    corners = [(x, y, z) for z in (0, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    corners += [(0.5 * x, 0.5 * y, z) for x, y, z in corners]
+    faces = []
+    for level in (0, 4):
+        for side in range(4):
+            a, b = level + side, level + (side + 1) % 4
+            faces += [(a, b, b + 8), (a, b + 8, a + 8)]
+    return mesh_file(tmp_path / "frame.stl", corners, faces)
+
+
+@pytest.fixture
+def cube(tmp_path):
+    """A cube with sides of 1 m about the origin, as a mesh file."""
+    corners = [(x, y, z) for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]
+    quads = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
+    faces = [(a, b, c) for a, b, c, _ in quads] + [(a, c, d) for a, _, c, d in quads]
+    return mesh_file(tmp_path / "cube.stl", corners, faces)
+
+
+def mesh_file(path, corners, faces):
+    triangles = np.asarray(corners, np.float32)[np.asarray(faces)]
+    records = np.zeros(len(triangles), [("normal", "<3f4"), ("corners", "<9f4"), ("rest", "<u2")])
+    records["corners"] = triangles.reshape(-1, 9)
+    path.write_bytes(80 * b" " + struct.pack("<I", len(triangles)) + records.tobytes())
+    return Mesh(path, path.name)
+
+
+def thing(*geometries, inertia=UNIT, name="thing", **parts):
+    shapes = tuple(Collision(g, Pose((0.0, 0.0, 3.0 * i))) for i, g in enumerate(geometries))
+    return Model(name, (Link("l", Pose(), inertia, (), shapes),), **parts)
+
+
+def hits(space, x, y):
+    """The height at which a ray from above meets something, None if it does not."""
+    first = pybullet.rayTest((x, y, 50.0), (x, y, -50.0), physicsClientId=space.client)[0]
+    return None if first[0] < 0 else first[3][2]
+
+
+def resident_megabytes():
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096 / 1e6
+
+
+# Random trees
+
+
+def some_name(chance, number):
+    letters = "abcxyz_-./: éäß漢字🤖\"'<&>"
+    length = chance.choice((1, 3, 30, 300, 9_000))
+    return f"{number}" + "".join(chance.choice(letters) for _ in range(length))
+
+
+def some_pose(chance, reach):
+    position = tuple(chance.uniform(-reach, reach) for _ in range(3))
+    return Pose.from_rpy(position, tuple(chance.uniform(-1.5, 1.5) for _ in range(3)))
+
+
+def some_inertia(chance):
+    turn = some_pose(chance, 0.3)
+    x, y, z = (chance.uniform(0.1, 1.0) for _ in range(3))
+    matrix = turn.rotation_matrix() @ np.diag([y + z, x + z, x + y]) @ turn.rotation_matrix().T
+    return Inertia(chance.uniform(0.5, 5.0), turn.position, 0.5 * (matrix + matrix.T))
+
+
+def some_axis(chance):
+    axis = np.array([chance.gauss(0.0, 1.0) for _ in range(3)])
+    return tuple((axis / np.linalg.norm(axis)).tolist())
+
+
+def some_shapes(chance, count, cube):
+    """Shapes in a row, each 2 m from the next and 0.4 to 1 m high along its own z axis."""
+    shapes = []
+    for number in range(count):
+        size = chance.uniform(0.4, 1.0)
+        geometry = chance.choice(
+            (
+                Box((0.5, 0.6, size)),
+                Cylinder(0.3, size),
+                Sphere(0.5 * size),
+                replace(cube, scale=(size, size, size)),
+            )
+        )
+        turn = some_pose(chance, 0.1)
+        pose = Pose((2.0 * number + 2.0, *turn.position[1:]), turn.quaternion)
+        shapes.append(Collision(geometry, pose, name=f"shape{number}"))
+    return tuple(shapes)
+
+
+def helpers(shapes):
+    meshes = sum(isinstance(shape.geometry, Mesh) for shape in shapes)
+    return max(0, -(-(len(shapes) - meshes) // 16) + meshes - 1)
+
+
+def some_tree(chance, cube, count=0):
+    """A tree of up to 60 links with up to 40 shapes each, as far as the engine's links allow."""
+    count = count or chance.choice((1, 2, 7, 20, 60))
+    spare = MOST_LINKS - (count - 1)
+    links, joints = [], []
+    for number in range(count):
+        shapes = some_shapes(chance, chance.choice((0, 1, 2, 16, 17, 40)), cube)
+        if helpers(shapes) > spare:
+            shapes = shapes[:1]
+        spare -= helpers(shapes)
+        name = some_name(chance, number)
+        links.append(Link(name, Pose(), some_inertia(chance), (), shapes))
+        if number:
+            joints.append(
+                Joint(
+                    some_name(chance, number),
+                    chance.choice(KINDS),
+                    chance.choice(links[:-1]).name,
+                    name,
+                    # Far from each other, so that the shapes of one do not hide in another's.
+                    some_pose(chance, 300.0),
+                    some_axis(chance),
+                )
+            )
+    chance.shuffle(joints)
+    return Model("tree", tuple(links), tuple(joints), pose=some_pose(chance, 5.0))
+
+
+def joint_motion(joint, position):
+    if joint.kind == "fixed":
+        return Pose()
+    if joint.kind == "prismatic":
+        return Pose(tuple(position * a for a in joint.axis))
+    half = 0.5 * position
+    return Pose(quaternion=(*(np.sin(half) * a for a in joint.axis), np.cos(half)))
+
+
+def placed(model, positions):
+    """The poses of a tree's links in the world, from the description alone."""
+    above = {joint.child: joint for joint in model.joints}
+
+    def pose(name):
+        if name not in above:
+            return model.pose
+        joint = above[name]
+        motion = joint_motion(joint, positions.get(joint.name, 0.0))
+        return pose(joint.parent) * joint.pose * motion
+
+    return {link.name: pose(link.name) for link in model.links}
+
+
+def same_pose(found, wanted):
+    sign = np.sign(np.dot(found.quaternion, wanted.quaternion))
+    assert found.position == pytest.approx(wanted.position, abs=1e-9)
+    assert sign * np.array(found.quaternion) == pytest.approx(wanted.quaternion, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_trees_are_held_as_they_are_described(space, cube, seed):
+    chance = random.Random(seed)
+    model = some_tree(chance, cube)
+    instance = space.add(model)
+    (body,) = instance.bodies.values()
+    above = {joint.child: joint for joint in model.joints}
+    indices = [body.link_index(link.name) for link in model.links]
+    assert sorted(indices) == list(range(-1, len(model.links) - 1))
+    for index, link in zip(indices, model.links):
+        info = pybullet.getDynamicsInfo(body.unique_id, index, space.client)
+        moments, centre = principal_axes(link.inertia)
+        assert info[0] == pytest.approx(link.inertia.mass, rel=1e-9)
+        assert info[2] == pytest.approx(moments, rel=1e-9)
+        same_pose(Pose(*info[3:5]), centre)
+        if index >= 0:
+            joint = above[link.name]
+            info = pybullet.getJointInfo(body.unique_id, index, space.client)
+            assert info[2] == PYBULLET_KINDS[joint.kind]
+            assert info[16] == body.link_index(joint.parent)
+    movable = {joint.name for joint in model.joints if joint.kind != "fixed"}
+    assert set(body.joint_names) == movable
+    positions = {name: chance.uniform(-1.0, 1.0) for name in movable}
+    instance.configure(positions)
+    for name, pose in placed(model, positions).items():
+        same_pose(instance.frame(name).pose(), pose)
+
+
+def half_height(geometry):
+    if isinstance(geometry, Sphere):
+        return geometry.radius
+    if isinstance(geometry, Cylinder):
+        return 0.5 * geometry.length
+    return 0.5 * (geometry.size[2] if isinstance(geometry, Box) else geometry.scale[2])
+
+
+@pytest.mark.parametrize("static", [False, True])
+@pytest.mark.parametrize("seed", range(8))
+def test_every_shape_of_random_trees_acts(space, cube, seed, static):
+    model = replace(some_tree(random.Random(seed), cube), static=static)
+    instance = space.add(model)
+    (body,) = instance.bodies.values()
+    space.run_for(0.001)
+    frames = placed(model, {})
+    for link in model.links:
+        for shape in link.collisions:
+            middle = frames[link.name] * shape.pose
+            height = half_height(shape.geometry)
+            start, end = ((middle * Pose((0.0, 0.0, z))).position for z in (height + 0.2, 0.0))
+            (found,) = pybullet.rayTest(start, end, physicsClientId=space.client)
+            assert found[0] == body.unique_id, (link.name, shape)
+            assert shape in body.part_at(found[1]).shapes
+            surface = (middle * Pose((0.0, 0.0, height))).position
+            assert found[3] == pytest.approx(surface, abs=1e-3)
+
+
+def snake(cube, count):
+    """Links with shapes of all kinds on joints of all kinds, above a floor."""
+    chance = random.Random(4)
+    tiny = replace(cube, scale=(0.1, 0.1, 0.1))
+    small = (Box((0.1, 0.1, 0.1)), Cylinder(0.05, 0.1), Sphere(0.05), tiny)
+    links = [
+        Link(f"l{n}", Pose(), Inertia(0.3, (0.0, 0.01, 0.0), 0.001 * np.eye(3)), (),
+             (Collision(small[n % 4]), Collision(small[n // 4 % 4], Pose((0.0, 0.1, 0.0)))))
+        for n in range(count)
+    ]  # fmt: skip
+    joints = [
+        Joint(f"j{n}", KINDS[n % 4], f"l{n - 1}", f"l{n}", Pose((0.15, 0.0, 0.0)),
+              some_axis(chance), {"lower": -0.1, "upper": 0.1}, 0.01, 0.002)
+        for n in range(1, count)
+    ]  # fmt: skip
+    return Model("snake", tuple(links), tuple(joints), pose=Pose((0.0, 0.0, 0.05)))
+
+
+def test_names_change_nothing_to_the_byte(cube):
+    """300 variants of one robot, whose names differ in length."""
+    model = snake(cube, 9)
+
+    def named(name, length):
+        return f"{name[0]}{length * 'n'}{name[1:]}"
+
+    def moved(length):
+        links = tuple(replace(link, name=named(link.name, length)) for link in model.links)
+        joints = tuple(
+            replace(joint, **{end: named(getattr(joint, end), length) for end in ENDS})
+            for joint in model.joints
+        )
+        floor = Model("floor", (Link("l", collisions=(Collision(Plane()),)),), static=True)
+        with Simulation(World("hall", (floor,), gravity=(0.0, 0.0, -G))) as simulation:
+            instance = simulation.add(Model("robot", links, joints, pose=model.pose))
+            (body,) = instance.bodies.values()
+            for number, name in enumerate(body.joint_names):
+                body.drive_joint(name, 0.5 + 0.1 * number, 0.3)
+            simulation.run_for(0.03)
+            touched = len(body.near_points())
+            state = instance.state()
+        numbers = [(*f.pose.position, *f.linear, *f.angular) for f in state.links.values()]
+        places = np.array([*np.ravel(numbers), *np.ravel(list(state.joints.values()))])
+        assert touched > 10
+        assert np.abs(places).min() > 0.0
+        return places.tobytes()
+
+    assert len({moved(length) for length in range(0, 9_000, 30)}) == 1
+
+
+# Joints, shown by their motion
+
+
+def jointed(kind="revolute", child=UNIT, **properties):
+    """A link on a joint along z, whose inertia is 0.2 kg m² and 2 kg, on a heavy one."""
+    heavy = Inertia(1e9, (0.0, 0.0, 0.0), 1e9 * np.eye(3))
+    links = (Link("base", inertia=heavy), Link("part", inertia=replace(child, centre=(0, 0, 0.1))))
+    joint = Joint("j", kind, "base", "part", Pose((0.0, 0.0, 2.0)), (0.0, 0.0, 1.0), **properties)
+    return Model("machine", links, (joint,))
+
+
+def body_of(space, model):
+    (body,) = space.add(model).bodies.values()
+    return body
+
+
+def push(space, body, effort, seconds):
+    for _ in range(round(seconds * 1000)):
+        body.exert("j", effort)
+        space.run_for(0.001)
+    return body.joint_state("j")
+
+
+@pytest.mark.parametrize(("kind", "inertia"), [("revolute", 0.2), ("prismatic", 2.0)])
+class TestMotion:
+    def test_an_effort(self, space, kind, inertia):
+        state = push(space, body_of(space, jointed(kind)), 0.5, 0.4)
+        assert state.velocity == pytest.approx(0.5 * 0.4 / inertia, rel=1e-6)
+
+    def test_damping(self, space, kind, inertia):
+        body = body_of(space, jointed(kind, damping=0.3))
+        body.set_joint("j", 0.0, 2.0)
+        space.run_for(0.7)
+        wanted = 2.0 * np.exp(-0.3 * 0.7 / inertia)
+        assert body.joint_state("j").velocity == pytest.approx(wanted, rel=2e-3)
+
+    def test_damping_of_any_strength_stops_and_never_swings_up(self, space, kind, inertia):
+        body = body_of(space, jointed(kind, damping=1e6))
+        body.set_joint("j", 0.0, 2.0)
+        space.run_for(0.05)
+        assert abs(body.joint_state("j").velocity) < 1e-6
+
+    def test_friction_stops_evenly_and_holds(self, space, kind, inertia):
+        body = body_of(space, jointed(kind, friction=0.1))
+        body.set_joint("j", 0.0, 0.2)
+        stop = 0.2 * inertia / 0.1
+        space.run_for(round(0.5 * stop, 3))
+        assert body.joint_state("j").velocity == pytest.approx(0.1, abs=1e-4)
+        space.run_for(round(0.6 * stop, 3))
+        assert body.joint_state("j").velocity == pytest.approx(0.0, abs=1e-9)
+        before = body.joint_state("j").position
+        assert before == pytest.approx(0.5 * 0.2 * stop, rel=1e-2)
+        assert push(space, body, 0.09, 0.2).position == pytest.approx(before, abs=1e-9)
+        gained = push(space, body, 0.15, 0.2).velocity
+        assert gained == pytest.approx((0.15 - 0.1) * 0.2 / inertia, rel=1e-6)
+
+    def test_friction_against_a_motor_and_with_it(self, space, kind, inertia):
+        body = body_of(space, jointed(kind, friction=0.1))
+        body.drive_joint("j", 5.0, 0.3)
+        space.run_for(0.2)
+        fastest = (0.3 - 0.1) * 0.2 / inertia
+        assert body.joint_state("j").velocity == pytest.approx(fastest, rel=1e-6)
+        body.drive_joint("j", 0.0, 0.3)
+        space.run_for(0.05)
+        slower = fastest - (0.3 + 0.1) * 0.05 / inertia
+        assert body.joint_state("j").velocity == pytest.approx(slower, rel=1e-6)
+        body.set_joint("j", 0.0)
+        body.drive_joint("j", 5.0, 0.05)
+        space.run_for(0.2)
+        assert body.joint_state("j").position == pytest.approx(0.0, abs=1e-9)
+
+    def test_friction_helps_a_motor_that_holds(self, space, kind, inertia):
+        body = body_of(space, jointed(kind, friction=0.1))
+        body.hold_joint("j", 0.0, 0.3)
+        assert push(space, body, 0.38, 0.5).position == pytest.approx(0.0, abs=1e-6)
+        gained = push(space, body, 0.5, 0.2).velocity
+        assert gained == pytest.approx((0.5 - 0.4) * 0.2 / inertia, rel=1e-6)
+
+    def test_no_more_than_the_limit_of_effort(self, space, kind, inertia):
+        body = body_of(space, jointed(kind, limits={"effort": 0.2}))
+        for effort, exerted in ((9.0, 0.2), (-9.0, -0.2), (0.1, 0.1)):
+            body.set_joint("j", 0.0)
+            state = push(space, body, effort, 0.1)
+            assert state.velocity == pytest.approx(exerted * 0.1 / inertia, rel=1e-6)
+
+    def test_no_effort_beyond_the_limit_of_velocity(self, space, kind, inertia):
+        body = body_of(space, jointed(kind, limits={"velocity": 0.3}))
+        step = 2.0 * 0.001 / inertia
+        for effort in (2.0, -2.0):
+            speed = push(space, body, effort, 1.0).velocity * np.sign(effort)
+            assert 0.3 <= speed <= 0.3 + step
+        # Braking is free.
+        body.set_joint("j", 0.0, 1.0)
+        slower = push(space, body, -2.0, 0.01).velocity
+        assert slower == pytest.approx(1.0 - 10 * step, rel=1e-6)
+
+    def test_limits_of_effort_and_velocity_are_not_a_motors(self, space, kind, inertia):
+        body = body_of(space, jointed(kind, limits={"velocity": 0.3, "effort": 0.1}))
+        body.drive_joint("j", 5.0, 1e4)
+        space.run_for(0.05)
+        assert body.joint_state("j").velocity == pytest.approx(5.0, rel=1e-6)
+
+    @pytest.mark.parametrize(
+        ("limits", "lowest", "highest"),
+        [
+            ({"lower": -0.2, "upper": 0.3}, -0.2, 0.3),
+            ({"lower": 0.1, "upper": 0.1}, 0.1, 0.1),
+            ({"lower": -0.2}, -0.2, None),
+            ({"upper": 0.3}, None, 0.3),
+            ({"lower": 1.0, "upper": -1.0}, None, None),
+            ({}, None, None),
+        ],
+    )
+    def test_ends(self, space, kind, inertia, limits, lowest, highest):
+        body = body_of(space, jointed(kind, limits=limits))
+        for effort, end in ((1.0, highest), (-1.0, lowest)):
+            body.set_joint("j", 0.1)
+            position = push(space, body, effort, 2.0).position
+            if end is None:
+                assert abs(position) > 0.5
+            else:
+                assert position == pytest.approx(end, abs=2e-3)
+
+    def test_what_turns_fast_is_not_held_back(self, space, kind, inertia):
+        body = body_of(space, jointed(kind))
+        body.drive_joint("j", 150.0, 1e4)
+        space.run_for(0.1)
+        assert body.joint_state("j").velocity == pytest.approx(150.0, rel=1e-6)
+        body.set_joint("j", 0.0, 300.0)
+        space.run_for(0.1)
+        assert body.joint_state("j").position == pytest.approx(0.0 + 150.0 * 0.1, rel=2.0)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_random_joint_moves_as_it_is_described(space, seed):
+    """Effort, inertia about an axis anywhere, damping, friction and limit of effort in one."""
+    chance = random.Random(seed)
+    kind, axis, child = chance.choice(KINDS[1:]), some_axis(chance), some_inertia(chance)
+    inertia = child.mass
+    if kind != "prismatic":
+        x, centre = np.array(axis), np.array(child.centre)
+        arm = centre @ centre - (x @ centre) ** 2
+        inertia = float(x @ child.matrix @ x) + child.mass * arm
+    most, damping, friction = chance.uniform(2, 3), chance.uniform(0, 1), chance.uniform(0, 1)
+    model = jointed(kind)
+    joint = replace(model.joints[0], axis=axis, pose=some_pose(chance, 2.0), damping=damping,
+                    friction=friction, limits={"effort": most})  # fmt: skip
+    links = (model.links[0], replace(model.links[1], inertia=child))
+    effort, velocity, position = chance.uniform(2.0, 4.0), 0.0, 0.0
+    found = push(space, body_of(space, replace(model, links=links, joints=(joint,))), effort, 0.2)
+    for _ in range(200):
+        velocity += 0.001 / inertia * (min(effort, most) - damping * velocity - friction)
+        position += 0.001 * velocity
+    assert found.velocity == pytest.approx(velocity, rel=1e-6)
+    assert found.position == pytest.approx(position, rel=1e-6)
+
+
+def test_no_joint_of_a_long_chain_passes_its_ends(space, cube):
+    model = snake(cube, 20)
+    body = body_of(space, model)
+    limited = [joint.name for joint in model.joints if joint.kind in ("revolute", "prismatic")]
+    for name in limited:
+        body.drive_joint(name, 1.0, 0.2)
+    farthest = []
+    for _ in range(100):
+        space.run_for(0.01)
+        farthest.append([abs(body.joint_state(name).position) for name in limited])
+    reached = np.max(farthest, axis=0)
+    assert np.max(reached) < 0.101
+    assert np.median(reached) > 0.099
+
+
+def test_a_strong_damper_between_light_links_does_not_swing_up(space):
+    """The joint turns about the thin axis of the rod that carries it."""
+    rod, ball = (Inertia(1.0, (0, 0, 0), np.diag(d)) for d in ((0.1, 0.1, 1e-3), (0.2, 0.2, 0.2)))
+    turned = Pose.from_rpy((0.0, 0.0, 0.1), (0.0, -0.5 * np.pi, 0.0))
+    joint = Joint("j", "revolute", "rod", "ball", turned, (1.0, 0.0, 0.0), damping=1e3)
+    model = Model("m", (Link("rod", inertia=rod), Link("ball", inertia=ball)), (joint,))
+    body = body_of(space, model)
+    body.set_joint("j", 0.0, 0.1)
+    space.run_for(0.05)
+    assert abs(body.joint_state("j").velocity) < 1e-6
+
+
+def test_a_continuous_joint_has_no_ends(space):
+    body = body_of(space, jointed("continuous", limits={"lower": -0.1, "upper": 0.1}))
+    assert push(space, body, 1.0, 1.0).position > 2.0
+
+
+def test_an_axis_is_given_in_the_frame_of_the_link_below(space):
+    """A part whose principal axes are turned against its frame, on a joint that is turned, too."""
+    turn = Pose.from_rpy((0.0, 0.0, 0.0), (0.4, -0.7, 1.1))
+    matrix = turn.rotation_matrix() @ np.diag([0.2, 0.3, 0.4]) @ turn.rotation_matrix().T
+    model = jointed("revolute", child=Inertia(2.0, (0, 0, 0), matrix))
+    (joint,) = model.joints
+    axis = (0.36, 0.48, 0.8)
+    joint = replace(joint, axis=axis, pose=Pose.from_rpy((0.0, 0.0, 2.0), (0.3, 0.2, -0.5)))
+    link = replace(model.links[1], inertia=Inertia(2.0, (0.0, 0.0, 0.0), matrix))
+    body = body_of(space, replace(model, links=(model.links[0], link), joints=(joint,)))
+    body.set_joint("j", 0.0, 2.0)
+    state = pybullet.getLinkState(body.unique_id, 0, 1, 1, space.client)
+    assert state[7] == pytest.approx(tuple(2.0 * a for a in joint.pose.rotate(axis)))
+    body.set_joint("j", 0.0)
+    gained = push(space, body, 1.0, 0.01).velocity
+    assert gained == pytest.approx(0.01 / (np.array(axis) @ matrix @ axis), rel=1e-3)
+
+
+# Any number of shapes
+
+
+def row(count, cube, every=0):
+    """Boxes in a row along x, 2 m apart; each `every`th is a mesh."""
+    meshes = [every and number % every == 0 for number in range(count)]
+    return tuple(
+        Collision(cube if mesh else Box((1.0, 1.0, 1.0)), Pose((2.0 * n, 0.0, 0.0)), name=f"c{n}")
+        for n, mesh in enumerate(meshes)
+    )
+
+
+@pytest.mark.parametrize("static", [False, True])
+@pytest.mark.parametrize(("count", "every"), [(16, 0), (17, 0), (40, 0), (40, 3), (100, 1)])
+def test_any_number_of_shapes_acts(space, cube, count, every, static):
+    shapes = row(count, cube, every)
+    space.add(Model("comb", (Link("l", Pose(), UNIT, (), shapes),), static=static))
+    for number in range(count):
+        assert hits(space, 2.0 * number, 0.1) == pytest.approx(0.5, abs=2e-4)
+        assert hits(space, 2.0 * number + 1.0, 0.1) is None
+
+
+@pytest.mark.parametrize("every", [0, 3])
+def test_every_shape_carries_and_is_named(hall, cube, every):
+    """A ball lies on each shape of a thing that never moves; they are touched by their names."""
+    bench = Model("bench", (Link("l", collisions=row(40, cube, every)),), pose=Pose((0, 0, 2.0)),
+                  static=True)  # fmt: skip
+    hall.add(bench)
+    inertia = Inertia(1.0, (0.0, 0.0, 0.0), 0.004 * np.eye(3))
+    balls = [
+        hall.add(
+            thing(Sphere(0.1), inertia=inertia, name=f"ball{n}", pose=Pose((2.0 * n, 0.0, 2.6)))
+        )
+        for n in range(40)
+    ]
+    hall.run_for(0.3)
+    for number, ball in enumerate(balls):
+        # No skin of Bullet's around a mesh, on whatever part of the body.
+        assert ball.pose().position[2] == pytest.approx(2.6, abs=2e-4)
+        contacts = hall.contacts(ball.name)
+        assert list(contacts) == ["bench"]
+        assert contacts["bench"].force == pytest.approx(G, rel=1e-3)
+        (point,) = ball.bodies["l"].near_points()
+        name = hall._touched_shapes.name(point[2], point[4], point[6])
+        assert name == f"bench::l::c{number}"
+
+
+def test_what_never_moves_does_not_touch_what_never_moves(hall, cube):
+    hall.add(Model("bench", (Link("l", collisions=row(40, cube, 2)),), static=True))
+    hall.run_for(0.01)
+    assert pybullet.getContactPoints(physicsClientId=hall.client) == ()
+
+
+def feet(shape, **properties):
+    """Sixteen small boxes high up, and one last shape below them that a body stands on."""
+    small = tuple(
+        Collision(Box((0.01, 0.01, 0.01)), Pose((0.0, 0.05 * n - 0.4, 0.3))) for n in range(16)
+    )
+    return (*small, Collision(shape, name="foot", **properties))
+
+
+@pytest.mark.parametrize("meshed", [False, True])
+def test_a_helper_stands_and_slides_as_its_link(hall, cube, meshed):
+    """On a floor with friction 1: bodies that stand on the seventeenth of their shapes.
+
+    Of the frictions of a link's shapes the greatest counts, wherever that shape is.
+    """
+    foot = replace(cube, scale=(1.0, 1.0, 0.2)) if meshed else Box((1.0, 1.0, 0.2))
+    inertia = Inertia(2.0, (0.0, 0.0, 0.0), 0.2 * np.eye(3))
+    for number, friction in enumerate((0.2, 0.5)):
+        shapes = feet(foot)
+        rough = number * (len(shapes) - 1)
+        shapes = tuple(
+            replace(shape, friction=friction if place == rough else 0.05)
+            for place, shape in enumerate(shapes)
+        )
+        plain_foot = replace(shapes[-1], friction=friction)
+        bodies = [
+            hall.add(
+                Model(f"m{number}{name}", (Link("l", Pose(), inertia, (), own),)),
+                pose=Pose((0.0, 20.0 * number + y, 0.1)),
+            ).bodies["l"]
+            for name, own, y in (("helped", shapes, 0.0), ("plain", (plain_foot,), 5.0))
+        ]
+        helped, plain = bodies
+        hall.run_for(0.5)
+        assert hall.contacts(f"m{number}helped")["floor"].force == pytest.approx(2 * G, rel=0.02)
+        (touching,) = {point[3] for point in helped.near_points()}
+        assert helped.part_at(touching).shapes == shapes[-1:]
+        for body in bodies:
+            # Bullet's skin of 1 mm around meshes is nearly taken off.
+            assert body.pose().position[2] == pytest.approx(0.1, abs=1.5e-4)
+            body.set_velocity((2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        hall.run_for(0.2)
+        slower = 2.0 - friction * G * 0.2
+        assert helped.velocity()[0][0] == pytest.approx(slower, abs=0.02)
+        assert helped.velocity()[0] == pytest.approx(plain.velocity()[0], abs=1e-6)
+        for body in bodies:
+            body.remove_sliding_friction()
+        # What touches already keeps its friction for a while.
+        hall.run_for(0.2)
+        for body in bodies:
+            body.set_velocity((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        hall.run_for(0.2)
+        assert helped.velocity()[0][0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_helper_is_as_soft_as_its_link(hall):
+    shapes = feet(Sphere(0.2), stiffness=4000.0, damping=100.0)
+    inertia = Inertia(2.0, (0.0, 0.0, 0.0), 0.2 * np.eye(3))
+    model = Model("m", (Link("l", Pose(), inertia, (), shapes),), pose=Pose((0.0, 0.0, 0.2)))
+    instance = hall.add(model)
+    hall.run_for(1.0)
+    sag = 0.2 - instance.pose().position[2]
+    assert sag == pytest.approx(2.0 * G / 4000.0, rel=0.05)
+
+
+def crowded(model, names):
+    """The model with sixteen tiny boxes before the shapes of some links: those become helpers."""
+
+    def link_of(link):
+        if link.name not in names:
+            return link
+        tiny = replace(link.collisions[0], geometry=Box((0.001, 0.001, 0.001)))
+        return replace(link, collisions=16 * (tiny,) + link.collisions)
+
+    return replace(model, links=tuple(map(link_of, model.links)))
+
+
+def test_wheels_on_helpers_roll_and_stand_as_wheels(package):
+    model = read_urdf_file(package / "urdf" / "camera_robot.urdf")
+    wheels = [joint.child for joint in model.joints if "wheel" in joint.child]
+    assert len(wheels) == 2
+
+    def driven(robot_model):
+        with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
+            robot = simulation.add(robot_model)
+            robot.command("cmd_vel", PlanarCommand(vx=0.3, wz=0.2))
+            simulation.run_for(2.0)
+            moved = robot.pose()
+            robot.command("cmd_vel", PlanarCommand())
+            simulation.run_for(1.0)
+            # Down a slope of 1 in 100, as it were: without sticking, it creeps.
+            simulation.set_gravity((0.098, 0.0, -9.8))
+            simulation.run_for(0.5)
+            before = robot.pose().position
+            simulation.run_for(5.0)
+            return moved, np.subtract(robot.pose().position, before)
+
+    (plain, plain_crept), (helped, helped_crept) = driven(model), driven(crowded(model, wheels))
+    assert helped.position == pytest.approx(plain.position, abs=1e-3)
+    assert helped.yaw == pytest.approx(plain.yaw, abs=1e-3)
+    assert np.abs(plain_crept).max() < 1e-6
+    assert np.abs(helped_crept).max() < 1e-6
+
+
+def test_a_can_on_a_helper_is_pushed_as_a_can(package, block_model):
+    """planar_move takes the sliding friction away, from helpers too."""
+
+    def driven(model):
+        with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
+            robot = simulation.add(model)
+            robot.command("cmd_vel", PlanarCommand(vx=0.2))
+            simulation.run_for(2.0)
+            return robot.pose().position
+
+    root = block_model.root_links()[0]
+    helped = driven(crowded(block_model, [root.name]))
+    assert helped == pytest.approx(driven(block_model), abs=1e-4)
+
+
+# The engine's limits
+
+
+def test_more_links_than_the_engine_holds_are_refused_by_name(hall, cube):
+    shapes = row(MOST_LINKS + 2, cube, 1)
+    good = Model("good", (Link("l", Pose(), UNIT, (), shapes[:-1]),), pose=Pose((0, 9, 0.5)))
+    hall.add(good)
+    with pytest.raises(PhysicsError, match="^model 'centipede': .* 128 links .* holds 127$"):
+        hall.add(Model("centipede", (Link("l", Pose(), UNIT, (), shapes),)))
+    assert list(hall.models) == ["floor", "good"]
+    assert pybullet.getNumBodies(hall.client) == 2
+    chain = [Link(f"l{n}", Pose(), UNIT) for n in range(130)]
+    joints = [Joint(f"j{n}", "revolute", f"l{n - 1}", f"l{n}") for n in range(1, 130)]
+    with pytest.raises(PhysicsError, match="model 'chain': .* need 129 links"):
+        hall.add(Model("chain", tuple(chain), tuple(joints)))
+    hall.add(Model("chain", tuple(chain[:128]), tuple(joints[:127])))
+    hall.run_for(0.01)
+
+
+def test_a_hollow_mesh_of_any_size(space, tmp_path):
+    """A terrain of 180,000 triangles, whose corners the engine takes in five pieces."""
+    side = 300
+    x, y = np.meshgrid(np.linspace(-15.0, 15.0, side + 1), np.linspace(-15.0, 15.0, side + 1))
+    corners = np.column_stack((x.ravel(), y.ravel(), np.sin(x.ravel()) + 0.1 * y.ravel()))
+    first = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
+    right, below = first + 1, first + side + 1
+    faces = np.concatenate(
+        (np.column_stack((first, right, below)), np.column_stack((right, below + 1, below)))
+    )
+    terrain = mesh_file(tmp_path / "terrain.stl", corners, faces)
+    space.add(thing(terrain, static=True))
+    for x, y in np.random.default_rng(6).uniform(-14.9, 14.9, (300, 2)).tolist():
+        assert hits(space, x, y) == pytest.approx(np.sin(x) + 0.1 * y, abs=2e-3)
+
+
+def test_a_convex_mesh_of_any_size(space, tmp_path):
+    """A ball of 150,000 corners."""
+    rows, columns = 300, 500
+    polar = np.repeat(np.linspace(0.01, np.pi - 0.01, rows), columns)
+    around = np.tile(2.0 * np.pi * np.arange(columns) / columns, rows)
+    corners = np.column_stack(
+        (np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar))
+    )
+    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    faces = np.concatenate(
+        (
+            np.column_stack((first, first + 1, first + columns)),
+            np.column_stack((first + 1, first + columns + 1, first + columns)),
+        )
+    )
+    space.add(thing(mesh_file(tmp_path / "ball.stl", corners, faces)))
+    for x, y in np.random.default_rng(7).uniform(-0.5, 0.5, (100, 2)).tolist():
+        assert hits(space, x, y) == pytest.approx(np.sqrt(1.0 - x * x - y * y), abs=4e-3)
+
+
+# Links of one body
+
+
+def spinner(shapes, joints=(), **flags):
+    """Links with these shapes in one place, each on a joint to the one before it."""
+    inertia = Inertia(1.0, (0.0, 0.0, 0.0), 0.1 * np.eye(3))
+    links = tuple(
+        Link(f"l{n}", Pose(), inertia, (), own, n in flags.get("touchy", ()))
+        for n, own in enumerate(shapes)
+    )
+    joints = tuple(
+        Joint(f"j{n}", "prismatic", f"l{n - 1}", f"l{n}", axis=(1.0, 0.0, 0.0))
+        for n in range(1, len(links))
+    )
+    return Model("spinner", links, joints)
+
+
+def overlapping(count, at=0.0):
+    return tuple(Collision(Box((0.2, 0.2, 0.2)), Pose((at, 0.0, 0.0))) for _ in range(count))
+
+
+def positions(space, model):
+    (body,) = space.add(model).bodies.values()
+    space.run_for(0.1)
+    return [body.joint_state(name).position for name in body.joint_names]
+
+
+def test_helpers_touch_neither_each_other_nor_their_link_nor_its_neighbours(space):
+    shapes = [overlapping(40), overlapping(40)]
+    model = spinner(shapes, touchy=(0, 1))
+    assert positions(space, model) == [0.0]
+    assert space.models["spinner"].pose().position == (0.0, 0.0, 0.0)
+    assert pybullet.getContactPoints(physicsClientId=space.client) == ()
+
+
+def test_helpers_touch_other_links_of_their_body_that_want_it(space):
+    far = overlapping(16, at=50.0)
+    shapes = [(*far, *overlapping(1)), (), (*far, *overlapping(1, at=0.19))]
+    model = spinner(shapes, touchy=(2,))
+    apart = positions(space, model)
+    assert apart[0] + apart[1] > 1e-3
+    space.remove("spinner")
+    assert positions(space, spinner(shapes)) == [0.0, 0.0]
+
+
+def test_what_touched_is_not_remembered_of_another_body(space):
+    shapes = [overlapping(1), (), overlapping(1, at=0.19), overlapping(1, at=40.0)]
+    first = space.add(spinner(shapes, touchy=(3,))).bodies["l0"].unique_id
+    space.run_for(0.01)
+    space.remove("spinner")
+    apart = positions(space, spinner(shapes, touchy=(0,)))
+    assert space.models["spinner"].bodies["l0"].unique_id == first
+    assert apart[0] + apart[1] > 1e-3
+
+
+# Shapes are made once
+
+
+def test_beacons_one_after_another_leave_no_memory_behind(package):
+    beacons = read_world_file(package / "worlds" / "beacons.world").models
+    beacon = next(model for model in beacons if model.name == "beacon_0")
+
+    def come_and_go(count):
+        for _ in range(count):
+            space.add(beacon)
+            space.remove("beacon_0")
+
+    with Simulation(World("space")) as space:
+        come_and_go(50)
+        before = resident_megabytes()
+        come_and_go(1000)
+        # Made anew each time, they leave 177 MB.
+        assert resident_megabytes() - before < 4.0
+
+
+def test_robots_with_joints_one_after_another_leave_little_memory_behind(cube):
+    chance = random.Random(2)
+    model = some_tree(chance, cube, 12)
+
+    def come_and_go(count):
+        for _ in range(count):
+            space.add(model)
+            space.remove("tree")
+
+    with Simulation(World("space")) as space:
+        come_and_go(20)
+        before = resident_megabytes()
+        come_and_go(100)
+        # Made anew each time, its 214 shapes leave 0.8 MB.
+        assert (resident_megabytes() - before) / 100 < 0.3
+
+
+def test_what_is_static_keeps_its_hollows_and_what_moves_is_convex(space, frame):
+    space.add(thing(frame, static=True))
+    assert hits(space, 0.0, 0.0) is None
+    assert hits(space, 0.75, 0.0) == pytest.approx(1.0)
+    space.remove("thing")
+    space.add(thing(frame))
+    assert hits(space, 0.0, 0.0) == pytest.approx(1.0, abs=2e-4)
+
+
+def test_shapes_of_one_body_are_where_they_belong(space, frame):
+    geometries = (frame, Box((1.0, 1.0, 0.5)), Cylinder(0.5, 1.0), Sphere(0.4))
+    model = thing(*geometries, static=True)
+    space.add(replace(model, pose=Pose((5.0, 0.0, 1.0))))
+    assert hits(space, 5.0, 0.0) == pytest.approx(1.0 + 9.0 + 0.4)
+    assert hits(space, 5.45, 0.0) == pytest.approx(1.0 + 6.0 + 0.5)
+    assert hits(space, 5.45, 0.45) == pytest.approx(1.0 + 3.0 + 0.25)
+    assert hits(space, 5.9, 0.9) == pytest.approx(1.0 + 1.0)
+
+
+def test_a_floor_beside_a_mesh(space, frame):
+    space.add(thing(frame, Plane(), static=True))
+    assert hits(space, 40.0, 40.0) == pytest.approx(3.0)
+
+
+def test_a_cylinder_is_round(space):
+    space.add(thing(Cylinder(0.5, 1.0)))
+    for angle in np.linspace(0.0, 2.0 * np.pi, 100):
+        x, y = 0.4995 * np.cos(angle), 0.4995 * np.sin(angle)
+        assert hits(space, x, y) == pytest.approx(0.5)
+
+
+def test_copies_move_on_their_own(space, frame):
+    first = space.add(thing(frame), "first")
+    second = space.add(thing(frame), "second", Pose((9.0, 0.0, 0.0)))
+    second.move(Pose((9.0, 0.0, 0.0)), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    space.run_for(1.0)
+    assert first.pose().position == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    assert second.pose().position == pytest.approx((10.0, 0.0, 0.0), abs=1e-6)
+
+
+def test_a_static_copy_does_not_change_one_that_moves(hall, frame):
+    """Shapes are shared; what is set for the one must not come over the other."""
+    shapes = (frame, Box((0.4, 0.4, 0.4)))
+    path = []
+    for static_first in (False, True):
+        if static_first:
+            hall.add(thing(*shapes, name="rock", static=True, pose=Pose((40.0, 0.0, 0.0))))
+        instance = hall.add(thing(*shapes, pose=Pose((0.0, 0.0, 0.3))))
+        hall.run_for(0.5)
+        path.append(instance.pose())
+        hall.remove("thing")
+    assert path[0].position == pytest.approx(path[1].position, abs=1e-9)
+
+
+def test_a_mesh_file_that_has_changed_is_read_again(space, tmp_path, cube):
+    space.add(thing(cube, static=True))
+    space.remove("thing")
+    corners = [(0.0, 0.0, 7.0), (1.0, 0.0, 7.0), (0.0, 1.0, 7.0)]
+    mesh_file(cube.path, corners, [(0, 1, 2)])
+    space.add(thing(cube, static=True))
+    assert hits(space, 0.2, 0.2) == pytest.approx(7.0)
+
+
+def test_nothing_is_written_to_the_temporary_folder(space, frame, tmp_path, monkeypatch):
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    monkeypatch.setenv("TMPDIR", str(folder))
+    before = os.stat(folder).st_mtime_ns
+    with Simulation(World("w")) as simulation:
+        simulation.add(thing(frame, Box((1.0, 1.0, 1.0)), static=True))
+        simulation.add(thing(frame, name="other"))
+        simulation.run_for(0.01)
+        # A file that comes and goes changes the time of its folder.
+        assert os.stat(folder).st_mtime_ns == before
+    assert os.stat(folder).st_mtime_ns == before
+
+
+def test_nothing_is_printed(space, frame, cube, capfd):
+    space.add(thing(frame, Box((1.0, 1.0, 1.0)), static=True))
+    space.add(jointed())
+    with pytest.raises(PhysicsError):
+        space.add(Model("many", (Link("l", Pose(), UNIT, (), row(150, cube, 1)),)))
+    with pytest.raises(PhysicsError):
+        space.add(thing(Sphere(0.0), name="flat"))
+    space.run_for(0.01)
+    assert capfd.readouterr() == ("", "")
