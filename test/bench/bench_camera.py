@@ -271,7 +271,9 @@ def measure(frames: int, seconds: float) -> Dict[str, Any]:
         out = subprocess.run(
             command, env=environment, check=True, stdout=subprocess.PIPE, text=True
         ).stdout
-        figures["frames"][threads] = json.loads(out.strip().splitlines()[-1])
+        # PyBullet's plugin talks, too.
+        (line,) = (line for line in out.splitlines() if line.startswith("{"))
+        figures["frames"][threads] = json.loads(line)
     print("real time …", flush=True)
     figures["real_time"] = real_time(seconds)
     return figures

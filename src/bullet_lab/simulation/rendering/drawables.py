@@ -8,13 +8,14 @@ from __future__ import annotations
 import logging
 import weakref
 from dataclasses import dataclass
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.description import Link, Mesh, Plane, Visual
 from bullet_lab.simulation.meshes import file_version
+from bullet_lab.simulation.pose import Vector
 from bullet_lab.simulation.rendering.graphics import Graphics
 from bullet_lab.simulation.rendering.lights import BITS, PICTURE
 from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
@@ -22,6 +23,12 @@ from bullet_lab.simulation.rendering.textures import Image
 
 LOG = logging.getLogger(__name__)
 
+# A texture on a plane is drawn by the better and slower way where the cosine of its normal with the
+# direction of view is less: where a pixel's footprint is 1.3 times as long as wide. (Below that,
+# sharper textures only let the smallest markers flicker.)
+SLANT = 0.77
+# Triangles lie in a plane where their mean normal has this length, of 1.
+FLAT = 0.98
 # Corners of one drawing call above which it takes too long to see which are the same.
 MOST_SHARED = 100_000
 # Floats of a corner: place, normal, colour, place in the texture.
@@ -36,6 +43,10 @@ class _Look:
     see_through: bool
     casts_shadows: bool
     is_plane: bool
+
+
+# A shape, and triangles of it in the link's frame.
+Part = Tuple[Visual, Surface]
 
 
 class _Texture:
@@ -55,17 +66,43 @@ class _Texture:
         weakref.finalize(self, self.texture.release_all)
 
 
+@dataclass(frozen=True)
+class Patch:
+    """Where textured triangles are, in the link's frame.
+
+    Attributes:
+        centre: of all, m.
+        radius: of a ball around them, m.
+        normal: unit normal of all, if they lie about in a plane.
+    """
+
+    centre: Vector
+    radius: float
+    normal: Optional[Vector]
+
+    def is_slanted(self, eye: Vector) -> bool:
+        """Whether it is seen at such a slant from a place in the link's frame, m.
+
+        What is no plane is so from far away: close by it would take long to draw.
+        """
+        way = np.subtract(self.centre, eye)
+        distance = float(np.linalg.norm(way))
+        if self.normal is None:
+            return distance > 2.0 * self.radius
+        return abs(float(way @ self.normal)) < SLANT * distance
+
+
 @dataclass(frozen=True, eq=False)
 class Drawable:
     """What is to be seen of a link.
 
     Attributes:
-        nodes: to be hung below the node of a link.
+        nodes: to be hung below the node of a link, with where they are if they are textured.
         boxes: (n, 8, 3) corners of the boxes around what throws shadows, m in the link's frame.
         textures: that the nodes use.
     """
 
-    nodes: Tuple[Any, ...]
+    nodes: Tuple[Tuple[Any, Optional[Patch]], ...]
     boxes: np.ndarray
     textures: Tuple[_Texture, ...]
 
@@ -75,12 +112,10 @@ class Drawables:
 
     Args:
         graphics: that draws them.
-        programs: what they are drawn with, by whether there is a texture.
     """
 
-    def __init__(self, graphics: Graphics, programs: Mapping[bool, Any]):
+    def __init__(self, graphics: Graphics):
         self._graphics = graphics
-        self._programs = programs
         self._made: Any = weakref.WeakValueDictionary()
         self._textures: Any = weakref.WeakValueDictionary()
         self._format = _vertex_format(graphics.core)
@@ -103,16 +138,16 @@ class Drawables:
         return found
 
     def _make(self, visuals: Sequence[Visual], casts: str, where: str) -> Drawable:
-        looks: Dict[_Look, List[np.ndarray]] = {}
+        looks: Dict[_Look, List[Part]] = {}
         boxes = []
         for visual, surface in _surfaces(visuals, where):
             look = _look(visual, surface)
-            looks.setdefault(look, []).append(_corners(surface, visual))
+            looks.setdefault(look, []).append((visual, surface))
             if look.casts_shadows:
                 boxes.append(_box_around(surface.corners))
         textures = {look: self._texture(look.image) for look in looks if look.image is not None}
         nodes = tuple(
-            self._node(look, np.concatenate(parts), casts, textures.get(look))
+            (self._node(look, parts, casts, textures.get(look)), _patch(look, parts))
             for look, parts in looks.items()
         )
         return Drawable(nodes, np.array(boxes).reshape(-1, 8, 3), tuple(textures.values()))
@@ -124,10 +159,10 @@ class Drawables:
         return found
 
     def _node(
-        self, look: _Look, corners: np.ndarray, casts: str, texture: Optional[_Texture]
+        self, look: _Look, parts: Sequence[Part], casts: str, texture: Optional[_Texture]
     ) -> Any:
         core = self._graphics.core
-        distinct, order = _shared(corners)
+        distinct, order = _shared(np.concatenate([_corners(*part) for part in parts]))
         vertices = core.GeomVertexData("shape", self._format, core.Geom.UH_static)
         vertices.unclean_set_num_rows(len(distinct))
         memoryview(vertices.modify_array(0)).cast("B")[:] = distinct.tobytes()
@@ -141,7 +176,6 @@ class Drawables:
         node = core.GeomNode("shape")
         node.add_geom(geom)
         path = core.NodePath(node)
-        path.set_shader(self._programs[texture is not None])
         if texture is not None:
             path.set_texture(texture.texture)
         if look.see_through:
@@ -168,7 +202,7 @@ def _vertex_format(core: Any) -> Any:
     return core.GeomVertexFormat.register_format(core.GeomVertexFormat(array))
 
 
-def _surfaces(visuals: Sequence[Visual], where: str) -> List[Tuple[Visual, Surface]]:
+def _surfaces(visuals: Sequence[Visual], where: str) -> List[Part]:
     """Return the surfaces of visuals in the link's frame."""
     found = []
     for visual in visuals:
@@ -190,7 +224,23 @@ def _look(visual: Visual, surface: Surface) -> _Look:
     return _Look(surface.image, see_through, casts, is_plane)
 
 
-def _corners(surface: Surface, visual: Visual) -> np.ndarray:
+def _patch(look: _Look, parts: Sequence[Part]) -> Optional[Patch]:
+    """Return where textured triangles are; those that show a single point of it do not count."""
+    if look.image is None:
+        return None
+    corners = np.concatenate([surface.corners for _, surface in parts])
+    pictures = np.concatenate([surface.picture for _, surface in parts])
+    chosen = np.ptp(pictures, axis=1).max(axis=1) > 0.0
+    corners = corners[chosen] if chosen.any() else corners
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    radius = 0.5 * float(np.linalg.norm(high - low))
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size, total = np.linalg.norm(areas.sum(axis=0)), np.linalg.norm(areas, axis=1).sum()
+    normal = tuple((areas.sum(axis=0) / size).tolist()) if size > FLAT * total > 0.0 else None
+    return Patch(tuple((0.5 * (low + high)).tolist()), radius, normal)
+
+
+def _corners(visual: Visual, surface: Surface) -> np.ndarray:
     """Return the floats of all corners, (n, sum of CORNER) float32."""
     count = 3 * len(surface.corners)
     corners = np.zeros((count, sum(width for _, width in CORNER)), np.float32)

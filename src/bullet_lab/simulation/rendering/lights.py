@@ -19,6 +19,7 @@ from bullet_lab.simulation.description import Light, World
 from bullet_lab.simulation.rendering.graphics import Graphics, Target
 from bullet_lab.simulation.rendering.shaders import (
     MOVING,
+    PAINT,
     SHADOW_FRAGMENT,
     STILL,
     LightProgram,
@@ -317,10 +318,8 @@ class Lighting:
         ]
         root.set_shader_input("ambient", *world.ambient[:3])
         self.programs = {
-            textured: graphics.program(
-                picture_vertex(programs), picture_fragment(programs, textured)
-            )
-            for textured in (False, True)
+            paint: graphics.program(picture_vertex(programs), picture_fragment(programs, paint))
+            for paint in PAINT
         }
 
     @property

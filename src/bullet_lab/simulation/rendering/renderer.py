@@ -141,7 +141,7 @@ class Renderer:
         self._scene.close()
 
     def _draw(self, target: Target, kind: Union[int, str], pose: Pose, shot: Shot) -> None:
-        shadow_maps = self._scene.update()
+        shadow_maps = self._scene.update(pose.position)
         (path,) = target.cameras
         core = self._graphics.core
         x, y, z, w = (pose * AHEAD).quaternion

@@ -8,23 +8,46 @@ import numpy as np
 
 from bullet_lab.simulation.attached_frame import AttachedFrame
 from bullet_lab.simulation.description import World
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.rendering.drawables import Drawable, Drawables
+from bullet_lab.simulation.pose import Pose, Vector
+from bullet_lab.simulation.rendering.drawables import Drawable, Drawables, Patch
 from bullet_lab.simulation.rendering.graphics import Graphics, Target
 from bullet_lab.simulation.rendering.lights import MOVING, STILL, Casters, Lighting
+from bullet_lab.simulation.rendering.shaders import PLAIN, SLANTED, TEXTURED
 
 
 class _LinkNode:
-    """What is to be seen of one link, below a node of its own."""
+    """What is to be seen of one link, below a node of its own.
 
-    def __init__(self, core: Any, root: Any, frame: AttachedFrame, drawable: Drawable):
+    Args:
+        core: Panda3D.
+        root: of the scene.
+        frame: of the link.
+        drawable: what is to be seen.
+        programs: what it is drawn with, by PLAIN, TEXTURED and SLANTED.
+    """
+
+    def __init__(
+        self,
+        core: Any,
+        root: Any,
+        frame: AttachedFrame,
+        drawable: Drawable,
+        programs: Mapping[str, Any],
+    ):
         self._core = core
         self._frame = frame
         self._drawable = drawable
+        self._programs = programs
         self._pose = Pose()
         self.path = root.attach_new_node(core.PandaNode("link"))
-        for node in drawable.nodes:
-            self.path.attach_new_node(node)
+        self._textured: List[Tuple[Any, Patch]] = []
+        for node, patch in drawable.nodes:
+            # The node itself may hang below other links, too, that are seen from elsewhere.
+            path = self.path.attach_new_node(core.PandaNode("look"))
+            path.attach_new_node(node)
+            path.set_shader(programs[PLAIN if patch is None else TEXTURED])
+            if patch is not None:
+                self._textured.append((path, patch))
         self._boxes = drawable.boxes
         self.boxes = drawable.boxes
 
@@ -40,6 +63,14 @@ class _LinkNode:
         if len(self._boxes):
             self.boxes = self._boxes @ pose.rotation_matrix().T + np.asarray(pose.position)
         return True
+
+    def face(self, eye: Vector) -> None:
+        """Choose how textures are drawn for a place in the world, m, that they are seen from."""
+        if self._textured:
+            local = (self._pose.inverse() * Pose(eye)).position
+            for path, patch in self._textured:
+                paint = SLANTED if patch.is_slanted(local) else TEXTURED
+                path.set_shader(self._programs[paint])
 
 
 class _ModelNodes:
@@ -59,6 +90,11 @@ class _ModelNodes:
         self._moves = self.instance.moves
         moved = [link.follow() for link in self._links]
         return self.has_shadows and any(moved)
+
+    def face(self, eye: Vector) -> None:
+        """Choose how textures are drawn for a place in the world, m, that they are seen from."""
+        for link in self._links:
+            link.face(eye)
 
     def boxes(self) -> List[np.ndarray]:
         """Return the boxes around what throws shadows, each (n, 8, 3)."""
@@ -87,12 +123,16 @@ class Scene:
         self._graphics = graphics
         self._models = models
         self._lighting = Lighting(world, graphics, self.root)
-        self._drawables = Drawables(graphics, self._lighting.programs)
+        self._drawables = Drawables(graphics)
         self._shown: Dict[str, _ModelNodes] = {}
         self._versions = {STILL: 0, MOVING: 0}
 
-    def update(self) -> List[Target]:
-        """Bring everything to where the models are; return the shadow maps to draw first."""
+    def update(self, eye: Vector) -> List[Target]:
+        """Bring everything to where the models are; return the shadow maps to draw first.
+
+        Args:
+            eye: where it is seen from, m in the world.
+        """
         for name, shown in list(self._shown.items()):
             if self._models.get(name) is not shown.instance:
                 self._changed(self._shown.pop(name)).remove()
@@ -102,6 +142,7 @@ class Scene:
         for shown in self._shown.values():
             if shown.follow():
                 self._changed(shown)
+            shown.face(eye)
         if not self._lighting.casting:
             return []
         return self._lighting.update({kind: self._casters(kind) for kind in (STILL, MOVING)})
@@ -134,5 +175,6 @@ class Scene:
                     where = f"model '{instance.name}': link '{link.name}'"
                     drawable = self._drawables.of(link, casts, where)
                     frame = AttachedFrame(body, link.name)
-                    links.append(_LinkNode(self._graphics.core, self.root, frame, drawable))
+                    core, programs = self._graphics.core, self._lighting.programs
+                    links.append(_LinkNode(core, self.root, frame, drawable, programs))
         return _ModelNodes(instance, links)

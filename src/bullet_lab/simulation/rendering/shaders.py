@@ -112,31 +112,43 @@ float reach_around(sampler2DShadow maps, vec3 offset, vec3 faces) {
 }
 """
 
-# What the footprint of a pixel covers of a texture. Where it is longer than wide, as on a surface
-# at a slant, it is sampled along its longer side, from finer copies of the texture than one sample
-# would need. The driver's own anisotropic filter will not do: Mesa's in software takes the nearest
-# texel, which moves edges seen from near by up to a pixel. Below 1.3 times as long as wide one
-# sample is better: sharper ones let the smallest markers flicker.
+# What the footprint of a pixel covers of a texture: as the driver has it, a square as wide as the
+# footprint is long.
 PAINTED = """
+uniform sampler2D p3d_Texture0;
+
+vec3 painted(vec2 there) {
+  return texture(p3d_Texture0, there).rgb;
+}
+"""
+
+# On a surface at a slant the footprint is longer than wide: four samples along it, from finer copies
+# of the texture than one sample would need. The driver's own anisotropic filter will not do: Mesa's
+# in software takes the nearest texel, which moves edges by up to a pixel. Without a branch, which
+# would take several times as long there.
+PAINTED_AT_A_SLANT = """
 uniform sampler2D p3d_Texture0;
 
 vec3 painted(vec2 there) {
   vec2 size = vec2(textureSize(p3d_Texture0, 0));
   vec2 right = dFdx(there), down = dFdy(there);
   vec2 r = right * size, d = down * size;
-  bool lies = dot(r, r) > dot(d, d);
-  vec2 along = lies ? right : down;
-  float longer = max(length(r), length(d));
-  float shorter = max(1.0, abs(r.x * d.y - r.y * d.x) / max(longer, 1e-6));
-  float count = min(ceil(longer / shorter - 0.3), 8.0);
-  if (count <= 1.0) return texture(p3d_Texture0, there).rgb;
-  float level = log2(max(shorter, longer / count));
-  vec3 sum = vec3(0.0);
-  for (float k = 0.5; k < count; k += 1.0)
-    sum += textureLod(p3d_Texture0, there + (k / count - 0.5) * along, level).rgb;
-  return sum / count;
+  float rr = dot(r, r), dd = dot(d, d);
+  float longer = sqrt(max(max(rr, dd), 1e-12));
+  float shorter = max(1.0, abs(r.x * d.y - r.y * d.x) / longer);
+  float count = clamp(longer / shorter, 1.0, 4.0);
+  float level = log2(longer / count);
+  // Samples a quarter of the footprint apart where it is four times as long as wide, else nearer.
+  vec2 step = (rr > dd ? right : down) * (count - 1.0) / (3.0 * count);
+  return 0.25 * (textureLod(p3d_Texture0, there - 1.5 * step, level).rgb
+                 + textureLod(p3d_Texture0, there - 0.5 * step, level).rgb
+                 + textureLod(p3d_Texture0, there + 0.5 * step, level).rgb
+                 + textureLod(p3d_Texture0, there + 1.5 * step, level).rgb);
 }
 """
+
+PLAIN, TEXTURED, SLANTED = "plain", "textured", "slanted"
+PAINT = {PLAIN: "", TEXTURED: PAINTED, SLANTED: PAINTED_AT_A_SLANT}
 
 # A place that is a little above a surface does not lie in the surface's own shadow. For a spot it
 # is higher farther away: in proportion to the distance along its axis, which like all that is
@@ -246,12 +258,12 @@ def picture_vertex(lights: Sequence[LightProgram]) -> str:
     return f"{VERSION}{declared}{VERTEX}{''.join(light.vertex_lines() for light in lights)}}}\n"
 
 
-def picture_fragment(lights: Sequence[LightProgram], textured: bool) -> str:
-    """Return the program for the pixels of what is seen, with a texture on it or without."""
+def picture_fragment(lights: Sequence[LightProgram], paint: str) -> str:
+    """Return the program for the pixels of what is seen: PLAIN, TEXTURED, or also SLANTED."""
     declared = "".join(light.fragment_declarations() for light in lights)
     added = "".join(light.fragment_lines() for light in lights)
-    surface = "colour.rgb * painted(picture)" if textured else "colour.rgb"
-    return f"""{VERSION}{declared}{FRAGMENT}{PAINTED if textured else ""}
+    surface = "colour.rgb" if paint == PLAIN else "colour.rgb * painted(picture)"
+    return f"""{VERSION}{declared}{FRAGMENT}{PAINT[paint]}
 void main() {{
   vec3 n = normalize(normal);
   vec3 lit = ambient;
