@@ -99,11 +99,13 @@ class Drawable:
     Attributes:
         nodes: to be hung below the node of a link, with where they are if they are textured.
         boxes: (n, 8, 3) corners of the boxes around what throws shadows, m in the link's frame.
+        bounds: (8, 3) corners of the box around all, m in the link's frame.
         textures: that the nodes use.
     """
 
     nodes: Tuple[Tuple[Any, Optional[Patch]], ...]
     boxes: np.ndarray
+    bounds: np.ndarray
     textures: Tuple[_Texture, ...]
 
 
@@ -139,18 +141,21 @@ class Drawables:
 
     def _make(self, visuals: Sequence[Visual], casts: str, where: str) -> Drawable:
         looks: Dict[_Look, List[Part]] = {}
-        boxes = []
+        boxes, ends = [], [np.zeros((1, 3))]
         for visual, surface in _surfaces(visuals, where):
             look = _look(visual, surface)
             looks.setdefault(look, []).append((visual, surface))
+            ends.append(surface.corners.reshape(-1, 3))
             if look.casts_shadows:
-                boxes.append(_box_around(surface.corners))
+                boxes.append(_box_around(ends[-1]))
         textures = {look: self._texture(look.image) for look in looks if look.image is not None}
         nodes = tuple(
             (self._node(look, parts, casts, textures.get(look)), _patch(look, parts))
             for look, parts in looks.items()
         )
-        return Drawable(nodes, np.array(boxes).reshape(-1, 8, 3), tuple(textures.values()))
+        bounds = _box_around(np.concatenate(ends))
+        held = tuple(textures.values())
+        return Drawable(nodes, np.array(boxes).reshape(-1, 8, 3), bounds, held)
 
     def _texture(self, image: Image) -> _Texture:
         found = self._textures.get(image.digest)
@@ -262,6 +267,6 @@ def _shared(corners: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
 
 
 def _box_around(corners: np.ndarray) -> np.ndarray:
-    """Return the (8, 3) corners of the box around triangles, (n, 3, 3)."""
-    ends = np.array((corners.min(axis=(0, 1)), corners.max(axis=(0, 1))))
+    """Return the (8, 3) corners of the box around points, (n, 3)."""
+    ends = np.array((corners.min(axis=0), corners.max(axis=0)))
     return np.array([(x, y, z) for x in ends[:, 0] for y in ends[:, 1] for z in ends[:, 2]])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 import numpy as np
@@ -33,8 +33,6 @@ LOG = logging.getLogger(__name__)
 PICTURE = "picture"
 # Which of a camera's bits shows what.
 BITS = {PICTURE: 0, STILL: 1, MOVING: 2}
-# Of what a camera's own state has over that of what it sees.
-OVERRIDE = 100
 # What a pixel of a map is to cover (m), and the sizes that a map may have for that (pixels).
 PIXEL = {STILL: 0.0025, MOVING: 0.006}
 SIZES = {STILL: (256, 512, 1024, 2048, 4096), MOVING: (64, 128, 256, 512)}
@@ -93,7 +91,7 @@ class Aim:
 def aim_sun(light: Light, points: np.ndarray, kind: str) -> Aim:
     """Return the map of a directional light that just holds points, (n, 3) in m."""
     axes = axes_along(light.pose.rotate(light.direction))
-    seen = points @ axes.T
+    seen = (points if len(points) else np.zeros((1, 3))) @ axes.T
     low, high = seen.min(axis=0) - PIXEL[kind], seen.max(axis=0) + PIXEL[kind]
     matrix = np.eye(4)
     matrix[:3, :3] = axes * (2.0 / (high - low))[:, None]
@@ -161,6 +159,18 @@ def _cropped(clip: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
     return np.maximum(there.min(axis=0), -1.0), np.minimum(there.max(axis=0), 1.0)
 
 
+def _between(one: Aim, other: Aim) -> Tuple[List[float], List[float]]:
+    """Return what leads from places in one map of a sun to those in another.
+
+    Returns:
+        Factors and what is added, along three axes, for places within [0, 1].
+    """
+    (first,), (second,) = one.matrices, other.matrices
+    zoom = np.linalg.norm(second[:3, :3], axis=1) / np.linalg.norm(first[:3, :3], axis=1)
+    shift = 0.5 * (1.0 + second[:3, 3] - zoom * (1.0 + first[:3, 3]))
+    return zoom.tolist(), shift.tolist()
+
+
 def axes_along(direction: Sequence[float]) -> np.ndarray:
     """Return orthogonal unit axes (3, 3), by rows; the last one goes along a direction."""
     along = np.asarray(direction) / np.linalg.norm(direction)
@@ -183,7 +193,7 @@ class _ShadowMap:
     def __init__(
         self, graphics: Graphics, root: Any, name: str, kind: str, tiles: Tuple[int, int] = (1, 1)
     ):
-        self.margin = 0.0
+        self.aim = Aim((), 0)
         self._graphics = graphics
         self._root = root
         self._name = name
@@ -208,7 +218,7 @@ class _ShadowMap:
                 self.remove()
             self._targets[aim.size] = self._target(aim.size)
         target = self._targets[aim.size]
-        self.margin = aim.margin
+        self.aim = aim
         put = self._root.set_shader_input
         put(f"{self._name}_{self._kind}", target.texture)
         for name, matrix in zip(self._matrices, aim.matrices):
@@ -233,9 +243,9 @@ class _ShadowMap:
         core = self._graphics.core
         state = core.NodePath("state")
         program = self._graphics.program(shadow_vertex(matrix), SHADOW_FRAGMENT)
-        state.set_shader(program, OVERRIDE)
+        state.set_shader(program)
         # Both sides throw shadows, since a mesh may be open.
-        state.set_attrib(core.CullFaceAttrib.make(core.CullFaceAttrib.M_cull_none), OVERRIDE)
+        state.set_attrib(core.CullFaceAttrib.make(core.CullFaceAttrib.M_cull_none))
         return state.get_state()
 
     def remove(self) -> None:
@@ -274,11 +284,26 @@ class _Source:
         """Take where all that throws shadows is now; return the maps that are to be drawn."""
         due = []
         for kind, shadow_map in self._maps.items():
-            if shadow_map.is_of(casters[kind].version):
+            if kind not in casters or shadow_map.is_of(casters[kind].version):
                 continue
             due.append(shadow_map.point(self._aim(casters[kind], kind)))
-            self._put("margin", max(each.margin for each in self._maps.values()))
+            self._put("margin", max(each.aim.margin for each in self._maps.values()))
+        if due and self._light.kind == "directional" and MOVING in casters:
+            zoom, shift = _between(*(self._maps[kind].aim for kind in (STILL, MOVING)))
+            self._put("zoom", *zoom)
+            self._put("shift", *shift)
         return due
+
+    def shadow_of(self, points: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+        """Return points (…, n, 3) and where their shadows leave bounds (2, 3): (…, 2 n, 3)."""
+        if self._light.kind == "directional":
+            ways = np.broadcast_to(self._light.pose.rotate(self._light.direction), points.shape)
+        else:
+            ways = points - np.asarray(self._light.pose.position)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            steps = (np.where(ways > 0.0, bounds[1], bounds[0]) - points) / ways
+        farthest = np.where(ways == 0.0, np.inf, steps).min(axis=-1, keepdims=True)
+        return np.concatenate((points, points + np.maximum(farthest, 0.0) * ways), axis=-2)
 
     def remove(self) -> None:
         """Give all maps back."""
@@ -287,12 +312,11 @@ class _Source:
 
     def _aim(self, casters: Casters, kind: str) -> Aim:
         points = casters.extent()
-        if not len(points):
-            sizes = SIZES if self._light.kind == "directional" else SPOT_SIZES
-            size = LAMP_SIZE if self._light.kind == "point" else sizes[kind][0]
-            return Aim((NOWHERE,) * 6, size, faces=(1.0, 2.0, 0.5))
         if self._light.kind == "directional":
             return aim_sun(self._light, points, kind)
+        if not len(points):
+            size = LAMP_SIZE if self._light.kind == "point" else SPOT_SIZES[kind][0]
+            return Aim((NOWHERE,) * 6, size, faces=(1.0, 2.0, 0.5))
         if self._light.kind == "spot":
             return aim_spot(self._light, points, kind)
         return aim_lamp(self._light, points)
@@ -317,9 +341,10 @@ class Lighting:
             for light, program in zip(world.lights, programs)
         ]
         root.set_shader_input("ambient", *world.ambient[:3])
-        self.programs = {
-            paint: graphics.program(picture_vertex(programs), picture_fragment(programs, paint))
-            for paint in PAINT
+        without = [replace(program, maps=program.maps[:1]) for program in programs]
+        self._states = {
+            moving: {paint: _drawing(graphics, lights, paint) for paint in PAINT}
+            for moving, lights in ((True, programs), (False, without))
         }
 
     @property
@@ -327,18 +352,46 @@ class Lighting:
         """Whether any light throws shadows."""
         return any(source.program.maps for source in self._sources)
 
-    def update(self, casters: Dict[str, Casters]) -> List[Target]:
-        """Take where all that throws shadows is now; return the maps that are to be drawn.
+    def states(self, moving: bool) -> Dict[str, Any]:
+        """Return how PLAIN, TEXTURED and SLANTED surfaces are drawn.
 
         Args:
-            casters: what stands still, by STILL, and what moves, by MOVING.
+            moving: with the shadows of what moves.
+        """
+        return self._states[moving]
+
+    def update(self, casters: Dict[str, Casters]) -> List[Target]:
+        """Take where what throws shadows is now; return the maps that are to be drawn.
+
+        Args:
+            casters: what stands still, by STILL, and what moves, by MOVING, if it matters.
         """
         return [target for source in self._sources for target in source.update(casters)]
+
+    def shadows_of(self, boxes: np.ndarray, bounds: np.ndarray) -> List[np.ndarray]:
+        """Return for each light that moving things throw shadows from where these are.
+
+        Args:
+            boxes: (n, 8, 3) corners of boxes that throw shadows, m in the world.
+            bounds: (2, 3) least and greatest corner of the box around all that is to be seen.
+
+        Returns:
+            Points whose hulls hold each box and its shadow, (n, 16, 3).
+        """
+        return [s.shadow_of(boxes, bounds) for s in self._sources if MOVING in s.program.maps]
 
     def remove(self) -> None:
         """Give all shadow maps back."""
         for source in self._sources:
             source.remove()
+
+
+def _drawing(graphics: Graphics, lights: Sequence[LightProgram], paint: str) -> Any:
+    """Return the state that a kind of surfaces is drawn with."""
+    program = graphics.program(picture_vertex(lights), picture_fragment(lights, paint))
+    state = graphics.core.NodePath("state")
+    state.set_shader(program)
+    return state.get_state()
 
 
 def plan_maps(world: World) -> List[LightProgram]:

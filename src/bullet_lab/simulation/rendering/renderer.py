@@ -18,13 +18,17 @@ from bullet_lab.simulation.rendering.graphics import (
     Target,
     shared_graphics,
 )
-from bullet_lab.simulation.rendering.lights import BITS, OVERRIDE, PICTURE
-from bullet_lab.simulation.rendering.scene import Scene
+from bullet_lab.simulation.rendering.lights import BITS, PICTURE
+from bullet_lab.simulation.rendering.scene import PAINT_TAG, Scene
 from bullet_lab.simulation.rendering.shaders import DEPTH_FRAGMENT, DEPTH_VERTEX
 
 LOG = logging.getLogger(__name__)
 
 DEPTH = "depth"
+# With more, it takes too long to see whether any is in view.
+MOST_HULLS = 64
+# Of a camera's own state over that of what it sees.
+OVERRIDE = 100
 # From x ahead, z up to Panda3D's axes of a camera: y ahead, z up.
 AHEAD = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, -0.5 * math.pi))
 
@@ -82,10 +86,11 @@ class Renderer:
             # Neither is left to what was drawn last.
             several = kind in SAMPLES and kind > 1
             modes = core.AntialiasAttrib
-            state.set_antialias(modes.M_multisample if several else modes.M_none, OVERRIDE)
+            state.set_antialias(modes.M_multisample if several else modes.M_none)
             if kind == DEPTH:
                 program = self._graphics.program(DEPTH_VERTEX, DEPTH_FRAGMENT)
-                state.set_shader(program, OVERRIDE)
+                state.set_shader(program)
+                # What is behind glass is not measured.
                 state.set_transparency(core.TransparencyAttrib.M_none, OVERRIDE)
             self._states[kind] = state.get_state()
 
@@ -141,7 +146,7 @@ class Renderer:
         self._scene.close()
 
     def _draw(self, target: Target, kind: Union[int, str], pose: Pose, shot: Shot) -> None:
-        shadow_maps = self._scene.update(pose.position)
+        self._scene.update()
         (path,) = target.cameras
         core = self._graphics.core
         x, y, z, w = (pose * AHEAD).quaternion
@@ -153,7 +158,14 @@ class Renderer:
         node.set_scene(self._scene.root)
         node.set_initial_state(self._states[kind])
         node.set_camera_mask(core.BitMask32.bit(BITS[PICTURE]))
-        self._graphics.draw([*shadow_maps, target])
+        if kind == DEPTH:
+            self._graphics.draw([target])
+            return
+        view = self._scene.view(pose.position, lambda hulls: in_view(hulls, pose, shot))
+        node.set_tag_state_key(PAINT_TAG)
+        for paint, state in view.states.items():
+            node.set_tag_state(paint, state)
+        self._graphics.draw([*view.shadow_maps, target])
 
 
 def projection(shot: Shot) -> np.ndarray:
@@ -170,3 +182,37 @@ def projection(shot: Shot) -> np.ndarray:
             [0, 1.0, 0, 0],
         ]
     )
+
+
+def in_view(hulls: np.ndarray, pose: Pose, shot: Shot) -> bool:
+    """Return whether any of several convex hulls may be seen; True if in doubt.
+
+    What of a hull is before the nearest distance may not be seen where all of it lies beyond one
+    side of the view.
+
+    Args:
+        hulls: (n, m, 3) points of each, m in the world.
+        pose: of the camera: x ahead, z up.
+        shot: its view.
+    """
+    if len(hulls) > MOST_HULLS:
+        return True
+    points = (hulls - np.asarray(pose.position)) @ pose.rotation_matrix()
+    ahead = points[..., 0] - shot.near
+    # Where what joins two points comes through the plane of the nearest distance.
+    crosses = (ahead[:, :, None] < 0.0) & (ahead[:, None, :] >= 0.0)
+    shares = ahead[:, :, None] / np.where(crosses, ahead[:, :, None] - ahead[:, None, :], 1.0)
+    between = points[:, :, None] + shares[..., None] * (points[:, None] - points[:, :, None])
+    count = len(hulls)
+    seen = np.concatenate((ahead >= 0.0, crosses.reshape(count, -1)), axis=1)
+    x, y, z = np.concatenate((points, between.reshape(count, -1, 3)), axis=1).T
+    camera = shot.camera
+    sides = (
+        shot.far - x,
+        (camera.cx + 1.0) * x - camera.fx * y,
+        (camera.width - camera.cx) * x + camera.fx * y,
+        (camera.cy + 1.0) * x - camera.fy * z,
+        (camera.height - camera.cy) * x + camera.fy * z,
+    )
+    within = [((side >= 0.0) & seen.T).any(axis=0) for side in sides]
+    return bool(np.logical_and.reduce(within).any())

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Mapping
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from bullet_lab.simulation.rendering.graphics import Graphics, Target
 from bullet_lab.simulation.rendering.lights import MOVING, STILL, Casters, Lighting
 from bullet_lab.simulation.rendering.shaders import PLAIN, SLANTED, TEXTURED
 
+# What nodes have PLAIN, TEXTURED or SLANTED in, by which a camera chooses what to draw them with.
+PAINT_TAG = "paint"
+
 
 class _LinkNode:
     """What is to be seen of one link, below a node of its own.
@@ -23,21 +27,12 @@ class _LinkNode:
         root: of the scene.
         frame: of the link.
         drawable: what is to be seen.
-        programs: what it is drawn with, by PLAIN, TEXTURED and SLANTED.
     """
 
-    def __init__(
-        self,
-        core: Any,
-        root: Any,
-        frame: AttachedFrame,
-        drawable: Drawable,
-        programs: Mapping[str, Any],
-    ):
+    def __init__(self, core: Any, root: Any, frame: AttachedFrame, drawable: Drawable):
         self._core = core
         self._frame = frame
         self._drawable = drawable
-        self._programs = programs
         self._pose = Pose()
         self.path = root.attach_new_node(core.PandaNode("link"))
         self._textured: List[Tuple[Any, Patch]] = []
@@ -45,11 +40,11 @@ class _LinkNode:
             # The node itself may hang below other links, too, that are seen from elsewhere.
             path = self.path.attach_new_node(core.PandaNode("look"))
             path.attach_new_node(node)
-            path.set_shader(programs[PLAIN if patch is None else TEXTURED])
+            path.set_tag(PAINT_TAG, PLAIN if patch is None else TEXTURED)
             if patch is not None:
                 self._textured.append((path, patch))
-        self._boxes = drawable.boxes
         self.boxes = drawable.boxes
+        self.bounds = drawable.bounds
 
     def follow(self) -> bool:
         """Go where the link is; return whether it has moved."""
@@ -60,8 +55,9 @@ class _LinkNode:
         x, y, z, w = pose.quaternion
         core = self._core
         self.path.set_pos_quat(core.LPoint3(*pose.position), core.LQuaternion(w, x, y, z))
-        if len(self._boxes):
-            self.boxes = self._boxes @ pose.rotation_matrix().T + np.asarray(pose.position)
+        turn, place = pose.rotation_matrix().T, np.asarray(pose.position)
+        self.boxes = self._drawable.boxes @ turn + place
+        self.bounds = self._drawable.bounds @ turn + place
         return True
 
     def face(self, eye: Vector) -> None:
@@ -69,8 +65,7 @@ class _LinkNode:
         if self._textured:
             local = (self._pose.inverse() * Pose(eye)).position
             for path, patch in self._textured:
-                paint = SLANTED if patch.is_slanted(local) else TEXTURED
-                path.set_shader(self._programs[paint])
+                path.set_tag(PAINT_TAG, SLANTED if patch.is_slanted(local) else TEXTURED)
 
 
 class _ModelNodes:
@@ -84,12 +79,12 @@ class _ModelNodes:
         self._moves = -1
 
     def follow(self) -> bool:
-        """Go where the model is; return whether a shadow goes with it."""
+        """Go where the model is; return whether it has moved."""
         if self.casts == STILL and self._moves == self.instance.moves:
             return False
         self._moves = self.instance.moves
         moved = [link.follow() for link in self._links]
-        return self.has_shadows and any(moved)
+        return any(moved)
 
     def face(self, eye: Vector) -> None:
         """Choose how textures are drawn for a place in the world, m, that they are seen from."""
@@ -100,10 +95,27 @@ class _ModelNodes:
         """Return the boxes around what throws shadows, each (n, 8, 3)."""
         return [link.boxes for link in self._links]
 
+    def bounds(self) -> List[np.ndarray]:
+        """Return the corners of the boxes around the links, each (8, 3)."""
+        return [link.bounds for link in self._links]
+
     def remove(self) -> None:
         """Take all of it out of the scene."""
         for link in self._links:
             link.path.remove_node()
+
+
+@dataclass(frozen=True)
+class View:
+    """How a scene is drawn from somewhere.
+
+    Attributes:
+        shadow_maps: that must be drawn first: they count as drawn from now on.
+        states: that surfaces are drawn with, by their PAINT_TAG.
+    """
+
+    shadow_maps: List[Target]
+    states: Mapping[str, Any]
 
 
 class Scene:
@@ -126,13 +138,10 @@ class Scene:
         self._drawables = Drawables(graphics)
         self._shown: Dict[str, _ModelNodes] = {}
         self._versions = {STILL: 0, MOVING: 0}
+        self._bounds: Optional[np.ndarray] = None
 
-    def update(self, eye: Vector) -> List[Target]:
-        """Bring everything to where the models are; return the shadow maps to draw first.
-
-        Args:
-            eye: where it is seen from, m in the world.
-        """
+    def update(self) -> None:
+        """Bring everything to where the models are."""
         for name, shown in list(self._shown.items()):
             if self._models.get(name) is not shown.instance:
                 self._changed(self._shown.pop(name)).remove()
@@ -142,10 +151,19 @@ class Scene:
         for shown in self._shown.values():
             if shown.follow():
                 self._changed(shown)
+
+    def view(self, eye: Vector, in_view: Callable[[np.ndarray], bool]) -> View:
+        """Return how everything is drawn, as it was at the last update.
+
+        Args:
+            eye: where it is seen from, m in the world.
+            in_view: whether any of several hulls of points (n, m, 3) in the world may be seen.
+        """
+        for shown in self._shown.values():
             shown.face(eye)
-        if not self._lighting.casting:
-            return []
-        return self._lighting.update({kind: self._casters(kind) for kind in (STILL, MOVING)})
+        kinds = [STILL, *([MOVING] if self._sees_moving_shadows(in_view) else [])]
+        targets = self._lighting.update({kind: self._casters(kind) for kind in kinds})
+        return View(targets, self._lighting.states(MOVING in kinds))
 
     def close(self) -> None:
         """Give everything back."""
@@ -155,9 +173,21 @@ class Scene:
         self._lighting.remove()
 
     def _changed(self, shown: _ModelNodes) -> _ModelNodes:
+        self._bounds = None
         if shown.has_shadows:
             self._versions[shown.casts] += 1
         return shown
+
+    def _sees_moving_shadows(self, in_view: Callable[[np.ndarray], bool]) -> bool:
+        if not self._lighting.casting:
+            return False
+        boxes = self._boxes(MOVING)
+        if not len(boxes):
+            return False
+        if self._bounds is None:
+            corners = [b for shown in self._shown.values() for b in shown.bounds()]
+            self._bounds = np.array((np.min(corners, axis=(0, 1)), np.max(corners, axis=(0, 1))))
+        return any(map(in_view, self._lighting.shadows_of(boxes, self._bounds)))
 
     def _casters(self, kind: str) -> Casters:
         return Casters(lambda: self._boxes(kind), self._versions[kind])
@@ -175,6 +205,5 @@ class Scene:
                     where = f"model '{instance.name}': link '{link.name}'"
                     drawable = self._drawables.of(link, casts, where)
                     frame = AttachedFrame(body, link.name)
-                    core, programs = self._graphics.core, self._lighting.programs
-                    links.append(_LinkNode(core, self.root, frame, drawable, programs))
+                    links.append(_LinkNode(self._graphics.core, self.root, frame, drawable))
         return _ModelNodes(instance, links)

@@ -88,8 +88,8 @@ float cone_share(float cosine, vec3 cone) {
 // The share of a light that a shadow map lets through; all of it where the map does not reach.
 float reach(sampler2DShadow map, vec3 there) {
   vec2 off = abs(there.xy - 0.5);
-  if (max(off.x, off.y) > 0.5) return 1.0;
-  return texture(map, vec3(there.xy, min(there.z, 1.0)));
+  float share = texture(map, vec3(there.xy, min(there.z, 1.0)));
+  return max(off.x, off.y) > 0.5 ? 1.0 : share;
 }
 
 float reach(sampler2DShadow map, vec4 there) {
@@ -122,10 +122,10 @@ vec3 painted(vec2 there) {
 }
 """
 
-# On a surface at a slant the footprint is longer than wide: four samples along it, from finer copies
-# of the texture than one sample would need. The driver's own anisotropic filter will not do: Mesa's
-# in software takes the nearest texel, which moves edges by up to a pixel. Without a branch, which
-# would take several times as long there.
+# On a surface at a slant the footprint is longer than wide: four samples along it, from finer
+# copies of the texture than one sample would need. The driver's own anisotropic filter will not do:
+# Mesa's in software takes the nearest texel, which moves edges by up to a pixel. Without a branch:
+# in software both ways of one are always taken.
 PAINTED_AT_A_SLANT = """
 uniform sampler2D p3d_Texture0;
 
@@ -150,26 +150,26 @@ vec3 painted(vec2 there) {
 PLAIN, TEXTURED, SLANTED = "plain", "textured", "slanted"
 PAINT = {PLAIN: "", TEXTURED: PAINTED, SLANTED: PAINTED_AT_A_SLANT}
 
-# A place that is a little above a surface does not lie in the surface's own shadow. For a spot it
-# is higher farther away: in proportion to the distance along its axis, which like all that is
-# worked out for corners may be interpolated between them.
-LIFTED = {
-    "directional": "place + LIGHT_margin * normal",
-    "spot": "place + LIGHT_margin * ({into} * vec4(place, 1.0)).w * normal",
-}
-# From [-1, 1] to the [0, 1] of a map. A sun's rays are parallel: nothing is to be divided by.
-INTO_MAP = """
-  {{
-    vec4 clip = {into} * vec4({lifted}, 1.0);
-    {there} = 0.5 * (clip + clip.w){only};
-  }}
+# What is worked out for corners and interpolated between them. A place that is a little above a
+# surface does not lie in the surface's own shadow; for a spot it is higher farther away, in
+# proportion to the distance along its axis. From the [-1, 1] of clip coordinates to the [0, 1] of a
+# map; a sun's rays are parallel, so nothing is to be divided by.
+SUN_CORNER = """
+  LIGHT_cosine = max(0.0, -dot(normal, LIGHT_along));
+"""
+SUN_IN_MAP = """
+  LIGHT_in_still = 0.5 * (LIGHT_into_still * vec4(place + LIGHT_margin * normal, 1.0)).xyz + 0.5;
+"""
+SPOT_IN_MAP = """
+  {
+    float ahead = (LIGHT_into_MAP * vec4(place, 1.0)).w;
+    vec4 clip = LIGHT_into_MAP * vec4(place + LIGHT_margin * ahead * normal, 1.0);
+    LIGHT_in_MAP = 0.5 * (clip + clip.w);
+  }
 """
 
 SUN_LINES = """
-  {{
-    float cosine = -dot(n, LIGHT_along);
-    if (cosine > 0.0) lit += LIGHT_diffuse * cosine{factors};
-  }}
+  if (LIGHT_cosine > 0.0) lit += LIGHT_diffuse * LIGHT_cosine{factors};
 """
 LAMP_LINES = """
   {{
@@ -190,7 +190,7 @@ class LightProgram:
     Attributes:
         number: of the light.
         kind: directional, point or spot.
-        maps: its shadow maps, of STILL and MOVING; a point light may have the former only.
+        maps: its shadow maps: none, STILL, or of other lights than points STILL and MOVING.
     """
 
     number: int
@@ -199,54 +199,61 @@ class LightProgram:
 
     def vertex_declarations(self) -> str:
         """Return what the program for corners declares."""
-        if self.kind == "point" or not self.maps:
-            return ""
-        kinds = [f"uniform mat4 LIGHT_into_{name};" for name in self.maps]
-        kinds += ["uniform float LIGHT_margin;"]
-        return self._named("\n".join([*kinds, self._places("out")]))
+        names: List[str] = []
+        if self.kind == "directional":
+            names += ["uniform vec3 LIGHT_along", "out float LIGHT_cosine"]
+        if self.kind != "point" and self.maps:
+            names += ["uniform float LIGHT_margin"]
+            names += [f"uniform mat4 LIGHT_into_{name}" for name in self._in_maps()]
+        return self._named("".join(f"{name};\n" for name in names) + self._places("out"))
 
     def vertex_lines(self) -> str:
-        """Return what works out a corner's places in the shadow maps."""
-        if self.kind == "point":
-            return ""
-        only = ".xyz" if self.kind == "directional" else ""
-        lines = ""
-        for name in self.maps:
-            into, there = f"LIGHT_into_{name}", f"LIGHT_in_{name}"
-            lifted = LIFTED[self.kind].format(into=into)
-            lines += INTO_MAP.format(into=into, there=there, lifted=lifted, only=only)
-        return self._named(lines)
+        """Return what is worked out for a corner."""
+        if self.kind == "directional":
+            return self._named(SUN_CORNER + (SUN_IN_MAP if self.maps else ""))
+        return self._named("".join(SPOT_IN_MAP.replace("MAP", name) for name in self._in_maps()))
 
     def fragment_declarations(self) -> str:
         """Return what the program for pixels declares."""
-        names = ["vec3 LIGHT_diffuse"]
-        names += ["vec3 LIGHT_along"] if self.kind != "point" else []
-        if self.kind != "directional":
-            names += ["vec3 LIGHT_position", "vec4 LIGHT_attenuation"]
-        names += ["vec3 LIGHT_cone"] if self.kind == "spot" else []
-        names += [f"sampler2DShadow LIGHT_{name}" for name in self.maps]
-        places = self._places("in")
+        names = ["uniform vec3 LIGHT_diffuse"]
+        if self.kind == "directional":
+            names += ["in float LIGHT_cosine"]
+        else:
+            names += ["uniform vec3 LIGHT_position", "uniform vec4 LIGHT_attenuation"]
+        names += ["uniform vec3 LIGHT_along", "uniform vec3 LIGHT_cone"] * (self.kind == "spot")
+        names += [f"uniform sampler2DShadow LIGHT_{name}" for name in self.maps]
         if self.kind == "point" and self.maps:
-            names += ["vec3 LIGHT_faces", "float LIGHT_margin"]
-            places = ""
-        return self._named("".join(f"uniform {name};\n" for name in names) + places)
+            names += ["uniform vec3 LIGHT_faces", "uniform float LIGHT_margin"]
+        if self.kind == "directional" and MOVING in self.maps:
+            names += ["uniform vec3 LIGHT_zoom", "uniform vec3 LIGHT_shift"]
+        return self._named("".join(f"{name};\n" for name in names) + self._places("in"))
 
     def fragment_lines(self) -> str:
         """Return what adds the light to `lit`, given `place` and the normal `n`."""
         factors: List[str] = []
         if self.kind == "spot":
             factors += ["cone_share(dot(-towards, LIGHT_along), LIGHT_cone)"]
-        if self.kind == "point" and self.maps:
+        if self.kind == "directional":
+            # Both maps look along the same axes.
+            there = {STILL: "LIGHT_in_still", MOVING: "LIGHT_zoom * LIGHT_in_still + LIGHT_shift"}
+            factors += [f"reach(LIGHT_{name}, {there[name]})" for name in self.maps]
+        elif self.kind == "point" and self.maps:
             lifted = "place + LIGHT_margin * distance * n - LIGHT_position"
             factors += [f"reach_around(LIGHT_still, {lifted}, LIGHT_faces)"]
         else:
-            factors += [f"reach(LIGHT_{name}, LIGHT_in_{name})" for name in self.maps]
+            factors += [f"reach(LIGHT_{name}, LIGHT_in_{name})" for name in self._in_maps()]
         lines = SUN_LINES if self.kind == "directional" else LAMP_LINES
         return self._named(lines.format(factors="".join(f" * {factor}" for factor in factors)))
 
+    def _in_maps(self) -> Sequence[str]:
+        """Return the maps that corners have their places in."""
+        if self.kind == "point":
+            return ()
+        return self.maps[:1] if self.kind == "directional" else self.maps
+
     def _places(self, way: str) -> str:
         size = "vec3" if self.kind == "directional" else "vec4"
-        return "".join(f"{way} {size} LIGHT_in_{name};\n" for name in self.maps)
+        return "".join(f"{way} {size} LIGHT_in_{name};\n" for name in self._in_maps())
 
     def _named(self, text: str) -> str:
         return text.replace("LIGHT", f"light{self.number}")
