@@ -35,6 +35,7 @@ sync-video 0
 SAMPLES = (1, 2, 4)
 # Buffers for pictures that are kept, for the sizes that were asked for last.
 KEPT_BUFFERS = 8
+KEPT_PROGRAMS = 64
 
 
 NO_DRIVER = "pictures need EGL and a driver: on Debian, install libegl1 and libgl1-mesa-dri"
@@ -50,6 +51,7 @@ class Target:
     Attributes:
         buffer: Panda3D's.
         texture: stays on the graphics side for shadow maps, is copied into memory otherwise.
+        states: that its camera draws surfaces with, for whoever sets them to know.
         cameras: node paths, one for each tile of the buffer, row by row from the lower left.
     """
 
@@ -57,6 +59,7 @@ class Target:
         from panda3d.core import Camera, NodePath
 
         self.texture = texture
+        self.states: Any = None
         self.cameras: List[Any] = []
         self.buffer = buffer
         columns, rows = tiles
@@ -101,6 +104,7 @@ class Graphics:
     def __init__(self):
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="graphics")
         self._kept: OrderedDict[tuple, Target] = OrderedDict()
+        self._programs: OrderedDict[Tuple[str, str], Any] = OrderedDict()
         self.core = core = _panda3d()
         self._engine = core.GraphicsEngine.get_global_ptr()
         with hidden_native_output():
@@ -160,8 +164,14 @@ class Graphics:
         return Target(buffer, texture, tiles)
 
     def program(self, vertex: str, fragment: str) -> Any:
-        """Return a shader from its two programs in GLSL."""
-        return self.core.Shader.make(self.core.Shader.SL_GLSL, vertex, fragment)
+        """Return a shader from its two programs in GLSL; it is compiled once for all scenes."""
+        key = (vertex, fragment)
+        if key not in self._programs:
+            while len(self._programs) >= KEPT_PROGRAMS:
+                self._programs.popitem(last=False)
+            self._programs[key] = self.core.Shader.make(self.core.Shader.SL_GLSL, *key)
+        self._programs.move_to_end(key)
+        return self._programs[key]
 
     def matrix(self, columns: np.ndarray) -> Any:
         """Return a (4, 4) matrix that multiplies columns as Panda3D has it."""

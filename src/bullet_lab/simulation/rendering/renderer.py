@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import math
 from dataclasses import dataclass
@@ -25,6 +26,8 @@ from bullet_lab.simulation.rendering.shaders import DEPTH_FRAGMENT, DEPTH_VERTEX
 LOG = logging.getLogger(__name__)
 
 DEPTH = "depth"
+# Lenses of shots taken last, that are kept.
+KEPT_LENSES = 8
 # With more, it takes too long to see whether any is in view.
 MOST_HULLS = 64
 # Of a camera's own state over that of what it sees.
@@ -79,6 +82,7 @@ class Renderer:
         # Pictures are drawn upside down, which spares turning them round: so what is clockwise
         # turns, too.
         turned = core.CullFaceAttrib.make(core.CullFaceAttrib.M_cull_counter_clockwise)
+        self._lens = functools.lru_cache(maxsize=KEPT_LENSES)(self._make_lens)
         self._states: Dict[Union[int, str], Any] = {}
         for kind in (*SAMPLES, DEPTH):
             state = core.NodePath("state")
@@ -145,16 +149,19 @@ class Renderer:
         """Give everything back."""
         self._scene.close()
 
+    def _make_lens(self, shot: Shot) -> Any:
+        lens = self._graphics.core.MatrixLens()
+        lens.set_user_mat(self._graphics.matrix(projection(shot)))
+        return lens
+
     def _draw(self, target: Target, kind: Union[int, str], pose: Pose, shot: Shot) -> None:
         self._scene.update()
         (path,) = target.cameras
         core = self._graphics.core
         x, y, z, w = (pose * AHEAD).quaternion
         path.set_pos_quat(core.LPoint3(*pose.position), core.LQuaternion(w, x, y, z))
-        lens = core.MatrixLens()
-        lens.set_user_mat(self._graphics.matrix(projection(shot)))
         node = path.node()
-        node.set_lens(lens)
+        node.set_lens(self._lens(shot))
         node.set_scene(self._scene.root)
         node.set_initial_state(self._states[kind])
         node.set_camera_mask(core.BitMask32.bit(BITS[PICTURE]))
@@ -162,9 +169,11 @@ class Renderer:
             self._graphics.draw([target])
             return
         view = self._scene.view(pose.position, lambda hulls: in_view(hulls, pose, shot))
-        node.set_tag_state_key(PAINT_TAG)
-        for paint, state in view.states.items():
-            node.set_tag_state(paint, state)
+        if target.states is not view.states:
+            target.states = view.states
+            node.set_tag_state_key(PAINT_TAG)
+            for paint, state in view.states.items():
+                node.set_tag_state(paint, state)
         self._graphics.draw([*view.shadow_maps, target])
 
 
