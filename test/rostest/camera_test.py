@@ -14,6 +14,7 @@ import rospy
 import rostest
 from bullet_lab.srv import Step
 from lab_testing import Node, Topic, wait_for
+from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Empty
 
@@ -67,7 +68,7 @@ class CameraTest(unittest.TestCase):
         return topic
 
     def test_image_and_camera_info(self):
-        with bridge(paused=True, renderer="tiny"):
+        with bridge(paused=True):
             image, info = self.images(), self.infos()
             advance(100)
             picture, geometry = image.wait(3)[0], info.wait(3)[0]
@@ -111,16 +112,39 @@ class CameraTest(unittest.TestCase):
         self.count_frames(1.0, 45)
 
     def test_nothing_is_drawn_without_a_subscriber(self):
-        with tempfile.TemporaryDirectory() as folder, unittest.mock.patch.dict(
-            os.environ, TMPDIR=folder
-        ), bridge(rtf=1.0, renderer="tiny"):
-            info = self.infos()
-            info.wait(10)
-            # Where the renderer's copies of the world lie.
-            self.assertEqual(list(Path(folder).glob("bullet_lab_drawn_*")), [])
+        with bridge(rtf=1.0) as node:
+            maps = Path(f"/proc/{node.process.pid}/maps")
+            self.infos().wait(10)
+            self.assertNotIn("libpandagl", maps.read_text())
+            self.images().wait(2)
+            self.assertIn("libpandagl", maps.read_text())
+
+    def test_nothing_is_left_in_the_temporary_directory(self):
+        with tempfile.TemporaryDirectory() as folder:
+            with unittest.mock.patch.dict(os.environ, TMPDIR=folder), bridge(rtf=1.0) as node:
+                self.images().wait(2)
+                node.process.kill()
+                node.process.wait(10)
+            self.assertEqual(os.listdir(folder), [])
+
+    def test_without_a_driver_the_camera_says_so_once_and_the_rest_goes_on(self):
+        hidden = {"__EGL_VENDOR_LIBRARY_FILENAMES": os.devnull, "LIBGL_DRIVERS_PATH": os.devnull}
+        with unittest.mock.patch.dict(os.environ, hidden), bridge(rtf=0.0) as node:
+            images = self.images()
+            odometry = self.topic("/odom", Odometry)
+            odometry.wait(100)
+            self.assertEqual(len(images.messages), 0)
+            said = node.out + node.err
+            line = "pictures need EGL and a driver: on Debian, install libegl1 and libgl1-mesa-dri"
+            self.assertEqual(said.count(line), 1, said)
+            self.assertTrue(node.runs())
+
+    def test_tiny_is_gone(self):
+        with bridge(paused=True, renderer="tiny") as node:
             image = self.images()
-            image.wait(2)
-            self.assertEqual(len(list(Path(folder).glob("bullet_lab_drawn_*"))), 1)
+            advance(50)
+            image.wait(1)
+            self.assertEqual((node.out + node.err).count("renderer 'tiny' is gone"), 1)
 
     def test_pictures_follow_from_the_seed(self):
         pictures = [self.picture_at_a_second(seed) for seed in (1, 1, 2)]
@@ -128,7 +152,7 @@ class CameraTest(unittest.TestCase):
         self.assertNotEqual(pictures[0], pictures[2])
 
     def picture_at_a_second(self, seed):
-        with bridge(paused=True, renderer="tiny", seed=seed):
+        with bridge(paused=True, seed=seed):
             # Whether one has looked before makes no difference.
             advance(900 if seed == 1 else 1)
             image = self.images()
@@ -137,7 +161,7 @@ class CameraTest(unittest.TestCase):
             return image.messages[milliseconds(image).index(1000)].data
 
     def test_time_starts_again_with_a_reset(self):
-        with bridge(paused=True, renderer="tiny"):
+        with bridge(paused=True):
             image = self.images()
             advance(70)
             image.wait(2)

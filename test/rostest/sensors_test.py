@@ -234,7 +234,6 @@ class SensorsTest(unittest.TestCase):
         self.start(
             world=self.file("seen.world", SEEN_WALL),
             robot=self.file("watcher.urdf", WATCHER),
-            renderer="tiny",
         )
         offered = dict(rospy.get_published_topics("/camera"))
         self.assertEqual("sensor_msgs/PointCloud2", offered.pop("/camera/depth/points"))

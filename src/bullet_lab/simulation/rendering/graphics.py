@@ -6,11 +6,12 @@ Panda3D must be told before it starts, and what is particular about it, stands h
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import importlib.util
 import os
+import threading
 from collections import OrderedDict
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -31,6 +32,7 @@ transform-cache 0
 textures-power-2 none
 sync-video 0
 """
+EGL_OPENGL_API = 0x30A2
 # How many samples a pixel may have.
 SAMPLES = (1, 2, 4)
 # Buffers for pictures that are kept, for the sizes that were asked for last.
@@ -90,8 +92,8 @@ class Target:
 class Graphics:
     """Panda3D's engine with a graphics context; one for a process, see `shared_graphics`.
 
-    Any thread may use it, one at a time. The context belongs to a thread of its own, in which all
-    is done that needs it: a driver draws nothing, and says nothing, for another thread.
+    Any thread may use it, one at a time: the context is let go after each use, since a driver draws
+    nothing, and says nothing, for a thread while another one has it.
 
     Attributes:
         core: the module of Panda3D's classes.
@@ -102,14 +104,14 @@ class Graphics:
     """
 
     def __init__(self):
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="graphics")
+        self._context_use = _ContextUse()
         self._kept: OrderedDict[tuple, Target] = OrderedDict()
         self._programs: OrderedDict[Tuple[str, str], Any] = OrderedDict()
         self.core = core = _panda3d()
         self._engine = core.GraphicsEngine.get_global_ptr()
         with hidden_native_output():
             selection = core.GraphicsPipeSelection.get_global_ptr()
-            self._pipe = self._in_thread(selection.make_module_pipe, PIPE)
+            self._pipe = self._with_context(selection.make_module_pipe, PIPE)
             if self._pipe is None or not self._pipe.is_valid():
                 raise RendererError(NO_DRIVER)
             self._context = None
@@ -182,14 +184,14 @@ class Graphics:
         for target in targets:
             target.set_active(True)
         try:
-            self._in_thread(self._engine.render_frame)
+            self._with_context(self._engine.render_frame)
         finally:
             for target in targets:
                 target.set_active(False)
 
     def remove(self, target: Target) -> None:
         """Give a target's buffer back."""
-        self._in_thread(self._engine.remove_window, target.buffer)
+        self._with_context(self._engine.remove_window, target.buffer)
 
     def _keep(self, key: tuple, properties) -> Target:
         if key not in self._kept:
@@ -212,7 +214,7 @@ class Graphics:
     def _make(self, name: str, properties: Any, size: Tuple[int, int]) -> Any:
         core = self.core
         shared = () if self._context is None else (self._context.get_gsg(), self._context)
-        return self._in_thread(
+        return self._with_context(
             self._engine.make_output,
             self._pipe,
             name,
@@ -223,12 +225,41 @@ class Graphics:
             *shared,
         )
 
-    def _in_thread(self, call: Callable[..., Any], *arguments: Any) -> Any:
+    def _with_context(self, call: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            return self._thread.submit(call, *arguments).result()
+            with self._context_use:
+                return call(*arguments)
         except AssertionError as error:
             # What Panda3D raises where one of its own conditions does not hold.
             raise RendererError(f"Panda3D gives up: {error}") from error
+
+
+class _ContextUse:
+    """Lets a thread have the graphics context for as long as it is needed.
+
+    Raises:
+        RendererError: there is no EGL on this machine.
+    """
+
+    def __init__(self):
+        try:
+            self._egl = ctypes.CDLL("libEGL.so.1")
+        except OSError as error:
+            raise RendererError(NO_DRIVER) from error
+        self._egl.eglGetCurrentDisplay.restype = ctypes.c_void_p
+        self._egl.eglMakeCurrent.argtypes = [ctypes.c_void_p] * 4
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+        # Of each thread for itself; its default is OpenGL ES.
+        self._egl.eglBindAPI(EGL_OPENGL_API)
+
+    def __exit__(self, *_) -> None:
+        display = self._egl.eglGetCurrentDisplay()
+        if display:
+            self._egl.eglMakeCurrent(display, None, None, None)
+        self._lock.release()
 
 
 @functools.lru_cache(maxsize=None)

@@ -214,14 +214,17 @@ def in_view(hulls: np.ndarray, pose: Pose, shot: Shot) -> bool:
     between = points[:, :, None] + shares[..., None] * (points[:, None] - points[:, :, None])
     count = len(hulls)
     seen = np.concatenate((ahead >= 0.0, crosses.reshape(count, -1)), axis=1)
-    x, y, z = np.concatenate((points, between.reshape(count, -1, 3)), axis=1).T
-    camera = shot.camera
-    sides = (
-        shot.far - x,
-        (camera.cx + 1.0) * x - camera.fx * y,
-        (camera.width - camera.cx) * x + camera.fx * y,
-        (camera.cy + 1.0) * x - camera.fy * z,
-        (camera.height - camera.cy) * x + camera.fy * z,
+    inside = np.concatenate((points, between.reshape(count, -1, 3)), axis=1) @ _sides(shot.camera)
+    return bool(((inside >= 0.0) & seen[..., None]).any(axis=1).all(axis=1).any())
+
+
+@functools.lru_cache(maxsize=KEPT_LENSES)
+def _sides(camera: PinholeCamera) -> np.ndarray:
+    """Return normals, by columns, of the four sides of a view: x ahead, y left, z up; (3, 4)."""
+    columns = (
+        (camera.cx + 1.0, -camera.fx, 0.0),
+        (camera.width - camera.cx, camera.fx, 0.0),
+        (camera.cy + 1.0, 0.0, -camera.fy),
+        (camera.height - camera.cy, 0.0, camera.fy),
     )
-    within = [((side >= 0.0) & seen.T).any(axis=0) for side in sides]
-    return bool(np.logical_and.reduce(within).any())
+    return np.array(columns).T
