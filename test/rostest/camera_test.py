@@ -115,9 +115,9 @@ class CameraTest(unittest.TestCase):
         with bridge(rtf=1.0) as node:
             maps = Path(f"/proc/{node.process.pid}/maps")
             self.infos().wait(10)
-            self.assertNotIn("libpandagl", maps.read_text())
+            self.assertNotIn("libpanda.so", maps.read_text())
             self.images().wait(2)
-            self.assertIn("libpandagl", maps.read_text())
+            self.assertIn("libpanda.so", maps.read_text())
 
     def test_nothing_is_left_in_the_temporary_directory(self):
         with tempfile.TemporaryDirectory() as folder:
