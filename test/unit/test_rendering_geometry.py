@@ -1,3 +1,5 @@
+import math
+
 import cv2
 import numpy as np
 import pytest
@@ -126,3 +128,39 @@ def test_impossible_shots_are_refused(wrong):
 def test_distortions_that_no_picture_has_are_refused(distortion):
     with pytest.raises(FinishError, match="distortion"):
         Lens(PinholeCamera(640, 480, 300.0, 300.0, 319.5, 239.5, distortion))
+
+
+@pytest.mark.parametrize("degrees", [40, 80, 120])
+@pytest.mark.parametrize(("width", "height"), [(320, 240), (640, 480), (1920, 1080)])
+def test_corners_all_over_the_picture(tmp_path, width, height, degrees):
+    focal = 0.5 * width / math.tan(0.5 * math.radians(degrees))
+    camera = PinholeCamera(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
+    # Nine cells across, from 1 m, and more than is seen. Texels of four pixels: a sharper edge is
+    # found less exactly than it is drawn.
+    columns, rows, cell, half = 18, 14, width / 9 / focal, min(12, width // 36)
+    pixels = checkers(columns, rows, width // 36)
+    path = write_plate(tmp_path, "wide", pixels, columns * cell, rows * cell)
+    points = np.array(
+        [
+            (0.0, cell * (columns / 2 - i), cell * (rows / 2 - j))
+            for j in range(1, rows)
+            for i in range(1, columns)
+        ]
+    )
+    random = np.random.default_rng(2)
+    found = []
+    with simulation_of(plate(path, Pose())) as simulation:
+        for _ in range(3):
+            place = (-1.0, *(cell * random.uniform(-0.5, 0.5, 2)))
+            pose = Pose.from_rpy(place, tuple(random.uniform(-0.06, 0.06, 3)))
+            picture = simulation.renderer().picture(pose, Shot(camera))
+            there = camera.project(in_optical_frame(pose, points))
+            edge = (width - half - 3, height - half - 3)
+            there = there[((there > half + 2) & (there < edge)).all(axis=1)]
+            grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+            criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
+            start = there.astype(np.float32)[:, None].copy()
+            seen = cv2.cornerSubPix(grey, start, (half, half), (-1, -1), criteria)[:, 0]
+            found.append(seen - there)
+    assert len(np.concatenate(found)) > 100
+    assert np.hypot(*np.concatenate(found).T).max() < 0.05
