@@ -11,6 +11,7 @@ from picture_worlds import CAMERA, checkers, plate, simulation_of, thing, write_
 from bullet_lab.numerics.pinhole import PinholeCamera
 from bullet_lab.simulation.description import Box, Light, Plane, World
 from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.rendering.graphics import RendererError
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
 
@@ -221,3 +222,16 @@ def test_nothing_is_loaded_before_the_first_picture():
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
     )
     assert run.stdout.strip() == "False"
+
+
+def test_pictures_of_any_size_that_the_driver_has():
+    with simulation_of(cube("a", RED)) as simulation:
+        for width, height in ((1, 1), (4000, 3), (3, 4000), (2500, 2000)):
+            camera = PinholeCamera(width, height, 3000.0, 3000.0, width / 2, height / 2)
+            picture = simulation.renderer().picture(AHEAD, Shot(camera))
+            assert picture.shape == (height, width, 3)
+            assert tuple(picture[height // 2, width // 2]) == (255, 0, 0)
+        camera = PinholeCamera(10**6, 2, 300.0, 300.0, 10.0, 1.0)
+        with pytest.raises(RendererError, match="draws up to .* pixels along each side"):
+            simulation.renderer().picture(AHEAD, Shot(camera))
+        assert middle(simulation) == (255, 0, 0)

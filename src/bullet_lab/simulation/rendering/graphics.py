@@ -192,10 +192,14 @@ class Graphics:
     def remove(self, target: Target) -> None:
         """Give a target's buffer back."""
         self._with_context(self._engine.remove_window, target.buffer)
+        target.texture.release_all()
 
     def _keep(self, key: tuple, properties) -> Target:
         if key not in self._kept:
             core = self.core
+            largest = self._context.get_gsg().get_max_texture_dimension()
+            if max(key[1:3]) > largest:
+                raise RendererError(f"{self.driver} draws up to {largest} pixels along each side")
             while len(self._kept) >= KEPT_BUFFERS:
                 self.remove(self._kept.popitem(last=False)[1])
             texture = core.Texture(key[0])

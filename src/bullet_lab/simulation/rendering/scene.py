@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Mapping, Tuple
 
 import numpy as np
 
@@ -138,7 +138,8 @@ class Scene:
         self._drawables = Drawables(graphics)
         self._shown: Dict[str, _ModelNodes] = {}
         self._versions = {STILL: 0, MOVING: 0}
-        self._bounds: Optional[np.ndarray] = None
+        # Least and greatest corner of all that stands still, and of all that moves.
+        self._bounds: Dict[str, np.ndarray] = {}
 
     def update(self) -> None:
         """Bring everything to where the models are."""
@@ -171,9 +172,11 @@ class Scene:
             shown.remove()
         self._shown.clear()
         self._lighting.remove()
+        # A target that drew this scene last still knows its root.
+        self.root.set_state(self._graphics.core.RenderState.make_empty())
 
     def _changed(self, shown: _ModelNodes) -> _ModelNodes:
-        self._bounds = None
+        self._bounds.pop(shown.casts, None)
         if shown.has_shadows:
             self._versions[shown.casts] += 1
         return shown
@@ -184,17 +187,25 @@ class Scene:
         boxes = self._boxes(MOVING)
         if not len(boxes):
             return False
-        if self._bounds is None:
-            corners = [b for shown in self._shown.values() for b in shown.bounds()]
-            self._bounds = np.array((np.min(corners, axis=(0, 1)), np.max(corners, axis=(0, 1))))
-        return any(map(in_view, self._lighting.shadows_of(boxes, self._bounds)))
+        for kind in (STILL, MOVING):
+            if kind not in self._bounds:
+                corners = [b for s in self._of(kind) for b in s.bounds()] or [np.zeros((1, 3))]
+                self._bounds[kind] = np.stack(
+                    (np.min(corners, axis=(0, 1)), np.max(corners, axis=(0, 1)))
+                )
+        low, high = np.stack(list(self._bounds.values()), axis=1)
+        bounds = np.stack((low.min(axis=0), high.max(axis=0)))
+        return any(map(in_view, self._lighting.shadows_of(boxes, bounds)))
+
+    def _of(self, kind: str) -> Iterator[_ModelNodes]:
+        return (shown for shown in self._shown.values() if shown.casts == kind)
 
     def _casters(self, kind: str) -> Casters:
         return Casters(lambda: self._boxes(kind), self._versions[kind])
 
     def _boxes(self, kind: str) -> np.ndarray:
-        casting = (shown for shown in self._shown.values() if shown.casts == kind)
-        return np.concatenate([np.zeros((0, 8, 3)), *(b for s in casting for b in s.boxes())])
+        boxes = (box for shown in self._of(kind) for box in shown.boxes())
+        return np.concatenate([np.zeros((0, 8, 3)), *boxes])
 
     def _nodes_of(self, instance: Any) -> _ModelNodes:
         casts = STILL if instance.model.static else MOVING
