@@ -174,3 +174,29 @@ def test_more_lights_with_shadows_than_there_are_maps(caplog):
     assert at(seen, 1.6, 0.0) == pytest.approx(255 * (0.25 + 5 * 0.05 * 0.6), abs=2)
     assert at(seen, -1.0, 0.5) == pytest.approx(255 * (0.25 + 12 * 0.05 * 0.6), abs=2)
     assert caplog.text.count("throws no shadows: too many others do") == 5
+
+
+def test_shadows_do_not_depend_on_what_was_in_view_before():
+    heavy = replace(BOX.links[0], inertia=Inertia(1.0, (0.0, 0.0, 0.0), np.eye(3)))
+    robot = replace(BOX, name="robot", links=(heavy,), static=False, pose=Pose((0.0, 4.0, 3.5)))
+    post = thing("post", Box((0.3, 0.3, 0.8)), Pose((0.0, 0.0, 0.4)))
+    other = thing("other", Box((0.4, 0.4, 0.4)), Pose((-9.0, 0.0, 1.2)))
+    beside = Pose.from_rpy((3.0, 4.0, 5.0), (0.0, math.pi / 2, 0.0))
+
+    def look(simulation, pose):
+        return simulation.renderer().picture(pose, Shot(CAMERA)).tobytes()
+
+    def fresh(*models, pose):
+        with simulation_of(*models, **LIGHT) as simulation:
+            return look(simulation, pose)
+
+    with simulation_of(FLOOR, post, robot, **LIGHT) as simulation:
+        # What moves is seen beside only, where its shadow is.
+        wanted = fresh(FLOOR, post, robot, pose=DOWN)
+        assert look(simulation, DOWN) == wanted
+        assert look(simulation, beside) == fresh(FLOOR, post, robot, pose=beside)
+        assert look(simulation, DOWN) == wanted
+        # What stands still changes while what moves is out of view.
+        simulation.add(other)
+        assert look(simulation, DOWN) == fresh(FLOOR, post, robot, other, pose=DOWN)
+        assert look(simulation, beside) == fresh(FLOOR, post, robot, other, pose=beside)

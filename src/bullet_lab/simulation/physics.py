@@ -1,6 +1,6 @@
 """The physics engine: bodies in PyBullet, in a session of their own.
 
-Everything that calls PyBullet stands here and in `view.py`. One `Physics` is one PyBullet
+One `Physics` is one PyBullet
 client, so several simulations can live in one process.
 """
 

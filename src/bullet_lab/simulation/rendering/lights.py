@@ -71,7 +71,7 @@ class Casters:
         return (small if len(small) else boxes).reshape(-1, 3)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Aim:
     """Where a shadow map looks.
 
@@ -265,6 +265,7 @@ class _Source:
         self._root = root
         tiles = (3, 2) if light.kind == "point" else (1, 1)
         self._maps: Dict[str, _ShadowMap] = {}
+        self._aims: List[Aim] = []
         for kind in program.maps:
             self._maps[kind] = _ShadowMap(graphics, root, self._name, kind, tiles)
         self._put("diffuse", *light.diffuse[:3])
@@ -287,11 +288,15 @@ class _Source:
             if kind not in casters or shadow_map.is_of(casters[kind].version):
                 continue
             due.append(shadow_map.point(self._aim(casters[kind], kind)))
-            self._put("margin", max(each.aim.margin for each in self._maps.values()))
-        if due and self._light.kind == "directional" and MOVING in casters:
-            zoom, shift = _between(*(self._maps[kind].aim for kind in (STILL, MOVING)))
-            self._put("zoom", *zoom)
-            self._put("shift", *shift)
+        # A map that is not looked up now may be of anywhere: it has no say in the uniforms.
+        aims = [shadow_map.aim for kind, shadow_map in self._maps.items() if kind in casters]
+        if aims != self._aims:
+            self._aims = aims
+            self._put("margin", max(aim.margin for aim in aims))
+            if self._light.kind == "directional" and len(aims) == 2:
+                zoom, shift = _between(*aims)
+                self._put("zoom", *zoom)
+                self._put("shift", *shift)
         return due
 
     def shadow_of(self, points: np.ndarray, bounds: np.ndarray) -> np.ndarray:

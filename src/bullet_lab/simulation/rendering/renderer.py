@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import logging
 import math
 from dataclasses import dataclass
 from typing import Any, Dict, Mapping, Union
@@ -22,8 +21,6 @@ from bullet_lab.simulation.rendering.graphics import (
 from bullet_lab.simulation.rendering.lights import BITS, PICTURE
 from bullet_lab.simulation.rendering.scene import PAINT_TAG, Scene
 from bullet_lab.simulation.rendering.shaders import DEPTH_FRAGMENT, DEPTH_VERTEX
-
-LOG = logging.getLogger(__name__)
 
 DEPTH = "depth"
 # Lenses of shots taken last, that are kept.
