@@ -1,7 +1,6 @@
 """The physics engine: bodies in PyBullet, in a session of their own.
 
-One `Physics` is one PyBullet
-client, so several simulations can live in one process.
+One `Physics` is one PyBullet client, so several simulations can live in one process.
 """
 
 from __future__ import annotations
