@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.canny_edges."""
+"""Run the node; see bullet_lab.ros.nodes.canny_edges."""
 
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.ros.canny_edges")
+    run("bullet_lab.ros.nodes.canny_edges")

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Measure from where the marker is found; see bullet_lab.experiments.detection_range."""
+"""Measure from where the marker is found; see bullet_lab.studies.detection_range.study."""
 
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.experiments.detection_range")
+    run("bullet_lab.studies.detection_range.study")

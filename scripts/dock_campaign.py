@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Run the campaign; see bullet_lab.experiments.dock_campaign. No ROS master is needed."""
+"""Run the campaign; see bullet_lab.studies.dock_campaign.study. No ROS master is needed."""
 
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.experiments.dock_campaign")
+    run("bullet_lab.studies.dock_campaign.study")

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.drive_to_goal."""
+"""Run the node; see bullet_lab.ros.nodes.drive_to_goal."""
 
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.ros.drive_to_goal")
+    run("bullet_lab.ros.nodes.drive_to_goal")

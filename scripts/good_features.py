@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.good_features."""
+"""Run the node; see bullet_lab.ros.nodes.good_features."""
 
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.ros.good_features")
+    run("bullet_lab.ros.nodes.good_features")

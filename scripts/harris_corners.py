@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.harris_corners."""
+"""Run the node; see bullet_lab.ros.nodes.harris_corners."""
 
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.ros.harris_corners")
+    run("bullet_lab.ros.nodes.harris_corners")

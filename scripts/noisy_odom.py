@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.noisy_odom."""
+"""Run the node; see bullet_lab.ros.nodes.noisy_odom."""
 
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.ros.noisy_odom")
+    run("bullet_lab.ros.nodes.noisy_odom")

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.track_robot."""
+"""Run the node; see bullet_lab.ros.nodes.track_robot."""
 
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.ros.track_robot")
+    run("bullet_lab.ros.nodes.track_robot")

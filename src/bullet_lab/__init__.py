@@ -1,1 +1,5 @@
 """A mobile-robotics lab that runs without Gazebo: numerics, simulation and ROS nodes."""
+
+from bullet_lab import moved
+
+moved.install()

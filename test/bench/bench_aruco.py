@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 from std_msgs.msg import Header
 
-from bullet_lab.numerics.pinhole import PinholeCamera
-from bullet_lab.ros.image_messages import image_message, pixels_of
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pose import Pose
+from bullet_lab.ros.messages.images import image_message, pixels_of
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.vision.marker_detector import DetectorSettings

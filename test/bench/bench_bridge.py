@@ -24,9 +24,9 @@ import rospy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 
-from bullet_lab.ros.bridge import BridgeParameters, PyBulletBridge
 from bullet_lab.ros.launcher.master import prepare_master
-from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.ros.nodes.bridge import BridgeParameters, PyBulletBridge
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"

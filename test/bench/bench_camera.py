@@ -30,14 +30,14 @@ import rospy
 from bullet_lab.msg import MarkerDetectionArray
 from sensor_msgs.msg import CameraInfo
 
-from bullet_lab.ros.bridge import BridgeParameters, PyBulletBridge
+from bullet_lab.core.pose import Pose
 from bullet_lab.ros.launcher.master import prepare_master
-from bullet_lab.simulation.description import Box, Cylinder, Mesh, Plane, Sphere, Visual
-from bullet_lab.simulation.devices.camera import Camera
-from bullet_lab.simulation.engine import pybullet
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.ros.nodes.bridge import BridgeParameters, PyBulletBridge
+from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.rendering.graphics import driver_name
 from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import Box, Cylinder, Mesh, Plane, Sphere, Visual
 
 WORLD = "package://bullet_lab/worlds/docking.world"
 ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"

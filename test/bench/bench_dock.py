@@ -16,14 +16,14 @@ import tempfile
 from pathlib import Path
 from typing import Any, Dict
 
-from bullet_lab.experiments.dock_campaign import (
+from bullet_lab.simulation.rendering.graphics import driver_name
+from bullet_lab.studies.dock_campaign.scenarios import DrawSettings
+from bullet_lab.studies.dock_campaign.study import (
     CampaignSettings,
     dask_workers,
     describe,
     run_campaign,
 )
-from bullet_lab.experiments.dock_scenarios import DrawSettings
-from bullet_lab.simulation.rendering.graphics import driver_name
 
 LEAST_FACTOR = 18.0
 

@@ -15,9 +15,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Tuple
 
-from bullet_lab.ros.conversions import OUTPUT_CONVERTERS
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.core.pose import Pose
+from bullet_lab.ros.messages.conversions import OUTPUT_CONVERTERS
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
 
 WORLD = "package://bullet_lab/worlds/beacons.world"

@@ -21,16 +21,12 @@ import time  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any, Callable, Dict  # noqa: E402
 
-from bullet_lab.experiments.noise_study import StudySettings, simulated_square  # noqa: E402
-from bullet_lab.numerics.noisy_paths import (  # noqa: E402
-    noisy_blocks,
-    noisy_steps,
-    study_generator,
-)
-from bullet_lab.numerics.odometry_noise import NoisyPath  # noqa: E402
-from bullet_lab.numerics.resampling import resample  # noqa: E402
-from bullet_lab.numerics.study_statistics import level_rule, study_case  # noqa: E402
-from bullet_lab.numerics.trajectory import Trajectory  # noqa: E402
+from bullet_lab.core.trajectory import Trajectory  # noqa: E402
+from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator  # noqa: E402
+from bullet_lab.noise.odometry_noise import NoisyPath  # noqa: E402
+from bullet_lab.studies.noise_study.resampling import resample  # noqa: E402
+from bullet_lab.studies.noise_study.statistics import level_rule, study_case  # noqa: E402
+from bullet_lab.studies.noise_study.study import StudySettings, simulated_square  # noqa: E402
 
 RATE = 20.0
 MODEL = "report"

@@ -22,9 +22,9 @@ import rospy
 from bullet_lab.srv import Step
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 
-from bullet_lab.plotting.style import BLACK, BLUE, GREY, ORANGE, new_figure, save
-from bullet_lab.ros.gazebo_types import srv
+from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save
 from bullet_lab.ros.launcher.master import prepare_master
+from bullet_lab.ros.messages.gazebo_types import srv
 
 BLOCK = Path(rospkg.RosPack().get_path("bullet_lab")) / "urdf" / "block_robot.urdf"
 BEACON = '<sdf version="1.6"><include><uri>model://beacon</uri></include></sdf>'

@@ -22,10 +22,10 @@ from bullet_lab.srv import SaveWorld, Step
 from geometry_msgs.msg import Point, Pose, Quaternion
 from sensor_msgs.msg import Image
 
-from bullet_lab.ros.gazebo_types import srv
 from bullet_lab.ros.launcher.master import prepare_master
-from bullet_lab.simulation.sdf_reader import read_world_file
+from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.sdf import read_world_file
 
 ROBOTS = {"block": "block_robot", "camera": "camera_robot"}
 INCLUDE = '<sdf version="1.6"><include><uri>model://{}</uri></include></sdf>'

@@ -23,7 +23,7 @@ from std_srvs.srv import Empty
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"

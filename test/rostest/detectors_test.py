@@ -13,7 +13,7 @@ from image_testing import FRAME, Diagnosis, FakeCamera, image
 from lab_testing import Node, Topic, wait_for
 from sensor_msgs.msg import CameraInfo, Image
 
-from bullet_lab.ros.image_messages import pixels_of
+from bullet_lab.ros.messages.images import pixels_of
 
 CORNERS = ((200, 150), (400, 150), (400, 350), (200, 350))
 NODES = {

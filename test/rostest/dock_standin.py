@@ -14,7 +14,7 @@ from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo
 
-from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.core.pinhole import PinholeCamera
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 CAMERA_AHEAD, CAMERA_HEIGHT = 0.16, 0.44

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import rostest
 
-from bullet_lab.experiments.squares import SquaresSettings, run_squares
-from bullet_lab.numerics.seeds import derived_seed
-from bullet_lab.numerics.trajectory import read_tum
+from bullet_lab.core.seeds import derived_seed
+from bullet_lab.core.trajectory import read_tum
+from bullet_lab.studies.squares import SquaresSettings, run_squares
 
 ROBOTS = 3
 SEED = 5

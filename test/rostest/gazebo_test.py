@@ -40,8 +40,8 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.simulation.resources import ResourceFinder
-from bullet_lab.simulation.sdf_reader import read_world_file
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.sdf import read_world_file
 
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 BLOCK = (PACKAGE / "urdf" / "block_robot.urdf").read_text()

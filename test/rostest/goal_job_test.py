@@ -9,7 +9,7 @@ import unittest
 import rostest
 from lab_testing import run_job
 
-from bullet_lab.numerics.trajectory import read_tum
+from bullet_lab.core.trajectory import read_tum
 
 FOLDER = tempfile.TemporaryDirectory()
 

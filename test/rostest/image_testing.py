@@ -11,7 +11,7 @@ from sensor_msgs.msg import CameraInfo, Image
 sys.path.insert(0, str(PACKAGE / "test" / "unit"))
 from marker_images import CAMERA, View, image_of, marker  # noqa: E402
 
-from bullet_lab.ros.image_messages import image_message  # noqa: E402
+from bullet_lab.ros.messages.images import image_message  # noqa: E402
 
 IMAGE, INFO = "/mycamera/image_raw", "/mycamera/camera_info"
 FRAME = "camera_optical_frame"

@@ -14,7 +14,7 @@ from sensor_msgs.msg import Range
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
-from bullet_lab.ros.gazebo_types import srv
+from bullet_lab.ros.messages.gazebo_types import srv
 
 BLOCK_ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 

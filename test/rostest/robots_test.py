@@ -20,8 +20,8 @@ from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan, Range
 from std_msgs.msg import String
 
-from bullet_lab.ros.connections import publishers_know_this_node
-from bullet_lab.ros.gazebo_types import srv
+from bullet_lab.ros.messages.gazebo_types import srv
+from bullet_lab.ros.node.lock_step import publishers_know_this_node
 
 # Topic, type and frame of all that has a header.
 TOPICS = (

@@ -16,9 +16,9 @@ import numpy as np
 import rostest
 from scipy import stats
 
-from bullet_lab.experiments.squares import SquaresSettings, run_squares
-from bullet_lab.numerics.odometry_noise import ReportRule, recover_noise
-from bullet_lab.numerics.trajectory import read_paths_csv
+from bullet_lab.core.trajectory import read_paths_csv
+from bullet_lab.noise.odometry_noise import ReportRule, recover_noise
+from bullet_lab.studies.squares import SquaresSettings, run_squares
 
 TIMEOUT = 200
 FOLDER = tempfile.TemporaryDirectory()

@@ -12,7 +12,7 @@ from sensor_msgs.msg import Range
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
-from bullet_lab.ros.track_robot import accept_beacons
+from bullet_lab.ros.nodes.track_robot import accept_beacons
 
 THREE = {"beacon_0": (1, 1), "beacon_1": (5, 1), "beacon_2": (-5, 1)}
 

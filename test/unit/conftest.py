@@ -4,10 +4,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bullet_lab.numerics.square_driver import Square, open_loop_side
-from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.drive.square import Square, open_loop_side
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.urdf_reader import read_urdf_file
+from bullet_lab.simulation.world.urdf import read_urdf_file
 
 PACKAGE = Path(__file__).resolve().parents[2]
 BLOCK_ROBOT = "package://bullet_lab/urdf/block_robot.urdf"

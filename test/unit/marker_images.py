@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision.dictionaries import dictionary_named
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)

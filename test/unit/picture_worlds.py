@@ -5,10 +5,10 @@ import math
 import numpy as np
 from PIL import Image
 
-from bullet_lab.numerics.pinhole import PinholeCamera
-from bullet_lab.simulation.description import Link, Mesh, Model, Visual, World
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import Link, Mesh, Model, Visual, World
 
 WHITE_LIGHT = (1.0, 1.0, 1.0, 1.0)
 FOCAL = 320 / math.tan(math.radians(65) / 2)

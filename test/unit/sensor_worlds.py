@@ -1,9 +1,9 @@
 """Robots and things that the tests of sensors share."""
 
-from bullet_lab.simulation.description import World
-from bullet_lab.simulation.sdf_reader import read_model_text
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.urdf_reader import read_urdf
+from bullet_lab.simulation.world.description import World
+from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.urdf import read_urdf
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
 

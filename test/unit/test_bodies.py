@@ -10,8 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.bodies import MOST_LINKS
-from bullet_lab.simulation.description import (
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.physics.bodies import MOST_LINKS
+from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
+from bullet_lab.simulation.plugins.samples import PlanarCommand
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import (
     Box,
     Collision,
     Cylinder,
@@ -24,13 +28,9 @@ from bullet_lab.simulation.description import (
     Sphere,
     World,
 )
-from bullet_lab.simulation.engine import PhysicsError, pybullet
-from bullet_lab.simulation.inertia import principal_axes
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
-from bullet_lab.simulation.sdf_reader import read_world_file
-from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.urdf_reader import read_urdf_file
+from bullet_lab.simulation.world.inertia import principal_axes
+from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.urdf import read_urdf_file
 
 UNIT = Inertia(2.0, (0.1, 0.2, 0.3), np.diag([0.1, 0.15, 0.2]))
 G = 9.8

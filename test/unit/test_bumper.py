@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from sensor_worlds import box, record, thing
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.description import Box, Collision, Cylinder, Plane, Sphere
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.physics.contacts import distance_from_surface, nearest_shape
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.touched_shapes import distance_from_surface, nearest_shape
-from bullet_lab.simulation.urdf_reader import read_urdf
+from bullet_lab.simulation.world.description import Box, Collision, Cylinder, Plane, Sphere
+from bullet_lab.simulation.world.urdf import read_urdf
 
 FLOOR = "package://bullet_lab/worlds/empty.world"
 MASS, G = 2.0, 9.8

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from picture_worlds import checkers, plate, simulation_of, thing, write_plate
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.description import Box
-from bullet_lab.simulation.devices.camera import Camera
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.rendering.finish import CameraSettings, FinishError
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.urdf_reader import read_urdf
+from bullet_lab.simulation.world.description import Box
+from bullet_lab.simulation.world.urdf import read_urdf
 
 SENSOR = """
   <update_rate>{rate}</update_rate>

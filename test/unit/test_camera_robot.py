@@ -4,14 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.description import Box, Cylinder, Inertia, Sphere
-from bullet_lab.simulation.engine import pybullet
-from bullet_lab.simulation.inertia import combine
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
-from bullet_lab.simulation.sdf_reader import read_model_text
-from bullet_lab.simulation.urdf_reader import read_urdf_file
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.view import View, take_picture
+from bullet_lab.simulation.world.description import Box, Cylinder, Inertia, Sphere
+from bullet_lab.simulation.world.inertia import combine
+from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.urdf import read_urdf_file
 
 CAMERA_ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
 WHEEL_RADIUS, TRACK, TORQUE, G = 0.14, 0.38, 1.5, 9.8

@@ -8,15 +8,15 @@ import genpy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 
-from bullet_lab.ros.conversions import (
+from bullet_lab.core.pose import Pose
+from bullet_lab.ros.messages.conversions import (
     INPUT_CONVERTERS,
     OUTPUT_CONVERTERS,
     first_step_at,
     time_of,
 )
-from bullet_lab.ros.odometry import FrameGuard, OdometryError, planar_pose
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import (
+from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
+from bullet_lab.simulation.plugins.samples import (
     JointSample,
     OdometrySample,
     PlanarCommand,

@@ -9,13 +9,7 @@ import psutil
 import pytest
 from distributed import LocalCluster
 
-from bullet_lab.experiments.dask_workers import (
-    LIVES,
-    TaskLostError,
-    WorkersError,
-    completed,
-    dask_client,
-)
+from bullet_lab.studies.workers import LIVES, TaskLostError, WorkersError, completed, dask_client
 
 
 def where(number):
@@ -176,7 +170,7 @@ def test_a_cluster_of_somebody_else():
 
 
 def test_a_cluster_that_goes_away_is_an_error(monkeypatch):
-    monkeypatch.setattr("bullet_lab.experiments.dask_workers.SECONDS_FOR_SCHEDULER", 1.0)
+    monkeypatch.setattr("bullet_lab.studies.workers.SECONDS_FOR_SCHEDULER", 1.0)
     with in_process_cluster(1) as cluster, dask_client(
         scheduler=cluster.scheduler_address
     ) as client:
@@ -196,7 +190,7 @@ def test_what_is_no_address_is_refused_at_once(scheduler):
 
 
 def test_nobody_at_the_address(monkeypatch):
-    monkeypatch.setattr("bullet_lab.experiments.dask_workers.SECONDS_FOR_SCHEDULER", 0.5)
+    monkeypatch.setattr("bullet_lab.studies.workers.SECONDS_FOR_SCHEDULER", 0.5)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
@@ -207,7 +201,7 @@ def test_nobody_at_the_address(monkeypatch):
 
 
 def test_a_scheduler_without_workers(monkeypatch):
-    monkeypatch.setattr("bullet_lab.experiments.dask_workers.SECONDS_FOR_WORKERS", 0.5)
+    monkeypatch.setattr("bullet_lab.studies.workers.SECONDS_FOR_WORKERS", 0.5)
     with in_process_cluster(0) as cluster, pytest.raises(
         WorkersError, match="no workers"
     ), dask_client(scheduler=cluster.scheduler_address):

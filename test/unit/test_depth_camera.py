@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from picture_worlds import simulation_of, thing
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.description import Box, Sphere
-from bullet_lab.simulation.devices.depth_camera import DepthCamera
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.plugins.depth_camera import DepthCamera
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.urdf_reader import read_urdf
+from bullet_lab.simulation.world.description import Box, Sphere
+from bullet_lab.simulation.world.urdf import read_urdf
 
 ROBOT = """<robot name="robot">
   <link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>

@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from bullet_lab.experiments import detection_range
-from bullet_lab.experiments.detection_range import main, run_detection_range
-from bullet_lab.experiments.detection_scenes import (
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.simulation.rendering.graphics import driver_name
+from bullet_lab.studies.detection_range import study as detection_range
+from bullet_lab.studies.detection_range.figures import COLOURS, HIDDEN, heat_map, range_figure
+from bullet_lab.studies.detection_range.results import describe, detection_summary, found_range
+from bullet_lab.studies.detection_range.scenes import (
     LIGHTS,
     WORLDS,
     Cell,
     PrintedMarker,
     camera_pose,
+    in_optical_frame,
 )
-from bullet_lab.experiments.detection_tasks import RangeError, RangeSettings, tasks
-from bullet_lab.experiments.detection_trial import CellResult, Frame, Snapshot, judge
-from bullet_lab.experiments.free_camera import in_optical_frame
-from bullet_lab.numerics.pinhole import PinholeCamera
-from bullet_lab.plotting.detection_figures import COLOURS, HIDDEN, heat_map, range_figure
-from bullet_lab.recording.detection_summary import describe, detection_summary, found_range
-from bullet_lab.simulation.rendering.graphics import driver_name
+from bullet_lab.studies.detection_range.study import main, run_detection_range
+from bullet_lab.studies.detection_range.tasks import RangeError, RangeSettings, tasks
+from bullet_lab.studies.detection_range.trial import CellResult, Frame, Snapshot, judge
 from bullet_lab.vision.marker_observer import ObservedMarker
 from bullet_lab.vision.marker_pose import estimate_pose
 

@@ -6,27 +6,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bullet_lab.experiments.detection_scenes import (
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.world.description import Model
+from bullet_lab.studies.detection_range.scenes import (
     MARKER,
     WORLDS,
     Cell,
+    FreeCamera,
+    FreeCameraError,
     SceneError,
+    camera_alone,
     camera_pose,
+    in_optical_frame,
     is_reachable,
     is_visible,
     lit_world,
     strewn_views,
     views,
 )
-from bullet_lab.experiments.free_camera import (
-    FreeCamera,
-    FreeCameraError,
-    camera_alone,
-    in_optical_frame,
-)
-from bullet_lab.numerics.pinhole import PinholeCamera
-from bullet_lab.simulation.description import Model
-from bullet_lab.simulation.pose import Pose
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 

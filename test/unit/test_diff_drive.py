@@ -4,18 +4,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.dead_reckoning import DeadReckoning
-from bullet_lab.simulation.description import Plugin
-from bullet_lab.simulation.devices import DeviceError
-from bullet_lab.simulation.engine import pybullet
-from bullet_lab.simulation.physics import JointState
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
-from bullet_lab.simulation.sdf_reader import read_model_text
+from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.physics.physics import JointState
+from bullet_lab.simulation.plugins import DeviceError
+from bullet_lab.simulation.plugins.diff_drive import DeadReckoning
+from bullet_lab.simulation.plugins.samples import PlanarCommand
+from bullet_lab.simulation.plugins.wheels import Wheel
 from bullet_lab.simulation.simulation import SimulationError
-from bullet_lab.simulation.urdf_reader import read_urdf_file
-from bullet_lab.simulation.wheel import Wheel
+from bullet_lab.simulation.world.description import Plugin
+from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.urdf import read_urdf_file
 
 FILENAME = "libgazebo_ros_diff_drive.so"
 RADIUS, TRACK, MASS, WHEEL_MOMENT, G = 0.14, 0.38, 9.85, 4.9e-3, 9.8

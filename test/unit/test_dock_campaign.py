@@ -10,8 +10,10 @@ import time
 import numpy as np
 import pytest
 
-from bullet_lab.experiments.dask_workers import TaskLostError, WorkersError
-from bullet_lab.experiments.dock_campaign import (
+from bullet_lab.studies.dock_campaign.docking import DockingOutcome
+from bullet_lab.studies.dock_campaign.results import DockLogError
+from bullet_lab.studies.dock_campaign.scenarios import DrawSettings, draw_scenario
+from bullet_lab.studies.dock_campaign.study import (
     CampaignError,
     CampaignSettings,
     dask_workers,
@@ -19,10 +21,8 @@ from bullet_lab.experiments.dock_campaign import (
     main,
     run_campaign,
 )
-from bullet_lab.experiments.dock_scenarios import DrawSettings, draw_scenario
-from bullet_lab.experiments.dock_trial import run_trial
-from bullet_lab.experiments.docking import DockingOutcome
-from bullet_lab.recording.dock_log import DockLogError
+from bullet_lab.studies.dock_campaign.trial import run_trial
+from bullet_lab.studies.workers import TaskLostError, WorkersError
 
 FILES = ("dockings.jsonl", "campaign.csv", "campaign.png")
 

@@ -14,24 +14,24 @@ from geometry_msgs.msg import PoseStamped, Quaternion, Transform, Vector3
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
 from bullet_lab.docking.types import DockingError
 from bullet_lab.errors import LabError
-from bullet_lab.ros import dock_inputs
-from bullet_lab.ros.camera_geometry import CameraGeometryError
-from bullet_lab.ros.dock_goals import GoalError, NotYetError, rough_pose, with_tolerances
-from bullet_lab.ros.dock_inputs import (
+from bullet_lab.ros.bridge.touches import Touches
+from bullet_lab.ros.messages.camera_geometry import CameraGeometryError
+from bullet_lab.ros.messages.poses import InputError
+from bullet_lab.ros.node.odometry import OdometryError
+from bullet_lab.ros.nodes import dock_inputs
+from bullet_lab.ros.nodes.dock_goals import GoalError, NotYetError, rough_pose, with_tolerances
+from bullet_lab.ros.nodes.dock_inputs import (
     Inbox,
-    InputError,
     camera_of,
     mount_of,
     odometry_of,
     sightings_of,
 )
-from bullet_lab.ros.odometry import OdometryError
-from bullet_lab.ros.touches import Touches
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 
 DOCK = Dock(

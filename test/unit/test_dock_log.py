@@ -2,8 +2,8 @@ import json
 
 import pytest
 
-from bullet_lab.recording.dock_log import DockLog, DockLogError
-from bullet_lab.recording.files import FileError
+from bullet_lab.core.files import FileError
+from bullet_lab.studies.dock_campaign.results import DockLog, DockLogError
 
 PARAMETERS = {"seed": 1, "worlds": ("a", "b")}
 

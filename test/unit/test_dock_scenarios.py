@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.experiments.dock_scenarios import (
+from bullet_lab.studies.dock_campaign.docking import MARKER_POSE, TURNING_RADIUS
+from bullet_lab.studies.dock_campaign.scenarios import (
     DATABASE_ERROR,
     FARTHEST,
     LARGEST_BLUR,
@@ -17,7 +18,6 @@ from bullet_lab.experiments.dock_scenarios import (
     draw_scenario,
     obstacles,
 )
-from bullet_lab.experiments.docking import MARKER_POSE, TURNING_RADIUS
 
 COUNT = 400
 

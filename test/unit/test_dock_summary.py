@@ -3,8 +3,12 @@ import json
 
 import pytest
 
-from bullet_lab.numerics.binomial import lower_bound
-from bullet_lab.recording.dock_summary import campaign_summary, error_figures, write_campaign_csv
+from bullet_lab.studies.dock_campaign.results import (
+    campaign_summary,
+    error_figures,
+    lower_bound,
+    write_campaign_csv,
+)
 
 
 def record(index, result="docked", **values):

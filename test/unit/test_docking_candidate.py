@@ -6,12 +6,11 @@ import docking_standin as standin
 import numpy as np
 import pytest
 
+from bullet_lab.core import se2
 from bullet_lab.docking.candidate import Candidate
-from bullet_lab.docking.estimates import DockPrior
 from bullet_lab.docking.marker_model import PixelNoise, Viewpoint, predict
-from bullet_lab.docking.motion import motion_step
+from bullet_lab.docking.motion import DockPrior, motion_step
 from bullet_lab.docking.types import Odometry
-from bullet_lab.numerics import se2
 
 DOCK = np.array([4.0, 0.0, 0.0])
 MARKER = standin.Print()

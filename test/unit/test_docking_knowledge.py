@@ -3,10 +3,10 @@
 import docking_standin as standin
 import numpy as np
 
+from bullet_lab.core import se2
 from bullet_lab.docking.knowledge import DockKnowledge
 from bullet_lab.docking.marker_model import extent_of
 from bullet_lab.docking.types import Observation, Odometry, Sighting
-from bullet_lab.numerics import se2
 
 STAND = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.15, dropout=0.0, tilt=0.0, walls=False)
 MARKER, COPY = standin.Print(), standin.Print((0.0, 0.9, 0.0), 0.5, 0.35)

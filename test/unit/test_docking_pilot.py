@@ -6,9 +6,9 @@ import docking_standin as standin
 import numpy as np
 import pytest
 
-from bullet_lab.docking.decision import decide
-from bullet_lab.docking.estimates import DockEstimate
+from bullet_lab.docking.approach import decide
 from bullet_lab.docking.knowledge import DockKnowledge
+from bullet_lab.docking.motion import DockEstimate
 from bullet_lab.docking.pilot import Pilot
 from bullet_lab.docking.types import Observation, Odometry, RobotShape, Sighting
 

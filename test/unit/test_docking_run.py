@@ -3,14 +3,16 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.numerics.trajectory import read_tum
-from bullet_lab.plotting.docking_figure import STATES, docking_figure, strip_figure
-from bullet_lab.plotting.style import save
-from bullet_lab.recording.docking_run import (
+from bullet_lab.core.figures import save
+from bullet_lab.core.trajectory import read_tum
+from bullet_lab.reports.dock import (
+    STATES,
     DockingRunError,
     Keepsakes,
     PathRecording,
     docking_errors,
+    docking_figure,
+    strip_figure,
 )
 
 DOCK = (4.0, 0.0, 0.0)

@@ -8,11 +8,11 @@ import pytest
 from PIL import Image
 
 from bullet_lab.markers.make_marker import main
-from bullet_lab.simulation.description import Box, Mesh
-from bullet_lab.simulation.meshes import load_triangles
-from bullet_lab.simulation.resources import package_share
-from bullet_lab.simulation.sdf_reader import read_world_file
 from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import Box, Mesh
+from bullet_lab.simulation.world.meshes import load_triangles
+from bullet_lab.simulation.world.resources import package_share
+from bullet_lab.simulation.world.sdf import read_world_file
 
 ROOT = package_share()
 DOCKS = ("docking", "docking_dots", "docking_nested", "docking_decoy")

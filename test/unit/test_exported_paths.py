@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("rospkg")
 
-from bullet_lab.ros import exported_paths as module
-from bullet_lab.ros.exported_paths import add_exported_paths, exported_paths
+from bullet_lab.ros.nodes import gzserver as module
+from bullet_lab.ros.nodes.gzserver import add_exported_paths, exported_paths
 
 
 @pytest.fixture

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from bullet_lab.numerics.angles import wrap
-from bullet_lab.numerics.trajectory import Trajectory
-from bullet_lab.plotting.noise_figure import noise_figure
-from bullet_lab.plotting.style import save
-from bullet_lab.recording.files import FileError
+from bullet_lab.core.angles import wrap
+from bullet_lab.core.figures import save
+from bullet_lab.core.files import FileError
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.reports.squares import noise_figure
 
 
 def trajectory(count, shift=0.0):

@@ -3,15 +3,14 @@ import pytest
 
 pytest.importorskip("rospy")
 
-from bullet_lab.numerics.seeds import derived_seed
-from bullet_lab.numerics.trajectory import Trajectory
-from bullet_lab.plotting.fleet_figure import RobotPaths, fleet_figure
-from bullet_lab.recording.fleet_summary import fleet_summary
-from bullet_lab.recording.squares_summary import squares_summary
-from bullet_lab.ros.fleet_names import robot_names
-from bullet_lab.ros.noisy_odom import NoisyOdomParameters, robots_of
-from bullet_lab.ros.parameters import read_parameters
-from bullet_lab.ros.plot_fleet import clear_away
+from bullet_lab.core.seeds import derived_seed
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.reports.fleet import RobotPaths, fleet_figure, fleet_summary
+from bullet_lab.reports.squares import squares_summary
+from bullet_lab.ros.node.parameters import read_parameters
+from bullet_lab.ros.nodes.fleet import robot_names
+from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters, robots_of
+from bullet_lab.ros.record.plot_fleet import clear_away
 
 FIGURES = {"final_error_m": 0.3, "final_heading_error_deg": -2.0, "ape_rmse_m": 0.1}
 

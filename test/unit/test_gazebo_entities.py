@@ -6,16 +6,7 @@ import numpy as np
 import pytest
 from conftest import BLOCK_ROBOT
 
-from bullet_lab.simulation.description import (
-    Box,
-    Collision,
-    FrameState,
-    Inertia,
-    Joint,
-    Link,
-    Model,
-    World,
-)
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.entities import (
     EntityError,
     find_entity,
@@ -27,10 +18,19 @@ from bullet_lab.simulation.entities import (
     move_link,
     relative_to,
 )
-from bullet_lab.simulation.lumping import lump_fixed_joints
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation, SimulationError
+from bullet_lab.simulation.world.description import (
+    Box,
+    Collision,
+    FrameState,
+    Inertia,
+    Joint,
+    Link,
+    Model,
+    World,
+)
+from bullet_lab.simulation.world.tree import lump_fixed_joints
 
 INERTIA = Inertia(2.0, (0.1, -0.2, 0.3), np.diag([0.1, 0.15, 0.2]))
 TILTED = Pose.from_rpy((1.0, 2.0, 3.0), (0.3, -0.4, 1.9))

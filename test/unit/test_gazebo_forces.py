@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.description import FrameState, Inertia, Joint, Link, Model, World
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.entities import find_link, model_entity
 from bullet_lab.simulation.forces import Effort, ForceError, Period, Wrench
-from bullet_lab.simulation.pose import Pose
 from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import FrameState, Inertia, Joint, Link, Model, World
 
 ORIGIN = FrameState(Pose())
 ZERO = (0.0, 0.0, 0.0)

@@ -6,9 +6,9 @@ pytest.importorskip("rospy")
 
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 
-from bullet_lab.ros.gazebo_messages import MessageError, pose_of, twist_message, twist_of
-from bullet_lab.simulation.description import FrameState
-from bullet_lab.simulation.pose import Pose as PlainPose
+from bullet_lab.core.pose import Pose as PlainPose
+from bullet_lab.ros.messages.gazebo import MessageError, pose_of, twist_message, twist_of
+from bullet_lab.simulation.world.description import FrameState
 
 
 @pytest.mark.parametrize(

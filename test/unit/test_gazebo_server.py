@@ -5,10 +5,9 @@ import pytest
 pytest.importorskip("rospy")
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros import gazebo_server
-from bullet_lab.ros.gazebo_server import bridge_parameters
-from bullet_lab.ros.gazebo_server_arguments import ServerArguments
-from bullet_lab.simulation.resources import package_share
+from bullet_lab.ros.nodes import gzserver as gazebo_server
+from bullet_lab.ros.nodes.gzserver import ServerArguments, bridge_parameters
+from bullet_lab.simulation.world.resources import package_share
 
 
 @pytest.fixture

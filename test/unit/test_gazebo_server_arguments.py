@@ -2,13 +2,13 @@ import os
 
 import pytest
 
-from bullet_lab.ros.gazebo_server_arguments import (
+from bullet_lab.ros.nodes.gzserver import (
     ServerArguments,
     ServerArgumentsError,
     find_world,
     parse_server_arguments,
 )
-from bullet_lab.simulation.resources import package_share
+from bullet_lab.simulation.world.resources import package_share
 
 
 def parse(line):

@@ -3,13 +3,13 @@ import logging
 import pytest
 from sensor_worlds import INERTIAL, carrier, empty
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.gazebo_materials import COLOURS, gazebo_colour
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
-from bullet_lab.simulation.sdf_reader import read_model_text
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.urdf_reader import read_urdf
+from bullet_lab.simulation.world.gazebo_materials import COLOURS, gazebo_colour
+from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.urdf import read_urdf
 
 FLOOR = "package://bullet_lab/worlds/empty.world"
 CUBE = "<geometry><box size='0.2 0.2 0.2'/></geometry>"

@@ -3,16 +3,10 @@ from dataclasses import replace
 
 import pytest
 
-from bullet_lab.numerics.angles import wrap
-from bullet_lab.numerics.goal_driver import (
-    STANDSTILL,
-    DrivePhase,
-    GoalDriver,
-    GoalDriverError,
-    GoalLimits,
-)
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.core.angles import wrap
+from bullet_lab.core.pose import Pose
+from bullet_lab.drive.goal import STANDSTILL, DrivePhase, GoalDriver, GoalDriverError, GoalLimits
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 
 PERIOD = 0.05

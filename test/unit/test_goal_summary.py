@@ -3,9 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.numerics.trajectory import Trajectory
-from bullet_lab.plotting.goal_figure import goal_figure
-from bullet_lab.recording.goal_summary import GoalRecord, goal_figures, greatest_speed, title_of
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.reports.goal import GoalRecord, goal_figure, goal_figures, greatest_speed, title_of
 
 STAMPS = np.arange(0.0, 5.0, 0.5)
 # 0.2 m/s along x up to 0.6 m.

@@ -5,9 +5,9 @@ import pytest
 
 pytest.importorskip("rospy")
 
-from bullet_lab.numerics.pinhole import PinholeCamera
-from bullet_lab.ros.conversions import OUTPUT_CONVERTERS
-from bullet_lab.simulation.samples import CameraInfoSample, ImageSample, PointsSample
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.ros.messages.conversions import OUTPUT_CONVERTERS
+from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
 
 CAMERA = PinholeCamera(64, 48, 50.0, 51.0, 31.5, 23.5, (0.1, 0.2, 0.3, 0.4, 0.5))
 

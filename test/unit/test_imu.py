@@ -5,12 +5,12 @@ import pytest
 from scipy import stats
 from sensor_worlds import carrier, empty, held, record, sensor
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.devices.imu import Accelerometer
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.plugins.imu import Accelerometer
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.urdf_reader import read_urdf
+from bullet_lab.simulation.world.urdf import read_urdf
 
 G = 9.8
 FRAME = "<frameName>imu_link</frameName>"

@@ -7,7 +7,7 @@ import pytest
 
 CODE = """
 import os, signal, time
-from bullet_lab.experiments.interruption import interrupt_once
+from bullet_lab.studies.interruption import interrupt_once
 interrupt_once()
 try:
     print("ready", flush=True)

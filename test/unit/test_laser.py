@@ -6,10 +6,10 @@ import pytest
 from scipy import stats
 from sensor_worlds import box, carrier, empty, record, sensor, thing
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.attached_frame import RAYS_AT_A_TIME, AttachedFrame
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.physics.attached_frame import RAYS_AT_A_TIME, AttachedFrame
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 
 PLUGIN = "libgazebo_ros_laser.so"

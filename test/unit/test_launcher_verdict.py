@@ -2,7 +2,7 @@ import signal
 
 import pytest
 
-from bullet_lab.ros.launcher.verdict import Death, Verdict, judge
+from bullet_lab.ros.launcher.supervision import Death, Verdict, judge
 
 NAMES = {"bridge-1": "bridge", "drive-2": "drive", "plot-3": "plot"}
 

@@ -20,6 +20,7 @@ from bullet_lab.markers.faces import (
     nested_face,
     plate_face,
     wall_face,
+    write_plate,
 )
 from bullet_lab.markers.images import (
     MarkerError,
@@ -28,7 +29,6 @@ from bullet_lab.markers.images import (
     marker_image,
     paste,
 )
-from bullet_lab.markers.plates import write_plate
 
 
 def detections(image, dictionary="DICT_APRILTAG_36h10"):

@@ -8,23 +8,23 @@ import math
 import numpy as np
 import pytest
 
+from bullet_lab.core.files import FileError
+from bullet_lab.core.trajectory import Trajectory, read_tum
 from bullet_lab.errors import LabError
-from bullet_lab.experiments import noise_study
-from bullet_lab.experiments.noise_study import (
-    StudySettings,
-    main,
-    run_study,
-    simulated_square,
-    study,
-)
-from bullet_lab.numerics.trajectory import Trajectory, read_tum
-from bullet_lab.recording.files import FileError
-from bullet_lab.recording.study_files import (
+from bullet_lab.studies.noise_study import study as noise_study
+from bullet_lab.studies.noise_study.results import (
     PathFileError,
     read_path,
     whole_results,
     write_metrics,
     write_tum,
+)
+from bullet_lab.studies.noise_study.study import (
+    StudySettings,
+    main,
+    run_study,
+    simulated_square,
+    study,
 )
 
 SMALL = StudySettings(levels=(0.0, 0.1), rates=(0.9, 5.0), paths=20)

@@ -5,20 +5,19 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.numerics import se2
-from bullet_lab.numerics.angles import wrap
-from bullet_lab.numerics.metrics import path_error
-from bullet_lab.numerics.noisy_paths import noisy_blocks, noisy_steps
-from bullet_lab.numerics.path_metrics import (
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
+from bullet_lab.core.trajectory import Trajectory, path_error, read_tum
+from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
+from bullet_lab.studies.noise_study.path_metrics import (
     PathMetrics,
     PathMetricsError,
     find_laps,
     pairs_at_distance,
 )
-from bullet_lab.numerics.resampling import resample
-from bullet_lab.numerics.study_statistics import level_rule, study_case
-from bullet_lab.numerics.trajectory import Trajectory, read_tum
-from bullet_lab.recording.study_files import kept_path, write_tum
+from bullet_lab.studies.noise_study.resampling import resample
+from bullet_lab.studies.noise_study.results import kept_path, write_tum
+from bullet_lab.studies.noise_study.statistics import level_rule, study_case
 
 CASES = [
     ("report", 0.5, 0.9),

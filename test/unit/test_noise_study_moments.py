@@ -12,19 +12,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bullet_lab.experiments.noise_study import StudySettings
-from bullet_lab.numerics import se2
-from bullet_lab.numerics.ellipse import SQUARE_RADIUS, ellipse_points
-from bullet_lab.numerics.exact_moments import exact_moments, first_order_moments
-from bullet_lab.numerics.noisy_paths import noisy_blocks, noisy_steps, study_generator
-from bullet_lab.numerics.odometry_noise import MODELS, ProbabilisticRule, RateInvariantRule
-from bullet_lab.numerics.study_statistics import (
-    NEES_BOUND,
-    level_rule,
-    study_case,
-    theory,
-)
-from bullet_lab.numerics.trajectory import Trajectory
+from bullet_lab.core import se2
+from bullet_lab.core.ellipse import SQUARE_RADIUS, ellipse_points
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.noise.exact_moments import exact_moments, first_order_moments
+from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
+from bullet_lab.noise.odometry_noise import MODELS, ProbabilisticRule, RateInvariantRule
+from bullet_lab.studies.noise_study.statistics import NEES_BOUND, level_rule, study_case, theory
+from bullet_lab.studies.noise_study.study import StudySettings
 
 LEVELS = StudySettings().levels
 PATHS = 10_000

@@ -7,20 +7,21 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from bullet_lab.numerics import se2, study_statistics
-from bullet_lab.numerics.angles import wrap
-from bullet_lab.numerics.exact_moments import first_order_moments, published_covariances
-from bullet_lab.numerics.noisy_paths import noisy_blocks, noisy_steps, study_generator
-from bullet_lab.numerics.odometry_noise import (
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.noise.exact_moments import first_order_moments, published_covariances
+from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
+from bullet_lab.noise.odometry_noise import (
     NoiseError,
     NoisyPath,
     ProbabilisticRule,
     RateInvariantRule,
     ReportRule,
 )
-from bullet_lab.numerics.resampling import ResamplingError, find_corners, resample
-from bullet_lab.numerics.study_statistics import level_rule, study_case
-from bullet_lab.numerics.trajectory import Trajectory
+from bullet_lab.studies.noise_study import statistics as study_statistics
+from bullet_lab.studies.noise_study.resampling import ResamplingError, find_corners, resample
+from bullet_lab.studies.noise_study.statistics import level_rule, study_case
 
 RULES = [ReportRule(0.3), RateInvariantRule(0.2), ProbabilisticRule(0.1, 0.02, 0.1, 0.03)]
 

@@ -1,7 +1,7 @@
 import pytest
 from scipy import stats
 
-from bullet_lab.numerics.binomial import BinomialError, lower_bound
+from bullet_lab.studies.dock_campaign.results import BinomialError, lower_bound
 
 
 @pytest.mark.parametrize("confidence", [0.5, 0.95, 0.999])

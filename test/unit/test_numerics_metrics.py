@@ -3,8 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.numerics.metrics import MetricsError, closure_error, path_error
-from bullet_lab.numerics.trajectory import Trajectory
+from bullet_lab.core.trajectory import MetricsError, Trajectory, closure_error, path_error
 
 REFERENCE = Trajectory([0, 1, 2, 3], [[0, 0, 0], [1, 0, 0], [2, 0, 3.1], [2, 2, -3.1]])
 

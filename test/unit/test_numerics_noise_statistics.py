@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bullet_lab.numerics import se2
-from bullet_lab.numerics.odometry_noise import (
+from bullet_lab.core import se2
+from bullet_lab.noise.odometry_noise import (
     NoisyPath,
     ProbabilisticRule,
     RateInvariantRule,

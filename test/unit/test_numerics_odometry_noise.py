@@ -4,9 +4,9 @@ import math
 import numpy as np
 import pytest
 
+from bullet_lab.core import se2
 from bullet_lab.errors import LabError
-from bullet_lab.numerics import se2
-from bullet_lab.numerics.odometry_noise import (
+from bullet_lab.noise.odometry_noise import (
     MIN_TRANSLATION,
     NoiseError,
     NoisyPath,

@@ -5,15 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.numerics import se2
-from bullet_lab.numerics.angles import wrap
-from bullet_lab.numerics.odometry_noise import (
-    NoiseError,
-    NoisyPath,
-    RateInvariantRule,
-    ReportRule,
-)
-from bullet_lab.numerics.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
+from bullet_lab.noise.odometry_noise import NoiseError, NoisyPath, RateInvariantRule, ReportRule
+from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 
 SEEDS = range(50)
 

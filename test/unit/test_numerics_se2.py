@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 
-from bullet_lab.numerics import se2
+from bullet_lab.core import se2
 
 
 def random_poses(*shape):

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.numerics import se2
-from bullet_lab.numerics.square_path import analyse
-from bullet_lab.numerics.trajectory import Trajectory
+from bullet_lab.core import se2
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.reports.squares import analyse
 
 SIDE = [(0.0095, 0.0, 0.0)] * 200
 TURN = [(0.0, 0.0, -math.radians(1.5))] * 60

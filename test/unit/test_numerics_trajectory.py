@@ -4,8 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.errors import LabError
-from bullet_lab.numerics.trajectory import (
+from bullet_lab.core.trajectory import (
     CSV_HEADER,
     Trajectory,
     TrajectoryError,
@@ -14,6 +13,7 @@ from bullet_lab.numerics.trajectory import (
     read_tum,
     tum_row,
 )
+from bullet_lab.errors import LabError
 
 STAMPS = [0.05, 0.1, 1700000000.123456789]
 POSES = [[0.0, 1 / 3, -1e-17], [1e-5, -2.0, 3.0], [math.pi, 7.0, -0.1]]

@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 from sensor_worlds import carrier, empty, record
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.pose import Pose
 
 ARM = (
     '<link name="arm"><inertial><origin xyz="0.3 0 0"/><mass value="1e-3"/>'

@@ -4,8 +4,8 @@ from typing import Any, Mapping, Tuple
 
 import pytest
 
-from bullet_lab.ros import parameters
-from bullet_lab.ros.parameters import ParameterError, read_parameters
+from bullet_lab.ros.node import parameters
+from bullet_lab.ros.node.parameters import ParameterError, read_parameters
 
 
 def odd(value):
@@ -107,8 +107,8 @@ def test_rospy_is_not_needed():
     import sys
 
     code = (
-        "import sys, bullet_lab.ros, bullet_lab.ros.pace, bullet_lab.ros.time_gate, "
-        "bullet_lab.ros.parameters, bullet_lab.simulation.view, bullet_lab.plotting.noise_figure\n"
+        "import sys, bullet_lab.ros, bullet_lab.ros.bridge.pace, bullet_lab.ros.bridge.pace, "
+        "bullet_lab.ros.node.parameters, bullet_lab.simulation.view, bullet_lab.reports.squares\n"
         "sys.exit('rospy' in sys.modules)"
     )
     path = [entry for entry in sys.path if entry]

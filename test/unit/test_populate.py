@@ -3,10 +3,10 @@ import pytest
 pytest.importorskip("rospy")
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.depopulate import numbered
-from bullet_lab.ros.parameters import ParameterError, read_parameters
-from bullet_lab.ros.populate import PopulateParameters, description_of, names_of, places_of
-from bullet_lab.simulation.model_reader import read_description
+from bullet_lab.ros.gazebo.client import numbered
+from bullet_lab.ros.node.parameters import ParameterError, read_parameters
+from bullet_lab.ros.nodes.populate import PopulateParameters, description_of, names_of, places_of
+from bullet_lab.simulation.world.reader import read_description
 
 
 def wanted(**given):

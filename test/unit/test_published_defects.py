@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.numerics import se2
-from bullet_lab.numerics.odometry_noise import NoiseError, NoisyPath, ReportRule
-from bullet_lab.numerics.published_defects import (
+from bullet_lab.core import se2
+from bullet_lab.noise.odometry_noise import NoiseError, NoisyPath, ReportRule
+from bullet_lab.noise.published_noise import PublishedNoise, Sampler
+from bullet_lab.studies.published_noise.defects import (
     ALL,
     DEFECTS,
     NONE,
@@ -17,7 +18,6 @@ from bullet_lab.numerics.published_defects import (
     noisy_paths,
     sampled,
 )
-from bullet_lab.numerics.published_noise import PublishedNoise, Sampler
 
 SEEDS = range(20)
 STD = 0.1

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from bullet_lab.errors import LabError
-from bullet_lab.experiments.published_noise import (
+from bullet_lab.noise.published_noise import PublishedNoise
+from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, combinations
+from bullet_lab.studies.published_noise.side_deviation import NO_SIDE, SideError
+from bullet_lab.studies.published_noise.study import (
     PublishedNoiseSettings,
     Replay,
     main,
@@ -15,9 +18,6 @@ from bullet_lab.experiments.published_noise import (
     replay_drive,
     run_published_noise,
 )
-from bullet_lab.numerics.published_defects import ALL, DEFECTS, NONE, combinations
-from bullet_lab.numerics.published_noise import PublishedNoise
-from bullet_lab.numerics.side_deviation import NO_SIDE, SideError
 
 SEEDS = 100
 FILES = {

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from bullet_lab.numerics.published_defects import ALL, DEFECTS, NONE, Defects
-from bullet_lab.plotting.published_figures import (
+from bullet_lab.core.figures import save
+from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
+from bullet_lab.studies.published_noise.figures import (
     Row,
     Sheet,
     compare_figure,
@@ -10,7 +11,6 @@ from bullet_lab.plotting.published_figures import (
     first_turns_figure,
     sides_figure,
 )
-from bullet_lab.plotting.style import save
 
 CORNERS = np.array([(0, 0), (2, 0), (2, -2), (0, -2), (0, 0)], dtype=float)
 SHEET = Sheet(CORNERS, CORNERS + 0.01, CORNERS, 0.1)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bullet_lab.numerics.side_deviation import (
+from bullet_lab.studies.published_noise.side_deviation import (
     NO_SIDE,
     SideError,
     corner_points,

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("rospy")
 
-from bullet_lab.ros.publishers import await_room
+from bullet_lab.ros.node.publishers import await_room
 
 
 class Connection:

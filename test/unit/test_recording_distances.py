@@ -4,9 +4,8 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.plotting.beacons_figure import beacons_figure
-from bullet_lab.recording.distances import FILE, DistancesRecording, distances_summary
-from bullet_lab.recording.files import FileError, RowFile
+from bullet_lab.core.files import FileError, RowFile
+from bullet_lab.reports.beacons import FILE, DistancesRecording, beacons_figure, distances_summary
 
 BEACONS = {"a": (3.0, 4.0), "b": (-1.0, 0.0)}
 

@@ -4,7 +4,7 @@ import stat
 
 import pytest
 
-from bullet_lab.recording.files import FileError, make_folder, replace_file, write_json
+from bullet_lab.core.files import FileError, make_folder, replace_file, write_json
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path):

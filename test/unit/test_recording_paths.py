@@ -3,10 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.numerics.trajectory import CSV_HEADER, read_paths_csv, read_tum
-from bullet_lab.recording.files import FileError
-from bullet_lab.recording.paths import PathsRecording, RecordingError
-from bullet_lab.recording.squares_summary import squares_summary
+from bullet_lab.core.files import FileError
+from bullet_lab.core.trajectory import CSV_HEADER, read_paths_csv, read_tum
+from bullet_lab.reports.squares import PathsRecording, RecordingError, squares_summary
 
 TICK = 50_000_000
 RNG = np.random.default_rng(3)

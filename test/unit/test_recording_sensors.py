@@ -3,9 +3,14 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.plotting.sensors_figure import sensors_figure
-from bullet_lab.recording.sensors import Angles, SensorsRecording, scan_points, sensors_summary
-from bullet_lab.recording.series import Series, SeriesError
+from bullet_lab.core.series import Series, SeriesError
+from bullet_lab.reports.sensors import (
+    Angles,
+    SensorsRecording,
+    scan_points,
+    sensors_figure,
+    sensors_summary,
+)
 
 MS = 1_000_000
 

@@ -12,8 +12,8 @@ from picture_worlds import (
     write_plate,
 )
 
-from bullet_lab.numerics.pinhole import PinholeCamera
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.rendering.finish import FinishError, Lens
 from bullet_lab.simulation.rendering.graphics import RendererError
 from bullet_lab.simulation.rendering.renderer import Shot

@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 from picture_worlds import CAMERA, plate, simulation_of, thing, write_plate
 
-from bullet_lab.simulation.description import (
-    Attenuation,
-    Box,
-    Cone,
-    Light,
-)
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.rendering.renderer import Shot
+from bullet_lab.simulation.world.description import Attenuation, Box, Cone, Light
 
 AHEAD = Pose((0.0, 0.0, 0.5))
 BOX = thing("box", Box((1.0, 1.0, 1.0)), Pose((2.0, 0.0, 0.5)), (0.8, 0.4, 0.2, 1.0))
@@ -112,7 +107,7 @@ def test_exposure_scales_everything():
 
 
 def test_robots_are_lit_from_above_whatever_their_heading():
-    from bullet_lab.simulation.urdf_reader import read_urdf
+    from bullet_lab.simulation.world.urdf import read_urdf
 
     text = """<robot name="cube"><link name="base">
       <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>

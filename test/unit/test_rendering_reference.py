@@ -8,16 +8,9 @@ import numpy as np
 import pytest
 from picture_worlds import CAMERA, simulation_of, thing
 
-from bullet_lab.simulation.description import (
-    Attenuation,
-    Box,
-    Cone,
-    Inertia,
-    Light,
-    Plane,
-)
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.rendering.renderer import Shot
+from bullet_lab.simulation.world.description import Attenuation, Box, Cone, Inertia, Light, Plane
 
 AMBIENT = (0.2, 0.25, 0.15, 1.0)
 EYE = Pose.from_rpy((-1.0, 0.3, 2.6), (0.05, 0.55, 0.0))

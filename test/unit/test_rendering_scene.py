@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from picture_worlds import CAMERA, checkers, plate, simulation_of, thing, write_plate
 
-from bullet_lab.numerics.pinhole import PinholeCamera
-from bullet_lab.simulation.description import Box, Light, Plane, World
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.rendering.graphics import RendererError
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import Box, Light, Plane, World
 
 AHEAD = Pose((0.0, 0.0, 0.5))
 BLUE = (0, 0, 255)

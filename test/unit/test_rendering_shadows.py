@@ -5,16 +5,9 @@ import numpy as np
 import pytest
 from picture_worlds import CAMERA, plate, simulation_of, thing, write_plate
 
-from bullet_lab.simulation.description import (
-    Attenuation,
-    Box,
-    Cone,
-    Inertia,
-    Light,
-    Plane,
-)
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.rendering.renderer import Shot
+from bullet_lab.simulation.world.description import Attenuation, Box, Cone, Inertia, Light, Plane
 
 HALF = (0.5, 0.5, 0.5, 1.0)
 SUN = Light("sun", "directional", Pose(), HALF, (0.8, 0.0, -0.6), casts_shadows=True)

@@ -5,10 +5,10 @@ import pytest
 from picture_worlds import CAMERA, plate, simulation_of, thing, write_plate
 from PIL import Image
 
-from bullet_lab.simulation.description import Mesh
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.rendering.textures import TextureError, load_textured
+from bullet_lab.simulation.world.description import Mesh
 
 AHEAD = Pose((0.0, 0.0, 0.5))
 COLOURS = [(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30), (30, 200, 200)]

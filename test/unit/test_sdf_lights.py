@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.description import Attenuation, Cone
-from bullet_lab.simulation.sdf_reader import read_world_file
-from bullet_lab.simulation.xml_input import XmlError
+from bullet_lab.simulation.world.description import Attenuation, Cone
+from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.xml import XmlError
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 import pytest
 
-from bullet_lab.simulation.sdf_reader import read_model_text, read_world_file
 from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.sdf import read_model_text, read_world_file
 
 MODEL = """<model name="m">{model}<link name="l">{link}
   <collision name="c"><geometry><sphere><radius>1</radius></sphere></geometry>{collision}

@@ -11,9 +11,9 @@ from io import BytesIO
 import genpy
 from sensor_msgs.msg import Range
 
-from bullet_lab.ros.conversions import OUTPUT_CONVERTERS
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import (
+from bullet_lab.core.pose import Pose
+from bullet_lab.ros.messages.conversions import OUTPUT_CONVERTERS
+from bullet_lab.simulation.plugins.samples import (
     ContactsSample,
     ImuSample,
     LaserSample,

@@ -7,8 +7,8 @@ pytest.importorskip("rospy")
 from geometry_msgs.msg import Vector3, Wrench
 from visualization_msgs.msg import Marker
 
-from bullet_lab.ros.gazebo_types import msg
-from bullet_lab.ros.show_sensors import SensorError, contact_markers, total_wrench
+from bullet_lab.ros.messages.gazebo_types import msg
+from bullet_lab.ros.nodes.show_sensors import SensorError, contact_markers, total_wrench
 
 
 def touching(force=2.0):

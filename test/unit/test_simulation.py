@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 from conftest import BLOCK_ROBOT, EMPTY_WORLD
 
+from bullet_lab.core.pose import Pose
+from bullet_lab.core.schedule import ScheduleError
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.description import (
+from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.physics.physics import PhysicsError
+from bullet_lab.simulation.plugins.samples import PlanarCommand
+from bullet_lab.simulation.simulation import Simulation, SimulationError
+from bullet_lab.simulation.view import View, take_picture
+from bullet_lab.simulation.world.description import (
     Box,
     Collision,
     Inertia,
@@ -20,14 +27,7 @@ from bullet_lab.simulation.description import (
     Visual,
     World,
 )
-from bullet_lab.simulation.engine import pybullet
-from bullet_lab.simulation.meshes import MeshError
-from bullet_lab.simulation.physics import PhysicsError
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
-from bullet_lab.simulation.schedule import ScheduleError
-from bullet_lab.simulation.simulation import Simulation, SimulationError
-from bullet_lab.simulation.view import View, take_picture
+from bullet_lab.simulation.world.meshes import MeshError
 
 UNIT = Inertia(1.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3))
 CUBE = Box((0.2, 0.2, 0.2))

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.description import Box, Collision, Inertia, Link, Model
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.simulation import SimulationError
+from bullet_lab.simulation.world.description import Box, Collision, Inertia, Link, Model
 
 G = 9.8
 SIDE = 0.2

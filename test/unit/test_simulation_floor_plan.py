@@ -3,9 +3,9 @@ from dataclasses import replace
 
 import pytest
 
-from bullet_lab.simulation.description import Box, Collision, Link, Model, Sphere, World
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.floor_plan import footprints
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.simulation.world.description import Box, Collision, Link, Model, Sphere, World
 
 HERE = Pose()
 

@@ -3,15 +3,15 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.description import Inertia
-from bullet_lab.simulation.inertia import (
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.world.description import Inertia
+from bullet_lab.simulation.world.inertia import (
     InertiaError,
     check_inertia,
     combine,
     matrix_from_elements,
     principal_axes,
 )
-from bullet_lab.simulation.pose import Pose
 
 
 def box(mass, x, y, z, centre=(0.0, 0.0, 0.0)):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.urdf_reader import read_urdf
+from bullet_lab.simulation.world.urdf import read_urdf
 
 ARM, MOMENT, G = 0.5, 0.001, 9.8
 

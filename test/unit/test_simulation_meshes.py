@@ -4,14 +4,14 @@ import sys
 import numpy as np
 import pytest
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation import meshes
-from bullet_lab.simulation.description import Mesh, Model
-from bullet_lab.simulation.engine import pybullet
-from bullet_lab.simulation.meshes import MeshError, load_triangles
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
-from bullet_lab.simulation.urdf_reader import read_urdf_file
+from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.plugins.samples import PlanarCommand
+from bullet_lab.simulation.world import meshes
+from bullet_lab.simulation.world.description import Mesh, Model
+from bullet_lab.simulation.world.meshes import MeshError, load_triangles
+from bullet_lab.simulation.world.urdf import read_urdf_file
 
 MATRIX = "0.25 0 0 0 0 0.25 0 0 0 0 1 1 0 0 0 1"
 STL = (

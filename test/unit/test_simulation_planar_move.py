@@ -3,16 +3,16 @@ import math
 import numpy as np
 import pytest
 
+from bullet_lab.core.pose import Pose
+from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
-from bullet_lab.numerics.square_path import analyse
-from bullet_lab.numerics.trajectory import Trajectory
-from bullet_lab.simulation.devices import DeviceError
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
-from bullet_lab.simulation.sdf_reader import read_model_text
+from bullet_lab.reports.squares import analyse
+from bullet_lab.simulation.plugins import DeviceError
+from bullet_lab.simulation.plugins.planar_move import PUBLISHED_RADIUS
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import SimulationError
-from bullet_lab.simulation.support_patch import PUBLISHED_RADIUS
-from bullet_lab.simulation.urdf_reader import read_urdf
+from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.urdf import read_urdf
 
 FRICTION_LOSS = 9.8e-3  # m/s at each step of 1 ms
 HALF = 0.05

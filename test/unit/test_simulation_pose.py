@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.pose import Pose, yaw_of
+from bullet_lab.core.pose import Pose, yaw_of
 
 RNG = np.random.default_rng(7)
 ANGLES = [tuple(RNG.uniform((-3.1, -1.5, -3.1), (3.1, 1.5, 3.1))) for _ in range(20)]

@@ -1,6 +1,6 @@
 import pytest
 
-from bullet_lab.simulation.resources import ResourceError, ResourceFinder, ros_package_folder
+from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder, ros_package_folder
 
 
 @pytest.fixture

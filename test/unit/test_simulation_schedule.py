@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from bullet_lab.simulation.schedule import Schedule, ScheduleError
+from bullet_lab.core.schedule import Schedule, ScheduleError
 
 
 def steps(rate, until, start=0):

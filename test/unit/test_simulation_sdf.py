@@ -3,13 +3,9 @@ import math
 import pytest
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.description import Box, Cylinder, Mesh, Plane, Sphere
-from bullet_lab.simulation.resources import ResourceFinder
-from bullet_lab.simulation.sdf_reader import (
-    DEFAULT_COLOUR,
-    read_model_text,
-    read_world_file,
-)
+from bullet_lab.simulation.world.description import Box, Cylinder, Mesh, Plane, Sphere
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.sdf import DEFAULT_COLOUR, read_model_text, read_world_file
 
 BEACON = "package://bullet_lab/meshes/beacon.dae"
 

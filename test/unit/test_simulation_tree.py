@@ -1,10 +1,24 @@
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.description import Box, Collision, Inertia, Joint, Link, Model, Visual
-from bullet_lab.simulation.lumping import lump_fixed_joints
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.tree import TreeError, check_forest, check_tree, place_links, top_down
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.world.description import (
+    Box,
+    Collision,
+    Inertia,
+    Joint,
+    Link,
+    Model,
+    Visual,
+)
+from bullet_lab.simulation.world.tree import (
+    TreeError,
+    check_forest,
+    check_tree,
+    lump_fixed_joints,
+    place_links,
+    top_down,
+)
 
 
 def links(names):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.description import WHITE, Box, Cylinder, Mesh, Sphere
-from bullet_lab.simulation.resources import ResourceFinder
-from bullet_lab.simulation.urdf_reader import read_urdf, read_urdf_file
+from bullet_lab.simulation.world.description import WHITE, Box, Cylinder, Mesh, Sphere
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
 ARM = f'<link name="a">{INERTIAL}</link><link name="b">{INERTIAL}</link>'

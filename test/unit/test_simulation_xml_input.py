@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from bullet_lab.simulation import xml_input
-from bullet_lab.simulation.xml_input import (
+from bullet_lab.simulation.world import xml as xml_input
+from bullet_lab.simulation.world.xml import (
     XmlError,
     boolean,
     child_text,

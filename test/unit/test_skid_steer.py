@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from sensor_worlds import record
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.devices import DeviceError
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.samples import PlanarCommand
+from bullet_lab.simulation.plugins import DeviceError
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation, SimulationError
-from bullet_lab.simulation.urdf_reader import read_urdf
+from bullet_lab.simulation.world.urdf import read_urdf
 
 FLOOR = "package://bullet_lab/worlds/empty.world"
 SEPARATION, RADIUS = 0.5, 0.1

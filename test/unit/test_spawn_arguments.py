@@ -1,12 +1,12 @@
 import pytest
 
-from bullet_lab.ros.spawn_arguments import (
+from bullet_lab.core.pose import Pose
+from bullet_lab.ros.nodes.spawn_model import (
     SpawnArgumentsError,
     database_text,
     packages_to_models,
     parse_spawn_arguments,
 )
-from bullet_lab.simulation.pose import Pose
 
 
 def parse(line, namespace="/"):

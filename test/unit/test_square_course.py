@@ -2,9 +2,8 @@ import math
 
 import pytest
 
-from bullet_lab.numerics.seeds import derived_seed
-from bullet_lab.numerics.square_course import SquareCourse
-from bullet_lab.numerics.square_driver import DriverError, Square, open_loop_side
+from bullet_lab.core.seeds import derived_seed
+from bullet_lab.drive.square import DriverError, Square, SquareCourse, open_loop_side
 
 SQUARE = Square(sides=2, side=0.2, turn_commands=3)
 

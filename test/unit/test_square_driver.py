@@ -2,15 +2,9 @@ import math
 
 import pytest
 
-from bullet_lab.numerics.angles import wrap
-from bullet_lab.numerics.square_driver import (
-    ClosedLoopSide,
-    DriverError,
-    Square,
-    approach,
-    open_loop_side,
-)
-from bullet_lab.simulation.support_patch import PUBLISHED_RADIUS, SupportPatch
+from bullet_lab.core.angles import wrap
+from bullet_lab.drive.square import ClosedLoopSide, DriverError, Square, approach, open_loop_side
+from bullet_lab.simulation.plugins.planar_move import PUBLISHED_RADIUS, SupportPatch
 
 BLOCK = SupportPatch(1.0, PUBLISHED_RADIUS, 4.51, 7.5125e-3)
 ICE = SupportPatch(0.0, PUBLISHED_RADIUS, 4.51, 7.5125e-3)

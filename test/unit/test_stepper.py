@@ -5,11 +5,10 @@ import time
 import pytest
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros import stepper as stepper_module
-from bullet_lab.ros.loop_watch import LoopWatch
-from bullet_lab.ros.pace import Pace
-from bullet_lab.ros.stepper import Stepper, StepperError
-from bullet_lab.ros.time_gate import FOR_EVER, TimeGate
+from bullet_lab.ros.bridge import stepper as stepper_module
+from bullet_lab.ros.bridge.loop_watch import LoopWatch
+from bullet_lab.ros.bridge.pace import FOR_EVER, Pace, TimeGate
+from bullet_lab.ros.bridge.stepper import Stepper, StepperError
 from bullet_lab.simulation.simulation import Simulation
 
 PATIENCE = 30.0

@@ -9,9 +9,14 @@ from marker_images import CAMERA, Layer, View, corner_error, image_of, marker, t
 
 from bullet_lab.vision.decoding import Match
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
-from bullet_lab.vision.errors import VisionError
-from bullet_lab.vision.explanation import why_nothing
-from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector, noise_level, take
+from bullet_lab.vision.images import VisionError
+from bullet_lab.vision.marker_detector import (
+    DetectorSettings,
+    MarkerDetector,
+    noise_level,
+    take,
+    why_nothing,
+)
 
 TAGS = "apriltag_36h10"
 BENT = dataclasses.replace(CAMERA, distortion=(-0.3, 0.1, 0.001, -0.002, 0.02))

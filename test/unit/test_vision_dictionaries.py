@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
-from bullet_lab.vision.errors import VisionError
+from bullet_lab.vision.images import VisionError
 
 
 def test_every_dictionary_of_opencv_is_there_once():

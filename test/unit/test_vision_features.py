@@ -5,9 +5,8 @@ import pytest
 from marker_images import CAMERA, View, image_of, marker, true_corners
 
 from bullet_lab.vision import drawing
-from bullet_lab.vision.errors import VisionError
 from bullet_lab.vision.features import canny_edges, good_features, harris_corners
-from bullet_lab.vision.images import grey
+from bullet_lab.vision.images import VisionError, grey
 from bullet_lab.vision.marker_detector import DetectedMarker
 from bullet_lab.vision.marker_pose import estimate_pose
 

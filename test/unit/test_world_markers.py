@@ -4,9 +4,9 @@ pytest.importorskip("rospy")
 
 from visualization_msgs.msg import Marker
 
-from bullet_lab.ros.world_markers import LARGEST_PLANE, world_markers
-from bullet_lab.simulation.sdf_reader import read_world_file
+from bullet_lab.ros.messages.world import LARGEST_PLANE, world_markers
 from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.sdf import read_world_file
 
 WORLD = """<sdf version="1.6"><world name="shapes">
   <model name="things"><static>true</static><pose>1 2 0 0 0 1.5707963267948966</pose>

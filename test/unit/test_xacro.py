@@ -3,11 +3,11 @@ import os
 import pytest
 from sensor_worlds import INERTIAL
 
-from bullet_lab.simulation import xacro_files
-from bullet_lab.simulation.description import Box
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.urdf_reader import read_urdf_file
-from bullet_lab.simulation.xacro_files import XacroError, expand_xacro
+from bullet_lab.simulation.world import xacro as xacro_files
+from bullet_lab.simulation.world.description import Box
+from bullet_lab.simulation.world.urdf import read_urdf_file
+from bullet_lab.simulation.world.xacro import XacroError, expand_xacro
 
 pytest.importorskip("xacro")
 

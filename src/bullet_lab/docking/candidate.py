@@ -5,6 +5,10 @@ close by. So a candidate is a sum of Gaussians: several yaws, and several sizes 
 is the marker's. All are moved along with the odometry and weighed by how well they foretell the
 corners in each image. A copy of another size betrays itself as the robot moves, since its range
 changes by more or less than it should; the marker's height betrays many at once.
+
+Taken for the real one, a copy twice as large seems half as far away; but then the robot has to go
+two metres to come one metre nearer. This compares changes of the seeming range with what was
+travelled towards the marker, over ways long enough for the noise of both to matter little.
 """
 
 from __future__ import annotations
@@ -15,6 +19,8 @@ from typing import Optional, Tuple
 
 import numpy as np
 
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
 from bullet_lab.docking.corner_filter import (
     applied,
     filtered,
@@ -23,12 +29,8 @@ from bullet_lab.docking.corner_filter import (
     squared_distances,
     turned_place,
 )
-from bullet_lab.docking.estimates import DockEstimate, DockPrior, step_derivatives
 from bullet_lab.docking.marker_model import STATES, PixelNoise, Viewpoint, extent_of, predict
-from bullet_lab.docking.motion import MotionStep
-from bullet_lab.docking.size_test import SCALES, SizeTest
-from bullet_lab.numerics import se2
-from bullet_lab.numerics.angles import wrap
+from bullet_lab.docking.motion import DockEstimate, DockPrior, MotionStep, step_derivatives
 
 _HEIGHT_KNOWN, _HEIGHT_FREE = 0.006, 0.4
 _GROWTH_KNOWN, _GROWTH_FREE = 1e-4, 0.12
@@ -340,3 +342,60 @@ class Candidate:
         off[2] = wrap(float(off[2]))
         spread = np.sqrt(np.diag(self._p[first]))
         return bool(np.all(np.abs(off) < 0.7 * spread + 1e-5))
+
+
+SCALES = np.array([1.0, 0.35, 0.45, 0.6, 0.8, 1.25, 1.6, 2.1, 2.8, 3.7, 5.0, 6.5, 8.5, 11.0])
+"""Sizes that are thought possible, as multiples of the marker's; the first is the real one."""
+
+_WINDOW = 0.22
+# The sizes stand for all that lie between them; the real one is known well.
+_PLAY = np.where(SCALES == 1.0, 0.01, 0.08)
+_ODOMETRY_SCALE = 0.02
+_BEARING = 0.03
+
+
+class SizeTest:
+    """Log-likelihoods of the sizes.
+
+    Args:
+        reach: seeming range at the start, m.
+        deviation: standard deviation of it.
+    """
+
+    def __init__(self, reach: float, deviation: float):
+        self.logs = np.zeros(len(SCALES))
+        self._restart(reach, deviation)
+        self._unseen = 0.0
+
+    def travel(self, away: float, beside: float, variance: float) -> None:
+        """Take note of a step: m away from the marker, m across, and the variance of the first."""
+        self._away += away
+        self._variance += variance + (_BEARING * beside) ** 2
+        self._unseen += math.hypot(away, beside)
+
+    def see(self, reach: float, deviation: float) -> None:
+        """Take note of a seeming range (m) and its standard deviation."""
+        unseen, self._unseen = self._unseen, 0.0
+        if unseen > 0.8:
+            self._restart(reach, deviation)
+            return
+        change = reach - self._reach
+        if max(abs(self._away), abs(change)) < max(_WINDOW, 6.0 * (deviation + self._deviation)):
+            return
+        expected = SCALES * change
+        variance = (
+            self._variance
+            + SCALES**2 * (deviation**2 + self._deviation**2)
+            + (_ODOMETRY_SCALE * self._away) ** 2
+            + (_PLAY * expected) ** 2
+            + 1e-6
+        )
+        square = (self._away - expected) ** 2 / variance
+        # No single comparison decides.
+        logs = -0.5 * square - 0.5 * np.log(variance)
+        self.logs += np.maximum(logs - np.max(logs), -8.0)
+        self._restart(reach, deviation)
+
+    def _restart(self, reach: float, deviation: float) -> None:
+        self._reach, self._deviation = reach, deviation
+        self._away = self._variance = 0.0

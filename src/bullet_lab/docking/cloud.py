@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.estimates import DockEstimate, DockPrior
 from bullet_lab.docking.geometry import clearance, wall_boxes
-from bullet_lab.docking.motion import MotionStep
+from bullet_lab.docking.motion import DockEstimate, DockPrior, MotionStep
 from bullet_lab.docking.types import PlanarPose
-from bullet_lab.numerics import se2
-from bullet_lab.numerics.angles import wrap
 
 PARTICLES = 600
 # The database may lie somewhat more than it says.

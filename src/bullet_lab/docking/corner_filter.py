@@ -7,6 +7,7 @@ from typing import Tuple
 
 import numpy as np
 
+from bullet_lab.core.angles import wrap
 from bullet_lab.docking.marker_model import (
     PixelNoise,
     Viewpoint,
@@ -15,7 +16,6 @@ from bullet_lab.docking.marker_model import (
     predict,
 )
 from bullet_lab.docking.types import CameraMount
-from bullet_lab.numerics.angles import wrap
 
 # Pixels off below which the first linearisation will do.
 _LINEAR = 4.0

@@ -8,10 +8,10 @@ from typing import List, Sequence, Tuple
 
 import numpy as np
 
+from bullet_lab.core.angles import wrap
 from bullet_lab.docking.floor_map import Point
 from bullet_lab.docking.settings import DockingSettings
 from bullet_lab.docking.types import STANDSTILL, Command, PlanarPose
-from bullet_lab.numerics.angles import wrap
 
 _TURN_GAIN = 2.5
 _SLOWEST_TURN = 0.06

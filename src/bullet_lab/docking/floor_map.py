@@ -12,8 +12,8 @@ from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
+from bullet_lab.core import se2
 from bullet_lab.docking.geometry import clearance
-from bullet_lab.numerics import se2
 
 Point = Tuple[float, float]
 

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
+from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.docking.database import Dock
-from bullet_lab.numerics.pinhole import PinholeCamera
 
 QUIET_ZONE = 0.125
 """Width of a marker's white border, as part of its edge: the whole of it has to be seen."""

@@ -7,16 +7,21 @@ from typing import Dict, List, Optional
 
 import numpy as np
 
+from bullet_lab.core import se2
 from bullet_lab.docking.candidate import Candidate
 from bullet_lab.docking.cloud import DockCloud
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.estimates import DockEstimate, DockPrior
 from bullet_lab.docking.geometry import View
 from bullet_lab.docking.marker_model import Viewpoint, extent_of
-from bullet_lab.docking.motion import MotionStep, OdometryTrack, motion_step
+from bullet_lab.docking.motion import (
+    DockEstimate,
+    DockPrior,
+    MotionStep,
+    OdometryTrack,
+    motion_step,
+)
 from bullet_lab.docking.settings import DockingSettings
 from bullet_lab.docking.types import CameraMount, Observation, Odometry, PlanarPose
-from bullet_lab.numerics import se2
 
 _SMALLEST = 6.0
 _BORDER = 3.0

@@ -1,14 +1,16 @@
-"""Where on the way into a dock the robot may be, and where it has to turn back."""
+"""Where on the way into a dock the robot may be, and whether it does what it is told."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
+from typing import Deque, Tuple
 
 import numpy as np
 
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.types import RobotShape
+from bullet_lab.docking.types import STANDSTILL, Command, RobotShape
 
 # The walls count so far, in m, before their front edges; there, going at an edge is noticed.
 _ENTRANCE, _BEFORE_ENTRANCE = 0.35, 0.55
@@ -82,3 +84,38 @@ class Lane:
         # What is not known yet will be, on the way; the gate is there for what is not.
         beside = abs(float(robot[1])) + min(2.0 * deviation, 0.4 * lane)
         return _LEAST_LEFT < left < _LONGEST and beside < lane
+
+
+_SECONDS = 2.0
+_LEAST_WAY, _LEAST_TURN = 0.08, 0.25
+_DONE = 0.3
+
+
+class StuckWatch:
+    """Compares what was commanded in the last seconds with what the odometry says."""
+
+    def __init__(self):
+        self._command: Command = STANDSTILL
+        self._past: Deque[Tuple[float, float, float, float, float]] = deque()
+
+    def commanded(self, command: Command) -> None:
+        """Take note of a command (m/s, rad/s), in force until the next one."""
+        self._command = command
+
+    def moved(self, step: Tuple[float, float, float], seconds: float) -> None:
+        """Take note of a step of the odometry (m, m, rad) in so many seconds."""
+        v, w = self._command
+        self._past.append((seconds, abs(v) * seconds, abs(w) * seconds, step[0], step[2]))
+        while sum(entry[0] for entry in self._past) > _SECONDS:
+            self._past.popleft()
+
+    @property
+    def stuck(self) -> bool:
+        """Whether it was told to move, and did not."""
+        way = sum(entry[1] for entry in self._past)
+        turn = sum(entry[2] for entry in self._past)
+        went = sum(math.fabs(entry[3]) for entry in self._past)
+        turned = sum(math.fabs(entry[4]) for entry in self._past)
+        if way > _LEAST_WAY and went < _DONE * way:
+            return True
+        return turn > _LEAST_TURN and turned < _DONE * turn

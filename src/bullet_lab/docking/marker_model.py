@@ -12,8 +12,8 @@ from typing import Tuple
 
 import numpy as np
 
+from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.docking.types import CameraMount, PlanarPose
-from bullet_lab.numerics.pinhole import PinholeCamera
 
 STATES = 5
 # How much states are moved to find out what the pixels do, and the disturbances too.

@@ -10,13 +10,13 @@ from typing import Optional, Tuple
 
 import numpy as np
 
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
 from bullet_lab.docking.candidate import Candidate
 from bullet_lab.docking.drive import FollowWay, clip, turn_command
 from bullet_lab.docking.floor_map import Point
 from bullet_lab.docking.pilot import FAR_MISSED, Pilot
 from bullet_lab.docking.types import STANDSTILL, Command, DockingError, DockingState
-from bullet_lab.numerics import se2
-from bullet_lab.numerics.angles import wrap
 
 _CHECK_SECONDS = 0.5
 _MOST_PROBES = 6

@@ -7,14 +7,16 @@ from typing import Any, Callable, List, Optional, Tuple
 
 import numpy as np
 
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
 from bullet_lab.docking.candidate import Candidate
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.drive import AxisTracker
-from bullet_lab.docking.estimates import DockEstimate
 from bullet_lab.docking.floor_map import FloorMap, Point, sample_way
 from bullet_lab.docking.geometry import View, clearance, wall_boxes
 from bullet_lab.docking.knowledge import SAME_WALL, DockKnowledge
 from bullet_lab.docking.lane import Lane
+from bullet_lab.docking.motion import DockEstimate
 from bullet_lab.docking.settings import DockingSettings
 from bullet_lab.docking.types import (
     CameraMount,
@@ -25,8 +27,6 @@ from bullet_lab.docking.types import (
 )
 from bullet_lab.docking.viewpoints import Outlook, next_outlook
 from bullet_lab.errors import LabError
-from bullet_lab.numerics import se2
-from bullet_lab.numerics.angles import wrap
 
 _SAMPLES = 120
 _RISKY = 0.03

@@ -8,12 +8,13 @@ from typing import Deque, Optional, Tuple
 
 import numpy as np
 
-from bullet_lab.docking.approach import Docked
+from bullet_lab.core import se2
+from bullet_lab.docking.approach import Docked, decide
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.decision import decide
 from bullet_lab.docking.drive import CommandRamp
 from bullet_lab.docking.geometry import clearance
 from bullet_lab.docking.knowledge import DockKnowledge
+from bullet_lab.docking.lane import StuckWatch
 from bullet_lab.docking.motion import jump, motion_step
 from bullet_lab.docking.phases import Look, Phase
 from bullet_lab.docking.pilot import DockingFailureError, Pilot
@@ -32,9 +33,7 @@ from bullet_lab.docking.types import (
     RobotShape,
 )
 from bullet_lab.docking.undocking import UndockingTask
-from bullet_lab.docking.watch import StuckWatch
 from bullet_lab.errors import LabError
-from bullet_lab.numerics import se2
 
 __all__ = ["DockingTask", "DockingTaskError", "UndockingTask"]
 

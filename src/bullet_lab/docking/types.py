@@ -12,7 +12,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.core.pinhole import PinholeCamera
 
 PlanarPose = Tuple[float, float, float]
 Command = Tuple[float, float]

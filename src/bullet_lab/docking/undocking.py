@@ -7,9 +7,11 @@ from typing import Optional
 
 import numpy as np
 
+from bullet_lab.core import se2
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.drive import AxisTracker, CommandRamp
 from bullet_lab.docking.knowledge import DockKnowledge
+from bullet_lab.docking.lane import StuckWatch
 from bullet_lab.docking.motion import OdometryTrack, jump, motion_step
 from bullet_lab.docking.settings import DockingSettings
 from bullet_lab.docking.types import (
@@ -21,9 +23,7 @@ from bullet_lab.docking.types import (
     Odometry,
     PlanarPose,
 )
-from bullet_lab.docking.watch import StuckWatch
 from bullet_lab.errors import LabError
-from bullet_lab.numerics import se2
 
 _LOOK_SECONDS = 1.5
 _THERE = 0.003

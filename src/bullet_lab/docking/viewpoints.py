@@ -8,11 +8,11 @@ from typing import List, Optional
 
 import numpy as np
 
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
 from bullet_lab.docking.floor_map import FloorMap, Point
 from bullet_lab.docking.geometry import View
 from bullet_lab.docking.types import PlanarPose
-from bullet_lab.numerics import se2
-from bullet_lab.numerics.angles import wrap
 
 _HEADINGS = np.arange(36) * (math.tau / 36.0)
 # Of cells; the finer one where the coarse one finds nothing, as between walls.

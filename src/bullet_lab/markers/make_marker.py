@@ -22,10 +22,10 @@ from bullet_lab.markers.faces import (
     nested_face,
     plate_face,
     wall_face,
+    write_plate,
 )
 from bullet_lab.markers.images import MarkerError, dictionary_names
 from bullet_lab.markers.models import PLATE_THICKNESS, write_dock, write_panel
-from bullet_lab.markers.plates import write_plate
 
 STATUS_BAD_INPUT = 2
 STATUS_INTERRUPTED = 130

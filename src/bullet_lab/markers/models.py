@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Tuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from bullet_lab.markers.faces import WALL_GREY, WALL_SIZE, Face
+from bullet_lab.core.files import make_folder, replace_file
+from bullet_lab.markers.faces import WALL_GREY, WALL_SIZE, Face, write_plate
 from bullet_lab.markers.images import MarkerError
-from bullet_lab.markers.plates import write_plate
-from bullet_lab.recording.files import make_folder, replace_file
 
 DOCK_DEPTH = 2.0
 WALL_THICKNESS = 0.2

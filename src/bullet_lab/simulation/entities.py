@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import List, Mapping, Tuple
 
+from bullet_lab.core.pose import Pose, add, cross
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.attached_frame import AttachedFrame
-from bullet_lab.simulation.description import FrameState
 from bullet_lab.simulation.model_instance import ModelInstance
-from bullet_lab.simulation.physics import Body
-from bullet_lab.simulation.pose import Pose, add, cross
+from bullet_lab.simulation.physics.attached_frame import AttachedFrame
+from bullet_lab.simulation.physics.physics import Body
+from bullet_lab.simulation.world.description import FrameState
 
 # Names of the world's own frame.
 WORLD_FRAMES = ("", "world", "map", "/map")

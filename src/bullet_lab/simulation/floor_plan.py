@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Iterator, Tuple
 
-from bullet_lab.simulation.description import Box, Model, World
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.world.description import Box, Model, World
 
 Point = Tuple[float, float]
 

@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Callable, List, Union
 
+from bullet_lab.core.pose import Pose, Vector, add, cross
+from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.attached_frame import AttachedFrame
-from bullet_lab.simulation.description import FrameState
-from bullet_lab.simulation.pose import Pose, Vector, add, cross
-from bullet_lab.simulation.schedule import STEPS_PER_SECOND
+from bullet_lab.simulation.physics.attached_frame import AttachedFrame
+from bullet_lab.simulation.world.description import FrameState
 
 if TYPE_CHECKING:
     from bullet_lab.simulation.model_instance import ModelInstance
@@ -134,15 +134,18 @@ class Forces:
     def clear_link(self, instance: ModelInstance, link: str) -> None:
         """End all wrenches on a link."""
         self._keep(
-            lambda force: not isinstance(force, Wrench)
-            or (force.instance, force.frame.link) != (instance, link)
+            lambda force: (
+                not isinstance(force, Wrench)
+                or (force.instance, force.frame.link) != (instance, link)
+            )
         )
 
     def clear_joint(self, instance: ModelInstance, joint: str) -> None:
         """End all efforts on a joint."""
         self._keep(
-            lambda force: not isinstance(force, Effort)
-            or (force.instance, force.joint) != (instance, joint)
+            lambda force: (
+                not isinstance(force, Effort) or (force.instance, force.joint) != (instance, joint)
+            )
         )
 
     def forget(self, instance: ModelInstance) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any, Callable, Dict, Mapping, Optional, Tuple
 
+from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.attached_frame import AttachedFrame
-from bullet_lab.simulation.description import FrameState, Model, ModelState
-from bullet_lab.simulation.devices import Device
-from bullet_lab.simulation.physics import Body
-from bullet_lab.simulation.pose import Pose, Vector, add, cross
-from bullet_lab.simulation.proportions import FARTHEST, FASTEST
+from bullet_lab.simulation.physics.attached_frame import AttachedFrame
+from bullet_lab.simulation.physics.physics import Body
+from bullet_lab.simulation.plugins import Device
+from bullet_lab.simulation.world.description import FrameState, Model, ModelState
+from bullet_lab.simulation.world.proportions import FARTHEST, FASTEST
 
 # Of the length of a quaternion from outside, which may have been rounded.
 QUATERNION_TOLERANCE = 1e-3
@@ -28,9 +28,7 @@ class ModelInstance:
         moves: how often it was put somewhere: what is static moves in no other way.
     """
 
-    def __init__(
-        self, model: Model, bodies: Mapping[str, Body], devices: Tuple[Device, ...]
-    ):
+    def __init__(self, model: Model, bodies: Mapping[str, Body], devices: Tuple[Device, ...]):
         self.model = model
         self.bodies = bodies
         self.devices = devices

@@ -2,7 +2,7 @@
 
 Example:
     >>> from bullet_lab.simulation.simulation import Simulation
-    >>> from bullet_lab.simulation.samples import PlanarCommand
+    >>> from bullet_lab.simulation.plugins.samples import PlanarCommand
     >>> with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
     ...     robot = simulation.spawn("package://bullet_lab/urdf/block_robot.urdf")
     ...     robot.command("cmd_vel", PlanarCommand(vx=0.2))
@@ -19,23 +19,22 @@ import time
 from dataclasses import dataclass, replace
 from typing import Callable, Dict, List, Mapping, Optional, Tuple, Union
 
+from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.contacts import Contact, contacts_of
-from bullet_lab.simulation.description import Model, ModelState, Plugin, World
-from bullet_lab.simulation.devices import Device, Mount, known_plugins, make_device
 from bullet_lab.simulation.forces import Forces
-from bullet_lab.simulation.meshes import check_visible_meshes
 from bullet_lab.simulation.model_instance import ModelInstance, SimulationError, check_pose
-from bullet_lab.simulation.physics import Body, Physics
-from bullet_lab.simulation.pose import Pose, Vector
-from bullet_lab.simulation.proportions import check_proportions
+from bullet_lab.simulation.physics.contacts import Contact, TouchedShapes, contacts_of
+from bullet_lab.simulation.physics.physics import Body, Physics
+from bullet_lab.simulation.plugins import Device, Mount, known_plugins, make_device
 from bullet_lab.simulation.rendering.renderer import Renderer
 from bullet_lab.simulation.rendering.textures import check_textures
-from bullet_lab.simulation.resources import ResourceFinder
-from bullet_lab.simulation.schedule import STEPS_PER_SECOND, Schedule
-from bullet_lab.simulation.sdf_reader import read_world_file
-from bullet_lab.simulation.touched_shapes import TouchedShapes
-from bullet_lab.simulation.urdf_reader import read_urdf_file
+from bullet_lab.simulation.world.description import Model, ModelState, Plugin, World
+from bullet_lab.simulation.world.meshes import check_visible_meshes
+from bullet_lab.simulation.world.proportions import check_proportions
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.urdf import read_urdf_file
 
 __all__ = ["ModelInstance", "Simulation", "SimulationError", "Snapshot", "Timer"]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
-from bullet_lab.numerics.pinhole import PinholeCamera
-from bullet_lab.simulation.pose import Pose, Vector
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
 

@@ -10,18 +10,18 @@ from pathlib import Path
 from typing import List, Tuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from bullet_lab.simulation.description import Light, Model, ModelState, World
-from bullet_lab.simulation.model_writer import ModelWriter
-from bullet_lab.simulation.physics import STEP_SECONDS
-from bullet_lab.simulation.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.sdf_elements import (
+from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.simulation.physics.physics import STEP_SECONDS
+from bullet_lab.simulation.simulation import Snapshot
+from bullet_lab.simulation.world.description import Light, Model, ModelState, World
+from bullet_lab.simulation.world.writer import (
+    ModelWriter,
     add_flag,
     add_pose,
     add_text,
     indent,
     numbers_text,
 )
-from bullet_lab.simulation.simulation import Snapshot
 
 VERSION = "1.6"
 NANOSECONDS = 10**9

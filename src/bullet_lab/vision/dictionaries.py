@@ -9,7 +9,7 @@ from typing import Dict, Tuple
 import cv2
 import numpy as np
 
-from bullet_lab.vision.errors import VisionError
+from bullet_lab.vision.images import VisionError
 
 _PREFIX = "DICT_"
 # Number of ones in a byte.

@@ -7,7 +7,7 @@ from typing import Sequence
 import cv2
 import numpy as np
 
-from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision.marker_detector import DetectedMarker
 from bullet_lab.vision.marker_pose import MarkerPose
 from bullet_lab.vision.quads import mean_side

@@ -1,11 +1,16 @@
-"""Images as the detectors want them."""
+"""Images as the detectors want them, and the error of the vision library."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-from bullet_lab.vision.errors import VisionError
+from bullet_lab.errors import LabError
+
+
+class VisionError(LabError):
+    """An image, a camera or a setting that cannot be used."""
+
 
 LEAST_EDGE = 16
 _TO_GREY = {

@@ -1,20 +1,20 @@
-"""Finds the markers of a dictionary in an image: all of them, nested and double ones too."""
+"""Finds the markers of a dictionary in an image, nested and double ones, or says why none."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import List, Optional, Tuple
+from typing import Iterable, List, Optional, Tuple
 
 import cv2
 import numpy as np
 
-from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision import images
 from bullet_lab.vision.decoding import Match, interpret, match, may_be_marker, read_cells
 from bullet_lab.vision.dictionaries import dictionary_named
 from bullet_lab.vision.edge_fit import refine_corners
-from bullet_lab.vision.errors import VisionError
+from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.nested import quads_in_cells
 from bullet_lab.vision.quads import find_quads, mean_side, same_quads
 from bullet_lab.vision.sampling import Lens
@@ -342,3 +342,33 @@ def noise_level(grey: np.ndarray) -> float:
         return 0.0
     median = middle - 0.5 + (0.5 * both.size - below) / (counts[middle] - below)
     return float(median) / (0.6745 * 6.0)
+
+
+# Grey levels: an image with less between its darkest and brightest pixel shows nothing, and
+# one whose mean is nearer than this to black or white shows little.
+_FLAT = 12.0
+_DARK = 12.0
+_BRIGHT = 243.0
+
+
+def why_nothing(report: DetectionReport, dictionary: str) -> str:
+    """Return one line on why an image has none of the markers that were asked for."""
+    if report.cropped:
+        return f"{_markers(report.cropped)} cut off by the edge of the image"
+    if report.other_ids:
+        return f"not the one asked for, but {_markers(report.other_ids)} seen"
+    if report.contrast < _FLAT:
+        return f"the image is flat: all within {report.contrast:.0f} of 255 grey levels"
+    light = ""
+    if report.mean < _DARK:
+        light = f", and the image is dark (mean {report.mean:.0f})"
+    elif report.mean > _BRIGHT:
+        light = f", and the image is over-exposed (mean {report.mean:.0f})"
+    if not report.quads:
+        return f"no dark quadrilateral in sight{light}"
+    return f"{report.quads} dark quadrilaterals in sight, none is a marker of {dictionary}{light}"
+
+
+def _markers(ids: Iterable[int]) -> str:
+    each = sorted(set(ids))
+    return f"marker{'s' if len(each) > 1 else ''} {', '.join(map(str, each))}"

@@ -8,9 +8,9 @@ from typing import List, Optional, Tuple
 import cv2
 import numpy as np
 
-from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision.decoding import homography
-from bullet_lab.vision.errors import VisionError
+from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.small_algebra import (
     invert_symmetric,
     largest_singular_value,

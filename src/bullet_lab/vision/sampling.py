@@ -7,7 +7,7 @@ from typing import Optional
 import cv2
 import numpy as np
 
-from bullet_lab.numerics.pinhole import PinholeCamera
+from bullet_lab.core.pinhole import PinholeCamera
 
 
 def sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:

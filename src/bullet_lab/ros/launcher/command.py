@@ -6,6 +6,7 @@ import contextlib
 import logging
 import os
 import re
+import signal
 import subprocess
 import sys
 import tempfile
@@ -25,8 +26,33 @@ from bullet_lab.ros.launcher.jobs import (
     read_assignments,
 )
 from bullet_lab.ros.launcher.output import OutputFolder, shown
-from bullet_lab.ros.launcher.signals import StopSignals
 from bullet_lab.ros.launcher.values import UsageError
+
+_WATCHED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class StopSignals:
+    """Remembers the first signal that asks to stop, instead of being interrupted by it.
+
+    What was started half is stopped the more surely for it.
+    """
+
+    def __init__(self):
+        self.received: int | None = None
+
+    def __enter__(self) -> StopSignals:
+        """Take the signals over for good: the process ends soon after."""
+        for number in _WATCHED:
+            signal.signal(number, self._remember)
+        return self
+
+    def __exit__(self, *_) -> None:
+        """Keep watching: a second Ctrl-C may not interrupt the last lines."""
+
+    def _remember(self, number: int, _frame) -> None:
+        if self.received is None:
+            self.received = number
+
 
 _HELP = ("-h", "--help")
 STATUS_BAD_VALUE = 2

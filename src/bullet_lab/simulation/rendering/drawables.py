@@ -12,14 +12,14 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
+from bullet_lab.core.pose import Vector
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.description import Link, Mesh, Plane, Visual
-from bullet_lab.simulation.meshes import file_version
-from bullet_lab.simulation.pose import Vector
 from bullet_lab.simulation.rendering.graphics import Graphics
 from bullet_lab.simulation.rendering.lights import BITS, PICTURE
 from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
 from bullet_lab.simulation.rendering.textures import Image
+from bullet_lab.simulation.world.description import Link, Mesh, Plane, Visual
+from bullet_lab.simulation.world.meshes import file_version
 
 LOG = logging.getLogger(__name__)
 

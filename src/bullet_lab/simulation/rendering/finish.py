@@ -9,8 +9,8 @@ from typing import Optional
 import cv2
 import numpy as np
 
+from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.errors import LabError
-from bullet_lab.numerics.pinhole import PinholeCamera
 from bullet_lab.simulation.rendering.graphics import SAMPLES
 
 # Numbers in the table of noise beyond those of one picture: so many pictures differ.

@@ -16,8 +16,8 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
+from bullet_lab.core.native_output import hidden_native_output
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.native_output import hidden_native_output
 
 PIPE = "p3headlessgl"
 SETTINGS = """

@@ -15,7 +15,6 @@ from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.simulation.description import Light, World
 from bullet_lab.simulation.rendering.graphics import Graphics, Target
 from bullet_lab.simulation.rendering.shaders import (
     MOVING,
@@ -27,6 +26,7 @@ from bullet_lab.simulation.rendering.shaders import (
     picture_vertex,
     shadow_vertex,
 )
+from bullet_lab.simulation.world.description import Light, World
 
 LOG = logging.getLogger(__name__)
 

@@ -9,18 +9,13 @@ from typing import Any, Dict, Mapping, Union
 
 import numpy as np
 
-from bullet_lab.numerics.pinhole import PinholeCamera
-from bullet_lab.simulation.description import World
-from bullet_lab.simulation.pose import Pose
-from bullet_lab.simulation.rendering.graphics import (
-    SAMPLES,
-    RendererError,
-    Target,
-    shared_graphics,
-)
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.rendering.graphics import SAMPLES, RendererError, Target, shared_graphics
 from bullet_lab.simulation.rendering.lights import BITS, PICTURE
 from bullet_lab.simulation.rendering.scene import PAINT_TAG, Scene
 from bullet_lab.simulation.rendering.shaders import DEPTH_FRAGMENT, DEPTH_VERTEX
+from bullet_lab.simulation.world.description import World
 
 DEPTH = "depth"
 # Lenses of shots taken last, that are kept.

@@ -7,13 +7,13 @@ from typing import Any, Callable, Dict, Iterator, List, Mapping, Tuple
 
 import numpy as np
 
-from bullet_lab.simulation.attached_frame import AttachedFrame
-from bullet_lab.simulation.description import World
-from bullet_lab.simulation.pose import Pose, Vector
+from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.simulation.physics.attached_frame import AttachedFrame
 from bullet_lab.simulation.rendering.drawables import Drawable, Drawables, Patch
 from bullet_lab.simulation.rendering.graphics import Graphics, Target
 from bullet_lab.simulation.rendering.lights import MOVING, STILL, Casters, Lighting
 from bullet_lab.simulation.rendering.shaders import PLAIN, SLANTED, TEXTURED
+from bullet_lab.simulation.world.description import World
 
 # What nodes have PLAIN, TEXTURED or SLANTED in, by which a camera chooses what to draw them with.
 PAINT_TAG = "paint"

@@ -7,10 +7,10 @@ from typing import List, Optional, Tuple
 
 import numpy as np
 
-from bullet_lab.simulation.description import Box, Cylinder, Geometry, Mesh, Plane, Sphere
-from bullet_lab.simulation.meshes import load_triangles
-from bullet_lab.simulation.pose import Pose
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.rendering.textures import Image, load_textured
+from bullet_lab.simulation.world.description import Box, Cylinder, Geometry, Mesh, Plane, Sphere
+from bullet_lab.simulation.world.meshes import load_triangles
 
 CYLINDER_SIDES = 48
 SPHERE_RINGS = 16

@@ -12,8 +12,8 @@ from typing import Dict, List, Optional, Tuple
 import numpy as np
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.description import Mesh, Model
-from bullet_lab.simulation.resources import ResourceError, ResourceFinder
+from bullet_lab.simulation.world.description import Mesh, Model
+from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 
 MAXIMUM_BYTES = 100_000_000
 # Of an image's sides, in pixels: what the graphics side takes; larger images are made smaller.

@@ -1,0 +1,1 @@
+"""What all else builds on: angles, poses, trajectories, cameras, files; no ROS, no simulation."""

@@ -1,0 +1,244 @@
+"""Trajectories: what they are, the text files that hold them, and how far one is from another."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from os import PathLike
+from typing import Sequence
+
+import numpy as np
+
+from bullet_lab.core.angles import quaternion_from_yaw, wrap, yaw_from_quaternion
+from bullet_lab.errors import LabError
+
+CSV_HEADER = "stamp,x,y,yaw,noisy_x,noisy_y,noisy_yaw"
+"""First line of a file of two paths; s, m and rad."""
+
+_TUM_COLUMNS = 8
+
+
+class TrajectoryError(LabError):
+    """A trajectory is not usable or its file not readable."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Stamped planar poses, at least one; the arrays are copied and read-only.
+
+    Attributes:
+        stamps: s, strictly increasing, shape (n,).
+        poses: x (m), y (m) and yaw (rad), finite, shape (n, 3).
+
+    Raises:
+        TrajectoryError: the shapes or values are not as said.
+    """
+
+    stamps: np.ndarray
+    poses: np.ndarray
+
+    def __post_init__(self):
+        object.__setattr__(self, "stamps", _read_only(self.stamps))
+        object.__setattr__(self, "poses", _read_only(self.poses))
+        if self.stamps.size == 0:
+            raise TrajectoryError("the trajectory has no poses")
+        if self.stamps.ndim != 1 or self.poses.shape != (len(self.stamps), 3):
+            raise TrajectoryError(
+                "n stamps and poses of shape (n, 3) are needed, "
+                f"not {self.stamps.shape} and {self.poses.shape}"
+            )
+        if not (np.isfinite(self.stamps).all() and np.isfinite(self.poses).all()):
+            raise TrajectoryError("a stamp or a pose is not finite")
+        backwards = np.flatnonzero(np.diff(self.stamps) <= 0.0)
+        if backwards.size:
+            raise TrajectoryError(
+                f"stamps must increase, but {self.stamps[backwards[0] + 1]:.9f} "
+                f"follows {self.stamps[backwards[0]]:.9f}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def travelled(self) -> np.ndarray:
+        """Return the distance (m) travelled up to each pose, shape (n,)."""
+        dx, dy = np.diff(self.poses[:, :2], axis=0).T
+        return np.concatenate([[0.0], np.cumsum(np.hypot(dx, dy))])
+
+    def length(self) -> float:
+        """Return the length (m) of the path."""
+        return float(self.travelled()[-1])
+
+
+def _read_only(values) -> np.ndarray:
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise TrajectoryError("stamps and poses must be arrays of numbers") from None
+    array.setflags(write=False)
+    return array
+
+
+def tum_row(stamp: float, x: float, y: float, yaw: float) -> str:
+    """Return a line `timestamp tx ty tz qx qy qz qw` in the format of the TUM benchmark.
+
+    The stamp (s) has 9 decimals; the pose (m, m, rad) has every digit of its doubles, so
+    reading it back gives x and y bit for bit. No line end.
+    """
+    _, _, z, w = quaternion_from_yaw(yaw)
+    return f"{stamp:.9f} {float(x)!r} {float(y)!r} 0 0 0 {float(z)!r} {float(w)!r}"
+
+
+def read_tum(path: str | PathLike) -> Trajectory:
+    """Read a trajectory from a TUM file, leaving out height, roll and pitch.
+
+    Empty lines and those that begin with # are skipped.
+
+    Raises:
+        TrajectoryError: the file cannot be read or is not as said; the message names the line.
+    """
+    stamps, poses = [], []
+    for number, line in _lines(path):
+        if line.startswith("#"):
+            continue
+        stamp, x, y, _, *quaternion = _numbers(path, number, line.split(), _TUM_COLUMNS)
+        if not any(quaternion):
+            raise TrajectoryError(f"{path}, line {number}: the quaternion is zero")
+        stamps.append(stamp)
+        poses.append((x, y, yaw_from_quaternion(*quaternion)))
+    return _from_file(path, stamps, poses)
+
+
+def csv_row(stamp: float, pose: Sequence[float], noisy_pose: Sequence[float]) -> str:
+    """Return a line under `CSV_HEADER`, with the digits of `tum_row`. No line end.
+
+    Args:
+        stamp: s.
+        pose: perfect x, y, yaw (m, m, rad).
+        noisy_pose: noisy x, y, yaw.
+    """
+    values = [repr(float(value)) for value in (*pose, *noisy_pose)]
+    return ",".join([f"{stamp:.9f}", *values])
+
+
+def read_paths_csv(path: str | PathLike) -> tuple[Trajectory, Trajectory]:
+    """Read the perfect and the noisy path from a CSV file with the header `CSV_HEADER`.
+
+    Raises:
+        TrajectoryError: the file cannot be read or is not as said; the message names the line.
+    """
+    lines = _lines(path)
+    if next(lines, (0, ""))[1] != CSV_HEADER:
+        raise TrajectoryError(f"{path}: the first line must be {CSV_HEADER}")
+    columns = CSV_HEADER.count(",") + 1
+    rows = [_numbers(path, number, line.split(","), columns) for number, line in lines]
+    stamps = [row[0] for row in rows]
+    return (
+        _from_file(path, stamps, [row[1:4] for row in rows]),
+        _from_file(path, stamps, [row[4:7] for row in rows]),
+    )
+
+
+def _lines(path):
+    """Yield the number and text of each line that is not empty."""
+    try:
+        with open(path, encoding="utf-8") as file:
+            for number, line in enumerate(file, start=1):
+                text = line.strip()
+                if text:
+                    yield number, text
+    except OSError as error:
+        raise TrajectoryError(f"cannot read {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise TrajectoryError(f"cannot read {path}: it is not a text file") from None
+
+
+def _numbers(path, number: int, words: list[str], count: int) -> list[float]:
+    if len(words) != count:
+        raise TrajectoryError(f"{path}, line {number}: {count} values needed, not {len(words)}")
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        raise TrajectoryError(f"{path}, line {number}: a value is not a number") from None
+    if not all(map(math.isfinite, values)):
+        raise TrajectoryError(f"{path}, line {number}: a value is not finite")
+    return values
+
+
+def _from_file(path, stamps, poses) -> Trajectory:
+    try:
+        return Trajectory(stamps, poses)
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{path}: {error}") from None
+
+
+class MetricsError(LabError):
+    """Two trajectories cannot be compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class PathError:
+    """The absolute pose error (APE) of an estimate, estimate minus reference at each stamp.
+
+    Attributes:
+        ape_rmse_m: root mean square of the distances between the two positions.
+        ape_mean_m: their mean.
+        ape_median_m: their median.
+        ape_std_m: their standard deviation, that of a whole population as in evo.
+        ape_min_m: the smallest.
+        ape_max_m: the largest.
+        heading_rmse_deg: root mean square of the heading errors.
+        final_error_m: distance at the last stamp.
+        final_heading_error_deg: heading error at the last stamp, signed, in [-180, 180).
+        travelled: m, along the reference up to each stamp, shape (n,).
+        error: m, distance at each stamp, shape (n,).
+        heading_error: rad, signed, in [-pi, pi), at each stamp, shape (n,).
+    """
+
+    ape_rmse_m: float
+    ape_mean_m: float
+    ape_median_m: float
+    ape_std_m: float
+    ape_min_m: float
+    ape_max_m: float
+    heading_rmse_deg: float
+    final_error_m: float
+    final_heading_error_deg: float
+    travelled: np.ndarray
+    error: np.ndarray
+    heading_error: np.ndarray
+
+
+def path_error(reference: Trajectory, estimate: Trajectory) -> PathError:
+    """Compare an estimate with the reference, pose by pose.
+
+    Raises:
+        MetricsError: the stamps are not exactly the same.
+    """
+    if not np.array_equal(reference.stamps, estimate.stamps):
+        raise MetricsError("only trajectories with the same stamps can be compared")
+    dx, dy, dyaw = (estimate.poses - reference.poses).T
+    error, heading_error = np.hypot(dx, dy), wrap(dyaw)
+    return PathError(
+        ape_rmse_m=_rms(error),
+        ape_mean_m=float(np.mean(error)),
+        ape_median_m=float(np.median(error)),
+        ape_std_m=float(np.std(error)),
+        ape_min_m=float(np.min(error)),
+        ape_max_m=float(np.max(error)),
+        heading_rmse_deg=math.degrees(_rms(heading_error)),
+        final_error_m=float(error[-1]),
+        final_heading_error_deg=math.degrees(heading_error[-1]),
+        travelled=reference.travelled(),
+        error=error,
+        heading_error=heading_error,
+    )
+
+
+def closure_error(trajectory: Trajectory) -> float:
+    """Return the distance (m) from the first to the last position."""
+    dx, dy, _ = trajectory.poses[-1] - trajectory.poses[0]
+    return math.hypot(dx, dy)
+
+
+def _rms(values: np.ndarray) -> float:
+    return math.sqrt(np.mean(np.square(values)))

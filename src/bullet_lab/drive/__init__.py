@@ -1,0 +1,1 @@
+"""How a robot is driven: in squares, and to goals."""

@@ -1,0 +1,173 @@
+"""How a robot is driven to a goal: the P-controller of the course, for robots that steer.
+
+The speed is proportional to the distance and the turning rate to the angle that are left, both
+within limits, as in the course's drive_to_goal. A robot with two wheels cannot go sideways:
+towards a goal beside or behind it, it turns on the spot first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Tuple
+
+from bullet_lab.core.angles import wrap
+from bullet_lab.drive.square import SLOWEST_DRIVE, SLOWEST_TURN, approach
+from bullet_lab.errors import LabError
+
+PlanarPose = Tuple[float, float, float]
+Command = Tuple[float, float]
+STANDSTILL: Command = (0.0, 0.0)
+
+# The drive ends when this part of the tolerance is left, and begins anew beyond the whole of it:
+# a turn on the spot, or the next noisy pose, does not send the robot to and fro.
+ARRIVAL = 0.5
+# Angles (rad) to the goal at which a turn on the spot begins and ends.
+TURN_BEYOND = math.radians(60.0)
+TURN_UNTIL = math.radians(6.0)
+# Smaller tolerances are not reached at 20 Hz with the slowest speeds that overcome friction.
+LEAST_TOLERANCE = 0.01
+
+
+class GoalDriverError(LabError):
+    """A goal or limits that cannot be driven by."""
+
+
+class DrivePhase(Enum):
+    """What is being done."""
+
+    DRIVING = "driving"
+    TURNING = "turning to the goal's heading"
+    ARRIVED = "arrived"
+
+
+@dataclass(frozen=True)
+class GoalLimits:
+    """How fast and how exactly a goal is driven to; the defaults are the course's.
+
+    Attributes:
+        speed: m/s.
+        turn_speed: rad/s.
+        acceleration: m/s², of speeding up and of braking.
+        turn_acceleration: rad/s².
+        gain: m/s for each metre that is left.
+        turn_gain: rad/s for each radian that is left.
+        tolerance: m from the goal that the robot may stop.
+        yaw_tolerance: rad from its heading.
+        heading: whether to turn to the goal's heading at the end.
+    """
+
+    speed: float = 0.2
+    turn_speed: float = 0.8
+    acceleration: float = 0.4
+    turn_acceleration: float = 2.0
+    gain: float = 1.0
+    turn_gain: float = 2.0
+    tolerance: float = 0.05
+    yaw_tolerance: float = 0.03
+    heading: bool = True
+
+    def __post_init__(self):
+        numbers = [value for value in vars(self).values() if not isinstance(value, bool)]
+        if not all(math.isfinite(value) and value > 0.0 for value in numbers):
+            raise GoalDriverError("the limits of a drive to a goal are finite and above 0")
+        if min(self.tolerance, self.yaw_tolerance) < LEAST_TOLERANCE:
+            raise GoalDriverError(f"a tolerance is at least {LEAST_TOLERANCE:g}, in m and in rad")
+
+
+class GoalDriver:
+    """Drives to one goal.
+
+    Args:
+        goal: pose (m, m, rad) in the frame of the odometry.
+        limits: for the drive.
+        command: what the robot has been told last, when another goal is given on the way.
+
+    Attributes:
+        phase: what is being done.
+        moving: the last command (m/s, rad/s).
+
+    Raises:
+        GoalDriverError: the goal is not finite.
+    """
+
+    def __init__(
+        self, goal: PlanarPose, limits: GoalLimits = GoalLimits(), command: Command = STANDSTILL
+    ):
+        if not all(map(math.isfinite, goal)):
+            raise GoalDriverError("a goal that is not finite")
+        self.goal = goal
+        self.phase = DrivePhase.DRIVING
+        self._limits = limits
+        self.moving = command
+        self._on_the_spot = False
+
+    def distance(self, pose: PlanarPose) -> float:
+        """Return how far (m) a pose is from the goal."""
+        return math.hypot(self.goal[0] - pose[0], self.goal[1] - pose[1])
+
+    def turn_left(self, pose: PlanarPose) -> float:
+        """Return by how much (rad, in [-pi, pi)) a pose is to be turned to the goal's heading."""
+        return wrap(self.goal[2] - pose[2])
+
+    def command(self, pose: PlanarPose, seconds: float) -> Command:
+        """Return the velocity (m/s, rad/s) for the present pose; zeros once arrived.
+
+        Args:
+            pose: m, m, rad.
+            seconds: since the command before, for the accelerations.
+        """
+        wanted = self._wanted(pose)
+        if self.phase is DrivePhase.ARRIVED:
+            # What is left to brake is a crawl.
+            self.moving = STANDSTILL
+            return STANDSTILL
+        limits = self._limits
+        (v, w), (v_wanted, w_wanted) = self.moving, wanted
+        v += _clip(v_wanted - v, limits.acceleration * seconds)
+        w += _clip(w_wanted - w, limits.turn_acceleration * seconds)
+        self.moving = (v, w)
+        return self.moving
+
+    def stopped(self) -> None:
+        """Take note that the robot was stopped by somebody else: it starts from rest."""
+        self.moving = STANDSTILL
+
+    def _wanted(self, pose: PlanarPose) -> Command:
+        limits, left = self._limits, self.distance(pose)
+        if self.phase is DrivePhase.DRIVING and left <= ARRIVAL * limits.tolerance:
+            self.phase = DrivePhase.TURNING if limits.heading else DrivePhase.ARRIVED
+        elif self.phase is not DrivePhase.DRIVING and left > limits.tolerance:
+            self.phase = DrivePhase.DRIVING
+        if self.phase is DrivePhase.DRIVING:
+            return self._drive(pose, left)
+        return self._turn(self.turn_left(pose)) if limits.heading else STANDSTILL
+
+    def _drive(self, pose: PlanarPose, left: float) -> Command:
+        limits = self._limits
+        off = wrap(math.atan2(self.goal[1] - pose[1], self.goal[0] - pose[0]) - pose[2])
+        if abs(off) > (TURN_UNTIL if self._on_the_spot else TURN_BEYOND):
+            self._on_the_spot = True
+            return 0.0, math.copysign(self._turn_speed(off), off)
+        self._on_the_spot = False
+        fastest = min(limits.speed, math.sqrt(2.0 * limits.acceleration * left))
+        speed = approach(left, fastest, SLOWEST_DRIVE, limits.gain)
+        return speed * math.cos(off), _clip(limits.turn_gain * off, limits.turn_speed)
+
+    def _turn(self, left: float) -> Command:
+        if abs(left) <= self._limits.yaw_tolerance:
+            self.phase = DrivePhase.ARRIVED
+            return STANDSTILL
+        self.phase = DrivePhase.TURNING
+        return 0.0, math.copysign(self._turn_speed(left), left)
+
+    def _turn_speed(self, left: float) -> float:
+        limits = self._limits
+        fastest = min(limits.turn_speed, math.sqrt(2.0 * limits.turn_acceleration * abs(left)))
+        return approach(abs(left), fastest, SLOWEST_TURN, limits.turn_gain)
+
+
+def _clip(value: float, limit: float) -> float:
+    """Return a value, at most `limit` away from 0."""
+    return max(-limit, min(limit, value))

@@ -1,0 +1,186 @@
+"""How a robot is driven in squares: by the clock or by its odometry, command after command."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Generator, Iterator, Optional, Tuple
+
+from bullet_lab.core.angles import wrap
+from bullet_lab.errors import LabError
+
+Command = Tuple[float, float]
+PlanarPose = Tuple[float, float, float]
+
+OPEN_LOOP_RATE = 10.0
+CLOSED_LOOP_RATE = 20.0
+
+# Speeds near the target fall with what is left, down to a crawl: as fast as one may go and still
+# stop within a tolerance at the rate of the odometry, and fast enough to overcome friction.
+SLOWING_GAIN = 2.0
+SLOWEST_DRIVE = 0.02
+SLOWEST_TURN = 0.1
+DRIVE_TOLERANCE = 0.001
+# What may be left of a turn, and what may be too much. The two together are wider than the
+# slowest turn without friction goes from one odometry to the next, 0.29°: it cannot jump to and
+# fro over its target for ever.
+TURN_TOLERANCE = math.radians(0.1)
+TURN_EXCESS = math.radians(0.2)
+
+
+class DriverError(LabError):
+    """A square that cannot be driven."""
+
+
+@dataclass(frozen=True)
+class Square:
+    """What is to be driven.
+
+    Attributes:
+        sides: how many; a full square has 4, more go round again.
+        side: length of one, m.
+        speed: on the sides, m/s.
+        turn_speed: at the corners, rad/s; negative turns clockwise.
+        turn_commands: how many commands at 10 Hz an open-loop turn takes.
+    """
+
+    sides: int = 4
+    side: float = 2.0
+    speed: float = 0.2
+    turn_speed: float = -0.5236
+    turn_commands: int = 34
+
+    def __post_init__(self):
+        finite = all(map(math.isfinite, (self.side, self.speed, self.turn_speed)))
+        drives = self.side > 0.0 and self.speed > 0.0 and self.turn_speed != 0.0
+        if self.sides < 1 or not (finite and drives):
+            raise DriverError("a square has sides, a length and speeds other than 0")
+
+    @property
+    def side_commands(self) -> int:
+        """How many commands at 10 Hz an open-loop side takes, friction left out; at least one."""
+        return max(1, round(OPEN_LOOP_RATE * self.side / self.speed))
+
+
+def open_loop_side(square: Square) -> Iterator[Command]:
+    """Yield the commands (m/s, rad/s) of one side and one turn, at 10 Hz, as in listing 9."""
+    for _ in range(square.side_commands):
+        yield square.speed, 0.0
+    for _ in range(square.turn_commands):
+        yield 0.0, square.turn_speed
+
+
+class ClosedLoopSide:
+    """One side and the turn after it, by odometry.
+
+    Args:
+        square: what is driven.
+        start: pose (m, m, rad) at the start of the side.
+        heading: rad, of the side; the turn ends a quarter turn from it. Given for each side as
+            a multiple of a quarter turn, so that errors of the turns do not add up.
+    """
+
+    def __init__(self, square: Square, start: PlanarPose, heading: float):
+        self._square = square
+        self._start = start
+        self._goal = heading + math.copysign(0.5 * math.pi, square.turn_speed)
+        self._heading = heading
+        self._turning = False
+        self.done = False
+
+    @property
+    def next_heading(self) -> float:
+        """Heading of the next side, rad."""
+        return self._goal
+
+    def progress(self, pose: PlanarPose) -> float:
+        """Return the distance driven along the side, in m."""
+        dx, dy = pose[0] - self._start[0], pose[1] - self._start[1]
+        return dx * math.cos(self._heading) + dy * math.sin(self._heading)
+
+    def command(self, pose: PlanarPose) -> Command:
+        """Return the velocity (m/s, rad/s) for the present pose (m, m, rad)."""
+        if not self._turning:
+            left = self._square.side - self.progress(pose)
+            if left > DRIVE_TOLERANCE:
+                return approach(left, self._square.speed, SLOWEST_DRIVE), 0.0
+            self._turning = True
+        left = wrap(self._goal - pose[2])
+        ahead = math.copysign(left, left * self._square.turn_speed)
+        if not -TURN_EXCESS <= ahead <= TURN_TOLERANCE:
+            speed = approach(abs(left), abs(self._square.turn_speed), SLOWEST_TURN)
+            return 0.0, math.copysign(speed, left)
+        self.done = True
+        return 0.0, 0.0
+
+
+def approach(left: float, fastest: float, slowest: float, gain: float = SLOWING_GAIN) -> float:
+    """Return the speed at which to cover the rest of a way.
+
+    Args:
+        left: what is left, in m or rad, > 0.
+        fastest: the speed far from the target, in units of `left` per second.
+        slowest: the speed close to it, unless `fastest` is slower still.
+        gain: speed for each unit that is left, in between, 1/s.
+    """
+    return min(fastest, max(slowest, gain * left))
+
+
+OPEN_LOOP, CLOSED_LOOP = "open_loop", "closed_loop"
+MODES = (OPEN_LOOP, CLOSED_LOOP)
+
+_Course = Generator[Command, Optional[PlanarPose], None]
+
+
+class SquareCourse:
+    """Says what a robot is to do next, at `rate` Hz.
+
+    Attributes:
+        rate: commands per second.
+        needs_pose: whether `command` has to be told where the robot is.
+        sides_done: how many sides have been driven, with the turn after each.
+
+    Args:
+        square: what is driven.
+        mode: one of `MODES`, what ends a side.
+
+    Raises:
+        DriverError: an unknown mode.
+    """
+
+    def __init__(self, square: Square, mode: str = OPEN_LOOP):
+        if mode not in MODES:
+            raise DriverError(f"mode '{mode}' is not one of {', '.join(MODES)}")
+        self._square = square
+        self.needs_pose = mode == CLOSED_LOOP
+        self.rate = CLOSED_LOOP_RATE if self.needs_pose else OPEN_LOOP_RATE
+        self.sides_done = 0
+        self._course: Optional[_Course] = None
+
+    def command(self, pose: Optional[PlanarPose] = None) -> Optional[Command]:
+        """Return the next command (m/s, rad/s), or None once all is driven.
+
+        Args:
+            pose: where the robot is (m, m, rad); of no interest to an open loop.
+        """
+        try:
+            if self._course is None:
+                self._course = self._by_odometry(pose) if self.needs_pose else self._by_clock()
+                return next(self._course)
+            return self._course.send(pose)
+        except StopIteration:
+            return None
+
+    def _by_clock(self) -> _Course:
+        for _ in range(self._square.sides):
+            yield from open_loop_side(self._square)
+            self.sides_done += 1
+
+    def _by_odometry(self, pose: PlanarPose) -> _Course:
+        heading = pose[2]
+        for _ in range(self._square.sides):
+            side = ClosedLoopSide(self._square, pose, heading)
+            while not side.done:
+                pose = yield side.command(pose)
+            heading = side.next_heading
+            self.sides_done += 1

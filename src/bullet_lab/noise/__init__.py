@@ -1,0 +1,1 @@
+"""Noise on odometry that accumulates as the error of real odometry does."""

@@ -1,0 +1,188 @@
+"""Many noisy versions of one perfect path at once: what `NoisyPath` does, without its loop.
+
+The poses of a noisy path are sums. With P = x + iy, step k of signed length d_k along the
+direction psi_k, and the noise e1, et, e2 of its three parts,
+
+    H_k = sum of (e1 + e2) over the steps before k, plus e1 of step k itself,
+    P_n = P_0 + sum over k <= n of (d_k + et_k) exp(i (psi_k + H_k)),
+
+so whole blocks of paths come from two cumulative sums.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Iterator
+
+import numpy as np
+
+from bullet_lab.core import se2
+from bullet_lab.noise.odometry_noise import MODELS, NoiseError, NoiseRule, decompose_steps
+
+STEPS_PER_BLOCK = 16384
+"""Steps that are worked on at a time: their arrays, some 1.5 MB, stay in the processor's cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class NoisySteps:
+    """The steps of a perfect path of n + 1 poses, and how uncertain a rule says each is.
+
+    Attributes:
+        position: x + iy (m) of each pose, seen from the first one but not turned, shape (n+1,).
+        direction: exp(i psi), psi the direction of travel of each step in the odometry frame,
+            the opposite of it when the robot drives backwards, shape (n,).
+        angle: psi (rad), shape (n,).
+        trans: m, signed, shape (n,).
+        variance1: rad², of the rotation before each translation, shape (n,).
+        variance_trans: m², of each translation, shape (n,).
+        variance2: rad², of the rotation after each translation, shape (n,).
+    """
+
+    position: np.ndarray
+    direction: np.ndarray
+    angle: np.ndarray
+    trans: np.ndarray
+    variance1: np.ndarray
+    variance_trans: np.ndarray
+    variance2: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.trans)
+
+
+def noisy_steps(poses, rule: NoiseRule) -> NoisySteps:
+    """Take a perfect path apart.
+
+    Args:
+        poses: x (m), y (m) and yaw (rad), shape (n+1, 3), n >= 1.
+        rule: how uncertain a step is.
+
+    Raises:
+        NoiseError: the shape is another, or a pose is not finite.
+    """
+    poses = np.asarray(poses, dtype=float)
+    if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < 2:
+        raise NoiseError(f"two poses at least are needed, shape (n, 3), not {poses.shape}")
+    if not np.isfinite(poses).all():
+        raise NoiseError("a pose is not finite")
+    body = se2.steps(poses)
+    parts = decompose_steps(body)
+    # As in NoisyPath, a step that is too short to have a rot1 keeps its direction all the same.
+    sign = np.where(body[:, 0] < 0.0, -1.0, 1.0)
+    angle = poses[:-1, 2] + np.arctan2(sign * body[:, 1], np.abs(body[:, 0]))
+    shape = parts.shape[:1]
+    variances = [np.broadcast_to(v, shape).astype(float) for v in rule.variances(*parts.T)]
+    moved = poses - poses[0]
+    return NoisySteps(
+        moved[:, 0] + 1j * moved[:, 1], np.exp(1j * angle), angle, parts[:, 1], *variances
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class NoisyBlock:
+    """Some noisy paths.
+
+    Attributes:
+        first: number of the first of them among all.
+        position: x + iy (m) of each pose, seen from the first pose but not turned: b paths of
+            n + 1 poses, shape (b, n+1).
+        heading_error: rad, noisy minus perfect, not wrapped, shape (b, n+1).
+        direction: exp(i psi) of each noisy step, shape (b, n).
+    """
+
+    first: int
+    position: np.ndarray
+    heading_error: np.ndarray
+    direction: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def poses(self, perfect) -> np.ndarray:
+        """Return x (m), y (m) and yaw (rad, not wrapped), shape (b, n+1, 3).
+
+        Args:
+            perfect: the poses that the steps were taken from, shape (n+1, 3).
+        """
+        perfect = np.asarray(perfect, dtype=float)
+        return np.stack(
+            [
+                perfect[0, 0] + self.position.real,
+                perfect[0, 1] + self.position.imag,
+                perfect[:, 2] + self.heading_error,
+            ],
+            axis=-1,
+        )
+
+
+def noisy_blocks(
+    steps: NoisySteps,
+    generator: np.random.Generator,
+    count: int,
+    steps_per_block: int = STEPS_PER_BLOCK,
+) -> Iterator[NoisyBlock]:
+    """Yield noisy paths in blocks, so that memory does not grow with their number.
+
+    They are the paths that `NoisyPath`, restarted before each, makes of the same generator, to
+    rounding, whatever the size of the blocks. A block's arrays are overwritten by the next.
+
+    Args:
+        steps: of the perfect path.
+        generator: of the normal draws, three for each step.
+        count: how many paths, >= 0.
+        steps_per_block: about how many steps to take at a time; a path is never cut.
+    """
+    n = len(steps)
+    size = max(1, min(count, steps_per_block // n))
+    std1, std_trans, std2 = map(np.sqrt, (steps.variance1, steps.variance_trans, steps.variance2))
+    draws = np.empty((size, n, 3))
+    first_turn, error, angle = (np.empty((size, n)) for _ in range(3))
+    heading = np.zeros((size, n + 1))
+    position = np.zeros((size, n + 1), dtype=complex)
+    direction, moves = (np.empty((size, n), dtype=complex) for _ in range(2))
+    for first in range(0, count, size):
+        b = min(size, count - first)
+        generator.standard_normal(out=draws[:b])
+        np.multiply(draws[:b, :, 1], std1, out=first_turn[:b])
+        np.multiply(draws[:b, :, 2], std2, out=error[:b])
+        error[:b] += first_turn[:b]
+        np.cumsum(error[:b], axis=1, out=heading[:b, 1:])
+
+        np.add(heading[:b, :-1], first_turn[:b], out=angle[:b])
+        angle[:b] += steps.angle
+        np.cos(angle[:b], out=direction.real[:b])
+        np.sin(angle[:b], out=direction.imag[:b])
+        np.multiply(draws[:b, :, 0], std_trans, out=error[:b])
+        error[:b] += steps.trans
+        np.multiply(direction[:b], error[:b], out=moves[:b])
+        np.cumsum(moves[:b], axis=1, out=position[:b, 1:])
+        yield NoisyBlock(first, position[:b], heading[:b], direction[:b])
+
+
+def study_generator(seed: int, model: str, std: float, rate: float) -> np.random.Generator:
+    """Return the random generator of one case of a study.
+
+    Each case has a stream of its own, spawned from the seed under a key that is made of the case
+    and not of its number: what else is studied, and in which order, does not matter to it.
+
+    Args:
+        seed: of the study, >= 0.
+        model: one of `MODELS`.
+        std: the level.
+        rate: Hz.
+
+    Raises:
+        NoiseError: the seed cannot be used.
+    """
+    key = (MODELS.index(model), *_words(std), *_words(rate))
+    try:
+        sequence = np.random.SeedSequence(seed, spawn_key=key)
+    except (TypeError, ValueError):
+        raise NoiseError(f"seed must be an integer >= 0, not {seed!r}") from None
+    # Half of the time goes into normal draws, and numpy's default generator takes a third longer.
+    return np.random.Generator(np.random.SFC64(sequence))
+
+
+def _words(value: float) -> tuple[int, ...]:
+    return struct.unpack("<2I", struct.pack("<d", value + 0.0))

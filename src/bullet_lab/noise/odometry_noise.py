@@ -1,0 +1,430 @@
+"""Noise on planar odometry that accumulates as the error of real odometry does.
+
+Each displacement between two poses is taken apart into a rotation, a translation and another
+rotation; a noise rule says how uncertain each of the three is; the noisy path is put together
+from the noisy parts. The model is that of Thrun, Burgard and Fox, Probabilistic Robotics,
+section 5.4, with a signed translation, so that driving backwards is not two half turns.
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+from dataclasses import dataclass
+from numbers import Real
+from typing import Sequence
+
+import numpy as np
+
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
+from bullet_lab.errors import LabError
+
+MIN_TRANSLATION = 1e-4
+"""m; a shorter step has no direction (at 20 Hz that is a crawl of 2 mm/s)."""
+
+RESOLUTION = 1e-9
+"""m or rad; smaller standard deviations drown in the rounding of the poses."""
+
+MODELS = ("report", "rate_invariant", "probabilistic")
+"""The names that `make_rule` knows."""
+
+_LARGEST_PARAMETER = 1e6  # far beyond any robot; keeps squares and sums finite
+_NO_COVARIANCE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class NoiseError(LabError):
+    """A parameter of the noise, or a pose given to it, cannot be used."""
+
+
+def decompose(dx: float, dy: float, dyaw: float) -> tuple[float, float, float]:
+    """Take one displacement apart into (rot1, trans, rot2).
+
+    Turning by rot1, going trans ahead (back when negative) and turning by rot2 leads to the
+    same pose. A step shorter than `MIN_TRANSLATION` has no direction worth the name: its rot1
+    is 0 and its rot2 is dyaw.
+
+    Args:
+        dx: m, ahead in the body frame before the step.
+        dy: m, to the left in the same frame.
+        dyaw: rad.
+
+    Returns:
+        rot1 (rad, in [-pi/2, pi/2]), trans (m, signed), rot2 (rad, in [-pi, pi)).
+    """
+    direction, trans = _direction(dx, dy)
+    rot1 = direction if abs(trans) >= MIN_TRANSLATION else 0.0
+    return rot1, trans, wrap(dyaw - rot1)
+
+
+def decompose_steps(steps) -> np.ndarray:
+    """Do what `decompose` does for an array of (dx, dy, dyaw), shape (..., 3)."""
+    steps = np.asarray(steps, dtype=float)
+    direction, trans = _directions(steps[..., 0], steps[..., 1])
+    rot1 = np.where(np.abs(trans) >= MIN_TRANSLATION, direction, 0.0)
+    return np.stack([rot1, trans, wrap(steps[..., 2] - rot1)], axis=-1)
+
+
+def _direction(dx: float, dy: float) -> tuple[float, float]:
+    """Return the line of travel (rad, in [-pi/2, pi/2]) and the signed length (m) along it."""
+    length = math.hypot(dx, dy)
+    if dx < 0.0:
+        return math.atan2(-dy, -dx), -length
+    return math.atan2(dy, dx + 0.0), length  # + 0.0 turns -0.0, whose arc tangent is pi, into 0.0
+
+
+def _directions(dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Do what `_direction` does for arrays."""
+    sign = np.where(dx < 0.0, -1.0, 1.0)
+    return np.arctan2(sign * dy, np.abs(dx)), sign * np.hypot(dx, dy)
+
+
+class NoiseRule(abc.ABC):
+    """Says how uncertain a step is."""
+
+    @abc.abstractmethod
+    def variances(self, rot1, trans, rot2):
+        """Return the variances of the parts of a step.
+
+        Args:
+            rot1: rad, float or array.
+            trans: m, signed, float or array of the same shape.
+            rot2: rad, float or array of the same shape.
+
+        Returns:
+            The variances of rot1 (rad²), trans (m²) and rot2 (rad²), shaped as the arguments.
+        """
+
+
+@dataclass(frozen=True)
+class ReportRule(NoiseRule):
+    """The rule of the report: standard deviation = std · |part|, for each message.
+
+    The spread at the end of a path therefore depends on how many messages it is cut into.
+
+    Attributes:
+        std: standard deviation per metre (translation) and per radian (rotations), >= 0.
+    """
+
+    std: float
+
+    def __post_init__(self):
+        _check_parameter("std", self.std)
+
+    def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
+        std1, std_trans, std2 = self.std * rot1, self.std * trans, self.std * rot2
+        return std1 * std1, std_trans * std_trans, std2 * std2
+
+
+@dataclass(frozen=True)
+class RateInvariantRule(NoiseRule):
+    """Variance in proportion to what was travelled, as of a random walk.
+
+    Translation gains k² per metre; heading gains k² per metre and per radian, half of it before
+    and half after the translation. The heading variance of a path, and the variance along a
+    straight one, are the same however many messages it is cut into; across, N steps give
+    1 + 1/(2 N²) times the limit k² L³ / 3. Strafing counts as distance, not as two turns.
+
+    Attributes:
+        k: m/√m and rad/√m and rad/√rad, >= 0.
+    """
+
+    k: float
+
+    def __post_init__(self):
+        _check_parameter("k", self.k)
+
+    def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
+        variance = self.k * self.k
+        distance = abs(trans)
+        half_turn = 0.5 * variance * (distance + abs(wrap(rot1 + rot2)))
+        return half_turn, variance * distance, half_turn
+
+
+@dataclass(frozen=True)
+class ProbabilisticRule(NoiseRule):
+    """The odometry motion model of Probabilistic Robotics, 2nd and later printings, table 5.6.
+
+    The parameters multiply squares, so each is a variance, not a standard deviation.
+
+    Attributes:
+        alpha1: variance of a rotation per rotation squared, >= 0.
+        alpha2: variance of a rotation per translation squared (rad²/m²), >= 0.
+        alpha3: variance of the translation per translation squared, >= 0.
+        alpha4: variance of the translation per rotation squared (m²/rad²), >= 0.
+    """
+
+    alpha1: float
+    alpha2: float
+    alpha3: float
+    alpha4: float
+
+    def __post_init__(self):
+        for name in ("alpha1", "alpha2", "alpha3", "alpha4"):
+            _check_parameter(name, getattr(self, name))
+
+    def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
+        turn1, way, turn2 = rot1 * rot1, trans * trans, rot2 * rot2
+        return (
+            self.alpha1 * turn1 + self.alpha2 * way,
+            self.alpha3 * way + self.alpha4 * (turn1 + turn2),
+            self.alpha1 * turn2 + self.alpha2 * way,
+        )
+
+
+def make_rule(model: str, std: float, alphas: Sequence[float] = ()) -> NoiseRule:
+    """Return the noise rule of a name.
+
+    Args:
+        model: one of `MODELS`.
+        std: std of the report's rule, k of the rate-invariant one; checked in any case.
+        alphas: alpha1 to alpha4 of the probabilistic one; else not looked at.
+
+    Raises:
+        NoiseError: the name is unknown or a value is not a number that is finite and >= 0.
+    """
+    _check_parameter("std", std)
+    if model == "report":
+        return ReportRule(std)
+    if model == "rate_invariant":
+        return RateInvariantRule(std)
+    if model == "probabilistic":
+        if len(alphas) != 4:
+            raise NoiseError(f"the probabilistic model takes 4 alphas, not {len(alphas)}")
+        return ProbabilisticRule(*alphas)
+    raise NoiseError(f"unknown noise model {model!r}; choose from {', '.join(MODELS)}")
+
+
+def _check_parameter(name: str, value) -> None:
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise NoiseError(f"{name} must be a number, not {value!r}")
+    if not 0.0 <= value <= _LARGEST_PARAMETER:
+        raise NoiseError(f"{name} must be from 0 to {_LARGEST_PARAMETER:g}, not {value!r}")
+
+
+def make_generator(seed: int | None) -> np.random.Generator:
+    """Return a random generator of its own for a seed >= 0 (None: a different one each time).
+
+    Raises:
+        NoiseError: the seed cannot be used.
+    """
+    try:
+        return np.random.default_rng(seed)
+    except (TypeError, ValueError):
+        raise NoiseError(f"seed must be an integer >= 0, not {seed!r}") from None
+
+
+def check_pose(x: float, y: float, yaw: float) -> None:
+    """Raise NoiseError unless the pose is finite."""
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(yaw)):
+        raise NoiseError(f"the pose is not finite: x {x}, y {y}, yaw {yaw}")
+
+
+@dataclass(frozen=True, eq=False)
+class NoisyStep:
+    """What a noisy odometry reports for one message; all arrays are read-only.
+
+    Attributes:
+        pose: noisy x (m), y (m) and yaw (rad, in [-pi, pi)) in the odometry frame.
+        covariance: 3x3, of (x, y, yaw) in the odometry frame, accumulated since the start.
+        motion_error: noisy minus true step as (dx m, dy m, dyaw rad), each step in the body
+            frame before it.
+        motion_covariance: 3x3, of this step alone, in the body frame before it. Divided by the
+            square of the time of the step it is that of the twist.
+    """
+
+    pose: tuple[float, float, float]
+    covariance: np.ndarray
+    motion_error: tuple[float, float, float]
+    motion_covariance: np.ndarray
+
+
+class NoisyPath:
+    """Makes a noisy path out of a perfect one, pose by pose.
+
+    The first pose comes back as it is. Each later one adds the noisy step to the noisy pose
+    before, so that errors accumulate and a heading error bends all that follows. With a rule
+    that gives no noise the perfect path comes back, to rounding.
+
+    Message k uses the normal draws 3k-3 to 3k-1 of the generator (for trans, rot1 and rot2),
+    moving or not. So the draws depend on nothing but the seed and the number of the message.
+
+    Args:
+        rule: how uncertain a step is.
+        seed: of the path's own random generator, >= 0; None for a different one each time.
+
+    Raises:
+        NoiseError: the seed cannot be used.
+    """
+
+    def __init__(self, rule: NoiseRule, seed: int | None):
+        self._rule = rule
+        self._generator = make_generator(seed)
+        self._true = None
+        self._noisy = None
+        self._covariance = _NO_COVARIANCE
+
+    def restart(self) -> None:
+        """Forget the path: the next pose starts a new one. The random generator goes on."""
+        self._true = None
+
+    def change_rule(self, rule: NoiseRule) -> None:
+        """Take another rule from the next pose on; path, covariance and draws go on."""
+        self._rule = rule
+
+    def update(self, x: float, y: float, yaw: float) -> NoisyStep:
+        """Take the next perfect pose (m, m, rad) and return the noisy one.
+
+        Raises:
+            NoiseError: the pose is not finite. Nothing has changed and nothing was drawn then.
+        """
+        check_pose(x, y, yaw)
+        before, self._true = self._true, (x, y, yaw)
+        if before is None:
+            return self._start(x, y, yaw)
+
+        dx, dy, dyaw = _body_step(before, self._true)
+        direction, trans = _direction(dx, dy)
+        variances = self._rule.variances(*decompose(dx, dy, dyaw))
+        error1, error_trans, error2 = self._draw(variances)
+
+        # The true direction is kept even where the step is too short to have a rot1, so that
+        # the small sideways drift of a robot that turns is not laid ahead of it.
+        direction += error1
+        trans += error_trans
+        error_yaw = wrap(error1 + error2)
+        motion_error = (
+            trans * math.cos(direction) - dx,
+            trans * math.sin(direction) - dy,
+            error_yaw,
+        )
+        motion_covariance = _add_step(_NO_COVARIANCE, direction, trans, variances)
+
+        noisy_x, noisy_y, noisy_yaw = self._noisy
+        direction += noisy_yaw
+        self._covariance = _add_step(self._covariance, direction, trans, variances)
+        self._noisy = (
+            noisy_x + trans * math.cos(direction),
+            noisy_y + trans * math.sin(direction),
+            wrap(noisy_yaw + dyaw + error_yaw),
+        )
+        return NoisyStep(
+            self._noisy, _matrix(self._covariance), motion_error, _matrix(motion_covariance)
+        )
+
+    def _start(self, x: float, y: float, yaw: float) -> NoisyStep:
+        self._noisy = (x, y, wrap(yaw))
+        self._covariance = _NO_COVARIANCE
+        nothing = _matrix(_NO_COVARIANCE)
+        return NoisyStep(self._noisy, nothing, (0.0, 0.0, 0.0), nothing)
+
+    def _draw(self, variances) -> tuple[float, float, float]:
+        draw_trans, draw1, draw2 = self._generator.standard_normal(3).tolist()
+        variance1, variance_trans, variance2 = variances
+        return (
+            math.sqrt(variance1) * draw1,
+            math.sqrt(variance_trans) * draw_trans,
+            math.sqrt(variance2) * draw2,
+        )
+
+
+def _body_step(before, after) -> tuple[float, float, float]:
+    """Do what `se2.between` does, for two poses of floats and many times as fast."""
+    dx, dy = after[0] - before[0], after[1] - before[1]
+    cos, sin = math.cos(before[2]), math.sin(before[2])
+    return cos * dx + sin * dy, cos * dy - sin * dx, wrap(after[2] - before[2])
+
+
+def _add_step(covariance, direction: float, trans: float, variances):
+    """Return the covariance of a pose after one more step, to first order.
+
+    It is F S F' + G Q G', with Q = diag(variances), written out: the noise of rot1 is more
+    uncertainty of the heading that the translation is laid along.
+
+    Args:
+        covariance: xx, xy, yy, x-yaw, y-yaw and yaw-yaw of the pose before.
+        direction: rad, of travel, in the frame of the covariance.
+        trans: m, signed.
+        variances: of rot1, trans and rot2.
+    """
+    xx, xy, yy, xt, yt, tt = covariance
+    variance1, variance_trans, variance2 = variances
+    cos, sin = math.cos(direction), math.sin(direction)
+    lever_x, lever_y = -trans * sin, trans * cos
+    tt += variance1
+    return (
+        xx + lever_x * (2.0 * xt + lever_x * tt) + cos * cos * variance_trans,
+        xy + lever_x * yt + lever_y * xt + lever_x * lever_y * tt + cos * sin * variance_trans,
+        yy + lever_y * (2.0 * yt + lever_y * tt) + sin * sin * variance_trans,
+        xt + lever_x * tt,
+        yt + lever_y * tt,
+        tt + variance2,
+    )
+
+
+def _matrix(covariance) -> np.ndarray:
+    xx, xy, yy, xt, yt, tt = covariance
+    matrix = np.array(((xx, xy, xt), (xy, yy, yt), (xt, yt, tt)))
+    matrix.setflags(write=False)
+    return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class RecoveredNoise:
+    """The noise of each step of a noisy path, and what it was added to.
+
+    Attributes:
+        components: (n-1, 3), rot1 (rad), trans (m, signed) and rot2 (rad) of the true steps.
+        noise: (n-1, 3), what was added to each. Where the true step has no direction (see
+            `MIN_TRANSLATION`), rot1 is NaN and rot2 is the sum of the noise of both rotations,
+            all that can be told then.
+    """
+
+    components: np.ndarray
+    noise: np.ndarray
+
+    def standardised(self, rule: NoiseRule) -> np.ndarray:
+        """Return the noise over its standard deviation by a rule, shape (n-1, 3).
+
+        If the rule is the one that the noise was made with, these are standard normal. NaN
+        where the noise is NaN or its standard deviation is below `RESOLUTION`.
+        """
+        variances = np.stack(rule.variances(*self.components.T), axis=-1)
+        undirected = np.isnan(self.noise[:, 0])
+        variances[undirected, 2] += variances[undirected, 0]
+        std = np.sqrt(variances)
+        return self.noise / np.where(std >= RESOLUTION, std, np.nan)
+
+
+def recover_noise(true_poses, noisy_poses) -> RecoveredNoise:
+    """Find the noise that `NoisyPath` added at each step, from the two paths alone.
+
+    The noise of rot1 is taken to be less than a quarter turn; a noisy step in the opposite
+    direction is one whose translation changed its sign.
+
+    Args:
+        true_poses: perfect poses, shape (n, 3).
+        noisy_poses: the noisy ones of the same messages, shape (n, 3).
+
+    Raises:
+        NoiseError: the shapes differ or are not (n, 3).
+    """
+    true_poses = np.asarray(true_poses, dtype=float)
+    noisy_poses = np.asarray(noisy_poses, dtype=float)
+    if true_poses.shape != noisy_poses.shape or true_poses.shape[1:] != (3,):
+        raise NoiseError(
+            f"two paths of shape (n, 3) are needed, not {true_poses.shape}, {noisy_poses.shape}"
+        )
+    true_steps, noisy_steps = se2.steps(true_poses), se2.steps(noisy_poses)
+    direction, trans = _directions(true_steps[:, 0], true_steps[:, 1])
+
+    # Seen along the true direction, the noisy step points at the noise of rot1.
+    cos, sin = np.cos(direction), np.sin(direction)
+    sign = np.where(trans < 0.0, -1.0, 1.0)
+    ahead = sign * (cos * noisy_steps[:, 0] + sin * noisy_steps[:, 1])
+    aside = sign * (cos * noisy_steps[:, 1] - sin * noisy_steps[:, 0])
+    noise1, length = _directions(ahead, aside)
+    noise1 = np.where(np.abs(trans) >= MIN_TRANSLATION, noise1, np.nan)
+    noise2 = wrap(noisy_steps[:, 2] - true_steps[:, 2] - np.nan_to_num(noise1))
+    noise = np.stack([noise1, sign * length - trans, noise2], axis=-1)
+    return RecoveredNoise(decompose_steps(true_steps), noise)

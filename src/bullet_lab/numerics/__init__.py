@@ -1,1 +1,0 @@
-"""Numbers only: angles, SE(2), trajectories, odometry noise and metrics; needs just numpy."""

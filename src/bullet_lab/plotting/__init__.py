@@ -1,1 +1,0 @@
-"""Figures, drawn without a screen and without ROS."""

@@ -1,1 +1,0 @@
-"""Results as files that other tools read: TUM, CSV, JSON. No ROS, no plotting."""

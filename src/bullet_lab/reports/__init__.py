@@ -1,0 +1,1 @@
+"""What each job leaves behind: columns, summary and figure, without ROS."""

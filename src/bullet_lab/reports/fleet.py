@@ -1,0 +1,110 @@
+"""The squares of a fleet: what they come down to, and the paths side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Dict, Mapping, Optional, Sequence, Tuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, new_figure
+from bullet_lab.core.trajectory import Trajectory
+
+# Of each robot, and in the mean over all of them.
+ERRORS = ("final_error_m", "final_heading_error_deg", "ape_rmse_m")
+
+
+def fleet_summary(robots: Sequence[Mapping[str, Any]]) -> Dict[str, Any]:
+    """Return the figures of a fleet.
+
+    Args:
+        robots: of each, its name, its seed and what `squares_summary` says of it.
+
+    Returns:
+        They, and root mean squares and the largest of their errors; null where a robot has none.
+    """
+    values: Dict[str, Any] = {}
+    for name in ERRORS:
+        errors = [robot[name] for robot in robots]
+        complete = bool(errors) and None not in errors
+        values[f"{name}_rms"] = float(np.sqrt(np.mean(np.square(errors)))) if complete else None
+        values[f"{name}_largest"] = float(np.max(np.abs(errors))) if complete else None
+    return {**values, "robots": [dict(robot) for robot in robots]}
+
+
+# Neighbours differ; the numbers tell the rest apart.
+COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, "#56B4E9")
+WIDTH = 9.0
+HEIGHTS = (4.0, 11.0)
+# Inches around the paths for title, labels and legend: left, right, below, above.
+FRAME = (0.7, 0.2, 1.0, 0.75)
+# m around the paths.
+MARGIN = 0.3
+
+
+@dataclass(frozen=True)
+class RobotPaths:
+    """What is drawn of one robot; None for what is not there yet."""
+
+    name: str
+    perfect: Optional[Trajectory]
+    noisy: Optional[Trajectory]
+
+
+def fleet_figure(robots: Sequence[RobotPaths], title: str) -> Figure:
+    """Draw the perfect and the noisy path of each robot, with its name in the middle."""
+    places = [
+        path.poses[:, :2]
+        for robot in robots
+        for path in (robot.perfect, robot.noisy)
+        if path is not None
+    ]
+    low, high = _extent(np.concatenate(places) if places else np.zeros((1, 2)))
+    width, height = _size(high - low)
+    figure = new_figure(width, height)
+    figure.suptitle(title)
+    left, right, below, above = FRAME
+    place = (left, below, width - left - right, height - below - above)
+    axes = figure.add_axes(np.divide(place, (width, height, width, height)))
+    axes.set(xlabel="x Distance (m)", ylabel="y Distance (m)")
+    axes.set_aspect("equal")
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.grid(alpha=0.3)
+    for number, robot in enumerate(robots):
+        _draw(axes, robot, COLOURS[number % len(COLOURS)])
+    _explain(axes)
+    figure.legend(loc="lower center", ncol=3, frameon=False)
+    return figure
+
+
+def _draw(axes: Axes, robot: RobotPaths, colour: str) -> None:
+    if robot.noisy is not None:
+        axes.plot(*robot.noisy.poses[:, :2].T, color=colour, linewidth=1.8)
+        x, y = robot.noisy.poses[-1, :2]
+        axes.plot(x, y, "s", color=colour, markeredgecolor=BLACK, markersize=5)
+    if robot.perfect is not None:
+        axes.plot(*robot.perfect.poses[:, :2].T, color=BLACK, linewidth=0.8)
+        x, y = robot.perfect.poses[:, :2].min(axis=0) + robot.perfect.poses[:, :2].max(axis=0)
+        axes.text(0.5 * x, 0.5 * y, robot.name, color=colour, ha="center", va="center")
+
+
+def _explain(axes: Axes) -> None:
+    """Say in a legend what is what, in no robot's colour."""
+    axes.plot([], [], color=BLACK, linewidth=0.8, label="Perfect odom")
+    axes.plot([], [], color=GREY, linewidth=1.8, label="Noisy odom, a colour for each robot")
+    axes.plot([], [], "s", color=GREY, markeredgecolor=BLACK, markersize=5, label="its end")
+
+
+def _extent(places: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the corners, in m, of what is to be seen."""
+    return places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
+
+
+def _size(extent: np.ndarray) -> Tuple[float, float]:
+    """Return width and height in inches for so many metres, to one scale in both directions."""
+    left, right, below, above = FRAME
+    scale = (WIDTH - left - right) / extent[0]
+    return WIDTH, float(np.clip(scale * extent[1] + below + above, *HEIGHTS))

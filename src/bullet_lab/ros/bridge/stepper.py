@@ -1,0 +1,338 @@
+"""The loop that advances a simulation, and the threads that want something of it. No rospy.
+
+PyBullet wants all calls from one thread: the one that calls `Stepper.run`. Others hand it what
+they want done, and wait.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+import time
+from collections import Counter
+from typing import Any, Callable, Optional, Sequence
+
+from bullet_lab.errors import LabError
+from bullet_lab.ros.bridge.loop_watch import WAITING, Lag, LoopWatch
+from bullet_lab.ros.bridge.pace import FOR_EVER, Pace, TimeGate
+from bullet_lab.simulation.simulation import Simulation
+
+# Between two looks at what others want, at full speed: about two milliseconds of wall time.
+STEPS_AT_A_TIME = 200
+# Longest wait before looking whether all has ended, in wall seconds.
+LONGEST_WAIT = 0.2
+# Wall seconds after which it is reported who holds time back.
+PATIENCE = 2.0
+
+
+class StepperError(LabError):
+    """The simulation ends before it has done what was asked."""
+
+
+class Stepper:
+    """Advances a simulation as the wall clock, the lock step and pauses allow.
+
+    Args:
+        simulation: what to advance.
+        pace: how it follows the wall clock.
+        gate: how far the members of the lock step let it go.
+        tick: steps between two wake-ups while time follows the wall clock.
+        paused: whether to start so.
+        is_over: says whether to end.
+        report_stall: called with the names of those who hold time back, every `PATIENCE`.
+        after_steps: called when steps have been made, before anybody is told of them.
+        report_lag: called when time does not hold its speed, every few seconds.
+        watch: notices that.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        pace: Pace,
+        gate: TimeGate,
+        tick: int,
+        paused: bool,
+        is_over: Callable[[], bool],
+        report_stall: Callable[[Sequence[str]], None],
+        after_steps: Callable[[], None],
+        report_lag: Callable[[Lag], None] = lambda _: None,
+        watch: Optional[LoopWatch] = None,
+    ):
+        self.simulation = simulation
+        self.pace = pace
+        self.gate = gate
+        self._tick = tick
+        self._paused = paused
+        self._advancing = False
+        self._is_over = is_over
+        self._report_stall = report_stall
+        self._after_steps = after_steps
+        self._report_lag = report_lag
+        self.watch = watch or LoopWatch()
+        self._reached = simulation.step
+        self._stalled_since: Optional[float] = None
+        self._tasks: queue.Queue[_Task] = queue.Queue()
+        self._wake = threading.Condition()
+        self._wakeups = 0
+        self._commands: Counter = Counter()
+        self._resets = 0
+
+    @property
+    def paused(self) -> bool:
+        """Whether time stands still."""
+        return self._paused
+
+    @property
+    def hurried(self) -> bool:
+        """Whether steps are made faster than the wall clock has it, and nothing may be lost."""
+        return self.pace.free or self._advancing
+
+    def run(self) -> None:
+        """Advance until all is over; to be called by one thread, once."""
+        self._restart(self.simulation.step)
+        try:
+            while not self._is_over():
+                self._run_tasks()
+                self._go_on()
+        finally:
+            self.wake()
+
+    # For other threads
+
+    def wake(self) -> None:
+        """Have the loop look at once at what has changed."""
+        with self._wake:
+            self._wakeups += 1
+            self._wake.notify_all()
+
+    def do(self, action: Callable[[], Any]) -> Any:
+        """Have something done between two steps; return what it returns, raise what it raises.
+
+        Raises:
+            StepperError: all is over before it could be done.
+        """
+        task = _Task(action)
+        self._tasks.put(task)
+        self.wake()
+        while not task.done.wait(LONGEST_WAIT):
+            if self._is_over():
+                raise StepperError("the simulation has ended")
+        return task.result()
+
+    def do_now(self, action: Callable[[], None]) -> None:
+        """Have something done at the present moment of wall time.
+
+        Tied to the wall clock, simulated time sleeps between ticks; it is first brought to this
+        moment. At full speed there is no such moment, and the action is done at once.
+        """
+        if self.pace.free:
+            action()
+        else:
+            self.do(lambda: self._catch_up_and(action))
+
+    def pause(self) -> None:
+        """Stop time."""
+        self.do(lambda: self._set_paused(True))
+
+    def unpause(self) -> None:
+        """Let time go on."""
+        self.do(lambda: self._set_paused(False))
+
+    def set_real_time_factor(self, factor: float) -> None:
+        """Let time go at another speed: simulated seconds per wall second, 0 for full speed."""
+        self.do(lambda: self._set_real_time_factor(factor))
+
+    def advance_by(self, steps: int) -> int:
+        """Advance by exactly so many steps, paused or not, and return the step reached."""
+        return self.do(lambda: self._advance_by(steps))
+
+    def reset_world(self) -> None:
+        """Put all models back; time goes on."""
+        self.do(self.simulation.reset_world)
+
+    def reset_simulation(self) -> None:
+        """Put all models back and start time again at 0."""
+        self.do(self._reset_simulation)
+
+    def note_command(self, member: str) -> None:
+        """Note that a command of a member of the lock step has arrived."""
+        with self._wake:
+            self._commands[member] += 1
+            self._wake.notify_all()
+
+    def await_commands(self, member: str, count: int) -> bool:
+        """Wait until so many commands of a member have arrived; False if they do not come.
+
+        Args:
+            member: who has sent them.
+            count: how many, since it started. One that has sent none yet has just started,
+                and what an earlier node of its name has sent counts no longer.
+        """
+        with self._wake:
+            if count == 0:
+                self._commands[member] = 0
+            if self._wake.wait_for(lambda: self._commands[member] >= count, PATIENCE):
+                return True
+            # Do not wait for the lost ones again.
+            self._commands[member] = count
+            return False
+
+    def grant(self, member: str, step: float) -> bool:
+        """Let time go on to a step, for all that a member cares, and wait until it is there.
+
+        Returns:
+            Whether it is; False if time was set back or all is over. A grant for ever returns
+            at once.
+        """
+        resets = self._resets
+        self.gate.grant(member, step)
+        self.wake()
+        if step == FOR_EVER:
+            return True
+        if step <= self._reached:
+            # The loop may be in the middle of a stride, and time stands only at the end of it.
+            self.do(lambda: None)
+        with self._wake:
+            while not self._wake.wait_for(lambda: self._is_settled(resets, step), LONGEST_WAIT):
+                pass
+        return self._resets == resets and self._reached >= step
+
+    # The loop
+
+    def _go_on(self) -> None:
+        """Advance as far as is due and allowed, or wait."""
+        # Read before anything is looked at: what changes from here on cuts the wait short.
+        wakeups = self._wakeups
+        step = self.simulation.step
+        limit = -1 if self._paused else self.gate.limit()
+        if limit is None or limit <= step:
+            if limit is None:
+                self._restart(step)
+            self.pace.restart(step)
+            self._watch_the_stall()
+            with self.watch.doing(f"waiting for {' and '.join(self.gate.holding())}"):
+                self._wait(LONGEST_WAIT, wakeups)
+            return
+        self._stalled_since = None
+        due = self.pace.due(step)
+        if due <= step:
+            wait = self.pace.seconds_until(step + self._tick)
+            with self.watch.doing(WAITING):
+                self._wait(min(LONGEST_WAIT, wait), wakeups)
+            due = self.pace.due(step)
+        self._run_until(int(min(limit, due, step + STEPS_AT_A_TIME)))
+        self._watch_the_speed()
+        if limit != FOR_EVER:
+            with self._wake:
+                self._wake.notify_all()
+
+    def _run_until(self, step: int) -> None:
+        with self.watch.doing("steps"):
+            self.simulation.run_until(step)
+        with self.watch.doing("handing messages to subscribers"):
+            self._after_steps()
+        self._reached = self.simulation.step
+
+    def _wait(self, seconds: float, wakeups: int) -> None:
+        with self._wake:
+            if self._wakeups == wakeups and not self._is_over():
+                self._wake.wait(seconds)
+
+    def _run_tasks(self) -> None:
+        with contextlib.suppress(queue.Empty):
+            while True:
+                task = self._tasks.get_nowait()
+                with self.watch.doing("services"):
+                    task.run()
+
+    def _catch_up_and(self, action: Callable[[], None]) -> None:
+        step, limit = self.simulation.step, self.gate.limit()
+        if not self._paused and limit is not None:
+            self._run_until(int(max(step, min(limit, self.pace.due(step)))))
+        action()
+
+    def _set_paused(self, paused: bool) -> None:
+        self._paused = paused
+        self._restart(self.simulation.step)
+
+    def _set_real_time_factor(self, factor: float) -> None:
+        self.pace.real_time_factor = factor
+        self._restart(self.simulation.step)
+
+    def _advance_by(self, steps: int) -> int:
+        goal = self.simulation.step + steps
+        self._advancing = True
+        try:
+            while self.simulation.step < goal:
+                # Years of simulated time may be asked for.
+                if self._is_over():
+                    raise StepperError("the simulation has ended")
+                self._run_until(min(goal, self.simulation.step + STEPS_AT_A_TIME))
+        finally:
+            self._advancing = False
+        self._restart(goal)
+        return goal
+
+    def _reset_simulation(self) -> None:
+        self.simulation.reset_simulation()
+        self._reached = 0
+        self.gate.restart()
+        self._restart(0)
+        with self._wake:
+            self._resets += 1
+            self._wake.notify_all()
+
+    def _is_settled(self, resets: int, step: float) -> bool:
+        return self._reached >= step or self._resets != resets or self._is_over()
+
+    def _restart(self, step: int) -> None:
+        """Let speed be measured from now on, with time at a step."""
+        self.pace.restart(step)
+        self.watch.restart(step)
+        self.simulation.take_spent()
+
+    def _watch_the_speed(self) -> None:
+        if not self.watch.due:
+            return
+        for what, seconds in self.simulation.take_spent().items():
+            self.watch.spend(what, seconds)
+            self.watch.spend("steps", -seconds)
+        lag = self.watch.look(self.simulation.step, self.pace.real_time_factor)
+        if lag is not None:
+            self._report_lag(lag)
+
+    def _watch_the_stall(self) -> None:
+        now = time.monotonic()
+        if self._paused or self._stalled_since is None:
+            self._stalled_since = now
+        elif now - self._stalled_since >= PATIENCE:
+            self._stalled_since = now
+            # One report is enough.
+            self._restart(self.simulation.step)
+            self._report_stall(self.gate.holding())
+
+
+class _Task:
+    """Something for the loop's thread to do."""
+
+    def __init__(self, action: Callable[[], Any]):
+        self.done = threading.Event()
+        self._action = action
+        self._result: Any = None
+        self._error: Optional[Exception] = None
+
+    def run(self) -> None:
+        """Do it; an error goes back to whoever asked, and time goes on for the others."""
+        try:
+            self._result = self._action()
+        except Exception as error:
+            self._error = error
+        finally:
+            self.done.set()
+
+    def result(self) -> Any:
+        """Return what came of it, or raise."""
+        if self._error is not None:
+            raise self._error
+        return self._result

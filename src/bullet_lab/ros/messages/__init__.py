@@ -1,0 +1,1 @@
+"""Every conversion between messages and the library's own data."""

@@ -1,0 +1,149 @@
+"""What all nodes share: start, parameters, refusals on topics, the end."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+import time
+from typing import Callable, Dict, Type, TypeVar
+
+import rosgraph
+import rospy
+
+from bullet_lab.errors import LabError
+from bullet_lab.ros.node.parameters import ParameterError, read_parameters
+
+STATUS_CANNOT_GO_ON = 1
+STATUS_BAD_PARAMETER = 2
+MASTER_CHECK_SECONDS = 2.0
+
+REPORT_WAIT_SECONDS = 3.0
+
+T = TypeVar("T")
+
+
+class NodeError(LabError):
+    """A node cannot start or go on."""
+
+
+class MasterWatch:
+    """Ends the node when the master is gone, which rospy itself never notices."""
+
+    def __init__(self):
+        self.master_is_gone = False
+        thread = threading.Thread(target=self._watch, daemon=True)
+        thread.start()
+
+    def _watch(self) -> None:
+        misses = 0
+        while not rospy.is_shutdown():
+            time.sleep(MASTER_CHECK_SECONDS)
+            misses = 0 if rosgraph.is_master_online() else misses + 1
+            # One miss may be a busy machine.
+            if misses >= 2 and not rospy.is_shutdown():
+                self.master_is_gone = True
+                rospy.signal_shutdown("the ROS master is gone")
+
+
+def run_node(
+    name: str, body: Callable[[], None], before: Callable[[], None] = lambda: None
+) -> None:
+    """Run a node and exit: status 0 at a clean end or Ctrl-C, 2 on a bad parameter, else 1.
+
+    Args:
+        name: the node's name.
+        body: the node's work; LabError from it ends the node with that one line.
+        before: is run before the node registers with the master.
+    """
+    # What a node says is of use while it runs, in a file or a pipe as well.
+    sys.stdout.reconfigure(line_buffering=True)
+    try:
+        if not rosgraph.is_master_online():
+            raise NodeError(f"no ROS master answers at {rosgraph.get_master_uri()}")
+        before()
+        rospy.init_node(name)
+        _forward_library_log()
+        watch = MasterWatch()
+        _run(body)
+    except ParameterError as error:
+        _end(name, error, STATUS_BAD_PARAMETER)
+    except LabError as error:
+        _end(name, error, STATUS_CANNOT_GO_ON)
+    except rospy.ROSInitException as error:
+        _end(name, error, STATUS_CANNOT_GO_ON)
+    if watch.master_is_gone:
+        _end(name, "the ROS master is gone", STATUS_CANNOT_GO_ON)
+
+
+def private_parameters(kind: Type[T]) -> T:
+    """Read the node's parameters from the master; raises ParameterError."""
+    given = rospy.get_param("~", {})
+    return read_parameters(kind, rospy.get_param, given if isinstance(given, dict) else {})
+
+
+def wait_until(condition: Callable[[], bool], what: str) -> None:
+    """Wait in wall time until a condition holds, and say after a while what is waited for.
+
+    Raises:
+        ROSInterruptException: ROS shuts down first.
+    """
+    start = time.monotonic()
+    reported = False
+    while not condition():
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException("shutdown")
+        if not reported and time.monotonic() - start > REPORT_WAIT_SECONDS:
+            reported = True
+            rospy.loginfo("waiting for %s", what)
+        time.sleep(0.01)
+
+
+class Refusals:
+    """Counts refused messages and reports them, once a second at most."""
+
+    def __init__(self):
+        self.counts: Dict[str, int] = {}
+        self._last_report = -1.0
+
+    def refuse(self, topic: str, reason: str) -> None:
+        """Count one refused message on a topic and say why."""
+        self.counts[topic] = self.counts.get(topic, 0) + 1
+        now = time.monotonic()
+        if self._last_report < 0.0 or now - self._last_report >= 1.0:
+            self._last_report = now
+            rospy.logwarn("%s: refused: %s (%d so far)", topic, reason, self.counts[topic])
+
+    @property
+    def total(self) -> int:
+        """Number of messages refused so far, on all topics."""
+        return sum(self.counts.values())
+
+
+def _run(body: Callable[[], None]) -> None:
+    try:
+        body()
+    except rospy.ROSInterruptException:
+        # Ctrl-C, or another node asked this one to end: a clean end.
+        return
+
+
+def _end(name: str, error: object, status: int) -> None:
+    line = f"{name}: {error}"
+    rospy.signal_shutdown(line)
+    print(line, file=sys.stderr, flush=True)
+    sys.exit(status)
+
+
+class _RosLog(logging.Handler):
+    """Hands what the library logs to ROS."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        log = rospy.logerr if record.levelno >= logging.ERROR else rospy.logwarn
+        log("%s", record.getMessage())
+
+
+def _forward_library_log() -> None:
+    library = logging.getLogger("bullet_lab")
+    library.addHandler(_RosLog(logging.WARNING))
+    library.propagate = False

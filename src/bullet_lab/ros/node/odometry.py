@@ -1,0 +1,118 @@
+"""Reading nav_msgs/Odometry with care, and the newest pose for those who drive by it."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from typing import Optional, Tuple
+
+import rospy
+from nav_msgs.msg import Odometry
+
+from bullet_lab.core.angles import yaw_from_quaternion
+from bullet_lab.errors import LabError
+from bullet_lab.ros.messages.poses import NORM_TOLERANCE
+from bullet_lab.ros.node.node import NodeError, Refusals
+
+
+class OdometryError(LabError):
+    """An odometry message that cannot be used."""
+
+
+def planar_pose(message: Odometry) -> Tuple[float, float, float]:
+    """Return x (m), y (m) and yaw (rad) of an odometry message.
+
+    Raises:
+        OdometryError: not finite, or an orientation that is no unit quaternion.
+    """
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    quaternion = (turn.x, turn.y, turn.z, turn.w)
+    if not all(map(math.isfinite, (place.x, place.y, *quaternion))):
+        raise OdometryError("a pose that is not finite")
+    norm = math.sqrt(sum(value * value for value in quaternion))
+    if abs(norm - 1.0) > NORM_TOLERANCE:
+        raise OdometryError(f"an orientation of length {norm:.3g} is no unit quaternion")
+    return place.x, place.y, yaw_from_quaternion(*quaternion)
+
+
+class FrameGuard:
+    """Holds a stream of odometry to the frames of its first message."""
+
+    def __init__(self):
+        self._frames: Optional[Tuple[str, str]] = None
+
+    def check(self, message: Odometry) -> None:
+        """Raise OdometryError if the frames of a message are not those of the first."""
+        frames = (message.header.frame_id, message.child_frame_id)
+        if self._frames is None:
+            self._frames = frames
+        if frames != self._frames:
+            raise OdometryError(
+                "frames {} -> {} where {} -> {} came before".format(*frames, *self._frames)
+            )
+
+
+# Seconds of ROS time without odometry after which it is out of date.
+STALE_SECONDS = 0.5
+# Wall seconds to wait for odometry before giving up.
+ODOMETRY_TIMEOUT = 5.0
+# Wall seconds between two looks whether Ctrl-C was pressed meanwhile.
+POLL_SECONDS = 0.2
+
+
+class NewestOdometry:
+    """The newest usable pose on an odometry topic."""
+
+    def __init__(self, topic: str):
+        self._topic = topic
+        self._new = threading.Condition()
+        self._pose: Optional[Tuple[float, float, float]] = None
+        self._stamp = rospy.Time(0)
+        self._period: Optional[rospy.Duration] = None
+        self._received = rospy.Time(0)
+        self._refusals = Refusals()
+        self._subscriber = rospy.Subscriber(topic, Odometry, self._receive, tcp_nodelay=True)
+
+    def newest(self, now: Optional[rospy.Time]) -> Tuple[float, float, float]:
+        """Return the newest pose (m, m, rad).
+
+        Args:
+            now: in lock step, the simulated time: what was sent up to then is awaited.
+
+        Raises:
+            NodeError: no odometry comes.
+        """
+        deadline = time.monotonic() + ODOMETRY_TIMEOUT
+        with self._new:
+            while not self._is_new(now):
+                self._new.wait(POLL_SECONDS)
+                if rospy.is_shutdown():
+                    raise rospy.ROSInterruptException("shutdown")
+                if time.monotonic() > deadline:
+                    raise NodeError(f"no odometry on {self._topic} for {ODOMETRY_TIMEOUT:g} s")
+            return self._pose
+
+    def is_stale(self) -> bool:
+        """Return whether the newest pose came long ago, in ROS time."""
+        return rospy.Time.now() - self._received > rospy.Duration(STALE_SECONDS)
+
+    def _is_new(self, now: Optional[rospy.Time]) -> bool:
+        if self._pose is None:
+            return False
+        if now is None:
+            return not self.is_stale()
+        return self._period is None or self._stamp > now - self._period
+
+    def _receive(self, message: Odometry) -> None:
+        try:
+            pose = planar_pose(message)
+        except OdometryError as error:
+            self._refusals.refuse(self._topic, str(error))
+            return
+        with self._new:
+            if self._pose is not None and message.header.stamp > self._stamp:
+                self._period = message.header.stamp - self._stamp
+            self._pose, self._stamp = pose, message.header.stamp
+            self._received = rospy.Time.now()
+            self._new.notify_all()

@@ -1,0 +1,171 @@
+"""Publishers for nodes that speak often, must not lose a word, or work only for listeners."""
+
+from __future__ import annotations
+
+import threading
+import time
+import warnings
+from io import BytesIO
+from typing import Any, Callable, List, Optional
+
+import genpy
+import rospy
+from rospy.msg import serialize_message
+
+# Wall seconds between two looks at a queue that is full.
+ROOM_CHECK_SECONDS = 0.001
+
+
+class Publisher(rospy.Publisher):
+    """A publisher that falls silent, and raises nothing, once the node is shutting down."""
+
+    def has_connections(self) -> bool:
+        """Return whether anybody listens."""
+        return self.impl is not None and self.impl.has_connections()
+
+    def publish(self, *args: Any, **kwds: Any) -> None:
+        """Publish a message."""
+        try:
+            super().publish(*args, **kwds)
+        except rospy.ROSException:
+            if not rospy.core.is_shutdown_requested():
+                raise
+
+
+class BatchPublisher(Publisher):
+    """Collects messages and writes them to each subscriber in one go.
+
+    At a hundred times real time, waking the subscribers for each message costs more than the
+    physics between two of them. For one thread only.
+    """
+
+    def __init__(self, *args: Any, **kwds: Any):
+        super().__init__(*args, **kwds)
+        self._batch = BytesIO()
+
+    def publish(self, message: genpy.Message) -> None:
+        """Put a message into the batch; it may be changed afterwards."""
+        if self.has_connections():
+            self.impl.seq += 1
+            serialize_message(self._batch, self.impl.seq, message)
+
+    def flush(self, lossless: bool = False) -> None:
+        """Write what has come together.
+
+        Args:
+            lossless: wait for subscribers whose queue is full, which would lose its oldest
+                messages.
+        """
+        data = self._batch.getvalue()
+        if not data:
+            return
+        self._batch.seek(0)
+        self._batch.truncate()
+        # Once the node shuts down there is neither implementation nor anybody to write to.
+        connections = () if self.impl is None else self.impl.connections
+        for connection in connections:
+            if lossless:
+                await_room(connection, self.impl.queue_size)
+            try:
+                connection.write_data(data)
+            except (OSError, ValueError, rospy.exceptions.ROSInternalException):
+                # The subscriber is gone; rospy forgets the connection when it is closed.
+                connection.close()
+
+
+def await_room(connection: Any, size: Optional[int]) -> None:
+    """Wait until the queue of a connection has room for another message.
+
+    Args:
+        connection: rospy's, with a queue or without.
+        size: of the queue; None for none.
+    """
+    # The queue is no part of rospy's interface: without it, there is nothing to wait for.
+    while size and len(getattr(connection, "_queue", ())) >= size:
+        if connection.done or rospy.is_shutdown():
+            return
+        time.sleep(ROOM_CHECK_SECONDS)
+
+
+def lossless_publisher(
+    topic: str, kind: type, latch: bool = False, publisher: type = Publisher
+) -> Any:
+    """Return a publisher that writes to its subscribers at once and drops nothing.
+
+    A subscriber that falls behind slows the publisher down instead of losing messages, which
+    is what a simulation at full speed needs. (Besides, it takes a twentieth of the time of
+    rospy's queues, which hand each message to a thread.)
+
+    Args:
+        topic: its name.
+        kind: class of its messages.
+        latch: whether to keep the last message for those who subscribe later.
+        publisher: class of the publisher.
+    """
+    with warnings.catch_warnings():
+        # rospy takes a missing queue size for an oversight.
+        warnings.simplefilter("ignore", SyntaxWarning)
+        return publisher(topic, kind, queue_size=None, latch=latch)
+
+
+# Wall seconds between two looks for listeners that have gone without a word.
+_PERIOD = 0.5
+
+
+class Demand(rospy.SubscribeListener):
+    """Publishers of results, and whether anybody listens to one of them.
+
+    Args:
+        start: called when there is somebody, from a thread of its own.
+        stop: called when there is nobody any more.
+        always: whether to work all the same.
+    """
+
+    def __init__(self, start: Callable[[], None], stop: Callable[[], None], always: bool = False):
+        super().__init__()
+        self._start, self._stop = start, stop
+        self._always = always
+        self._publishers: List[Publisher] = []
+        self._wake = threading.Event()
+        self.is_there = False
+
+    def publisher(self, topic: str, kind: type, lossless: bool, queue_size: int = 10) -> Publisher:
+        """Return a publisher of results."""
+        if lossless:
+            made = lossless_publisher(topic, kind)
+        else:
+            made = Publisher(topic, kind, queue_size=queue_size, tcp_nodelay=True)
+        self._publishers.append(made)
+        made.impl.add_subscriber_listener(self)
+        return made
+
+    def watch(self) -> None:
+        """Start and stop the work from now on."""
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def peer_subscribe(self, *_: Any) -> None:
+        """Note that somebody has come."""
+        self._wake.set()
+
+    def peer_unsubscribe(self, *_: Any) -> None:
+        """Note that somebody has gone."""
+        self._wake.set()
+
+    def _watch(self) -> None:
+        while not rospy.is_shutdown():
+            self._wake.clear()
+            wanted = self._always or any(map(_has_listeners, self._publishers))
+            if wanted != self.is_there:
+                self.is_there = wanted
+                (self._start if wanted else self._stop)()
+            self._wake.wait(_PERIOD)
+
+
+def _has_listeners(publisher: Publisher) -> bool:
+    """Return whether anybody listens still; rospy itself only notices when it writes."""
+    implementation = publisher.impl
+    if implementation is None:
+        return False
+    if implementation.has_connections():
+        implementation.check()
+    return implementation.has_connections()

@@ -1,0 +1,79 @@
+"""Goals and points in whatever frame RViz sends them, brought into another one."""
+
+from __future__ import annotations
+
+import time
+from typing import Tuple
+
+import rospy
+import tf2_ros
+from geometry_msgs.msg import PoseStamped, TransformStamped
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.errors import LabError
+from bullet_lab.ros.messages.poses import pose_of
+
+# Wall seconds for a transform that nobody has sent yet.
+PATIENCE = 2.0
+POLL_SECONDS = 0.02
+
+
+class FrameError(LabError):
+    """A pose cannot be brought into the wanted frame."""
+
+
+class FrameFinder:
+    """Brings poses from one frame into another, by the newest transforms of TF.
+
+    Its methods may wait for a transform: they are not for the thread that drives.
+    """
+
+    def __init__(self):
+        self._buffer = tf2_ros.Buffer()
+        self._listener = tf2_ros.TransformListener(self._buffer)
+
+    def clear(self) -> None:
+        """Forget what was known: time was set back."""
+        self._buffer.clear()
+
+    def bring(self, pose: Pose, source: str, target: str) -> Pose:
+        """Return a pose in another frame.
+
+        Args:
+            pose: in `source`.
+            source: frame as a message names it; a leading slash, as of old, is passed over.
+            target: likewise.
+
+        Raises:
+            FrameError: a frame without a name, or no transform between the two.
+        """
+        source, target = source.lstrip("/"), target.lstrip("/")
+        if not source:
+            raise FrameError("it has no frame_id")
+        if source == target:
+            return pose
+        found = self._lookup(target, source).transform
+        return pose_of(found.translation, found.rotation) * pose
+
+    def planar(self, message: PoseStamped, target: str) -> Tuple[float, float, float]:
+        """Return a message's pose in another frame as x (m), y (m) and yaw (rad).
+
+        Raises:
+            LabError: it is not finite or no rotation, or as of `bring`.
+        """
+        pose = pose_of(message.pose.position, message.pose.orientation)
+        placed = self.bring(pose, message.header.frame_id, target)
+        return placed.position[0], placed.position[1], placed.yaw
+
+    def _lookup(self, target: str, source: str) -> TransformStamped:
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            try:
+                return self._buffer.lookup_transform(target, source, rospy.Time(0))
+            except tf2_ros.TransformException as error:
+                if time.monotonic() >= deadline or rospy.is_shutdown():
+                    line = " ".join(str(error).split())
+                    raise FrameError(
+                        f"no transform from '{source}' to '{target}': {line}"
+                    ) from None
+            time.sleep(POLL_SECONDS)

@@ -1,0 +1,309 @@
+"""Finds markers and where they are.
+
+:ROS Parameters: see `ArucoParameters`.
+:ROS Subscribers, while somebody listens to a result or ~publish_tf is true:
+    - ~image (sensor_msgs/Image), mono8 or any colour, raw or rectified
+    - ~camera_info (sensor_msgs/CameraInfo), by default beside the image
+:ROS Publishers:
+    - ~detections (bullet_lab/MarkerDetectionArray), for every image, without a marker as well;
+      without a usable camera_info the markers have no poses, and a size of 0
+    - ~pose (geometry_msgs/PoseStamped) and ~pose_with_covariance
+      (geometry_msgs/PoseWithCovarianceStamped) of the marker that is largest in the image
+    - /tf, with ~publish_tf: fiducial_<id> in the camera's optical frame, with the node's tf_prefix
+    - ~image_annotated, ~camera_info, /diagnostics, see `image_node`
+
+Stamps and frames are those of the images.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from tf2_msgs.msg import TFMessage
+
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.msg import MarkerDetectionArray
+from bullet_lab.ros.messages.camera_geometry import CameraGeometryError, camera_of
+from bullet_lab.ros.messages.markers import (
+    covariance_message,
+    detection_message,
+    located_message,
+    marker_pose_message,
+    marker_transform,
+)
+from bullet_lab.ros.node import parameters
+from bullet_lab.ros.node.diagnostics import Health
+from bullet_lab.ros.node.parameters import ParameterError
+from bullet_lab.ros.node.publishers import Publisher, lossless_publisher
+from bullet_lab.ros.node.tf_prefix import own_tf_prefix
+from bullet_lab.ros.nodes.image_node import Frame, ImageNode, ImageParameters, run_image_node
+from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
+from bullet_lab.vision.drawing import draw_axes, draw_marker, draw_text
+from bullet_lab.vision.images import VisionError
+from bullet_lab.vision.marker_detector import (
+    DetectedMarker,
+    Detections,
+    DetectorSettings,
+    why_nothing,
+)
+from bullet_lab.vision.marker_observer import MarkerObserver, ObservedMarker, PoseMemory
+from bullet_lab.vision.marker_pose import MarkerPose
+
+DEFAULTS = DetectorSettings()
+
+
+def accept_tags(value: Any) -> str:
+    """Return OpenCV's name of a dictionary; raises ValueError."""
+    try:
+        return dictionary_named(value if isinstance(value, str) else "").name
+    except VisionError as error:
+        raise ValueError(str(error)) from error
+
+
+def accept_ids(value: Any) -> Tuple[int, ...]:
+    """Turn "0 5", [0, 5] or 0 into ids; raises ValueError or TypeError."""
+    parts = value.split() if isinstance(value, str) else value
+    parts = parts if isinstance(parts, list) else [parts]
+    if any(isinstance(part, (bool, float)) for part in parts):
+        raise ValueError
+    ids = tuple(int(part) for part in parts)
+    if any(number < 0 for number in ids):
+        raise ValueError
+    return ids
+
+
+def accept_sizes(value: Any) -> Mapping[int, float]:
+    """Turn "7=0.1 9=0.05" or a dictionary into sizes by id; raises ValueError or TypeError."""
+    pairs = value.items() if isinstance(value, dict) else _pairs(value)
+    sizes = {int(number): float(size) for number, size in pairs}
+    if any(not math.isfinite(size) or size <= 0.0 for size in sizes.values()):
+        raise ValueError
+    return sizes
+
+
+def _pairs(value: Any) -> List[Sequence[str]]:
+    if not isinstance(value, str):
+        raise ValueError
+    return [part.split("=", 1) for part in value.split()]
+
+
+@dataclass(frozen=True)
+class ArucoParameters(ImageParameters):
+    """Private parameters of aruco."""
+
+    tags: str = parameters.checked(
+        "DICT_APRILTAG_36h10",
+        "dictionary of the markers",
+        "one of " + ", ".join(name[5:].lower() for name in DICTIONARY_NAMES),
+        accept_tags,
+    )
+    width: float = parameters.number(0.2, "edge of the markers' black square, m", above=0.0)
+    ids: Tuple[int, ...] = parameters.checked(
+        (), "markers to report; none: all", "ids with spaces between them", accept_ids
+    )
+    sizes: Optional[Mapping[int, float]] = parameters.checked(
+        None,
+        "edges of those markers that are not of ~width, m",
+        "like 7=0.1 9=0.05: ids and edges in metres",
+        accept_sizes,
+    )
+    rectified: bool = parameters.boolean(False, "the images are rectified ones")
+    upright: bool = parameters.boolean(
+        True, "markers hang upright before a level camera, where the image does not tell"
+    )
+    publish_tf: bool = parameters.boolean(False, "send transforms, and so work always")
+    pixel_sigma: float = parameters.number(
+        0.1, "standard deviation of a corner's coordinates, px, for the covariance", above=0.0
+    )
+    border: float = parameters.number(
+        DEFAULTS.border, "markers nearer to the edge of the image are cropped, px", 0.0
+    )
+    min_side: float = parameters.number(
+        DEFAULTS.min_side, "edge of the smallest marker to look for, px", 5.0
+    )
+    contrast: float = parameters.number(
+        DEFAULTS.contrast, "grey levels that black is darker", 0.0, maximum=255.0
+    )
+    correction: float = parameters.number(
+        DEFAULTS.correction, "part of the correctable bits to correct", 0.0, maximum=1.0
+    )
+    second_pass: bool = parameters.boolean(
+        DEFAULTS.second_pass, "look twice where nothing is found"
+    )
+
+    def settings(self) -> DetectorSettings:
+        """Return the detector's settings; raises ParameterError."""
+        try:
+            return DetectorSettings(
+                dictionary=self.tags,
+                ids=self.ids,
+                border=self.border,
+                min_side=self.min_side,
+                contrast=self.contrast,
+                correction=self.correction,
+                second_pass=self.second_pass,
+            )
+        except VisionError as error:
+            raise ParameterError(f"~ids: {error}") from error
+
+
+class Aruco(ImageNode):
+    """Answers images with the markers in them."""
+
+    def __init__(self, wanted: ArucoParameters):
+        self._wanted_markers = wanted
+        self._observer = MarkerObserver(
+            wanted.settings(), wanted.width, wanted.sizes, wanted.pixel_sigma
+        )
+        self._memory = PoseMemory(wanted.upright)
+        self._state = Health(DiagnosticStatus.OK, "")
+        super().__init__(wanted, "marker detection", always=wanted.publish_tf)
+        self._detections = self.output("detections", MarkerDetectionArray)
+        self._pose = self.output("pose", PoseStamped)
+        self._covariance = self.output("pose_with_covariance", PoseWithCovarianceStamped)
+        self._prefix = own_tf_prefix()
+        self._tf = _tf_publisher(wanted.lock_step) if wanted.publish_tf else None
+
+    def look(self, frame: Frame) -> Mapping[str, Any]:
+        """Publish the markers."""
+        camera, trouble = self._camera(frame)
+        detections = self._observer.detector.detect(frame.grey, camera)
+        located = self._locate(detections, camera, frame)
+        self._publish(frame, detections, located)
+        self.annotate(frame, lambda image: self._draw(image, detections, located, camera))
+        self._state = self._judge(detections, located, trouble)
+        return _figures(detections)
+
+    def look_away(self, frame: Frame) -> None:
+        """Answer an image that cannot be used with no markers."""
+        self._detections.publish(MarkerDetectionArray(header=frame.header))
+
+    def forget(self) -> None:
+        """Forget where markers were."""
+        self._memory.forget()
+
+    def state(self) -> Health:
+        """Return what was found in the last image, or why nothing was."""
+        return self._state
+
+    def _camera(self, frame: Frame) -> Tuple[Optional[PinholeCamera], str]:
+        """Return the camera, or None and why there is none."""
+        wanted = self._wanted_markers
+        if frame.info is None:
+            return None, f"no camera_info on {wanted.info_topic}: markers have no poses"
+        try:
+            return camera_of(frame.info, frame.width, frame.height, wanted.rectified), ""
+        except CameraGeometryError as error:
+            self.refuse(wanted.info_topic, str(error))
+            return None, str(error)
+
+    def _locate(
+        self, detections: Detections, camera: Optional[PinholeCamera], frame: Frame
+    ) -> List[Tuple[ObservedMarker, MarkerPose]]:
+        if camera is None:
+            return []
+        observed = [self._observer.locate(marker, camera) for marker in detections.markers]
+        poses = self._memory.choose(observed, frame.header.stamp.to_sec())
+        return list(zip(observed, poses))
+
+    def _publish(
+        self,
+        frame: Frame,
+        detections: Detections,
+        located: List[Tuple[ObservedMarker, MarkerPose]],
+    ) -> None:
+        header, tags = frame.header, self._wanted_markers.tags
+        message = MarkerDetectionArray(header=header)
+        if located:
+            message.detections = [
+                located_message(marker, tags, observed, pose)
+                for marker, (observed, pose) in zip(detections.markers, located)
+            ]
+        else:
+            message.detections = [detection_message(m, tags) for m in detections.markers]
+        self._detections.publish(message)
+        if not located:
+            return
+        pose = located[0][1]
+        self._pose.publish(PoseStamped(header, marker_pose_message(pose)))
+        self._covariance.publish(PoseWithCovarianceStamped(header, covariance_message(pose)))
+        if self._tf is not None:
+            # Of several markers of one id, the largest in the image.
+            by_id = {observed.id: pose for observed, pose in reversed(located)}
+            transforms = [
+                marker_transform(header, f"{self._prefix}fiducial_{marker}", pose)
+                for marker, pose in by_id.items()
+            ]
+            self._tf.publish(TFMessage(transforms))
+
+    def _draw(
+        self,
+        image: np.ndarray,
+        detections: Detections,
+        located: List[Tuple[ObservedMarker, MarkerPose]],
+        camera: Optional[PinholeCamera],
+    ) -> None:
+        labels = [f"id {marker.id}" for marker in detections.markers]
+        for index, (observed, pose) in enumerate(located):
+            draw_axes(image, pose, observed.size, camera)
+            labels[index] += f"  {pose.distance:.2f} m"
+        for marker, label in zip(detections.markers, labels):
+            draw_marker(image, marker, label)
+        if not detections.markers:
+            draw_text(image, why_nothing(detections.report, self._wanted_markers.tags), (8, 16))
+
+    def _judge(
+        self,
+        detections: Detections,
+        located: List[Tuple[ObservedMarker, MarkerPose]],
+        trouble: str,
+    ) -> Health:
+        if trouble:
+            missing = trouble.startswith("no ")
+            return Health(DiagnosticStatus.WARN if missing else DiagnosticStatus.ERROR, trouble)
+        if not detections.markers:
+            reason = why_nothing(detections.report, self._wanted_markers.tags)
+            return Health(DiagnosticStatus.WARN, f"no marker: {reason}")
+        found = ", ".join(f"id {o.id} at {pose.distance:.2f} m" for o, pose in located)
+        return Health(DiagnosticStatus.OK, found)
+
+
+def _figures(detections: Detections) -> Dict[str, Any]:
+    report = detections.report
+    return {
+        "detections": len(detections.markers),
+        "ids": _words(marker.id for marker in detections.markers),
+        "other ids": _words(report.other_ids),
+        "cropped": _words(report.cropped),
+        "quadrilaterals": report.quads,
+        "undecoded": report.undecoded,
+        "second pass": report.second_pass,
+        "mean grey level": f"{report.mean:.0f}",
+        "grey levels in use": f"{report.contrast:.0f}",
+        "noise": f"{report.noise:.1f}",
+        "smallest side (px)": _smallest(detections.markers),
+    }
+
+
+def _words(ids: Any) -> str:
+    return " ".join(str(number) for number in sorted(set(ids)))
+
+
+def _smallest(markers: Sequence[DetectedMarker]) -> str:
+    return f"{min(marker.side for marker in markers):.1f}" if markers else ""
+
+
+def _tf_publisher(lossless: bool) -> Publisher:
+    if lossless:
+        return lossless_publisher("/tf", TFMessage)
+    return Publisher("/tf", TFMessage, queue_size=10, tcp_nodelay=True)
+
+
+def main() -> None:
+    """Run the node."""
+    run_image_node("aruco", ArucoParameters, Aruco)

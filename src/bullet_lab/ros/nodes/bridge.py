@@ -1,0 +1,311 @@
+"""The node that stands in for Gazebo: it steps the simulation and speaks its topics.
+
+:ROS Parameters: see `BridgeParameters`.
+:ROS Publishers:
+    - /clock (rosgraph_msgs/Clock), 100 Hz of simulated time
+    - /bullet_lab/world (visualization_msgs/MarkerArray): the shapes of the world, all of them
+      for a new subscriber, then those that change
+    - /gazebo/model_states, /gazebo/link_states, while somebody listens
+    - /bullet_lab/touched, in each robot's namespace (bullet_lab/TouchedModels): what it has
+      run into
+    - /tf, and /tf_static if asked for
+    - whatever the plugins of the robots name, such as odom (nav_msgs/Odometry)
+:ROS Subscribers: whatever the plugins of the robots name, such as cmd_vel (geometry_msgs/Twist)
+:ROS Services:
+    - /gazebo/pause_physics, unpause_physics, reset_world, reset_simulation (std_srvs/Empty)
+    - the other services of /gazebo: see the modules `bullet_lab.ros.gazebo_…`
+    - /bullet_lab/save_world (bullet_lab/SaveWorld): write the running world to a file
+    - /bullet_lab/set_rtf (bullet_lab/SetRtf): change the speed of simulated time
+    - /bullet_lab/step (bullet_lab/Step): advance by exactly n steps of 1 ms, paused or not
+    - /bullet_lab/advance (bullet_lab/Advance): lock step, see `bullet_lab.ros.node.lock_step`
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any, Callable, List, Optional, Sequence, Set, Tuple
+
+import rospy
+import rospy.impl.simtime
+import rospy.rostime
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Empty, EmptyResponse
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.errors import LabError
+from bullet_lab.ros.bridge.odometry_frames import OdometryFrames
+from bullet_lab.ros.bridge.pace import FOR_EVER, Pace, TimeGate
+from bullet_lab.ros.bridge.running_world import RunningWorld
+from bullet_lab.ros.bridge.simulators import answers, refuse_second_simulator
+from bullet_lab.ros.bridge.stepper import Stepper
+from bullet_lab.ros.bridge.touches import Touches
+from bullet_lab.ros.bridge.wiring import Wiring
+from bullet_lab.ros.gazebo.interface import Gazebo
+from bullet_lab.ros.messages.conversions import (
+    NANOSECONDS_PER_STEP,
+    first_step_at,
+    set_time,
+    time_of,
+)
+from bullet_lab.ros.node import parameters
+from bullet_lab.ros.node.node import private_parameters, run_node
+from bullet_lab.ros.node.tf_prefix import tf_prefixes
+from bullet_lab.simulation.plugins.camera import Camera
+from bullet_lab.simulation.rendering.choice import AUTO, CHOICES, check_choice
+from bullet_lab.simulation.simulation import ModelInstance, Simulation
+from bullet_lab.simulation.world.description import Model
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
+from bullet_lab.srv import Advance, AdvanceResponse, Step, StepResponse
+
+# Hz; setting the time of this node's log costs more than a message on /clock.
+LOG_TIME_RATE = 5.0
+# A member of the lock step that has not answered so many times in a row is dead.
+SILENCES = 3
+# Wall seconds between two looks at whether the loop is stuck.
+LOOP_CHECK_SECONDS = 1.0
+# A grant up to here, the end of ROS time, means "for ever".
+END_OF_TIME = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class BridgeParameters:
+    """Private parameters of the bridge."""
+
+    world: str = parameters.text(
+        "package://bullet_lab/worlds/empty.world", "SDF world: a path, package:// or model://"
+    )
+    robot: str = parameters.text(
+        "", "URDF robot: a path or package://; empty for the parameter ~robot_description names"
+    )
+    robot_description: str = parameters.text(
+        "robot_description", "parameter that holds the robot's URDF; empty for no robot"
+    )
+    robot_name: str = parameters.text("", "name of the robot's model; its own if empty")
+    robot_namespace: str = parameters.text("", "robotNamespace of plugins that have none")
+    robot_pose: Tuple[float, ...] = parameters.number_list(
+        (0.0,) * 6, "where the robot starts: x y z in metres, roll pitch yaw in radians"
+    )
+    rtf: float = parameters.number(
+        1.0, "simulated seconds per wall second; 0 for as fast as it goes", minimum=0.0
+    )
+    clock_rate: float = parameters.number(
+        100.0, "messages on /clock per simulated second", above=0.0, maximum=1000.0
+    )
+    renderer: str = parameters.choice(
+        AUTO, "passed over: Panda3D draws the cameras' pictures, through EGL", CHOICES
+    )
+    camera_rate: float = parameters.number(
+        0.0,
+        "images per second of the robot's cameras; 0: as the robot says",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    seed: int = parameters.integer(0, "seed of the noise of all sensors", minimum=0)
+    states_rate: float = parameters.number(
+        100.0,
+        "messages on /gazebo/model_states and link_states per simulated second",
+        above=0.0,
+        maximum=1000.0,
+    )
+    paused: bool = parameters.boolean(False, "start paused")
+    lock_step: Tuple[str, ...] = parameters.name_list("nodes that time waits for")
+    world_frame: str = parameters.text("world", "frame of the markers on /bullet_lab/world")
+    publish_world_tf: bool = parameters.boolean(
+        False, "say on /tf_static that the odometry frames lie in the world frame"
+    )
+
+
+class PyBulletBridge:
+    """Wires a simulation to ROS."""
+
+    def __init__(self, wanted: BridgeParameters):
+        self._wanted = wanted
+        check_choice(wanted.renderer)
+        self.simulation = Simulation.of(wanted.world, wanted.seed)
+        self._failures: Set[Tuple[str, str]] = set()
+        self.simulation.go_on_after(self._report_failure)
+        self.stepper = Stepper(
+            self.simulation,
+            Pace(wanted.rtf),
+            TimeGate(map(rospy.resolve_name, wanted.lock_step)),
+            tick=max(1, round(STEPS_PER_SECOND / wanted.clock_rate)),
+            paused=wanted.paused,
+            is_over=rospy.is_shutdown,
+            report_stall=self._report_stall,
+            after_steps=lambda: self._wiring.flush(),
+            report_lag=lambda lag: rospy.logwarn("%s", lag),
+        )
+        self._wiring = Wiring(self.stepper)
+        self._silences: Counter = Counter()
+        _stop_listening_to_the_clock()
+        self._clock = Clock()
+        self._clock_publisher = self._wiring.publisher("/clock", Clock)
+        self.simulation.every(wanted.clock_rate, self._publish_clock)
+        self.simulation.every(LOG_TIME_RATE, _set_log_time)
+        for instance in self.simulation.models.values():
+            self._wiring.connect(instance)
+        robot = self._add_robot()
+        world = RunningWorld(self.stepper, self._wiring)
+        hidden = "" if robot is None else robot.name
+        self._gazebo = Gazebo(world, wanted.world_frame, hidden, wanted.states_rate)
+        self._touches = Touches(world)
+        self._frames = OdometryFrames(world, wanted.world_frame if wanted.publish_world_tf else "")
+        self._services = self._offer_services()
+
+    def spin(self) -> None:
+        """Run until ROS shuts down."""
+        rospy.on_shutdown(self.stepper.wake)
+        threading.Thread(target=self._watch_the_loop, daemon=True).start()
+        try:
+            self.stepper.run()
+        finally:
+            self.simulation.close()
+
+    def _watch_the_loop(self) -> None:
+        """Say so when the loop is stuck, which it cannot say itself."""
+        while not rospy.is_shutdown():
+            stuck = self.stepper.watch.stuck()
+            if stuck:
+                rospy.logwarn("simulated time stands still: busy with %s for %.0f s", *stuck)
+            time.sleep(LOOP_CHECK_SECONDS)
+
+    def _publish_clock(self, step: int) -> None:
+        set_time(self._clock.clock, step)
+        self._clock_publisher.publish(self._clock)
+
+    # The robot
+
+    def _add_robot(self) -> Optional[ModelInstance]:
+        model = self._read_robot()
+        if model is None:
+            return None
+        x, y, z, roll, pitch, yaw = self._wanted.robot_pose
+        pose = Pose.from_rpy((x, y, z), (roll, pitch, yaw))
+        namespace = self._wanted.robot_namespace
+        robot = self.simulation.add(
+            model, self._wanted.robot_name, pose, namespace, tf_prefixes(model, namespace)
+        )
+        self._wiring.connect(robot)
+        if self._wanted.camera_rate:
+            _set_camera_rate(robot, self._wanted.camera_rate)
+        return robot
+
+    def _read_robot(self) -> Optional[Model]:
+        if self._wanted.robot:
+            return read_urdf_file(ResourceFinder.anywhere().find(self._wanted.robot))
+        name = self._wanted.robot_description
+        text = rospy.get_param(name, "") if name else ""
+        return read_urdf(str(text), name) if text else None
+
+    # Services
+
+    def _offer_services(self) -> List[rospy.Service]:
+        actions = {
+            "pause_physics": self.stepper.pause,
+            "unpause_physics": self.stepper.unpause,
+            "reset_world": self._reset_world,
+            "reset_simulation": self._reset_simulation,
+        }
+        services = [
+            _service(f"/gazebo/{name}", Empty, _empty_handler(action))
+            for name, action in actions.items()
+        ]
+        services.append(_service("/bullet_lab/step", Step, self._handle_step))
+        services.append(_service("/bullet_lab/advance", Advance, self._handle_advance))
+        return services
+
+    def _reset_world(self) -> None:
+        self.stepper.reset_world()
+        self._gazebo.everything_moved()
+
+    def _reset_simulation(self) -> None:
+        self.stepper.reset_simulation()
+        self._gazebo.everything_moved()
+
+    def _handle_step(self, request: Any) -> StepResponse:
+        reached = self.stepper.advance_by(request.steps)
+        return StepResponse(now=time_of(reached), success=True, status_message="")
+
+    def _handle_advance(self, request: Any) -> AdvanceResponse:
+        if not self.stepper.await_commands(request.node, request.commands):
+            rospy.logwarn("commands of %s were lost on the way", request.node)
+        until = FOR_EVER if request.until.secs >= END_OF_TIME else first_step_at(request.until)
+        reached = self.stepper.grant(request.node, until)
+        message = "" if reached else "time was set back, or the bridge shuts down"
+        now = time_of(self.simulation.step)
+        return AdvanceResponse(now=now, success=reached, status_message=message)
+
+    def _report_failure(self, device: str, error: LabError) -> None:
+        """Say once what a device cannot measure, and why."""
+        failure = (device, str(error))
+        if failure not in self._failures:
+            self._failures.add(failure)
+            rospy.logerr("%s: %s; the rest goes on", *failure)
+
+    def _report_stall(self, holding: Sequence[str]) -> None:
+        """Say who holds time back; go on without members that have died."""
+        for member in holding:
+            joined = self.stepper.gate.has_joined(member)
+            self._silences[member] = 0 if answers(member) else self._silences[member] + 1
+            # One silence may be a busy machine, and time must not run away from a living member.
+            if joined and self._silences[member] >= SILENCES:
+                rospy.logwarn("%s holds simulated time back and is gone: going on", member)
+                self.stepper.gate.leave(member)
+            else:
+                rospy.loginfo("simulated time waits for %s", member)
+
+
+def _service(name: str, kind: type, handle: Callable[[Any], Any]) -> rospy.Service:
+    """Offer a service that answers an error made for the user with its line."""
+
+    def answer(request: Any) -> Any:
+        try:
+            return handle(request)
+        except LabError as error:
+            raise rospy.ServiceException(str(error)) from error
+
+    return rospy.Service(name, kind, answer)
+
+
+def _empty_handler(action: Callable[[], None]) -> Callable[[Any], EmptyResponse]:
+    def handle(_request: Any) -> EmptyResponse:
+        action()
+        return EmptyResponse()
+
+    return handle
+
+
+def _set_camera_rate(robot: ModelInstance, rate: float) -> None:
+    for device in robot.devices:
+        if isinstance(device, Camera):
+            device.set_rate(rate, 0)
+
+
+def _stop_listening_to_the_clock() -> None:
+    """Spare this node the messages on /clock, which it sends itself."""
+    own = getattr(rospy.impl.simtime, "_clock_sub", None)
+    if own is not None:
+        own.unregister()
+
+
+def _set_log_time(step: int) -> None:
+    """Give this node's log messages the simulated time, since it does not hear /clock."""
+    rospy.rostime._set_rostime(rospy.Time(*divmod(step * NANOSECONDS_PER_STEP, 10**9)))
+
+
+def serve(name: str, read: Callable[[], BridgeParameters]) -> None:
+    """Run the bridge as a node; `read` gives its parameters once the node is there."""
+    # A waiting thread gets its turn after this long instead of 5 ms: many steps at full speed.
+    sys.setswitchinterval(5e-4)
+    run_node(name, lambda: PyBulletBridge(read()).spin(), before=refuse_second_simulator)
+
+
+def main() -> None:
+    """Run the node."""
+    serve("pybullet_bridge", lambda: private_parameters(BridgeParameters))

@@ -1,0 +1,53 @@
+"""Finds edges (Canny).
+
+:ROS Parameters: see `CannyParameters`.
+:ROS Subscribers, while somebody listens: ~image and its camera_info
+:ROS Publishers:
+    - ~edges (sensor_msgs/Image), mono8: 255 on an edge, as in figure 7a
+    - ~image_annotated (the edges in blue), ~camera_info, /diagnostics, see `image_node`
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Mapping
+
+import cv2
+from sensor_msgs.msg import Image
+
+from bullet_lab.ros.messages.images import image_message
+from bullet_lab.ros.node import parameters
+from bullet_lab.ros.nodes.image_node import Frame, ImageNode, ImageParameters, run_image_node
+from bullet_lab.vision.drawing import draw_area
+from bullet_lab.vision.features import canny_edges
+
+
+@dataclass(frozen=True)
+class CannyParameters(ImageParameters):
+    """Private parameters of canny_edges."""
+
+    low: float = parameters.number(100.0, "gradient below which there is no edge", minimum=0.0)
+    high: float = parameters.number(200.0, "gradient from which there is one", minimum=0.0)
+    aperture: int = parameters.odd(3, "size of the Sobel operator, px", 3, 7)
+
+
+class CannyEdges(ImageNode):
+    """Answers images with their edges."""
+
+    def __init__(self, wanted: CannyParameters):
+        self._settings = (wanted.low, wanted.high, wanted.aperture)
+        super().__init__(wanted, "edge detection")
+        self._edges = self.output("edges", Image, queue_size=1)
+
+    def look(self, frame: Frame) -> Mapping[str, Any]:
+        """Publish the edges."""
+        edges = canny_edges(frame.grey, *self._settings)
+        if self._edges.has_connections():
+            self._edges.publish(image_message(frame.header, edges, "mono8"))
+        self.annotate(frame, lambda image: draw_area(image, edges > 0))
+        return {"edge pixels": cv2.countNonZero(edges)}
+
+
+def main() -> None:
+    """Run the node."""
+    run_image_node("canny_edges", CannyParameters, CannyEdges)

@@ -1,0 +1,173 @@
+"""What docking listens to: from messages to plain data, in step with time."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from typing import Any, Callable, Deque, Generic, List, Optional, Tuple, TypeVar
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import Transform
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import CameraInfo
+
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pose import Pose
+from bullet_lab.docking.types import CameraMount, Odometry, Sighting
+from bullet_lab.errors import LabError
+from bullet_lab.msg import MarkerDetectionArray
+from bullet_lab.ros.messages import camera_geometry
+from bullet_lab.ros.messages.poses import InputError, pose_of
+from bullet_lab.ros.node.node import Refusals
+from bullet_lab.ros.node.odometry import planar_pose
+
+# Where vx, vy and wz stand in the 6x6 covariances of ROS (REP 103).
+_PLANAR = (0, 1, 5)
+# Of the optical frame in the camera's own, x ahead and z up (REP 103).
+OPTICAL = Pose.from_rpy((0.0, 0.0, 0.0), (-math.pi / 2, 0.0, -math.pi / 2))
+MOST_WAITING = 1000
+# Wall seconds that a message may take which is due, in lock step.
+LATEST = 10.0
+_POLL_SECONDS = 0.2
+_MILLISECOND = 1_000_000
+
+T = TypeVar("T")
+
+
+def odometry_of(message: OdometryMessage) -> Odometry:
+    """Return a message of odometry as docking takes it; raises OdometryError."""
+    twist = message.twist.twist
+    covariance = np.asarray(message.twist.covariance, dtype=float).reshape(6, 6)
+    return Odometry(
+        message.header.stamp.to_sec(),
+        planar_pose(message),
+        (twist.linear.x, twist.angular.z),
+        covariance[np.ix_(_PLANAR, _PLANAR)],
+    )
+
+
+def camera_of(message: CameraInfo) -> PinholeCamera:
+    """Return the geometry of raw images; raises CameraGeometryError."""
+    return camera_geometry.camera_of(message, message.width, message.height)
+
+
+def sightings_of(message: MarkerDetectionArray) -> Tuple[Sighting, ...]:
+    """Return the markers in an image; those with corners that are not finite are left out."""
+    found = []
+    for detection in message.detections:
+        corners = np.array(detection.corners, dtype=float).reshape(4, 2)
+        if np.isfinite(corners).all():
+            found.append(Sighting(detection.id, detection.dictionary, corners))
+    return tuple(found)
+
+
+def mount_of(transform: Transform) -> CameraMount:
+    """Return where the camera is, of the transform of its optical frame in the robot's base."""
+    mount = pose_of(transform.translation, transform.rotation) * OPTICAL.inverse()
+    return CameraMount(*mount.position, *mount.rpy())
+
+
+class Inbox(Generic[T]):
+    """The messages of one topic, to be taken in the order of their stamps as time goes on.
+
+    Args:
+        topic: to listen to while open.
+        kind: class of the messages, which have a header.
+        read: makes something useful of a message, or raises LabError to refuse it.
+        rate: messages per simulated second, at the steps where the bridge sends them.
+
+    Attributes:
+        trouble: why the last message was refused; empty if it was not.
+    """
+
+    def __init__(self, topic: str, kind: type, read: Callable[[Any], T], rate: float):
+        self.topic = topic
+        self.trouble = ""
+        self._kind = kind
+        self._read = read
+        self._rate = rate
+        self._new = threading.Condition()
+        self._waiting: Deque[Tuple[int, T]] = deque(maxlen=MOST_WAITING)
+        self._newest: Optional[int] = None
+        self._patience = LATEST
+        self._refusals = Refusals()
+        self._subscriber: Optional[rospy.Subscriber] = None
+
+    def open(self) -> None:
+        """Listen from now on."""
+        if self._subscriber is None:
+            self.clear()
+            self._subscriber = rospy.Subscriber(
+                self.topic, self._kind, self._receive, tcp_nodelay=True
+            )
+
+    def close(self) -> None:
+        """Listen no longer."""
+        if self._subscriber is not None:
+            self._subscriber.unregister()
+            self._subscriber = None
+
+    def clear(self) -> None:
+        """Forget what has come."""
+        with self._new:
+            self.trouble = ""
+            self._waiting.clear()
+            self._newest = None
+            self._patience = LATEST
+
+    def is_connected(self) -> bool:
+        """Return whether somebody publishes."""
+        return self._subscriber is not None and self._subscriber.get_num_connections() > 0
+
+    def take(self, now: rospy.Time) -> List[T]:
+        """Take what is stamped up to now."""
+        taken = []
+        with self._new:
+            while self._waiting and self._waiting[0][0] <= now.to_nsec():
+                taken.append(self._waiting.popleft()[1])
+        return taken
+
+    def wait(self, now: rospy.Time) -> None:
+        """Wait in wall time for what is due by now; in lock step, time stands meanwhile.
+
+        What is late by `LATEST` is waited for no longer, until something comes again.
+        """
+        deadline = time.monotonic() + self._patience
+        with self._new:
+            while self._next_due() <= now.to_nsec():
+                if rospy.is_shutdown():
+                    raise rospy.ROSInterruptException("shutdown")
+                if time.monotonic() >= deadline:
+                    self._patience = 0.0
+                    return
+                self._new.wait(_POLL_SECONDS)
+
+    def _next_due(self) -> int:
+        """Return the stamp in ns of the message after the newest: the first step at k/rate."""
+        newest = 0 if self._newest is None else self._newest
+        number = math.floor(newest * self._rate * 1e-9 + 1e-6) + 1
+        return math.ceil(1000.0 * number / self._rate - 1e-6) * _MILLISECOND
+
+    def _receive(self, message: Any) -> None:
+        stamp = message.header.stamp.to_nsec()
+        try:
+            if self._newest is not None and stamp < self._newest:
+                raise InputError("a stamp before that of the message before")
+            item = self._read(message)
+        except LabError as error:
+            self.trouble = str(error)
+            self._refusals.refuse(self.topic, self.trouble)
+            self._note(stamp)
+            return
+        self.trouble = ""
+        self._note(stamp, item)
+
+    def _note(self, stamp: int, *items: T) -> None:
+        with self._new:
+            self._waiting.extend((stamp, item) for item in items)
+            self._newest = max(stamp, self._newest or 0)
+            self._patience = LATEST
+            self._new.notify_all()

@@ -1,0 +1,52 @@
+"""Finds good features to track (Shi and Tomasi).
+
+:ROS Parameters: see `GoodFeaturesParameters`.
+:ROS Subscribers, while somebody listens: ~image and its camera_info
+:ROS Publishers:
+    - ~points (bullet_lab/ImagePoints), the strongest first
+    - ~image_annotated (blue discs, as in figure 7c), ~camera_info, /diagnostics, see `image_node`
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Mapping
+
+from bullet_lab.msg import ImagePoints
+from bullet_lab.ros.messages.images import points_message
+from bullet_lab.ros.node import parameters
+from bullet_lab.ros.nodes.image_node import Frame, ImageNode, ImageParameters, run_image_node
+from bullet_lab.vision.drawing import draw_points
+from bullet_lab.vision.features import good_features
+
+
+@dataclass(frozen=True)
+class GoodFeaturesParameters(ImageParameters):
+    """Private parameters of good_features."""
+
+    max_corners: int = parameters.integer(25, "at most so many", 1, 100000)
+    quality: float = parameters.number(
+        0.01, "least strength, as part of the strongest", above=0.0, maximum=1.0
+    )
+    min_distance: float = parameters.number(10.0, "between two of them, px", minimum=0.0)
+
+
+class GoodFeatures(ImageNode):
+    """Answers images with their good features."""
+
+    def __init__(self, wanted: GoodFeaturesParameters):
+        self._settings = (wanted.max_corners, wanted.quality, wanted.min_distance)
+        super().__init__(wanted, "feature detection")
+        self._points = self.output("points", ImagePoints)
+
+    def look(self, frame: Frame) -> Mapping[str, Any]:
+        """Publish the features."""
+        points = good_features(frame.grey, *self._settings)
+        self._points.publish(points_message(frame.header, frame.grey.shape, points))
+        self.annotate(frame, lambda image: draw_points(image, points))
+        return {"features": len(points)}
+
+
+def main() -> None:
+    """Run the node."""
+    run_image_node("good_features", GoodFeaturesParameters, GoodFeatures)

@@ -1,0 +1,54 @@
+"""Finds corners (Harris).
+
+:ROS Parameters: see `HarrisParameters`.
+:ROS Subscribers, while somebody listens: ~image and its camera_info
+:ROS Publishers:
+    - ~points (bullet_lab/ImagePoints), the strongest first
+    - ~image_annotated (blue squares, as in figure 7d), ~camera_info, /diagnostics, see
+      `image_node`
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Mapping
+
+from bullet_lab.msg import ImagePoints
+from bullet_lab.ros.messages.images import points_message
+from bullet_lab.ros.node import parameters
+from bullet_lab.ros.nodes.image_node import Frame, ImageNode, ImageParameters, run_image_node
+from bullet_lab.vision.drawing import draw_area
+from bullet_lab.vision.features import harris_corners
+
+
+@dataclass(frozen=True)
+class HarrisParameters(ImageParameters):
+    """Private parameters of harris_corners."""
+
+    block_size: int = parameters.integer(2, "size of the neighbourhood, px", 1, 31)
+    aperture: int = parameters.odd(3, "size of the Sobel operator, px", 1, 31)
+    k: float = parameters.number(0.04, "Harris' free parameter", above=0.0, maximum=0.25)
+    threshold: float = parameters.number(
+        0.01, "least response, as part of the largest", above=0.0, maximum=1.0
+    )
+
+
+class HarrisCorners(ImageNode):
+    """Answers images with their corners."""
+
+    def __init__(self, wanted: HarrisParameters):
+        self._settings = (wanted.block_size, wanted.aperture, wanted.k, wanted.threshold)
+        super().__init__(wanted, "corner detection")
+        self._points = self.output("points", ImagePoints)
+
+    def look(self, frame: Frame) -> Mapping[str, Any]:
+        """Publish the corners."""
+        area, points = harris_corners(frame.grey, *self._settings)
+        self._points.publish(points_message(frame.header, frame.grey.shape, points))
+        self.annotate(frame, lambda image: draw_area(image, area))
+        return {"corners": len(points)}
+
+
+def main() -> None:
+    """Run the node."""
+    run_image_node("harris_corners", HarrisParameters, HarrisCorners)

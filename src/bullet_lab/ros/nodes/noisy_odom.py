@@ -1,0 +1,250 @@
+"""Makes perfect odometry noisy, as real odometry is.
+
+:ROS Parameters: see `NoisyOdomParameters`.
+:ROS Subscribers: odom (nav_msgs/Odometry)
+:ROS Publishers:
+    - noisy_odom (nav_msgs/Odometry), one message for each on odom, with its stamp
+    - noisy_odom_ellipse (visualization_msgs/Marker): where the robot is with 95 % probability
+:ROS Services: noisy_odom_node/set_noise (bullet_lab/SetNoise): another noise from now on
+
+With ~robots, one node does this for as many robots, each in its namespace: robot1 and so on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Dict, List, Optional, Tuple
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import Point
+from nav_msgs.msg import Odometry
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker
+
+from bullet_lab.core.angles import quaternion_from_yaw
+from bullet_lab.core.ellipse import ellipse_points
+from bullet_lab.core.seeds import derived_seed
+from bullet_lab.noise.odometry_noise import MODELS, NoiseError, NoisyPath, NoisyStep, make_rule
+from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
+from bullet_lab.ros.node import parameters
+from bullet_lab.ros.node.lock_step import join_when
+from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
+from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
+from bullet_lab.ros.node.publishers import Publisher, lossless_publisher
+from bullet_lab.ros.nodes.fleet import MOST_ROBOTS, robot_names
+from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
+
+# Where x, y and yaw stand in the 6x6 covariances of ROS (REP 103).
+PLANAR_AXES = (0, 1, 5)
+QUEUE_SIZE = 100
+
+
+@dataclass(frozen=True)
+class NoisyOdomParameters:
+    """Private parameters of noisy_odom."""
+
+    std: float = parameters.number(
+        0.10, "standard deviation per metre and per radian (rate_invariant: per root)", minimum=0.0
+    )
+    model: str = parameters.choice("report", "rule of the noise", MODELS)
+    alpha1: float = parameters.number(0.01, "probabilistic: rotation from rotation", minimum=0.0)
+    alpha2: float = parameters.number(0.001, "probabilistic: rotation from distance", minimum=0.0)
+    alpha3: float = parameters.number(0.01, "probabilistic: distance from distance", minimum=0.0)
+    alpha4: float = parameters.number(0.001, "probabilistic: distance from rotation", minimum=0.0)
+    seed: int = parameters.integer(0, "of the random draws", minimum=0)
+    robots: int = parameters.integer(
+        0, "serve robot1 … robot<n>, each with a seed of its own derived from ~seed", 0, MOST_ROBOTS
+    )
+    as_published: bool = parameters.boolean(False, "run the report's algorithm, defects and all")
+    rate: float = parameters.number(
+        PUBLISHED_RATE, "Hz at which as_published samples the odometry", above=0.0
+    )
+    lock_step: bool = parameters.boolean(False, "tell the bridge when ready; lose no message")
+
+
+class NoisyOdometry:
+    """Puts noise on odom and publishes noisy_odom.
+
+    Args:
+        wanted: parameters.
+        namespace: of the robot, with a slash at its end; empty for the node's own.
+    """
+
+    def __init__(self, wanted: NoisyOdomParameters, namespace: str = ""):
+        self.std = wanted.std
+        self.msg: Optional[Odometry] = None
+        self.last_odom: Optional[Odometry] = None
+        self.pose = [0.0, 0.0, 0.0]
+        self._sampler = Sampler(wanted.rate) if wanted.as_published else None
+        self._published = PublishedNoise(wanted.std, wanted.seed)
+        self._model = wanted.model
+        self._alphas = (wanted.alpha1, wanted.alpha2, wanted.alpha3, wanted.alpha4)
+        self._path = NoisyPath(make_rule(self._model, self.std, self._alphas), wanted.seed)
+        self._frames = FrameGuard()
+        self._refusals = Refusals()
+        self.pub = (
+            lossless_publisher(f"{namespace}noisy_odom", Odometry)
+            if wanted.lock_step
+            else Publisher(f"{namespace}noisy_odom", Odometry, queue_size=QUEUE_SIZE)
+        )
+        self._ellipse = Publisher(f"{namespace}noisy_odom_ellipse", Marker, queue_size=1)
+        self._service = rospy.Service(_service_name(namespace), SetNoise, self.set_noise)
+        self._topic = f"{namespace}odom"
+        # No queue size: a message that is dropped here would be missing in the noisy path.
+        self.sub = rospy.Subscriber(self._topic, Odometry, self.odom_callback, tcp_nodelay=True)
+
+    def odom_callback(self, msg: Odometry) -> None:
+        """Take the next message; refuse it if it is no pose in the frames of the first."""
+        try:
+            pose = planar_pose(msg)
+            self._frames.check(msg)
+            if self.msg is not None:
+                self._check_time(msg)
+        except OdometryError as error:
+            self._refusals.refuse(self._topic, str(error))
+            return
+        self.msg = msg
+        if self._sampler is None or self._sampler.due(msg.header.stamp.to_sec()):
+            self.compute_noise(msg, pose)
+
+    def compute_noise(self, msg: Odometry, pose: Tuple[float, float, float]) -> None:
+        """Publish the noisy version of a message, whose pose is (m, m, rad)."""
+        noisy = _copy(msg)
+        if self._sampler is not None:
+            self.pose = list(self._published.update(*pose))
+        else:
+            step = self._path.update(*pose)
+            self.pose = list(step.pose)
+            _set_uncertainty(noisy, step, self._seconds_since_last(msg))
+        _set_pose(noisy, self.pose)
+        self.last_odom = msg
+        self.pub.publish(noisy)
+        if self._sampler is None and self._ellipse.has_connections():
+            self._ellipse.publish(ellipse_marker(noisy, step.covariance))
+
+    def set_noise(self, request: SetNoiseRequest) -> SetNoiseResponse:
+        """Change the noise from the next message on."""
+        if self._sampler is not None:
+            return SetNoiseResponse(False, "as_published runs the report's noise as it was")
+        model, alphas = request.model or self._model, tuple(request.alphas) or self._alphas
+        try:
+            self._path.change_rule(make_rule(model, request.std, alphas))
+        except NoiseError as error:
+            return SetNoiseResponse(False, str(error))
+        self._model, self.std, self._alphas = model, request.std, alphas
+        rospy.loginfo("noise is now %s with std %g", model, request.std)
+        return SetNoiseResponse(True, "")
+
+    def _check_time(self, msg: Odometry) -> None:
+        """Start anew where time was set back; raises OdometryError on a repeated stamp."""
+        stamp, last = msg.header.stamp, self.msg.header.stamp
+        if stamp == last:
+            raise OdometryError(f"the stamp {stamp.to_sec():.9f} s came before")
+        if stamp < last:
+            rospy.loginfo("time was set back: the noisy path starts anew")
+            self.last_odom = None
+            self._path.restart()
+            self._published.restart()
+            if self._sampler is not None:
+                self._sampler.restart()
+
+    def _seconds_since_last(self, msg: Odometry) -> Optional[float]:
+        if self.last_odom is None:
+            return None
+        return (msg.header.stamp - self.last_odom.header.stamp).to_sec()
+
+
+def _service_name(namespace: str) -> str:
+    """Return the name that set_noise would have if a node ran in each namespace."""
+    if not namespace:
+        return "~set_noise"
+    node = rospy.get_name().rsplit("/", 1)[-1]
+    return f"{namespace}{node}/set_noise"
+
+
+def robots_of(wanted: NoisyOdomParameters) -> Dict[str, NoisyOdomParameters]:
+    """Return the parameters of each robot by its namespace, with a slash at its end."""
+    if not wanted.robots:
+        return {"": wanted}
+    return {
+        f"{name}/": replace(wanted, seed=derived_seed(wanted.seed, index))
+        for index, name in enumerate(robot_names(wanted.robots))
+    }
+
+
+def _copy(msg: Odometry) -> Odometry:
+    """Return a message with the same content that shares nothing that will be changed.
+
+    (The published node overwrote the message that it also kept as the last perfect one.)
+    """
+    copy = Odometry(header=Header(0, msg.header.stamp, msg.header.frame_id))
+    copy.child_frame_id = msg.child_frame_id
+    copy.pose.pose.position.z = msg.pose.pose.position.z
+    copy.pose.covariance = list(msg.pose.covariance)
+    copy.twist.covariance = list(msg.twist.covariance)
+    copy.twist.twist.linear.x = msg.twist.twist.linear.x
+    copy.twist.twist.linear.y = msg.twist.twist.linear.y
+    copy.twist.twist.linear.z = msg.twist.twist.linear.z
+    copy.twist.twist.angular.x = msg.twist.twist.angular.x
+    copy.twist.twist.angular.y = msg.twist.twist.angular.y
+    copy.twist.twist.angular.z = msg.twist.twist.angular.z
+    return copy
+
+
+def _set_pose(message: Odometry, pose: List[float]) -> None:
+    position, turn = message.pose.pose.position, message.pose.pose.orientation
+    position.x, position.y = pose[0], pose[1]
+    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(pose[2])
+
+
+def _set_uncertainty(message: Odometry, step: NoisyStep, seconds: Optional[float]) -> None:
+    """Add the noise to the twist, and its covariances to those of the perfect odometry."""
+    _add_covariance(message.pose.covariance, step.covariance, 1.0)
+    if seconds is None:
+        return
+    dx, dy, dyaw = step.motion_error
+    twist = message.twist.twist
+    twist.linear.x += dx / seconds
+    twist.linear.y += dy / seconds
+    twist.angular.z += dyaw / seconds
+    _add_covariance(message.twist.covariance, step.motion_covariance, 1.0 / seconds**2)
+
+
+def _add_covariance(entries: List[float], covariance, factor: float) -> None:
+    values = covariance.tolist()
+    for i, row in enumerate(PLANAR_AXES):
+        for j, column in enumerate(PLANAR_AXES):
+            entries[6 * row + column] += factor * values[i][j]
+
+
+def ellipse_marker(noisy: Odometry, covariance: np.ndarray) -> Marker:
+    """Return the outline of the 95 % ellipse around a noisy pose, in its frame.
+
+    Args:
+        noisy: the message with the noisy pose.
+        covariance: 3x3 of x, y and yaw in the frame of the message (m, m, rad).
+    """
+    marker = Marker(header=noisy.header, ns="noisy_odom", type=Marker.LINE_STRIP)
+    marker.pose.position = noisy.pose.pose.position
+    marker.pose.orientation.w = 1.0
+    marker.scale.x = 0.01
+    marker.color = ColorRGBA(0.0, 0.45, 0.7, 1.0)
+    marker.points = [Point(x, y, 0.0) for x, y in ellipse_points(covariance).tolist()]
+    return marker
+
+
+def main() -> None:
+    """Run the node."""
+
+    def body() -> None:
+        wanted = private_parameters(NoisyOdomParameters)
+        robots = [NoisyOdometry(its, name) for name, its in robots_of(wanted).items()]
+        if wanted.lock_step:
+            join_when(
+                lambda: all(robot.sub.get_num_connections() > 0 for robot in robots),
+                "somebody to publish odom",
+            )
+        rospy.spin()
+
+    run_node("noisy_odom_node", body)

@@ -1,0 +1,140 @@
+"""Puts models into the running world in a pattern, by the spawn service, as the course does.
+
+:ROS Parameters: see `PopulateParameters`.
+:ROS Service clients: /gazebo/spawn_sdf_model (gazebo_msgs/SpawnModel)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, List, Tuple
+from xml.sax.saxutils import escape
+
+import rospy
+from geometry_msgs.msg import Pose as PoseMessage
+
+from bullet_lab.core import patterns
+from bullet_lab.core.angles import quaternion_from_yaw
+from bullet_lab.ros.gazebo.client import call
+from bullet_lab.ros.messages.gazebo_types import srv
+from bullet_lab.ros.node import parameters
+from bullet_lab.ros.node.node import NodeError, private_parameters, run_node
+from bullet_lab.ros.node.parameters import ParameterError
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.xml import read_text
+
+SERVICE = "/gazebo/spawn_sdf_model"
+# The three beacons of the report.
+BEACONS: Tuple[patterns.Place, ...] = ((1.0, 1.0, 0.0), (5.0, 1.0, 0.0), (-5.0, 1.0, 0.0))
+
+
+def accept_poses(value: Any) -> Tuple[patterns.Place, ...]:
+    """Turn a list of [x, y] or [x, y, yaw] into places; raises ValueError or TypeError."""
+    places = []
+    for entry in value:
+        if len(entry) not in (2, 3) or any(isinstance(part, (bool, str)) for part in entry):
+            raise ValueError(entry)
+        x, y, yaw = (float(part) for part in (*entry, 0.0)[:3])
+        if not all(map(math.isfinite, (x, y, yaw))):
+            raise ValueError(entry)
+        places.append((x, y, yaw))
+    return tuple(places)
+
+
+@dataclass(frozen=True)
+class PopulateParameters:
+    """Private parameters of populate."""
+
+    model: str = parameters.text(
+        "model://beacon", "what to place: model://…, or an SDF or URDF file, a path or package://"
+    )
+    prefix: str = parameters.text("beacon", "first part of the models' names: beacon_0, beacon_1 …")
+    pattern: str = parameters.choice(
+        "poses", "how they are set out", ("poses", "line", "grid", "circle")
+    )
+    poses: Tuple[patterns.Place, ...] = parameters.checked(
+        BEACONS,
+        "where they stand, for the pattern poses",
+        "a list of [x, y] or [x, y, yaw] with finite numbers in m and rad",
+        accept_poses,
+    )
+    count: int = parameters.integer(3, "how many, for the other patterns", 1, 100_000)
+    spacing: float = parameters.number(1.0, "m between neighbours in a line or grid", above=0.0)
+    radius: float = parameters.number(3.0, "of the circle, in m", above=0.0)
+    origin: Tuple[float, ...] = parameters.number_list(
+        (0.0, 0.0, 0.0), "what the pattern is moved by: x y z in m"
+    )
+    name: str = parameters.text("", "name of the model, where it is one only")
+    namespace: str = parameters.text(
+        "", "robotNamespace of plugins that have none; the node's own namespace if empty"
+    )
+
+
+def places_of(wanted: PopulateParameters) -> List[patterns.Place]:
+    """Return where the models are to stand, before they are moved by the origin."""
+    if wanted.pattern == "line":
+        return patterns.line(wanted.count, wanted.spacing)
+    if wanted.pattern == "grid":
+        return patterns.grid(wanted.count, wanted.spacing)
+    if wanted.pattern == "circle":
+        return patterns.circle(wanted.count, wanted.radius)
+    return list(wanted.poses)
+
+
+def names_of(wanted: PopulateParameters) -> List[str]:
+    """Return what the models are called; raises ParameterError for one name for several."""
+    count = len(places_of(wanted))
+    if not wanted.name:
+        return [f"{wanted.prefix}_{index}" for index in range(count)]
+    if count != 1:
+        raise ParameterError(f"~name is '{wanted.name}': {count} models cannot share one name")
+    return [wanted.name]
+
+
+def description_of(model: str) -> str:
+    """Return a model as text for the spawn service; raises LabError.
+
+    A model:// or a folder stays a reference, which the simulator follows.
+    """
+    if model.startswith("model://"):
+        return f'<sdf version="1.6"><include><uri>{escape(model)}</uri></include></sdf>'
+    path = ResourceFinder.anywhere().find(model)
+    if path.is_dir():
+        uri = escape(path.as_uri())
+        return f'<sdf version="1.6"><include><uri>{uri}</uri></include></sdf>'
+    return read_text(path)
+
+
+def populate(wanted: PopulateParameters) -> int:
+    """Place the models and return how many there are; raises LabError."""
+    names = names_of(wanted)
+    text = description_of(wanted.model)
+    namespace = wanted.namespace or rospy.get_namespace()
+    for name, place in zip(names, places_of(wanted)):
+        try:
+            call(SERVICE, srv.SpawnModel, name, text, namespace, _pose(place, wanted), "")
+        except NodeError as error:
+            raise NodeError(f"cannot place '{name}': {error}") from error
+    return len(names)
+
+
+def _pose(place: patterns.Place, wanted: PopulateParameters) -> PoseMessage:
+    x, y, yaw = place
+    dx, dy, dz = wanted.origin
+    pose = PoseMessage()
+    pose.position.x, pose.position.y, pose.position.z = x + dx, y + dy, dz
+    turn = pose.orientation
+    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(yaw)
+    return pose
+
+
+def main() -> None:
+    """Run the node."""
+
+    def body() -> None:
+        wanted = private_parameters(PopulateParameters)
+        number = populate(wanted)
+        rospy.loginfo("%d models placed: %s …", number, names_of(wanted)[0])
+
+    run_node("populate", body)

@@ -1,0 +1,70 @@
+"""Has the bridge write the running world to an SDF file: rosrun bullet_lab save_world.py FILE.
+
+:ROS Parameters: see `SaveWorldParameters`.
+:ROS Service clients: /bullet_lab/save_world (bullet_lab/SaveWorld),
+    /gazebo/get_world_properties (gazebo_msgs/GetWorldProperties)
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Sequence
+
+import rospy
+
+from bullet_lab.core.files import make_folder, write_json
+from bullet_lab.ros.gazebo.client import call
+from bullet_lab.ros.messages.gazebo_types import srv
+from bullet_lab.ros.node import parameters
+from bullet_lab.ros.node.node import NodeError, private_parameters, run_node, wait_until
+from bullet_lab.srv import SaveWorld
+
+
+@dataclass(frozen=True)
+class SaveWorldParameters:
+    """Private parameters of save_world."""
+
+    path: str = parameters.text("", "file to write; the argument FILE if empty")
+    summary: str = parameters.text("", "JSON file to write about it; none if empty")
+    models: int = parameters.integer(0, "wait until there are so many models", minimum=0)
+
+
+def save_world(wanted: SaveWorldParameters, arguments: Sequence[str]) -> str:
+    """Save the world and return a line that says what was saved; raises LabError."""
+    names = [name for name in (wanted.path, *arguments) if name]
+    if len(names) != 1:
+        raise NodeError("usage: save_world.py FILE")
+    # Relative to where the user is, not to where the bridge runs.
+    path = Path(names[0]).expanduser().absolute()
+    make_folder(path.parent)
+    wait_until(lambda: _count() >= wanted.models, f"{wanted.models} models")
+    saved = call("/bullet_lab/save_world", SaveWorld, str(path))
+    if saved.status_message:
+        rospy.logwarn("%s", saved.status_message)
+    if wanted.summary:
+        figures = {
+            "path": saved.path,
+            "models": saved.models,
+            "simulated_s": saved.saved_at.to_sec(),
+            "saving_s": saved.seconds,
+            "file_bytes": path.stat().st_size,
+        }
+        write_json(Path(wanted.summary), figures)
+    line = f"{saved.models} models at {saved.saved_at.to_sec():g} s saved to {saved.path}"
+    return f"{line} in {saved.seconds:.3f} s"
+
+
+def _count() -> int:
+    return len(call("/gazebo/get_world_properties", srv.GetWorldProperties).model_names)
+
+
+def main() -> None:
+    """Run the node."""
+
+    def body() -> None:
+        wanted = private_parameters(SaveWorldParameters)
+        rospy.loginfo("%s", save_world(wanted, rospy.myargv(sys.argv)[1:]))
+
+    run_node("save_world", body)

@@ -1,0 +1,181 @@
+"""Shows in RViz what it has no display for: contacts of a bumper, and an inertial unit.
+
+:ROS Parameters: see `ShowSensorsParameters`.
+:ROS Subscribers, while somebody listens to what comes of them:
+    - bumper (gazebo_msgs/ContactsState)
+    - imu (sensor_msgs/Imu)
+:ROS Publishers:
+    - ~contacts (visualization_msgs/MarkerArray): points of contact with their forces and normals
+    - ~wrench (geometry_msgs/WrenchStamped): force and torque of all contacts together
+    - ~acceleration (geometry_msgs/AccelStamped): specific force, and no angular acceleration
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Callable, Iterator, Optional, Sequence
+
+import rospy
+from geometry_msgs.msg import AccelStamped, Point, Vector3, Wrench, WrenchStamped
+from sensor_msgs.msg import Imu
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from bullet_lab.errors import LabError
+from bullet_lab.ros.messages.gazebo_types import msg
+from bullet_lab.ros.node import parameters
+from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
+from bullet_lab.ros.node.publishers import Demand
+
+POINT, FORCE = ColorRGBA(0.9, 0.1, 0.1, 1.0), ColorRGBA(0.9, 0.4, 0.0, 1.0)
+NORMAL = ColorRGBA(0.1, 0.3, 0.9, 1.0)
+NORMAL_LENGTH = 0.1
+# Forces of less (N) are not drawn as arrows: RViz refuses one without a length.
+LEAST_FORCE = 0.01
+
+
+class SensorError(LabError):
+    """A message that cannot be shown."""
+
+
+@dataclass(frozen=True)
+class ShowSensorsParameters:
+    """Private parameters of show_sensors."""
+
+    bumper: str = parameters.text("bumper", "topic of the contacts")
+    imu: str = parameters.text("imu", "topic of the inertial unit")
+    scale: float = parameters.number(0.02, "m of an arrow for each N of a contact", above=0.0)
+
+
+class _Feed:
+    """Listens to one topic while somebody wants what is made of its messages."""
+
+    def __init__(self, topic: str, kind: type, show: Callable[[Any], None]):
+        self._topic, self._kind, self._show = topic, kind, show
+        self._refusals = Refusals()
+        self._subscriber: Optional[rospy.Subscriber] = None
+        self.demand = Demand(self._start, self._stop)
+
+    def _start(self) -> None:
+        self._subscriber = rospy.Subscriber(
+            self._topic, self._kind, self._receive, queue_size=10, tcp_nodelay=True
+        )
+
+    def _stop(self) -> None:
+        self._subscriber.unregister()
+
+    def _receive(self, message: Any) -> None:
+        try:
+            self._show(message)
+        except SensorError as error:
+            self._refusals.refuse(self._topic, str(error))
+
+
+class ShowSensors:
+    """Turns messages into others that RViz shows."""
+
+    def __init__(self, wanted: ShowSensorsParameters):
+        self._scale = wanted.scale
+        bumper = _Feed(wanted.bumper, msg.ContactsState, self._show_contacts)
+        self._contacts = bumper.demand.publisher("~contacts", MarkerArray, lossless=False)
+        self._wrench = bumper.demand.publisher("~wrench", WrenchStamped, lossless=False)
+        imu = _Feed(wanted.imu, Imu, self._show_imu)
+        self._acceleration = imu.demand.publisher("~acceleration", AccelStamped, lossless=False)
+        for feed in (bumper, imu):
+            feed.demand.watch()
+
+    def _show_contacts(self, message: msg.ContactsState) -> None:
+        total = total_wrench(message)
+        self._contacts.publish(MarkerArray(list(contact_markers(message, self._scale))))
+        self._wrench.publish(WrenchStamped(message.header, total))
+
+    def _show_imu(self, message: Imu) -> None:
+        force = message.linear_acceleration
+        if not all(map(math.isfinite, _numbers(force))):
+            raise SensorError("an acceleration that is not finite")
+        shown = AccelStamped(header=message.header)
+        shown.accel.linear = force
+        self._acceleration.publish(shown)
+
+
+def total_wrench(message: msg.ContactsState) -> Wrench:
+    """Return force and torque of all contacts together; raises SensorError."""
+    forces = [state.total_wrench.force for state in message.states]
+    torques = [state.total_wrench.torque for state in message.states]
+    total = Wrench(_sum(forces), _sum(torques))
+    if not all(map(math.isfinite, (*_numbers(total.force), *_numbers(total.torque)))):
+        raise SensorError("a force that is not finite")
+    return total
+
+
+def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker]:
+    """Yield what shows all points of contact, in place of those of the message before.
+
+    Args:
+        message: of a bumper.
+        scale: m of an arrow for each N.
+
+    Raises:
+        SensorError: a number is not finite, or a point has no normal or force.
+    """
+    yield Marker(header=message.header, action=Marker.DELETEALL)
+    number = 0
+    for state in message.states:
+        count = len(state.contact_positions)
+        if count != len(state.contact_normals) or count != len(state.wrenches):
+            raise SensorError("points of contact without a normal or a force")
+        for place, normal, wrench in zip(
+            state.contact_positions, state.contact_normals, state.wrenches
+        ):
+            values = (*_numbers(place), *_numbers(normal), *_numbers(wrench.force))
+            if not all(map(math.isfinite, values)):
+                raise SensorError("a contact that is not finite")
+            yield _sphere(message, number, place)
+            yield _arrow(message, "normal", number, place, normal, NORMAL_LENGTH, NORMAL)
+            if math.hypot(*_numbers(wrench.force)) > LEAST_FORCE:
+                yield _arrow(message, "force", number, place, wrench.force, scale, FORCE)
+            number += 1
+
+
+def _sphere(message: msg.ContactsState, number: int, place: Vector3) -> Marker:
+    marker = Marker(header=message.header, ns="point", id=number, type=Marker.SPHERE, color=POINT)
+    marker.pose.position = Point(*_numbers(place))
+    marker.pose.orientation.w = 1.0
+    marker.scale = Vector3(0.03, 0.03, 0.03)
+    return marker
+
+
+def _arrow(
+    message: msg.ContactsState,
+    name: str,
+    number: int,
+    place: Vector3,
+    along: Vector3,
+    scale: float,
+    colour: ColorRGBA,
+) -> Marker:
+    marker = Marker(header=message.header, ns=name, id=number, type=Marker.ARROW, color=colour)
+    marker.pose.orientation.w = 1.0
+    end = [start + scale * part for start, part in zip(_numbers(place), _numbers(along))]
+    marker.points = [Point(*_numbers(place)), Point(*end)]
+    marker.scale = Vector3(0.01, 0.02, 0.0)
+    return marker
+
+
+def _numbers(vector: Vector3) -> tuple:
+    return (vector.x, vector.y, vector.z)
+
+
+def _sum(vectors: Sequence[Vector3]) -> Vector3:
+    return Vector3(*(sum(getattr(vector, axis) for vector in vectors) for axis in "xyz"))
+
+
+def main() -> None:
+    """Run the node."""
+
+    def body() -> None:
+        ShowSensors(private_parameters(ShowSensorsParameters))
+        rospy.spin()
+
+    run_node("show_sensors", body)

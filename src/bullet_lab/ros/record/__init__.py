@@ -1,0 +1,1 @@
+"""Nodes that record what a job does, and plot it."""

@@ -1,0 +1,121 @@
+"""A frame that is fixed to a link of a body: where it is, how it moves, what its rays meet."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Tuple
+
+import numpy as np
+
+from bullet_lab.core.pose import Pose, Vector, add, cross
+from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.physics.physics import Body
+from bullet_lab.simulation.world.inertia import principal_axes
+
+ORIGIN = Pose()
+# PyBullet's limit for one call.
+RAYS_AT_A_TIME = 16_383
+
+
+class AttachedFrame:
+    """A frame at a fixed pose in a link.
+
+    Attributes:
+        index: PyBullet's index of the link.
+
+    Args:
+        body: the body that has the link.
+        link: the link's name.
+        offset: pose of the frame in the link's frame.
+
+    Raises:
+        KeyError: the body has no such link.
+    """
+
+    def __init__(self, body: Body, link: str, offset: Pose = ORIGIN):
+        self.body = body
+        self.link = link
+        self.index = body.link_index(link)
+        inertia = {part.name: part.inertia for part in body.links}[link]
+        principal = ORIGIN if inertia is None else principal_axes(inertia)[1]
+        # PyBullet knows a link by its principal frame.
+        self._in_principal = principal.inverse() * offset
+
+    def pose(self) -> Pose:
+        """Return the frame's pose in the world."""
+        return self._principal_pose() * self._in_principal
+
+    def velocity(self) -> Tuple[Vector, Vector]:
+        """Return linear (m/s, of the frame's origin) and angular (rad/s) velocity, in the world."""
+        if self.index < 0:
+            linear, angular = self.body.velocity()
+        else:
+            state = pybullet.getLinkState(self.body.unique_id, self.index, 1, 1, self.body.client)
+            linear, angular = state[6:8]
+        arm = self._principal_pose().rotate(self._in_principal.position)
+        return add(linear, cross(angular, arm)), angular
+
+    def centre_of_mass(self) -> Vector:
+        """Return the place of the link's centre of mass in the world, in m."""
+        return self._principal_pose().position
+
+    def rays(self, directions: np.ndarray) -> Rays:
+        """Return rays from the frame's origin along unit vectors in the frame, shape (n, 3)."""
+        return Rays(self.body, self.index, self._in_principal, directions)
+
+    def _principal_pose(self) -> Pose:
+        if self.index < 0:
+            return self.body.com_pose()
+        # After a link was put somewhere, what PyBullet remembers of it is out of date.
+        state = pybullet.getLinkState(self.body.unique_id, self.index, 0, 1, self.body.client)
+        return Pose(*state[:2])
+
+
+class Rays:
+    """Rays that start in one point of a link and move with it.
+
+    A shape that contains the start of a ray is not seen by it.
+    """
+
+    def __init__(self, body: Body, index: int, frame: Pose, directions: np.ndarray):
+        self._body = body
+        self._index = index
+        self._origin = np.array(frame.position)
+        self._directions = directions @ frame.rotation_matrix().T
+        self._limits: Tuple[float, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self._directions)
+
+    def select(self, chosen: np.ndarray) -> Rays:
+        """Return some of the rays, by indices or truth values."""
+        rays = copy(self)
+        rays._directions, rays._limits = self._directions[chosen], ()
+        return rays
+
+    def cast(self, start: float, end: float) -> Tuple[np.ndarray, np.ndarray]:
+        """Return what the rays meet between two distances (m) from their origin.
+
+        Returns:
+            distances: in metres from the origin, shape (n,); `end` where nothing is met.
+            bodies: unique ids of the bodies that are met, shape (n,); -1 for none.
+        """
+        if (start, end) != self._limits:
+            self._limits = (start, end)
+            self._starts = (self._origin + start * self._directions).tolist()
+            self._ends = (self._origin + end * self._directions).tolist()
+        hits: list = []
+        for first in range(0, len(self), RAYS_AT_A_TIME):
+            part = slice(first, first + RAYS_AT_A_TIME)
+            hits.extend(
+                pybullet.rayTestBatch(
+                    self._starts[part],
+                    self._ends[part],
+                    numThreads=1,
+                    parentObjectUniqueId=self._body.unique_id,
+                    parentLinkIndex=self._index,
+                    physicsClientId=self._body.client,
+                )
+            )
+        fractions = np.array([hit[2] for hit in hits])
+        return start + (end - start) * fractions, np.array([hit[0] for hit in hits])

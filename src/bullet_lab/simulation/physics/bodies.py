@@ -1,0 +1,292 @@
+"""Making bodies by PyBullet's calls, with what their joints allow and resist.
+
+PyBullet takes 16 shapes in one call, and a mesh by its corners alone. So a link carries the first
+such group of its shapes, and helper links without mass, fixed to it, carry one more each.
+
+PyBullet gives shapes back only with the whole world: 70 kB for a mesh of 200 corners. So equal
+ones are made once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+from typing import Any, Dict, Hashable, Iterable, List, Optional, Sequence, Tuple
+
+from bullet_lab.core.native_output import hidden_native_output
+from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
+from bullet_lab.simulation.world.description import Box, Collision, Joint, Link, Mesh
+from bullet_lab.simulation.world.inertia import mobility, principal_axes
+from bullet_lab.simulation.world.meshes import file_version, hull_corners, triangle_corners
+from bullet_lab.simulation.world.proportions import FASTEST
+
+# PyBullet's limits: of shapes in one call, and of links beside the root in one body.
+MOST_SHAPES = 16
+MOST_LINKS = 127
+# "No shape" and "the root link" in PyBullet's numbers.
+NONE = ROOT = -1
+JOINT_TYPES = {
+    "fixed": pybullet.JOINT_FIXED,
+    "continuous": pybullet.JOINT_REVOLUTE,
+    "revolute": pybullet.JOINT_REVOLUTE,
+    "prismatic": pybullet.JOINT_PRISMATIC,
+}
+# Around convex meshes, in m, instead of Bullet's 1 mm. Without one, most rays go through them.
+SKIN = 1e-4
+HELPER_JOINT = Joint("", "fixed", "", "")
+# Bullet's collision group and mask of what never moves: it touches all but its like.
+STATIC_FILTER = (2, ~2)
+
+
+@dataclass(frozen=True)
+class Part:
+    """What is one link to PyBullet: a link of the description, or a helper fixed to one.
+
+    Attributes:
+        link: that it is or belongs to.
+        joint: that it hangs on; None for the root.
+        parent: the parent's place in the list of parts.
+        shapes: that it carries.
+        shape: PyBullet's id of them together.
+    """
+
+    link: Link
+    joint: Optional[Joint]
+    parent: int
+    shapes: Tuple[Collision, ...] = ()
+    shape: int = NONE
+
+    def mass_properties(self) -> Tuple[float, Vector, Pose]:
+        """Return mass in kg, principal moments in kg m², and the pose of the principal frame."""
+        if self.joint is HELPER_JOINT or self.link.inertia is None:
+            return 0.0, (0.0, 0.0, 0.0), Pose()
+        return (self.link.inertia.mass, *principal_axes(self.link.inertia))
+
+
+class BodyMaker:
+    """Makes the bodies of one PyBullet client."""
+
+    def __init__(self, client: int):
+        self._client = client
+        self._made: Dict[Hashable, List[int]] = {}
+
+    @hidden_native_output()
+    def make(
+        self, links: Sequence[Link], joints: Sequence[Joint], static: bool, pose: Pose
+    ) -> Tuple[int, List[Part]]:
+        """Make a body.
+
+        Args:
+            links: the root first and each after the one that carries it.
+            joints: between them.
+            static: whether it never moves; then it keeps the hollows of its meshes.
+            pose: of the root link's frame in the world.
+
+        Returns:
+            PyBullet's id of it and its parts: the links in their order, then all helpers.
+
+        Raises:
+            MeshError: a mesh is not usable.
+            PhysicsError: there are more parts than PyBullet can hold, or PyBullet's refusal.
+        """
+        try:
+            parts = self._parts(links, joints, static)
+            if len(parts) - 1 > MOST_LINKS:
+                need = f"its joints and shapes need {len(parts) - 1} links beside the root"
+                raise PhysicsError(f"{need}, and the engine holds {MOST_LINKS}")
+            return self._make(parts, static, pose), parts
+        except pybullet.error as error:
+            raise PhysicsError(f"PyBullet cannot make it: {error}") from error
+
+    def _parts(self, links: Sequence[Link], joints: Sequence[Joint], static: bool) -> List[Part]:
+        above = {joint.child: joint for joint in joints}
+        places = {link.name: place for place, link in enumerate(links)}
+        parts, helpers = [], []
+        for place, link in enumerate(links):
+            joint = above.get(link.name)
+            first, *more = self._shapes(link, static) or [((), NONE)]
+            parts.append(Part(link, joint, places[joint.parent] if joint else ROOT, *first))
+            helpers += [Part(link, HELPER_JOINT, place, *group) for group in more]
+        return parts + helpers
+
+    def _make(self, parts: Sequence[Part], static: bool, pose: Pose) -> int:
+        (mass, _, centre), *masses = inertias = [part.mass_properties() for part in parts]
+        joints = [part.joint for part in parts if part.joint is not None]
+        flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_MAINTAIN_LINK_ORDER
+        if self_colliding(part.link for part in parts):
+            flags |= pybullet.URDF_USE_SELF_COLLISION
+        body = pybullet.createMultiBody(
+            *(mass, parts[0].shape, NONE, *astuple(pose), *astuple(centre)),
+            linkMasses=[mass for mass, _, _ in masses],
+            linkCollisionShapeIndices=[part.shape for part in parts[1:]],
+            linkVisualShapeIndices=[NONE for _ in masses],
+            linkPositions=[joint.pose.position for joint in joints],
+            linkOrientations=[joint.pose.quaternion for joint in joints],
+            linkInertialFramePositions=[centre.position for _, _, centre in masses],
+            linkInertialFrameOrientations=[centre.quaternion for _, _, centre in masses],
+            linkParentIndices=[part.parent for part in parts[1:]],
+            linkJointTypes=[JOINT_TYPES[joint.kind] for joint in joints],
+            linkJointAxis=[joint.axis for joint in joints],
+            flags=flags,
+            physicsClientId=self._client,
+        )
+        # Not in one call with what is a link's: these turn any link's index into the root's.
+        self._change(body, ROOT, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=FASTEST)
+        for index, (part, (_, moments, _)) in enumerate(zip(parts, inertias), start=ROOT):
+            given = {"localInertiaDiagonal": moments, **contact_properties(part.link)}
+            if part.joint:
+                given.update(joint_properties(part.joint, parts[part.parent].link, part.link))
+            self._change(body, index, **given)
+            if static and index > ROOT:
+                pybullet.setCollisionFilterGroupMask(body, index, *STATIC_FILTER, self._client)
+        return body
+
+    def _change(self, body: int, index: int, **properties: Any) -> None:
+        pybullet.changeDynamics(body, index, physicsClientId=self._client, **properties)
+
+    def _shapes(self, link: Link, static: bool) -> List[Tuple[Tuple[Collision, ...], int]]:
+        """Return the shapes of a link as PyBullet takes them in one call, with its ids of them."""
+        meshes = [(shape,) for shape in link.collisions if isinstance(shape.geometry, Mesh)]
+        simple = [shape for shape in link.collisions if not isinstance(shape.geometry, Mesh)]
+        starts = range(0, len(simple), MOST_SHAPES)
+        groups = [tuple(simple[start : start + MOST_SHAPES]) for start in starts]
+        return [(group, made) for group in groups + meshes for made in self._once(group, static)]
+
+    def _once(self, group: Sequence[Collision], static: bool) -> List[int]:
+        """Return PyBullet's ids of a group of shapes, or of the pieces of a mesh."""
+        key: Hashable = tuple((shape.geometry, shape.pose) for shape in group)
+        mesh, pose = group[0].geometry, group[0].pose
+        if isinstance(mesh, Mesh):
+            key = (key, file_version(mesh), static)
+            if key not in self._made:
+                pieces = triangle_corners(mesh) if static else [hull_corners(mesh)]
+                self._made[key] = [self._mesh(corners.tolist(), pose, static) for corners in pieces]
+        elif key not in self._made:
+            self._made[key] = [self._simple(group)]
+        return self._made[key]
+
+    def _simple(self, group: Sequence[Collision]) -> int:
+        shapes = [shape.geometry for shape in group]
+        boxes = [shape.size if isinstance(shape, Box) else (0.0, 0.0, 0.0) for shape in shapes]
+        # The description calls shapes as PyBullet does.
+        return pybullet.createCollisionShapeArray(
+            [getattr(pybullet, f"GEOM_{type(shape).__name__.upper()}") for shape in shapes],
+            radii=[getattr(shape, "radius", 0.0) for shape in shapes],
+            halfExtents=[tuple(0.5 * side for side in size) for size in boxes],
+            lengths=[getattr(shape, "length", 0.0) for shape in shapes],
+            planeNormals=[getattr(shape, "normal", (0.0, 0.0, 1.0)) for shape in shapes],
+            collisionFramePositions=[shape.pose.position for shape in group],
+            collisionFrameOrientations=[shape.pose.quaternion for shape in group],
+            physicsClientId=self._client,
+        )
+
+    def _mesh(self, corners: List[Vector], pose: Pose, hollow: bool) -> int:
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_MESH,
+            vertices=corners,
+            # Without triangles, Bullet takes the convex hull.
+            indices=list(range(len(corners))) if hollow else [],
+            collisionFramePosition=pose.position,
+            collisionFrameOrientation=pose.quaternion,
+            physicsClientId=self._client,
+        )
+        # What is set for a shape of one body's root is so for all that have it.
+        body = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
+        self._change(body, ROOT, collisionMargin=0.0 if hollow else SKIN)
+        pybullet.removeBody(body, self._client)
+        return shape
+
+
+# Where a joint that is limited on one side ends on the other, as in SDF.
+FAR = 1e16
+LIMITED = ("revolute", "prismatic")
+
+
+def joint_properties(joint: Joint, parent: Link, child: Link) -> Dict[str, float]:
+    """Return damping and limits of a joint as PyBullet's properties of the link below it.
+
+    PyBullet takes the damping of a step from the velocity before it. A strong damper on a light
+    link would so turn the velocity round, and swing up. It gets no stronger here than what stops
+    the two links at once, if nothing else held them.
+
+    Args:
+        joint: to be described.
+        parent: the link that carries it.
+        child: the link below it.
+    """
+    properties = {"jointDamping": joint.damping}
+    loose = _mobility(joint, parent, child) if joint.damping > 0.0 else 0.0
+    if loose > 0.0:
+        properties["jointDamping"] = min(joint.damping, STEPS_PER_SECOND / loose)
+    if joint.kind in LIMITED and {"lower", "upper"} & set(joint.limits):
+        # A lower limit above the upper one means none, and PyBullet passes over it.
+        properties["jointLowerLimit"] = joint.limits.get("lower", -FAR)
+        properties["jointUpperLimit"] = joint.limits.get("upper", FAR)
+    return properties
+
+
+def allowed_effort(joint: Joint, effort: float, velocity: float) -> float:
+    """Return what is left of an effort (N m or N) on a joint with a velocity (rad/s or m/s).
+
+    As in Gazebo, it is no more than the joint's effort limit, and nothing in the direction in
+    which the joint moves faster than its velocity limit. A negative limit is none.
+    """
+    most, fastest = (joint.limits.get(key, -1.0) for key in ("effort", "velocity"))
+    if 0.0 <= fastest < abs(velocity) and velocity * effort > 0.0:
+        return 0.0
+    return effort if most < 0.0 else min(max(effort, -most), most)
+
+
+def net_motor(joint: Joint, velocity: float, effort: float) -> Tuple[float, float]:
+    """Return what a motor and the joint's friction are together: a motor.
+
+    Friction helps a motor that stops the joint, and hinders one that moves it.
+
+    Args:
+        joint: that has the friction.
+        velocity: that the motor tries to reach, in rad/s or m/s.
+        effort: the most that the motor exerts, in N m or N.
+
+    Returns:
+        Velocity and greatest effort of the two.
+    """
+    friction = max(0.0, joint.friction)
+    if velocity == 0.0:
+        return 0.0, effort + friction
+    if effort > friction:
+        return velocity, effort - friction
+    return 0.0, friction - effort
+
+
+def _mobility(joint: Joint, parent: Link, child: Link) -> float:
+    """Return the acceleration per effort of a joint between two links that nothing else holds."""
+    turning = joint.kind != "prismatic"
+    ends = ((child.inertia, joint.axis), (parent.inertia, joint.pose.rotate(joint.axis)))
+    return sum(mobility(inertia, axis, turning) for inertia, axis in ends if inertia is not None)
+
+
+# What Bullet itself takes for a contact that only says the one or the other.
+HARD = 1e18
+DEFAULT_DAMPING = 0.1
+
+
+def contact_properties(link: Link) -> Dict[str, float]:
+    """Return friction, stiffness and damping of a link's contacts as PyBullet's properties.
+
+    PyBullet knows links only: the roughest and the softest shape decide. Shapes with a stiffness
+    or damping touch as a spring and damper, which are solved implicitly, as in ODE, so that stiff
+    ones do not blow up.
+    """
+    properties = {"lateralFriction": max((c.friction for c in link.collisions), default=1.0)}
+    stiffness = [c.stiffness for c in link.collisions if c.stiffness is not None]
+    damping = [c.damping for c in link.collisions if c.damping is not None]
+    if stiffness or damping:
+        properties["contactStiffness"] = min(stiffness, default=HARD)
+        properties["contactDamping"] = max(damping, default=DEFAULT_DAMPING)
+    return properties
+
+
+def self_colliding(links: Iterable[Link]) -> bool:
+    """Return whether any link touches others of its own body."""
+    return any(link.self_collide for link in links)

@@ -1,0 +1,218 @@
+"""Who touches whom, where, with which shapes, and what is exchanged there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Callable, Dict, Iterable, List, Mapping, Sequence, Tuple
+
+import numpy as np
+
+from bullet_lab.core.pose import Pose, Vector, add
+from bullet_lab.simulation.physics.attached_frame import AttachedFrame
+from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.physics.physics import Body
+from bullet_lab.simulation.world.description import Box, Collision, Cylinder, Geometry, Mesh, Sphere
+from bullet_lab.simulation.world.meshes import load_triangles
+
+
+@dataclass(frozen=True)
+class ContactPoint:
+    """One point of contact in the last step, in the world.
+
+    Attributes:
+        index: PyBullet's index of the link, or of the helper that carries what touches.
+        other: unique id of the other body, and PyBullet's index of its link.
+        place: on the link, in m.
+        place_on_other: on the other link, in m.
+        normal: unit vector from the other link to this one.
+        depth: how deep they overlap, in m.
+        force: on this link, friction included, in N.
+    """
+
+    index: int
+    other: Tuple[int, int]
+    place: Vector
+    place_on_other: Vector
+    normal: Vector
+    depth: float
+    force: Vector
+
+
+def contact_points(body: Body, link: str) -> List[ContactPoint]:
+    """Return the points where a link touches something, by its name."""
+    own = [(body.unique_id, index) for index in body.link_indices(link)]
+    if not any(body.near_points(linkIndexA=index) for _, index in own):
+        return []
+    # All of the world's: asked for one body, PyBullet turns points round to have it first, but
+    # not their friction.
+    everything = pybullet.getContactPoints(physicsClientId=body.client)
+    return [_seen_from(point, end) for point in everything for end in own if _concerns(point, end)]
+
+
+def _concerns(point: tuple, own: Tuple[int, int]) -> bool:
+    _, first, second, first_link, second_link, *_ = point
+    distance, force = point[8:10]
+    # Bullet lists what is merely near, too; what comes apart overlaps without a force.
+    touching = force > 0.0 or distance < 0.0
+    return touching and own in ((first, first_link), (second, second_link))
+
+
+def _seen_from(point: tuple, own: Tuple[int, int]) -> ContactPoint:
+    """Return one of PyBullet's points as the link sees it."""
+    (
+        _,
+        first,
+        second,
+        first_link,
+        second_link,
+        on_first,
+        on_second,
+        normal,
+        distance,
+        pressure,
+        friction,
+        along,
+        cross_friction,
+        across,
+    ) = point
+    force = add(
+        _times(pressure, normal), add(_times(friction, along), _times(cross_friction, across))
+    )
+    if own == (first, first_link):
+        return ContactPoint(
+            first_link, (second, second_link), on_first, on_second, normal, -distance, force
+        )
+    return ContactPoint(
+        second_link,
+        (first, first_link),
+        on_second,
+        on_first,
+        _times(-1.0, normal),
+        -distance,
+        _times(-1.0, force),
+    )
+
+
+def _times(factor: float, vector: Vector) -> Vector:
+    return (factor * vector[0], factor * vector[1], factor * vector[2])
+
+
+@dataclass(frozen=True)
+class Contact:
+    """What two models do to each other.
+
+    Attributes:
+        force: sum of the normal forces of all points of contact, in N.
+        position: of the point that presses most, in m in the world.
+    """
+
+    force: float
+    position: Vector
+
+
+def contacts_of(bodies: Iterable[Body], owners: Mapping[int, str], own: str) -> Dict[str, Contact]:
+    """Return the contacts of a model in the last step.
+
+    Args:
+        bodies: of the model.
+        owners: names of the models by the unique ids of their bodies.
+        own: the model's name; what it does to itself is left out.
+
+    Returns:
+        Contacts by the other models' names.
+    """
+    sums: Dict[str, float] = {}
+    strongest: Dict[str, Tuple[float, Vector]] = {}
+    for body in bodies:
+        # The body that is asked for always comes first.
+        for _, _, second, _, _, place, _, _, distance, force, *_ in body.near_points():
+            # Bullet lists what is merely near, too; what comes apart overlaps without a force.
+            if force <= 0.0 and distance >= 0.0:
+                continue
+            other = owners[second]
+            sums[other] = sums.get(other, 0.0) + force
+            if other not in strongest or force > strongest[other][0]:
+                strongest[other] = (force, place)
+    sums.pop(own, None)
+    return {other: Contact(force, strongest[other][1]) for other, force in sums.items()}
+
+
+def distance_from_surface(geometry: Geometry, point: Vector) -> float:
+    """Return how far a point is from the surface of a shape, in m; inside or outside.
+
+    A mesh is taken for the box around it, and a plane's distance is signed by no side.
+    """
+    x, y, z = point
+    if isinstance(geometry, Sphere):
+        return abs(math.hypot(x, y, z) - geometry.radius)
+    if isinstance(geometry, Cylinder):
+        return abs(_outside((math.hypot(x, y) - geometry.radius, abs(z) - 0.5 * geometry.length)))
+    if isinstance(geometry, Box):
+        return abs(_outside([abs(p) - 0.5 * size for p, size in zip(point, geometry.size)]))
+    if isinstance(geometry, Mesh):
+        low, high = _corners(geometry)
+        return abs(_outside(np.maximum(low - point, point - high).tolist()))
+    normal = geometry.normal
+    return abs(sum(p * n for p, n in zip(point, normal))) / math.hypot(*normal)
+
+
+def _outside(gaps: Sequence[float]) -> float:
+    """Return the signed distance from a shape that is a product of intervals.
+
+    Args:
+        gaps: how far beyond the end of each interval the point is, negative within.
+    """
+    beyond = [max(gap, 0.0) for gap in gaps]
+    return math.hypot(*beyond) + min(max(gaps), 0.0)
+
+
+@lru_cache(maxsize=64)
+def _corners(mesh: Mesh) -> Tuple[np.ndarray, np.ndarray]:
+    """Return two opposite corners of the box around a mesh."""
+    vertices = load_triangles(mesh).vertices
+    return vertices.min(axis=0), vertices.max(axis=0)
+
+
+def nearest_shape(collisions: Sequence[Collision], point: Vector) -> Collision:
+    """Return the shape of a link whose surface is next to a point in the link's frame."""
+
+    def distance(shape: Collision) -> float:
+        inside = (shape.pose.inverse() * Pose(point)).position
+        return distance_from_surface(shape.geometry, inside)
+
+    return min(collisions, key=distance)
+
+
+class TouchedShapes:
+    """Names the shapes of all models as Gazebo does: model::link::collision.
+
+    Args:
+        instance_of: returns the instance that a body belongs to, by the body's unique id.
+    """
+
+    def __init__(self, instance_of: Callable[[int], Any]):
+        self._instance_of = instance_of
+
+    def name(self, unique_id: int, index: int, place: Vector) -> str:
+        """Return the name of the shape at a place on a link's surface.
+
+        Args:
+            unique_id: of the body.
+            index: PyBullet's index of the link.
+            place: in the world, in m.
+        """
+        instance = self._instance_of(unique_id)
+        body = _body_of(instance.bodies, unique_id)
+        part = body.part_at(index)
+        if len(part.shapes) == 1:
+            (shape,) = part.shapes
+        else:
+            point = AttachedFrame(body, part.link.name).pose().inverse() * Pose(place)
+            shape = nearest_shape(part.shapes, point.position)
+        return f"{instance.name}::{part.link.name}::{shape.name}"
+
+
+def _body_of(bodies: Mapping[str, Body], unique_id: int) -> Body:
+    return next(body for body in bodies.values() if body.unique_id == unique_id)

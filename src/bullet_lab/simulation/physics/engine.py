@@ -1,0 +1,26 @@
+"""The one place that imports PyBullet, and how it fails."""
+
+from bullet_lab.core.native_output import hidden_native_output
+from bullet_lab.errors import LabError
+
+
+class EngineMissingError(LabError):
+    """PyBullet is not installed for this Python."""
+
+
+class PhysicsError(LabError):
+    """PyBullet refused something."""
+
+
+try:
+    with hidden_native_output():
+        import pybullet
+except ImportError as error:
+    import sys
+
+    raise EngineMissingError(
+        f"PyBullet is not installed for {sys.executable}: run scripts/setup.sh, "
+        "or 'pip install pybullet'"
+    ) from error
+
+__all__ = ["EngineMissingError", "PhysicsError", "pybullet"]

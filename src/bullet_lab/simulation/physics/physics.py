@@ -1,0 +1,371 @@
+"""The physics engine: bodies in PyBullet, in a session of their own.
+
+One `Physics` is one PyBullet client, so several simulations can live in one process.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+from typing import Dict, List, Sequence, Tuple
+
+from bullet_lab.core.pose import Pose, Vector, add, cross
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.physics.bodies import (
+    HELPER_JOINT,
+    ROOT,
+    BodyMaker,
+    Part,
+    allowed_effort,
+    net_motor,
+    self_colliding,
+)
+from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
+from bullet_lab.simulation.world.description import Joint, Link, Model
+from bullet_lab.simulation.world.tree import top_down
+
+__all__ = ["STEP_SECONDS", "Body", "JointState", "Physics", "PhysicsError"]
+
+STEP_SECONDS = 1e-3
+# What part of its distance from the held position a joint is brought back in one step.
+HOLDING_GAIN = 0.1
+# Bullet's collision group and mask of all that moves: it collides with everything.
+FREE_BODY_FILTER = (1, -1)
+
+
+@dataclass(frozen=True)
+class JointState:
+    """Position (rad or m), velocity (rad/s or m/s) and effort (N m or N) of one joint."""
+
+    position: float
+    velocity: float
+    effort: float
+
+
+class Body:
+    """One tree of links in the engine.
+
+    The pose of a body is that of its root link's frame in the world; velocities are those of
+    its centre of mass. `com_place()` returns the position and quaternion of `com_pose` as
+    plain tuples, and `set_velocity(linear, angular)` sets the root link's velocity in m/s and
+    rad/s in the world; `near_points()` returns PyBullet's tuples of contact points. All three
+    go without a detour, for the inner loop.
+
+    Attributes:
+        unique_id: PyBullet's number of it.
+        parts: what is a link to PyBullet, in its order; its index of the first, the root, is -1.
+        links: of the description, the root first.
+
+    Args:
+        client: PyBullet's, that it lives in.
+        unique_id: PyBullet's number of it.
+        parts: that it consists of, the root first.
+    """
+
+    def __init__(self, client: int, unique_id: int, parts: Sequence[Part]):
+        self.unique_id = unique_id
+        self.parts = tuple(parts)
+        self.links = tuple(part.link for part in parts if part.joint is not HELPER_JOINT)
+        self._client = client
+        # Called at every step: bound once, in C.
+        self.com_place = partial(pybullet.getBasePositionAndOrientation, unique_id, client)
+        self.set_velocity = partial(pybullet.resetBaseVelocity, unique_id, physicsClientId=client)
+        self.near_points = partial(pybullet.getContactPoints, unique_id, physicsClientId=client)
+        self._com = self.parts[0].mass_properties()[2]
+        self._com_inverse = self._com.inverse()
+        self._links: Dict[str, Tuple[int, ...]] = {}
+        self._joints: Dict[str, int] = {}
+        for index, part in enumerate(parts, start=ROOT):
+            self._links[part.link.name] = (*self._links.get(part.link.name, ()), index)
+            if part.joint and part.joint.kind != "fixed":
+                self._joints[part.joint.name] = index
+                # PyBullet holds every joint still with a motor until told otherwise.
+                self.drive_joint(part.joint.name, 0.0, 0.0)
+
+    @property
+    def client(self) -> int:
+        """The PyBullet client that the body lives in."""
+        return self._client
+
+    @property
+    def joint_names(self) -> Tuple[str, ...]:
+        """Names of the movable joints."""
+        return tuple(self._joints)
+
+    @property
+    def turned_inertia(self) -> bool:
+        """Whether the principal axes of the root link are turned against its frame."""
+        return self._com.quaternion != (0.0, 0.0, 0.0, 1.0)
+
+    def pose(self) -> Pose:
+        """Return the pose of the root link's frame in the world."""
+        return self.com_pose() * self._com_inverse
+
+    def com_pose(self) -> Pose:
+        """Return the pose of the root link's principal frame in the world."""
+        return Pose(*self.com_place())
+
+    def velocity(self) -> Tuple[Vector, Vector]:
+        """Return linear (m/s, of the centre of mass) and angular (rad/s) velocity, in the world."""
+        return pybullet.getBaseVelocity(self.unique_id, self._client)
+
+    def origin_velocity(self) -> Tuple[Vector, Vector]:
+        """Return linear (m/s) and angular (rad/s) velocity of the root link's frame, in the world.
+
+        The linear velocity is that of the frame's origin.
+        """
+        (vx, vy, vz), (wx, wy, wz) = self.velocity()
+        x, y, z = self.com_pose().rotate(self._com_inverse.position)
+        linear = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
+        return linear, (wx, wy, wz)
+
+    def place(self, pose: Pose) -> None:
+        """Put the body somewhere, at rest, its joints at zero."""
+        com = pose * self._com
+        pybullet.resetBasePositionAndOrientation(
+            self.unique_id, com.position, com.quaternion, self._client
+        )
+        self.set_velocity((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        for index in self._joints.values():
+            pybullet.resetJointState(self.unique_id, index, 0.0, 0.0, self._client)
+
+    def move(self, pose: Pose, linear: Vector, angular: Vector) -> None:
+        """Put the body somewhere in motion; its joints keep their positions and stand still.
+
+        Args:
+            pose: of the root link's frame in the world.
+            linear: velocity in m/s of the root link's origin, in the world.
+            angular: velocity in rad/s, in the world.
+        """
+        com = pose * self._com
+        pybullet.resetBasePositionAndOrientation(
+            self.unique_id, com.position, com.quaternion, self._client
+        )
+        arm = pose.rotate(self._com.position)
+        self.set_velocity(add(linear, cross(angular, arm)), angular)
+        for name in self._joints:
+            self.set_joint(name, self.joint_state(name).position)
+
+    def push(self, link: str, force: Vector, torque: Vector, point: Vector) -> None:
+        """Push and turn a link in the coming step.
+
+        Args:
+            link: its name.
+            force: in N, in the world.
+            torque: in N m, in the world.
+            point: where the force acts, in m in the world.
+        """
+        index, world = self.link_index(link), pybullet.WORLD_FRAME
+        pybullet.applyExternalForce(self.unique_id, index, force, point, world, self._client)
+        pybullet.applyExternalTorque(self.unique_id, index, torque, world, self._client)
+
+    def exert(self, joint: str, effort: float) -> None:
+        """Turn (N m) or push (N) a joint in the coming step, whatever its motor does besides.
+
+        As far as the joint's limits of effort and velocity allow.
+        """
+        described = self._joint(joint)
+        velocity = self.joint_state(joint).velocity if "velocity" in described.limits else 0.0
+        pybullet.setJointMotorControl2(
+            self.unique_id,
+            self._joints[joint],
+            pybullet.TORQUE_CONTROL,
+            force=allowed_effort(described, effort, velocity),
+            physicsClientId=self._client,
+        )
+
+    def joint_state(self, name: str) -> JointState:
+        """Return the state of a joint; raises KeyError for an unknown name."""
+        position, velocity, _, effort = pybullet.getJointState(
+            self.unique_id, self._joints[name], self._client
+        )
+        return JointState(position, velocity, effort)
+
+    def set_joint(self, name: str, position: float, velocity: float = 0.0) -> None:
+        """Put a joint somewhere (rad or m); raises KeyError for an unknown name."""
+        index = self._joints[name]
+        pybullet.resetJointState(self.unique_id, index, position, velocity, self._client)
+
+    def drive_joint(self, name: str, velocity: float, effort: float) -> None:
+        """Let a motor turn a joint from now on; raises KeyError for an unknown name.
+
+        The joint's friction helps a motor that stops it and hinders one that moves it.
+
+        Args:
+            name: of the joint.
+            velocity: that the motor tries to reach, in rad/s or m/s.
+            effort: the most that it exerts, in N m or N.
+        """
+        velocity, effort = net_motor(self._joint(name), velocity, effort)
+        pybullet.setJointMotorControl2(
+            self.unique_id,
+            self._joints[name],
+            pybullet.VELOCITY_CONTROL,
+            targetVelocity=velocity,
+            force=effort,
+            physicsClientId=self._client,
+        )
+
+    def hold_joint(self, name: str, position: float, effort: float) -> None:
+        """Let a motor hold a joint at a position (rad or m) with at most `effort` (N m or N).
+
+        Raises:
+            KeyError: an unknown name.
+        """
+        pybullet.setJointMotorControl2(
+            self.unique_id,
+            self._joints[name],
+            pybullet.POSITION_CONTROL,
+            targetPosition=position,
+            targetVelocity=0.0,
+            positionGain=HOLDING_GAIN,
+            velocityGain=1.0,
+            force=net_motor(self._joint(name), 0.0, effort)[1],
+            physicsClientId=self._client,
+        )
+
+    def set_sticking(self, name: str, sticking: bool) -> None:
+        """Let the link below a joint stick to what it touches, or roll and slide again.
+
+        Bullet's friction stops velocities up to its solver's tolerance, so what stands still
+        creeps. A point that sticks is pulled back to where it first touched, by a force within
+        the limits of friction. Not for wheels that roll: they would bump.
+
+        Raises:
+            KeyError: an unknown name.
+        """
+        for index in self._links[self.part_at(self._joints[name]).link.name]:
+            pybullet.changeDynamics(
+                self.unique_id, index, frictionAnchor=int(sticking), physicsClientId=self._client
+            )
+            if sticking:
+                # Only new points stick: setting the filter, to what it is, drops the old.
+                pybullet.setCollisionFilterGroupMask(
+                    self.unique_id, index, *FREE_BODY_FILTER, physicsClientId=self._client
+                )
+
+    def remove_sliding_friction(self) -> None:
+        """Let the body slide freely, for a device that models its friction itself."""
+        for index in range(ROOT, len(self.parts) - 1):
+            pybullet.changeDynamics(
+                self.unique_id, index, lateralFriction=0.0, physicsClientId=self._client
+            )
+
+    def link_index(self, name: str) -> int:
+        """Return PyBullet's index of a link, -1 for the root."""
+        return self.link_indices(name)[0]
+
+    def link_indices(self, name: str) -> Tuple[int, ...]:
+        """Return PyBullet's indices of a link and of the helpers that carry its other shapes."""
+        return self._links.get(name, (ROOT,))
+
+    def part_at(self, index: int) -> Part:
+        """Return the part that has an index of PyBullet's."""
+        return self.parts[index - ROOT]
+
+    def _joint(self, name: str) -> Joint:
+        return self.parts[self._joints[name] - ROOT].joint
+
+
+class Physics:
+    """A PyBullet world, headless; `step()` advances it by 1 ms."""
+
+    def __init__(self, gravity: Vector):
+        self.gravity = gravity
+        self.client = pybullet.connect(pybullet.DIRECT)
+        self.step = partial(pybullet.stepSimulation, self.client)
+        pybullet.setGravity(*gravity, physicsClientId=self.client)
+        pybullet.setTimeStep(STEP_SECONDS, self.client)
+        pybullet.setPhysicsEngineParameter(
+            deterministicOverlappingPairs=1, physicsClientId=self.client
+        )
+        self._maker = BodyMaker(self.client)
+
+    def close(self) -> None:
+        """Give everything back; the object is of no use afterwards."""
+        if self.client >= 0:
+            pybullet.disconnect(self.client)
+            self.client = -1
+
+    def set_gravity(self, gravity: Vector) -> None:
+        """Change gravity, in m/s²."""
+        self.gravity = gravity
+        pybullet.setGravity(*gravity, physicsClientId=self.client)
+
+    def add(self, model: Model) -> Dict[str, Body]:
+        """Load a model at its pose and return its bodies by the name of their root link.
+
+        Raises:
+            PhysicsError: a link that moves and has no mass, more links than the engine holds, or
+                its refusal.
+            MeshError: a mesh is not usable.
+        """
+        bodies: Dict[str, Body] = {}
+        by_name = model.links_by_name()
+        try:
+            for root in model.root_links():
+                names = top_down(root.name, model.joints)
+                links = [by_name[name] for name in names]
+                joints = [joint for joint in model.joints if joint.parent in names]
+                if model.static:
+                    # Without a centre of mass, the body's frame is that of its root link.
+                    links = [replace(link, inertia=None) for link in links]
+                else:
+                    _check_masses(links)
+                place = model.pose * root.pose
+                body = Body(self.client, *self._maker.make(links, joints, model.static, place))
+                bodies[root.name] = body
+                if self_colliding(links):
+                    part_the_links(body)
+                body.place(place)
+        except PhysicsError as error:
+            self.remove(bodies)
+            raise PhysicsError(f"model '{model.name}': {error}") from error
+        except LabError:
+            self.remove(bodies)
+            raise
+        return bodies
+
+    def remove(self, bodies: Dict[str, Body]) -> None:
+        """Take the bodies of a model out of the world."""
+        for body in bodies.values():
+            pybullet.removeBody(body.unique_id, self.client)
+
+
+def _check_masses(links: List[Link]) -> None:
+    for link in links:
+        if link.inertia is None or link.inertia.mass == 0.0:
+            raise PhysicsError(f"link '{link.name}' moves and has no mass")
+
+
+def part_the_links(body: Body) -> None:
+    """Say which links of a self-colliding body touch each other, and which do not.
+
+    As in Gazebo, two links touch if one of them says so, but never over a joint.
+    """
+    joined = {(part.joint.parent, part.link.name) for part in body.parts if part.joint}
+    for (first, one), (second, other) in combinations(enumerate(body.parts, start=-1), 2):
+        names = (one.link.name, other.link.name)
+        apart = names[0] == names[1] or names in joined or names[::-1] in joined
+        touchy = one.link.self_collide or other.link.self_collide
+        # Of every pair: PyBullet remembers what was said of a body that had this id before.
+        pybullet.setCollisionFilterPair(
+            body.unique_id,
+            body.unique_id,
+            first,
+            second,
+            int(touchy and not apart),
+            physicsClientId=body.client,
+        )
+
+
+def use_friction_pyramid(body: Body) -> None:
+    """Limit friction along two directions each for itself, in the body's whole world.
+
+    ODE, Gazebo's engine, does so by default. Bullet's default, a cone, solves the directions
+    together, and wheels that slip sideways while they are driven then hardly push: a robot that
+    steers by slipping turned at 0.1 to 0.6 of what it was told, as its heading had it, and at
+    0.6 to 0.8 with the pyramid (Coulomb's law says 0.61 for it).
+    """
+    pybullet.setPhysicsEngineParameter(enableConeFriction=0, physicsClientId=body.client)

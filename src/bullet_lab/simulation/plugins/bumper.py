@@ -1,0 +1,115 @@
+"""libgazebo_ros_bumper.so: what the shapes of a link touch."""
+
+from __future__ import annotations
+
+import re
+from typing import Dict, List, Optional, Tuple
+
+from bullet_lab.core.pose import Pose, Vector, cross, subtract
+from bullet_lab.simulation.physics.attached_frame import AttachedFrame
+from bullet_lab.simulation.physics.contacts import ContactPoint, contact_points
+from bullet_lab.simulation.plugins.device import Device, DeviceError, Mount, Output, device
+from bullet_lab.simulation.plugins.samples import ContactsSample, ShapeContact
+from bullet_lab.simulation.plugins.sensor_tag import SensorTag
+from bullet_lab.simulation.world.tree import LUMP
+
+# What Gazebo's conversion of URDF adds to a shape's name.
+ADDED = re.compile(rf"^.*{LUMP}|_collision(_\d+)?$")
+
+
+@device("libgazebo_ros_bumper.so")
+class Bumper(Device):
+    """Reports which shapes touch those of its link, where, and how hard.
+
+    A message is sent at the sensor's rate, without contacts if there are none. Forces are those
+    of the last step.
+
+    Tags of the plugin, with Gazebo's defaults: bumperTopicName (bumper_states), frameName
+    (world) and robotNamespace; of the sensor: update_rate and contact/collision, the shapes to
+    watch; all of the link's without it. Vectors are given in frameName if that is a link of the
+    model, else in the world. (In Gazebo they are the world's, whatever frameName says.)
+    """
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        tag = SensorTag(mount, ("contact",))
+        self._place = tag.place()
+        self._watched = _watched(mount, tag, self._place.link)
+        frame = mount.text("frameName", "/world")
+        self._frame = mount.frame(frame)
+        self._reference: Optional[AttachedFrame] = None
+        if frame in mount.model.frames or frame in mount.model.links_by_name():
+            self._reference = mount.attached(frame)
+        topic = mount.topic(mount.text("bumperTopicName", "bumper_states"))
+        self.bumper = Output(topic, ContactsSample)
+        self.outputs = (self.bumper,)
+        self.schedule = tag.schedule()
+
+    def produce(self, step: int) -> None:
+        """Send what is touched."""
+        if not self.bumper.wanted:
+            return
+        frame = Pose() if self._reference is None else self._reference.pose()
+        middle = self._place.centre_of_mass()
+        contacts = tuple(
+            _contact(*names, points, frame.inverse(), middle)
+            for names, points in self._touched().items()
+        )
+        self.bumper.send(ContactsSample(step, self._frame, contacts))
+
+    def _touched(self) -> Dict[Tuple[str, str], List[ContactPoint]]:
+        """Return the points of contact by the names of the two shapes, the own one first."""
+        pairs: Dict[Tuple[str, str], List[ContactPoint]] = {}
+        body, name = self._place.body, self.mount.name_shape
+        for point in contact_points(body, self._place.link):
+            first = name(body.unique_id, point.index, point.place)
+            if first in self._watched:
+                second = name(*point.other, point.place_on_other)
+                pairs.setdefault((first, second), []).append(point)
+        return pairs
+
+
+def _contact(
+    first: str, second: str, points: List[ContactPoint], into: Pose, middle: Vector
+) -> ShapeContact:
+    """Return two shapes' points of contact in a frame.
+
+    Args:
+        first: the sensor's shape.
+        second: the other one.
+        points: in the world.
+        into: pose of the world in the wanted frame.
+        middle: what torques are taken about, in the world.
+    """
+    turn = into.rotate
+    torques = [cross(subtract(point.place, middle), point.force) for point in points]
+    return ShapeContact(
+        first,
+        second,
+        tuple(turn(point.force) for point in points),
+        tuple(turn(torque) for torque in torques),
+        tuple((into * Pose(point.place)).position for point in points),
+        tuple(turn(point.normal) for point in points),
+        tuple(point.depth for point in points),
+    )
+
+
+def _watched(mount: Mount, tag: SensorTag, link: str) -> Tuple[str, ...]:
+    """Return the full names of the shapes that the sensor watches; raises DeviceError."""
+    known = [shape.name for shape in mount.model.links_by_name()[link].collisions]
+    wanted = [(element.text or "").strip() for element in tag.elements("contact/collision")]
+    chosen: List[str] = []
+    for name in wanted:
+        # How Gazebo's versions have called a shape of a URDF differs in what they add.
+        found = [name] if name in known else [k for k in known if _core(k) == _core(name)]
+        if not found:
+            shapes = ", ".join(known) or "none"
+            raise DeviceError(
+                f"{tag.where('collision')}: link '{link}' has no shape '{name}' but {shapes}"
+            )
+        chosen += found
+    return tuple(f"{mount.model.name}::{link}::{name}" for name in chosen or known)
+
+
+def _core(name: str) -> str:
+    return ADDED.sub("", name)

@@ -1,0 +1,203 @@
+"""libgazebo_ros_camera.so: a camera that sees what the simulation draws."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import replace
+from typing import ClassVar, Optional, Tuple
+
+import cv2
+import numpy as np
+
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pose import Pose
+from bullet_lab.core.schedule import Schedule, ScheduleError
+from bullet_lab.simulation.plugins.device import Device, DeviceError, Mount, Output, device
+from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample
+from bullet_lab.simulation.plugins.sensor_tag import SensorTag
+from bullet_lab.simulation.rendering.finish import CameraSettings, Lens, SensorNoise, blurred
+from bullet_lab.simulation.rendering.graphics import SAMPLES
+from bullet_lab.simulation.rendering.renderer import Shot
+
+LOG = logging.getLogger(__name__)
+
+ENCODINGS = {"R8G8B8": "rgb8", "B8G8R8": "bgr8", "L8": "mono8"}
+LARGEST_SIDE = 8192
+DEFAULT_RATE = 30.0
+DISTORTION_TAGS = {"K1": "k1", "K2": "k2", "T1": "p1", "T2": "p2", "K3": "k3"}
+# The table of noise is drawn by the generator of a step that never comes.
+TABLE_STEP = 2**63
+# Gazebo lets these say another geometry than that of the picture.
+GEOMETRY_TAGS = ("CxPrime", "Cx", "Cy", "focalLength")
+
+
+@device("libgazebo_ros_camera.so")
+class Camera(Device):
+    """Takes pictures along the x axis of its link, the link's z axis upwards.
+
+    The picture is drawn only while somebody wants it; camera_info tells the geometry that it
+    really has, with the principal point in the middle and the lens's distortion, which is
+    simulated. `settings` may be changed at any time, the rate by `set_rate`.
+
+    Tags: as in Gazebo cameraName, imageTopicName, cameraInfoTopicName, frameName, updateRate,
+    hackBaseline, distortionK1 … T2 and robotNamespace of the plugin; update_rate, pose and
+    <camera> with horizontal_fov, image (anti_aliasing: the greatest number of samples that there
+    is up to it), clip, noise and distortion of the sensor. Of this
+    simulation, in the plugin: samples, exposure and blur, see `CameraSettings`.
+    """
+
+    sensors: ClassVar[Tuple[str, ...]] = ("camera",)
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        tag = SensorTag(mount, self.sensors)
+        self._place = tag.place()
+        self.lens = Lens(_geometry(mount, tag))
+        self.near = tag.number("camera/clip/near", 0.1)
+        self.far = tag.number("camera/clip/far", 100.0)
+        self.encoding = _encoding(tag)
+        self.settings = _settings(mount, tag)
+        self._shot()
+        self._baseline = mount.number("hackBaseline", 0.0)
+        self.frame = mount.frame(mount.text("frameName", mount.plugin.link))
+        self._noise = mount.noise()
+        self._table: Optional[Tuple[tuple, SensorNoise]] = None
+        self._name = mount.text("cameraName", tag.attribute("camera", "name") or "camera")
+        self.image = self.output("imageTopicName", "image_raw", ImageSample)
+        self.info = self.output("cameraInfoTopicName", "camera_info", CameraInfoSample)
+        self.outputs = (self.image, self.info)
+        self.schedule = _schedule(mount, tag)
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """Geometry of the picture."""
+        return self.lens.camera
+
+    def set_rate(self, rate: float, step: int) -> None:
+        """Take `rate` pictures per second, counted from a step on; raises ScheduleError."""
+        self.schedule = Schedule(rate, step)
+
+    def pose(self) -> Pose:
+        """Return the camera's pose in the world: x ahead, z up."""
+        return self._place.pose()
+
+    def output(self, tag: str, default: str, kind: type) -> Output:
+        """Return an output on the topic in a tag, which is below the camera's name."""
+        name = self.mount.text(tag, default)
+        return Output(
+            self.mount.topic(name if name.startswith("/") else f"{self._name}/{name}"), kind
+        )
+
+    def produce(self, step: int) -> None:
+        """Send a picture and its geometry."""
+        if self.image.wanted:
+            self.send_picture(step, self.take(step))
+        self.send_geometry(step, self.info)
+
+    def send_picture(self, step: int, picture: np.ndarray) -> None:
+        """Send a picture as an image."""
+        self.image.send(ImageSample(step, self.frame, self.encoding, picture))
+
+    def send_geometry(self, step: int, output: Output) -> None:
+        """Send the geometry of the picture, if somebody wants it there."""
+        if output.wanted:
+            output.send(CameraInfoSample(step, self.frame, self.camera, self._baseline))
+
+    def take(self, step: int) -> np.ndarray:
+        """Return the picture of this moment; noise follows from the step.
+
+        Returns:
+            (height, width, 3) or, in grey, (height, width) array of uint8.
+
+        Raises:
+            LabError: something in the world cannot be drawn.
+        """
+        settings = self.settings
+        picture = self.mount.renderer().picture(self.pose(), self._shot(), settings.exposure)
+        picture = blurred(self.lens.bend(picture), settings.blur)
+        if self.encoding == "bgr8":
+            picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+        elif self.encoding == "mono8":
+            picture = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+        if settings.noise_mean or settings.noise_stddev:
+            picture = self._noisy(picture, step)
+        return picture
+
+    def _shot(self) -> Shot:
+        return Shot(self.lens.ideal, self.near, self.far, self.settings.samples)
+
+    def _noisy(self, picture: np.ndarray, step: int) -> np.ndarray:
+        key = (self.settings.noise_mean, self.settings.noise_stddev)
+        if self._table is None or self._table[0] != key:
+            table = SensorNoise(*key, picture.size, self._noise.at(TABLE_STEP))
+            self._table = (key, table)
+        return self._table[1].add_to(picture, self._noise.at(step))
+
+
+def _geometry(mount: Mount, tag: SensorTag) -> PinholeCamera:
+    width = tag.count("camera/image/width", 320, LARGEST_SIDE)
+    height = tag.count("camera/image/height", 240, LARGEST_SIDE)
+    fov = tag.number("camera/horizontal_fov", 1.047)
+    if not 0.0 < fov < math.pi:
+        raise DeviceError(f"{tag.where('camera/horizontal_fov')}: {fov:g} is not within 0 … pi")
+    for name in GEOMETRY_TAGS:
+        if mount.number(name, 0.0) != 0.0:
+            LOG.warning("%s is passed over: the picture has its own", mount.where(name))
+    focal = 0.5 * width / math.tan(0.5 * fov)
+    centre = (0.5 * (width - 1), 0.5 * (height - 1))
+    return PinholeCamera(width, height, focal, focal, *centre, _distortion(mount, tag))
+
+
+def _distortion(mount: Mount, tag: SensorTag) -> Tuple[float, ...]:
+    """Return k1, k2, p1, p2, k3: Gazebo bends by the sensor's and tells the plugin's."""
+    told = tuple(mount.number(f"distortion{key}", 0.0) for key in DISTORTION_TAGS)
+    bent = tuple(tag.number(f"camera/distortion/{key}", 0.0) for key in DISTORTION_TAGS.values())
+    if any(told) and any(bent) and told != bent:
+        raise DeviceError(
+            f"{mount.where('distortionK1')}: other coefficients than those of the sensor"
+        )
+    return told if any(told) else bent
+
+
+def _settings(mount: Mount, tag: SensorTag) -> CameraSettings:
+    settings = CameraSettings()
+    kind = tag.text("camera/noise/type", "gaussian")
+    if tag.has("camera/noise") and kind == "gaussian":
+        settings = replace(
+            settings,
+            noise_mean=tag.number("camera/noise/mean", 0.0),
+            noise_stddev=tag.number("camera/noise/stddev", 0.0),
+        )
+    elif tag.has("camera/noise") and kind != "none":
+        raise DeviceError(f"{tag.where('camera/noise/type')}: '{kind}' is not gaussian or none")
+    own = ("exposure", "blur")
+    settings = replace(settings, **{k: mount.number(k, getattr(settings, k)) for k in own})
+    return replace(settings, samples=_samples(mount, tag))
+
+
+def _samples(mount: Mount, tag: SensorTag) -> int:
+    """Return how many samples a pixel gets: the plugin's own tag, or SDF's `<anti_aliasing>`."""
+    asked = tag.number("camera/image/anti_aliasing", CameraSettings.samples)
+    default = max(number for number in SAMPLES if number <= max(asked, SAMPLES[0]))
+    samples = mount.number("samples", default)
+    # What is no whole number is refused as what is not among SAMPLES.
+    return int(samples) if samples == round(samples) else samples
+
+
+def _encoding(tag: SensorTag) -> str:
+    said = tag.text("camera/image/format", "R8G8B8")
+    if said not in ENCODINGS:
+        known = ", ".join(ENCODINGS)
+        raise DeviceError(f"{tag.where('camera/image/format')}: '{said}' is not one of {known}")
+    return ENCODINGS[said]
+
+
+def _schedule(mount: Mount, tag: SensorTag) -> Schedule:
+    """Return the slower of the two rates that can be given; 0 means the other."""
+    rates = [tag.number("update_rate", 0.0), mount.number("updateRate", 0.0)]
+    given = [rate for rate in rates if rate != 0.0]
+    try:
+        return Schedule(min(given, default=DEFAULT_RATE))
+    except ScheduleError as error:
+        raise DeviceError(f"{mount.where('updateRate')}: {error}") from error

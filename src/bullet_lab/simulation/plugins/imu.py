@@ -1,0 +1,229 @@
+"""libgazebo_ros_imu.so and libgazebo_ros_imu_sensor.so: an inertial measurement unit."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Deque, Optional, Tuple
+
+import numpy as np
+
+from bullet_lab.core.pose import Pose, Quaternion, Vector
+from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
+from bullet_lab.simulation.physics.attached_frame import AttachedFrame
+from bullet_lab.simulation.plugins.device import (
+    Device,
+    DeviceError,
+    Mount,
+    Output,
+    StepNoise,
+    device,
+)
+from bullet_lab.simulation.plugins.samples import ImuSample
+from bullet_lab.simulation.plugins.sensor_tag import SensorTag
+
+# Steps over which accelerations are averaged at least.
+AVERAGING = 10
+AXES = ("x", "y", "z")
+
+
+class Accelerometer:
+    """Mean acceleration of a point, from its velocities.
+
+    The difference of two velocities 1 ms apart is no measurement: Bullet's contacts carry a
+    body in small pushes, and each shows as m/s². What is reported is the mean since the last
+    reading, but over 10 ms at least. Readings up to 100 Hz then add up to exactly the change of
+    velocity, as those of a strapdown unit do; faster ones overlap, as if behind a low-pass
+    filter with its first zero at 100 Hz, which is about what such chips have.
+    """
+
+    def __init__(self) -> None:
+        self._past: Deque[Tuple[int, Vector]] = deque()
+
+    def restart(self, step: int, velocity: Vector) -> None:
+        """Begin with a velocity in m/s."""
+        self._past.clear()
+        self._past.append((step, velocity))
+
+    def advance(self, step: int, velocity: Vector) -> Vector:
+        """Take the present velocity in m/s and return the mean acceleration in m/s²."""
+        past = self._past
+        past.append((step, velocity))
+        while len(past) > 2 and step - past[1][0] >= AVERAGING:
+            past.popleft()
+        since, before = past[0]
+        seconds = (step - since) / STEPS_PER_SECOND
+        if seconds <= 0.0:
+            return (0.0, 0.0, 0.0)
+        return tuple((now - then) / seconds for now, then in zip(velocity, before))
+
+
+class AxisNoise:
+    """Noise of three axes as SDF's `<imu>` has it: gaussian with a mean, and a constant bias.
+
+    Args:
+        tag: the sensor.
+        quantity: "angular_velocity" or "linear_acceleration".
+        biases: where the biases are drawn from.
+    """
+
+    def __init__(self, tag: SensorTag, quantity: str, biases: StepNoise):
+        paths = [f"imu/{quantity}/{axis}/noise" for axis in AXES]
+        self.deviations = np.array([tag.at_least(f"{path}/stddev", 0.0) for path in paths])
+        random = biases.at(0)
+        self._offsets = np.array([self._offset(tag, path, random) for path in paths])
+
+    def draw(self, random: np.random.Generator) -> np.ndarray:
+        """Return errors of the three axes."""
+        return self._offsets + random.normal(size=3) * self.deviations
+
+    @staticmethod
+    def _offset(tag: SensorTag, path: str, random: np.random.Generator) -> float:
+        deviation = tag.at_least(f"{path}/bias_stddev", 0.0)
+        bias = random.normal(tag.number(f"{path}/bias_mean", 0.0), deviation)
+        # As in Gazebo, a bias is as likely to be negative.
+        sign = 1.0 if random.random() < 0.5 else -1.0
+        return tag.number(f"{path}/mean", 0.0) + sign * bias
+
+
+class InertialUnit(Device):
+    """What the two plugins have in common.
+
+    Reports the orientation in the world (REP 145), the angular velocity and the specific force
+    (+9.8 m/s² along z at rest) in the sensor's own axes. gaussianNoise is the deviation of each
+    component: in rad/s, in m/s², and in rad as a small turn of the orientation.
+    """
+
+    place: AttachedFrame
+    reference: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+    def __init__(self, mount: Mount, frame: str, topic: str):
+        super().__init__(mount)
+        self._frame = frame
+        self.imu = Output(mount.topic(topic), ImuSample)
+        self.outputs = (self.imu,)
+        self._deviation = mount.number("gaussianNoise", 0.0)
+        if self._deviation < 0.0:
+            raise DeviceError(f"{mount.where('gaussianNoise')}: {self._deviation:g} is negative")
+        self._noise = mount.noise()
+        self._accelerometer = Accelerometer()
+        self._rate_noise: Optional[AxisNoise] = None
+        self._force_noise: Optional[AxisNoise] = None
+        self._step = 0
+
+    def produce(self, step: int) -> None:
+        """Send a reading."""
+        self._step = step
+        linear, angular = self.place.velocity()
+        ax, ay, az = self._accelerometer.advance(step, linear)
+        if not self.imu.wanted:
+            return
+        pose = self.place.pose()
+        into = Pose(quaternion=pose.inverse().quaternion)
+        rate = np.array(into.rotate(angular))
+        force = np.array(into.rotate((ax, ay, az + self.gravity)))
+        orientation = (Pose(quaternion=self.reference) * pose).quaternion
+        self.imu.send(self._reading(step, orientation, rate, force))
+
+    def reset(self, step: int) -> None:
+        """Start anew."""
+        self._step = step
+        self.placed()
+
+    def placed(self) -> None:
+        """Forget the velocity before: nothing has accelerated."""
+        self._accelerometer.restart(self._step, self.place.velocity()[0])
+
+    def _reading(
+        self, step: int, orientation: Quaternion, rate: np.ndarray, force: np.ndarray
+    ) -> ImuSample:
+        variance = self._deviation * self._deviation
+        rate_variance = force_variance = variance
+        random = self._noise.at(step)
+        if self._deviation:
+            turn = random.normal(0.0, self._deviation, 3)
+            orientation = _turned(orientation, turn)
+            rate = rate + random.normal(0.0, self._deviation, 3)
+            force = force + random.normal(0.0, self._deviation, 3)
+        if self._rate_noise is not None:
+            rate = rate + self._rate_noise.draw(random)
+            rate_variance += float(self._rate_noise.deviations.max()) ** 2
+        if self._force_noise is not None:
+            force = force + self._force_noise.draw(random)
+            force_variance += float(self._force_noise.deviations.max()) ** 2
+        return ImuSample(
+            step,
+            self._frame,
+            orientation,
+            tuple(map(float, rate)),
+            tuple(map(float, force)),
+            variance,
+            rate_variance,
+            force_variance,
+        )
+
+
+@device("libgazebo_ros_imu.so")
+class Imu(InertialUnit):
+    """The plugin of a model, which names the link that it sits on.
+
+    Tags as in Gazebo, with its defaults: bodyName (needed), topicName (/default_imu), frameName
+    (bodyName), updateRate (Hz, 0: every step), gaussianNoise, xyzOffset, rpyOffset and
+    robotNamespace. The offsets place the sensor in the link. serviceName is read and nothing is
+    offered there: in Gazebo the service does nothing.
+    """
+
+    def __init__(self, mount: Mount):
+        body = mount.text("bodyName")
+        if not body:
+            raise DeviceError(f"{mount.where('bodyName')}: is missing")
+        frame = mount.frame(mount.text("frameName", body))
+        super().__init__(mount, frame, mount.text("topicName", "/default_imu"))
+        mount.text("serviceName")
+        self.place = mount.attached(body, _offset(mount))
+        self.schedule = mount.schedule("updateRate", 0.0)
+
+
+@device("libgazebo_ros_imu_sensor.so")
+class ImuSensor(InertialUnit):
+    """The plugin of an `<sensor type="imu">`.
+
+    Tags of the plugin, with Gazebo's defaults: frameName (needed), topicName (imu_data),
+    updateRateHZ (1 Hz), gaussianNoise, xyzOffset, rpyOffset, initialOrientationAsReference
+    (false) and robotNamespace; of the sensor: pose, update_rate and, within imu,
+    angular_velocity and linear_acceleration, x, y and z each with noise (mean, stddev,
+    bias_mean, bias_stddev).
+    """
+
+    def __init__(self, mount: Mount):
+        tag = SensorTag(mount, ("imu",))
+        frame = mount.text("frameName")
+        if not frame:
+            raise DeviceError(f"{mount.where('frameName')}: is missing")
+        super().__init__(mount, mount.frame(frame), mount.text("topicName", "imu_data"))
+        self.place = tag.place(_offset(mount))
+        if mount.boolean("initialOrientationAsReference", False):
+            self.reference = self.place.pose().inverse().quaternion
+        rates = mount.schedule("updateRateHZ", 1.0), tag.schedule()
+        self.schedule: Schedule = max(rates, key=lambda schedule: schedule.period)
+        name = f"{mount.model.name}/{mount.plugin.name}"
+        if tag.has("imu/angular_velocity"):
+            biases = StepNoise(mount.seed, f"{name}/angular_velocity")
+            self._rate_noise = AxisNoise(tag, "angular_velocity", biases)
+        if tag.has("imu/linear_acceleration"):
+            biases = StepNoise(mount.seed, f"{name}/linear_acceleration")
+            self._force_noise = AxisNoise(tag, "linear_acceleration", biases)
+
+
+def _offset(mount: Mount) -> Pose:
+    return Pose.from_rpy(mount.vector("xyzOffset"), mount.vector("rpyOffset"))
+
+
+def _turned(quaternion: Quaternion, turn: np.ndarray) -> Quaternion:
+    """Return an orientation turned by a rotation vector (rad) in its own frame."""
+    angle = float(np.linalg.norm(turn))
+    if angle == 0.0:
+        return quaternion
+    x, y, z = (math.sin(0.5 * angle) / angle * turn).tolist()
+    small = Pose(quaternion=(x, y, z, math.cos(0.5 * angle)))
+    return (Pose(quaternion=quaternion) * small).quaternion

@@ -1,0 +1,204 @@
+"""libgazebo_ros_planar_move.so: a body that is pushed over the floor at a given velocity.
+
+Gazebo's planar_move sets the robot's velocity before each step and friction takes some of it
+away during the step. In the published run (`docs/contact_model.md`) it took 0.0098 m/s of the
+translation and 0.060 rad/s of the rotation at each step of 1 ms. Bullet's own contact, four
+points at the corners of the block, reproduces the first and takes 0.41 rad/s of the second,
+which all but stops the turn. The friction of a planar_move robot is therefore that of one
+support patch, worked out here; Bullet keeps what it is good at, the floor that carries the
+robot and the walls that stop it.
+
+A patch that slides and spins at once has one friction budget for both. The model is the
+ellipsoidal limit surface of Howe and Cutkosky (1996, "Practical force-motion models for sliding
+manipulation"): force F and moment M about the vertical satisfy (F/μN)² + (M/μNr)² = 1, with N
+the load and r the effective radius of the patch, and oppose the slip. For pure translation
+this is Coulomb's μN, for pure rotation the moment μNr.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Optional, Tuple
+
+from bullet_lab.core.pose import Pose, heading_of
+from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.simulation.physics.physics import STEP_SECONDS
+from bullet_lab.simulation.plugins.device import Device, DeviceError, Input, Mount, Output, device
+from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand, TransformSample
+
+# From the three turns in data/fig1_paths.csv: 90.14°, 90.13° and 90.67° in 34 commands at 10 Hz,
+# 0.4636 rad/s where 0.5236 was asked for; r = 0.0600 rad/s · Izz / (m·g·dt).
+PUBLISHED_RADIUS = 0.0102
+
+
+@dataclass(frozen=True)
+class SupportPatch:
+    """Where a robot touches the floor.
+
+    Attributes:
+        friction: Coulomb's coefficient μ.
+        radius: effective radius r in metres; a disc of radius R under even pressure has 2R/3.
+        mass: of the robot, kg.
+        inertia: of the robot about the vertical through its centre of mass, kg m².
+    """
+
+    friction: float
+    radius: float
+    mass: float
+    inertia: float
+
+    def slow_down(
+        self, vx: float, vy: float, wz: float, load: float, dt: float
+    ) -> Tuple[float, float, float]:
+        """Return the velocity that friction leaves after a time `dt`.
+
+        Args:
+            vx: velocity in m/s along any horizontal axis.
+            vy: velocity in m/s across it.
+            wz: angular velocity in rad/s about the vertical.
+            load: force in N with which the robot stands on the floor.
+            dt: duration in s, short enough for the force to be constant.
+
+        Friction brings the robot to rest and never reverses it.
+        """
+        spin = self.radius * wz
+        slip = math.sqrt(vx * vx + vy * vy + spin * spin)
+        if slip == 0.0 or load <= 0.0:
+            return vx, vy, wz
+        impulse = self.friction * load * dt / slip
+        keep_linear = max(0.0, 1.0 - impulse / self.mass)
+        keep_angular = max(0.0, 1.0 - impulse * self.radius * self.radius / self.inertia)
+        return keep_linear * vx, keep_linear * vy, keep_angular * wz
+
+
+STANDSTILL = PlanarCommand()
+STEP_SQUARED = STEP_SECONDS * STEP_SECONDS
+# Bullet's contact carries a body in small pushes; the load is their mean over some 20 steps.
+LOAD_SMOOTHING = 0.05
+# As in Gazebo: x and y are known, what the robot cannot do is not.
+POSE_VARIANCES = (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
+
+
+@device("libgazebo_ros_planar_move.so")
+class PlanarMove(Device):
+    """Moves the robot as commanded and reports where it is.
+
+    Before each step the body gets the last commanded velocity, turned by its yaw and less what
+    floor friction takes away (`SupportPatch`); it neither rolls, pitches nor rises by itself.
+    Since that starts each step without vertical velocity, a robot in the air does not fall but
+    sinks at g·dt, 1 cm/s, as in Gazebo; without a floor under it, no friction slows it down.
+    The command stays until the next one, or until `cmdTimeout` seconds have passed.
+
+    Tags: commandTopic, odometryTopic, odometryFrame, robotBaseFrame, odometryRate, cmdTimeout
+    and robotNamespace as in Gazebo; of this simulation: supportRadius, the effective radius in
+    metres of the patch that the robot stands on.
+    """
+
+    acts = True
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        self._body = mount.body
+        self.frame = mount.frame(mount.text("odometryFrame", "odom"))
+        self._base_frame = mount.frame(mount.text("robotBaseFrame", "base_footprint"))
+        self._timeout = _timeout_steps(mount.number("cmdTimeout", -1.0))
+        self._patch = _support_patch(mount)
+        self._slow_down = self._patch.slow_down
+        self._set_velocity = self._body.set_velocity
+        self._mass = self._patch.mass
+        self._turned = self._body.turned_inertia
+        self.odometry = Output(mount.topic(mount.text("odometryTopic", "odom")), OdometrySample)
+        self.transform = Output("/tf", TransformSample)
+        self.outputs = (self.odometry, self.transform)
+        command = mount.topic(mount.text("commandTopic", "cmd_vel"))
+        self.inputs = (Input(command, PlanarCommand, self.command),)
+        self.schedule = mount.schedule("odometryRate", 20.0)
+        self._body.remove_sliding_friction()
+        self.reset(0)
+
+    def command(self, command: PlanarCommand) -> None:
+        """Take over a velocity; it acts from the next step on.
+
+        Raises:
+            DeviceError: NaN or infinite; the command before stays in force.
+        """
+        if not all(map(math.isfinite, (command.vx, command.vy, command.wz))):
+            raise DeviceError(f"the velocity {command} is not finite")
+        self._expires = None if self._timeout is None else self._now + self._timeout
+        self._command = command
+
+    def before_step(self, step: int) -> None:
+        """Set the velocity for the coming step."""
+        self._now = step + 1
+        command = self._command
+        if self._expires is not None and step >= self._expires:
+            command = STANDSTILL
+        (_, _, height), quaternion = self._body.com_place()
+        # The floor has carried what the step before did not turn into a fall: the body was sent
+        # off without vertical velocity, so this is Newton's law, and no contact need be asked.
+        carried = self._mass * (self.gravity + (height - self._height) / STEP_SQUARED)
+        self._height = height
+        self._load += LOAD_SMOOTHING * (carried - self._load)
+        vx, vy, wz = self._slow_down(command.vx, command.vy, command.wz, self._load, STEP_SECONDS)
+        if self._turned:
+            quaternion = self._body.pose().quaternion
+        cosine, sine = heading_of(quaternion)
+        self._set_velocity((cosine * vx - sine * vy, sine * vx + cosine * vy, 0.0), (0.0, 0.0, wz))
+
+    def produce(self, step: int) -> None:
+        """Send the odometry and its transform."""
+        pose = self._body.pose()
+        velocity = self._velocity_since(step, pose)
+        self._last_step, self._last_pose = step, pose
+        x, y, _ = pose.position
+        flat = Pose((x, y, 0.0), pose.quaternion)
+        frames = (self.frame, self._base_frame)
+        if self.odometry.wanted:
+            self.odometry.send(OdometrySample(step, *frames, flat, velocity, POSE_VARIANCES))
+        if self.transform.wanted:
+            self.transform.send(TransformSample(step, *frames, pose))
+
+    def reset(self, step: int) -> None:
+        """Forget the command and where the robot was."""
+        self._command = STANDSTILL
+        self._now = step
+        self._expires: Optional[int] = None
+        self._last_step = step
+        self.placed()
+
+    def placed(self) -> None:
+        """Forget where the robot was: it neither drove nor fell from there."""
+        self._last_pose = self._body.pose()
+        self._height = self._body.com_pose().position[2]
+        self._load = self._mass * self.gravity
+
+    def _velocity_since(self, step: int, pose: Pose) -> PlanarCommand:
+        """Return the mean velocity since the last sample, in the robot's present frame."""
+        dt = (step - self._last_step) / STEPS_PER_SECOND
+        if dt <= 0.0:
+            return STANDSTILL
+        dx = pose.position[0] - self._last_pose.position[0]
+        dy = pose.position[1] - self._last_pose.position[1]
+        turned = math.remainder(pose.yaw - self._last_pose.yaw, math.tau)
+        cosine, sine = heading_of(pose.quaternion)
+        return PlanarCommand(
+            (cosine * dx + sine * dy) / dt, (cosine * dy - sine * dx) / dt, turned / dt
+        )
+
+
+def _timeout_steps(seconds: float) -> Optional[int]:
+    return None if seconds < 0.0 else round(seconds * STEPS_PER_SECOND)
+
+
+def _support_patch(mount: Mount) -> SupportPatch:
+    """Return the patch of the robot's root link, with the least friction of its shapes."""
+    root = mount.model.root_links()[0]
+    masses = [link.inertia.mass for link in mount.model.links if link.inertia is not None]
+    radius = mount.number("supportRadius", PUBLISHED_RADIUS)
+    if radius < 0.0:
+        raise DeviceError(f"{mount.where('supportRadius')}: {radius:g} m is negative")
+    if root.inertia is None or mount.model.static:
+        raise DeviceError(f"model '{mount.model.name}': planar_move on what cannot move")
+    friction = min((c.friction for c in root.collisions), default=1.0)
+    return SupportPatch(friction, radius, sum(masses), float(root.inertia.matrix[2, 2]))

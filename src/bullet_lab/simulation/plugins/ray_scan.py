@@ -1,0 +1,120 @@
+"""What a `<ray>` element says: a fan of rays, their limits and their noise."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from bullet_lab.simulation.plugins.device import DeviceError, Mount
+from bullet_lab.simulation.plugins.sensor_tag import SensorTag
+
+LOG = logging.getLogger(__name__)
+
+RAY_SENSORS = ("ray", "gpu_ray")
+MOST_RAYS = 100_000
+SIMULATED_NOISE = ("gaussian", "none", "")
+
+
+@dataclass(frozen=True)
+class Angles:
+    """Angles in rad, evenly spaced from the least to the greatest, both included."""
+
+    least: float
+    greatest: float
+    number: int
+
+    @property
+    def increment(self) -> float:
+        """Angle between two neighbours in rad; 0 for one alone."""
+        return (self.greatest - self.least) / (self.number - 1) if self.number > 1 else 0.0
+
+    def all(self) -> np.ndarray:
+        """Return them, shape (number,); one alone looks straight ahead, as in Gazebo."""
+        if self.number == 1:
+            return np.zeros(1)
+        return np.linspace(self.least, self.greatest, self.number)
+
+
+class RayScan:
+    """Casts the rays of a sensor.
+
+    Rays start at the sensor's origin. As in Gazebo, the robot's own shapes are not seen within
+    the least range, and are seen beyond it; and never is a shape that contains the origin.
+
+    Attributes:
+        horizontal: angles of the rays about the sensor's z axis.
+        least: nearest distance that is measured, in m.
+        greatest: farthest distance that is measured, in m.
+        resolution: distances are multiples of it, in m; 0 for any distance.
+    """
+
+    def __init__(self, mount: Mount, tag: SensorTag):
+        self._own = np.array([body.unique_id for body in mount.bodies.values()])
+        self.horizontal = _angles(tag, "ray/scan/horizontal")
+        vertical = _angles(tag, "ray/scan/vertical")
+        if self.horizontal.number * vertical.number > MOST_RAYS:
+            raise DeviceError(f"{tag.where('samples')}: more than {MOST_RAYS} rays")
+        self.least = tag.at_least("ray/range/min", 0.0)
+        self.greatest = tag.at_least("ray/range/max", 0.0)
+        if self.greatest <= self.least:
+            raise DeviceError(f"{tag.where('max')}: {self.greatest:g} is not beyond <min>")
+        self.resolution = tag.at_least("ray/range/resolution", 0.0)
+        self._mean, self._deviation = _noise(tag)
+        yaw, pitch = np.meshgrid(self.horizontal.all(), vertical.all())
+        level = np.cos(pitch)
+        directions = np.stack((level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)), axis=-1)
+        self._rays = tag.place().rays(directions.reshape(-1, 3))
+
+    def distances(self) -> np.ndarray:
+        """Return exact distances in m, row by row from below, shape (rays,).
+
+        +inf where nothing is within the greatest range, -inf where something that is not the
+        robot itself is within the least one, as REP 117 has it.
+        """
+        distances, bodies = self._rays.cast(0.0, self.greatest)
+        near = (bodies >= 0) & (distances <= self.least)
+        if near.any():
+            own = near & np.isin(bodies, self._own)
+            distances[near] = -np.inf
+            if own.any():
+                behind, _ = self._rays.select(own).cast(self.least, self.greatest)
+                distances[own] = np.where(behind <= self.least, -np.inf, behind)
+        distances[distances >= self.greatest] = np.inf
+        return distances
+
+    def measure(self, random: np.random.Generator) -> np.ndarray:
+        """Return distances as the sensor reads them: with noise, in steps of its resolution."""
+        distances = self.distances()
+        seen = np.isfinite(distances)
+        if self._deviation or self._mean:
+            # For all rays, so that what one ray meets does not change the others' noise.
+            noise = random.normal(self._mean, self._deviation, len(distances))
+            distances[seen] += noise[seen]
+        if self.resolution:
+            distances[seen] = self.resolution * np.round(distances[seen] / self.resolution)
+        distances[seen] = np.clip(distances[seen], self.least, self.greatest)
+        return distances
+
+
+def _angles(tag: SensorTag, path: str) -> Angles:
+    samples = tag.count(f"{path}/samples", 1, MOST_RAYS)
+    resolution = tag.number(f"{path}/resolution", 1.0)
+    number = round(samples * resolution)
+    if not 1 <= number <= MOST_RAYS:
+        raise DeviceError(f"{tag.where(f'{path}/resolution')}: {resolution:g} leaves {number} rays")
+    least = tag.number(f"{path}/min_angle", 0.0)
+    greatest = tag.number(f"{path}/max_angle", 0.0)
+    if greatest < least:
+        raise DeviceError(f"{tag.where('max_angle')}: {greatest:g} is less than <min_angle>")
+    return Angles(least, greatest, number)
+
+
+def _noise(tag: SensorTag) -> tuple:
+    kind = tag.text("ray/noise/type", "")
+    if kind not in SIMULATED_NOISE:
+        LOG.warning("%s: noise '%s' is not simulated and skipped", tag.where("type"), kind)
+    if kind != "gaussian":
+        return 0.0, 0.0
+    return tag.number("ray/noise/mean", 0.0), tag.at_least("ray/noise/stddev", 0.0)

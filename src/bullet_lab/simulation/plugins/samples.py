@@ -1,0 +1,204 @@
+"""What devices measure and what they are told, as plain data.
+
+Every sample carries the simulated time `step` in whole milliseconds. The ROS side turns each
+kind into its message in `bullet_lab.ros.messages.conversions`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Tuple
+
+import numpy as np
+
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pose import Pose, Quaternion, Vector
+
+# Row-major diagonals in REP 103 order x, y, z, rotation about x, y, z.
+Diagonal = Tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
+class PlanarCommand:
+    """A wanted body velocity: m/s ahead and to the left, rad/s counter-clockwise."""
+
+    vx: float = 0.0
+    vy: float = 0.0
+    wz: float = 0.0
+
+
+@dataclass(frozen=True)
+class OdometrySample:
+    """Pose of `child_frame` in `frame`, and its velocity in its own frame.
+
+    The covariances are diagonal (m² and rad², per s² for the twist's, which is zero for most, as
+    Gazebo sends it).
+    """
+
+    step: int
+    frame: str
+    child_frame: str
+    pose: Pose
+    velocity: PlanarCommand
+    pose_variances: Diagonal
+    twist_variances: Diagonal = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class TransformSample:
+    """Pose of `child_frame` in `frame`, for TF."""
+
+    step: int
+    frame: str
+    child_frame: str
+    pose: Pose
+
+
+@dataclass(frozen=True)
+class JointSample:
+    """States of joints: positions in rad or m, velocities per second, efforts in N m or N."""
+
+    step: int
+    names: Tuple[str, ...]
+    positions: Tuple[float, ...]
+    velocities: Tuple[float, ...]
+    efforts: Tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ImageSample:
+    """An image as `frame`, an optical frame, sees it.
+
+    `encoding` is one of sensor_msgs/image_encodings; `pixels` has the shape (height, width, 3)
+    or (height, width) and is not changed after it was sent. A depth image (32FC1) holds metres
+    along the optical axis, NaN where nothing was measured; in 16UC1 it is mm and 0.
+    """
+
+    step: int
+    frame: str
+    encoding: str
+    pixels: np.ndarray
+
+
+@dataclass(frozen=True)
+class CameraInfoSample:
+    """Geometry of the images of one camera; `baseline` in metres is Gazebo's hackBaseline."""
+
+    step: int
+    frame: str
+    camera: PinholeCamera
+    baseline: float = 0.0
+
+
+@dataclass(frozen=True)
+class PointsSample:
+    """What a depth camera sees, as points in `frame`, an optical one.
+
+    `points` are x, y, z in m, NaN where nothing was measured, shape (height, width, 3) float32;
+    `colours` are RGB, shape (height, width, 3) uint8.
+    """
+
+    step: int
+    frame: str
+    points: np.ndarray
+    colours: np.ndarray
+
+
+@dataclass(frozen=True)
+class LaserSample:
+    """Distances that a laser scanner has measured, all at one moment.
+
+    Angles in rad about the z axis of `frame`; `period` in s between two scans; `ranges` in m,
+    +inf for nothing within `range_max` and -inf for something nearer than `range_min`, shape
+    (rays,), and `intensities` of the same shape. A scanner with several rows gives one after
+    the other.
+    """
+
+    step: int
+    frame: str
+    angle_min: float
+    angle_max: float
+    angle_increment: float
+    period: float
+    range_min: float
+    range_max: float
+    ranges: np.ndarray
+    intensities: np.ndarray
+
+
+@dataclass(frozen=True)
+class RangeSample:
+    """A distance in m that a sonar (or an infrared sensor) has measured along x of `frame`.
+
+    `field_of_view` is in rad.
+    """
+
+    step: int
+    frame: str
+    infrared: bool
+    field_of_view: float
+    range_min: float
+    range_max: float
+    range: float
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """What an inertial unit measures in its own axes, those of `frame`.
+
+    `orientation` is the unit quaternion of the frame in the world, `angular_velocity` in rad/s,
+    `specific_force` in m/s² (+g along z at rest, as an accelerometer reads). Each has one
+    variance for all three axes, in rad², (rad/s)² and (m/s²)².
+    """
+
+    step: int
+    frame: str
+    orientation: Quaternion
+    angular_velocity: Vector
+    specific_force: Vector
+    orientation_variance: float
+    angular_velocity_variance: float
+    specific_force_variance: float
+
+
+@dataclass(frozen=True)
+class MotionSample:
+    """Pose and full velocity of `child_frame`, both in `frame`; m/s and rad/s.
+
+    `variance` is that of every component.
+    """
+
+    step: int
+    frame: str
+    child_frame: str
+    pose: Pose
+    linear: Vector
+    angular: Vector
+    variance: float
+
+
+@dataclass(frozen=True)
+class ShapeContact:
+    """Two shapes that touch.
+
+    `first` and `second` name them as model::link::shape. For each point of contact: the force
+    in N and the torque in N m on the first shape's link (about its centre of mass), the place
+    in m, the normal from the second shape to the first, and how deep they overlap in m.
+    """
+
+    first: str
+    second: str
+    forces: Tuple[Vector, ...]
+    torques: Tuple[Vector, ...]
+    positions: Tuple[Vector, ...]
+    normals: Tuple[Vector, ...]
+    depths: Tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ContactsSample:
+    """All pairs of shapes that touch, with vectors in `frame`."""
+
+    step: int
+    frame: str
+    contacts: Tuple[ShapeContact, ...]

@@ -1,0 +1,267 @@
+"""What a world and the models in it are made of, as plain data.
+
+URDF and SDF are read into these classes; the physics, the RViz markers and (later) the saved
+world are made from them. Lengths are metres, masses kilograms, angles radians.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Dict, Mapping, Optional, Tuple, Union
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from bullet_lab.core.pose import Pose, Vector
+
+Colour = Tuple[float, float, float, float]
+
+WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box with its centre at the origin; `size` along x, y, z."""
+
+    size: Vector
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder along z with its centre at the origin."""
+
+    radius: float
+    length: float
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A ball with its centre at the origin."""
+
+    radius: float
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane through the origin; it collides without end and is drawn `size` wide."""
+
+    normal: Vector = (0.0, 0.0, 1.0)
+    size: Tuple[float, float] = (100.0, 100.0)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh file (.dae, .stl or .obj).
+
+    `uri` is what the description said, for those who resolve it themselves (RViz); `path` is
+    the file that it means here.
+    """
+
+    path: Path
+    uri: str
+    scale: Vector = (1.0, 1.0, 1.0)
+
+
+Geometry = Union[Box, Cylinder, Sphere, Plane, Mesh]
+
+
+@dataclass(frozen=True)
+class Visual:
+    """A shape to be seen; `pose` is in the link's frame, `colour` RGBA within [0, 1]."""
+
+    geometry: Geometry
+    pose: Pose = Pose()
+    colour: Colour = WHITE
+    name: str = ""
+    casts_shadows: bool = True
+
+
+@dataclass(frozen=True)
+class Collision:
+    """A shape that touches others; `friction` is Coulomb's coefficient.
+
+    `stiffness` (N/m) and `damping` (N s/m) make its contacts springs; None for hard ones.
+    """
+
+    geometry: Geometry
+    pose: Pose = Pose()
+    friction: float = 1.0
+    name: str = ""
+    stiffness: Optional[float] = None
+    damping: Optional[float] = None
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """Mass, centre of mass in the link's frame, and the 3x3 inertia about it (kg m²).
+
+    The axes of `matrix` are those of the link's frame.
+    """
+
+    mass: float
+    centre: Vector
+    matrix: np.ndarray
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid part; `pose` is in the model's frame with all joints at zero.
+
+    `self_collide` says whether it touches other links of its model; neighbours in the tree of
+    joints never touch.
+    """
+
+    name: str
+    pose: Pose = Pose()
+    inertia: Optional[Inertia] = None
+    visuals: Tuple[Visual, ...] = ()
+    collisions: Tuple[Collision, ...] = ()
+    self_collide: bool = False
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint; `pose` of the child's frame in the parent's, `axis` in the child's frame."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    pose: Pose = Pose()
+    axis: Vector = (1.0, 0.0, 0.0)
+    limits: Mapping[str, float] = field(default_factory=dict)
+    damping: float = 0.0
+    friction: float = 0.0
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """A `<plugin>` tag; `link` names the link that it refers to, if any.
+
+    `tags` holds the text of each child by tag name; `sensor` is the `<sensor>` element around
+    the plugin, if there is one. `element` is the tag itself, as it was read.
+    """
+
+    filename: str
+    name: str
+    tags: Mapping[str, str]
+    link: str = ""
+    sensor: Optional[Element] = None
+    element: Optional[Element] = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A robot or a thing; the pose is that of the model's frame in the world.
+
+    `frames` gives, for each frame that was merged into another link, that link's name and the
+    pose of the frame in it.
+    """
+
+    name: str
+    links: Tuple[Link, ...]
+    joints: Tuple[Joint, ...] = ()
+    plugins: Tuple[Plugin, ...] = ()
+    pose: Pose = Pose()
+    static: bool = False
+    frames: Mapping[str, Tuple[str, Pose]] = field(default_factory=dict)
+
+    def root_links(self) -> Tuple[Link, ...]:
+        """Return the links that are no joint's child."""
+        children = {joint.child for joint in self.joints}
+        return tuple(link for link in self.links if link.name not in children)
+
+    def links_by_name(self) -> Dict[str, Link]:
+        """Return the links by their names."""
+        return {link.name: link for link in self.links}
+
+
+@dataclass(frozen=True)
+class Attenuation:
+    """How a light fades: to 1 / (constant + linear d + quadratic d²), and to nothing at `range`."""
+
+    range: float = 10.0
+    constant: float = 1.0
+    linear: float = 0.0
+    quadratic: float = 0.0
+
+    def at(self, distances: np.ndarray) -> np.ndarray:
+        """Return what is left at distances in metres, 1 at most."""
+        fading = self.constant + distances * (self.linear + distances * self.quadratic)
+        return np.where(distances > self.range, 0.0, 1.0 / np.maximum(1.0, fading))
+
+
+@dataclass(frozen=True)
+class Cone:
+    """What a spot lights: all within the inner angle (rad, whole opening), none beyond the outer.
+
+    In between it fades with the power `falloff` of the share of the way, as in OGRE.
+    """
+
+    inner: float = 0.0
+    outer: float = math.pi
+    falloff: float = 1.0
+
+    def at(self, cosines: np.ndarray) -> np.ndarray:
+        """Return what is left in directions given by their cosine with the spot's axis."""
+        inside, outside = math.cos(0.5 * self.inner), math.cos(0.5 * self.outer)
+        share = (cosines - outside) / max(1e-9, inside - outside)
+        return np.clip(share, 0.0, 1.0) ** self.falloff
+
+
+@dataclass(frozen=True)
+class Light:
+    """A light: `kind` is point, directional or spot; `direction` in the frame of `pose`.
+
+    `attenuation` counts for point and spot, `cone` for spot.
+    """
+
+    name: str
+    kind: str
+    pose: Pose
+    diffuse: Colour = WHITE
+    direction: Vector = (0.0, 0.0, -1.0)
+    casts_shadows: bool = False
+    attenuation: Attenuation = Attenuation()
+    cone: Cone = Cone()
+
+
+@dataclass(frozen=True)
+class FrameState:
+    """Pose of a frame, velocity of its origin in m/s, angular velocity in rad/s."""
+
+    pose: Pose
+    linear: Vector = (0.0, 0.0, 0.0)
+    angular: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class ModelState:
+    """Where a model is in the world.
+
+    `links` holds the states of links in the world, `joints` position (rad or m) and velocity of
+    the movable joints.
+    """
+
+    pose: Pose
+    links: Mapping[str, FrameState] = field(default_factory=dict)
+    joints: Mapping[str, Tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class World:
+    """All that a world file holds; gravity in m/s², ambient light and background as RGBA.
+
+    `states` says of models by name where their parts are, where this is not as they are built.
+    """
+
+    name: str
+    models: Tuple[Model, ...] = ()
+    lights: Tuple[Light, ...] = ()
+    gravity: Vector = (0.0, 0.0, -9.8)
+    ambient: Colour = (0.4, 0.4, 0.4, 1.0)
+    background: Colour = (0.7, 0.7, 0.7, 1.0)
+    shadows: bool = True
+    states: Mapping[str, ModelState] = field(default_factory=dict)

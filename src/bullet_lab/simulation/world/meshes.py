@@ -1,0 +1,196 @@
+"""Mesh files, read and made ready for PyBullet."""
+
+from __future__ import annotations
+
+import functools
+import re
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import List, Tuple
+from xml.etree.ElementTree import Element, tostring
+
+import numpy as np
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.world.description import Mesh, Model
+from bullet_lab.simulation.world.xml import number, parse_text, read_text
+
+KNOWN_SUFFIXES = (".dae", ".stl", ".obj")
+MAXIMUM_BYTES = 200_000_000
+# Meshes that are kept as they were read, since many models may share one.
+CACHED_MESHES = 16
+# PyBullet takes so many corners in one call.
+MOST_CORNERS = 131_072
+# That corners of a larger convex hull are looked for in.
+DIRECTIONS = 4096
+UNUSABLE_NUMBER = re.compile(r"nan|inf", re.IGNORECASE)
+COLLADA = "{http://www.collada.org/2005/11/COLLADASchema}"
+
+
+class MeshError(LabError):
+    """A mesh file holds no usable triangles."""
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """A triangle mesh: `vertices` (n, 3) in metres, `faces` (m, 3) indices into them."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+def load_triangles(mesh: Mesh) -> Triangles:
+    """Read a mesh with all transforms of its file and the description's scale applied.
+
+    The transforms matter: the `<matrix>` of a COLLADA node is where Blender writes the size.
+    So does the length of its `<unit>`; as in Gazebo, its `<up_axis>` does not.
+
+    Raises:
+        MeshError: unknown kind of file, too large, malformed, empty, or with coordinates that
+            are not finite.
+        XmlError: a COLLADA file that is missing, not well-formed or has a document type.
+    """
+    return _load(mesh, file_version(mesh))
+
+
+def file_version(mesh: Mesh) -> Tuple[int, int]:
+    """Return what changes when the file of a mesh does: its time (ns) and its size (bytes)."""
+    try:
+        found = mesh.path.stat()
+    except OSError:
+        return (0, 0)
+    return (found.st_mtime_ns, found.st_size)
+
+
+@functools.lru_cache(maxsize=CACHED_MESHES)
+def _load(mesh: Mesh, _version: Tuple[int, int]) -> Triangles:
+    suffix = mesh.path.suffix.lower()
+    if suffix not in KNOWN_SUFFIXES:
+        raise MeshError(f"{mesh.path}: a mesh is one of {', '.join(KNOWN_SUFFIXES)}")
+    vertices, faces = _read(mesh.path, suffix)
+    vertices = vertices * np.asarray(mesh.scale)
+    if len(faces) == 0 or not np.isfinite(vertices).all():
+        raise MeshError(f"{mesh.path}: no triangles with finite corners")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise MeshError(f"{mesh.path}: a triangle names a corner that is not there")
+    for array in (vertices, faces):
+        # Others get the same arrays.
+        array.setflags(write=False)
+    return Triangles(vertices, faces)
+
+
+def check_visible_meshes(model: Model) -> None:
+    """Refuse a model that could not be drawn; raises as `load_triangles`."""
+    for link in model.links:
+        for visual in link.visuals:
+            if isinstance(visual.geometry, Mesh):
+                load_triangles(visual.geometry)
+
+
+def hull_corners(mesh: Mesh) -> np.ndarray:
+    """Return corners (n, 3) that have the same convex hull as a mesh, as many as Bullet takes.
+
+    Bullet itself drops those within the hull. Of a mesh with too many, those stay that are
+    farthest in one of many directions, which is the same to a thousandth of its size.
+
+    Raises:
+        MeshError, XmlError: as `load_triangles`.
+    """
+    corners = np.unique(load_triangles(mesh).vertices, axis=0)
+    if len(corners) <= MOST_CORNERS:
+        return corners
+    spans = np.ptp(corners, axis=0)
+    round_ = (corners / np.where(spans > 0.0, spans, 1.0)).T
+    blocks = np.array_split(_directions(), DIRECTIONS // 32)
+    return corners[np.unique([np.argmax(block @ round_, axis=1) for block in blocks])]
+
+
+def triangle_corners(mesh: Mesh) -> List[np.ndarray]:
+    """Return a mesh in pieces that Bullet takes: corners (n, 3), three for each triangle.
+
+    Raises:
+        MeshError, XmlError: as `load_triangles`.
+    """
+    triangles = load_triangles(mesh)
+    corners = triangles.vertices[triangles.faces.ravel()]
+    piece = MOST_CORNERS // 3 * 3
+    return [corners[start : start + piece] for start in range(0, len(corners), piece)]
+
+
+def _directions() -> np.ndarray:
+    """Return unit vectors that are spread evenly, shape (DIRECTIONS, 3): Fibonacci's sphere."""
+    number = np.arange(DIRECTIONS) + 0.5
+    height, turn = 1.0 - 2.0 * number / DIRECTIONS, number * np.pi * (3.0 - np.sqrt(5.0))
+    level = np.sqrt(1.0 - height * height)
+    return np.column_stack((level * np.cos(turn), level * np.sin(turn), height))
+
+
+def _read(path: Path, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
+    # What the libraries below raise on a malformed file can be anything.
+    if suffix == ".dae":
+        root = parse_text(read_text(path), str(path))
+        try:
+            return _read_collada(root, f"{path}: <unit>")
+        except LabError:
+            raise
+        except Exception as error:
+            raise MeshError(f"{path}: not a readable mesh: {error}") from error
+    data = _bytes(path)
+    try:
+        return _read_other(data, suffix)
+    except ImportError as error:
+        # trimesh would guess the encoding with a library that nobody needs.
+        raise MeshError(f"{path}: neither a whole binary mesh nor text") from error
+    except Exception as error:
+        raise MeshError(f"{path}: not a readable mesh: {error}") from error
+
+
+def _read_collada(root: Element, where: str) -> Tuple[np.ndarray, np.ndarray]:
+    import collada
+    from collada.triangleset import BoundTriangleSet
+
+    unit = root.find(f"{COLLADA}asset/{COLLADA}unit")
+    metres = 1.0 if unit is None else number(unit.get("meter", "1"), where)
+    for array in root.iter(f"{COLLADA}float_array"):
+        if UNUSABLE_NUMBER.search(array.text or ""):
+            # pycollada would make zeros of them.
+            raise ValueError("a number is not finite")
+    # Written anew, so that pycollada's own parser sees what was checked and nothing else: no
+    # entities, no encodings. Images are not looked for; they may be missing.
+    optional = [collada.common.DaeBrokenRefError, collada.common.DaeUnsupportedError]
+    document = collada.Collada(BytesIO(tostring(root)), ignore=optional)
+    if document.scene is None:
+        raise ValueError("there is no scene")
+    primitives = (p for g in document.scene.objects("geometry") for p in g.primitives())
+    cut = (p.triangleset() if hasattr(p, "triangleset") else p for p in primitives)
+    # Points and lines are left out.
+    sets = [p for p in cut if isinstance(p, BoundTriangleSet) and len(p)]
+    parts = [(np.asarray(s.vertex, float), np.asarray(s.vertex_index, int)) for s in sets]
+    if not parts:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
+    firsts = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
+    faces = [indices + first for (_, indices), first in zip(parts, firsts)]
+    return metres * np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
+
+
+def _read_other(data: bytes, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
+    # Costs 100 ms and 30 MB: only worlds with such meshes pay for it.
+    import trimesh
+
+    # From memory: given a file, trimesh would look beside it for the materials and textures
+    # that a mesh names. Not processed: that would drop corners that are not finite.
+    scene = trimesh.load(BytesIO(data), file_type=suffix[1:], force="scene", process=False)
+    merged = scene.to_geometry() if hasattr(scene, "to_geometry") else scene.dump(True)
+    return np.asarray(merged.vertices, dtype=float), np.asarray(merged.faces, dtype=int)
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAXIMUM_BYTES + 1)
+    except OSError as error:
+        raise MeshError(f"{path}: {error.strerror}") from error
+    if len(data) > MAXIMUM_BYTES:
+        raise MeshError(f"{path}: larger than {MAXIMUM_BYTES} bytes")
+    return data

@@ -1,0 +1,191 @@
+"""Where the files live that worlds and robots refer to.
+
+`package://` is looked up among ROS packages, `model://` in the folders of GAZEBO_MODEL_PATH
+and in this package's `models/`. A reference never reaches the network, and never a file
+outside the folders that the lab was given.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Callable, Iterable, Optional, Tuple
+from urllib.parse import quote, unquote, urlsplit
+
+from bullet_lab.errors import LabError
+
+PACKAGE = "bullet_lab"
+
+
+class ResourceError(LabError):
+    """A file that is referred to does not exist or may not be read."""
+
+
+def package_share() -> Path:
+    """Return the folder that holds this package's worlds, models, meshes and URDF files.
+
+    Raises:
+        ResourceError: the package was taken apart.
+    """
+    library = Path(__file__).resolve().parents[2]
+    source_tree = library.parents[1]
+    install_space = library.parents[3] / "share" / PACKAGE if len(library.parents) > 3 else None
+    for folder in (source_tree, install_space):
+        if folder is not None and (folder / "package.xml").is_file():
+            return folder
+    raise ResourceError(f"the shared files of {PACKAGE} are neither in {source_tree} nor installed")
+
+
+def ros_package_folder(name: str) -> Optional[Path]:
+    """Return the folder of a ROS package, or None where it, or ROS, is unknown."""
+    if name == PACKAGE:
+        return package_share()
+    try:
+        import rospkg
+    except ImportError:
+        return None
+    try:
+        return Path(rospkg.RosPack().get_path(name))
+    except rospkg.ResourceNotFound:
+        return None
+
+
+def gazebo_model_folders() -> Tuple[Path, ...]:
+    """Return the folders to look for `model://` in, in the order of the search."""
+    listed = os.environ.get("GAZEBO_MODEL_PATH", "").split(os.pathsep)
+    return tuple(Path(folder) for folder in listed if folder) + (package_share() / "models",)
+
+
+def package_uri(path: Path) -> str:
+    """Return the package:// or model:// URI of a file; empty where only its path names it."""
+    for folder in _package_above(path):
+        # A checkout of this package may be called anything; the folders of others, as they are.
+        for name in (PACKAGE, folder.name):
+            known = ros_package_folder(name)
+            if known is not None and os.path.realpath(known) == os.path.realpath(folder):
+                return f"package://{name}/{quote(os.path.relpath(path, folder))}"
+    for folder in gazebo_model_folders():
+        if _is_below(path, folder):
+            return f"model://{quote(os.path.relpath(path, os.path.realpath(folder)))}"
+    return ""
+
+
+class ResourceFinder:
+    """Turns the references in a document into files.
+
+    Args:
+        folder: where the document lies, for relative references; None if it came as text.
+        packages: gives the folder of a ROS package by its name, or None.
+        model_folders: folders that hold models by name.
+    """
+
+    def __init__(
+        self,
+        folder: Optional[Path] = None,
+        packages: Callable[[str], Optional[Path]] = ros_package_folder,
+        model_folders: Optional[Iterable[Path]] = None,
+    ):
+        self._folder = folder
+        self._packages = packages
+        self._models = gazebo_model_folders() if model_folders is None else tuple(model_folders)
+
+    @classmethod
+    def anywhere(cls) -> ResourceFinder:
+        """Return a finder for what the user names, who may name any file."""
+        return _UserFinder(Path.cwd())
+
+    def beside(self, path: Path) -> ResourceFinder:
+        """Return a finder for a document that lies at `path`."""
+        return ResourceFinder(path.parent, self._packages, self._models)
+
+    def find(self, uri: str) -> Path:
+        """Return the file or folder that a URI or a path means.
+
+        Raises:
+            ResourceError: unknown kind of reference, unknown package or model, a path that
+                leaves its folder, or nothing there.
+        """
+        try:
+            return self._find(uri)
+        except (OSError, ValueError) as error:
+            # A name that is too long, a zero byte, half an IPv6 address.
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise ResourceError(f"'{uri[:80]}': {reason}") from error
+
+    def _find(self, uri: str) -> Path:
+        if not uri:
+            raise ResourceError("no file is named")
+        parts = urlsplit(uri)
+        if parts.scheme == "package":
+            return self._in_package(uri, parts.netloc, unquote(parts.path))
+        if parts.scheme == "model":
+            return self._in_models(uri, parts.netloc + unquote(parts.path))
+        if parts.scheme == "file" and parts.netloc in ("", "localhost"):
+            return self._absolute(uri, Path(unquote(parts.path)))
+        if parts.scheme:
+            raise ResourceError(f"'{uri}': only package://, model://, file:// and paths are read")
+        path = Path(uri)
+        if path.is_absolute():
+            return self._absolute(uri, path)
+        if self._folder is None:
+            raise ResourceError(f"'{uri}': a relative path in a text that lies in no folder")
+        return _inside(self._folder, uri, uri)
+
+    def _in_package(self, uri: str, package: str, path: str) -> Path:
+        folder = self._packages(package)
+        if folder is None:
+            raise ResourceError(f"'{uri}': no ROS package '{package}'")
+        return _inside(folder, path.lstrip("/"), uri)
+
+    def _in_models(self, uri: str, path: str) -> Path:
+        for folder in self._models:
+            if (folder / path).exists():
+                return _inside(folder, path, uri)
+        raise ResourceError(f"'{uri}': in none of the model folders (GAZEBO_MODEL_PATH)")
+
+    def _absolute(self, uri: str, path: Path) -> Path:
+        """Allow an absolute path only below the document, a model folder or a ROS package."""
+        roots = list(self._models)
+        if self._folder is not None:
+            roots.append(self._folder)
+        roots.extend(_package_above(path))
+        for root in roots:
+            if _is_below(path, root):
+                return _existing(path, uri)
+        raise ResourceError(f"'{uri}': outside the folders of the document and of all packages")
+
+
+class _UserFinder(ResourceFinder):
+    """Follows the user's own words: no path is out of bounds for them."""
+
+    def _find(self, uri: str) -> Path:
+        if "://" in uri:
+            return super()._find(uri)
+        return _existing(Path(uri).expanduser().absolute(), uri)
+
+    def _absolute(self, uri: str, path: Path) -> Path:
+        return _existing(path, uri)
+
+
+def _package_above(path: Path) -> Tuple[Path, ...]:
+    """Return the folder of the ROS package that holds a path, if one does."""
+    holders = (folder for folder in path.parents if (folder / "package.xml").is_file())
+    return tuple(holders)[:1]
+
+
+def _inside(folder: Path, path: str, uri: str) -> Path:
+    if not _is_below(folder / path, folder):
+        raise ResourceError(f"'{uri}': leaves its folder")
+    return _existing(folder / path, uri)
+
+
+def _is_below(path: Path, folder: Path) -> bool:
+    # realpath, so that neither ".." nor a symbolic link inside a model leads out of it.
+    inner, outer = os.path.realpath(path), os.path.realpath(folder)
+    return os.path.commonpath([inner, outer]) == outer
+
+
+def _existing(path: Path, uri: str) -> Path:
+    if not path.exists():
+        raise ResourceError(f"'{uri}': no such file ({path})")
+    return path

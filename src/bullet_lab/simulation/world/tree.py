@@ -1,0 +1,143 @@
+"""Links and joints as a tree, and merging of links on fixed joints as Gazebo does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Dict, Iterable, List, Tuple
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.world.description import Collision, Joint, Link, Model
+from bullet_lab.simulation.world.inertia import combine
+from bullet_lab.simulation.world.xml import XmlError
+
+
+class TreeError(XmlError):
+    """Links and joints do not make one tree."""
+
+
+def check_tree(links: Tuple[Link, ...], joints: Tuple[Joint, ...], source: str) -> None:
+    """Refuse what is not one tree of links with names of their own.
+
+    Raises:
+        TreeError: as `check_forest`, or several roots.
+    """
+    roots = check_forest(links, joints, source)
+    if len(roots) > 1:
+        raise TreeError(f"{source}: several roots: {', '.join(roots)}")
+
+
+def check_forest(
+    links: Tuple[Link, ...], joints: Tuple[Joint, ...], source: str
+) -> Tuple[str, ...]:
+    """Refuse what is not made of trees of links with names of their own; return the roots.
+
+    Raises:
+        TreeError: no link, a name twice, a joint's end missing, a link with two parents, or a
+            loop.
+    """
+    if not links:
+        raise TreeError(f"{source}: there is no link")
+    _refuse_repeats((link.name for link in links), "link", source)
+    _refuse_repeats((joint.name for joint in joints), "joint", source)
+    _refuse_repeats((joint.child for joint in joints), "child link", source)
+    names = {link.name for link in links}
+    for joint in joints:
+        for end in (joint.parent, joint.child):
+            if end not in names:
+                raise TreeError(f"{source}: joint '{joint.name}' names no link '{end}'")
+    roots = sorted(names - {joint.child for joint in joints})
+    # Each link has one parent at most: what no root reaches hangs on a loop.
+    unreached = names.difference(*(top_down(root, joints) for root in roots))
+    if unreached:
+        raise TreeError(f"{source}: a loop of joints at {', '.join(sorted(unreached))}")
+    return tuple(roots)
+
+
+def top_down(root: str, joints: Iterable[Joint]) -> List[str]:
+    """Return the links that can be reached from a root, each after its parent."""
+    children: Dict[str, List[str]] = {}
+    for joint in joints:
+        children.setdefault(joint.parent, []).append(joint.child)
+    order = [root]
+    for link in order:
+        order.extend(children.get(link, ()))
+    return order
+
+
+def place_links(links: Tuple[Link, ...], joints: Tuple[Joint, ...]) -> Tuple[Link, ...]:
+    """Return the links with their poses in the root's frame, all joints at zero."""
+    above = {joint.child: joint for joint in joints}
+    poses: Dict[str, Pose] = {}
+    root = next(link.name for link in links if link.name not in above)
+    for name in top_down(root, joints):
+        joint = above.get(name)
+        poses[name] = Pose() if joint is None else poses[joint.parent] * joint.pose
+    return tuple(replace(link, pose=poses[link.name]) for link in links)
+
+
+def _refuse_repeats(names: Iterable[str], what: str, source: str) -> None:
+    seen = set()
+    for name in names:
+        if name in seen:
+            raise TreeError(f"{source}: {what} '{name}' appears twice")
+        seen.add(name)
+
+
+# Stands between the names of the link that stays and of the shape that came from another.
+LUMP = "_fixed_joint_lump__"
+
+
+def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
+    """Return the same body with as few links as its movable joints need.
+
+    Shapes, masses and inertias go over to the link that stays; `frames` of the result says
+    where each merged link's frame lies in it. Movable joints are hung on the links that stay.
+
+    Args:
+        model: what to simplify.
+        rename: whether names of shapes are to tell that they came from another link.
+    """
+    fixed = {joint.child: joint for joint in model.joints if joint.kind == "fixed"}
+    if not fixed:
+        return model
+    places = {link.name: _place(link.name, fixed) for link in model.links}
+    members: Dict[str, List[Tuple[Link, Pose]]] = {}
+    for link in model.links:
+        keeper, pose = places[link.name]
+        members.setdefault(keeper, []).append((link, pose))
+    links = tuple(
+        _merge(link, members[link.name], rename) for link in model.links if link.name not in fixed
+    )
+    joints = tuple(_rehang(j, places) for j in model.joints if j.kind != "fixed")
+    frames = {name: place for name, place in places.items() if name in fixed}
+    return replace(model, links=links, joints=joints, frames={**model.frames, **frames})
+
+
+def _place(name: str, fixed: Dict[str, Joint]) -> Tuple[str, Pose]:
+    """Return the link that a link ends up in and the pose of its frame in that link."""
+    pose = Pose()
+    while name in fixed:
+        pose = fixed[name].pose * pose
+        name = fixed[name].parent
+    return name, pose
+
+
+def _merge(keeper: Link, members: List[Tuple[Link, Pose]], rename: bool) -> Link:
+    def moved(shape: Collision, link: Link, pose: Pose) -> Collision:
+        come = rename and link.name != keeper.name
+        name = f"{keeper.name}{LUMP}{shape.name}" if come else shape.name
+        return replace(shape, pose=pose * shape.pose, name=name)
+
+    inertias = [(link.inertia, pose) for link, pose in members if link.inertia is not None]
+    return replace(
+        keeper,
+        inertia=combine(inertias) if inertias else None,
+        visuals=tuple(replace(v, pose=p * v.pose) for link, p in members for v in link.visuals),
+        collisions=tuple(moved(c, link, p) for link, p in members for c in link.collisions),
+        self_collide=any(link.self_collide for link, _ in members),
+    )
+
+
+def _rehang(joint: Joint, places: Dict[str, Tuple[str, Pose]]) -> Joint:
+    parent, pose = places[joint.parent]
+    return replace(joint, parent=parent, pose=pose * joint.pose)

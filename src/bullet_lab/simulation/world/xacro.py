@@ -1,0 +1,74 @@
+"""Expanding xacro, the macro language of URDF.
+
+A xacro file is a program: its `${…}` are Python expressions. The xacro package gives them few
+names to work with and none with leading underscores, which is a fence and no wall. So a file is
+only expanded where the user names it by its path, never one that came in as text; and that
+happens in a process of its own, which gets so much time and memory, can create or write no
+file, and ends afterwards. It can read whatever the user can read, the environment included:
+expand no xacro file of somebody you do not trust.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Mapping, Optional
+
+from bullet_lab.simulation.world.xml import MAXIMUM_BYTES, XmlError
+
+SUFFIX = ".xacro"
+SECONDS = 30
+MEMORY_BYTES = 1 << 30
+LONGEST_MESSAGE = 300
+
+
+class XacroError(XmlError):
+    """A xacro file cannot be expanded."""
+
+
+def is_xacro(path: Path) -> bool:
+    """Return whether a file is xacro, by its name."""
+    return path.suffix.lower() == SUFFIX
+
+
+def expand_xacro(path: Path, arguments: Optional[Mapping[str, str]] = None) -> str:
+    """Return the URDF text that a xacro file stands for.
+
+    Args:
+        path: the file.
+        arguments: values of its `<xacro:arg>`; their defaults without.
+
+    Raises:
+        XacroError: the xacro package is missing, the file is not there, makes no sense, or
+            takes too long or too much memory; the message says which.
+    """
+    limits = {"seconds": SECONDS, "memory_bytes": MEMORY_BYTES}
+    order = {"path": str(path), "arguments": dict(arguments or {}), **limits}
+    child = Path(__file__).with_name("xacro_child.py")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-B", str(child)],
+            input=json.dumps(order).encode(),
+            capture_output=True,
+            timeout=2 * SECONDS,
+            env=environment,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise XacroError(f"{path}: xacro took longer than {2 * SECONDS} s") from error
+    if done.returncode != 0:
+        raise XacroError(f"{path}: {_reason(done)}")
+    if len(done.stdout) > MAXIMUM_BYTES:
+        raise XacroError(f"{path}: xacro makes more than {MAXIMUM_BYTES} bytes of it")
+    return done.stdout.decode()
+
+
+def _reason(done: subprocess.CompletedProcess) -> str:
+    if done.returncode < 0:
+        return f"xacro took more than {SECONDS} s"
+    lines = done.stderr.decode(errors="replace").strip().splitlines()
+    return lines[-1][:LONGEST_MESSAGE] if lines else "xacro failed without a word"

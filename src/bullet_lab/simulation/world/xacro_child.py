@@ -1,0 +1,66 @@
+"""The process that expands one xacro file; see `xacro_files`. Not to be imported."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import resource
+import sys
+from io import StringIO
+from typing import Any, Mapping
+
+
+def main() -> int:
+    """Read the order from standard input; write URDF, or one line of error."""
+    # Run as a file, Python looks for modules beside it first.
+    del sys.path[0]
+    order = json.load(sys.stdin)
+    from bullet_lab.simulation.world.xacro_packages import find_packages_of_ros1
+
+    try:
+        import xacro
+    except ImportError:
+        return _fail("the Python package xacro is not installed")
+    find_packages_of_ros1()
+    _limit(order)
+    try:
+        text = _expand(xacro, order)
+    except (Exception, SystemExit) as error:
+        if _for_want_of_memory(error):
+            return _fail(f"xacro took more than {order['memory_bytes'] >> 20} MB of memory")
+        return _fail(" ".join(f"xacro: {error or type(error).__name__}".split()))
+    sys.stdout.write(text)
+    return 0
+
+
+def _expand(xacro: Any, order: Mapping[str, Any]) -> str:
+    # What xacro has to say is not URDF.
+    with contextlib.redirect_stdout(StringIO()):
+        document = xacro.process_file(order["path"], mappings=order["arguments"], verbosity=0)
+    return document.toxml()
+
+
+def _for_want_of_memory(error: Any) -> bool:
+    # xacro wraps what it catches, in `exc`.
+    while error is not None and not isinstance(error, MemoryError):
+        error = getattr(error, "exc", None)
+    return error is not None
+
+
+def _limit(order: Mapping[str, Any]) -> None:
+    for kind, most in (
+        (resource.RLIMIT_CPU, order["seconds"]),
+        (resource.RLIMIT_AS, order["memory_bytes"]),
+        (resource.RLIMIT_FSIZE, 0),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        resource.setrlimit(kind, (most, most))
+
+
+def _fail(message: str) -> int:
+    sys.stderr.write(f"{message}\n")
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

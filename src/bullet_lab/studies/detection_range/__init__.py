@@ -1,0 +1,1 @@
+"""From where the marker is found, and how well."""

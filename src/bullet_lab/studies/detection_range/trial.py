@@ -1,0 +1,276 @@
+"""What the detector makes of the pictures of one cell, judged by the truth."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+from dataclasses import dataclass
+from typing import Any, Dict, List, Optional, Tuple
+
+import cv2
+import numpy as np
+
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pose import Pose
+from bullet_lab.studies.detection_range.scenes import (
+    DICTIONARY,
+    WANTED_ID,
+    WORLDS,
+    Cell,
+    FreeCamera,
+    PrintedMarker,
+    View,
+    in_optical_frame,
+    is_visible,
+    lit_world,
+    strewn_views,
+    views,
+)
+from bullet_lab.vision.marker_detector import DetectorSettings
+from bullet_lab.vision.marker_observer import MarkerObserver, ObservedMarker
+
+LARGEST_OFFSET = 0.15
+"""Share of a marker's side by which the corners of a detection may be off, beside a pixel."""
+
+CELLS_PER_SIDE = 8
+HIDDEN_SHARE = 0.2
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What was found in one picture.
+
+    Attributes:
+        found: whether the wanted marker was.
+        others: detections of markers that are there, with the same id, and not meant.
+        doubles: further detections of the wanted marker.
+        false: detections of markers that are not there.
+        distance_error: m, of the marker's middle; measured less true; NaN where not found.
+        lateral_error: m, likewise, across the line of sight.
+        rotation_error: rad, angle between measured and true attitude.
+        flipped: whether the other of the two possible attitudes was nearer to the truth.
+    """
+
+    found: bool
+    others: int = 0
+    doubles: int = 0
+    false: int = 0
+    distance_error: float = math.nan
+    lateral_error: float = math.nan
+    rotation_error: float = math.nan
+    flipped: bool = False
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A picture as PNG, and the (n, 4, 2) corners of the markers found in it, in pixels."""
+
+    png: bytes
+    corners: np.ndarray
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """What was found in a cell of the grid.
+
+    Attributes:
+        cell: where.
+        visible: whether nothing stands between camera and marker.
+        frames: what was found in each picture.
+        pixels_per_cell: how large a cell of the marker is in them.
+        snapshot: one of the pictures, if it was to be kept.
+    """
+
+    cell: Cell
+    visible: bool
+    frames: Tuple[Frame, ...]
+    pixels_per_cell: float
+    snapshot: Optional[Snapshot] = None
+
+    def rate(self) -> float:
+        """Return the share of frames in which the wanted marker was found."""
+        return sum(frame.found for frame in self.frames) / len(self.frames)
+
+    def row(self) -> Dict[str, Any]:
+        """Return the figures of the cell by name; None where there is nothing to measure."""
+        found = [frame for frame in self.frames if frame.found]
+        return {
+            "world": self.cell.world,
+            "light": self.cell.light,
+            "distance_m": self.cell.distance,
+            "bearing_deg": round(math.degrees(self.cell.bearing), 6),
+            "visible": self.visible,
+            "frames": len(self.frames),
+            "found": len(found),
+            "rate": self.rate(),
+            "other_detections": sum(frame.others for frame in self.frames),
+            "double_detections": sum(frame.doubles for frame in self.frames),
+            "false_detections": sum(frame.false for frame in self.frames),
+            "pixels_per_cell": self.pixels_per_cell,
+            **_spread("distance_error_m", [frame.distance_error for frame in found]),
+            **_spread("lateral_error_m", [frame.lateral_error for frame in found]),
+            **_spread("rotation_error_deg", [math.degrees(f.rotation_error) for f in found]),
+            "flipped": sum(frame.flipped for frame in found),
+        }
+
+
+def _spread(name: str, values: List[float]) -> Dict[str, Optional[float]]:
+    sizes = np.abs(values)
+    return {
+        f"{name}_median": float(np.median(sizes)) if len(sizes) else None,
+        f"{name}_max": float(np.max(sizes)) if len(sizes) else None,
+    }
+
+
+@dataclass(frozen=True)
+class TrialSettings:
+    """How a cell is tried: pictures per cell, and seed."""
+
+    frames: int
+    seed: int
+
+
+def try_cell(settings: TrialSettings, cell: Cell, keep: bool = False) -> CellResult:
+    """Take the pictures of a cell and judge what the detector finds in them.
+
+    Where the marker is hidden fewer are taken: `HIDDEN_SHARE` of them.
+
+    Args:
+        settings: how many pictures, and how.
+        cell: where.
+        keep: return the first picture, too.
+
+    Raises:
+        LabError: the world cannot be read or drawn.
+    """
+    visible = is_visible(cell)
+    count = settings.frames if visible else math.ceil(HIDDEN_SHARE * settings.frames)
+    eyes = _eyes(cell.world, cell.light, settings.seed)
+    shots = views(cell, count, settings.seed)
+    frames = tuple(eyes.judge(view) for view in shots)
+    side = float(np.mean([eyes.side(view.pose) for view in shots]))
+    snapshot = eyes.snapshot(shots[0]) if keep else None
+    return CellResult(cell, visible, frames, side / CELLS_PER_SIDE, snapshot)
+
+
+def count_false(settings: TrialSettings, world: str, block: int) -> Tuple[int, int]:
+    """Take pictures from all over a world and count what the detector finds that is not there.
+
+    Args:
+        settings: how many pictures, and how.
+        world: name of the world, in its own light.
+        block: which such set of pictures, >= 0.
+
+    Returns:
+        How many false detections there were, and in how many pictures the marker was found.
+    """
+    eyes = _eyes(world, "default", settings.seed)
+    shots = strewn_views(world, settings.frames, settings.seed, block)
+    frames = [eyes.judge(view) for view in shots]
+    return sum(frame.false for frame in frames), sum(frame.found for frame in frames)
+
+
+@functools.lru_cache(maxsize=None)
+def _eyes(world: str, light: str, seed: int) -> Eyes:
+    # A process has one core: neither the graphics library nor OpenCV shall take others'.
+    os.environ.setdefault("LP_NUM_THREADS", "1")
+    cv2.setNumThreads(1)
+    return Eyes(world, light, seed)
+
+
+class Eyes:
+    """Camera and detector in a world whose markers are known."""
+
+    def __init__(self, world: str, light: str, seed: int):
+        self._camera = FreeCamera(lit_world(world, light), seed)
+        self._known = WORLDS[world]
+        self._observer = MarkerObserver(DetectorSettings(DICTIONARY), self._known.wanted.size)
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """Geometry of the pictures."""
+        return self._camera.camera
+
+    def snapshot(self, view: View) -> Snapshot:
+        """Take a picture and keep it, with the corners of what is found."""
+        picture, markers = self._look(view)
+        png = cv2.imencode(".png", picture)[1].tobytes()
+        return Snapshot(png, np.array([m.corners for m in markers]).reshape(-1, 4, 2))
+
+    def judge(self, view: View) -> Frame:
+        """Take a picture and compare what is found in it with the truth."""
+        _, markers = self._look(view)
+        return judge(markers, view.pose, self._known.wanted, self._known.others, self.camera)
+
+    def _look(self, view: View) -> Tuple[np.ndarray, List[ObservedMarker]]:
+        picture = self._camera.take(view.pose, view.number)
+        return picture, self._observer.observe(picture, self.camera).markers
+
+    def side(self, pose: Pose) -> float:
+        """Return the mean side of the wanted marker in the picture, in pixels."""
+        corners = self.camera.project(in_optical_frame(pose, self._known.wanted.corners()))
+        return _side(corners)
+
+
+def judge(
+    markers: List[ObservedMarker],
+    pose: Pose,
+    wanted: PrintedMarker,
+    others: Tuple[PrintedMarker, ...],
+    camera: PinholeCamera,
+) -> Frame:
+    """Compare what was found in a picture with the truth.
+
+    Args:
+        markers: what was found.
+        pose: of the camera in the world.
+        wanted: the marker that should be found.
+        others: markers with the same id that are there, too.
+        camera: geometry of the picture.
+    """
+    hits = [m for m in markers if _is_seen_at(m, wanted, pose, camera)]
+    rest = [m for m in markers if not _is_seen_at(m, wanted, pose, camera)]
+    known = [m for m in rest if any(_is_seen_at(m, one, pose, camera) for one in others)]
+    counts = (len(known), max(0, len(hits) - 1), len(rest) - len(known))
+    if not hits:
+        return Frame(False, *counts)
+    return Frame(True, *counts, **_pose_errors(hits[0], wanted, pose))
+
+
+def _is_seen_at(
+    marker: ObservedMarker, printed: PrintedMarker, pose: Pose, camera: PinholeCamera
+) -> bool:
+    if marker.id != WANTED_ID:
+        return False
+    corners = camera.project(in_optical_frame(pose, printed.corners()))
+    offsets = np.linalg.norm(np.asarray(marker.corners) - corners, axis=1)
+    return bool(np.max(offsets) <= 1.0 + LARGEST_OFFSET * _side(corners))
+
+
+def _side(corners: np.ndarray) -> float:
+    return float(np.mean(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)))
+
+
+def _pose_errors(marker: ObservedMarker, printed: PrintedMarker, pose: Pose) -> Dict[str, Any]:
+    corners = in_optical_frame(pose, printed.corners())
+    middle = corners.mean(axis=0)
+    right, up = corners[1] - corners[0], corners[0] - corners[3]
+    truth = np.column_stack([right, up, np.cross(right, up) / printed.size]) / printed.size
+    best, alternative = marker.pose.best, marker.pose.alternative
+    distance = float(np.linalg.norm(middle))
+    error = np.asarray(best.translation) - middle
+    along = float(error @ middle) / distance
+    turned, other = (_angle(truth, p.rotation) for p in (best, alternative))
+    return {
+        "distance_error": float(np.linalg.norm(best.translation)) - distance,
+        "lateral_error": math.sqrt(max(0.0, float(error @ error) - along * along)),
+        "rotation_error": turned,
+        "flipped": other < turned,
+    }
+
+
+def _angle(one: np.ndarray, two: np.ndarray) -> float:
+    """Return the angle between two attitudes, (3, 3) each."""
+    vector, _ = cv2.Rodrigues(np.asarray(one).T @ np.asarray(two))
+    return float(np.linalg.norm(vector))

@@ -1,0 +1,1 @@
+"""Hundreds of dockings from random starts."""

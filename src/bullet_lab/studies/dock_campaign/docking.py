@@ -1,0 +1,346 @@
+"""One docking in the simulation, without ROS: the robot, its camera, the detector and the task."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, List, Optional, Tuple
+
+import numpy as np
+
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
+from bullet_lab.core.pose import Pose
+from bullet_lab.docking.database import Dock, find_dock, read_docks
+from bullet_lab.docking.task import DockingTask
+from bullet_lab.docking.types import (
+    CameraMount,
+    DockingError,
+    Observation,
+    Odometry,
+    PlanarPose,
+    Sighting,
+)
+from bullet_lab.errors import LabError
+from bullet_lab.noise.odometry_noise import NoisyPath, make_rule
+from bullet_lab.simulation.floor_plan import footprints
+from bullet_lab.simulation.plugins.camera import Camera
+from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
+from bullet_lab.simulation.simulation import ModelInstance, Simulation
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.vision.dictionaries import dictionary_named
+from bullet_lab.vision.images import grey
+from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
+
+ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
+MARKER_POSE: PlanarPose = (4.0, 0.0, 0.0)
+"""True pose of the dock in all worlds of the package."""
+
+FLOOR = "ground_plane"
+TICK_STEPS = 50
+CONTACT_RATE = 100.0
+TURNING_RADIUS = 0.29
+_SETTLE_STEPS = 100
+
+
+class DockingExperimentError(LabError):
+    """A scenario that makes no sense."""
+
+
+@dataclass(frozen=True)
+class DockingScenario:
+    """What a docking is made of.
+
+    Attributes:
+        world: URI of the world.
+        lighting: URI of another world whose light replaces this one's; empty: its own.
+        start: of the robot in the world, m, m, rad.
+        dock: its name in the database.
+        docks: URI of the database.
+        dock_error: what the database's pose is wrong by, along the world's axes: m, m, rad.
+        odometry: "odom" or "noisy_odom".
+        odometry_model: rule of the noise, see `make_rule`.
+        odometry_std: its parameter.
+        odometry_seed: of the noise.
+        image_rate: images per second, while they are wanted.
+        image_noise: standard deviation as a share of white.
+        image_blur: standard deviation in px.
+        image_seed: of the image noise.
+        time_limit: s of simulated time.
+        max_retries: None: as docking has it.
+        search: look for the marker where it is not seen at once.
+        keep_frames: how many images to keep, spread over the drive; 0: none.
+    """
+
+    world: str = "package://bullet_lab/worlds/docking.world"
+    lighting: str = ""
+    start: PlanarPose = (0.0, 0.0, 0.0)
+    dock: str = "dock"
+    docks: str = "package://bullet_lab/config/docks.yaml"
+    dock_error: PlanarPose = (0.0, 0.0, 0.0)
+    odometry: str = "odom"
+    odometry_model: str = "report"
+    odometry_std: float = 0.0
+    odometry_seed: int = 0
+    image_rate: float = 5.0
+    image_noise: float = 0.0
+    image_blur: float = 0.0
+    image_seed: int = 0
+    time_limit: float = 300.0
+    max_retries: Optional[int] = None
+    search: bool = True
+    keep_frames: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class KeptFrame:
+    """An image of the drive: time in s, state, (h, w, 3) RGB, corners (4, 2) px or None."""
+
+    time: float
+    state: str
+    image: np.ndarray
+    corners: Optional[np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class DockingOutcome:
+    """How a docking went.
+
+    Errors are those of the standing robot against the simulator's truth: positive is too far,
+    to the left of the axis and turned to the left.
+
+    Attributes:
+        docked: the task said so.
+        error_code: of `DockingError`.
+        error_name: its name.
+        message: one line for the user.
+        distance_error_m: along the axis.
+        lateral_error_m: across it.
+        yaw_error_deg: against it.
+        wall_contacts: how often the robot began to touch anything but the floor.
+        retries: how often it retreated to try again.
+        sim_time_s: until the end.
+        images: that were taken.
+        truth: (n, 4) time, x, y and yaw of the robot in the world.
+        estimate: (n, 4) the same as the task believes it, where it has seen the marker; given
+            in the world by the true pose of the dock.
+        states: when which state began.
+        frames: the images that were kept.
+        renderer: driver that drew the images.
+    """
+
+    docked: bool
+    error_code: int
+    error_name: str
+    message: str
+    distance_error_m: float
+    lateral_error_m: float
+    yaw_error_deg: float
+    wall_contacts: int
+    retries: int
+    sim_time_s: float
+    images: int
+    truth: np.ndarray
+    estimate: np.ndarray
+    states: Tuple[Tuple[float, str], ...]
+    frames: Tuple[KeptFrame, ...] = ()
+    renderer: str = ""
+
+
+@dataclass
+class _Record:
+    """What is written down on the way."""
+
+    truth: List[Tuple[float, ...]] = field(default_factory=list)
+    estimate: List[Tuple[float, ...]] = field(default_factory=list)
+    states: List[Tuple[float, str]] = field(default_factory=list)
+    frames: List[KeptFrame] = field(default_factory=list)
+    images: int = 0
+    contacts: int = 0
+    touching: bool = False
+
+
+def run_docking(scenario: DockingScenario) -> DockingOutcome:
+    """Dock once.
+
+    Raises:
+        LabError: the scenario names what does not exist, or noise that makes no sense.
+    """
+    dock = _wrong_dock(scenario)
+    with Simulation(_world(scenario), scenario.image_seed) as simulation:
+        return _Drive(scenario, dock, simulation).run()
+
+
+def is_free(start: PlanarPose, world: str = DockingScenario.world) -> bool:
+    """Say whether a robot can turn on the spot at a pose in a world without touching anything."""
+    plan = footprints(read_world_file(ResourceFinder.anywhere().find(world)), below=0.55)
+    return all(wall.distance(start[:2]) > TURNING_RADIUS for wall in plan)
+
+
+def _wrong_dock(scenario: DockingScenario) -> Dock:
+    """Return the entry of the database, with the true pose and the scenario's error of it."""
+    docks = read_docks(ResourceFinder.anywhere().find(scenario.docks))
+    dock = find_dock(docks, scenario.dock)
+    x, y, yaw = (a + b for a, b in zip(MARKER_POSE, scenario.dock_error))
+    return replace(dock, pose=(x, y, wrap(yaw)))
+
+
+def _world(scenario: DockingScenario):
+    finder = ResourceFinder.anywhere()
+    world = read_world_file(finder.find(scenario.world))
+    if not scenario.lighting:
+        return world
+    light = read_world_file(finder.find(scenario.lighting))
+    return replace(world, lights=light.lights, ambient=light.ambient, background=light.background)
+
+
+class _Drive:
+    """A docking under way."""
+
+    def __init__(self, scenario: DockingScenario, dock: Dock, simulation: Simulation):
+        if scenario.odometry not in ("odom", "noisy_odom"):
+            raise DockingExperimentError(f"odometry is '{scenario.odometry}', not odom, noisy_odom")
+        if not 0.5 <= scenario.image_rate <= 60.0:
+            raise DockingExperimentError(f"{scenario.image_rate:g} images per second")
+        self._scenario, self._dock, self._simulation = scenario, dock, simulation
+        x, y, yaw = scenario.start
+        self._robot = simulation.spawn(ROBOT, pose=Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw)))
+        self._camera = _camera_of(self._robot)
+        self._camera.settings = replace(
+            self._camera.settings,
+            noise_stddev=scenario.image_noise,
+            blur=scenario.image_blur,
+        )
+        std = scenario.odometry_std if scenario.odometry == "noisy_odom" else 0.0
+        self._noise = NoisyPath(make_rule(scenario.odometry_model, std), scenario.odometry_seed)
+        marker = dock.marker
+        self._dictionary = marker.dictionary
+        name = dictionary_named(marker.dictionary).name
+        self._detector = MarkerDetector(DetectorSettings(dictionary=name, ids=(marker.id,)))
+        self._task = DockingTask(
+            dock,
+            dock.pose,
+            _mount_of(self._robot, self._camera),
+            search=scenario.search,
+            max_retries=scenario.max_retries,
+            time_limit=scenario.time_limit,
+            seed=scenario.odometry_seed,
+        )
+        self._record = _Record()
+        self._odometry: Optional[OdometrySample] = None
+        self._stamp = 0.0
+
+    def run(self) -> DockingOutcome:
+        """Drive to the end."""
+        simulation = self._simulation
+        simulation.run_until(_SETTLE_STEPS)
+        self._robot.listen("odom", self._take_odometry)
+        simulation.every(CONTACT_RATE, self._check_contact)
+        next_image = simulation.seconds
+        while self._task.result is None:
+            simulation.run_until(simulation.step + TICK_STEPS)
+            self._feed_odometry()
+            if simulation.seconds >= next_image - 1e-9:
+                next_image += 1.0 / self._scenario.image_rate
+                if self._task.wants_images:
+                    self._look()
+            v, w = self._task.tick(simulation.seconds)
+            self._robot.command("cmd_vel", PlanarCommand(v, 0.0, w))
+            self._write_down()
+        simulation.run_for(0.5)
+        return self._outcome()
+
+    def _take_odometry(self, sample: OdometrySample) -> None:
+        self._odometry = sample
+
+    def _feed_odometry(self) -> None:
+        sample, self._odometry = self._odometry, None
+        if sample is None:
+            return
+        x, y, _ = sample.pose.position
+        noisy = self._noise.update(x, y, sample.pose.yaw)
+        seconds = sample.step / 1000.0 - self._stamp
+        self._stamp = sample.step / 1000.0
+        covariance = noisy.motion_covariance / seconds**2 if seconds > 0.0 else None
+        velocity = (sample.velocity.vx, sample.velocity.wz)
+        self._task.add_odometry(Odometry(self._stamp, noisy.pose, velocity, covariance))
+
+    def _look(self) -> None:
+        simulation, camera = self._simulation, self._camera
+        image = camera.take(simulation.step)
+        found = self._detector.detect(grey(image, "rgb8"), camera.camera).markers
+        sightings = tuple(Sighting(m.id, self._dictionary, m.corners) for m in found)
+        stamp = simulation.seconds
+        self._task.add_observation(Observation(stamp, camera.camera, sightings))
+        self._record.images += 1
+        if self._scenario.keep_frames:
+            corners = found[0].corners if found else None
+            frame = KeptFrame(stamp, self._task.state.label, image, corners)
+            self._record.frames.append(frame)
+            _thin_out(self._record.frames, 4 * self._scenario.keep_frames)
+
+    def _check_contact(self, step: int) -> None:
+        touching = any(other != FLOOR for other in self._simulation.contacts(self._robot.name))
+        if touching and not self._record.touching:
+            self._record.contacts += 1
+        self._record.touching = touching
+
+    def _write_down(self) -> None:
+        record, stamp = self._record, self._simulation.seconds
+        record.truth.append((stamp, *_planar(self._robot)))
+        believed = self._task.estimated_robot()
+        if believed is not None:
+            record.estimate.append((stamp, *se2.compose(MARKER_POSE, believed).tolist()))
+        state = self._task.state.label
+        if not record.states or record.states[-1][1] != state:
+            record.states.append((stamp, state))
+
+    def _outcome(self) -> DockingOutcome:
+        record, result, scenario = self._record, self._task.result, self._scenario
+        x, y, yaw = se2.between(MARKER_POSE, _planar(self._robot)).tolist()
+        ahead = _mount_of(self._robot, self._camera).x
+        distance = -x - ahead * math.cos(yaw)
+        frames = record.frames
+        _thin_out(frames, scenario.keep_frames)
+        return DockingOutcome(
+            result.success,
+            int(result.error),
+            DockingError(result.error).name,
+            result.message,
+            distance - self._dock.docked_distance,
+            y,
+            math.degrees(yaw),
+            record.contacts,
+            result.retries,
+            record.truth[-1][0],
+            record.images,
+            np.array(record.truth),
+            np.array(record.estimate).reshape(-1, 4),
+            tuple(record.states),
+            tuple(frames),
+            self._simulation.renderer().driver if record.images else "",
+        )
+
+
+def _thin_out(frames: List[Any], most: int) -> None:
+    """Drop images so that those that stay are spread evenly; the last one stays."""
+    while len(frames) > most > 0:
+        gaps = [b.time - a.time for a, b in zip(frames[:-2], frames[2:])]
+        del frames[1 + int(np.argmin(gaps)) if gaps else 0]
+
+
+def _planar(robot: ModelInstance) -> PlanarPose:
+    pose = robot.pose()
+    return pose.position[0], pose.position[1], pose.yaw
+
+
+def _camera_of(robot: ModelInstance) -> Camera:
+    return next(device for device in robot.devices if isinstance(device, Camera))
+
+
+def _mount_of(robot: ModelInstance, camera: Camera) -> CameraMount:
+    """Return where the camera is on the robot, by the description of the robot."""
+    place = robot.pose().inverse() * camera.pose()
+    roll, pitch, yaw = place.rpy()
+    return CameraMount(*place.position, roll, pitch, yaw)

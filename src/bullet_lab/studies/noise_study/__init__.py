@@ -1,0 +1,1 @@
+"""Thousands of noisy versions of one path, at every level of noise."""

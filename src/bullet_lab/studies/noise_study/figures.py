@@ -1,0 +1,338 @@
+"""The pictures of a noise study.
+
+Noisy paths are blue and the perfect one orange, as in all figures; what is computed exactly is
+black, what is computed to first order vermilion and dashed.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, List, Sequence, Tuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.cm import viridis
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogFormatter, NullLocator
+
+from bullet_lab.core.ellipse import LEVEL, ellipse_points
+from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.noise.exact_moments import Moments
+from bullet_lab.noise.noisy_paths import noisy_steps
+from bullet_lab.studies.noise_study.resampling import find_corners, resample
+from bullet_lab.studies.noise_study.statistics import Case, level_rule, theory
+
+COLUMNS = 5
+CURVES = 5
+SHOWN_RATES = 3
+TYPICAL_LEVEL = 0.1
+
+_LARGEST_MARGIN = 0.6  # of the size of the path; what goes beyond is cut off
+_RATES_ON_CURVE = 24
+
+Window = Tuple[float, float, float, float]
+
+
+def levels_figure(cases: Sequence[Case]) -> Figure:
+    """Draw a small sheet of noisy paths for each level, all to the same scale.
+
+    Args:
+        cases: of one model and rate, a level each.
+    """
+    rows = -(-len(cases) // COLUMNS)
+    columns = min(COLUMNS, len(cases))
+    window = _window(cases)
+    height = 2.6 * (window[3] - window[2]) / (window[1] - window[0])
+    figure = new_figure(0.8 + 2.6 * columns, 1.3 + rows * (min(height, 5.0) + 0.35))
+    first = cases[0]
+    figure.suptitle(
+        f"{_name(first.model)} noise at {first.rate:g} Hz: "
+        f"{len(first.sample.kept)} of {first.sample.paths} paths at each level"
+    )
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    for axes, case in zip(grid.flat, cases):
+        _draw_sheet(axes, case, window)
+        axes.set_title(f"std {case.std:g}", fontsize=10)
+    for axes in grid.flat[len(cases) :]:
+        axes.set_axis_off()
+    for axes in grid[-1]:
+        axes.set_xlabel("x (m)")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("y (m)")
+    _add_sheet_legend(figure)
+    figure.tight_layout(rect=(0.01, 0.35 / figure.get_figheight(), 1.0, 1.0), pad=0.8)
+    return figure
+
+
+def distance_figure(cases: Sequence[Case]) -> Figure:
+    """Draw the error against the distance travelled, and the closed form over it.
+
+    Args:
+        cases: of one rate; a panel for each model.
+    """
+    by_model = _by_model(cases)
+    figure = new_figure(4.3 * len(by_model) + 0.6, 4.6)
+    figure.suptitle(f"Error against distance, at {cases[0].rate:g} Hz")
+    panels = figure.subplots(1, len(by_model), squeeze=False, sharey=True)[0]
+    for axes, (model, of_model) in zip(panels, by_model.items()):
+        shown = _shown_levels(of_model)
+        for case, colour in zip(shown, _colours(len(shown))):
+            _draw_error(axes, case, colour)
+        axes.set(title=_name(model), xlabel="distance travelled (m)", yscale="log")
+        _plain_numbers(axes.yaxis)
+        axes.grid(alpha=0.3)
+        axes.margins(x=0.0)
+        axes.set_xlim(right=1.2 * cases[0].trajectory.length())
+    panels[0].set_ylabel("rms distance from the perfect path (m)")
+    handles = [
+        *panels[0].plot([], [], color=GREY, linewidth=3.2, label="sample (colour: std)"),
+        *panels[0].plot([], [], "--", color=BLACK, linewidth=1.0, label="closed form, exact"),
+        *panels[0].plot([], [], ":", color=VERMILION, linewidth=1.6, label="first order"),
+    ]
+    figure.legend(handles=handles, loc="lower center", ncol=3, frameon=False)
+    figure.tight_layout(rect=(0.0, 0.07, 1.0, 1.0))
+    return figure
+
+
+def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
+    """Draw what the message rate does to each model: paths, and the error at the end.
+
+    Args:
+        cases: of all models, rates and levels.
+        trajectory: the perfect path as it was given.
+    """
+    by_model = _by_model(cases)
+    rates = _spread(sorted({case.rate for case in cases}), SHOWN_RATES)
+    level = min({case.std for case in cases}, key=lambda std: abs(std - TYPICAL_LEVEL))
+    sheets = [case for case in cases if case.std == level and case.rate in rates]
+    window = _window(sheets)
+    figure = new_figure(2.5 * len(rates) + 4.4, 0.9 + 2.75 * len(by_model))
+    figure.suptitle(f"Dependence on the message rate; paths at std {level:g}")
+    widths = [1.0] * len(rates) + [1.35]
+    grid = figure.subplots(
+        len(by_model), len(rates) + 1, squeeze=False, gridspec_kw={"width_ratios": widths}
+    )
+    for row, (model, of_model) in zip(grid, by_model.items()):
+        for axes, rate in zip(row, rates):
+            case = next(c for c in of_model if c.rate == rate and c.std == level)
+            _draw_sheet(axes, case, window)
+            axes.set_title(f"{rate:g} Hz", fontsize=10)
+        row[0].set_ylabel(f"{_name(model)}\n\ny (m)")
+        _draw_rates(row[-1], of_model, trajectory)
+    for axes in grid[-1, :-1]:
+        axes.set_xlabel("x (m)")
+    grid[0, -1].set_title("rms error at the end (m) by std", fontsize=10)
+    grid[-1, -1].set_xlabel("message rate (Hz); line: exact")
+    shared = [axes.get_ylim() for axes in grid[:, -1]]
+    for axes in grid[:, -1]:
+        axes.set_ylim(min(low for low, _ in shared), 1.3 * max(high for _, high in shared))
+    _add_sheet_legend(figure)
+    figure.tight_layout(rect=(0.01, 0.35 / figure.get_figheight(), 1.0, 1.0), pad=0.8)
+    return figure
+
+
+def coverage_figure(cases: Sequence[Case]) -> Figure:
+    """Draw where the 95 % ellipses are right and where not, and the NEES.
+
+    Args:
+        cases: of all models and levels; those of the highest rate are drawn.
+    """
+    rate = max(case.rate for case in cases)
+    by_model = _by_model([case for case in cases if case.rate == rate])
+    figure = new_figure(4.0 * len(by_model) + 0.8, 6.0)
+    figure.suptitle(f"How far to trust an ellipse: last pose, at {rate:g} Hz")
+    grid = figure.subplots(2, len(by_model), squeeze=False, sharex=True, sharey="row")
+    for column, (model, of_model) in zip(grid.T, by_model.items()):
+        known = [case for case in of_model if case.sample.nees is not None]
+        _draw_coverage(column[0], known)
+        column[0].set_title(_name(model))
+        std = [case.std for case in known]
+        column[1].axhline(1.0, color=GREY, linewidth=5.0, alpha=0.5)
+        nees = [case.sample.nees / 3.0 for case in known]
+        column[1].plot(std, nees, "^-", color=BLUE, label="NEES of noisy_odom / 3")
+        areas = [case.theory.area_ratio() for case in known]
+        column[1].plot(
+            std, areas, "s--", color=VERMILION, label="area of the ellipse,\nfirst order / exact"
+        )
+        column[1].set_xlabel("std")
+        column[1].grid(alpha=0.3)
+    grid[0, 0].set_ylabel("in the 95 % ellipse (%)")
+    grid[1, 0].set_ylabel("ratio; 1 is right")
+    grid[0, 0].legend(loc="lower left", fontsize=8)
+    grid[1, 0].legend(loc="upper left", fontsize=8)
+    figure.tight_layout()
+    return figure
+
+
+def _draw_coverage(axes: Axes, cases: Sequence[Case]) -> None:
+    axes.axhspan(94.0, 96.0, color=GREY, alpha=0.35, linewidth=0.0)
+    std = [case.std for case in cases]
+    for name, label, style, colour in (
+        ("exact", "exact", "o-", BLACK),
+        ("first_order", "first order", "s--", VERMILION),
+        ("published", "as noisy_odom sends it", "^-", BLUE),
+    ):
+        values = [100.0 * case.sample.coverage[name] for case in cases]
+        axes.plot(std, values, style, color=colour, label=label, markersize=5)
+    axes.grid(alpha=0.3)
+
+
+def _draw_sheet(axes: Axes, case: Case, window: Window) -> None:
+    start = complex(*case.trajectory.poses[0, :2])
+    perfect = case.trajectory.poses[:, 0] + 1j * case.trajectory.poses[:, 1]
+    lines = start + case.sample.kept
+    axes.add_collection(
+        LineCollection(
+            np.stack([lines.real, lines.imag], axis=-1), colors=BLUE, linewidths=0.5, alpha=0.3
+        )
+    )
+    outline = [withStroke(linewidth=2.6, foreground="white")]
+    axes.plot(perfect.real, perfect.imag, color=ORANGE, linewidth=1.5, path_effects=outline)
+    for index in find_corners(case.trajectory):
+        for moments, style, colour in (
+            (case.theory.exact, "-", BLACK),
+            (case.theory.first_order, (0, (3, 2)), VERMILION),
+        ):
+            ellipse = _ellipse_at(case, moments, index)
+            axes.plot(ellipse.real, ellipse.imag, linestyle=style, color=colour, linewidth=1.1)
+    axes.set_aspect("equal")
+    axes.set(xlim=window[:2], ylim=window[2:])
+    axes.tick_params(labelsize=8)
+
+
+def _ellipse_at(case: Case, moments: Moments, index: int) -> np.ndarray:
+    centre = case.trajectory.poses[index, :2] + moments.mean[index, :2]
+    x, y = ellipse_points(moments.covariance[index]).T
+    return complex(*centre) + x + 1j * y
+
+
+def _add_sheet_legend(figure: Figure) -> None:
+    axes = figure.axes[0]
+    percent = f"{100 * LEVEL:g} %"
+    handles = [
+        *axes.plot([], [], color=BLUE, linewidth=1.0, label="noisy"),
+        *axes.plot([], [], color=ORANGE, linewidth=2.0, label="perfect"),
+        *axes.plot([], [], color=BLACK, linewidth=1.2, label=f"{percent} ellipse, exact"),
+        *axes.plot(
+            [], [], "--", color=VERMILION, linewidth=1.2, label=f"{percent} ellipse, first order"
+        ),
+    ]
+    figure.legend(handles=handles, loc="lower center", ncol=4, frameon=False)
+
+
+def _window(cases: Sequence[Case]) -> Window:
+    """Return limits that hold paths and ellipses as far as they are near the perfect path."""
+    poses = cases[0].trajectory.poses
+    size = max(np.ptp(poses[:, 0]), np.ptp(poses[:, 1]))
+    start = complex(*poses[0, :2])
+    shown = np.concatenate(
+        [
+            curve
+            for case in cases
+            for index in find_corners(case.trajectory)
+            for curve in (
+                start + case.sample.kept[:, index],
+                _ellipse_at(case, case.theory.exact, index),
+            )
+        ]
+    )
+    sides = []
+    for perfect, others in ((poses[:, 0], shown.real), (poses[:, 1], shown.imag)):
+        low, high = perfect.min(), perfect.max()
+        least, most = others.min() - 0.05 * size, others.max() + 0.05 * size
+        sides.append(np.clip(least, low - _LARGEST_MARGIN * size, low - 0.08 * size))
+        sides.append(np.clip(most, high + 0.08 * size, high + _LARGEST_MARGIN * size))
+    return tuple(sides)
+
+
+def _draw_error(axes: Axes, case: Case, colour) -> None:
+    travelled = case.trajectory.travelled()
+    # On a logarithmic axis the start, where there is no error, is nowhere.
+    shown = slice(int(np.searchsorted(travelled, 0.02 * travelled[-1])), None)
+    far = travelled[shown]
+    axes.plot(far, case.sample.rms_distance[shown], color=colour, linewidth=3.2)
+    axes.plot(far, case.theory.exact.rms_distance()[shown], "--", color=BLACK, linewidth=1.0)
+    axes.plot(
+        far, case.theory.first_order.rms_distance()[shown], ":", color=VERMILION, linewidth=1.6
+    )
+    end = (far[-1], case.sample.rms_distance[-1])
+    axes.annotate(
+        f"{case.std:g}", end, xytext=(5, 0), textcoords="offset points", va="center", fontsize=9
+    )
+
+
+def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> None:
+    """Draw the error at the end against the rate: samples, and the exact curve through them."""
+    all_rates = sorted({case.rate for case in cases})
+    shown = _shown_levels([case for case in cases if case.rate == all_rates[0]])
+    rates = np.unique(
+        [*np.geomspace(0.8 * all_rates[0], 1.25 * all_rates[-1], _RATES_ON_CURVE), *all_rates]
+    )
+    paths = [resample(trajectory, rate) for rate in rates]
+    for first, colour in zip(shown, _colours(len(shown))):
+        rule = level_rule(first.model, first.std)
+        ends = [theory(noisy_steps(p.poses, rule)).exact.rms_distance()[-1] for p in paths]
+        axes.plot(rates, ends, "-", color=BLACK, linewidth=1.0)
+        of_level = [case for case in cases if case.std == first.std]
+        axes.plot(
+            [case.rate for case in of_level],
+            [case.sample.rms_distance[-1] for case in of_level],
+            "o",
+            color=colour,
+            markeredgecolor=BLACK,
+            markersize=6,
+        )
+        axes.annotate(
+            f"{first.std:g}",
+            (rates[-1], ends[-1]),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=9,
+        )
+    axes.set(xscale="log", yscale="log")
+    axes.set_xlim(0.75 * rates[0], 2.0 * rates[-1])
+    axes.xaxis.set_major_locator(FixedLocator(all_rates))
+    axes.xaxis.set_minor_locator(NullLocator())
+    for axis in (axes.xaxis, axes.yaxis):
+        _plain_numbers(axis)
+    axes.tick_params(labelsize=8)
+    axes.grid(alpha=0.3)
+
+
+def _plain_numbers(axis: Axis) -> None:
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(LogFormatter())
+
+
+def _by_model(cases: Sequence[Case]) -> Dict[str, List[Case]]:
+    result: Dict[str, List[Case]] = {}
+    for case in cases:
+        result.setdefault(case.model, []).append(case)
+    return result
+
+
+def _shown_levels(cases: Sequence[Case]) -> List[Case]:
+    """Return the cases with noise, so many that they can be told apart, from low to high."""
+    return _spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), CURVES)
+
+
+def _spread(values: Sequence, count: int) -> List:
+    """Return so many of the values, first and last among them."""
+    if len(values) <= count:
+        return list(values)
+    indices = np.linspace(0, len(values) - 1, count).round().astype(int)
+    return [values[i] for i in indices]
+
+
+def _colours(count: int) -> List:
+    """Return colours from dark to light, which print and the colour-blind tell apart."""
+    return [viridis(value) for value in np.linspace(0.1, 0.9, count)]
+
+
+def _name(model: str) -> str:
+    names = {"report": "The report's", "rate_invariant": "Rate-invariant"}
+    return names.get(model, model.capitalize())

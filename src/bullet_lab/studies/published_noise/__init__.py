@@ -1,0 +1,1 @@
+"""Which of the report's defects make its figure 1b?"""

@@ -1,0 +1,348 @@
+"""The digitised figure 1b, and what replays of the report's noise come down to."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Dict, List, Mapping, Sequence, Set
+
+import numpy as np
+
+from bullet_lab.errors import LabError
+from bullet_lab.studies.published_noise.defects import DEFECTS, Defects
+from bullet_lab.studies.published_noise.likeness import (
+    RESOLUTION,
+    SIGNIFICANCE,
+    TOLERANCE,
+    Likeness,
+    log_likelihood,
+)
+from bullet_lab.studies.published_noise.side_deviation import (
+    SIDES,
+    corner_points,
+    side_deviations,
+    sides_between,
+)
+
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+PLACES = (*(f"side{side}" for side in range(1, SIDES + 1)), "end")
+"""Where a path deviates: across each side at most, and at the end of the drive."""
+
+DOUBT = 0.01
+"""A defect is needed (or ruled out) if less than this share of the likelihood is without it
+(or with it). In between, the figure cannot tell."""
+
+SAME = 1e-4
+"""m; combinations whose deviations are never further apart do the same: no figure shows it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What came of one combination of defects.
+
+    Attributes:
+        defects: the combination.
+        deviations: m, of each noisy path, shape (seeds, 5): see `PLACES`.
+        likeness: how well these explain the deviations in the published figure.
+    """
+
+    defects: Defects
+    deviations: np.ndarray
+    likeness: Likeness
+
+    def quantiles(self) -> np.ndarray:
+        """Return the `QUANTILES` of the deviations (m), a row for each, columns as `PLACES`."""
+        return np.quantile(self.deviations, QUANTILES, axis=0)
+
+    def does_the_same_as(self, other: Result) -> bool:
+        """Return whether each path strays as far with these defects as with the others."""
+        return bool(np.abs(self.deviations - other.deviations).max() <= SAME)
+
+
+def ranked(results: Sequence[Result]) -> List[Result]:
+    """Return the results, the one that explains the figure best first."""
+    return sorted(results, key=lambda result: -result.likeness.log_likelihood)
+
+
+def groups_of_same(results: Sequence[Result]) -> List[List[Result]]:
+    """Put results together that are the same to `SAME`, in the order given."""
+    groups: List[List[Result]] = []
+    for result in results:
+        for group in groups:
+            if group[0].does_the_same_as(result):
+                group.append(result)
+                break
+        else:
+            groups.append([result])
+    return groups
+
+
+def log10_to_best(results: Sequence[Result]) -> List[float]:
+    """Return the decimal logarithm of each likelihood over that of the first."""
+    best = results[0].likeness.log_likelihood
+    return [(result.likeness.log_likelihood - best) / math.log(10.0) for result in results]
+
+
+def published_summary(
+    about: Mapping[str, Any],
+    figure: Mapping[str, Any],
+    measured: np.ndarray,
+    results: Sequence[Result],
+) -> Dict[str, Any]:
+    """Return what summary.json says.
+
+    Args:
+        about: the settings.
+        figure: what is to be said of the published figure.
+        measured: its deviations (m), at each of `PLACES`.
+        results: of all combinations, ranked.
+    """
+    weights = _weights(results)
+    findings = {name: _finding(name, results, weights) for name in DEFECTS}
+    needed = [name for name in DEFECTS if findings[name]["verdict"] == "needed"]
+    return {
+        "job": "published_noise",
+        **about,
+        "figure_1b": dict(figure),
+        "explained": results[0].likeness.p_value >= SIGNIFICANCE,
+        "winners": [str(r.defects) for r, weight in zip(results, weights) if weight > DOUBT],
+        "needed": needed,
+        "cannot_be_told": [
+            name for name in DEFECTS if findings[name]["verdict"] == "cannot be told"
+        ],
+        "robustness": _robustness(measured, results, needed),
+        "defects": findings,
+        "combinations": [
+            {"rank": rank, **_describe(result, ratio, weight, results)}
+            for rank, (result, ratio, weight) in enumerate(
+                zip(results, log10_to_best(results), weights), start=1
+            )
+        ],
+    }
+
+
+def _weights(results: Sequence[Result]) -> np.ndarray:
+    """Return the share that each has in the likelihood of all, all held equally likely before."""
+    shares = np.power(10.0, log10_to_best(results))
+    return shares / shares.sum()
+
+
+def _finding(name: str, results: Sequence[Result], weights: np.ndarray) -> Dict[str, Any]:
+    """Say what the figure says about one defect."""
+    weight = float(sum(w for r, w in zip(results, weights) if getattr(r.defects, name)))
+    best_with, best_without = (
+        next(r for r in results if getattr(r.defects, name) == is_in) for is_in in (True, False)
+    )
+    best = results[0]
+    twin = next(r for r in results if _differ_in(r.defects, best.defects) == {name})
+    verdict = "needed" if weight > 1.0 - DOUBT else "ruled out" if weight < DOUBT else None
+    with_over_without = log10_to_best([best_without, best_with])[1]
+    return {
+        "verdict": verdict or "cannot be told",
+        "weight": round(weight, 6),
+        "log10_likelihood_with_over_without": round(with_over_without, 3),
+        "best_without": str(best_without.defects),
+        "changes_nothing_in_the_best": best.does_the_same_as(twin),
+    }
+
+
+def _robustness(
+    measured: np.ndarray, results: Sequence[Result], needed: Sequence[str]
+) -> List[Dict[str, Any]]:
+    """Say which would be best if lengths were read half or twice as well."""
+    steps = (0.5, 1.0, 2.0)
+    return [
+        _judge_anew(measured, results, needed, resolution * RESOLUTION, tolerance * TOLERANCE)
+        for resolution in steps
+        for tolerance in steps
+    ]
+
+
+def _judge_anew(
+    measured: np.ndarray,
+    results: Sequence[Result],
+    needed: Sequence[str],
+    resolution: float,
+    tolerance: float,
+) -> Dict[str, Any]:
+    logs = {
+        r.defects: log_likelihood(measured, r.deviations, resolution, tolerance) / math.log(10.0)
+        for r in results
+    }
+    best = max(logs, key=lambda defects: logs[defects])
+    without = [log for defects, log in logs.items() if not set(needed) <= set(defects.names)]
+    return {
+        "resolution_m": resolution,
+        "tolerance": tolerance,
+        "best": str(best),
+        "log10_likelihood_without_all_needed": (
+            round(max(without) - logs[best], 3) if without else None
+        ),
+    }
+
+
+def _differ_in(one: Defects, other: Defects) -> Set[str]:
+    return {name for name in DEFECTS if getattr(one, name) != getattr(other, name)}
+
+
+def _describe(
+    result: Result, ratio: float, weight: float, results: Sequence[Result]
+) -> Dict[str, Any]:
+    likeness = result.likeness
+    return {
+        "name": str(result.defects),
+        "defects": list(result.defects.names),
+        "log10_likelihood_to_best": round(ratio, 3),
+        "log10_likelihood_error": round(likeness.log_likelihood_error / math.log(10.0), 3),
+        "weight": float(f"{weight:.3g}"),
+        "p_value": round(likeness.p_value, 4),
+        "side_percentile_of_figure_1b": rounded(100.0 * likeness.percentiles[:SIDES], 1),
+        "side_deviation_m": {
+            share: rounded(row[:SIDES]) for share, row in zip(_shares(), result.quantiles())
+        },
+        "end_percentile_of_figure_1b": round(100.0 * float(likeness.percentiles[SIDES]), 1),
+        "end_deviation_m": dict(zip(_shares(), rounded(result.quantiles()[:, SIDES]))),
+        "same_as": [
+            str(other.defects)
+            for other in results
+            if other is not result and result.does_the_same_as(other)
+        ],
+    }
+
+
+def _shares() -> List[str]:
+    return [f"q{100.0 * share:02.0f}" for share in QUANTILES]
+
+
+def rounded(values: Sequence[float], digits: int = 5) -> List[float]:
+    """Return values for a table."""
+    return [round(float(value), digits) for value in values]
+
+
+def combination_rows(results: Sequence[Result]) -> List[List[Any]]:
+    """Return combinations.csv: a header, and a row for each combination, ranked; m and %."""
+    header = ["rank", *DEFECTS, "log10_likelihood_to_best", "p_value"]
+    for place in PLACES:
+        header += [f"{place}_{share}_m" for share in _shares()] + [f"{place}_percentile"]
+    rows: List[List[Any]] = [header]
+    for rank, (result, ratio) in enumerate(zip(results, log10_to_best(results)), start=1):
+        row = [rank, *_switches(result.defects), round(ratio, 3)]
+        row.append(round(result.likeness.p_value, 4))
+        for quantiles, percentile in zip(result.quantiles().T, result.likeness.percentiles):
+            row += rounded(quantiles) + [round(100.0 * float(percentile), 1)]
+        rows.append(row)
+    return rows
+
+
+def deviation_rows(results: Sequence[Result], first_seed: int) -> List[List[Any]]:
+    """Return deviations.csv: a header, and a row for each combination and seed; m."""
+    header = ["seed", *DEFECTS, *(f"{place}_m" for place in PLACES)]
+    rows: List[List[Any]] = [header]
+    for result in results:
+        switches = _switches(result.defects)
+        for seed, deviations in enumerate(result.deviations, start=first_seed):
+            rows.append([seed, *switches, *rounded(deviations, 6)])
+    return rows
+
+
+def _switches(defects: Defects) -> List[int]:
+    return [int(getattr(defects, name)) for name in DEFECTS]
+
+
+def verdict_lines(summary: Mapping[str, Any]) -> List[str]:
+    """Return what a summary comes down to, for the terminal."""
+    figure, best = summary["figure_1b"], summary["combinations"][0]
+    lines = [
+        f"figure 1b strays {_millimetres(figure['side_deviation_m'])} mm on sides 1 to 4; "
+        f"its third side has {figure['third_side_steps']} steps: {figure['sampling_rate_hz']} Hz",
+        f"best of 32: {best['name']}: median {_millimetres(best['side_deviation_m']['q50'])} mm, "
+        f"p = {best['p_value']:.3g}",
+    ]
+    if not summary["explained"]:
+        return [*lines, "no combination explains figure 1b"]
+    for name in DEFECTS:
+        finding = summary["defects"][name]
+        ratio = _ratio_text(finding["log10_likelihood_with_over_without"])
+        lines.append(f"  {name + ':':15}{finding['verdict']} (likelihood with / without: {ratio})")
+    return lines
+
+
+def _ratio_text(log10_ratio: float) -> str:
+    # Beyond, no path is like the figure, and the number says only that it is far off.
+    if abs(log10_ratio) > 4.0:
+        return "> 10000" if log10_ratio > 0.0 else "< 0.0001"
+    return f"{10.0**log10_ratio:.3g}"
+
+
+def _millimetres(metres: Sequence[float]) -> str:
+    return ", ".join(f"{1e3 * value:.1f}" for value in metres)
+
+
+_CORNER_REACH = 0.1  # m; the corners of figure 1b are within 0.06 m of the simulated ones
+# At the end of figure 1b no blue shows beside the orange, and at the corners no more than a
+# pixel; so the corners of its noisy path are those of its perfect path as well.
+SEEN_AT_END = 0.0
+_LEAST_STEP = 0.1  # m; shorter steps of the drawn path are at the corners
+
+
+class PublishedFigureError(LabError):
+    """The digitised figure cannot be read."""
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedFigure:
+    """What figure 1b shows.
+
+    Attributes:
+        points: of the noisy path (m), shape (n, 2).
+        corners: five of them (m), shape (5, 2); the perfect path joins them.
+        deviations: m, of the noisy path from the perfect one: the largest on each side, and the
+            distance at the end, which is 0 as far as can be seen; shape (5,).
+        third_side_steps: how many steps the third side is drawn in.
+    """
+
+    points: np.ndarray
+    corners: np.ndarray
+    deviations: np.ndarray
+    third_side_steps: int
+
+
+def read_published_figure(path: Path, corners) -> PublishedFigure:
+    """Read figure 1b from a file as in the folder data.
+
+    Args:
+        path: of the file.
+        corners: of the simulated square (m), shape (5, 2), near which its own are looked for.
+
+    Raises:
+        LabError: the file cannot be read or does not hold a path around that square.
+    """
+    points = _read_series(path, "fig1b_noisy")
+    indices = corner_points(points, corners, _CORNER_REACH)
+    sides = sides_between(indices, len(points))
+    deviations = side_deviations(points[:, np.newaxis], sides[:, np.newaxis], points[indices])
+    third = points[indices[2] : indices[3] + 1]
+    steps = np.hypot(*np.diff(third, axis=0).T)
+    return PublishedFigure(
+        points,
+        points[indices],
+        np.append(deviations[0], SEEN_AT_END),
+        int(np.count_nonzero(steps > _LEAST_STEP)),
+    )
+
+
+def _read_series(path: Path, name: str) -> np.ndarray:
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = [row for row in csv.DictReader(file) if row["series"] == name]
+        points = np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows])
+    except OSError as error:
+        raise PublishedFigureError(f"cannot read {path}: {error.strerror}") from error
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        raise PublishedFigureError(f"{path} is not a table of series,x_m,y_m") from error
+    if not points.size or not np.isfinite(points).all():
+        raise PublishedFigureError(f"{path} has no path {name}, or one that is not finite")
+    return points
