@@ -143,7 +143,7 @@ MOVED: Dict[str, str] = {
     "ros.odometry_frames": "ros.bridge.odometry_frames",
     "ros.odometry_recorder": "ros.record.odometry_recorder",
     "ros.pace": "ros.bridge.pace",
-    "ros.parameters": "ros.node.parameters",
+    "ros.parameters": "core.parameters",
     "ros.place_beacon": "ros.nodes.place_beacon",
     "ros.plot_beacons": "ros.record.plot_beacons",
     "ros.plot_docking": "ros.record.plot_docking",

@@ -1,11 +1,19 @@
 import math
+from argparse import ArgumentParser
 from dataclasses import dataclass
 from typing import Any, Mapping, Tuple
 
 import pytest
 
-from bullet_lab.ros.node import parameters
-from bullet_lab.ros.node.parameters import ParameterError, read_parameters
+from bullet_lab.core import parameters
+from bullet_lab.core.parameters import (
+    ParameterError,
+    add_options,
+    check_parameters,
+    declarations,
+    read_options,
+    read_parameters,
+)
 
 
 def odd(value):
@@ -63,7 +71,11 @@ def test_values_are_taken_over_and_converted():
         ("ratio", -0.1, "a number >= 0 and <= 1"),
         ("ratio", math.nan, "a number"),
         ("ratio", True, "a number"),
-        ("ratio", "0.5", "~ratio is '0.5': it must be a number"),
+        ("ratio", "nan", "~ratio is 'nan': it must be a number"),
+        ("ratio", "0,5", "~ratio is '0,5': it must be a number"),
+        ("ratio", "1_0", "a number"),
+        ("ratio", "1e999", "a number"),
+        ("ratio", [], "~ratio is []: it must be a number"),
         ("width", 0.0, "~width is 0.0: it must be a number > 0"),
         ("width", math.inf, "a number > 0"),
         ("width", 10**400, "a number > 0"),
@@ -72,7 +84,9 @@ def test_values_are_taken_over_and_converted():
         ("seed", 1.0, "a whole number"),
         ("seed", True, "a whole number"),
         ("paused", 1, "~paused is 1: it must be true or false"),
-        ("paused", "true", "true or false"),
+        ("paused", "yes", "~paused is 'yes': it must be true or false"),
+        ("seed", "1.0", "a whole number"),
+        ("seed", "99999999999999999999", "a whole number"),
         ("mode", "medium", "~mode is 'medium': it must be one of slow, fast"),
         ("mode", ["slow"], "one of slow, fast"),
         ("topic", {"a": 1}, "text"),
@@ -97,6 +111,83 @@ def test_values_that_are_not_allowed(name, value, message):
     assert "\n" not in str(caught.value)
 
 
+def test_text_as_launch_files_and_command_lines_have_it():
+    values = read(ratio="5e-1", width="2", seed="+7", paused="true", pose="0 -.5 1.", special=5)
+    assert values == Sample(0.5, 2.0, 7, True, "slow", "odom", (), (0.0, -0.5, 1.0), {}, 5)
+
+
+def test_empty_text_is_the_default_unless_it_is_a_value():
+    empty = {name: "" for name in ("ratio", "width", "seed", "paused", "mode", "pose", "special")}
+    assert read(**empty) == read()
+    assert read(topic="", nodes="") == read(topic="")
+    assert read(topic="").topic == ""
+
+
+def test_declarations_say_what_is_asked():
+    declared = declarations(Sample)
+    assert list(declared)[:2] == ["ratio", "width"]
+    ratio = declared["ratio"]
+    assert (ratio.default, ratio.check.doc) == (0.5, "a ratio")
+    assert ratio.check.allowed == "a number >= 0 and <= 1"
+    assert declared["about"].default == {}
+
+
+def test_values_made_in_python_are_checked():
+    check_parameters(Sample())
+    check_parameters(Sample(ratio=1.0))
+    with pytest.raises(ParameterError, match="^ratio is 2.0: it must be a number >= 0 and <= 1$"):
+        check_parameters(Sample(ratio=2.0))
+
+
+@dataclass(frozen=True)
+class Settings:
+    std: float = parameters.number(0.1, "noise", minimum=0.0)
+    every_light: bool = parameters.boolean(False, "all")
+    levels: Tuple[float, ...] = parameters.numbers((0.0, 0.5), "of std, 100 %", 0.0, maximum=10.0)
+    lights: Tuple[str, ...] = parameters.choices(("dark",), "to try", ("dark", "bright"))
+    path: str = parameters.text("", "a file")
+
+
+def options(*words):
+    parser = ArgumentParser()
+    add_options(parser, Settings)
+    return read_options(Settings, vars(parser.parse_args(words)))
+
+
+def test_options_of_a_command_line():
+    assert options() == Settings()
+    given = ("--every-light", "--levels", "0", "1e-1", "--lights=bright dark", "--std=2")
+    assert options(*given) == Settings(2.0, True, (0.0, 0.1), ("bright", "dark"))
+    assert options("--std=", "--levels=", "--lights=", "--every-light=", "--path=") == Settings()
+    assert options("--every-light=true").every_light
+    assert not options("--every-light=false").every_light
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--std", "x"), "--std is 'x': it must be a number >= 0"),
+        (("--levels", "1", "1"), "--levels is '1 1': it must be different numbers >= 0 and <= 10"),
+        (("--levels", "11"), "different numbers >= 0 and <= 10"),
+        (("--lights", "green"), "--lights is 'green': it must be different words of dark, bright"),
+        (("--lights", "dark", "dark"), "different words"),
+        (("--every-light=yes",), "--every-light is 'yes': it must be true or false"),
+    ],
+)
+def test_options_that_are_not_allowed(words, message):
+    with pytest.raises(ParameterError) as caught:
+        options(*words)
+    assert message in str(caught.value)
+
+
+def test_help_of_options_has_sentence_limits_and_default(capsys):
+    with pytest.raises(SystemExit):
+        options("--help")
+    text = " ".join(capsys.readouterr().out.split())
+    assert "noise: a number >= 0; by default 0.1" in text
+    assert "of std, 100 %: different numbers >= 0 and <= 10; by default 0.0 0.5" in text
+
+
 def test_misspelt_names_are_found():
     with pytest.raises(ParameterError, match="^there is no parameter ~widht: known are ~about, "):
         read(widht=1.0)
@@ -108,7 +199,7 @@ def test_rospy_is_not_needed():
 
     code = (
         "import sys, bullet_lab.ros, bullet_lab.ros.bridge.pace, bullet_lab.ros.bridge.pace, "
-        "bullet_lab.ros.node.parameters, bullet_lab.simulation.view, bullet_lab.reports.squares\n"
+        "bullet_lab.core.parameters, bullet_lab.simulation.view, bullet_lab.reports.squares\n"
         "sys.exit('rospy' in sys.modules)"
     )
     path = [entry for entry in sys.path if entry]

@@ -1,0 +1,363 @@
+"""Parameters: declared once, with type, default, limits and a sentence each.
+
+The parameters of a node, a study or a model are the fields of one frozen dataclass, each made by
+one of the functions below. Values come typed, or as the text that a launch file or a command
+line has; an empty text means "not given", unless the parameter takes it as a value. What is not
+allowed is refused with one line that names the parameter, the value and what is allowed.
+
+>>> @dataclass(frozen=True)
+... class Parameters:
+...     std: float = number(0.1, "noise per metre", minimum=0.0)
+...     levels: Tuple[float, ...] = numbers((0.0, 0.5), "values of std")
+>>> read_parameters(Parameters, {"~std": "0.3"}.get)
+Parameters(std=0.3, levels=(0.0, 0.5))
+>>> read_parameters(Parameters, {"~std": -1}.get)
+Traceback (most recent call last):
+bullet_lab.core.parameters.ParameterError: ~std is -1: it must be a number >= 0
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from dataclasses import MISSING, Field, dataclass, field, fields
+from typing import Any, Callable, Dict, Iterable, Mapping, Optional, Sequence, Tuple, Type, TypeVar
+
+from bullet_lab.errors import LabError
+
+_CHECK = "check"
+_WHOLE = re.compile(r"[-+]?\d+", re.ASCII)
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+T = TypeVar("T")
+
+
+class ParameterError(LabError):
+    """A parameter has a value that is not allowed."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """What a value has to be: `accept` returns it converted, or raises ValueError or TypeError."""
+
+    doc: str
+    allowed: str
+    accept: Callable[[Any], Any]
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """A parameter as it is declared: by a field of a dataclass."""
+
+    name: str
+    default: Any
+    check: Check
+
+    def read(self, value: Any, shown_name: str = "") -> Any:
+        """Return a value as the parameter takes it; the default for an empty text that it does not.
+
+        Args:
+            value: typed, or the text of a launch file or a command line.
+            shown_name: what the parameter is called in a refusal, by default its name.
+
+        Raises:
+            ParameterError: the value is not allowed.
+        """
+        try:
+            return self.check.accept(value)
+        except (ValueError, TypeError, OverflowError) as error:
+            if isinstance(value, str) and not value:
+                return self.default
+            shown = f"'{value}'" if isinstance(value, str) else str(value)
+            name = shown_name or self.name
+            raise ParameterError(f"{name} is {shown}: it must be {self.check.allowed}") from error
+
+
+def declarations(kind: type) -> Dict[str, Declaration]:
+    """Return the parameters that a dataclass declares, by name; its other fields are left out."""
+    return {
+        entry.name: Declaration(entry.name, _default(entry), entry.metadata[_CHECK])
+        for entry in fields(kind)
+        if _CHECK in entry.metadata
+    }
+
+
+def number(
+    default: float,
+    doc: str,
+    minimum: float = -math.inf,
+    above: float = -math.inf,
+    maximum: float = math.inf,
+) -> Any:
+    """Declare a finite number within [minimum, maximum] and greater than `above`."""
+
+    def accept(value: Any) -> float:
+        value = _float(value)
+        if not (minimum <= value <= maximum and value > above):
+            raise ValueError
+        return value
+
+    return _declare(default, doc, "a number" + _limits(minimum, above, maximum), accept)
+
+
+def integer(default: int, doc: str, minimum: int = -(2**31), maximum: int = 2**31 - 1) -> Any:
+    """Declare a whole number within [minimum, maximum]."""
+
+    def accept(value: Any) -> int:
+        value = _integer(value)
+        if not minimum <= value <= maximum:
+            raise ValueError
+        return value
+
+    return _declare(default, doc, f"a whole number from {minimum} to {maximum}", accept)
+
+
+def odd(default: int, doc: str, minimum: int, maximum: int) -> Any:
+    """Declare an odd whole number within [minimum, maximum]."""
+
+    def accept(value: Any) -> int:
+        value = _integer(value)
+        if value % 2 == 0 or not minimum <= value <= maximum:
+            raise ValueError
+        return value
+
+    return _declare(default, doc, f"an odd number from {minimum} to {maximum}", accept)
+
+
+def boolean(default: bool, doc: str) -> Any:
+    """Declare true or false."""
+
+    def accept(value: Any) -> bool:
+        if isinstance(value, bool):
+            return value
+        if value not in ("true", "false"):
+            raise ValueError
+        return value == "true"
+
+    return _declare(default, doc, "true or false", accept)
+
+
+def choice(default: str, doc: str, options: Sequence[str]) -> Any:
+    """Declare one word of several."""
+
+    def accept(value: Any) -> str:
+        if value not in options:
+            raise ValueError
+        return value
+
+    return _declare(default, doc, "one of " + ", ".join(options), accept)
+
+
+def choices(default: Sequence[str], doc: str, options: Sequence[str]) -> Any:
+    """Declare one or more words of several, none of them twice."""
+
+    def accept(value: Any) -> Tuple[str, ...]:
+        words = tuple(_words(value))
+        if not set(words) <= set(options):
+            raise ValueError
+        return _distinct(words)
+
+    allowed = "different words of " + ", ".join(options)
+    return _declare(tuple(default), doc, allowed, accept)
+
+
+def text(default: str, doc: str) -> Any:
+    """Declare any text."""
+
+    def accept(value: Any) -> str:
+        if isinstance(value, (dict, list)):
+            raise ValueError
+        return str(value)
+
+    return _declare(default, doc, "text", accept)
+
+
+def name_list(doc: str) -> Any:
+    """Declare names with spaces between them; none by default."""
+
+    def accept(value: Any) -> Tuple[str, ...]:
+        if isinstance(value, tuple):
+            return value
+        return tuple(_text(value).split())
+
+    return _declare((), doc, "names with spaces between them", accept)
+
+
+def number_list(default: Sequence[float], doc: str) -> Any:
+    """Declare exactly as many finite numbers as the default has, with spaces between them."""
+
+    def accept(value: Any) -> Tuple[float, ...]:
+        values = tuple(_float(part) for part in _words(value))
+        if len(values) != len(default):
+            raise ValueError
+        return values
+
+    return _declare(tuple(default), doc, f"{len(default)} finite numbers", accept)
+
+
+def numbers(
+    default: Sequence[float],
+    doc: str,
+    minimum: float = -math.inf,
+    above: float = -math.inf,
+    maximum: float = math.inf,
+) -> Any:
+    """Declare one or more finite numbers within limits as of `number`, none of them twice."""
+
+    def accept(value: Any) -> Tuple[float, ...]:
+        values = tuple(_float(part) for part in _words(value))
+        if not all(minimum <= number <= maximum and number > above for number in values):
+            raise ValueError
+        return _distinct(values)
+
+    allowed = "different numbers" + _limits(minimum, above, maximum)
+    return _declare(tuple(default), doc, allowed, accept)
+
+
+def mapping(doc: str) -> Any:
+    """Declare a dictionary; empty by default."""
+
+    def accept(value: Any) -> Mapping[str, Any]:
+        if not isinstance(value, dict):
+            raise ValueError
+        return value
+
+    return _declare(None, doc, "a dictionary", accept, factory=dict)
+
+
+def checked(default: Any, doc: str, allowed: str, accept: Callable[[Any], Any]) -> Any:
+    """Declare a value with a check of its own; `accept` raises ValueError or TypeError."""
+    return _declare(default, doc, allowed, accept)
+
+
+def read_parameters(
+    kind: Type[T], get: Callable[[str, Any], Any], given: Optional[Mapping[str, Any]] = None
+) -> T:
+    """Read all parameters of a node.
+
+    Args:
+        kind: the dataclass that declares them.
+        get: `get(name, default)`, such as rospy.get_param; called with "~name".
+        given: what is set below the node's private name, to find misspelt names in.
+
+    Raises:
+        ParameterError: a value that is not allowed, or a name that is not declared.
+    """
+    declared = declarations(kind)
+    unknown = sorted(set(given or ()) - set(declared))
+    if unknown:
+        known = ", ".join(f"~{name}" for name in sorted(declared))
+        raise ParameterError(f"there is no parameter ~{unknown[0]}: known are {known}")
+    values = {}
+    for name, declaration in declared.items():
+        value = get(f"~{name}", MISSING)
+        if value is not MISSING:
+            values[name] = declaration.read(value, f"~{name}")
+    return kind(**values)
+
+
+def check_parameters(parameters: Any) -> None:
+    """Check the values of a dataclass that was made in Python, as in its `__post_init__`.
+
+    Raises:
+        ParameterError: a value that is not allowed.
+    """
+    for name, declaration in declarations(type(parameters)).items():
+        value = getattr(parameters, name)
+        if value != declaration.default:
+            declaration.read(value)
+
+
+def add_options(parser: argparse.ArgumentParser, kind: type) -> None:
+    """Add an option for each parameter: `--every-light` for every_light, `--std 0.3`.
+
+    Lists are given as words, or as one: `--levels 0 0.1` or `--levels='0 0.1'`; true and false
+    as words, or true by the option alone. `read_options` reads what the parser finds.
+    """
+    for name, declaration in declarations(kind).items():
+        default = declaration.default
+        shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
+        check = declaration.check
+        parser.add_argument(
+            "--" + name.replace("_", "-"),
+            nargs="*" if isinstance(default, (tuple, bool)) else None,
+            metavar=name.upper(),
+            help=f"{check.doc}: {check.allowed}; by default {shown}".replace("%", "%%"),
+        )
+
+
+def read_options(kind: Type[T], values: Mapping[str, Any]) -> T:
+    """Return the parameters from what a parser with `add_options` has found, such as `vars(…)`.
+
+    Raises:
+        ParameterError: a value that is not allowed.
+    """
+    read = {}
+    for name, declaration in declarations(kind).items():
+        found = values.get(name)
+        if found is None:
+            continue
+        if found == [] and isinstance(declaration.default, bool):
+            found = "true"
+        words = found if isinstance(found, str) else " ".join(found)
+        read[name] = declaration.read(words, "--" + name.replace("_", "-"))
+    return kind(**read)
+
+
+def _declare(default: Any, doc: str, allowed: str, accept: Callable, factory: Any = None) -> Any:
+    metadata = {_CHECK: Check(doc, allowed, accept)}
+    if factory is not None:
+        return field(default_factory=factory, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+def _default(entry: Field) -> Any:
+    factory: Any = entry.default_factory  # type: ignore[misc]
+    return entry.default if factory is MISSING else factory()
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError
+    return value
+
+
+def _float(value: Any) -> float:
+    """Return a finite number, which a text spells in plain digits."""
+    if isinstance(value, str) and not _NUMBER.fullmatch(value):
+        raise ValueError
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError
+    found = float(value)
+    if not math.isfinite(found):
+        raise ValueError
+    return found
+
+
+def _integer(value: Any) -> int:
+    if isinstance(value, str) and _WHOLE.fullmatch(value):
+        return int(value)
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ValueError
+    return value
+
+
+def _words(value: Any) -> Iterable[Any]:
+    return value.split() if isinstance(value, str) else list(value)
+
+
+def _distinct(values: Tuple[Any, ...]) -> Tuple[Any, ...]:
+    if not values or len(set(values)) < len(values):
+        raise ValueError
+    return values
+
+
+def _limits(minimum: float, above: float, maximum: float) -> str:
+    limits = []
+    if minimum > -math.inf:
+        limits.append(f">= {minimum:g}")
+    if above > -math.inf:
+        limits.append(f"> {above:g}")
+    if maximum < math.inf:
+        limits.append(f"<= {maximum:g}")
+    return " " + " and ".join(limits) if limits else ""
