@@ -5,9 +5,14 @@ Leading axes broadcast as everywhere in numpy. Every yaw that is returned lies i
 
 from __future__ import annotations
 
+from typing import Tuple
+
 import numpy as np
 
 from bullet_lab.core.angles import wrap
+
+PlanarPose = Tuple[float, float, float]
+"""One of them as numbers, for those who hold one at a time: x (m), y (m) and yaw (rad)."""
 
 
 def compose(a, b) -> np.ndarray:

@@ -13,8 +13,8 @@ from typing import Optional, Tuple
 import numpy as np
 
 from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.se2 import PlanarPose
 
-PlanarPose = Tuple[float, float, float]
 Command = Tuple[float, float]
 STANDSTILL: Command = (0.0, 0.0)
 

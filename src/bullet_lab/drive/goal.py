@@ -13,10 +13,10 @@ from enum import Enum
 from typing import Tuple
 
 from bullet_lab.core.angles import wrap
+from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.drive.square import SLOWEST_DRIVE, SLOWEST_TURN, approach
 from bullet_lab.errors import LabError
 
-PlanarPose = Tuple[float, float, float]
 Command = Tuple[float, float]
 STANDSTILL: Command = (0.0, 0.0)
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Generator, Iterator, Optional, Tuple
 
 from bullet_lab.core.angles import wrap
+from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.errors import LabError
 
 Command = Tuple[float, float]
-PlanarPose = Tuple[float, float, float]
 
 OPEN_LOOP_RATE = 10.0
 CLOSED_LOOP_RATE = 20.0
