@@ -1,4 +1,7 @@
-"""How a robot is driven in squares: by the clock or by its odometry, command after command."""
+"""A driver of squares: by the clock or by odometry, command after command.
+
+It knows neither ROS nor the simulation: who uses it sends the commands, `rate` times a second.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,8 @@ from bullet_lab.errors import LabError
 
 Command = Tuple[float, float]
 
+OPEN_LOOP, CLOSED_LOOP = "open_loop", "closed_loop"
+MODES = (OPEN_LOOP, CLOSED_LOOP)
 OPEN_LOOP_RATE = 10.0
 CLOSED_LOOP_RATE = 20.0
 
@@ -34,7 +39,7 @@ class DriverError(LabError):
 
 @dataclass(frozen=True)
 class Square:
-    """What is to be driven.
+    """A square, or a part of one, or several in a row.
 
     Attributes:
         sides: how many; a full square has 4, more go round again.
@@ -42,6 +47,13 @@ class Square:
         speed: on the sides, m/s.
         turn_speed: at the corners, rad/s; negative turns clockwise.
         turn_commands: how many commands at 10 Hz an open-loop turn takes.
+
+    Raises:
+        DriverError: no sides, or a length or a speed that makes no sense.
+
+    Example:
+        >>> Square(side=1.0).side_commands
+        50
     """
 
     sides: int = 4
@@ -122,30 +134,37 @@ def approach(left: float, fastest: float, slowest: float, gain: float = SLOWING_
         fastest: the speed far from the target, in units of `left` per second.
         slowest: the speed close to it, unless `fastest` is slower still.
         gain: speed for each unit that is left, in between, 1/s.
+
+    Example:
+        >>> approach(1.0, 0.2, 0.02), approach(0.05, 0.2, 0.02), approach(0.001, 0.2, 0.02)
+        (0.2, 0.1, 0.02)
     """
     return min(fastest, max(slowest, gain * left))
 
 
-OPEN_LOOP, CLOSED_LOOP = "open_loop", "closed_loop"
-MODES = (OPEN_LOOP, CLOSED_LOOP)
-
-_Course = Generator[Command, Optional[PlanarPose], None]
+_Commands = Generator[Command, Optional[PlanarPose], None]
 
 
-class SquareCourse:
-    """Says what a robot is to do next, at `rate` Hz.
-
-    Attributes:
-        rate: commands per second.
-        needs_pose: whether `command` has to be told where the robot is.
-        sides_done: how many sides have been driven, with the turn after each.
+class SquareDriver:
+    """Says what a robot is to do next, at `rate` Hz, until the square is driven.
 
     Args:
         square: what is driven.
         mode: one of `MODES`, what ends a side.
 
+    Attributes:
+        rate: commands per second.
+        needs_pose: whether `command` has to be told where the robot is.
+        sides_done: how many sides have been driven, with the turn after each.
+        distance: m driven so far, of all sides.
+
     Raises:
         DriverError: an unknown mode.
+
+    Example:
+        >>> driver = SquareDriver(Square(sides=1, side=0.04, turn_commands=1))
+        >>> driver.command(), driver.command(), driver.command(), driver.command()
+        ((0.2, 0.0), (0.2, 0.0), (0.0, -0.5236), None)
     """
 
     def __init__(self, square: Square, mode: str = OPEN_LOOP):
@@ -155,7 +174,8 @@ class SquareCourse:
         self.needs_pose = mode == CLOSED_LOOP
         self.rate = CLOSED_LOOP_RATE if self.needs_pose else OPEN_LOOP_RATE
         self.sides_done = 0
-        self._course: Optional[_Course] = None
+        self.distance = 0.0
+        self._commands: Optional[_Commands] = None
 
     def command(self, pose: Optional[PlanarPose] = None) -> Optional[Command]:
         """Return the next command (m/s, rad/s), or None once all is driven.
@@ -164,23 +184,31 @@ class SquareCourse:
             pose: where the robot is (m, m, rad); of no interest to an open loop.
         """
         try:
-            if self._course is None:
-                self._course = self._by_odometry(pose) if self.needs_pose else self._by_clock()
-                return next(self._course)
-            return self._course.send(pose)
+            if self._commands is None:
+                self._commands = self._by_odometry(pose) if self.needs_pose else self._by_clock()
+                return next(self._commands)
+            return self._commands.send(pose)
         except StopIteration:
             return None
 
-    def _by_clock(self) -> _Course:
+    def _by_clock(self) -> _Commands:
         for _ in range(self._square.sides):
-            yield from open_loop_side(self._square)
+            for number, command in enumerate(open_loop_side(self._square), 1):
+                yield command
+                self._note(number * self._square.side / self._square.side_commands)
             self.sides_done += 1
 
-    def _by_odometry(self, pose: PlanarPose) -> _Course:
+    def _by_odometry(self, pose: PlanarPose) -> _Commands:
         heading = pose[2]
         for _ in range(self._square.sides):
             side = ClosedLoopSide(self._square, pose, heading)
             while not side.done:
                 pose = yield side.command(pose)
+                self._note(side.progress(pose))
             heading = side.next_heading
             self.sides_done += 1
+
+    def _note(self, progress: float) -> None:
+        """Take note of how far (m) along the present side the robot is."""
+        driven = self.sides_done * self._square.side + min(progress, self._square.side)
+        self.distance = max(self.distance, driven)

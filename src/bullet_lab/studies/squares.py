@@ -16,35 +16,23 @@ from bullet_lab.core.angles import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import write_json
 from bullet_lab.core.pose import Pose
-from bullet_lab.drive.square import (
-    CLOSED_LOOP_RATE,
-    OPEN_LOOP_RATE,
-    ClosedLoopSide,
-    PlanarPose,
-    Square,
-    open_loop_side,
-)
+from bullet_lab.drive.square import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
 from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, make_rule
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.reports.squares import PathsRecording, noise_figure, squares_summary
-from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
-from bullet_lab.simulation.simulation import ModelInstance, Simulation
+from bullet_lab.simulation.plugins.samples import PlanarCommand
+from bullet_lab.simulation.simulation import Simulation
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
-MODES = ("open_loop", "closed_loop")
 SECONDS_PER_STEP = 1e-3
-
-
-class SquareDriveError(LabError):
-    """A drive that is not known."""
 
 
 def drive_square(
     square: Square,
     on_odometry: Callable[[int, PlanarPose], None],
-    mode: str = "open_loop",
+    mode: str = OPEN_LOOP,
     rest: float = 0.5,
     on_corner: Callable[[PlanarPose], None] = lambda pose: None,
 ) -> float:
@@ -63,25 +51,28 @@ def drive_square(
     Raises:
         LabError: the mode is unknown, or the simulation's files are missing.
     """
-    if mode not in MODES:
-        raise SquareDriveError(f"mode '{mode}' is not one of {', '.join(MODES)}")
-
-    def record(sample: OdometrySample) -> None:
-        on_odometry(sample.step, planar(sample.pose))
-
+    driver = SquareDriver(square, mode)
     with Simulation.of(WORLD) as simulation:
-        driver = _Driver(simulation, simulation.spawn(ROBOT))
-        driver.robot.listen("odom", record)
+        robot = simulation.spawn(ROBOT)
+        robot.listen("odom", lambda sample: on_odometry(sample.step, planar(sample.pose)))
+
+        def send(command: Command, seconds: float) -> None:
+            robot.command("cmd_vel", PlanarCommand(vx=command[0], wz=command[1]))
+            simulation.run_for(seconds)
+
         simulation.run_for(rest)
-        heading = driver.pose()[2]
-        for _ in range(square.sides):
-            on_corner(driver.pose())
-            if mode == "open_loop":
-                driver.drive_by_clock(square)
-            else:
-                heading = driver.drive_by_pose(square, heading)
-        driver.send(0.0, 0.0, rest)
-        on_corner(driver.pose())
+        corners = 0
+        while True:
+            pose = planar(robot.pose())
+            command = driver.command(pose)
+            if command is None:
+                break
+            if driver.sides_done == corners:
+                corners += 1
+                on_corner(pose)
+            send(command, 1.0 / driver.rate)
+        send((0.0, 0.0), rest)
+        on_corner(planar(robot.pose()))
         return simulation.seconds
 
 
@@ -91,43 +82,18 @@ def planar(pose: Pose) -> PlanarPose:
     return x, y, yaw_from_quaternion(*pose.quaternion)
 
 
-class _Driver:
-    """Commands the robot of a simulation."""
-
-    def __init__(self, simulation: Simulation, robot: ModelInstance):
-        self.robot = robot
-        self._simulation = simulation
-
-    def pose(self) -> PlanarPose:
-        return planar(self.robot.pose())
-
-    def send(self, ahead: float, turn: float, seconds: float) -> None:
-        self.robot.command("cmd_vel", PlanarCommand(vx=ahead, wz=turn))
-        self._simulation.run_for(seconds)
-
-    def drive_by_clock(self, square: Square) -> None:
-        for ahead, turn in open_loop_side(square):
-            self.send(ahead, turn, 1.0 / OPEN_LOOP_RATE)
-
-    def drive_by_pose(self, square: Square, heading: float) -> float:
-        side = ClosedLoopSide(square, self.pose(), heading)
-        while not side.done:
-            self.send(*side.command(self.pose()), 1.0 / CLOSED_LOOP_RATE)
-        return side.next_heading
-
-
 NANOSECONDS_PER_STEP = 1_000_000
 DEFAULT_ALPHAS = (0.01, 0.001, 0.01, 0.001)
 
 
 @dataclass(frozen=True)
 class SquaresSettings:
-    """What is run; the names are those of the job's arguments."""
+    """Settings of a run; the names are those of the job's arguments."""
 
     std: float = 0.1
     seed: int = 1
     model: str = "report"
-    mode: str = "open_loop"
+    mode: str = OPEN_LOOP
     as_published: bool = False
 
 

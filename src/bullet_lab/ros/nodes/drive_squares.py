@@ -1,4 +1,4 @@
-"""Drives a robot in squares, by the clock or by its odometry.
+"""The node that drives a robot in squares, by the clock or by its odometry; also for fleets.
 
 :ROS Parameters: see `DriveSquaresParameters`.
 :ROS Publishers:
@@ -10,32 +10,27 @@
 from __future__ import annotations
 
 import math
-import threading
 from dataclasses import dataclass
-from typing import Any, Optional, Tuple
+from typing import Any, Optional, Sequence, Tuple
 
 import rospy
 from geometry_msgs.msg import Twist
 from std_msgs.msg import Time
 from tqdm import tqdm
 
-from bullet_lab.drive.square import (
-    CLOSED_LOOP_RATE,
-    OPEN_LOOP_RATE,
-    ClosedLoopSide,
-    Square,
-    open_loop_side,
-)
+from bullet_lab.drive.square import MODES, OPEN_LOOP, Square, SquareDriver
 from bullet_lab.ros.node import parameters
-from bullet_lab.ros.node.lock_step import CountedPublisher, LockStepRate, Rate
+from bullet_lab.ros.node.commands import StoppableSender
+from bullet_lab.ros.node.lock_step import CountedPublisher, LockStepRate
 from bullet_lab.ros.node.node import private_parameters, run_node, wait_until
 from bullet_lab.ros.node.odometry import NewestOdometry
 from bullet_lab.ros.node.publishers import lossless_publisher
 
-# At rest before and after, so that a recording shows where the robot stood.
+# At rest before and after, so that a recording shows where the robots stood.
 REST_SECONDS = 0.5
 # Wall seconds for a latched message to reach subscribers that are still connecting.
 GOODBYE_SECONDS = 0.5
+PROGRESS_FORMAT = "{desc} {percentage:3.0f}%|{bar:30}| {n:.1f} of {total:.1f} m, {elapsed}"
 
 
 def _accept_turn_speed(value: Any) -> float:
@@ -50,7 +45,7 @@ class DriveSquaresParameters:
 
     cmd_vel: str = parameters.text("cmd_vel", "topic of the commands")
     odom: str = parameters.text("odom", "topic of the odometry that closes the loop")
-    mode: str = parameters.choice("open_loop", "what ends a side", ("open_loop", "closed_loop"))
+    mode: str = parameters.choice(OPEN_LOOP, "what ends a side", MODES)
     sides: int = parameters.integer(4, "number of sides", minimum=1)
     side: float = parameters.number(2.0, "length of a side in m", above=0.0)
     speed: float = parameters.number(0.2, "on the sides, m/s", above=0.0)
@@ -64,137 +59,135 @@ class DriveSquaresParameters:
     lock_step: bool = parameters.boolean(False, "hold simulated time back while working")
 
 
-class DriveSquares:
-    """Drives the square."""
+class _Robot:
+    """One of the robots that are driven.
 
-    def __init__(self, wanted: DriveSquaresParameters):
-        self.square = Square(
-            wanted.sides, wanted.side, wanted.speed, wanted.turn_speed, wanted.turn_commands
-        )
-        self._closed_loop = wanted.mode == "closed_loop"
+    Args:
+        driver: of its squares.
+        cmd_vel: topic of its commands.
+        odom: topic of its odometry.
+    """
+
+    def __init__(self, driver: SquareDriver, cmd_vel: str, odom: str):
+        self.driver = driver
+        self.done = False
         # Written out at once, so that the last command is on its way before the node ends.
-        self.pub = CountedPublisher(lossless_publisher(wanted.cmd_vel, Twist))
-        self._finished = lossless_publisher("~finished", Time, latch=True)
-        self._odometry = NewestOdometry(wanted.odom) if self._closed_loop else None
-        self._heading: Optional[float] = None
-        self._progress: Optional[tqdm] = None
-        self._sending = threading.RLock()
-        self._ended = False
-        rospy.on_shutdown(self._end)
-        wait_until(self.pub.is_connected, f"somebody to listen to {wanted.cmd_vel}")
-        self.rate = self._make_rate(wanted.lock_step)
+        self.commands = CountedPublisher(lossless_publisher(cmd_vel, Twist))
+        self._sender = StoppableSender(self.commands)
+        self._odometry = NewestOdometry(odom) if driver.needs_pose else None
+        rospy.on_shutdown(self._sender.end)
+        wait_until(self.commands.is_connected, f"somebody to listen to {cmd_vel}")
 
-    def drive(self, cmd_vel: str) -> None:
-        """Drive all sides, stop, and say that it is done."""
+    def tick(self, now: Optional[rospy.Time]) -> None:
+        """Send the next command; with the one to stand still, the robot is done.
+
+        Args:
+            now: in lock step, the simulated time.
+        """
+        pose = None
+        if self._odometry is not None:
+            if now is None and self._odometry.is_stale():
+                # Time goes on while it is waited for the next one.
+                self._sender.stop()
+            pose = self._odometry.newest(now)
+        command = self.driver.command(pose)
+        if command is None:
+            self.done = True
+            self._sender.stop()
+        else:
+            self._sender.send(command, self._sender.ticket())
+
+
+class DriveSquares:
+    """Drives robots in squares, all at once, tick by tick.
+
+    Args:
+        square: that each of them drives.
+        mode: what ends a side.
+        robots: (cmd_vel, odom) of each, their topics.
+        lock_step: whether to hold simulated time back while working.
+    """
+
+    def __init__(
+        self, square: Square, mode: str, robots: Sequence[Tuple[str, str]], lock_step: bool
+    ):
+        self._square = square
+        self._robots = [_Robot(SquareDriver(square, mode), *topics) for topics in robots]
+        self._finished = lossless_publisher("~finished", Time, latch=True)
+        self._side = 0
+        self._hz = self._robots[0].driver.rate
+        self._rate = LockStepRate(self._hz, self) if lock_step else rospy.Rate(self._hz)
+
+    @property
+    def count(self) -> int:
+        """How many commands have been sent, to all robots together."""
+        return sum(robot.commands.count for robot in self._robots)
+
+    def drive(self) -> None:
+        """Drive all sides, stop, say that it is done, and let the world go on."""
         self._rest()
-        total = self.square.sides * self.square.side
-        with tqdm(
-            total=total, unit="m", desc="driving", disable=None, bar_format=PROGRESS_FORMAT
-        ) as self._progress:
-            for side in range(self.square.sides):
-                self._report(f"side {side + 1} of {self.square.sides}")
-                self.drive_squares(cmd_vel)
-        self.stop()
+        driving = list(self._robots)
+        with self._progress_bar() as progress:
+            while driving:
+                for robot in driving:
+                    robot.tick(self._now)
+                driving = [robot for robot in driving if not robot.done]
+                self._report(progress)
+                if driving:
+                    self._sleep()
         self._rest()
         self._finished.publish(Time(rospy.Time.now() if self._now is None else self._now))
-
-    def drive_squares(self, cmd_vel: str) -> None:
-        """Drive one side and turn the corner after it; `cmd_vel` names the topic in the log."""
-        rospy.logdebug("publishing on %s", cmd_vel)
-        if self._closed_loop:
-            self._drive_by_odometry()
-        else:
-            self._drive_by_clock()
-
-    def _report(self, where: str) -> None:
-        """Say where the drive is, on the progress bar or, without a terminal, in the log."""
-        if self._progress.disable:
-            rospy.loginfo(where)
-        else:
-            self._progress.set_description(where)
-
-    def stop(self) -> None:
-        """Tell the robot to stand still."""
-        self.pub.publish(Twist())
-
-    def leave(self) -> None:
-        """Let the world go on without this node."""
-        if isinstance(self.rate, LockStepRate):
-            self.rate.leave()
-        else:
-            rospy.rostime.wallsleep(GOODBYE_SECONDS)
+        self._leave()
 
     @property
     def _now(self) -> Optional[rospy.Time]:
-        return self.rate.now if isinstance(self.rate, LockStepRate) else None
+        return self._rate.now if isinstance(self._rate, LockStepRate) else None
 
-    def _make_rate(self, lock_step: bool) -> Rate:
-        self._hz = CLOSED_LOOP_RATE if self._closed_loop else OPEN_LOOP_RATE
-        return LockStepRate(self._hz, self.pub) if lock_step else rospy.Rate(self._hz)
+    def _progress_bar(self) -> tqdm:
+        total = len(self._robots) * self._square.sides * self._square.side
+        return tqdm(total=total, unit="m", desc="driving", disable=None, bar_format=PROGRESS_FORMAT)
+
+    def _report(self, progress: tqdm) -> None:
+        """Say where the drive is, on the progress bar or, without a terminal, in the log."""
+        side = 1 + min(robot.driver.sides_done for robot in self._robots)
+        if self._side < side <= self._square.sides:
+            self._side, where = side, f"side {side} of {self._square.sides}"
+            if progress.disable:
+                rospy.loginfo(where)
+            else:
+                progress.set_description(where)
+        progress.update(sum(robot.driver.distance for robot in self._robots) - progress.n)
 
     def _rest(self) -> None:
         for _ in range(round(REST_SECONDS * self._hz)):
             self._sleep()
 
-    def _drive_by_clock(self) -> None:
-        step = self.square.side / self.square.side_commands
-        for ahead, turn in open_loop_side(self.square):
-            self._send(ahead, turn)
-            self._sleep()
-            self._progress.update(step if ahead else 0.0)
-
-    def _drive_by_odometry(self) -> None:
-        pose = self._newest_pose()
-        if self._heading is None:
-            self._heading = pose[2]
-        side = ClosedLoopSide(self.square, pose, self._heading)
-        driven = 0.0
-        while not side.done:
-            self._send(*side.command(pose))
-            self._sleep()
-            pose = self._newest_pose()
-            farther = min(max(driven, side.progress(pose)), self.square.side)
-            self._progress.update(farther - driven)
-            driven = farther
-        self._heading = side.next_heading
-
-    def _newest_pose(self) -> Tuple[float, float, float]:
-        if self._now is None and self._odometry.is_stale():
-            # Time goes on while it is waited for the next one.
-            self.stop()
-        return self._odometry.newest(self._now)
-
     def _sleep(self) -> None:
-        self.rate.sleep()
+        self._rate.sleep()
         # rospy.Rate says nothing of a shutdown where time is the wall clock's.
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException("shutdown")
 
-    def _send(self, ahead: float, turn: float) -> None:
-        twist = Twist()
-        twist.linear.x = ahead
-        twist.angular.z = turn
-        with self._sending:
-            if not self._ended:
-                self.pub.publish(twist)
-
-    def _end(self) -> None:
-        """Stop the robot for good: whoever ends the node, nothing is sent after this."""
-        with self._sending:
-            self._ended = True
-            self.stop()
-
-
-PROGRESS_FORMAT = "{desc} {percentage:3.0f}%|{bar:30}| {n:.1f} of {total:.1f} m, {elapsed}"
+    def _leave(self) -> None:
+        if isinstance(self._rate, LockStepRate):
+            self._rate.leave()
+        else:
+            rospy.rostime.wallsleep(GOODBYE_SECONDS)
 
 
 def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        wanted = private_parameters(DriveSquaresParameters)
-        driver = DriveSquares(wanted)
-        driver.drive(wanted.cmd_vel)
-        driver.leave()
+        parameters = private_parameters(DriveSquaresParameters)
+        square = Square(
+            parameters.sides,
+            parameters.side,
+            parameters.speed,
+            parameters.turn_speed,
+            parameters.turn_commands,
+        )
+        topics = (parameters.cmd_vel, parameters.odom)
+        DriveSquares(square, parameters.mode, [topics], parameters.lock_step).drive()
 
     run_node("drive_squares", body)
