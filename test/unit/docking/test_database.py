@@ -13,7 +13,7 @@ from bullet_lab.docking.database import (
     read_docks,
 )
 
-SHIPPED = Path(__file__).parents[2] / "config" / "docks.yaml"
+SHIPPED = Path(__file__).parents[3] / "config" / "docks.yaml"
 GOOD = """
 docks:
   home:

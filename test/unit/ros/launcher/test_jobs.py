@@ -12,7 +12,7 @@ from bullet_lab.ros.launcher.jobs import (
 )
 from bullet_lab.ros.launcher.values import UsageError
 
-LAUNCH = Path(__file__).parents[2] / "launch"
+LAUNCH = Path(__file__).parents[4] / "launch"
 
 TEXT = """<?xml version="1.0"?>
 <!-- Does one
