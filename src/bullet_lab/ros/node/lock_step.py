@@ -2,25 +2,210 @@
 
 A node that drives a robot with `rospy.Rate` is late by a millisecond or so of wall time; at a
 hundred times real time that is a tenth of a simulated second, and a square with crooked
-corners. A node in lock step holds simulated time back while it works: `LockStepRate.sleep`
-lets the bridge go on to the node's next tick, and returns when it is there.
+corners. A node in lock step holds simulated time back while it works: `Rate.sleep` lets the
+bridge go on to the node's next tick, and returns when it is there.
+
+A node is in lock step if its private parameter ~lock_step is true. Publishers, subscribers and
+rates of this package see to the rest; what nodes do is the same with and without.
 """
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import xmlrpc.client
 from collections import defaultdict
-from typing import Any, Callable, Dict, Protocol, Set
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, Iterator, List, Optional, Set
 
 import rospy
+import rosservice
 
+from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import NodeError, wait_until
-from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.srv import Advance, AdvanceRequest
 
+SERVICE = "/bullet_lab/advance"
+WAIT_FOR_BRIDGE_SECONDS = 60.0
+END_OF_TIME = rospy.Time(2**31 - 1)
+# Wall seconds for a latched message to reach subscribers that are still connecting.
+GOODBYE_SECONDS = 0.5
 # Where the slave API's getBusInfo has what.
 DESTINATION, DIRECTION, TOPIC = 1, 2, 4
 INBOUND, OUTBOUND = "i", "o"
+
+
+@functools.lru_cache(maxsize=None)
+def in_lock_step() -> bool:
+    """Return whether this node is in lock step; raises ParameterError.
+
+    Outside of a node, as in a test, it is not.
+    """
+    if not rospy.core.is_initialized():
+        return False
+    return parameters.read_parameters(LockStepParameters, rospy.get_param).lock_step
+
+
+@dataclass(frozen=True)
+class LockStepParameters:
+    """The private parameter that all nodes have, whatever their own."""
+
+    lock_step: bool = parameters.boolean(False, "hold simulated time back while working")
+
+
+class Member:
+    """What the bridge's lock step knows of this process.
+
+    Attributes:
+        publishers: whose messages to the bridge are awaited before time goes on.
+
+    Raises:
+        NodeError: there is no bridge that offers lock step.
+    """
+
+    def __init__(self):
+        self.publishers: List[rospy.Publisher] = []
+        self._call: Any = None
+
+    def join(self) -> rospy.Time:
+        """Hold simulated time back from now on; return what time it is."""
+        try:
+            rospy.wait_for_service(SERVICE, WAIT_FOR_BRIDGE_SECONDS)
+        except rospy.ROSException as error:
+            if rospy.is_shutdown():
+                raise rospy.ROSInterruptException(str(error)) from error
+            raise NodeError(f"no bridge offers {SERVICE}, which ~lock_step needs") from error
+        self._bridge = rosservice.get_service_node(SERVICE)
+        self._call = rospy.ServiceProxy(SERVICE, Advance, persistent=True)
+        # A grant up to time 0 joins, and is reached already.
+        return self.advance(rospy.Time(0))
+
+    def advance(self, until: rospy.Time) -> rospy.Time:
+        """Let simulated time go on and wait until it is there; return what time it is.
+
+        Args:
+            until: when this node wants to act next.
+
+        Raises:
+            ROSInterruptException: ROS or the bridge shuts down.
+            NodeError: the bridge is gone.
+        """
+        if self._call is None:
+            self.join()
+        try:
+            return self._call(AdvanceRequest(rospy.get_name(), until, self._sent())).now
+        except (rospy.ServiceException, rospy.ROSException, OSError) as error:
+            if rospy.is_shutdown():
+                raise rospy.ROSInterruptException("shutdown") from error
+            raise NodeError(f"the bridge does not answer on {SERVICE}: {error}") from error
+
+    def leave(self) -> None:
+        """Hold simulated time back no longer."""
+        self.advance(END_OF_TIME)
+
+    def _sent(self) -> int:
+        """Return how many messages have been sent to the bridge."""
+        return sum(
+            connection.stat_num_msg
+            for publisher in self.publishers
+            if publisher.impl is not None
+            for connection in publisher.impl.connections
+            if connection.endpoint_id == self._bridge
+        )
+
+
+@functools.lru_cache(maxsize=None)
+def member() -> Member:
+    """Return the one membership that a process has."""
+    return Member()
+
+
+class Rate:
+    """Ticks by simulated time, which a node in lock step holds back between them.
+
+    Args:
+        hz: ticks per simulated second.
+        is_ready: in lock step, what is waited for before time may begin.
+        what: is waited for then, in the log.
+
+    Attributes:
+        now: ROS time at the last tick. It may have been set back.
+    """
+
+    def __init__(
+        self, hz: float, is_ready: Optional[Callable[[], bool]] = None, what: str = "connections"
+    ):
+        self._hz = hz
+        self._member: Optional[Member] = self._membership()
+        if self._member is None:
+            self._rate = rospy.Rate(hz)
+            self.now = rospy.Time.now()
+            return
+        if is_ready is not None:
+            wait_until(is_ready, what)
+        self.now = self._member.join()
+
+    def _membership(self) -> Optional[Member]:
+        return member() if in_lock_step() else None
+
+    def sleep(self) -> None:
+        """Wait for the next tick; raises ROSInterruptException when ROS shuts down."""
+        if self._member is not None:
+            self.now = self._member.advance(self.now + rospy.Duration(1.0 / self._hz))
+            return
+        try:
+            self._rate.sleep()
+        except rospy.exceptions.ROSTimeMovedBackwardsException:
+            self._rate = rospy.Rate(self._hz)
+        # rospy.Rate says nothing of a shutdown where time is the wall clock's.
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException("shutdown")
+        self.now = rospy.Time.now()
+
+    def leave(self) -> None:
+        """Let the world go on without this node, which has said all that it has to say."""
+        if self._member is not None:
+            self._member.leave()
+        else:
+            rospy.rostime.wallsleep(GOODBYE_SECONDS)
+
+
+def rate(hz: float, is_ready: Optional[Callable[[], bool]] = None, what: str = "") -> Rate:
+    """Return a `Rate`."""
+    return Rate(hz, is_ready, what)
+
+
+def join_when(is_connected: Callable[[], bool], what: str) -> None:
+    """Tell the bridge that a node which only listens is ready, so that it misses no message.
+
+    Without lock step, nothing is waited for. In lock step the node never holds time back later.
+
+    Args:
+        is_connected: says whether somebody publishes all that it listens to.
+        what: is waited for, in the log.
+    """
+    if in_lock_step():
+        wait_until(is_connected, what)
+        _leave_when_known()
+
+
+@contextlib.contextmanager
+def time_held_at(when: rospy.Time) -> Iterator[None]:
+    """Let simulated time come to a moment, and stand there while something is done.
+
+    Without lock step, time goes its way.
+    """
+    if not in_lock_step():
+        yield
+        return
+    member().advance(when)
+    yield
+    _leave_when_known()
+
+
+def _leave_when_known() -> None:
+    wait_until(publishers_know_this_node, "the publishers to take note of this node")
+    member().leave()
 
 
 def publishers_know_this_node() -> bool:
@@ -29,11 +214,11 @@ def publishers_know_this_node() -> bool:
     A rospy subscriber counts a connection as soon as it begins to make it. What is published
     before the publisher has noted it never comes.
     """
-    wanted: Dict[str, Set[str]] = defaultdict(set)
+    topics_of: Dict[str, Set[str]] = defaultdict(set)
     for entry in _connections(rospy.get_node_uri()):
         if entry[DIRECTION] == INBOUND:
-            wanted[entry[DESTINATION]].add(entry[TOPIC])
-    return all(topics <= _sent_here(publisher) for publisher, topics in wanted.items())
+            topics_of[entry[DESTINATION]].add(entry[TOPIC])
+    return all(topics <= _sent_here(publisher) for publisher, topics in topics_of.items())
 
 
 def _sent_here(publisher: str) -> Set[str]:
@@ -56,109 +241,29 @@ def _connections(uri: str) -> list:
     return entries if code == 1 else []
 
 
-class FreeRate:
-    """Stands beside LockStepRate: ticks by ROS time, which may be set back.
-
-    Attributes:
-        now: ROS time at the last tick.
-    """
-
-    def __init__(self, hz: float):
-        self._hz = hz
-        self._rate = rospy.Rate(hz)
-        self.now = rospy.Time.now()
-
-    def sleep(self) -> None:
-        """Wait for the next tick; raises ROSInterruptException when ROS shuts down."""
-        try:
-            self._rate.sleep()
-        except rospy.exceptions.ROSTimeMovedBackwardsException:
-            self._rate = rospy.Rate(self._hz)
-        if rospy.is_shutdown():
-            raise rospy.ROSInterruptException("shutdown")
-        self.now = rospy.Time.now()
-
-
-SERVICE = "/bullet_lab/advance"
-WAIT_FOR_BRIDGE_SECONDS = 60.0
-END_OF_TIME = rospy.Time(2**31 - 1)
-
-
-class Rate(Protocol):
-    """What rospy.Rate and LockStepRate have in common."""
-
-    def sleep(self) -> None:
-        """Wait for the next tick."""
-
-
-class Counted(Protocol):
-    """What knows how many messages have been sent to the bridge."""
-
-    count: int
+# Names of before, for nodes that are in lock step without ~lock_step.
 
 
 class LockStep:
-    """A node's membership in the bridge's lock step.
-
-    Raises:
-        NodeError: there is no bridge that offers it.
-    """
-
-    def __init__(self):
-        try:
-            rospy.wait_for_service(SERVICE, WAIT_FOR_BRIDGE_SECONDS)
-        except rospy.ROSException as error:
-            if rospy.is_shutdown():
-                raise rospy.ROSInterruptException(str(error)) from error
-            raise NodeError(f"no bridge offers {SERVICE}, which ~lock_step needs") from error
-        self._call = rospy.ServiceProxy(SERVICE, Advance, persistent=True)
+    """This process's membership, by its name of before."""
 
     def listen_only(self) -> None:
-        """Join as one that never holds time back: "I am ready, do start".
-
-        Waits until all publishers that this node has found will send to it.
-        """
-        wait_until(publishers_know_this_node, "the publishers to take note of this node")
-        self.advance(END_OF_TIME)
+        """Join as one that never holds time back: "I am ready, do start"."""
+        _leave_when_known()
 
     def advance(self, until: rospy.Time, commands: int = 0) -> rospy.Time:
-        """Let simulated time go on and wait until it is there; return what time it is.
-
-        Args:
-            until: when this node wants to act next.
-            commands: how many messages it has sent to the bridge so far; the bridge awaits
-                them before it goes on.
-
-        Raises:
-            ROSInterruptException: ROS or the bridge shuts down.
-            NodeError: the bridge is gone.
-        """
-        try:
-            request = AdvanceRequest(rospy.get_name(), until, commands)
-            return self._call(request).now
-        except (rospy.ServiceException, rospy.ROSException, OSError) as error:
-            if rospy.is_shutdown():
-                raise rospy.ROSInterruptException("shutdown") from error
-            raise NodeError(f"the bridge does not answer on {SERVICE}: {error}") from error
-
-
-def join_when(connected: Callable[[], bool], what: str) -> None:
-    """Join as a listener once it is connected, so that no message is missed.
-
-    Args:
-        connected: says whether it is.
-        what: is waited for, in the log.
-    """
-    wait_until(connected, what)
-    LockStep().listen_only()
+        """Let simulated time go on and wait until it is there; return what time it is."""
+        return member().advance(until)
 
 
 class CountedPublisher:
-    """A publisher that knows how many messages it has sent, written out at once."""
+    """A publisher, written out at once, whose messages to the bridge are awaited."""
 
-    def __init__(self, publisher: Publisher):
+    def __init__(self, publisher: rospy.Publisher):
         self._publisher = publisher
         self.count = 0
+        if publisher not in member().publishers:
+            member().publishers.append(publisher)
 
     def publish(self, message: Any) -> None:
         """Publish a message."""
@@ -168,28 +273,21 @@ class CountedPublisher:
 
     def is_connected(self) -> bool:
         """Return whether anybody listens."""
-        return self._publisher.has_connections()
+        return self._publisher.impl is not None and self._publisher.impl.has_connections()
 
 
-class LockStepRate:
-    """Stands in for rospy.Rate, in lock step.
+class LockStepRate(Rate):
+    """A rate that is in lock step, whatever ~lock_step says."""
 
-    Args:
-        hz: ticks per simulated second.
-        commands: the publisher of what the node tells the bridge, or what counts for several.
-    """
+    def __init__(self, hz: float, commands: Any = None):
+        super().__init__(hz)
 
-    def __init__(self, hz: float, commands: Counted):
-        self._period = rospy.Duration(1.0 / hz)
-        self._commands = commands
-        self._lock_step = LockStep()
-        # A grant up to time 0 joins, and is reached already.
-        self.now = self._lock_step.advance(rospy.Time(0), commands.count)
+    def _membership(self) -> Member:
+        return member()
 
-    def sleep(self) -> None:
-        """Wait for the next tick; `now` is the simulated time then."""
-        self.now = self._lock_step.advance(self.now + self._period, self._commands.count)
 
-    def leave(self) -> None:
-        """Hold simulated time back no longer."""
-        self._lock_step.advance(END_OF_TIME, self._commands.count)
+class FreeRate(Rate):
+    """A rate that is not in lock step, whatever ~lock_step says."""
+
+    def _membership(self) -> None:
+        return None

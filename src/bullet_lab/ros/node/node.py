@@ -17,6 +17,7 @@ from bullet_lab.ros.node.parameters import ParameterError, read_parameters
 STATUS_CANNOT_GO_ON = 1
 STATUS_BAD_PARAMETER = 2
 MASTER_CHECK_SECONDS = 2.0
+LOCK_STEP = "lock_step"
 
 REPORT_WAIT_SECONDS = 3.0
 
@@ -77,9 +78,13 @@ def run_node(
 
 
 def private_parameters(kind: Type[T]) -> T:
-    """Read the node's parameters from the master; raises ParameterError."""
+    """Read the node's parameters from the master; raises ParameterError.
+
+    ~lock_step is a parameter of every node, see `bullet_lab.ros.node.lock_step`.
+    """
     given = rospy.get_param("~", {})
-    return read_parameters(kind, rospy.get_param, given if isinstance(given, dict) else {})
+    names = set(given if isinstance(given, dict) else {}) - {LOCK_STEP}
+    return read_parameters(kind, rospy.get_param, dict.fromkeys(names))
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:

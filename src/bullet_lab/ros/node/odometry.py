@@ -13,7 +13,9 @@ from nav_msgs.msg import Odometry
 from bullet_lab.core.angles import yaw_from_quaternion
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import NORM_TOLERANCE
+from bullet_lab.ros.node.lock_step import in_lock_step
 from bullet_lab.ros.node.node import NodeError, Refusals
+from bullet_lab.ros.node.publishers import subscriber
 
 
 class OdometryError(LabError):
@@ -72,13 +74,13 @@ class NewestOdometry:
         self._period: Optional[rospy.Duration] = None
         self._received = rospy.Time(0)
         self._refusals = Refusals()
-        self._subscriber = rospy.Subscriber(topic, Odometry, self._receive, tcp_nodelay=True)
+        self._subscriber = subscriber(topic, Odometry, self._receive)
 
     def newest(self, now: Optional[rospy.Time]) -> Tuple[float, float, float]:
-        """Return the newest pose (m, m, rad).
+        """Return the newest pose (m, m, rad), of the last `STALE_SECONDS`.
 
         Args:
-            now: in lock step, the simulated time: what was sent up to then is awaited.
+            now: ROS time; in lock step, all that was sent up to then is awaited.
 
         Raises:
             NodeError: no odometry comes.
@@ -94,13 +96,15 @@ class NewestOdometry:
             return self._pose
 
     def is_stale(self) -> bool:
-        """Return whether the newest pose came long ago, in ROS time."""
+        """Return whether the newest pose came long ago; in lock step it never has."""
+        if in_lock_step():
+            return False
         return rospy.Time.now() - self._received > rospy.Duration(STALE_SECONDS)
 
     def _is_new(self, now: Optional[rospy.Time]) -> bool:
         if self._pose is None:
             return False
-        if now is None:
+        if now is None or not in_lock_step():
             return not self.is_stale()
         return self._period is None or self._stamp > now - self._period
 

@@ -1,4 +1,4 @@
-"""Publishers for nodes that speak often, must not lose a word, or work only for listeners."""
+"""Publishers and subscribers, which know by themselves whether the node is in lock step."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import Any, Callable, List, Optional
 import genpy
 import rospy
 from rospy.msg import serialize_message
+
+from bullet_lab.ros.node.lock_step import in_lock_step, member
 
 # Wall seconds between two looks at a queue that is full.
 ROOM_CHECK_SECONDS = 0.001
@@ -87,14 +89,60 @@ def await_room(connection: Any, size: Optional[int]) -> None:
         time.sleep(ROOM_CHECK_SECONDS)
 
 
+def publisher(
+    topic: str, kind: type, queue_size: Optional[int] = None, latch: bool = False
+) -> Publisher:
+    """Return a publisher of what somebody computes with.
+
+    In lock step it writes to its subscribers at once and drops nothing: a subscriber that falls
+    behind slows the publisher down instead of losing messages, which is what a simulation at
+    full speed needs. (Besides, it takes a twentieth of the time of rospy's queues, which hand
+    each message to a thread.) The bridge has got what was sent to it before time goes on.
+
+    What is only looked at, as in RViz, has a plain `Publisher`, which nobody waits for.
+
+    Args:
+        topic: its name.
+        kind: class of its messages.
+        queue_size: out of lock step, messages that wait for a slow subscriber before the oldest
+            is dropped; None to write at once and drop nothing.
+        latch: whether to keep the last message for those who subscribe later.
+    """
+    if queue_size is None or in_lock_step():
+        made = lossless_publisher(topic, kind, latch)
+    else:
+        made = Publisher(topic, kind, queue_size=queue_size, latch=latch, tcp_nodelay=True)
+    member().publishers.append(made)
+    return made
+
+
+def subscriber(
+    topic: str,
+    kind: type,
+    receive: Callable[[Any], None],
+    queue_size: Optional[int] = None,
+    buffer_bytes: int = rospy.topics.DEFAULT_BUFF_SIZE,
+) -> rospy.Subscriber:
+    """Return a subscriber to what somebody computes with; in lock step it drops nothing.
+
+    Args:
+        topic: its name.
+        kind: class of its messages.
+        receive: is called with each of them, in a thread of the topic's own.
+        queue_size: out of lock step, messages that wait before the oldest is dropped; None to
+            drop nothing.
+        buffer_bytes: more than a large message has, lest old ones pile up in the socket.
+    """
+    size = None if in_lock_step() else queue_size
+    return rospy.Subscriber(
+        topic, kind, receive, queue_size=size, buff_size=buffer_bytes, tcp_nodelay=True
+    )
+
+
 def lossless_publisher(
     topic: str, kind: type, latch: bool = False, publisher: type = Publisher
 ) -> Any:
     """Return a publisher that writes to its subscribers at once and drops nothing.
-
-    A subscriber that falls behind slows the publisher down instead of losing messages, which
-    is what a simulation at full speed needs. (Besides, it takes a twentieth of the time of
-    rospy's queues, which hand each message to a thread.)
 
     Args:
         topic: its name.
@@ -129,12 +177,9 @@ class Demand(rospy.SubscribeListener):
         self._wake = threading.Event()
         self.is_there = False
 
-    def publisher(self, topic: str, kind: type, lossless: bool, queue_size: int = 10) -> Publisher:
-        """Return a publisher of results."""
-        if lossless:
-            made = lossless_publisher(topic, kind)
-        else:
-            made = Publisher(topic, kind, queue_size=queue_size, tcp_nodelay=True)
+    def publisher(self, topic: str, kind: type, queue_size: int = 10) -> Publisher:
+        """Return a publisher of results, as of `publisher`."""
+        made = publisher(topic, kind, queue_size)
         self._publishers.append(made)
         made.impl.add_subscriber_listener(self)
         return made

@@ -12,9 +12,11 @@ from geometry_msgs.msg import PoseStamped, TransformStamped
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import pose_of
+from bullet_lab.ros.node.lock_step import in_lock_step
 
 # Wall seconds for a transform that nobody has sent yet.
 PATIENCE = 2.0
+LOCK_STEP_PATIENCE = 5.0
 POLL_SECONDS = 0.02
 
 
@@ -25,7 +27,8 @@ class FrameError(LabError):
 class FrameFinder:
     """Brings poses from one frame into another, by the newest transforms of TF.
 
-    Its methods may wait for a transform: they are not for the thread that drives.
+    Its methods, but for `newest`, may wait for a transform: they are not for the thread that
+    drives.
     """
 
     def __init__(self):
@@ -65,15 +68,34 @@ class FrameFinder:
         placed = self.bring(pose, message.header.frame_id, target)
         return placed.position[0], placed.position[1], placed.yaw
 
+    def newest(self, target: str, source: str) -> TransformStamped:
+        """Return the newest transform to `target` from `source`; raises FrameError.
+
+        In lock step one that is on its way is waited for: time stands meanwhile.
+        """
+        try:
+            return self._wait(target, source, LOCK_STEP_PATIENCE if in_lock_step() else 0.0)
+        except tf2_ros.TransformException as error:
+            raise FrameError(f"no transform to {target}: {_line(error)}") from None
+
     def _lookup(self, target: str, source: str) -> TransformStamped:
-        deadline = time.monotonic() + PATIENCE
+        try:
+            return self._wait(target, source, PATIENCE)
+        except tf2_ros.TransformException as error:
+            line = f"no transform from '{source}' to '{target}': {_line(error)}"
+            raise FrameError(line) from None
+
+    def _wait(self, target: str, source: str, patience: float) -> TransformStamped:
+        """Return the newest transform; raises tf2_ros.TransformException."""
+        deadline = time.monotonic() + patience
         while True:
             try:
                 return self._buffer.lookup_transform(target, source, rospy.Time(0))
-            except tf2_ros.TransformException as error:
+            except tf2_ros.TransformException:
                 if time.monotonic() >= deadline or rospy.is_shutdown():
-                    line = " ".join(str(error).split())
-                    raise FrameError(
-                        f"no transform from '{source}' to '{target}': {line}"
-                    ) from None
+                    raise
             time.sleep(POLL_SECONDS)
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())

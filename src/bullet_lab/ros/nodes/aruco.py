@@ -39,7 +39,7 @@ from bullet_lab.ros.messages.markers import (
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.diagnostics import Health
 from bullet_lab.ros.node.parameters import ParameterError
-from bullet_lab.ros.node.publishers import Publisher, lossless_publisher
+from bullet_lab.ros.node.publishers import publisher
 from bullet_lab.ros.node.tf_prefix import own_tf_prefix
 from bullet_lab.ros.nodes.image_node import Frame, ImageNode, ImageParameters, run_image_node
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
@@ -167,7 +167,7 @@ class Aruco(ImageNode):
         self._pose = self.output("pose", PoseStamped)
         self._covariance = self.output("pose_with_covariance", PoseWithCovarianceStamped)
         self._prefix = own_tf_prefix()
-        self._tf = _tf_publisher(wanted.lock_step) if wanted.publish_tf else None
+        self._tf = publisher("/tf", TFMessage, 10) if wanted.publish_tf else None
 
     def look(self, frame: Frame) -> Mapping[str, Any]:
         """Publish the markers."""
@@ -296,12 +296,6 @@ def _words(ids: Any) -> str:
 
 def _smallest(markers: Sequence[DetectedMarker]) -> str:
     return f"{min(marker.side for marker in markers):.1f}" if markers else ""
-
-
-def _tf_publisher(lossless: bool) -> Publisher:
-    if lossless:
-        return lossless_publisher("/tf", TFMessage)
-    return Publisher("/tf", TFMessage, queue_size=10, tcp_nodelay=True)
 
 
 def main() -> None:

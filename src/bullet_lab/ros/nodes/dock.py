@@ -20,7 +20,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from dataclasses import dataclass, replace
 from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
@@ -49,11 +48,12 @@ from bullet_lab.msg import DockAction, MarkerDetectionArray, UndockAction
 from bullet_lab.ros.messages.poses import InputError, pose_of
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.commands import StoppableSender
-from bullet_lab.ros.node.lock_step import CountedPublisher, FreeRate, LockStepRate
-from bullet_lab.ros.node.node import private_parameters, run_node, wait_until
+from bullet_lab.ros.node.lock_step import rate
+from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.node.parameters import ParameterError
-from bullet_lab.ros.node.publishers import Publisher, lossless_publisher
+from bullet_lab.ros.node.publishers import Publisher, publisher
 from bullet_lab.ros.node.tf_prefix import own_frame
+from bullet_lab.ros.node.transforms import FrameError, FrameFinder
 from bullet_lab.ros.nodes.dock_errands import DockErrand, Errand, Surroundings, UndockErrand
 from bullet_lab.ros.nodes.dock_goals import (
     GoalError,
@@ -123,7 +123,6 @@ class DockParameters:
         0.0, "rad, against the axis; 0: as the database says", minimum=0.0
     )
     seed: int = parameters.integer(0, "of what is random in docking", minimum=0)
-    lock_step: bool = parameters.boolean(False, "hold simulated time back while working")
 
 
 class DockTopics:
@@ -173,11 +172,6 @@ def _path(stamp: rospy.Time, frame: str, points: Sequence[Tuple[float, float]]) 
     return path
 
 
-# Wall seconds for a transform that is on its way, while time stands in lock step.
-TRANSFORM_PATIENCE = 5.0
-POLL_SECONDS = 0.02
-
-
 class DockServer:
     """Pursues one goal at a time.
 
@@ -219,13 +213,12 @@ class DockServer:
             wanted.image_rate,
         )
         self._inboxes = (self._odometry, self._camera_info, self._detections)
-        self._commands = CountedPublisher(lossless_publisher(wanted.cmd_vel, Twist))
+        self._commands = publisher(wanted.cmd_vel, Twist)
         self._sender = StoppableSender(self._commands)
         rospy.on_shutdown(self._sender.end)
-        self._finished = lossless_publisher("~finished", Time, latch=True)
+        self._finished = publisher("~finished", Time, latch=True)
         self._topics = DockTopics(own_frame(wanted.dock_frame))
-        self._transforms = tf2_ros.Buffer()
-        self._listener = tf2_ros.TransformListener(self._transforms)
+        self._frames = FrameFinder()
         self._noted = threading.Lock()
         self._new: List[Errand] = []
         self._cancelled: List[ServerGoalHandle] = []
@@ -241,25 +234,19 @@ class DockServer:
 
     def run(self) -> None:
         """Serve until ROS shuts down."""
-        if self._wanted.lock_step:
-            for inbox in self._inboxes:
-                inbox.open()
-            wait_until(self._is_connected, "odometry, camera and the bridge")
-            rate = LockStepRate(self._wanted.rate, self._commands)
-        else:
-            rate = FreeRate(self._wanted.rate)
+        ticks = rate(self._wanted.rate, self._is_connected, "odometry, camera and the bridge")
         for server in self._servers:
             server.start()
-        last = rate.now
+        last = ticks.now
         while not rospy.is_shutdown():
-            rate.sleep()
-            if rate.now < last:
+            ticks.sleep()
+            if ticks.now < last:
                 self._time_was_set_back()
-            last = rate.now
-            self._tick(rate.now)
+            last = ticks.now
+            self._tick(ticks.now)
 
     def _is_connected(self) -> bool:
-        return self._commands.is_connected() and all(box.is_connected() for box in self._inboxes)
+        return self._commands.has_connections() and all(box.is_connected() for box in self._inboxes)
 
     # From the action servers' threads
 
@@ -286,9 +273,8 @@ class DockServer:
     def _tick(self, now: rospy.Time) -> None:
         ticket = self._sender.ticket()
         self._look_at_requests(now)
-        if self._wanted.lock_step:
-            for inbox in self._inboxes:
-                inbox.wait(now)
+        for inbox in self._inboxes:
+            inbox.wait(now)
         odometry = self._take_odometry(now)
         observations = self._take_observations(now)
         errand = self._errand
@@ -328,10 +314,9 @@ class DockServer:
         except GoalError as error:
             self._end(now, DockingResult(False, error.error, str(error)))
             return
-        if not self._wanted.lock_step:
+        opened = [inbox.open() for inbox in self._inboxes]
+        if any(opened):
             self._frame, self._camera = "", None
-            for inbox in self._inboxes:
-                inbox.open()
 
     def _give_up(self, why: str, now: rospy.Time) -> None:
         if self._errand is not None:
@@ -399,15 +384,10 @@ class DockServer:
 
     def _transform(self, target: str, source: str):
         """Return the newest transform; raises InputError if nobody knows one."""
-        deadline = time.monotonic() + (TRANSFORM_PATIENCE if self._wanted.lock_step else 0.0)
-        while True:
-            try:
-                return self._transforms.lookup_transform(target, source, rospy.Time(0)).transform
-            except tf2_ros.TransformException as error:
-                if time.monotonic() >= deadline or rospy.is_shutdown():
-                    line = " ".join(str(error).split())
-                    raise InputError(f"no transform to {target}: {line}") from None
-            time.sleep(POLL_SECONDS)
+        try:
+            return self._frames.newest(target, source).transform
+        except FrameError as error:
+            raise InputError(str(error)) from error
 
     def _show(self, errand: Errand, now: rospy.Time) -> None:
         errand.publish_feedback()
@@ -421,9 +401,8 @@ class DockServer:
         """Stop, and tell how it ended."""
         errand, self._errand = self._errand, None
         self._sender.stop()
-        if not self._wanted.lock_step:
-            for inbox in self._inboxes:
-                inbox.close()
+        for inbox in self._inboxes:
+            inbox.close()
         say = rospy.loginfo if result.success else rospy.logwarn
         say("%s: %s (%s)", type(errand).__name__, result.message, result.error.name)
         errand.end(result)
@@ -432,7 +411,7 @@ class DockServer:
     def _time_was_set_back(self) -> None:
         for inbox in self._inboxes:
             inbox.clear()
-        self._transforms.clear()
+        self._frames.clear()
         self._last_dock = None
         if self._errand is not None:
             message = "simulated time was set back"

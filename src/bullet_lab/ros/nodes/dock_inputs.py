@@ -21,8 +21,10 @@ from bullet_lab.errors import LabError
 from bullet_lab.msg import MarkerDetectionArray
 from bullet_lab.ros.messages import camera_geometry
 from bullet_lab.ros.messages.poses import InputError, pose_of
+from bullet_lab.ros.node.lock_step import in_lock_step
 from bullet_lab.ros.node.node import Refusals
 from bullet_lab.ros.node.odometry import planar_pose
+from bullet_lab.ros.node.publishers import subscriber
 
 # Where vx, vy and wz stand in the 6x6 covariances of ROS (REP 103).
 _PLANAR = (0, 1, 5)
@@ -73,6 +75,8 @@ def mount_of(transform: Transform) -> CameraMount:
 class Inbox(Generic[T]):
     """The messages of one topic, to be taken in the order of their stamps as time goes on.
 
+    In lock step it is open from the beginning to the end, since what is due is waited for.
+
     Args:
         topic: to listen to while open.
         kind: class of the messages, which have a header.
@@ -95,18 +99,20 @@ class Inbox(Generic[T]):
         self._patience = LATEST
         self._refusals = Refusals()
         self._subscriber: Optional[rospy.Subscriber] = None
+        if in_lock_step():
+            self.open()
 
-    def open(self) -> None:
-        """Listen from now on."""
-        if self._subscriber is None:
-            self.clear()
-            self._subscriber = rospy.Subscriber(
-                self.topic, self._kind, self._receive, tcp_nodelay=True
-            )
+    def open(self) -> bool:
+        """Listen from now on; return whether it was closed."""
+        if self._subscriber is not None:
+            return False
+        self.clear()
+        self._subscriber = subscriber(self.topic, self._kind, self._receive)
+        return True
 
     def close(self) -> None:
         """Listen no longer."""
-        if self._subscriber is not None:
+        if self._subscriber is not None and not in_lock_step():
             self._subscriber.unregister()
             self._subscriber = None
 
@@ -131,10 +137,12 @@ class Inbox(Generic[T]):
         return taken
 
     def wait(self, now: rospy.Time) -> None:
-        """Wait in wall time for what is due by now; in lock step, time stands meanwhile.
+        """In lock step, wait in wall time for what is due by now: time stands meanwhile.
 
         What is late by `LATEST` is waited for no longer, until something comes again.
         """
+        if not in_lock_step():
+            return
         deadline = time.monotonic() + self._patience
         with self._new:
             while self._next_due() <= now.to_nsec():

@@ -42,10 +42,10 @@ from bullet_lab.drive.goal import (
 from bullet_lab.errors import LabError
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.commands import StoppableSender
-from bullet_lab.ros.node.lock_step import CountedPublisher, FreeRate, LockStepRate
-from bullet_lab.ros.node.node import Refusals, private_parameters, run_node, wait_until
+from bullet_lab.ros.node.lock_step import rate
+from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.odometry import OdometryError, planar_pose
-from bullet_lab.ros.node.publishers import Publisher, lossless_publisher
+from bullet_lab.ros.node.publishers import Publisher, publisher
 from bullet_lab.ros.node.transforms import FrameFinder
 from bullet_lab.ros.nodes.dock_goals import stamped_pose
 from bullet_lab.ros.nodes.dock_inputs import Inbox
@@ -84,7 +84,6 @@ class DriveToGoalParameters:
     patience: float = parameters.number(
         5.0, "s without odometry after which the goal is given up", above=0.0
     )
-    lock_step: bool = parameters.boolean(False, "hold simulated time back while working")
 
     def limits(self) -> GoalLimits:
         """Return how fast and how exactly to drive."""
@@ -108,9 +107,9 @@ class GoalTopics:
     """Publishes what becomes of goals: for machines at once, for RViz some times a second."""
 
     def __init__(self):
-        self._status = lossless_publisher("~status", GoalStatus, latch=True)
-        self._finished = lossless_publisher("~finished", Time, latch=True)
-        self._goal = lossless_publisher("~current_goal", PoseStamped, latch=True)
+        self._status = publisher("~status", GoalStatus, latch=True)
+        self._finished = publisher("~finished", Time, latch=True)
+        self._goal = publisher("~current_goal", PoseStamped, latch=True)
         self._remaining = Publisher("~remaining", Float64, queue_size=10)
         self._markers = Publisher("~markers", MarkerArray, queue_size=1, latch=True)
         self._plan = Publisher("~plan", Path, queue_size=1, latch=True)
@@ -237,7 +236,7 @@ class DriveToGoal:
     def __init__(self, wanted: DriveToGoalParameters):
         self._wanted = wanted
         self._limits = wanted.limits()
-        self._commands = CountedPublisher(lossless_publisher(wanted.cmd_vel, Twist))
+        self._commands = publisher(wanted.cmd_vel, Twist)
         self._sender = StoppableSender(self._commands)
         rospy.on_shutdown(self._sender.end)
         self._topics = GoalTopics()
@@ -261,22 +260,18 @@ class DriveToGoal:
 
     def run(self) -> None:
         """Serve until ROS shuts down."""
-        if self._wanted.lock_step:
-            wait_until(self._is_connected, "odometry and the bridge")
-            rate = LockStepRate(self._wanted.rate, self._commands)
-        else:
-            rate = FreeRate(self._wanted.rate)
-        last = rate.now
+        ticks = rate(self._wanted.rate, self._is_connected, "odometry and the bridge")
+        last = ticks.now
         while not rospy.is_shutdown():
-            rate.sleep()
-            if rate.now < last:
+            ticks.sleep()
+            if ticks.now < last:
                 self._time_was_set_back()
-                last = rate.now
-            self._tick(rate.now, (rate.now - last).to_sec())
-            last = rate.now
+                last = ticks.now
+            self._tick(ticks.now, (ticks.now - last).to_sec())
+            last = ticks.now
 
     def _is_connected(self) -> bool:
-        return self._commands.is_connected() and self._odometry.is_connected()
+        return self._commands.has_connections() and self._odometry.is_connected()
 
     # From rospy's threads
 
@@ -327,8 +322,7 @@ class DriveToGoal:
     def _tick(self, now: rospy.Time, seconds: float) -> None:
         ticket = self._sender.ticket()
         self._take_up_requests(now)
-        if self._wanted.lock_step:
-            self._odometry.wait(now)
+        self._odometry.wait(now)
         self._take_odometry(now)
         if self._driver is None or not self._knows_where_it_is(now):
             return

@@ -28,7 +28,7 @@ from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.diagnostics import Diagnostics, Health, Traffic
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
-from bullet_lab.ros.node.publishers import Demand, Publisher
+from bullet_lab.ros.node.publishers import Demand, Publisher, subscriber
 
 # Larger than an image, so that old ones do not pile up in the socket.
 _BUFFER_BYTES = 2**24
@@ -48,9 +48,6 @@ class ImageParameters:
 
     image: str = parameters.text("/mycamera/image_raw", "topic of the images")
     camera_info: str = parameters.text("", "topic of their camera_info; empty: beside the image")
-    lock_step: bool = parameters.boolean(
-        False, "tell the bridge when ready; answer every image however slow that is"
-    )
 
     @property
     def info_topic(self) -> str:
@@ -112,7 +109,7 @@ class ImageNode:
 
     def output(self, topic: str, kind: type, queue_size: int = 10) -> Publisher:
         """Return a publisher on a private topic, to which to listen is to ask for work."""
-        return self._demand.publisher(f"~{topic}", kind, self._wanted.lock_step, queue_size)
+        return self._demand.publisher(f"~{topic}", kind, queue_size)
 
     def look(self, frame: Frame) -> Mapping[str, Any]:
         """Answer an image and return figures for the diagnostics; raises LabError."""
@@ -151,10 +148,7 @@ class ImageNode:
         """Begin to work when somebody listens."""
         self._diagnostics.start()
         self._demand.watch()
-        if self._wanted.lock_step:
-            join_when(
-                self._is_connected, f"a listener, and somebody to publish {self._wanted.image}"
-            )
+        join_when(self._is_connected, f"a listener, and somebody to publish {self._wanted.image}")
 
     def _is_connected(self) -> bool:
         with self._lock:
@@ -162,29 +156,27 @@ class ImageNode:
         return all(s is not None and s.get_num_connections() > 0 for s in subscribers)
 
     def _start(self) -> None:
-        lossless = self._wanted.lock_step
         with self._lock:
             self._info, self._waits_for_info, self._last_stamp = None, True, None
             self.forget()
-            self._info_subscriber = rospy.Subscriber(
-                self._wanted.info_topic, CameraInfo, self._receive_info, tcp_nodelay=True
+            self._info_subscriber = subscriber(
+                self._wanted.info_topic, CameraInfo, self._receive_info
             )
-            self._image_subscriber = rospy.Subscriber(
+            self._image_subscriber = subscriber(
                 self._wanted.image,
                 Image,
                 self._receive_image,
-                queue_size=None if lossless else 1,
-                buff_size=_BUFFER_BYTES,
-                tcp_nodelay=True,
+                queue_size=1,
+                buffer_bytes=_BUFFER_BYTES,
             )
 
     def _stop(self) -> None:
         with self._lock:
             subscribers = (self._image_subscriber, self._info_subscriber)
             self._image_subscriber = self._info_subscriber = None
-        for subscriber in subscribers:
-            if subscriber is not None:
-                subscriber.unregister()
+        for one in subscribers:
+            if one is not None:
+                one.unregister()
 
     def _receive_info(self, message: CameraInfo) -> None:
         with self._lock:

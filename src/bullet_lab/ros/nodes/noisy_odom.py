@@ -31,7 +31,7 @@ from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
-from bullet_lab.ros.node.publishers import Publisher, lossless_publisher
+from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 from bullet_lab.ros.nodes.fleet import MOST_ROBOTS, robot_names
 from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
 
@@ -60,7 +60,6 @@ class NoisyOdomParameters:
     rate: float = parameters.number(
         PUBLISHED_RATE, "Hz at which as_published samples the odometry", above=0.0
     )
-    lock_step: bool = parameters.boolean(False, "tell the bridge when ready; lose no message")
 
 
 class NoisyOdometry:
@@ -83,16 +82,12 @@ class NoisyOdometry:
         self._path = NoisyPath(make_rule(self._model, self.std, self._alphas), wanted.seed)
         self._frames = FrameGuard()
         self._refusals = Refusals()
-        self.pub = (
-            lossless_publisher(f"{namespace}noisy_odom", Odometry)
-            if wanted.lock_step
-            else Publisher(f"{namespace}noisy_odom", Odometry, queue_size=QUEUE_SIZE)
-        )
+        self.pub = publisher(f"{namespace}noisy_odom", Odometry, QUEUE_SIZE)
         self._ellipse = Publisher(f"{namespace}noisy_odom_ellipse", Marker, queue_size=1)
         self._service = rospy.Service(_service_name(namespace), SetNoise, self.set_noise)
         self._topic = f"{namespace}odom"
         # No queue size: a message that is dropped here would be missing in the noisy path.
-        self.sub = rospy.Subscriber(self._topic, Odometry, self.odom_callback, tcp_nodelay=True)
+        self.sub = subscriber(self._topic, Odometry, self.odom_callback)
 
     def odom_callback(self, msg: Odometry) -> None:
         """Take the next message; refuse it if it is no pose in the frames of the first."""
@@ -240,11 +235,10 @@ def main() -> None:
     def body() -> None:
         wanted = private_parameters(NoisyOdomParameters)
         robots = [NoisyOdometry(its, name) for name, its in robots_of(wanted).items()]
-        if wanted.lock_step:
-            join_when(
-                lambda: all(robot.sub.get_num_connections() > 0 for robot in robots),
-                "somebody to publish odom",
-            )
+        join_when(
+            lambda: all(robot.sub.get_num_connections() > 0 for robot in robots),
+            "somebody to publish odom",
+        )
         rospy.spin()
 
     run_node("noisy_odom_node", body)

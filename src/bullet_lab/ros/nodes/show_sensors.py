@@ -78,10 +78,10 @@ class ShowSensors:
     def __init__(self, wanted: ShowSensorsParameters):
         self._scale = wanted.scale
         bumper = _Feed(wanted.bumper, msg.ContactsState, self._show_contacts)
-        self._contacts = bumper.demand.publisher("~contacts", MarkerArray, lossless=False)
-        self._wrench = bumper.demand.publisher("~wrench", WrenchStamped, lossless=False)
+        self._contacts = bumper.demand.publisher("~contacts", MarkerArray)
+        self._wrench = bumper.demand.publisher("~wrench", WrenchStamped)
         imu = _Feed(wanted.imu, Imu, self._show_imu)
-        self._acceleration = imu.demand.publisher("~acceleration", AccelStamped, lossless=False)
+        self._acceleration = imu.demand.publisher("~acceleration", AccelStamped)
         for feed in (bumper, imu):
             feed.demand.watch()
 

@@ -32,7 +32,7 @@ from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
-from bullet_lab.ros.node.publishers import Publisher, lossless_publisher
+from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 
 Number = Union[int, float]
 DEFAULT_BEACONS = (("beacon_0", 1, 1), ("beacon_1", 5, 1), ("beacon_2", -5, 1))
@@ -79,7 +79,6 @@ class TrackRobotParameters:
         False, "take up beacons that are placed in the world, and drop those taken away"
     )
     prefix: str = parameters.text("beacon", "first part of those beacons' names: beacon_0 …")
-    lock_step: bool = parameters.boolean(False, "tell the bridge when ready; lose no message")
 
 
 def distance(x1: float, y1: float, x2: float, y2: float) -> float:
@@ -95,10 +94,10 @@ def report_line(beacon: Beacon, dist: float) -> str:
 class _BeaconTopics:
     """The two publishers of one beacon."""
 
-    def __init__(self, beacon: Beacon, lossless: bool):
+    def __init__(self, beacon: Beacon):
         self.beacon = beacon
-        self._line = _publisher(beacon.name, String, lossless)
-        self._range = _publisher(f"{beacon.name}/range", Range, lossless)
+        self._line = publisher(beacon.name, String, QUEUE_SIZE)
+        self._range = publisher(f"{beacon.name}/range", Range, QUEUE_SIZE)
 
     def publish(self, header: Header, dist: float) -> None:
         """Publish a distance in m, measured at a stamp in the frame of a header."""
@@ -119,14 +118,14 @@ class TrackRobot:
     def __init__(self, wanted: TrackRobotParameters):
         self._wanted = wanted
         self._lock = threading.Lock()
-        self._beacons = tuple(_BeaconTopics(one, wanted.lock_step) for one in wanted.beacons)
+        self._beacons = tuple(_BeaconTopics(one) for one in wanted.beacons)
         self._markers = Publisher("beacon_markers", MarkerArray, queue_size=1)
         self._frames = FrameGuard()
         self._refusals = Refusals()
         self._standing = StandingModels()
         if wanted.watch:
             self._world = rospy.Subscriber(WORLD, MarkerArray, self._watch)
-        self.sub = rospy.Subscriber("odom", Odometry, self.callback, tcp_nodelay=True)
+        self.sub = subscriber("odom", Odometry, self.callback)
 
     def callback(self, msg: Odometry) -> None:
         """Publish the distances from where the message says the robot is."""
@@ -165,7 +164,7 @@ class TrackRobot:
                 topics.beacon = Beacon(topics.beacon.name, *place[:2])
         for name in sorted(names):
             x, y, _ = self._standing.origin(name)
-            kept.append(_BeaconTopics(Beacon(name, x, y), self._wanted.lock_step))
+            kept.append(_BeaconTopics(Beacon(name, x, y)))
             rospy.loginfo("%s stands at (%.2f, %.2f) m", name, x, y)
         self._beacons = tuple(kept)
         for topics in gone:
@@ -196,20 +195,13 @@ class TrackRobot:
         return MarkerArray(markers)
 
 
-def _publisher(topic: str, kind: type, lossless: bool) -> Publisher:
-    if lossless:
-        return lossless_publisher(topic, kind)
-    return Publisher(topic, kind, queue_size=QUEUE_SIZE)
-
-
 def main() -> None:
     """Run the node."""
 
     def body() -> None:
         wanted = private_parameters(TrackRobotParameters)
         tracker = TrackRobot(wanted)
-        if wanted.lock_step:
-            join_when(lambda: tracker.sub.get_num_connections() > 0, "somebody to publish odom")
+        join_when(lambda: tracker.sub.get_num_connections() > 0, "somebody to publish odom")
         rospy.spin()
 
     run_node("track_robot", body)
