@@ -7,7 +7,7 @@ from typing import Tuple
 
 from geometry_msgs.msg import Twist
 
-from bullet_lab.ros.node.lock_step import CountedPublisher
+from bullet_lab.ros.node.publishers import Publisher
 
 
 class StoppableSender:
@@ -16,7 +16,7 @@ class StoppableSender:
     All methods may be called from any thread.
     """
 
-    def __init__(self, publisher: CountedPublisher):
+    def __init__(self, publisher: Publisher):
         self._publisher = publisher
         self._lock = threading.RLock()
         self._stops = 0

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Optional, Sequence, Tuple
+from typing import Any, Sequence, Tuple
 
 import rospy
 from geometry_msgs.msg import Twist
@@ -21,15 +21,13 @@ from tqdm import tqdm
 from bullet_lab.drive.square import MODES, OPEN_LOOP, Square, SquareDriver
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.commands import StoppableSender
-from bullet_lab.ros.node.lock_step import CountedPublisher, LockStepRate
+from bullet_lab.ros.node.lock_step import rate
 from bullet_lab.ros.node.node import private_parameters, run_node, wait_until
 from bullet_lab.ros.node.odometry import NewestOdometry
-from bullet_lab.ros.node.publishers import lossless_publisher
+from bullet_lab.ros.node.publishers import publisher
 
 # At rest before and after, so that a recording shows where the robots stood.
 REST_SECONDS = 0.5
-# Wall seconds for a latched message to reach subscribers that are still connecting.
-GOODBYE_SECONDS = 0.5
 PROGRESS_FORMAT = "{desc} {percentage:3.0f}%|{bar:30}| {n:.1f} of {total:.1f} m, {elapsed}"
 
 
@@ -56,7 +54,6 @@ class DriveSquaresParameters:
         _accept_turn_speed,
     )
     turn_commands: int = parameters.integer(34, "open loop: commands of a turn at 10 Hz", minimum=0)
-    lock_step: bool = parameters.boolean(False, "hold simulated time back while working")
 
 
 class _Robot:
@@ -72,21 +69,17 @@ class _Robot:
         self.driver = driver
         self.done = False
         # Written out at once, so that the last command is on its way before the node ends.
-        self.commands = CountedPublisher(lossless_publisher(cmd_vel, Twist))
+        self.commands = publisher(cmd_vel, Twist)
         self._sender = StoppableSender(self.commands)
         self._odometry = NewestOdometry(odom) if driver.needs_pose else None
         rospy.on_shutdown(self._sender.end)
-        wait_until(self.commands.is_connected, f"somebody to listen to {cmd_vel}")
+        wait_until(self.commands.has_connections, f"somebody to listen to {cmd_vel}")
 
-    def tick(self, now: Optional[rospy.Time]) -> None:
-        """Send the next command; with the one to stand still, the robot is done.
-
-        Args:
-            now: in lock step, the simulated time.
-        """
+    def tick(self, now: rospy.Time) -> None:
+        """Send the next command; with the one to stand still, the robot is done."""
         pose = None
         if self._odometry is not None:
-            if now is None and self._odometry.is_stale():
+            if self._odometry.is_stale():
                 # Time goes on while it is waited for the next one.
                 self._sender.stop()
             pose = self._odometry.newest(now)
@@ -105,23 +98,15 @@ class DriveSquares:
         square: that each of them drives.
         mode: what ends a side.
         robots: (cmd_vel, odom) of each, their topics.
-        lock_step: whether to hold simulated time back while working.
     """
 
-    def __init__(
-        self, square: Square, mode: str, robots: Sequence[Tuple[str, str]], lock_step: bool
-    ):
+    def __init__(self, square: Square, mode: str, robots: Sequence[Tuple[str, str]]):
         self._square = square
         self._robots = [_Robot(SquareDriver(square, mode), *topics) for topics in robots]
-        self._finished = lossless_publisher("~finished", Time, latch=True)
+        self._finished = publisher("~finished", Time, latch=True)
         self._side = 0
         self._hz = self._robots[0].driver.rate
-        self._rate = LockStepRate(self._hz, self) if lock_step else rospy.Rate(self._hz)
-
-    @property
-    def count(self) -> int:
-        """How many commands have been sent, to all robots together."""
-        return sum(robot.commands.count for robot in self._robots)
+        self._rate = rate(self._hz)
 
     def drive(self) -> None:
         """Drive all sides, stop, say that it is done, and let the world go on."""
@@ -130,18 +115,14 @@ class DriveSquares:
         with self._progress_bar() as progress:
             while driving:
                 for robot in driving:
-                    robot.tick(self._now)
+                    robot.tick(self._rate.now)
                 driving = [robot for robot in driving if not robot.done]
                 self._report(progress)
                 if driving:
-                    self._sleep()
+                    self._rate.sleep()
         self._rest()
-        self._finished.publish(Time(rospy.Time.now() if self._now is None else self._now))
-        self._leave()
-
-    @property
-    def _now(self) -> Optional[rospy.Time]:
-        return self._rate.now if isinstance(self._rate, LockStepRate) else None
+        self._finished.publish(Time(self._rate.now))
+        self._rate.leave()
 
     def _progress_bar(self) -> tqdm:
         total = len(self._robots) * self._square.sides * self._square.side
@@ -160,19 +141,7 @@ class DriveSquares:
 
     def _rest(self) -> None:
         for _ in range(round(REST_SECONDS * self._hz)):
-            self._sleep()
-
-    def _sleep(self) -> None:
-        self._rate.sleep()
-        # rospy.Rate says nothing of a shutdown where time is the wall clock's.
-        if rospy.is_shutdown():
-            raise rospy.ROSInterruptException("shutdown")
-
-    def _leave(self) -> None:
-        if isinstance(self._rate, LockStepRate):
-            self._rate.leave()
-        else:
-            rospy.rostime.wallsleep(GOODBYE_SECONDS)
+            self._rate.sleep()
 
 
 def main() -> None:
@@ -188,6 +157,6 @@ def main() -> None:
             parameters.turn_commands,
         )
         topics = (parameters.cmd_vel, parameters.odom)
-        DriveSquares(square, parameters.mode, [topics], parameters.lock_step).drive()
+        DriveSquares(square, parameters.mode, [topics]).drive()
 
     run_node("drive_squares", body)

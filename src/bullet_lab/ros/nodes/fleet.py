@@ -45,7 +45,6 @@ class FleetParameters:
     mode: str = parameters.choice(OPEN_LOOP, "what ends a side", MODES)
     sides: int = parameters.integer(4, "number of sides", minimum=1)
     side: float = parameters.number(2.0, "length of a side in m", above=0.0)
-    lock_step: bool = parameters.boolean(False, "hold simulated time back while working")
 
 
 def robot_names(count: int) -> List[str]:
@@ -73,6 +72,6 @@ def main() -> None:
         spawn(parameters)
         square = Square(parameters.sides, parameters.side)
         topics = [(f"{name}/cmd_vel", f"{name}/odom") for name in robot_names(parameters.robots)]
-        DriveSquares(square, parameters.mode, topics, parameters.lock_step).drive()
+        DriveSquares(square, parameters.mode, topics).drive()
 
     run_node("fleet", body)

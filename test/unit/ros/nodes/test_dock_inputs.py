@@ -148,6 +148,7 @@ def test_an_inbox_waits_for_what_is_due(monkeypatch, rate, stamps, now, due):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
     monkeypatch.setattr(dock_inputs, "LATEST", 0.05)
     box = inbox(rate)
+    monkeypatch.setattr(dock_inputs, "in_lock_step", lambda: True)
     box.clear()
     receive(box, *stamps)
     start = time.monotonic()
@@ -158,6 +159,7 @@ def test_an_inbox_waits_for_what_is_due(monkeypatch, rate, stamps, now, due):
 def test_an_inbox_goes_on_as_soon_as_it_is_there(monkeypatch):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
     box = inbox()
+    monkeypatch.setattr(dock_inputs, "in_lock_step", lambda: True)
     threading.Timer(0.05, receive, (box, 0.05)).start()
     start = time.monotonic()
     box.wait(rospy.Time.from_sec(0.05))
@@ -169,11 +171,19 @@ def test_what_never_comes_is_waited_for_once(monkeypatch):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
     monkeypatch.setattr(dock_inputs, "LATEST", 0.1)
     box = inbox()
+    monkeypatch.setattr(dock_inputs, "in_lock_step", lambda: True)
     box.clear()
     for expected in (True, False, False):
         start = time.monotonic()
         box.wait(rospy.Time(1))
         assert (time.monotonic() - start >= 0.1) == expected
+
+
+def test_out_of_lock_step_nothing_is_waited_for(monkeypatch):
+    monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
+    start = time.monotonic()
+    inbox().wait(rospy.Time(1))
+    assert time.monotonic() - start < dock_inputs.LATEST
 
 
 def goal(frame="", x=0.0, y=0.0, yaw=0.0):
