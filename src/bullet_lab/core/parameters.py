@@ -29,6 +29,8 @@ from bullet_lab.errors import LabError
 _CHECK = "check"
 _WHOLE = re.compile(r"[-+]?\d+", re.ASCII)
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+# As roslaunch reads them.
+_TRUTH = {"true": True, "1": True, "false": False, "0": False}
 T = TypeVar("T")
 
 
@@ -47,7 +49,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Declaration:
-    """A parameter as it is declared: by a field of a dataclass."""
+    """A parameter as it is declared: by a field of a dataclass. MISSING stands for no default."""
 
     name: str
     default: Any
@@ -65,21 +67,31 @@ class Declaration:
         """
         try:
             return self.check.accept(value)
-        except (ValueError, TypeError, OverflowError) as error:
-            if isinstance(value, str) and not value:
+        except (ValueError, TypeError, LookupError, OverflowError) as error:
+            if isinstance(value, str) and not value and self.default is not MISSING:
                 return self.default
             shown = f"'{value}'" if isinstance(value, str) else str(value)
             name = shown_name or self.name
             raise ParameterError(f"{name} is {shown}: it must be {self.check.allowed}") from error
 
+    @property
+    def default_text(self) -> str:
+        """The default as a launch file or a command line would have it."""
+        return _as_text(self.default)
+
 
 def declarations(kind: type) -> Dict[str, Declaration]:
     """Return the parameters that a dataclass declares, by name; its other fields are left out."""
     return {
-        entry.name: Declaration(entry.name, _default(entry), entry.metadata[_CHECK])
+        entry.name: declared(entry.name, entry)
         for entry in fields(kind)
         if _CHECK in entry.metadata
     }
+
+
+def declared(name: str, entry: Field) -> Declaration:
+    """Return a parameter that stands in no dataclass, from what the functions below return."""
+    return Declaration(name, _default(entry), entry.metadata[_CHECK])
 
 
 def number(
@@ -130,9 +142,7 @@ def boolean(default: bool, doc: str) -> Any:
     def accept(value: Any) -> bool:
         if isinstance(value, bool):
             return value
-        if value not in ("true", "false"):
-            raise ValueError
-        return value == "true"
+        return _TRUTH[_text(value).strip().lower()]
 
     return _declare(default, doc, "true or false", accept)
 
@@ -214,13 +224,20 @@ def numbers(
     return _declare(tuple(default), doc, allowed, accept)
 
 
-def mapping(doc: str) -> Any:
-    """Declare a dictionary; empty by default."""
+def mapping(doc: str, *kinds: type) -> Any:
+    """Declare a dictionary; empty by default.
+
+    Args:
+        doc: a sentence.
+        kinds: dataclasses whose parameters may be among the entries, as the text of a launch
+            file: that is read as the parameter is, so that an empty one stands for the default.
+    """
 
     def accept(value: Any) -> Mapping[str, Any]:
         if not isinstance(value, dict):
             raise ValueError
-        return value
+        known = {name: entry for kind in kinds[::-1] for name, entry in declarations(kind).items()}
+        return {key: _entry(known.get(key), entry) for key, entry in value.items()}
 
     return _declare(None, doc, "a dictionary", accept, factory=dict)
 
@@ -275,14 +292,12 @@ def add_options(parser: argparse.ArgumentParser, kind: type) -> None:
     as words, or true by the option alone. `read_options` reads what the parser finds.
     """
     for name, declaration in declarations(kind).items():
-        default = declaration.default
-        shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
-        check = declaration.check
+        check, shown = declaration.check, declaration.default_text
         parser.add_argument(
             "--" + name.replace("_", "-"),
-            nargs="*" if isinstance(default, (tuple, bool)) else None,
+            nargs="*" if isinstance(declaration.default, (tuple, bool)) else None,
             metavar=name.upper(),
-            help=f"{check.doc}: {check.allowed}; by default {shown}".replace("%", "%%"),
+            help=f"{check.doc}: {check.allowed}; by default {shown or 'none'}".replace("%", "%%"),
         )
 
 
@@ -314,6 +329,26 @@ def _declare(default: Any, doc: str, allowed: str, accept: Callable, factory: An
 def _default(entry: Field) -> Any:
     factory: Any = entry.default_factory  # type: ignore[misc]
     return entry.default if factory is MISSING else factory()
+
+
+def _entry(declaration: Optional[Declaration], value: Any) -> Any:
+    if declaration is None or not isinstance(value, str):
+        return value
+    try:
+        return declaration.read(value)
+    except ParameterError:
+        # It is somebody else's entry of the same name.
+        return value
+
+
+def _as_text(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (tuple, list)):
+        return " ".join(map(_as_text, value))
+    if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
+        return str(int(value))
+    return "" if value is None else str(value)
 
 
 def _text(value: Any) -> str:

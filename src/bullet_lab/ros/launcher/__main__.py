@@ -1,7 +1,5 @@
 """python -m bullet_lab.ros.launcher <job> [name:=value ...]."""
 
-import sys
+from bullet_lab.entry import run
 
-from bullet_lab.ros.launcher.command import main
-
-sys.exit(main(sys.argv[1:]))
+run("bullet_lab.ros.launcher.command")

@@ -3,84 +3,73 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import os
-import re
 import signal
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import TextIO
 
 import rospkg
 
+from bullet_lab.core.parameters import ParameterError
+from bullet_lab.entry import STATUS_INTERRUPTED
 from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher.jobs import (
     Job,
+    UsageError,
     choose_job,
     find_jobs,
     help_on,
     list_of_jobs,
     read_assignments,
 )
-from bullet_lab.ros.launcher.output import OutputFolder, shown
-from bullet_lab.ros.launcher.values import UsageError
+from bullet_lab.ros.launcher.output import OutputFolder, shown, words_to
+from bullet_lab.ros.launcher.screen import VirtualScreen
 
-_WATCHED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_HELP = ("-h", "--help")
+STATUS_FAILED = 1
+STATUS_BAD_VALUE = 2
 
 
 class StopSignals:
     """Remembers the first signal that asks to stop, instead of being interrupted by it.
 
-    What was started half is stopped the more surely for it.
+    What was started half is stopped the more surely for it. The signals are taken over for
+    good: a second Ctrl-C may not interrupt the last lines.
     """
 
     def __init__(self):
         self.received: int | None = None
-
-    def __enter__(self) -> StopSignals:
-        """Take the signals over for good: the process ends soon after."""
-        for number in _WATCHED:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._remember)
-        return self
-
-    def __exit__(self, *_) -> None:
-        """Keep watching: a second Ctrl-C may not interrupt the last lines."""
 
     def _remember(self, number: int, _frame) -> None:
         if self.received is None:
             self.received = number
 
 
-_HELP = ("-h", "--help")
-STATUS_BAD_VALUE = 2
-_GRAB_PERIOD = 3.0
+def main() -> None:
+    """Do what the command line asks for, and exit.
 
-
-def main(words: list[str]) -> int:
-    """Do what the command line asks for; the exit status is returned.
-
-    0 is success; 2 a wrong command line; 128 + n a signal n; otherwise the status of the
-    first node that failed, or 1.
+    The status is 0 at success; 2 for a wrong command line; 128 + n after a signal n; otherwise
+    that of the first node that failed, or 1.
     """
     try:
-        return _dispatch(words)
-    except UsageError as error:
-        return _complain(error, 2)
+        status = _dispatch(sys.argv[1:])
     except LabError as error:
-        return _complain(error, 1)
-
-
-def _complain(error: LabError, status: int) -> int:
-    print(f"run.sh: {error}", file=sys.stderr)
-    return status
+        print(f"run.sh: {error}", file=sys.stderr)
+        is_usage = isinstance(error, (UsageError, ParameterError))
+        status = STATUS_BAD_VALUE if is_usage else STATUS_FAILED
+    except KeyboardInterrupt:
+        status = STATUS_INTERRUPTED
+    sys.exit(status)
 
 
 def _dispatch(words: list[str]) -> int:
     package = Path(rospkg.RosPack().get_path("bullet_lab"))
-    jobs = find_jobs(package / "launch")
+    jobs = find_jobs(package)
     if not words or words[0] in _HELP:
         print(list_of_jobs(jobs))
         return 0
@@ -91,8 +80,7 @@ def _dispatch(words: list[str]) -> int:
     values = read_assignments(job, words[1:])
     out = Path.cwd() / values.get("out", f"results/{job.name}")
     values["out"] = os.path.normpath(out)
-    with StopSignals() as signals:
-        return _run(job, values, package, signals)
+    return _run(job, values, package, StopSignals())
 
 
 def _defaults(job: Job) -> dict[str, str]:
@@ -107,9 +95,14 @@ def _run(job: Job, values: dict[str, str], package: Path, signals: StopSignals) 
     with OutputFolder(Path(values["out"])) as out:
         with_rviz = values.get("rviz", job.default_of("rviz")) == "true"
         if with_rviz and not _set_up_rviz(package / "scripts" / "setup.sh", signals):
-            return 128 + signals.received if signals.received else 1
+            return 128 + signals.received if signals.received else STATUS_FAILED
         status = _supervise(job, values, with_rviz, out, signals)
-        _report(job, status, out, time.monotonic() - started)
+        # A node that refused a value has said why: that line shall stand alone.
+        if status != STATUS_BAD_VALUE:
+            seconds = time.monotonic() - started
+            print(f"{job.name}: {'failed' if status else 'done'} after {seconds:.1f} s")
+            for path in out.written():
+                print(f"  {shown(path)}")
     return status
 
 
@@ -134,89 +127,32 @@ def _supervise(
         os.environ["ROS_LOG_DIR"] = str(out.log)
         # Qt asks for it, and has none where nobody has logged in.
         os.environ.setdefault("XDG_RUNTIME_DIR", os.environ["ROS_HOME"])
-        meanwhile = _Screenshots.none
+        screen = None
         if with_rviz and not os.environ.get("DISPLAY"):
-            meanwhile = stack.enter_context(_screenshots(out)).take
-        verdict = _launch(job, values, out, signals, meanwhile)
+            screen = VirtualScreen(out.log / "xvfb.log", out.path / "rviz.png")
+            stack.enter_context(screen)
+        verdict = _launch(job, values, out, signals, screen)
     if verdict.status not in (0, STATUS_BAD_VALUE):
         print(f"{job.name}: {verdict.reason}, see {shown(out.log)}", file=sys.stderr)
     return verdict.status
 
 
-def _launch(job, values, out: OutputFolder, signals: StopSignals, meanwhile):
+def _launch(job, values, out: OutputFolder, signals: StopSignals, screen: VirtualScreen | None):
     """Run the nodes with roslaunch's own words in a log; theirs go to the terminal."""
     terminal = sys.stdout
-    with (out.log / "roslaunch.log").open("w", buffering=1) as log, _words_to(log):
+    with words_to(out.log / "roslaunch.log"):
         # Not before now: these set up logging on import and look at the environment.
-        from bullet_lab.ros.launcher.master import prepare_master
-        from bullet_lab.ros.launcher.supervision import Launch
+        from bullet_lab.ros.launcher.supervision import Launch, prepare_master
 
         master = prepare_master()
         whose = "its own master" if master.own else "the master"
         print(f"{job.name}: running on {whose} {master.uri}", file=terminal, flush=True)
         with Launch(job, values, master) as launch:
-            verdict = launch.wait(out.has_summary, lambda: signals.received, meanwhile)
-            meanwhile(last=True)
+            verdict = launch.wait(
+                out.has_summary,
+                lambda: signals.received,
+                screen.picture_now_and_then if screen else lambda: None,
+            )
+            if screen:
+                screen.picture()
             return verdict
-
-
-class _PlainText:
-    """A text file that gets no terminal colours."""
-
-    def __init__(self, file: TextIO):
-        self._file = file
-
-    def write(self, text: str) -> int:
-        return self._file.write(re.sub(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)", "", text))
-
-    def flush(self) -> None:
-        self._file.flush()
-
-
-@contextlib.contextmanager
-def _words_to(log: TextIO):
-    """Send what this process (not its nodes) prints and logs to the file."""
-    # At the level of INFO, roslaunch would write the user's whole environment to it.
-    logging.basicConfig(stream=log, level=logging.WARNING, force=True)
-    # The master complains at length about each node that leaves before it is told of others.
-    logging.getLogger("rosmaster.threadpool").setLevel(logging.CRITICAL)
-    plain = _PlainText(log)
-    with contextlib.redirect_stdout(plain), contextlib.redirect_stderr(plain):
-        yield
-
-
-class _Screenshots:
-    """Takes a picture of RViz now and then, so that there is one however the run ends."""
-
-    def __init__(self, screen, path: Path):
-        self._screen = screen
-        self._path = path
-        self._next = time.monotonic() + _GRAB_PERIOD
-
-    def take(self, last: bool = False) -> None:
-        """Take a picture if it is time for one, or the last one."""
-        if last or time.monotonic() >= self._next:
-            self._screen.grab(self._path)
-            self._next = time.monotonic() + _GRAB_PERIOD
-
-    @staticmethod
-    def none(last: bool = False) -> None:
-        """Take no picture: there is a display, or no RViz."""
-
-
-@contextlib.contextmanager
-def _screenshots(out: OutputFolder):
-    from bullet_lab.ros.launcher.screen import VirtualScreen
-
-    with VirtualScreen(out.log / "xvfb.log") as screen:
-        yield _Screenshots(screen, out.path / "rviz.png")
-
-
-def _report(job: Job, status: int, out: OutputFolder, seconds: float) -> None:
-    """Say how long it took and which files there are."""
-    if status == STATUS_BAD_VALUE:
-        # A node refused a value, and has said why: that line shall stand alone.
-        return
-    print(f"{job.name}: {'failed' if status else 'done'} after {seconds:.1f} s")
-    for path in out.written():
-        print(f"  {shown(path)}")

@@ -1,27 +1,112 @@
-"""The jobs of the lab: what the launch files say about themselves."""
+"""The jobs of the lab, as their launch files and the nodes in them describe themselves.
+
+An argument that is handed to a node is described by the node's declaration of that parameter:
+what is allowed and, where the launch file's default is empty, the default and the sentence. For
+any other argument, the bracket that ends its ``doc`` says what is allowed::
+
+    [text]               anything; the same as no bracket
+    [folder]             a path, relative to the caller's folder
+    [true|false]         one of the words; two or more, or true or false alone
+    [integer >= 0]       a whole number, with or without bounds: >= <=
+    [number > 0 <= 1]    a finite number, with or without bounds: > >= <=
+"""
 
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
+import importlib
+import re
+from dataclasses import MISSING, dataclass, is_dataclass
 from pathlib import Path
+from typing import Any
 from xml.dom import minidom
 from xml.parsers.expat import ExpatError
 
 import defusedxml.minidom
 from defusedxml import DefusedXmlException
 
-from bullet_lab.ros.launcher.values import UsageError, Values, read_values
+from bullet_lab.core import parameters
+from bullet_lab.core.parameters import Declaration, declarations, declared
+from bullet_lab.errors import LabError
+
+_PACKAGE = "bullet_lab"
+_BRACKET = re.compile(r"\s*\[([^\[\]]+)\]\s*$")
+_NUMERIC = re.compile(r"(number|integer)((?: (?:>=|<=) [-+.\d]+| > [-+.\d]+)*)")
+_BOUND = re.compile(r"(>=|<=|>) ([-+.\d]+)")
+_BOUNDS = {">=": "minimum", "<=": "maximum", ">": "above"}
+_WORDS = re.compile(r"true|false|[\w.-]+(\|[\w.-]+)+")
+_ARGUMENT = re.compile(r"\$\(arg (\w+)\)")
+_OPTION = re.compile(r"--?([\w-]+)[= ]'?\$\(arg (\w+)\)")
+_MODULE = re.compile(r"""\brun\(["']([\w.]+)["']\)""")
+
+
+class UsageError(LabError):
+    """The command line asks for something that does not exist or cannot be."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A parameter of a node that an argument is handed to: its name, and the node's module."""
+
+    module: str
+    parameter: str
+
+    def declaration(self) -> Declaration | None:
+        """How the node declares it; None where the node cannot be asked."""
+        try:
+            found = vars(importlib.import_module(self.module)).values()
+        except ImportError:
+            # The node will say so itself, and better.
+            return None
+        kinds = (entry for entry in found if isinstance(entry, type) and is_dataclass(entry))
+        known = (declarations(kind).get(self.parameter) for kind in kinds)
+        return next((declaration for declaration in known if declaration), None)
 
 
 @dataclass(frozen=True)
 class Argument:
-    """An argument of a job; the default is as written in the launch file, unresolved."""
+    """An argument of a job.
+
+    Attributes:
+        name: in the launch file.
+        default: as written there, unresolved; empty for the node's own, None where there is none.
+        doc: what the launch file says of it, without the bracket at the end.
+        bracket: what stands in that.
+        own: the check that the bracket describes, if any.
+        targets: the parameters that it is handed to.
+    """
 
     name: str
     default: str | None
     doc: str
-    values: Values
+    bracket: str
+    own: Declaration | None
+    targets: tuple[Target, ...]
+
+    def declarations(self) -> list[Declaration]:
+        """All that a value has to suit; imports the nodes in question, if any."""
+        if self.own is not None:
+            return [self.own]
+        found = (target.declaration() for target in self.targets)
+        return [entry for entry in found if entry is not None]
+
+    def check(self, value: str) -> None:
+        """Raise ParameterError, with one line that says what is allowed, for a wrong value."""
+        for declaration in self.declarations():
+            declaration.read(value, self.name)
+
+    def help(self, default: str) -> tuple[str, str]:
+        """The argument with its default, and what it is; `default` is the resolved one."""
+        doc, allowed = self.doc, self.bracket
+        declarations = [] if allowed else self.declarations()
+        if declarations:
+            check = declarations[0].check
+            allowed = check.allowed
+            if not self.default:
+                default = declarations[0].default_text
+                doc = check.doc[:1].upper() + check.doc[1:]
+        limits = f" [{allowed}]" if allowed not in ("", "text") else ""
+        return f"{self.name}:={default}", doc + limits
 
 
 @dataclass(frozen=True)
@@ -38,35 +123,113 @@ class Job:
         return next((a.default for a in self.arguments if a.name == name), None)
 
 
-def find_jobs(folder: Path) -> dict[str, Job]:
-    """All jobs of a folder of launch files by name, in alphabetical order."""
-    return {path.stem: read_job(path) for path in sorted(folder.glob("*.launch"))}
+def find_jobs(package: Path) -> dict[str, Job]:
+    """All jobs of a package by name, in alphabetical order."""
+    paths = sorted((package / "launch").glob("*.launch"))
+    return {path.stem: read_job(path, package) for path in paths}
 
 
-def read_job(path: Path) -> Job:
-    """Read what a launch file says about its job.
+def read_job(path: Path, package: Path) -> Job:
+    """Read what a launch file of a package says about its job.
 
     Raises:
         UsageError: the file is no launch file, or the doc of an argument is wrong.
     """
-    try:
-        document = defusedxml.minidom.parse(str(path))
-    except (OSError, ExpatError, DefusedXmlException) as error:
-        raise UsageError(f"{path}: {error}") from error
-    try:
-        arguments = tuple(_arguments(document.documentElement))
-    except UsageError as error:
-        raise UsageError(f"{path}: {error}") from error
-    return Job(path.stem, path, _first_sentence(document), arguments)
-
-
-def _arguments(root: minidom.Element):
-    for node in root.childNodes:
+    document = _parse(path)
+    targets = _targets(path, package)
+    arguments = []
+    for node in document.documentElement.childNodes:
         # An <arg> with a value is a constant, which roslaunch lets nobody change.
         if node.nodeName == "arg" and not node.hasAttribute("value"):
+            name = node.getAttribute("name")
             default = node.getAttribute("default") if node.hasAttribute("default") else None
-            doc = " ".join(node.getAttribute("doc").split())
-            yield Argument(node.getAttribute("name"), default, doc, read_values(doc))
+            doc, bracket = _split(" ".join(node.getAttribute("doc").split()))
+            try:
+                own = _bracket_check(name, bracket)
+            except UsageError as error:
+                raise UsageError(f"{path}: {error}") from error
+            handed = tuple(targets.get(name, ()))
+            arguments.append(Argument(name, default, doc, bracket, own, handed))
+    return Job(path.stem, path, _first_sentence(document), tuple(arguments))
+
+
+def _parse(path: Path) -> minidom.Document:
+    try:
+        return defusedxml.minidom.parse(str(path))
+    except (OSError, ExpatError, DefusedXmlException) as error:
+        raise UsageError(f"{path}: {error}") from error
+
+
+def _split(doc: str) -> tuple[str, str]:
+    found = _BRACKET.search(doc)
+    return (doc[: found.start()], found.group(1).strip()) if found else (doc, "")
+
+
+def _bracket_check(name: str, bracket: str) -> Declaration | None:
+    """What a bracket allows; None for anything. Raises UsageError for an unknown bracket."""
+    missing: Any = MISSING
+    numeric = _NUMERIC.fullmatch(bracket)
+    if bracket in ("", "text"):
+        return None
+    if bracket == "folder":
+        entry = parameters.checked(missing, "", "a folder", _filled)
+    elif numeric:
+        kind: Any = {"number": (parameters.number, float), "integer": (parameters.integer, int)}
+        declare, convert = kind[numeric[1]]
+        bounds = {_BOUNDS[sign]: convert(limit) for sign, limit in _BOUND.findall(numeric[2])}
+        entry = declare(missing, "", **bounds)
+    elif _WORDS.fullmatch(bracket):
+        entry = parameters.choice(missing, "", bracket.split("|"))
+    else:
+        raise UsageError(f"the doc of {name} ends with an unknown kind of values: [{bracket}]")
+    return declared(name, entry)
+
+
+def _filled(value: str) -> str:
+    if not value:
+        raise ValueError
+    return value
+
+
+def _targets(path: Path, package: Path, seen: tuple[Path, ...] = ()) -> dict[str, list[Target]]:
+    """The parameters that each argument of a launch file is handed to, by the argument's name."""
+    found: dict[str, list[Target]] = {}
+    root = _parse(path).documentElement
+    for node in root.getElementsByTagName("node"):
+        module = _module_of(node.getAttribute("type"), package)
+        if node.getAttribute("pkg") != _PACKAGE or module is None:
+            continue
+        handed = [
+            (p.getAttribute("name"), _argument(p)) for p in node.getElementsByTagName("param")
+        ]
+        handed += [(o.replace("-", "_"), a) for o, a in _OPTION.findall(node.getAttribute("args"))]
+        for parameter, argument in handed:
+            found.setdefault(argument, []).append(Target(module, parameter))
+    for include in root.getElementsByTagName("include"):
+        file = Path(include.getAttribute("file").replace(f"$(find {_PACKAGE})", str(package)))
+        # One that includes itself hands on the same.
+        if file in (path, *seen) or not file.is_file():
+            continue
+        inner = _targets(file, package, (path, *seen))
+        for node in include.getElementsByTagName("arg"):
+            found.setdefault(_argument(node), []).extend(inner.get(node.getAttribute("name"), []))
+    return found
+
+
+def _argument(node: minidom.Element) -> str:
+    """The argument whose value an element hands on as it is; empty for none."""
+    whole = _ARGUMENT.fullmatch(node.getAttribute("value"))
+    return whole[1] if whole else ""
+
+
+def _module_of(executable: str, package: Path) -> str | None:
+    """The module that an executable of the package runs, None for an executable of others."""
+    # Where it is in the sources, and where it is installed.
+    for folder in (package / "scripts", package.parent.parent / "lib" / _PACKAGE):
+        if (folder / executable).is_file():
+            found = _MODULE.search((folder / executable).read_text())
+            return found[1] if found else None
+    return None
 
 
 def _first_sentence(document: minidom.Document) -> str:
@@ -93,7 +256,8 @@ def read_assignments(job: Job, words: list[str]) -> dict[str, str]:
     """The checked values from words like ``std:=0.1``; the last of a name counts.
 
     Raises:
-        UsageError: a word is no assignment, or its name or value is not one of the job's.
+        UsageError: a word is no assignment, or its name is not one of the job's.
+        ParameterError: a value is not allowed.
     """
     known = {argument.name: argument for argument in job.arguments}
     values = {}
@@ -106,7 +270,7 @@ def read_assignments(job: Job, words: list[str]) -> dict[str, str]:
                 f"{job.name} has no argument {name!r}{_hint(name, known)}; "
                 f"its arguments: {', '.join(known)}"
             )
-        known[name].values.check(name, value)
+        known[name].check(value)
         values[name] = value
     missing = [a.name for a in job.arguments if a.default is None and a.name not in values]
     if missing:
@@ -135,8 +299,8 @@ def list_of_jobs(jobs: dict[str, Job]) -> str:
 
 
 def help_on(job: Job, defaults: dict[str, str]) -> str:
-    """The help on a job; defaults are the resolved ones by the argument's name."""
-    left = {a.name: f"{a.name}:={defaults.get(a.name, a.default or '')}" for a in job.arguments}
-    width = max((len(text) for text in left.values()), default=0)
-    lines = [f"  {left[a.name]:{width}}  {a.doc}".rstrip() for a in job.arguments]
+    """The help on a job; defaults are the launch file's by the argument's name, resolved."""
+    rows = [a.help(defaults.get(a.name, a.default or "")) for a in job.arguments]
+    width = max((len(left) for left, _ in rows), default=0)
+    lines = [f"  {left:{width}}  {doc}".rstrip() for left, doc in rows]
     return "\n".join([f"{job.name}: {job.summary}", "", "arguments and defaults:", *lines])

@@ -1,12 +1,16 @@
-"""The folder that a run leaves its results in."""
+"""What a run leaves behind: the folder of its results, and its log."""
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
+import logging
 import os
+import re
 from pathlib import Path
+from typing import TextIO
 
-from bullet_lab.ros.launcher.values import UsageError
+from bullet_lab.ros.launcher.jobs import UsageError
 
 SUMMARY = "summary.json"
 
@@ -79,3 +83,29 @@ def shown(path: Path) -> str:
         return str(path.relative_to(Path.cwd()))
     except ValueError:
         return str(path)
+
+
+class _PlainText:
+    """A text file that gets no terminal colours."""
+
+    def __init__(self, file: TextIO):
+        self._file = file
+
+    def write(self, text: str) -> int:
+        return self._file.write(re.sub(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)", "", text))
+
+    def flush(self) -> None:
+        self._file.flush()
+
+
+@contextlib.contextmanager
+def words_to(path: Path):
+    """Send what this process (not its nodes) prints and logs to a file."""
+    with path.open("w", buffering=1) as log:
+        # At the level of INFO, roslaunch would write the user's whole environment to it.
+        logging.basicConfig(stream=log, level=logging.WARNING, force=True)
+        # The master complains at length about each node that leaves before it is told of others.
+        logging.getLogger("rosmaster.threadpool").setLevel(logging.CRITICAL)
+        plain = _PlainText(log)
+        with contextlib.redirect_stdout(plain), contextlib.redirect_stderr(plain):
+            yield

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import subprocess
+import time
 from pathlib import Path
 
 from PIL import ImageGrab
@@ -14,6 +16,7 @@ from bullet_lab.errors import LabError
 _SIZE = "1600x1000x24"
 _START_TIMEOUT = 20.0
 _STOP_TIMEOUT = 5.0
+_PICTURE_PERIOD = 3.0
 
 
 class ScreenError(LabError):
@@ -21,10 +24,17 @@ class ScreenError(LabError):
 
 
 class VirtualScreen:
-    """An Xvfb on a free display, which DISPLAY names from then on."""
+    """An Xvfb on a free display, which DISPLAY names from then on.
 
-    def __init__(self, log: Path):
+    Args:
+        log: file for what Xvfb says.
+        picture: file for a picture of the screen.
+    """
+
+    def __init__(self, log: Path, picture: Path):
         self._log = log
+        self._picture = picture
+        self._next = time.monotonic() + _PICTURE_PERIOD
         self._server: subprocess.Popen | None = None
         self._display = ""
 
@@ -75,16 +85,18 @@ class VirtualScreen:
             self._server.kill()
             self._server.wait()
 
-    def grab(self, path: Path) -> bool:
-        """Save what is on the screen, cut to the windows; False while there is nothing."""
-        try:
+    def picture_now_and_then(self) -> None:
+        """Save a picture if it is time for one, so that there is one however the run ends."""
+        if time.monotonic() >= self._next:
+            self.picture()
+
+    def picture(self) -> None:
+        """Save what is on the screen, cut to the windows; nothing while there are none."""
+        self._next = time.monotonic() + _PICTURE_PERIOD
+        with contextlib.suppress(OSError):
             image = ImageGrab.grab(xdisplay=self._display).convert("RGB")
             box = image.getbbox()
-            if box is None:
-                return False
-            unfinished = path.with_name(f".{path.name}")
-            image.crop(box).save(unfinished, format="PNG")
-            unfinished.replace(path)
-        except OSError:
-            return False
-        return True
+            if box is not None:
+                unfinished = self._picture.with_name(f".{self._picture.name}")
+                image.crop(box).save(unfinished, format="PNG")
+                unfinished.replace(self._picture)

@@ -38,6 +38,7 @@ from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import NodeError, private_parameters, run_node
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.node.tf_prefix import own_frame
+from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.record.errand_recorder import ErrandRecorder
 from bullet_lab.simulation.floor_plan import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -55,7 +56,9 @@ class PlotDockingParameters:
     """Private parameters of plot_docking."""
 
     out: str = parameters.text("results/dock", "folder for the files")
-    about: Mapping[str, Any] = parameters.mapping("what else summary.json shall say")
+    about: Mapping[str, Any] = parameters.mapping(
+        "what else summary.json shall say", NoisyOdomParameters
+    )
     dock_id: str = parameters.text("dock", "name of the dock in the database of dock.py")
     search: bool = parameters.boolean(True, "look for the marker where it is not seen at once")
     max_retries: int = parameters.integer(-1, "-1: as dock.py is configured", minimum=-1)

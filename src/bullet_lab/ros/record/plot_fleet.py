@@ -27,6 +27,7 @@ from bullet_lab.reports.squares import squares_summary
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.nodes.fleet import MOST_ROBOTS, robot_names
+from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.record.fleet_markers import FleetMarkers
 from bullet_lab.ros.record.odometry_recorder import NOISY, PERFECT, OdometryRecorder
 from bullet_lab.ros.record.recorder import EndOfRecording, Stopwatch, record
@@ -40,7 +41,9 @@ class PlotFleetParameters:
     robots: int = parameters.integer(8, "how many there are: robot1 and so on", 1, MOST_ROBOTS)
     until: str = parameters.text("", "topic (std_msgs/Time) that ends it; empty: Ctrl-C does")
     seed: int = parameters.integer(0, "of noisy_odom, which derives one for each robot", minimum=0)
-    about: Mapping[str, Any] = parameters.mapping("what else summary.json shall say")
+    about: Mapping[str, Any] = parameters.mapping(
+        "what else summary.json shall say", NoisyOdomParameters
+    )
     plot_period: float = parameters.number(
         10.0, "wall seconds between two versions of fleet.png", above=0.0
     )

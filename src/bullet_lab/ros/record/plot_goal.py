@@ -34,6 +34,8 @@ from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import NodeError, private_parameters, run_node
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.nodes.dock_goals import stamped_pose
+from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
+from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.record.errand_recorder import ErrandRecorder
 
 # Simulated seconds that are recorded after the end: a robot that should stand, stands.
@@ -45,7 +47,9 @@ class PlotGoalParameters:
     """Private parameters of plot_goal."""
 
     out: str = parameters.text("results/goal", "folder for the files")
-    about: Mapping[str, Any] = parameters.mapping("what else summary.json shall say")
+    about: Mapping[str, Any] = parameters.mapping(
+        "what else summary.json shall say", DriveToGoalParameters, NoisyOdomParameters
+    )
     goal: Tuple[float, ...] = parameters.number_list(
         (1.0, 1.0, 0.0), "where to: x y in m, yaw in rad"
     )

@@ -29,6 +29,8 @@ from bullet_lab.reports.squares import noise_figure, squares_summary
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.publishers import Publisher
+from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
+from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.record.odometry_recorder import NOISY, PERFECT, OdometryRecorder
 from bullet_lab.ros.record.recorder import EndOfRecording, Stopwatch, record
 
@@ -43,7 +45,9 @@ class PlotNoiseParameters:
 
     out: str = parameters.text("results/squares", "folder for the files")
     until: str = parameters.text("", "topic (std_msgs/Time) that ends it; empty: Ctrl-C does")
-    about: Mapping[str, Any] = parameters.mapping("what else summary.json shall say")
+    about: Mapping[str, Any] = parameters.mapping(
+        "what else summary.json shall say", NoisyOdomParameters, DriveSquaresParameters
+    )
     show: bool = parameters.boolean(False, "open a window at the end, where there is a screen")
     plot_period: float = parameters.number(
         10.0, "wall seconds between two versions of paths.png", above=0.0

@@ -29,6 +29,7 @@ from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.odometry import planar_pose
+from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
 from bullet_lab.ros.record.recorder import EndOfRecording, Stopwatch, record
 
 
@@ -38,7 +39,9 @@ class PlotSensorsParameters:
 
     out: str = parameters.text("results/sensors", "folder for the files")
     until: str = parameters.text("", "topic (std_msgs/Time) that ends it; empty: Ctrl-C does")
-    about: Mapping[str, Any] = parameters.mapping("what else summary.json shall say")
+    about: Mapping[str, Any] = parameters.mapping(
+        "what else summary.json shall say", DriveSquaresParameters
+    )
     rays: int = parameters.integer(360, "of the laser scanner", minimum=1, maximum=100_000)
     plot_period: float = parameters.number(
         10.0, "wall seconds between two versions of sensors.png", above=0.0

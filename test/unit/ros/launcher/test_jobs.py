@@ -1,8 +1,13 @@
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from bullet_lab.core.parameters import ParameterError
 from bullet_lab.ros.launcher.jobs import (
+    Target,
+    UsageError,
     choose_job,
     find_jobs,
     help_on,
@@ -10,9 +15,8 @@ from bullet_lab.ros.launcher.jobs import (
     read_assignments,
     read_job,
 )
-from bullet_lab.ros.launcher.values import UsageError
 
-LAUNCH = Path(__file__).parents[4] / "launch"
+PACKAGE = Path(__file__).parents[4]
 
 TEXT = """<?xml version="1.0"?>
 <!-- Does one
@@ -30,23 +34,34 @@ TEXT = """<?xml version="1.0"?>
 
 @pytest.fixture
 def job(tmp_path):
-    path = tmp_path / "thing.launch"
-    path.write_text(TEXT)
-    return read_job(path)
+    return read("thing", TEXT, tmp_path)
+
+
+def read(name, text, folder, package=PACKAGE):
+    """A job by the text of its launch file."""
+    path = folder / f"{name}.launch"
+    path.write_text(text)
+    return read_job(path, package)
+
+
+def argument(doc, folder):
+    """An argument that is handed to no node."""
+    return read(
+        "a", f'<launch><arg name="std" default="" doc="{doc}"/></launch>', folder
+    ).arguments[0]
 
 
 def test_job_says_what_its_file_says(job):
     assert (job.name, job.summary) == ("thing", "Does one thing well.")
-    assert [(a.name, a.default, a.doc) for a in job.arguments] == [
-        ("std", "0.1", "Noise per metre [number >= 0]"),
-        ("empty", "", ""),
+    assert [(a.name, a.default, a.doc, a.bracket) for a in job.arguments] == [
+        ("std", "0.1", "Noise per metre", "number >= 0"),
+        ("empty", "", "", ""),
     ]
 
 
 def test_comment_inside_the_root_is_the_summary_too(tmp_path):
-    path = tmp_path / "a.launch"
-    path.write_text("<launch><!-- Runs at 0.5 m/s past it --></launch>")
-    assert read_job(path).summary == "Runs at 0.5 m/s past it"
+    job = read("a", "<launch><!-- Runs at 0.5 m/s past it --></launch>", tmp_path)
+    assert job.summary == "Runs at 0.5 m/s past it"
 
 
 def test_assignments_are_checked_and_the_last_counts(job):
@@ -64,20 +79,49 @@ def test_assignments_are_checked_and_the_last_counts(job):
         ("stf:=1", "no argument 'stf' .did you mean 'std'"),
         ("fixed:=2", "no argument 'fixed'"),
         ("inner:=2", "no argument 'inner'"),
-        ("std:=-1", "std:=-1 is refused"),
+        ("std:=-1", "^std is '-1': it must be a number >= 0$"),
     ],
 )
 def test_wrong_words_are_refused_in_one_line(job, word, message):
-    with pytest.raises(UsageError, match=message) as refusal:
+    with pytest.raises((UsageError, ParameterError), match=message) as refusal:
         read_assignments(job, [word])
     assert "\n" not in str(refusal.value)
 
 
 def test_argument_without_default_is_demanded(tmp_path):
-    path = tmp_path / "a.launch"
-    path.write_text('<launch><arg name="world"/></launch>')
+    job = read("a", '<launch><arg name="world"/></launch>', tmp_path)
     with pytest.raises(UsageError, match="needs a value for world"):
-        read_assignments(read_job(path), [])
+        read_assignments(job, [])
+
+
+@pytest.mark.parametrize(
+    ("doc", "good", "bad"),
+    [
+        ("Noise [number >= 0]", ["0", "0.1", "1e-3", ".5", "2."], ["-0.1", "nan", "inf", "x", ""]),
+        ("Part [number > 0 <= 1]", ["0.5", "1"], ["0", "1.01"]),
+        ("Seed [integer >= 0]", ["0", "42"], ["-1", "1.0", "1e3", "٣"]),
+        ("Any [number]", ["-1e300"], ["1e999", "1_000", "0x10", " 1"]),
+        ("Show [true|false]", ["true", "false"], ["True", "1", "yes", ""]),
+        ("Rule [report|rate_invariant]", ["rate_invariant"], ["report|rate_invariant", "rep"]),
+        ("Where [folder]", ["a/b c", "/tmp"], [""]),
+        ("What [text]", ["", "anything"], []),
+        ("no bracket", ["", "anything"], []),
+        ("Bracket [number] in the middle.", ["anything"], []),
+    ],
+)
+def test_values_that_a_bracket_allows(tmp_path, doc, good, bad):
+    checked = argument(doc.replace(">", "&gt;").replace("<", "&lt;"), tmp_path)
+    for value in good:
+        checked.check(value)
+    for value in bad:
+        with pytest.raises(ParameterError, match=f"^std is '{value}': it must be "):
+            checked.check(value)
+
+
+@pytest.mark.parametrize("doc", ["x [nubmer >= 0]", "x [number => 0]", "x [only]", "x [a||b]"])
+def test_bracket_outside_the_grammar_is_an_error(tmp_path, doc):
+    with pytest.raises(UsageError, match="the doc of std ends with an unknown kind of values"):
+        argument(doc.replace(">", "&gt;"), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -90,10 +134,8 @@ def test_argument_without_default_is_demanded(tmp_path):
     ],
 )
 def test_broken_launch_file_is_a_clear_error(tmp_path, text):
-    path = tmp_path / "a.launch"
-    path.write_text(text)
     with pytest.raises(UsageError, match=r"a\.launch: "):
-        read_job(path)
+        read("a", text, tmp_path)
 
 
 def test_unknown_job_is_refused_with_a_hint(job):
@@ -111,13 +153,94 @@ def test_list_has_a_line_for_each_job(job):
     assert "  thing  Does one thing well." in list_of_jobs({"thing": job}).splitlines()
 
 
+NODES = """
+<launch>
+  <arg name="noise" default="" doc="If empty, that of the node"/>
+  <arg name="seed" default="1" doc="Of all"/>
+  <arg name="speed" default="0.5" doc="How fast [number &gt;= 0.1]"/>
+  <arg name="many" default=""/>
+  <arg name="count" default=""/>
+  <group if="true">
+    <node name="a" pkg="bullet_lab" type="noisy_odom.py">
+      <param name="std" value="$(arg noise)"/>
+      <param name="seed" value="$(arg seed)"/>
+    </node>
+  </group>
+  <node name="b" pkg="bullet_lab" type="drive_squares.py">
+    <param name="speed" value="$(arg speed)"/>
+    <param name="sides" value="$(eval arg('count') + 1)"/>
+  </node>
+  <node name="c" pkg="other" type="drive_squares.py">
+    <param name="side" value="$(arg count)"/>
+  </node>
+  <node name="d" pkg="bullet_lab" type="published_noise.py" args="'x' --seeds '$(arg many)'"/>
+  <include file="$(find bullet_lab)/launch/include/bridge.launch.xml">
+    <arg name="seed" value="$(arg seed)"/>
+  </include>
+</launch>
+"""
+
+
+def test_arguments_are_described_by_the_nodes_that_they_are_handed_to(tmp_path):
+    job = read("a", NODES, tmp_path)
+    assert {a.name: a.targets for a in job.arguments} == {
+        "noise": (Target("bullet_lab.ros.nodes.noisy_odom", "std"),),
+        "seed": (
+            Target("bullet_lab.ros.nodes.noisy_odom", "seed"),
+            Target("bullet_lab.ros.nodes.bridge", "seed"),
+        ),
+        "speed": (Target("bullet_lab.ros.nodes.drive_squares", "speed"),),
+        "many": (Target("bullet_lab.studies.published_noise.study", "seeds"),),
+        "count": (),
+    }
+    text = help_on(job, {})
+    assert "  noise:=0.1  Standard deviation per metre" in text
+    assert "[a number >= 0]" in text
+    assert "  seed:=1     Of all [a whole number from 0 to 2147483647]" in text
+    assert "  speed:=0.5  How fast [number >= 0.1]" in text
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("noise:=-1", "^noise is '-1': it must be a number >= 0$"),
+        ("seed:=0.5", "^seed is '0.5': it must be a whole number from 0 to 2147483647$"),
+        ("speed:=0.05", "^speed is '0.05': it must be a number >= 0.1$"),
+    ],
+)
+def test_values_that_a_node_would_refuse_are_refused_before_it_starts(tmp_path, word, message):
+    with pytest.raises(ParameterError, match=message):
+        read_assignments(read("a", NODES, tmp_path), [word])
+
+
+def test_empty_value_is_the_nodes_own(tmp_path):
+    assert read_assignments(read("a", NODES, tmp_path), ["noise:="]) == {"noise": ""}
+
+
+def test_node_that_cannot_be_asked_is_left_to_refuse_by_itself():
+    assert Target("bullet_lab.no_such_module", "std").declaration() is None
+    assert Target("bullet_lab.ros.nodes.noisy_odom", "no_such_parameter").declaration() is None
+
+
 def test_every_shipped_job_has_the_common_arguments_and_sound_defaults():
-    jobs = find_jobs(LAUNCH)
+    jobs = find_jobs(PACKAGE)
     assert {"squares", "beacons"} <= set(jobs)
     for job in jobs.values():
         assert job.summary.endswith(".")
         assert {"out", "rtf", "seed", "rviz"} <= {a.name for a in job.arguments}
         for argument in job.arguments:
             assert argument.doc, argument.name
-            if "$(" not in argument.default:
-                argument.values.check(argument.name, argument.default)
+            if argument.default == "" and not argument.bracket:
+                assert argument.declarations(), f"{job.name}: nobody declares {argument.name}"
+            elif "$(" not in argument.default:
+                argument.check(argument.default)
+
+
+def test_listing_jobs_imports_no_node():
+    code = (
+        "import sys; from pathlib import Path; from bullet_lab.ros.launcher.jobs import find_jobs; "
+        f"find_jobs(Path({str(PACKAGE)!r})); sys.exit('rospy' in sys.modules)"
+    )
+    path = [entry for entry in sys.path if entry]
+    done = subprocess.run([sys.executable, "-c", f"import sys; sys.path[:] = {path}; {code}"])
+    assert done.returncode == 0

@@ -2,8 +2,8 @@ import os
 
 import pytest
 
+from bullet_lab.ros.launcher.jobs import UsageError
 from bullet_lab.ros.launcher.output import OutputFolder, shown
-from bullet_lab.ros.launcher.values import UsageError
 
 
 def test_folder_is_created_with_room_for_logs(tmp_path):

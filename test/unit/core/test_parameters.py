@@ -117,10 +117,25 @@ def test_text_as_launch_files_and_command_lines_have_it():
 
 
 def test_empty_text_is_the_default_unless_it_is_a_value():
-    empty = {name: "" for name in ("ratio", "width", "seed", "paused", "mode", "pose", "special")}
+    empty = dict.fromkeys(("ratio", "width", "seed", "paused", "mode", "pose", "special"), "")
     assert read(**empty) == read()
     assert read(topic="", nodes="") == read(topic="")
     assert read(topic="").topic == ""
+
+
+@dataclass(frozen=True)
+class Recorder:
+    about: Mapping[str, Any] = parameters.mapping("notes", Sample)
+
+
+def test_mapping_may_have_entries_of_other_parameters():
+    def about(**entries):
+        return read_parameters(Recorder, {"~about": entries}.get).about
+
+    assert about(job="a", ratio="", seed="5", mode="", other="") == {
+        "job": "a", "ratio": 0.5, "seed": 5, "mode": "slow", "other": "",
+    }  # fmt: skip
+    assert about(ratio=2, mode="mine") == {"ratio": 2, "mode": "mine"}
 
 
 def test_declarations_say_what_is_asked():
@@ -185,7 +200,7 @@ def test_help_of_options_has_sentence_limits_and_default(capsys):
         options("--help")
     text = " ".join(capsys.readouterr().out.split())
     assert "noise: a number >= 0; by default 0.1" in text
-    assert "of std, 100 %: different numbers >= 0 and <= 10; by default 0.0 0.5" in text
+    assert "of std, 100 %: different numbers >= 0 and <= 10; by default 0 0.5" in text
 
 
 def test_misspelt_names_are_found():
