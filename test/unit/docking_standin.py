@@ -15,9 +15,8 @@ import numpy as np
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty, DockWalls
-from bullet_lab.docking.settings import DockingSettings
 from bullet_lab.docking.task import DockingTask
-from bullet_lab.docking.types import CameraMount, Observation, Odometry, Sighting
+from bullet_lab.docking.types import CameraMount, DockingSettings, Observation, Odometry, Sighting
 from bullet_lab.noise.odometry_noise import NoisyPath, make_rule
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)

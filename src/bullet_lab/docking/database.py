@@ -1,4 +1,4 @@
-"""The docks that a robot knows, as a YAML file says it."""
+"""Database of docks: a YAML file, read and checked."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from typing import Any, Dict, Mapping, Optional, Tuple, Union
+from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
 
 import yaml
 
-from bullet_lab.docking.types import PlanarPose
+from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.errors import LabError
 
 _FILE_LIMIT = 1_000_000
@@ -126,9 +126,6 @@ class _Section:
     def names(self) -> Tuple[str, ...]:
         return tuple(self._content)
 
-    def has(self, key: str) -> bool:
-        return self._content.get(key) is not None
-
     def take(self, key: str) -> Any:
         self._asked.add(key)
         if key not in self._content:
@@ -140,7 +137,7 @@ class _Section:
 
     def optional(self, key: str) -> Optional[_Section]:
         self._asked.add(key)
-        return self.section(key) if self.has(key) else None
+        return None if self._content.get(key) is None else self.section(key)
 
     def text(self, key: str) -> str:
         value = self.take(key)
@@ -166,8 +163,14 @@ class _Section:
             self.refuse(key, value, "a list of x and y in m and yaw in degrees")
         return float(value[0]), float(value[1]), math.radians(value[2])
 
-    def refuse(self, key: str, value: Any, wanted: str) -> None:
-        raise DatabaseError(f"{self._where}: {key} is {value!r}, not {wanted}")
+    def refuse(self, key: str, value: Any, required: str) -> None:
+        raise DatabaseError(f"{self._where}: {key} is {value!r}, not {required}")
+
+    def numbers(self, **limits: Tuple[float, float]) -> List[float]:
+        """Return the numbers that are left to read, each within its limits."""
+        values = [self.number(key, low, high) for key, (low, high) in limits.items()]
+        self.finish()
+        return values
 
     def finish(self) -> None:
         """Raise DatabaseError for a key that nobody asked for."""
@@ -201,41 +204,23 @@ def _dock(name: str, entry: _Section) -> Dock:
 
 
 def _marker(entry: _Section) -> DockMarker:
-    marker = DockMarker(
-        entry.text("dictionary"),
-        entry.whole("id"),
-        entry.number("size", 0.01, 5.0),
-        entry.number("height", 0.0, 5.0),
-    )
-    entry.finish()
-    return marker
+    dictionary, marker = entry.text("dictionary"), entry.whole("id")
+    return DockMarker(dictionary, marker, *entry.numbers(size=(0.01, 5.0), height=(0.0, 5.0)))
 
 
 def _walls(entry: Optional[_Section]) -> Optional[DockWalls]:
     if entry is None:
         return None
-    walls = DockWalls(
-        entry.number("opening", 0.1, 20.0),
-        entry.number("depth", 0.01, 20.0),
-        entry.number("thickness", 0.01, 5.0),
-    )
-    entry.finish()
-    return walls
+    limits = {"opening": (0.1, 20.0), "depth": (0.01, 20.0), "thickness": (0.01, 5.0)}
+    return DockWalls(*entry.numbers(**limits))
 
 
 def _tolerance(entry: _Section) -> DockTolerance:
-    tolerance = DockTolerance(
-        entry.number("distance", 1e-4, 1.0),
-        entry.number("lateral", 1e-4, 1.0),
-        math.radians(entry.number("yaw_deg", 0.01, 45.0)),
-    )
-    entry.finish()
-    return tolerance
+    limits = {"distance": (1e-4, 1.0), "lateral": (1e-4, 1.0), "yaw_deg": (0.01, 45.0)}
+    distance, lateral, degrees = entry.numbers(**limits)
+    return DockTolerance(distance, lateral, math.radians(degrees))
 
 
 def _uncertainty(entry: _Section) -> DockUncertainty:
-    uncertainty = DockUncertainty(
-        entry.number("position", 0.0, 5.0), math.radians(entry.number("yaw_deg", 0.0, 180.0))
-    )
-    entry.finish()
-    return uncertainty
+    position, degrees = entry.numbers(position=(0.0, 5.0), yaw_deg=(0.0, 180.0))
+    return DockUncertainty(position, math.radians(degrees))

@@ -1,6 +1,6 @@
-"""The dock as boxes on the floor, and from where its marker can be seen.
+"""Geometry of a dock: its walls as boxes on the floor, and from where its marker is visible.
 
-In the dock's frame the marker's face is at x = 0 and a robot before it has x < 0.
+In the dock's frame the marker's face is at x = 0, and a robot before it has x < 0 and yaw 0.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ QUIET_ZONE = 0.125
 
 
 def wall_boxes(dock: Dock) -> np.ndarray:
-    """Return the walls as (n, 4) boxes x_min, x_max, y_min, y_max in the dock's frame."""
+    """Return the walls as (n, 4) boxes x_min, x_max, y_min, y_max in the dock's frame, m."""
     walls = dock.walls
     if walls is None:
         return np.empty((0, 4))
@@ -34,7 +34,13 @@ def wall_boxes(dock: Dock) -> np.ndarray:
 
 
 def clearance(points, boxes: np.ndarray) -> np.ndarray:
-    """Return how far (..., 2) points are from the nearest box; 0 inside, inf without boxes."""
+    """Return the distance of (..., 2) points from the nearest of (n, 4) boxes, m.
+
+    It is 0 inside a box, and inf without boxes.
+
+    >>> clearance([[-1.0, 0.0], [3.0, 4.0]], np.array([[-1.0, 0.0, -1.0, 0.0]]))
+    array([0., 5.])
+    """
     points = np.asarray(points, dtype=float)
     nearest = np.full(points.shape[:-1], np.inf)
     for x_min, x_max, y_min, y_max in boxes:
@@ -45,12 +51,7 @@ def clearance(points, boxes: np.ndarray) -> np.ndarray:
     return nearest
 
 
-def body_clearance(outline: np.ndarray, boxes: np.ndarray) -> float:
-    """Return the least distance of an outline of (n, 2) points from the boxes."""
-    return float(np.min(clearance(outline, boxes), initial=np.inf))
-
-
-class View:
+class MarkerVisibility:
     """From where a camera should be able to find the marker of a dock.
 
     Args:
@@ -76,20 +77,20 @@ class View:
         self.farthest, self._slant = farthest, slant
         beside = min(camera.cx, camera.width - 1.0 - camera.cx) - border
         above = min(camera.cy, camera.height - 1.0 - camera.cy) - 0.25 * border
-        self.half_angle = math.atan(beside / camera.fx)
+        self._half_angle = math.atan(beside / camera.fx)
         rise = abs(dock.marker.height - height) + self._half
         self._nearest = max(rise * camera.fy / above, 2.0 * self._half)
 
-    def up_to(self, farthest: float, half: float) -> View:
-        """Return the same view up to another range of something of half a width, both in m."""
+    def up_to(self, farthest: float, half: float) -> MarkerVisibility:
+        """Return the same up to another range, of something of half a width, both in m."""
         other = copy.copy(self)
         other.farthest, other._half = farthest, max(half, self._half)
         return other
 
-    def open_sight(self, x, y) -> np.ndarray:
-        """Say whether nothing is between a camera at (x, y) in the dock's frame and the marker.
+    def unobstructed(self, x, y) -> np.ndarray:
+        """Say whether nothing is between cameras at (x, y) m in the dock's frame and the marker.
 
-        Range and slant are looked at as well, the camera's heading is not.
+        Range and slant are looked at as well, the camera's heading is not. Shapes broadcast.
         """
         x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
         before = -x
@@ -103,22 +104,26 @@ class View:
         at_opening = np.abs(y) * along + self._half * (1.0 - along)
         return good & (at_opening < inner)
 
-    def seen(self, cameras: np.ndarray) -> np.ndarray:
+    def visible(self, cameras: np.ndarray) -> np.ndarray:
         """Say for (..., 3) camera poses in the dock's frame whether the marker should be found."""
         x, y, heading = cameras[..., 0], cameras[..., 1], cameras[..., 2]
         off = np.arctan2(-y, -x) - heading
         off = np.abs(np.arctan2(np.sin(off), np.cos(off)))
-        return self.open_sight(x, y) & (off < self.reach(np.hypot(x, y)))
+        return self.unobstructed(x, y) & (off < self.half_angle(np.hypot(x, y)))
 
-    def quality(self, distance) -> np.ndarray:
-        """Return how likely it is to be found by its range; low light and noise cost range."""
+    def detection_rate(self, distance) -> np.ndarray:
+        """Return the probability of finding a visible marker at distances in m.
+
+        Low light and noise cost range.
+        """
         share = np.asarray(distance) / self.farthest
         return np.clip((1.15 - share) / 0.45, 0.2, 1.0)
 
-    def chance(self, cameras: np.ndarray) -> np.ndarray:
-        """Return the probability that the marker is found by (..., 3) cameras in its frame."""
-        return self.seen(cameras) * self.quality(np.hypot(cameras[..., 0], cameras[..., 1]))
+    def detection_probability(self, cameras: np.ndarray) -> np.ndarray:
+        """Return the probability that (..., 3) cameras in the dock's frame find the marker."""
+        distance = np.hypot(cameras[..., 0], cameras[..., 1])
+        return self.visible(cameras) * self.detection_rate(distance)
 
-    def reach(self, distance) -> np.ndarray:
-        """Return how far off its middle (rad) the marker is wholly in an image, by its range."""
-        return self.half_angle - np.arctan2(self._half, np.maximum(distance, 0.1))
+    def half_angle(self, distance) -> np.ndarray:
+        """Return how far off the image's middle (rad) a marker at a distance (m) is whole."""
+        return self._half_angle - np.arctan2(self._half, np.maximum(distance, 0.1))

@@ -1,4 +1,4 @@
-"""Docking as a machine that is fed with odometry and images and gives commands."""
+"""Docking and undocking as tasks that are fed with odometry and images and give commands."""
 
 from __future__ import annotations
 
@@ -9,42 +9,134 @@ from typing import Deque, Optional, Tuple
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.docking.approach import Docked, decide
+from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.docking.belief import DockBelief
+from bullet_lab.docking.control import AxisTracker, CommandRamp
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.drive import CommandRamp
-from bullet_lab.docking.geometry import clearance
-from bullet_lab.docking.knowledge import DockKnowledge
-from bullet_lab.docking.lane import StuckWatch
-from bullet_lab.docking.motion import jump, motion_step
-from bullet_lab.docking.phases import Look, Phase
-from bullet_lab.docking.pilot import DockingFailureError, Pilot
-from bullet_lab.docking.settings import DockingSettings
+from bullet_lab.docking.odometry import OdometryBuffer, StuckWatch, jump, motion_step
+from bullet_lab.docking.planner import DockingFailureError, DockingPlanner
+from bullet_lab.docking.state_machine import StateMachine
 from bullet_lab.docking.types import (
     STANDSTILL,
     CameraMount,
     Command,
     DockingError,
     DockingResult,
+    DockingSettings,
     DockingState,
     DockingStatus,
     Observation,
     Odometry,
-    PlanarPose,
     RobotShape,
 )
-from bullet_lab.docking.undocking import UndockingTask
 from bullet_lab.errors import LabError
 
-__all__ = ["DockingTask", "DockingTaskError", "UndockingTask"]
-
 _MOST_WAITING = 50
+# Seconds to look for the marker before undocking, and m from the goal at which it is reached.
+_LOOK_SECONDS = 1.5
+_UNDOCKED = 0.003
 
 
 class DockingTaskError(LabError):
     """What docking is asked for makes no sense."""
 
 
-class DockingTask:
+class UndockingTaskError(LabError):
+    """What undocking is asked for makes no sense."""
+
+
+class _Task:
+    """What both tasks share: the watch over time, odometry and wheels, and the ramp.
+
+    Args:
+        done: what has been done in the end, in a word.
+        odometry: the last messages.
+        settings: see `DockingSettings`.
+        time_limit: s.
+    """
+
+    def __init__(
+        self, done: str, odometry: OdometryBuffer, settings: DockingSettings, time_limit: float
+    ):
+        self._done, self._odometry = done, odometry
+        self._settings, self._time_limit = settings, time_limit
+        self._ramp, self._stuck = CommandRamp(settings), StuckWatch()
+        self._started: Optional[float] = None
+        self._last_tick: Optional[float] = None
+        self.result: Optional[DockingResult] = None
+
+    def preempt(self) -> None:
+        """Stop at once."""
+        self._end(DockingError.PREEMPTED, "stopped on request")
+
+    def tick(self, stamp: float) -> Command:
+        """Return the command (m/s, rad/s) for now."""
+        if self.result is not None:
+            return self._ramp.stop()
+        seconds = 0.05 if self._last_tick is None else stamp - self._last_tick
+        self._last_tick = stamp
+        if self._started is None:
+            self._started = stamp
+        try:
+            self._check(stamp)
+            target = self._advance(stamp)
+        except DockingFailureError as failure:
+            self._end(failure.error, str(failure))
+            return STANDSTILL
+        if target is None:
+            return self._ramp.stop()
+        command = self._ramp.towards(target, min(max(seconds, 0.0), 0.2))
+        self._stuck.commanded(command)
+        return command
+
+    def _advance(self, stamp: float) -> Optional[Command]:
+        """Return the command to go for, None to stop at once; may end the task."""
+        raise NotImplementedError
+
+    def _accept(self, odometry: Odometry) -> bool:
+        """Say whether a message of odometry is of use; what cannot be ends the task."""
+        before = self._odometry.last
+        if not all(map(math.isfinite, odometry.pose)):
+            self._end(DockingError.ODOMETRY_LOST, "odometry is not finite")
+            return False
+        if before is None:
+            return True
+        seconds = odometry.stamp - before.stamp
+        if seconds <= 0.0:
+            if seconds < -0.5:
+                self._end(DockingError.ODOMETRY_LOST, "odometry went back in time")
+            return False
+        step = motion_step(before, odometry)
+        trouble = jump(step, seconds, self._settings.drive_speed, self._settings.turn_speed)
+        if trouble:
+            self._end(DockingError.ODOMETRY_LOST, trouble)
+            return False
+        self._stuck.moved(step.step, seconds)
+        return True
+
+    def _check(self, stamp: float) -> None:
+        """Raise DockingFailureError where it cannot go on."""
+        if stamp - self._started > self._time_limit:
+            message = f"not {self._done} after {self._time_limit:g} s"
+            raise DockingFailureError(DockingError.TIMED_OUT, message)
+        last = self._odometry.last
+        quiet = stamp - (self._started if last is None else last.stamp)
+        if quiet > self._settings.odometry_timeout:
+            raise DockingFailureError(DockingError.ODOMETRY_LOST, f"no odometry for {quiet:.1f} s")
+        if self._stuck.stuck:
+            message = "the robot does not move as it is told to"
+            raise DockingFailureError(DockingError.BLOCKED, message)
+
+    def _end(self, error: DockingError, message: str) -> None:
+        if self.result is None:
+            self.result = self._make_result(error == DockingError.NONE, error, message)
+        self._ramp.stop()
+
+    def _make_result(self, success: bool, error: DockingError, message: str) -> DockingResult:
+        return DockingResult(success, error, message)
+
+
+class DockingTask(_Task):
     """Drives a robot into a dock.
 
     Give it all odometry and one observation for each image, and ask it for a command at a steady
@@ -59,7 +151,10 @@ class DockingTask:
         search: look for the marker where it is not seen at once.
         max_retries: retreats before it gives up; None or less than 0: as in the settings.
         time_limit: s; None: as in the settings.
-        seed: of the cloud of thinkable docks.
+        seed: of the particles of thinkable docks.
+
+    Attributes:
+        result: how it ended; None before.
 
     Raises:
         DockingTaskError: the pose is not finite.
@@ -82,173 +177,206 @@ class DockingTask:
             raise DockingTaskError(f"the pose {dock_pose} of dock '{dock.name}' is not finite")
         settings = settings or DockingSettings()
         shape = shape or RobotShape()
-        self._settings = settings
         rng = np.random.default_rng(seed)
-        self._knowledge = DockKnowledge(dock, dock_pose, mount, settings, rng)
+        self._belief = DockBelief(dock, dock_pose, mount, settings, rng)
+        limit = settings.time_limit if time_limit is None else time_limit
+        super().__init__("docked", self._belief.odometry, settings, limit)
         retries = settings.max_retries if max_retries is None or max_retries < 0 else max_retries
-        self._pilot = Pilot(dock, self._knowledge, mount, shape, settings, search, retries, decide)
-        self._time_limit = settings.time_limit if time_limit is None else time_limit
+        self._planner = DockingPlanner(dock, self._belief, mount, shape, settings, search, retries)
+        self._machine = StateMachine(self._planner)
         self._waiting: Deque[Observation] = deque(maxlen=_MOST_WAITING)
-        self._ramp = CommandRamp(settings)
-        self._stuck = StuckWatch()
-        self._phase: Phase = Look()
-        self._started: Optional[float] = None
         self._wanted_since: Optional[float] = None
-        self._last_tick: Optional[float] = None
-        self.result: Optional[DockingResult] = None
 
     # What it is fed with ----------------------------------------------------------------------
 
     def add_odometry(self, odometry: Odometry) -> None:
         """Take the next message of odometry; what cannot be ends the docking."""
-        if self.result is not None:
+        first = self._odometry.last is None
+        if self.result is not None or not self._accept(odometry):
             return
-        before = self._knowledge.track.last
-        if not all(map(math.isfinite, odometry.pose)):
-            self._end(DockingError.ODOMETRY_LOST, "odometry is not finite")
-            return
-        if before is not None:
-            seconds = odometry.stamp - before.stamp
-            if seconds <= 0.0:
-                if seconds < -0.5:
-                    self._end(DockingError.ODOMETRY_LOST, "odometry went back in time")
-                return
-            step = motion_step(before, odometry)
-            trouble = jump(step, seconds, self._settings.drive_speed, self._settings.turn_speed)
-            if trouble:
-                self._end(DockingError.ODOMETRY_LOST, trouble)
-                return
-            self._stuck.moved(step.step, seconds)
-        self._knowledge.add_odometry(odometry)
-        free = self._knowledge.cloud.stands_free(self._pilot.shape.inner_radius)
-        if before is None and not free:
+        self._belief.add_odometry(odometry)
+        free = self._belief.particles.stands_free(self._planner.shape.inner_radius)
+        if first and not free:
             self._end(DockingError.NOT_VALID, "the robot stands where the dock's walls must be")
             return
         while self._waiting and self._waiting[0].stamp <= odometry.stamp + 1e-6:
-            self._knowledge.observe(self._waiting.popleft())
+            self._belief.observe(self._waiting.popleft())
 
     def add_observation(self, observation: Observation) -> None:
         """Take what was seen in an image; it is used once odometry has come that far."""
         if self.result is not None:
             return
-        last = self._knowledge.track.last
+        last = self._odometry.last
         if last is not None and observation.stamp <= last.stamp + 1e-6:
-            self._knowledge.observe(observation)
+            self._belief.observe(observation)
         else:
             self._waiting.append(observation)
 
-    def preempt(self) -> None:
-        """Stop at once."""
-        self._end(DockingError.PREEMPTED, "stopped on request")
-
     # What it gives ----------------------------------------------------------------------------
-
-    def tick(self, stamp: float) -> Command:
-        """Return the command (m/s, rad/s) for now."""
-        if self.result is not None:
-            return self._ramp.stop()
-        seconds = 0.05 if self._last_tick is None else stamp - self._last_tick
-        self._last_tick = stamp
-        if self._started is None:
-            self._started = stamp
-        self._pilot.now = stamp
-        try:
-            self._check(stamp)
-            if self._knowledge.view is None:
-                return self._ramp.stop()
-            wanted = self._advance()
-        except DockingFailureError as failure:
-            self._end(failure.error, str(failure))
-            return self._ramp.stop()
-        if isinstance(self._phase, Docked):
-            self._end(DockingError.NONE, "docked")
-            return self._ramp.stop()
-        command = self._ramp.towards(wanted, min(max(seconds, 0.0), 0.2))
-        self._stuck.commanded(command)
-        if command != STANDSTILL:
-            self._pilot.at_rest_since = None
-        elif self._pilot.at_rest_since is None:
-            self._pilot.at_rest_since = stamp
-        return command
 
     @property
     def status(self) -> DockingStatus:
         """How it goes."""
-        pilot = self._pilot
-        rough = pilot.result(False, DockingError.NONE, "")
-        estimate = pilot.estimate() if self._knowledge.track.last is not None else None
+        planner, state = self._planner, self._machine.state
+        rough = planner.result(False, DockingError.NONE, "")
+        estimate = planner.estimate()
         pose = None
         if estimate is not None:
-            pose = tuple(se2.compose(self._knowledge.pose, estimate.mean).tolist())
+            pose = tuple(se2.compose(self._belief.pose, estimate.mean).tolist())
         return DockingStatus(
-            self._phase.state,
+            state.state,
             rough.distance,
             rough.lateral,
             rough.yaw,
-            pilot.retries,
+            planner.retries,
             self.wants_images,
             pose,
-            self._phase.plan(),
-            self._phase.detail,
+            state.plan(),
+            state.detail,
         )
 
     @property
     def state(self) -> DockingState:
         """What is being done."""
-        return self._phase.state
+        return self._machine.state.state
 
     @property
     def wants_images(self) -> bool:
         """Whether an image would be used now."""
         if self.result is not None:
             return False
-        return self._knowledge.view is None or self._phase.wants_images(self._pilot)
+        if self._belief.visibility is None:
+            return True
+        return self._machine.state.wants_images(self._planner)
 
     def estimated_robot(self) -> Optional[Tuple[float, float, float]]:
         """Return the robot's pose in the dock's frame, None before the marker was seen."""
-        estimate = self._pilot.estimate() if self._knowledge.track.last is not None else None
-        return None if estimate is None else tuple(self._pilot.robot(estimate).tolist())
+        estimate = self._planner.estimate()
+        return None if estimate is None else tuple(estimate.robot.tolist())
 
     # Inside -----------------------------------------------------------------------------------
 
-    def _advance(self) -> Command:
-        """Ask the phase, and those that follow at once, for a command."""
-        if self._pilot.at_rest_since is None and self._ramp.command == STANDSTILL:
-            self._pilot.at_rest_since = self._pilot.now
-        for _ in range(3):
-            command, following = self._phase.step(self._pilot)
-            if following is None:
-                return command
-            self._phase = following
-        return STANDSTILL
+    def tick(self, stamp: float) -> Command:
+        """Return the command (m/s, rad/s) for now."""
+        self._planner.now = stamp
+        command = super().tick(stamp)
+        if self._belief.visibility is not None:
+            self._planner.commanded(command)
+        return command
+
+    def _advance(self, stamp: float) -> Optional[Command]:
+        if self._belief.visibility is None:
+            return None
+        self._planner.commanded(self._ramp.command)
+        target = self._machine.step()
+        if self.state == DockingState.DOCKED:
+            self._end(DockingError.NONE, "docked")
+            return None
+        return target
 
     def _check(self, stamp: float) -> None:
-        """Raise DockingFailureError where docking cannot go on."""
-        settings, fail = self._settings, self._pilot.fail
-        if stamp - self._started > self._time_limit:
-            fail(DockingError.TIMED_OUT, f"not docked after {self._time_limit:g} s")
-        last = self._knowledge.track.last
-        heard = self._started if last is None else last.stamp
-        if stamp - heard > settings.odometry_timeout:
-            fail(DockingError.ODOMETRY_LOST, f"no odometry for {stamp - heard:.1f} s")
-        if self._stuck.stuck:
-            fail(DockingError.BLOCKED, "the robot does not move as it is told to")
+        super()._check(stamp)
         if not self.wants_images:
             self._wanted_since = None
             return
         if self._wanted_since is None:
             self._wanted_since = stamp
-        quiet = stamp - max(self._wanted_since, self._knowledge.last_image)
-        if quiet > settings.image_timeout:
-            fail(DockingError.CAMERA_LOST, f"no image for {quiet:.1f} s")
+        quiet = stamp - max(self._wanted_since, self._belief.last_image)
+        if quiet > self._settings.image_timeout:
+            raise DockingFailureError(DockingError.CAMERA_LOST, f"no image for {quiet:.1f} s")
 
-    def clearance(self) -> float:
-        """Return how far the robot's middle is from the dock's walls, as estimated; inf if not."""
-        robot = self.estimated_robot()
-        return math.inf if robot is None else float(clearance(robot[:2], self._pilot.boxes))
+    def _make_result(self, success: bool, error: DockingError, message: str) -> DockingResult:
+        return self._planner.result(success, error, message)
 
-    def _end(self, error: DockingError, message: str) -> None:
-        if self.result is None:
-            success = error == DockingError.NONE
-            self.result = self._pilot.result(success, error, message)
-        self._ramp.stop()
+
+class UndockingTask(_Task):
+    """Backs out on the dock's axis if the marker is seen, else straight by the odometry.
+
+    Fed and ticked as a `DockingTask`.
+
+    Args:
+        distance: how far, m; 0: until the robot is at the staging distance from the marker.
+        dock: what is known of the dock; None: nothing.
+        dock_pose: its rough pose in the odometry frame; needed with a dock.
+        mount: where the camera is on the robot; None: images are of no use.
+        settings: speeds and patience.
+        time_limit: s.
+
+    Attributes:
+        result: how it ended; None before.
+        remaining: how far it still is, m; NaN before it begins.
+
+    Raises:
+        UndockingTaskError: the distance is negative or not finite, or 0 without a dock.
+    """
+
+    def __init__(
+        self,
+        distance: float,
+        *,
+        dock: Optional[Dock] = None,
+        dock_pose: Optional[PlanarPose] = None,
+        mount: Optional[CameraMount] = None,
+        settings: Optional[DockingSettings] = None,
+        time_limit: float = 60.0,
+    ):
+        if not math.isfinite(distance) or distance < 0.0 or (distance == 0.0 and dock is None):
+            raise UndockingTaskError(f"cannot undock by {distance:g} m")
+        if dock is not None and (dock_pose is None or not all(map(math.isfinite, dock_pose))):
+            raise UndockingTaskError(f"the pose of dock '{dock.name}' is not finite")
+        settings = settings or DockingSettings()
+        super().__init__("undocked", OdometryBuffer(), settings, time_limit)
+        self._distance, self._dock = distance, dock
+        self._ahead = 0.0 if mount is None else mount.x
+        self._belief: Optional[DockBelief] = None
+        if dock is not None and mount is not None:
+            rng = np.random.default_rng(0)
+            self._belief = DockBelief(dock, dock_pose, mount, settings, rng)
+        self._tracker = AxisTracker(settings, self._ahead)
+        self._start: Optional[PlanarPose] = None
+        self._goal: Optional[float] = None
+        self.remaining = math.nan
+
+    @property
+    def wants_images(self) -> bool:
+        """Whether an image would be used now."""
+        return self.result is None and self._belief is not None
+
+    def add_odometry(self, odometry: Odometry) -> None:
+        """Take the next message of odometry; what cannot be ends the undocking."""
+        last = self._odometry.last
+        if self.result is not None or (last is not None and odometry.stamp <= last.stamp):
+            return
+        if self._accept(odometry):
+            self._odometry.add(odometry)
+            if self._belief is not None:
+                self._belief.add_odometry(odometry)
+
+    def add_observation(self, observation: Observation) -> None:
+        """Take what was seen in an image."""
+        if self.wants_images and self._odometry.last is not None:
+            self._belief.observe(observation)
+
+    def _advance(self, stamp: float) -> Optional[Command]:
+        best = None if self._belief is None else self._belief.best()
+        looking = self._belief is not None and stamp - self._started <= _LOOK_SECONDS
+        if self._odometry.last is None or (best is None and looking):
+            return None
+        if self._start is None:
+            self._start = self._odometry.last.pose
+        robot = self._robot() if best is None else best.estimate().robot
+        if self._goal is None:
+            far = self._dock.staging_distance if self._distance == 0.0 else 0.0
+            self._goal = far or self._distance - float(robot[0])
+        self.remaining = self._goal + float(robot[0])
+        if self.remaining <= _UNDOCKED:
+            self.remaining = 0.0
+            self._end(DockingError.NONE, "undocked")
+            return None
+        return self._tracker.backwards(robot, self.remaining)
+
+    def _robot(self) -> np.ndarray:
+        """Return the robot's pose (3,) in the dock's frame by odometry: it began in a dock."""
+        docked = 0.4 if self._dock is None else self._dock.docked_distance
+        moved = se2.between(self._start, self._odometry.last.pose)
+        return moved - np.array([docked + self._ahead, 0.0, 0.0])

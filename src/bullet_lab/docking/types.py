@@ -1,4 +1,4 @@
-"""What docking is fed with and what it says, as plain data.
+"""Inputs, outputs and settings of docking, as plain data.
 
 Planar poses are (x m, y m, yaw rad). The pose of a dock is that of the point of the floor below
 its marker's face, with the yaw of a robot that stands in it.
@@ -6,7 +6,8 @@ its marker's face, with the yaw of a robot that stands in it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Optional, Tuple
 
@@ -15,12 +16,13 @@ import numpy as np
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose
 
+Point = Tuple[float, float]
 Command = Tuple[float, float]
 STANDSTILL: Command = (0.0, 0.0)
 
 
 class DockingState(IntEnum):
-    """What is being done, numbered as in action/Dock.action."""
+    """State that is reported, numbered as in action/Dock.action."""
 
     SEARCHING = 1
     STAGING = 2
@@ -81,11 +83,6 @@ class CameraMount:
     pitch: float = 0.0
     yaw: float = 0.0
 
-    @property
-    def planar(self) -> PlanarPose:
-        """Where it stands and looks, seen from above."""
-        return self.x, self.y, self.yaw
-
     def rotation(self) -> np.ndarray:
         """Return the (3, 3) matrix that turns directions of the camera into base_footprint."""
         sr, cr = np.sin(self.roll), np.cos(self.roll)
@@ -122,6 +119,83 @@ class Observation:
     stamp: float
     camera: PinholeCamera
     sightings: Tuple[Sighting, ...] = ()
+
+
+@dataclass(frozen=True)
+class PixelNoise:
+    """What the corners of one image are uncertain by.
+
+    Attributes:
+        corner: px, standard deviation of each corner, on its own.
+        relative: as part of the marker's size in the image, added to it.
+        small: px², divided by the size in the image and added too: corners of a marker of few
+            pixels per cell are off together with the pattern and the blur.
+        tilt: rad, pitch and roll of the robot, for all corners together.
+        turn: rad, of its yaw at the moment of the image.
+    """
+
+    corner: float = 0.35
+    relative: float = 0.0015
+    small: float = 16.0
+    tilt: float = math.radians(0.15)
+    turn: float = math.radians(0.03)
+
+
+@dataclass(frozen=True)
+class DockingSettings:
+    """Speeds, patience and limits; lengths in m, angles in rad, times in s.
+
+    Attributes:
+        drive_speed: in the open.
+        approach_speed: on the dock's axis.
+        turn_speed: on the spot.
+        acceleration: of the wheels' mean, m/s².
+        turn_acceleration: rad/s².
+        settle_time: from standstill to the first image that counts.
+        look_frames: images that a look takes.
+        measure_frames: images at rest before a decision.
+        final_frames: images at rest that say "docked".
+        max_retries: retreats from the last metre before it gives up.
+        max_stagings: drives to the staging point.
+        time_limit: of all.
+        image_timeout: without any image while they are wanted.
+        unseen_timeout: without the marker while driving at it.
+        odometry_timeout: without odometry.
+        gate_distance: way left from which on the gate counts.
+        gate_lateral: beside the axis, aborts.
+        gate_yaw: against the axis, aborts.
+        wall_margin: kept between robot and walls.
+        smallest_marker: px in the image at which the marker should be found.
+        missed: probability that a look misses a marker that it should find.
+        give_up_mass: share of the prior below which the marker is held to be missing.
+        sure: probability of being the real marker, asked for before driving in.
+        noise: of the marker's corners in the image.
+    """
+
+    drive_speed: float = 0.4
+    approach_speed: float = 0.25
+    turn_speed: float = 0.8
+    acceleration: float = 0.5
+    turn_acceleration: float = 2.0
+    settle_time: float = 0.3
+    look_frames: int = 3
+    measure_frames: int = 4
+    final_frames: int = 5
+    max_retries: int = 5
+    max_stagings: int = 10
+    time_limit: float = 300.0
+    image_timeout: float = 3.0
+    unseen_timeout: float = 1.2
+    odometry_timeout: float = 1.0
+    gate_distance: float = 0.40
+    gate_lateral: float = 0.025
+    gate_yaw: float = math.radians(6.0)
+    wall_margin: float = 0.04
+    smallest_marker: float = 18.0
+    missed: float = 0.25
+    give_up_mass: float = 0.004
+    sure: float = 0.9
+    noise: PixelNoise = field(default_factory=PixelNoise)
 
 
 @dataclass(frozen=True)
@@ -184,5 +258,5 @@ class DockingStatus:
     retries: int
     wants_images: bool
     dock_pose: Optional[PlanarPose]
-    plan: Tuple[Tuple[float, float], ...]
+    plan: Tuple[Point, ...]
     detail: str

@@ -6,7 +6,7 @@ import docking_standin as standin
 import numpy as np
 import pytest
 
-from bullet_lab.docking.geometry import View, clearance, wall_boxes
+from bullet_lab.docking.geometry import MarkerVisibility, clearance, wall_boxes
 
 STAND = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.0, dropout=0.0, tilt=0.0)
 DOCK = standin.make_dock(STAND)
@@ -35,11 +35,11 @@ def test_without_walls_all_is_free():
 
 def test_sight_is_never_promised_where_there_is_none():
     rng = np.random.default_rng(4)
-    view = View(DOCK, standin.CAMERA, standin.MOUNT.z)
+    visibility = MarkerVisibility(DOCK, standin.CAMERA, standin.MOUNT.z)
     promised = kept = 0
     for _ in range(3000):
         camera = (rng.uniform(-6.0, -0.2), rng.uniform(-3.0, 3.0), rng.uniform(-1.2, 1.2))
-        if not view.seen(np.array(camera)):
+        if not visibility.visible(np.array(camera)):
             continue
         promised += 1
         robot = (
@@ -53,15 +53,15 @@ def test_sight_is_never_promised_where_there_is_none():
 
 
 def test_the_walls_hide_the_marker_beyond_14_degrees():
-    view = View(DOCK, standin.CAMERA, standin.MOUNT.z)
+    visibility = MarkerVisibility(DOCK, standin.CAMERA, standin.MOUNT.z)
     straight = math.radians(8.0)
     hidden = math.radians(15.0)
     for angle, seen in ((straight, True), (hidden, False)):
         x, y = -4.0 * math.cos(angle), 4.0 * math.sin(angle)
-        assert bool(view.open_sight(x, y)) is seen
+        assert bool(visibility.unobstructed(x, y)) is seen
 
 
 def test_too_near_the_marker_leaves_the_image():
-    view = View(DOCK, standin.CAMERA, standin.MOUNT.z)
-    assert view.open_sight(-0.42, 0.0)
-    assert not view.open_sight(-0.25, 0.0)
+    visibility = MarkerVisibility(DOCK, standin.CAMERA, standin.MOUNT.z)
+    assert visibility.unobstructed(-0.42, 0.0)
+    assert not visibility.unobstructed(-0.25, 0.0)

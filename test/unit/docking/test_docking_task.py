@@ -9,9 +9,15 @@ import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.docking.database import DockUncertainty
-from bullet_lab.docking.settings import DockingSettings
 from bullet_lab.docking.task import DockingTask, DockingTaskError
-from bullet_lab.docking.types import DockingError, DockingState, Observation, Odometry, Sighting
+from bullet_lab.docking.types import (
+    DockingError,
+    DockingSettings,
+    DockingState,
+    Observation,
+    Odometry,
+    Sighting,
+)
 
 PLAIN = standin.Stand((1.0, 0.3, 0.4), (0.1, -0.15, 0.1))
 DECOY = standin.Print((-0.7, 1.65, 0.0), 0.5, 0.35)

@@ -6,8 +6,8 @@ import docking_standin as standin
 import pytest
 from test_docking_task import PLAIN, Feed
 
+from bullet_lab.docking.task import UndockingTask, UndockingTaskError
 from bullet_lab.docking.types import DockingError
-from bullet_lab.docking.undocking import UndockingTask, UndockingTaskError
 
 DOCKED = (3.44, 0.0, 0.0)
 DOCK = standin.make_dock(PLAIN)

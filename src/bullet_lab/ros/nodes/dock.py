@@ -35,11 +35,11 @@ from std_msgs.msg import Time
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import Dock, read_docks
-from bullet_lab.docking.settings import DockingSettings
 from bullet_lab.docking.types import (
     CameraMount,
     DockingError,
     DockingResult,
+    DockingSettings,
     Observation,
     PlanarPose,
 )

@@ -8,17 +8,16 @@ from typing import Any, Callable, Mapping, Optional, Sequence
 from actionlib import ServerGoalHandle
 
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.settings import DockingSettings
-from bullet_lab.docking.task import DockingTask
+from bullet_lab.docking.task import DockingTask, UndockingTask
 from bullet_lab.docking.types import (
     CameraMount,
     DockingError,
     DockingResult,
+    DockingSettings,
     Observation,
     Odometry,
     PlanarPose,
 )
-from bullet_lab.docking.undocking import UndockingTask
 from bullet_lab.msg import DockGoal, UndockFeedback
 from bullet_lab.ros.nodes.dock_goals import (
     Lookup,

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
-from bullet_lab.docking.candidate import Candidate
-from bullet_lab.docking.marker_model import PixelNoise, Viewpoint, predict
-from bullet_lab.docking.motion import DockPrior, motion_step
-from bullet_lab.docking.types import Odometry
+from bullet_lab.docking.filter import GaussianPose, Viewpoint, predict
+from bullet_lab.docking.marker_track import MarkerTrack
+from bullet_lab.docking.odometry import motion_step
+from bullet_lab.docking.types import Odometry, PixelNoise
 
 DOCK = np.array([4.0, 0.0, 0.0])
 MARKER = standin.Print()
@@ -24,20 +24,20 @@ def look(pose, rng, shown=MARKER):
 
 
 def drive(start, steps, shown=MARKER, prior=None, seed=1):
-    """Follow a drive of equal steps (dx, dy, dyaw); return candidate and last pose."""
+    """Follow a drive of equal steps (dx, dy, dyaw); return track and last pose."""
     rng = np.random.default_rng(seed)
     pose = np.array(start, dtype=float)
     believed = se2.between(pose, DOCK) if prior is None else prior
-    candidate = Candidate(
-        look(pose, rng, shown), VIEW, 0.2, 0.5, DockPrior(believed, WIDE), PixelNoise()
+    track = MarkerTrack(
+        look(pose, rng, shown), VIEW, 0.2, 0.5, GaussianPose(believed, WIDE), PixelNoise()
     )
     for step in steps:
         pose = se2.compose(pose, step)
-        candidate.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), Odometry(0.2, tuple(step))))
+        track.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), Odometry(0.2, tuple(step))))
         corners = look(pose, rng, shown)
         if corners is not None:
-            candidate.see(corners, VIEW)
-    return candidate, pose
+            track.see(corners, VIEW)
+    return track, pose
 
 
 def test_derivatives_are_those_of_the_pixels():
@@ -55,18 +55,18 @@ def test_derivatives_are_those_of_the_pixels():
 
 def test_finds_the_pose_on_an_approach():
     steps = [(0.05, 0.0, -0.002)] * 56
-    candidate, pose = drive((0.6, 0.15, 0.0), steps)
-    estimate = candidate.estimate()
+    track, pose = drive((0.6, 0.15, 0.0), steps)
+    estimate = track.estimate()
     error = estimate.mean - se2.between(pose, DOCK)
     assert np.hypot(error[0], error[1]) < 0.002
     assert abs(error[2]) < math.radians(0.3)
     assert np.all(np.abs(error) < 4.0 * estimate.deviations)
-    assert candidate.real > 0.99
+    assert track.real > 0.99
 
 
 def test_one_far_image_leaves_both_yaws_open():
-    candidate, pose = drive((0.6, -0.5, 0.15), [])
-    poses, _, weights = candidate.components()
+    track, pose = drive((0.6, -0.5, 0.15), [])
+    poses, _, weights = track.components()
     true = se2.between(pose, DOCK)
     assert np.ptp(poses[weights > 0.02, 2]) > math.radians(5.0)
     assert np.min(np.abs(poses[:, 2] - true[2])) < math.radians(5.0)
@@ -79,75 +79,75 @@ def test_a_copy_of_another_size_is_found_out_by_driving(scale):
     shown = standin.Print(place, 0.44 + 0.06 * scale, 0.2 * scale)
     start = (1.9, 0.0, 0.0)
     prior = np.array([2.06, 0.0, 0.0])
-    candidate, _ = drive(start, [(0.04, 0.0, 0.0)] * 3, shown, prior)
-    assert candidate.real > 0.5
-    candidate, _ = drive(start, [(0.04, 0.0, 0.0)] * 20, shown, prior)
-    assert candidate.real < 0.02
-    assert candidate.likeliest_size() == pytest.approx(0.2 * scale, rel=0.1)
+    track, _ = drive(start, [(0.04, 0.0, 0.0)] * 3, shown, prior)
+    assert track.real > 0.5
+    track, _ = drive(start, [(0.04, 0.0, 0.0)] * 20, shown, prior)
+    assert track.real < 0.02
+    assert track.likeliest_size() == pytest.approx(0.2 * scale, rel=0.1)
 
 
 def test_standing_still_proves_nothing():
-    candidate, _ = drive((1.5, 0.1, 0.0), [(0.0, 0.0, 0.0)] * 200)
-    assert candidate.real == pytest.approx(0.9, abs=0.02)
-    assert candidate.estimate().deviations[2] > math.radians(0.3)
+    track, _ = drive((1.5, 0.1, 0.0), [(0.0, 0.0, 0.0)] * 200)
+    assert track.real == pytest.approx(0.9, abs=0.02)
+    assert track.estimate().deviations[2] > math.radians(0.3)
 
 
 def test_a_wrong_height_is_no_marker():
     lifted = standin.Print(height=0.62)
-    candidate, _ = drive((2.0, 0.0, 0.0), [(0.03, 0.0, 0.0)] * 3, lifted)
-    assert candidate.real < 0.02
+    track, _ = drive((2.0, 0.0, 0.0), [(0.03, 0.0, 0.0)] * 3, lifted)
+    assert track.real < 0.02
 
 
 def test_what_the_database_rules_out_is_no_marker():
-    candidate, _ = drive((1.0, 0.0, 0.0), [], prior=np.array([1.2, 0.5, 0.0]))
-    assert candidate.real < 0.02
+    track, _ = drive((1.0, 0.0, 0.0), [], prior=np.array([1.2, 0.5, 0.0]))
+    assert track.real < 0.02
 
 
 def test_moves_with_the_odometry():
-    candidate, pose = drive((1.5, 0.2, 0.1), [(0.02, 0.0, 0.0)] * 20)
-    before = candidate.estimate().mean
+    track, pose = drive((1.5, 0.2, 0.1), [(0.02, 0.0, 0.0)] * 20)
+    before = track.estimate().mean
     step = (-0.4, 0.0, 0.6)
-    candidate.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), Odometry(1.0, step)))
-    assert candidate.estimate().mean == pytest.approx(se2.between(step, before), abs=1e-6)
+    track.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), Odometry(1.0, step)))
+    assert track.estimate().mean == pytest.approx(se2.between(step, before), abs=1e-6)
 
 
 def test_noise_of_the_odometry_widens_it():
-    candidate, _ = drive((1.5, 0.2, 0.1), [(0.02, 0.0, 0.0)] * 20)
-    before = candidate.estimate().deviations
+    track, _ = drive((1.5, 0.2, 0.1), [(0.02, 0.0, 0.0)] * 20)
+    before = track.estimate().deviations
     noisy = Odometry(1.0, (0.1, 0.0, 0.0), twist_covariance=np.diag([0.02, 0.0, 0.05]) ** 2)
-    candidate.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), noisy))
-    assert np.all(candidate.estimate().deviations[1:] > before[1:] + 0.005)
+    track.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), noisy))
+    assert np.all(track.estimate().deviations[1:] > before[1:] + 0.005)
 
 
 def test_an_odd_image_is_passed_over_and_a_new_place_believed_in_the_end():
-    candidate, pose = drive((2.0, 0.0, 0.0), [(0.03, 0.0, 0.0)] * 20)
-    before = candidate.estimate().mean
+    track, pose = drive((2.0, 0.0, 0.0), [(0.03, 0.0, 0.0)] * 20)
+    before = track.estimate().mean
     rng = np.random.default_rng(3)
     odd = look(se2.compose(pose, (0.0, 0.03, 0.1)), rng)
-    candidate.see(odd, VIEW)
-    assert candidate.estimate().mean == pytest.approx(before)
+    track.see(odd, VIEW)
+    assert track.estimate().mean == pytest.approx(before)
     for _ in range(30):
-        candidate.see(look(se2.compose(pose, (0.0, 0.03, 0.1)), rng), VIEW)
-    assert abs(candidate.estimate().mean[2] - before[2] + 0.1) < 0.05
+        track.see(look(se2.compose(pose, (0.0, 0.03, 0.1)), rng), VIEW)
+    assert abs(track.estimate().mean[2] - before[2] + 0.1) < 0.05
 
 
 def test_a_small_marker_takes_over_the_yaw_of_a_larger_one():
     small = standin.Print(size=0.075)
     rng = np.random.default_rng(5)
-    believed = DockPrior(np.array([1.5, 0.0, 0.0]), WIDE)
+    believed = GaussianPose(np.array([1.5, 0.0, 0.0]), WIDE)
     pose = np.array([2.5, 0.0, 0.0])
-    candidate = Candidate(look(pose, rng, small), VIEW, 0.075, 0.5, believed, PixelNoise())
-    yaw = candidate.estimate().mean[2]
-    candidate.agree(yaw, 0.015**2)
-    assert candidate.estimate().mean[2] == pytest.approx(yaw)
-    far_off = yaw + 10.0 * max(candidate.estimate().deviations[2], 0.015)
-    candidate.agree(far_off, 0.015**2)
-    assert candidate.estimate().mean[2] == pytest.approx(far_off)
-    assert candidate.estimate().deviations[2] == pytest.approx(0.015)
+    track = MarkerTrack(look(pose, rng, small), VIEW, 0.075, 0.5, believed, PixelNoise())
+    yaw = track.estimate().mean[2]
+    track.adopt_yaw(yaw, 0.015**2)
+    assert track.estimate().mean[2] == pytest.approx(yaw)
+    far_off = yaw + 10.0 * max(track.estimate().deviations[2], 0.015)
+    track.adopt_yaw(far_off, 0.015**2)
+    assert track.estimate().mean[2] == pytest.approx(far_off)
+    assert track.estimate().deviations[2] == pytest.approx(0.015)
 
 
 def test_a_large_marker_keeps_its_yaw():
-    candidate, _ = drive((3.0, 0.0, 0.0), [(0.01, 0.0, 0.0)] * 5)
-    yaw = candidate.estimate().mean[2]
-    candidate.agree(yaw + 1.0, 0.015**2)
-    assert candidate.estimate().mean[2] == pytest.approx(yaw)
+    track, _ = drive((3.0, 0.0, 0.0), [(0.01, 0.0, 0.0)] * 5)
+    yaw = track.estimate().mean[2]
+    track.adopt_yaw(yaw + 1.0, 0.015**2)
+    assert track.estimate().mean[2] == pytest.approx(yaw)

@@ -1,14 +1,10 @@
-"""One thing in the world that shows the wanted marker: where it is, and whether it is real.
+"""Track of one thing that shows the marker: where it is, and whether it is the real one.
 
 A flat marker has two poses that look alike, and a larger print far away looks like the real one
-close by. So a candidate is a sum of Gaussians: several yaws, and several sizes of which only one
-is the marker's. All are moved along with the odometry and weighed by how well they foretell the
+close by. So a track is a sum of Gaussians: several yaws, and several sizes of which only one
+is the marker's. All are moved along with the odometry and weighed by how well they predict the
 corners in each image. A copy of another size betrays itself as the robot moves, since its range
 changes by more or less than it should; the marker's height betrays many at once.
-
-Taken for the real one, a copy twice as large seems half as far away; but then the robot has to go
-two metres to come one metre nearer. This compares changes of the seeming range with what was
-travelled towards the marker, over ways long enough for the noise of both to matter little.
 """
 
 from __future__ import annotations
@@ -21,328 +17,20 @@ import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.core.angles import wrap
-from bullet_lab.docking.corner_filter import (
+from bullet_lab.docking.filter import (
+    STATES,
+    GaussianPose,
+    Viewpoint,
     applied,
-    filtered,
+    extent_of,
     innovations,
-    line_of_sight,
+    iterated_update,
+    predict,
     squared_distances,
-    turned_place,
+    step_derivatives,
 )
-from bullet_lab.docking.marker_model import STATES, PixelNoise, Viewpoint, extent_of, predict
-from bullet_lab.docking.motion import DockEstimate, DockPrior, MotionStep, step_derivatives
-
-_HEIGHT_KNOWN, _HEIGHT_FREE = 0.006, 0.4
-_GROWTH_KNOWN, _GROWTH_FREE = 1e-4, 0.12
-_SLANTS = np.radians(np.arange(-70.0, 71.0, 7.0))
-_START_DEVIATION = math.radians(5.0)
-_PER_SCALE = 3
-_LEAST_WEIGHT = 1e-6
-_LEAST_SHARE = 1e-5
-_FRAMES_AT_A_SPOT, _OF_A_SMALL_ONE, _SMALL = 8, 3, 40.0
-_OUTLIER = 40.0
-_STUBBORN = 4
-# Wider than this, in px, a marker tells its yaw itself; more deviations, squared, contradict it.
-_CLEAR, _CONTRADICTION = 60.0, 9.0
-
-
-class Candidate:
-    """A place where the wanted marker is seen.
-
-    Args:
-        corners: (4, 2) px, where it was seen first.
-        view: by which camera.
-        size: of the real marker, m.
-        height: of the real marker, m.
-        prior: of the dock's pose in the robot's frame.
-        noise: of the corners.
-    """
-
-    def __init__(
-        self,
-        corners: np.ndarray,
-        view: Viewpoint,
-        size: float,
-        height: float,
-        prior: DockPrior,
-        noise: PixelNoise,
-    ):
-        self._size, self._noise = size, noise
-        self.frames = 0
-        self._eye = np.array([view.mount.x, view.mount.y])
-        self._spot: Optional[np.ndarray] = None
-        self._spot_frames = 0
-        self._outliers = 0
-        self._extent = extent_of(corners)
-        self._start(np.asarray(corners, dtype=float), view, height, prior)
-
-    # What it is -----------------------------------------------------------------------------
-
-    @property
-    def real(self) -> float:
-        """Probability that it is the marker itself and no copy of another size."""
-        return float(np.sum(self._weights[self._scale == 0]))
-
-    @property
-    def surprised(self) -> bool:
-        """Whether the last images contradict all that is believed of it."""
-        return self._outliers >= _STUBBORN
-
-    def estimate(self) -> Optional[DockEstimate]:
-        """Return the pose if it is real; None if that is out of the question."""
-        poses, covariances, weights = self.components()
-        if not len(weights):
-            return None
-        best = poses[np.argmax(weights)]
-        off = poses - best
-        off[:, 2] = wrap(off[:, 2])
-        shift = weights @ off
-        spread = off - shift
-        covariance = np.sum(weights[:, None, None] * covariances, axis=0)
-        covariance += (weights[:, None] * spread).T @ spread
-        mean = best + shift
-        mean[2] = wrap(float(mean[2]))
-        return DockEstimate(mean, covariance)
-
-    def components(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the Gaussians (n, 3), (n, 3, 3) of the pose if it is real, with weights (n,)."""
-        real = self._scale == 0
-        weights = self._weights[real]
-        total = float(np.sum(weights))
-        if total <= 0.0:
-            return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0)
-        return self._x[real, :3].copy(), self._p[real][:, :3, :3], weights / total
-
-    def samples(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Draw (count, 3) poses of the dock, if it is real."""
-        poses, covariances, weights = self.components()
-        chosen = rng.choice(len(weights), size=count, p=weights)
-        roots = np.linalg.cholesky(covariances + 1e-12 * np.eye(3))
-        drawn = poses[chosen]
-        drawn += applied(roots[chosen], rng.standard_normal((count, 3)))
-        drawn[:, 2] = wrap(drawn[:, 2])
-        return drawn
-
-    def copies(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return where the thing may be (n, 2) in the robot's frame, its size and weights (n,)."""
-        return self._x[:, :2].copy(), self._actual_sizes(), self._weights.copy()
-
-    @property
-    def sized(self) -> float:
-        """Probability that its size is within a fifth of the likeliest."""
-        sizes = self._actual_sizes()
-        best = sizes[np.argmax(self._weights)]
-        return float(np.sum(self._weights[np.abs(np.log(sizes / best)) < 0.2]))
-
-    def likeliest(self) -> DockEstimate:
-        """Return the likeliest pose of a dock with this marker, whatever its size."""
-        best = np.argmax(self._weights)
-        return DockEstimate(self._x[best, :3].copy(), self._p[best, :3, :3].copy())
-
-    def likeliest_size(self) -> float:
-        """Return the likeliest size in m."""
-        return float(self._actual_sizes()[np.argmax(self._weights)])
-
-    def _actual_sizes(self) -> np.ndarray:
-        return self._sizes * np.exp(self._x[:, 4])
-
-    # How it changes ---------------------------------------------------------------------------
-
-    def move(self, motion: MotionStep) -> None:
-        """Follow a step of the robot."""
-        dx, dy, turn = motion.step
-        self._travel(motion)
-        self._x[:, :3] = se2.between(motion.step, self._x[:, :3])
-        by_pose, by_step = step_derivatives(self._x[:, :3], turn)
-        by_state = np.eye(STATES)
-        by_state[:3, :3] = by_pose
-        self._p = by_state @ self._p @ by_state.T
-        self._p[:, :3, :3] += by_step @ motion.covariance @ by_step.transpose(0, 2, 1)
-        if self._spot is not None:
-            self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
-
-    def _travel(self, motion: MotionStep) -> None:
-        """Tell the test of sizes how the camera moves, as seen from the marker."""
-        dx, dy, turn = motion.step
-        cos, sin = math.cos(turn), math.sin(turn)
-        ex, ey = self._eye
-        moved = np.array([dx + cos * ex - sin * ey - ex, dy + sin * ex + cos * ey - ey])
-        ray = self._x[np.argmax(self._weights), :2] - self._eye
-        ray = ray / max(float(np.hypot(*ray)), 1e-6)
-        variance = float(ray @ motion.covariance[:2, :2] @ ray)
-        beside = float(ray[0] * moved[1] - ray[1] * moved[0])
-        self._sizing.travel(-float(ray @ moved), abs(beside), variance)
-
-    def nearest(self, corners: np.ndarray, view: Viewpoint) -> Tuple[float, np.ndarray]:
-        """Return how badly corners fit it, and where it foretells them.
-
-        Returns:
-            The least squared Mahalanobis distance (of 8 values) of its Gaussians, and the (4, 2)
-            corners as that one foretells them; NaN if behind the camera.
-        """
-        rest, _, covariance = innovations(
-            self._x, self._x, self._p, self._sizes, corners, view, self._noise
-        )
-        squares = squared_distances(rest, covariance)
-        best = int(np.argmin(squares))
-        seen, _, _ = predict(self._x[best : best + 1], self._sizes[best : best + 1], view)
-        return float(squares[best]), seen[0].reshape(4, 2)
-
-    def see(self, corners: np.ndarray, view: Viewpoint) -> None:
-        """Take the corners of one more image into account.
-
-        Images from one spot share their errors; after some of them, more say little.
-        """
-        corners = np.asarray(corners, dtype=float)
-        self._extent = extent_of(corners)
-        noise = self._noise_here(self._extent)
-        x, p, squares, logs = filtered(self._x, self._p, self._sizes, corners, view, noise)
-        if np.min(squares) > _OUTLIER:
-            self._outliers += 1
-            if self._outliers < _STUBBORN:
-                return
-            self._p[:, :3, :3] *= 4.0
-            x, p, squares, logs = filtered(self._x, self._p, self._sizes, corners, view, noise)
-        else:
-            self._outliers = 0
-        self.frames += 1
-        self._x, self._p = x, p
-        # One image cannot rule out for good what later ones may show.
-        self._within *= np.exp(
-            -0.5 * np.minimum(squares - np.min(squares), 60.0) - 0.5 * (logs - np.min(logs))
-        )
-        self._sizing.see(*self._reach(corners, view))
-        self._reduce()
-
-    def agree(self, yaw: float, variance: float) -> None:
-        """Take over a yaw (rad, rad²) that something larger tells, where all of its own differ.
-
-        A few pixels that face the camera look alike over 20 degrees, and in all images alike.
-        """
-        real = np.flatnonzero(self._scale == 0)
-        if not len(real) or self._extent > _CLEAR:
-            return
-        off = wrap(yaw - self._x[real, 2])
-        if np.min(off**2 / (self._p[real, 2, 2] + variance)) < _CONTRADICTION:
-            return
-        best = real[np.argmax(self._within[real])]
-        self._x[best, 2] = yaw
-        self._p[best, 2, :] = self._p[best, :, 2] = 0.0
-        self._p[best, 2, 2] = variance
-        self._within[real] = real == best
-        self._reduce()
-
-    def _reach(self, corners: np.ndarray, view: Viewpoint) -> Tuple[float, float]:
-        """Return the seeming range in m and its standard deviation."""
-        _, reach = line_of_sight(corners, view, self._size)
-        pixels = view.camera.fy * self._size / reach
-        return reach, reach * self._noise.corner / max(pixels, 1.0)
-
-    def _noise_here(self, extent: float) -> PixelNoise:
-        if self._spot is None or self._spot[0] > 0.012 or self._spot[1] > math.radians(0.7):
-            self._spot, self._spot_frames = np.zeros(2), 0
-        self._spot_frames += 1
-        few = _OF_A_SMALL_ONE if extent < _SMALL else _FRAMES_AT_A_SPOT
-        repeated = max(1.0, self._spot_frames / few)
-        noise = self._noise
-        return replace(
-            noise,
-            corner=noise.corner * repeated,
-            relative=noise.relative * repeated,
-            small=noise.small * repeated,
-            tilt=noise.tilt * repeated,
-            turn=noise.turn * repeated,
-        )
-
-    def _weigh(self) -> None:
-        """Put the weights together: of the sizes, and of the yaws within each."""
-        logs = self._sizing.logs + self._first
-        shares = np.exp(logs - np.max(logs))
-        for index in range(len(SCALES)):
-            of_size = self._scale == index
-            total = float(np.sum(self._within[of_size]))
-            if not np.any(of_size):
-                shares[index] = 0.0
-            elif total > 1e-280:
-                self._within[of_size] /= total
-            else:
-                self._within[of_size] = 1.0 / np.count_nonzero(of_size)
-        self._weights = self._within * shares[self._scale] / np.sum(shares)
-
-    # How it starts and is kept small --------------------------------------------------------
-
-    def _start(self, corners, view: Viewpoint, height: float, prior: DockPrior) -> None:
-        ray, reach = line_of_sight(corners, view, self._size)
-        count = len(_SLANTS)
-        scale = np.repeat(np.arange(len(SCALES)), count)
-        slants = np.tile(_SLANTS, len(SCALES))
-        sizes = self._size * SCALES[scale]
-        distance = reach * SCALES[scale]
-        eye = np.array([*view.moved[:2], 0.0]) + turned_place(view.mount, view.moved[2])
-        states = np.zeros((len(scale), STATES))
-        states[:, :2] = eye[:2] + distance[:, None] * ray[:2]
-        states[:, 2] = wrap(math.atan2(ray[1], ray[0]) + slants)
-        states[:, 3] = np.where(scale == 0, height, eye[2] + distance * ray[2])
-        covariance = np.zeros((len(scale), STATES, STATES))
-        covariance[:, 0, 0] = covariance[:, 1, 1] = (0.3 * distance + 0.05) ** 2
-        covariance[:, 2, 2] = _START_DEVIATION**2
-        covariance[:, 3, 3] = np.where(scale == 0, _HEIGHT_KNOWN, _HEIGHT_FREE) ** 2
-        covariance[:, 4, 4] = np.where(scale == 0, _GROWTH_KNOWN, _GROWTH_FREE) ** 2
-        self._scale, self._sizes = scale, sizes
-        fitted = filtered(states, covariance, sizes, corners, view, self._noise, rounds=6)
-        self._x, self._p, squares, _ = fitted
-        unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
-        self._believe(prior)
-        logs = -0.5 * np.minimum(squares + unlikely, 2000.0)
-        # Within a size the yaws compete; between the sizes the best of each does.
-        best = np.array([np.max(logs[scale == index]) for index in range(len(SCALES))])
-        self._within = np.exp(logs - best[scale])
-        self._first = np.minimum(best - np.max(best), 0.0)
-        # Before anything is known of its size, nine of ten are real.
-        self._first[1:] -= math.log(9.0 * (len(SCALES) - 1))
-        self._sizing = SizeTest(*self._reach(corners, view))
-        self.frames = 1
-        self._reduce()
-
-    def _believe(self, prior: DockPrior) -> None:
-        """Fuse what was believed before with what it is if it is real."""
-        real = self._scale == 0
-        x, p = self._x[real], self._p[real]
-        off = prior.mean - x[:, :3]
-        off[:, 2] = wrap(off[:, 2])
-        gain = np.linalg.solve(p[:, :3, :3] + prior.covariance, p[:, :3]).transpose(0, 2, 1)
-        x = x + applied(gain, off)
-        x[:, 2] = wrap(x[:, 2])
-        p = p - gain @ p[:, :3]
-        self._x[real], self._p[real] = x, 0.5 * (p + p.transpose(0, 2, 1))
-
-    def _reduce(self) -> None:
-        """Merge Gaussians that have become the same and drop the weakest of each size."""
-        self._weigh()
-        keep = []
-        for index in np.argsort(-self._within):
-            rivals = [k for k in keep if self._scale[k] == self._scale[index]]
-            twin = next((k for k in rivals if self._alike(k, index)), None)
-            if twin is not None:
-                self._within[twin] += self._within[index]
-            elif not rivals or (
-                self._within[index] > _LEAST_WEIGHT
-                and len(rivals) < (12 if self.frames < 2 else _PER_SCALE)
-            ):
-                keep.append(index)
-        shares = np.array([np.sum(self._weights[self._scale == i]) for i in range(len(SCALES))])
-        keep = [k for k in keep if shares[self._scale[k]] > _LEAST_SHARE]
-        self._x, self._p = self._x[keep], self._p[keep]
-        self._scale, self._sizes = self._scale[keep], self._sizes[keep]
-        self._within = self._within[keep]
-        self._weigh()
-
-    def _alike(self, first: int, second: int) -> bool:
-        off = self._x[first] - self._x[second]
-        off[2] = wrap(float(off[2]))
-        spread = np.sqrt(np.diag(self._p[first]))
-        return bool(np.all(np.abs(off) < 0.7 * spread + 1e-5))
-
+from bullet_lab.docking.odometry import MotionStep
+from bullet_lab.docking.types import PixelNoise
 
 SCALES = np.array([1.0, 0.35, 0.45, 0.6, 0.8, 1.25, 1.6, 2.1, 2.8, 3.7, 5.0, 6.5, 8.5, 11.0])
 """Sizes that are thought possible, as multiples of the marker's; the first is the real one."""
@@ -353,9 +41,32 @@ _PLAY = np.where(SCALES == 1.0, 0.01, 0.08)
 _ODOMETRY_SCALE = 0.02
 _BEARING = 0.03
 
+# Of the height in m and the logarithm of the size: what is known of the real one, and of others.
+_HEIGHT_KNOWN, _HEIGHT_FREE = 0.006, 0.4
+_GROWTH_KNOWN, _GROWTH_FREE = 1e-4, 0.12
+# Yaws at the start, against the line of sight, and their deviations, in rad.
+_SLANTS = np.radians(np.arange(-70.0, 71.0, 7.0))
+_START_DEVIATION = math.radians(5.0)
+# Gaussians that are kept: so many of a size, of no less weight within it, of no less likely sizes.
+_PER_SCALE = 3
+_LEAST_WEIGHT = 1e-6
+_LEAST_SHARE = 1e-5
+# Images from one spot that count in full; of a marker narrower than so many px.
+_FRAMES_AT_A_SPOT, _OF_A_SMALL_ONE, _SMALL = 8, 3, 40.0
+# A squared distance from which on an image fits nothing; after so many of them it is believed.
+_OUTLIER = 40.0
+_STUBBORN = 4
+# Wider than this, in px, a marker tells its yaw itself; more deviations, squared, contradict it.
+_CLEAR, _CONTRADICTION = 60.0, 9.0
+
 
 class SizeTest:
     """Log-likelihoods of the sizes.
+
+    Taken for the real one, a copy twice as large seems half as far away; but then the robot has
+    to go two metres to come one metre nearer. This compares changes of the seeming range with
+    what was travelled towards the marker, over ways long enough for the noise of both to matter
+    little.
 
     Args:
         reach: seeming range at the start, m.
@@ -399,3 +110,300 @@ class SizeTest:
     def _restart(self, reach: float, deviation: float) -> None:
         self._reach, self._deviation = reach, deviation
         self._away = self._variance = 0.0
+
+
+class MarkerTrack:
+    """One thing that shows the marker, followed from image to image.
+
+    Args:
+        corners: (4, 2) px, where it was seen first.
+        view: by which camera.
+        size: of the real marker, m.
+        height: of the real marker, m.
+        prior: of the dock's pose in the robot's frame.
+        noise: of the corners.
+
+    Attributes:
+        frames: images that were taken into account.
+        last_seen: stamp of the last image that showed it, s.
+    """
+
+    def __init__(
+        self,
+        corners: np.ndarray,
+        view: Viewpoint,
+        size: float,
+        height: float,
+        prior: GaussianPose,
+        noise: PixelNoise,
+    ):
+        self._size, self._noise = size, noise
+        self.frames, self.last_seen = 0, -math.inf
+        self._eye = np.array([view.mount.x, view.mount.y])
+        self._spot: Optional[np.ndarray] = None
+        self._spot_frames = 0
+        self._outliers = 0
+        self._extent = extent_of(corners)
+        self._start(np.asarray(corners, dtype=float), view, height, prior)
+
+    # What it is -----------------------------------------------------------------------------
+
+    @property
+    def real(self) -> float:
+        """Probability that it is the marker itself and no copy of another size."""
+        return float(np.sum(self._weights[self._scale == 0]))
+
+    def estimate(self) -> Optional[GaussianPose]:
+        """Return the pose if it is real; None if that is out of the question."""
+        poses, covariances, weights = self.components()
+        if not len(weights):
+            return None
+        best = poses[np.argmax(weights)]
+        off = poses - best
+        off[:, 2] = wrap(off[:, 2])
+        shift = weights @ off
+        spread = off - shift
+        covariance = np.sum(weights[:, None, None] * covariances, axis=0)
+        covariance += (weights[:, None] * spread).T @ spread
+        mean = best + shift
+        mean[2] = wrap(float(mean[2]))
+        return GaussianPose(mean, covariance)
+
+    def components(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the Gaussians (n, 3), (n, 3, 3) of the pose if it is real, with weights (n,)."""
+        real = self._scale == 0
+        weights = self._weights[real]
+        total = float(np.sum(weights))
+        if total <= 0.0:
+            return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0)
+        return self._x[real, :3].copy(), self._p[real][:, :3, :3], weights / total
+
+    def samples(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draw (count, 3) poses of the dock, if it is real."""
+        poses, covariances, weights = self.components()
+        chosen = rng.choice(len(weights), size=count, p=weights)
+        roots = np.linalg.cholesky(covariances + 1e-12 * np.eye(3))
+        drawn = poses[chosen]
+        drawn += applied(roots[chosen], rng.standard_normal((count, 3)))
+        drawn[:, 2] = wrap(drawn[:, 2])
+        return drawn
+
+    def copies(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return where the thing may be (n, 2) in the robot's frame, its size and weights (n,)."""
+        return self._x[:, :2].copy(), self._actual_sizes(), self._weights.copy()
+
+    @property
+    def sized(self) -> float:
+        """Probability that its size is within a fifth of the likeliest."""
+        sizes = self._actual_sizes()
+        best = sizes[np.argmax(self._weights)]
+        return float(np.sum(self._weights[np.abs(np.log(sizes / best)) < 0.2]))
+
+    def likeliest(self) -> GaussianPose:
+        """Return the likeliest pose of a dock with this marker, whatever its size."""
+        best = np.argmax(self._weights)
+        return GaussianPose(self._x[best, :3].copy(), self._p[best, :3, :3].copy())
+
+    def likeliest_size(self) -> float:
+        """Return the likeliest size in m."""
+        return float(self._actual_sizes()[np.argmax(self._weights)])
+
+    def _actual_sizes(self) -> np.ndarray:
+        return self._sizes * np.exp(self._x[:, 4])
+
+    # How it changes ---------------------------------------------------------------------------
+
+    def move(self, motion: MotionStep) -> None:
+        """Follow a step of the robot."""
+        dx, dy, turn = motion.step
+        self._travel(motion)
+        self._x[:, :3] = se2.between(motion.step, self._x[:, :3])
+        by_pose, by_step = step_derivatives(self._x[:, :3], turn)
+        by_state = np.eye(STATES)
+        by_state[:3, :3] = by_pose
+        self._p = by_state @ self._p @ by_state.T
+        self._p[:, :3, :3] += by_step @ motion.covariance @ by_step.transpose(0, 2, 1)
+        if self._spot is not None:
+            self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
+
+    def _travel(self, motion: MotionStep) -> None:
+        """Tell the test of sizes how the camera moves, as seen from the marker."""
+        dx, dy, turn = motion.step
+        cos, sin = math.cos(turn), math.sin(turn)
+        ex, ey = self._eye
+        moved = np.array([dx + cos * ex - sin * ey - ex, dy + sin * ex + cos * ey - ey])
+        ray = self._x[np.argmax(self._weights), :2] - self._eye
+        ray = ray / max(float(np.hypot(*ray)), 1e-6)
+        variance = float(ray @ motion.covariance[:2, :2] @ ray)
+        beside = float(ray[0] * moved[1] - ray[1] * moved[0])
+        self._sizing.travel(-float(ray @ moved), abs(beside), variance)
+
+    def nearest(self, corners: np.ndarray, view: Viewpoint) -> Tuple[float, np.ndarray]:
+        """Return how badly corners fit it, and where it predicts them.
+
+        Returns:
+            The least squared Mahalanobis distance (of 8 values) of its Gaussians, and the (4, 2)
+            corners as that one predicts them; NaN if behind the camera.
+        """
+        rest, _, covariance = innovations(
+            self._x, self._x, self._p, self._sizes, corners, view, self._noise
+        )
+        squares = squared_distances(rest, covariance)
+        best = int(np.argmin(squares))
+        seen, _, _ = predict(self._x[best : best + 1], self._sizes[best : best + 1], view)
+        return float(squares[best]), seen[0].reshape(4, 2)
+
+    def see(self, corners: np.ndarray, view: Viewpoint) -> None:
+        """Take the corners of one more image into account.
+
+        Images from one spot share their errors; after some of them, more say little.
+        """
+        corners = np.asarray(corners, dtype=float)
+        self._extent = extent_of(corners)
+        seen = corners, view, self._noise_here(self._extent)
+        x, p, squares, logs = iterated_update(self._x, self._p, self._sizes, *seen)
+        if np.min(squares) > _OUTLIER:
+            self._outliers += 1
+            if self._outliers < _STUBBORN:
+                return
+            self._p[:, :3, :3] *= 4.0
+            x, p, squares, logs = iterated_update(self._x, self._p, self._sizes, *seen)
+        else:
+            self._outliers = 0
+        self.frames += 1
+        self._x, self._p = x, p
+        # One image cannot rule out for good what later ones may show.
+        self._within *= np.exp(
+            -0.5 * np.minimum(squares - np.min(squares), 60.0) - 0.5 * (logs - np.min(logs))
+        )
+        self._sizing.see(*self._reach(corners, view))
+        self._reduce()
+
+    def adopt_yaw(self, yaw: float, variance: float) -> None:
+        """Take over a yaw (rad, rad²) that something larger tells, where all of its own differ.
+
+        A few pixels that face the camera look alike over 20 degrees, and in all images alike.
+        """
+        real = np.flatnonzero(self._scale == 0)
+        if not len(real) or self._extent > _CLEAR:
+            return
+        off = wrap(yaw - self._x[real, 2])
+        if np.min(off**2 / (self._p[real, 2, 2] + variance)) < _CONTRADICTION:
+            return
+        best = real[np.argmax(self._within[real])]
+        self._x[best, 2] = yaw
+        self._p[best, 2, :] = self._p[best, :, 2] = 0.0
+        self._p[best, 2, 2] = variance
+        self._within[real] = real == best
+        self._reduce()
+
+    def _reach(self, corners: np.ndarray, view: Viewpoint) -> Tuple[float, float]:
+        """Return the seeming range in m and its standard deviation."""
+        _, reach = view.line_of_sight(corners, self._size)
+        pixels = view.camera.fy * self._size / reach
+        return reach, reach * self._noise.corner / max(pixels, 1.0)
+
+    def _noise_here(self, extent: float) -> PixelNoise:
+        if self._spot is None or self._spot[0] > 0.012 or self._spot[1] > math.radians(0.7):
+            self._spot, self._spot_frames = np.zeros(2), 0
+        self._spot_frames += 1
+        few = _OF_A_SMALL_ONE if extent < _SMALL else _FRAMES_AT_A_SPOT
+        repeated = max(1.0, self._spot_frames / few)
+        noise = self._noise
+        return replace(
+            noise,
+            corner=noise.corner * repeated,
+            relative=noise.relative * repeated,
+            small=noise.small * repeated,
+            tilt=noise.tilt * repeated,
+            turn=noise.turn * repeated,
+        )
+
+    def _weigh(self) -> None:
+        """Put the weights together: of the sizes, and of the yaws within each."""
+        logs = self._sizing.logs + self._first
+        shares = np.exp(logs - np.max(logs))
+        for index in range(len(SCALES)):
+            of_size = self._scale == index
+            total = float(np.sum(self._within[of_size]))
+            if not np.any(of_size):
+                shares[index] = 0.0
+            elif total > 1e-280:
+                self._within[of_size] /= total
+            else:
+                self._within[of_size] = 1.0 / np.count_nonzero(of_size)
+        self._weights = self._within * shares[self._scale] / np.sum(shares)
+
+    # How it starts and is kept small --------------------------------------------------------
+
+    def _start(self, corners, view: Viewpoint, height: float, prior: GaussianPose) -> None:
+        ray, reach = view.line_of_sight(corners, self._size)
+        count = len(_SLANTS)
+        scale = np.repeat(np.arange(len(SCALES)), count)
+        slants = np.tile(_SLANTS, len(SCALES))
+        sizes = self._size * SCALES[scale]
+        distance = reach * SCALES[scale]
+        eye = np.array([*view.moved[:2], 0.0]) + view.origin
+        states = np.zeros((len(scale), STATES))
+        states[:, :2] = eye[:2] + distance[:, None] * ray[:2]
+        states[:, 2] = wrap(math.atan2(ray[1], ray[0]) + slants)
+        states[:, 3] = np.where(scale == 0, height, eye[2] + distance * ray[2])
+        covariance = np.zeros((len(scale), STATES, STATES))
+        covariance[:, 0, 0] = covariance[:, 1, 1] = (0.3 * distance + 0.05) ** 2
+        covariance[:, 2, 2] = _START_DEVIATION**2
+        covariance[:, 3, 3] = np.where(scale == 0, _HEIGHT_KNOWN, _HEIGHT_FREE) ** 2
+        covariance[:, 4, 4] = np.where(scale == 0, _GROWTH_KNOWN, _GROWTH_FREE) ** 2
+        self._scale, self._sizes = scale, sizes
+        fitted = iterated_update(states, covariance, sizes, corners, view, self._noise, rounds=6)
+        self._x, self._p, squares, _ = fitted
+        unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
+        self._fuse(prior)
+        logs = -0.5 * np.minimum(squares + unlikely, 2000.0)
+        # Within a size the yaws compete; between the sizes the best of each does.
+        best = np.array([np.max(logs[scale == index]) for index in range(len(SCALES))])
+        self._within = np.exp(logs - best[scale])
+        self._first = np.minimum(best - np.max(best), 0.0)
+        # Before anything is known of its size, nine of ten are real.
+        self._first[1:] -= math.log(9.0 * (len(SCALES) - 1))
+        self._sizing = SizeTest(*self._reach(corners, view))
+        self.frames = 1
+        self._reduce()
+
+    def _fuse(self, prior: GaussianPose) -> None:
+        """Fuse what was believed before the marker was seen with what it is if it is real."""
+        real = self._scale == 0
+        x, p = self._x[real], self._p[real]
+        off = prior.mean - x[:, :3]
+        off[:, 2] = wrap(off[:, 2])
+        gain = np.linalg.solve(p[:, :3, :3] + prior.covariance, p[:, :3]).transpose(0, 2, 1)
+        x = x + applied(gain, off)
+        x[:, 2] = wrap(x[:, 2])
+        p = p - gain @ p[:, :3]
+        self._x[real], self._p[real] = x, 0.5 * (p + p.transpose(0, 2, 1))
+
+    def _reduce(self) -> None:
+        """Merge Gaussians that have become the same and drop the weakest of each size."""
+        self._weigh()
+        keep = []
+        for index in np.argsort(-self._within):
+            rivals = [k for k in keep if self._scale[k] == self._scale[index]]
+            twin = next((k for k in rivals if self._alike(k, index)), None)
+            if twin is not None:
+                self._within[twin] += self._within[index]
+            elif not rivals or (
+                self._within[index] > _LEAST_WEIGHT
+                and len(rivals) < (12 if self.frames < 2 else _PER_SCALE)
+            ):
+                keep.append(index)
+        shares = np.array([np.sum(self._weights[self._scale == i]) for i in range(len(SCALES))])
+        keep = [k for k in keep if shares[self._scale[k]] > _LEAST_SHARE]
+        self._x, self._p = self._x[keep], self._p[keep]
+        self._scale, self._sizes = self._scale[keep], self._sizes[keep]
+        self._within = self._within[keep]
+        self._weigh()
+
+    def _alike(self, first: int, second: int) -> bool:
+        off = self._x[first] - self._x[second]
+        off[2] = wrap(float(off[2]))
+        spread = np.sqrt(np.diag(self._p[first]))
+        return bool(np.all(np.abs(off) < 0.7 * spread + 1e-5))

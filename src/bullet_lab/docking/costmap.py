@@ -1,4 +1,4 @@
-"""Which floor is safe when the dock is not known well, and ways over it.
+"""Costmap: which floor is safe when the dock is not known well, and ways over it.
 
 A grid in the odometry frame says for each place what share of the thinkable docks would be
 touched there. Dijkstra's algorithm finds the cheapest ways; they are straightened afterwards.
@@ -6,29 +6,28 @@ touched there. Dijkstra's algorithm finds the cheapest ways; they are straighten
 
 from __future__ import annotations
 
-import heapq
 import math
-from typing import List, Optional, Sequence, Tuple
+from typing import List, Optional, Sequence
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
 
 from bullet_lab.core import se2
 from bullet_lab.docking.geometry import clearance
-
-Point = Tuple[float, float]
+from bullet_lab.docking.types import Point
 
 CELL = 0.1
 _MOST_CELLS = 40_000
 _TOUCH_COST, _NEAR_COST = 300.0, 3.0
 _NEAR = 0.22
 _DIAGONAL = math.sqrt(2.0)
-_NEIGHBOURS = tuple(
-    (i, j, _DIAGONAL if i and j else 1.0) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j
-)
+# Half of a cell's neighbours: rows and columns to them, and their distance in cells.
+_NEIGHBOURS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, _DIAGONAL), (1, -1, _DIAGONAL))
 
 
-class FloorMap:
-    """Risks on a grid.
+class Costmap:
+    """Risks on a grid of (rows, columns) cells, along x and y of the odometry frame.
 
     Args:
         robot: (x, y) in the odometry frame; where it stands is free.
@@ -37,6 +36,12 @@ class FloorMap:
         obstacles: (m, 4) x, y, radius and probability of other things.
         radius: of the circle that the robot is to have for itself, m.
         reach: how far the map goes beyond robot and docks, m.
+
+    Attributes:
+        cell: edge of a cell, m.
+        points: (rows, columns, 2) of the cells' middles, m.
+        touch: (rows, columns) share of the docks that a robot there would touch.
+        costs: (rows, columns) of the cheapest way there; a metre of free floor costs 1.
     """
 
     def __init__(
@@ -60,10 +65,11 @@ class FloorMap:
         self.touch, near = self._risks(docks, boxes, obstacles, radius)
         free = np.hypot(*(self.points - self._robot).transpose(2, 0, 1)) < 1.2 * cell
         self.touch[free] = 0.0
-        self._rate = 1.0 + _TOUCH_COST * self.touch + _NEAR_COST * near
-        self.costs, self._parents = self._spread()
+        self._rate = (1.0 + _TOUCH_COST * self.touch + _NEAR_COST * near).ravel()
+        self.costs = self._dijkstra()
 
     def _risks(self, docks, boxes, obstacles, radius: float):
+        """Return the shares of docks that a robot in a cell would touch, and come near to."""
         touch, near = np.zeros(self._shape), np.zeros(self._shape)
         share = 1.0 / len(docks)
         flat = np.zeros((*self._shape, 3))
@@ -78,51 +84,61 @@ class FloorMap:
             near += weight * (away < radius + _NEAR)
         return touch, near
 
-    def _spread(self):
-        """Return the least cost to each cell, and the cell before it on the way there."""
+    def _dijkstra(self) -> np.ndarray:
         rows, columns = self._shape
-        rate = (self.cell * self._rate).ravel().tolist()
+        cells = np.arange(rows * columns).reshape(self._shape)
+        edges = []
+        for down, right, length in _NEIGHBOURS:
+            first = cells[: rows - down, max(-right, 0) : columns - max(right, 0)].ravel()
+            second = first + down * columns + right
+            edges.append((first, second, self._edge_cost(first, second, length)))
+        first, second, costs = (np.concatenate(part) for part in zip(*edges))
+        graph = coo_matrix((costs, (first, second)), (cells.size, cells.size)).tocsr()
         start = self._index(self._robot)
-        costs = [math.inf] * (rows * columns)
-        parents = [-1] * (rows * columns)
-        costs[start] = 0.0
-        queue = [(0.0, start)]
-        while queue:
-            cost, here = heapq.heappop(queue)
-            if cost > costs[here]:
-                continue
-            row, column = divmod(here, columns)
-            for i, j, length in _NEIGHBOURS:
-                if 0 <= row + i < rows and 0 <= column + j < columns:
-                    there = here + i * columns + j
-                    new = cost + 0.5 * length * (rate[here] + rate[there])
-                    if new < costs[there]:
-                        costs[there], parents[there] = new, here
-                        heapq.heappush(queue, (new, there))
-        return np.array(costs).reshape(self._shape), parents
+        return dijkstra(graph, directed=False, indices=start).reshape(self._shape)
 
-    def _index(self, point: Sequence[float]) -> int:
-        row, column = np.round((np.asarray(point[:2]) - self._low) / self.cell).astype(int)
-        row = min(max(int(row), 0), self._shape[0] - 1)
-        column = min(max(int(column), 0), self._shape[1] - 1)
-        return row * self._shape[1] + column
+    def _edge_cost(self, first, second, length: float):
+        """Return the cost between neighbouring cells, so many cells apart."""
+        return 0.5 * length * (self.cell * self._rate[first] + self.cell * self._rate[second])
+
+    def _predecessor(self, cell: int) -> int:
+        """Return the neighbour that the cheapest way to a cell comes over; -1 for the first cell.
+
+        Of several, the one with the least cost, then with the least index: ties are frequent on
+        free floor, and this makes no two ways of one.
+        """
+        rows, columns = self._shape
+        row, column = divmod(cell, columns)
+        costs = self.costs.ravel()
+        found = []
+        for down, right, length in _NEIGHBOURS:
+            for i, j in ((down, right), (-down, -right)):
+                if 0 <= row + i < rows and 0 <= column + j < columns:
+                    other = cell + i * columns + j
+                    if costs[other] + self._edge_cost(other, cell, length) == costs[cell]:
+                        found.append((costs[other], other))
+        return min(found, default=(0.0, -1))[1]
+
+    def _index(self, points) -> np.ndarray:
+        """Return the index of the cell nearest each of (..., 2 or more) points."""
+        places = np.round((np.asarray(points)[..., :2] - self._low) / self.cell).astype(int)
+        places = np.clip(places, 0, np.array(self._shape) - 1)
+        return places[..., 0] * self._shape[1] + places[..., 1]
 
     def risk(self, points: np.ndarray) -> float:
         """Return the largest share of docks that a robot at any of (n, 2) points would touch."""
-        cells = [self._index(point) for point in points]
-        return float(np.max(self.touch.ravel()[cells], initial=0.0))
+        return float(np.max(self.touch.ravel()[self._index(points)], initial=0.0))
 
     def path(self, goal: Sequence[float]) -> Optional[List[Point]]:
         """Return way points from the robot to a goal, both included; None if it is off the map."""
         off = np.asarray(goal[:2]) - self._low
         if np.any(off < 0.0) or np.any(off > self.cell * (np.array(self._shape) - 1)):
             return None
-        index = self._index(goal)
         way = [(float(goal[0]), float(goal[1]))]
-        while self._parents[index] >= 0:
-            index = self._parents[index]
-            row, column = divmod(index, self._shape[1])
-            way.append(tuple(self.points[row, column].tolist()))
+        cell = self._predecessor(int(self._index(goal)))
+        while cell >= 0:
+            way.append(tuple(self.points[divmod(cell, self._shape[1])].tolist()))
+            cell = self._predecessor(cell)
         way[-1] = self._robot
         if len(way) == 1:
             way.append(self._robot)
@@ -149,19 +165,24 @@ class FloorMap:
     def _straight_cost(self, first: Point, second: Point) -> float:
         length = math.dist(first, second)
         points = along(first, second, 0.5 * self.cell)
-        cells = [self._index(point) for point in points]
-        return length * float(np.mean(self._rate.ravel()[cells]))
+        return length * float(np.mean(self._rate[self._index(points)]))
 
 
 def along(first: Point, second: Point, spacing: float) -> np.ndarray:
-    """Return (n, 2) points on a line, both ends included."""
+    """Return (n, 2) points on a line, both ends included, no farther apart than `spacing`.
+
+    >>> along((0.0, 0.0), (1.0, 0.0), 0.5)
+    array([[0. , 0. ],
+           [0.5, 0. ],
+           [1. , 0. ]])
+    """
     count = max(2, math.ceil(math.dist(first, second) / spacing) + 1)
     part = np.linspace(0.0, 1.0, count)[:, None]
     return (1.0 - part) * np.asarray(first) + part * np.asarray(second)
 
 
 def sample_way(way: Sequence[Point], spacing: float) -> np.ndarray:
-    """Return (n, 2) points along way points."""
+    """Return (n, 2) points along way points, see `along`."""
     if len(way) == 1:
         return np.asarray(way, dtype=float)
     return np.concatenate([along(a, b, spacing) for a, b in zip(way, way[1:])])

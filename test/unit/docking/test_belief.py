@@ -1,11 +1,11 @@
-"""Tests of what becomes of sightings: one thing in the world is one candidate."""
+"""Tests of what becomes of sightings: one thing in the world is one track."""
 
 import docking_standin as standin
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.docking.knowledge import DockKnowledge
-from bullet_lab.docking.marker_model import extent_of
+from bullet_lab.docking.belief import DockBelief
+from bullet_lab.docking.filter import extent_of
 from bullet_lab.docking.types import Observation, Odometry, Sighting
 
 STAND = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.15, dropout=0.0, tilt=0.0, walls=False)
@@ -19,34 +19,34 @@ class Lookout:
         self.rng = np.random.default_rng(2)
         self.pose, self.stamp = np.array(pose), 0.0
         dock = standin.make_dock(STAND)
-        self.knowledge = DockKnowledge(dock, dock.pose, standin.MOUNT, STAND.settings, self.rng)
-        self.knowledge.add_odometry(Odometry(0.0, tuple(self.pose)))
+        self.belief = DockBelief(dock, dock.pose, standin.MOUNT, STAND.settings, self.rng)
+        self.belief.add_odometry(Odometry(0.0, tuple(self.pose)))
 
     def look(self, *prints, step=(0.0, 0.0, 0.0), change=None):
         self.pose = se2.compose(self.pose, step)
         self.stamp += 0.2
-        self.knowledge.add_odometry(Odometry(self.stamp, tuple(self.pose)))
+        self.belief.add_odometry(Odometry(self.stamp, tuple(self.pose)))
         seen = []
         for shown in prints:
             corners = standin.see_print(se2.between(STAND.dock, self.pose), shown, STAND, self.rng)
             seen.append(corners if change is None else change(corners))
         sightings = tuple(Sighting(0, standin.DICTIONARY, corners) for corners in seen)
-        self.knowledge.observe(Observation(self.stamp, standin.CAMERA, sightings))
+        self.belief.observe(Observation(self.stamp, standin.CAMERA, sightings))
 
     @property
-    def candidates(self):
-        return [tracked.candidate for tracked in self.knowledge._tracked]
+    def tracks(self):
+        return self.belief.tracks
 
 
-def test_two_prints_are_two_candidates():
+def test_two_prints_are_two_tracks():
     lookout = Lookout()
     for _ in range(20):
         lookout.look(MARKER, COPY, step=(0.03, 0.0, 0.0))
-    assert len(lookout.candidates) == 2
-    assert [c.real > 0.9 for c in lookout.candidates] == [True, False]
+    assert len(lookout.tracks) == 2
+    assert [c.real > 0.9 for c in lookout.tracks] == [True, False]
 
 
-def test_a_marker_found_twice_in_one_image_is_one_candidate_in_the_end():
+def test_a_marker_found_twice_in_one_image_is_one_track_in_the_end():
     def white_border(corners):
         middle = corners.mean(axis=0)
         return middle + 1.15 * (corners - middle)
@@ -59,15 +59,15 @@ def test_a_marker_found_twice_in_one_image_is_one_candidate_in_the_end():
     sightings = tuple(
         Sighting(0, standin.DICTIONARY, corners) for corners in (twin, white_border(twin))
     )
-    lookout.knowledge.observe(Observation(lookout.stamp, standin.CAMERA, sightings))
-    assert len(lookout.candidates) > 1
+    lookout.belief.observe(Observation(lookout.stamp, standin.CAMERA, sightings))
+    assert len(lookout.tracks) > 1
     for _ in range(3):
         lookout.look(MARKER)
-    (only,) = lookout.candidates
+    (only,) = lookout.tracks
     assert only.frames > 6
 
 
-def test_a_print_that_a_wall_begins_to_hide_stays_the_same_candidate():
+def test_a_print_that_a_wall_begins_to_hide_stays_the_same_track():
     def cut(corners):
         """The left edge is the wall's: a fortieth of the marker is hidden."""
         hidden = corners.copy()
@@ -79,16 +79,16 @@ def test_a_print_that_a_wall_begins_to_hide_stays_the_same_candidate():
     lookout = Lookout((0.9, 0.3, -0.1))
     for _ in range(12):
         lookout.look(large)
-    assert lookout.candidates[0].sized < 0.5
+    assert lookout.tracks[0].sized < 0.5
     for _ in range(8):
         lookout.look(large, step=(-0.05, 0.0, 0.0), change=cut)
-    assert len(lookout.candidates) == 1
+    assert len(lookout.tracks) == 1
 
 
-def test_what_is_seen_elsewhere_is_another_candidate():
+def test_what_is_seen_elsewhere_is_another_track():
     lookout = Lookout()
     for _ in range(5):
         lookout.look(MARKER)
     for _ in range(5):
         lookout.look(standin.Print((0.0, 0.6, 0.0)))
-    assert len(lookout.candidates) == 2
+    assert len(lookout.tracks) == 2

@@ -1,7 +1,7 @@
-"""Where the dock may be before its marker was seen: a cloud of weighted poses.
+"""Particle filter on the dock's pose, for the time before its marker was seen.
 
-The cloud lives in the robot's frame, so that errors of the odometry spread it as the robot
-moves. It starts from the database, and learns from what was free to stand on and from looks
+The particles live in the robot's frame, so that errors of the odometry spread them as the robot
+moves. They start from the database, and learn from what was free to stand on and from looks
 that did not find the marker.
 """
 
@@ -11,10 +11,11 @@ import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.core.angles import wrap
+from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.database import Dock
+from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import clearance, wall_boxes
-from bullet_lab.docking.motion import DockEstimate, DockPrior, MotionStep
-from bullet_lab.docking.types import PlanarPose
+from bullet_lab.docking.odometry import MotionStep
 
 PARTICLES = 600
 # The database may lie somewhat more than it says.
@@ -22,7 +23,7 @@ _MARGIN = 1.1
 _SIZE_PLAY = 0.05
 
 
-class DockCloud:
+class DockParticles:
     """Weighted poses of a dock in the robot's frame.
 
     Args:
@@ -50,22 +51,18 @@ class DockCloud:
         steps = np.asarray(motion.step) + self._rng.standard_normal((len(self.poses), 3)) @ roots.T
         self.poses = se2.between(steps, self.poses)
 
-    def robot_in_dock(self) -> np.ndarray:
-        """Return the (n, 3) poses of the robot in the frames of the docks."""
-        return se2.inverse(self.poses)
-
     def stands_free(self, radius: float) -> bool:
         """Drop what would have the robot touch a wall: a circle about it is free.
 
         Returns:
             Whether that is possible at all.
         """
-        free = clearance(self.robot_in_dock()[:, :2], self._boxes) > radius
+        free = clearance(se2.inverse(self.poses)[:, :2], self._boxes) > radius
         if not np.all(free):
             self._learn(np.where(free, 1.0, 1e-6), counts=False)
         return bool(np.any(free))
 
-    def not_seen(self, expected: np.ndarray, missed: float, counts: bool = True) -> None:
+    def add_miss(self, expected: np.ndarray, missed: float, counts: bool = True) -> None:
         """Learn from a look that found nothing.
 
         Args:
@@ -75,8 +72,8 @@ class DockCloud:
         """
         self._learn(1.0 - (1.0 - missed) * expected, counts)
 
-    def gather(self, estimate: DockEstimate, play: float) -> None:
-        """Move the cloud to a pose, with so much more play to either side in m."""
+    def concentrate(self, estimate: GaussianPose, play: float) -> None:
+        """Move the particles to a pose, with so much more play to either side in m."""
         count = len(self.poses)
         # How large the copy is, and so how far, is known to some per cent only.
         far = np.outer(estimate.mean[:2], estimate.mean[:2]) * _SIZE_PLAY**2
@@ -89,15 +86,15 @@ class DockCloud:
         self.poses = se2.compose(drawn, beside)
         self.weights = np.full(count, 1.0 / count)
 
-    def widen(self, poses: np.ndarray, share: float) -> None:
-        """Replace a share of the cloud by other poses (n, 3)."""
+    def mix_in(self, poses: np.ndarray, share: float) -> None:
+        """Replace a share of the particles by other poses (n, 3)."""
         count = int(share * len(self.poses))
         keep = self._rng.choice(len(self.poses), len(self.poses) - count, p=self.weights)
         drawn = poses[self._rng.integers(len(poses), size=count)]
         self.poses = np.concatenate([self.poses[keep], drawn])
         self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
 
-    def prior(self) -> DockPrior:
+    def gaussian(self) -> GaussianPose:
         """Return mean and covariance, widened a little."""
         mean = self.weights @ self.poses
         turn = np.exp(1j * self.poses[:, 2])
@@ -105,7 +102,7 @@ class DockCloud:
         off = self.poses - mean
         off[:, 2] = wrap(off[:, 2])
         covariance = (self.weights[:, None] * off).T @ off
-        return DockPrior(mean, 1.2 * covariance + np.diag([0.05, 0.05, 0.03]) ** 2)
+        return GaussianPose(mean, 1.2 * covariance + np.diag([0.05, 0.05, 0.03]) ** 2)
 
     def samples(self, count: int) -> np.ndarray:
         """Draw (count, 3) poses."""

@@ -1,0 +1,274 @@
+"""Belief about the dock: particles before its marker was seen, tracks of what shows it since."""
+
+from __future__ import annotations
+
+import math
+from typing import Dict, List, Optional, Tuple
+
+import numpy as np
+
+from bullet_lab.core import se2
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.docking.database import Dock
+from bullet_lab.docking.filter import GaussianPose, Viewpoint, extent_of
+from bullet_lab.docking.geometry import MarkerVisibility
+from bullet_lab.docking.marker_track import MarkerTrack
+from bullet_lab.docking.odometry import OdometryBuffer, motion_step
+from bullet_lab.docking.prior import DockParticles
+from bullet_lab.docking.types import (
+    CameraMount,
+    DockingSettings,
+    Observation,
+    Odometry,
+    Sighting,
+)
+
+# Of what is taken for a marker: px, size in the image and distance from the edge at the least.
+_SMALLEST, _BORDER = 6.0, 3.0
+_MOST_TRACKS = 8
+# A squared distance up to which corners fit a track; and by so much may the fit to an old track
+# be worse than that to a new one, at most.
+_FIT, _FAMILIAR = 45.0, 20
+_SURE_OF_SIZE, _HARDLY_REAL = 0.8, 0.01
+# How far, in rad, two prints on one wall may differ in yaw (a standard deviation).
+_SAME_WALL = 0.015
+
+
+class DockBelief:
+    """Follows the robot's odometry and takes in what the camera sees.
+
+    Args:
+        dock: what the database says.
+        dock_pose: its rough pose in the odometry frame.
+        mount: of the camera on the robot.
+        settings: see `DockingSettings`.
+        rng: for the particles.
+
+    Attributes:
+        odometry: the last messages.
+        particles: of the dock's pose before its marker was seen; None before the first odometry.
+        visibility: from where the marker is visible; None before the first image.
+        tracks: of what shows the marker.
+        last_image: stamp of the newest image, s.
+        images: number of images that were taken in.
+    """
+
+    def __init__(
+        self,
+        dock: Dock,
+        dock_pose: PlanarPose,
+        mount: CameraMount,
+        settings: DockingSettings,
+        rng: np.random.Generator,
+    ):
+        self._dock, self._mount = dock, mount
+        self._dock_pose, self._settings, self._rng = dock_pose, settings, rng
+        self.odometry = OdometryBuffer()
+        self.particles: Optional[DockParticles] = None
+        self._prior: Optional[GaussianPose] = None
+        self._database: Optional[GaussianPose] = None
+        self.visibility: Optional[MarkerVisibility] = None
+        self._camera: Optional[PinholeCamera] = None
+        self.tracks: List[MarkerTrack] = []
+        self.last_image = -math.inf
+        self.images = 0
+
+    # What is believed -------------------------------------------------------------------------
+
+    @property
+    def pose(self) -> PlanarPose:
+        """Of the robot in the odometry frame."""
+        return self.odometry.last.pose
+
+    def best(self) -> Optional[MarkerTrack]:
+        """Return the track to go for; None where none is plausible."""
+        plausible = [t for t in self.tracks if t.frames >= 3 and t.real > _HARDLY_REAL]
+        return max(plausible, key=lambda track: track.real, default=None)
+
+    def estimate(self) -> Optional[GaussianPose]:
+        """Return the dock's pose in the robot's frame; None before the marker was seen.
+
+        A small marker tells little of its yaw; a larger copy on the same wall tells more.
+        """
+        best = self.best()
+        estimate = None if best is None else best.estimate()
+        copy = self.copy_on_the_wall()
+        if estimate is None or copy is None:
+            return estimate
+        return estimate.turned_to(*_wall_yaw(copy))
+
+    def pending(self) -> bool:
+        """Say whether something may turn out to be the marker with some more images."""
+        return any(t.frames < 3 and t.real > _HARDLY_REAL for t in self.tracks)
+
+    def samples(self, count: int) -> np.ndarray:
+        """Draw (count, 3) poses of the dock in the odometry frame."""
+        best = self.best()
+        if best is None:
+            drawn = self.particles.samples(count)
+        else:
+            doubtful = int(round(count * min(1.0 - best.real, 0.5))) if best.real < 0.9 else 0
+            drawn = best.samples(self._rng, count - doubtful)
+            if doubtful:
+                drawn = np.concatenate([drawn, self.particles.samples(doubtful)])
+        return se2.compose(self.pose, drawn)
+
+    def obstacles(self) -> np.ndarray:
+        """Return what bears copies of the marker: (n, 4) of x, y, radius (m, odometry), weight."""
+        rows = [np.empty((0, 4))]
+        for track in self.tracks:
+            if track.real > 0.5 or track.frames < 3:
+                continue
+            places, sizes, weights = track.copies()
+            flat = np.column_stack([places, np.zeros(len(places))])
+            world = se2.compose(self.pose, flat)
+            rows.append(np.column_stack([world[:, :2], 0.65 * sizes, weights]))
+        return np.concatenate(rows)
+
+    def copies_seen(self) -> bool:
+        """Say whether something else that shows the marker is in sight."""
+        return any(t.frames >= 3 and self.last_image - t.last_seen < 2.0 for t in self.tracks)
+
+    def copy_on_the_wall(self) -> Optional[MarkerTrack]:
+        """Return a copy of the marker that stands where only the dock's back wall can be."""
+        for track in self.tracks:
+            if track.real > _HARDLY_REAL or track.frames < 5 or track.sized < _SURE_OF_SIZE:
+                continue
+            if self._database.excess(track.likeliest().mean[None].copy())[0] <= 0.0:
+                return track
+        return None
+
+    # What it is told --------------------------------------------------------------------------
+
+    def add_odometry(self, odometry: Odometry) -> None:
+        """Follow the odometry."""
+        before = self.odometry.last
+        self.odometry.add(odometry)
+        if before is None:
+            rough = se2.between(odometry.pose, self._dock_pose)
+            self.particles = DockParticles(self._dock, tuple(rough.tolist()), self._rng)
+            self._prior = self._database = self.particles.gaussian()
+            return
+        step = motion_step(before, odometry)
+        self.particles.move(step)
+        self._prior, self._database = self._prior.moved(step), self._database.moved(step)
+        for track in self.tracks:
+            track.move(step)
+
+    def observe(self, observation: Observation) -> None:
+        """Take in an image; one older than the memory of the odometry is ignored."""
+        then = self.odometry.pose_at(observation.stamp)
+        if then is None:
+            return
+        camera, dock = observation.camera, self._dock
+        if camera is not self._camera:
+            self._camera = camera
+            farthest = camera.fy * dock.marker.size / self._settings.smallest_marker
+            self.visibility = MarkerVisibility(dock, camera, self._mount.z, farthest)
+        self.last_image = max(self.last_image, observation.stamp)
+        self.images += 1
+        moved = tuple(se2.between(self.pose, then).tolist())
+        view = Viewpoint(camera, self._mount, moved)
+        sightings = [s for s in observation.sightings if self._shows_marker(s)]
+        corners = [np.asarray(s.corners, dtype=float) for s in sightings]
+        self._associate(corners, view, observation.stamp)
+        copy = self.copy_on_the_wall()
+        for track in self.tracks if copy is not None else ():
+            if track is not copy:
+                track.adopt_yaw(*_wall_yaw(copy))
+
+    def concentrate(self, estimate: GaussianPose, play: float) -> None:
+        """Believe that the dock is at a pose, with so much more play to either side in m."""
+        self.particles.concentrate(estimate, play)
+        self._prior = self.particles.gaussian()
+
+    def forget(self, track: MarkerTrack) -> None:
+        """Drop a track of what is not where it should be; the particles keep a trace of it."""
+        if track.real > 0.3:
+            drawn = track.samples(self._rng, 200)
+            drawn = drawn + self._rng.standard_normal(drawn.shape) * (0.1, 0.1, 0.06)
+            self.particles.mix_in(drawn, 0.6)
+        self.tracks.remove(track)
+
+    def _shows_marker(self, sighting: Sighting) -> bool:
+        marker, camera = self._dock.marker, self._camera
+        dictionary = plain_name(marker.dictionary)
+        if sighting.id != marker.id or plain_name(sighting.dictionary) != dictionary:
+            return False
+        corners = np.asarray(sighting.corners, dtype=float)
+        if corners.shape != (4, 2) or not np.isfinite(corners).all():
+            return False
+        u, v = corners[:, 0], corners[:, 1]
+        inside = min(u.min(), v.min(), camera.width - 1 - u.max(), camera.height - 1 - v.max())
+        return inside >= _BORDER and extent_of(corners) >= _SMALLEST
+
+    def _associate(self, sightings: List[np.ndarray], view: Viewpoint, stamp: float) -> None:
+        """Give each sighting to the track that it fits best, or begin a new one with it."""
+        pairs = []
+        for number, corners in enumerate(sightings):
+            for track in self.tracks:
+                cost = _association_cost(track, corners, view)
+                if cost is not None:
+                    pairs.append((cost, number, track))
+        owners: Dict[int, MarkerTrack] = {}
+        for _, number, track in sorted(pairs, key=lambda pair: pair[0]):
+            if number not in owners and track not in owners.values():
+                owners[number] = track
+        self._drop_twins(pairs, owners)
+        for number, track in owners.items():
+            track.see(sightings[number], view)
+            track.last_seen = stamp
+        for number, corners in enumerate(sightings):
+            if number not in owners:
+                self._begin(corners, view, stamp)
+
+    def _drop_twins(self, pairs, owners: Dict[int, MarkerTrack]) -> None:
+        """Drop younger tracks of what belongs to an older one: it is one thing."""
+        for _, number, track in pairs:
+            owner = owners.get(number)
+            if owner is None or track in owners.values() or track not in self.tracks:
+                continue
+            if track.frames < owner.frames:
+                self.tracks.remove(track)
+
+    def _begin(self, corners: np.ndarray, view: Viewpoint, stamp: float) -> None:
+        marker, noise = self._dock.marker, self._settings.noise
+        track = MarkerTrack(corners, view, marker.size, marker.height, self._prior, noise)
+        track.last_seen = stamp
+        self.tracks.append(track)
+        if len(self.tracks) > _MOST_TRACKS:
+            self.tracks.remove(min(self.tracks, key=lambda t: (t.frames >= 3, t.last_seen)))
+
+
+def plain_name(dictionary: str) -> str:
+    """Return the name of a dictionary without what differs between spellings.
+
+    >>> plain_name("DICT_APRILTAG_36h10")
+    'apriltag_36h10'
+    """
+    name = dictionary.strip().lower()
+    return name[len("dict_") :] if name.startswith("dict_") else name
+
+
+def _wall_yaw(copy: MarkerTrack) -> Tuple[float, float]:
+    """Return the yaw of the wall that bears a copy, in rad, and its variance."""
+    likeliest = copy.likeliest()
+    return float(likeliest.mean[2]), float(likeliest.covariance[2, 2]) + _SAME_WALL**2
+
+
+def _association_cost(track: MarkerTrack, corners: np.ndarray, view: Viewpoint) -> Optional[float]:
+    """Return how badly corners fit a track, None if they are not of it.
+
+    What was seen often is preferred to what is new and fits anything.
+    """
+    misfit, predicted = track.nearest(corners, view)
+    if misfit < _FIT:
+        return misfit - min(track.frames, _FAMILIAR)
+    if not np.isfinite(predicted).all():
+        return None
+    extent, expected = extent_of(corners), extent_of(predicted)
+    away = float(np.hypot(*(np.mean(corners, axis=0) - np.mean(predicted, axis=0))))
+    if not 0.75 < extent / expected < 1.33 or away > max(25.0, 0.6 * extent):
+        return None
+    return 1e3 + away

@@ -1,0 +1,314 @@
+"""Iterated extended Kalman filter on the corners of a marker, for many Gaussians at once.
+
+A marker state is (x m, y m, yaw rad, height m, growth): pose of the dock in the robot's frame,
+height of the marker's centre above the floor, and logarithm of its size over the size that it is
+taken for. The motion model moves the first three with the odometry; the measurement model says
+where the corners are seen.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Tuple
+
+import numpy as np
+
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
+from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.docking.odometry import MotionStep
+from bullet_lab.docking.types import CameraMount, PixelNoise
+
+STATES = 5
+# How much states are moved to find out what the pixels do, and the disturbances too.
+_NUDGES = 1e-4 * np.eye(STATES)
+_TILT = 1e-4
+# Pixels off below which the first linearisation will do.
+_LINEAR = 4.0
+
+# Gaussians ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianPose:
+    """Pose of a dock in the robot's frame: mean (3,) of m, m, rad and covariance (3, 3)."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviations of x, y (m) and yaw (rad)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def robot(self) -> np.ndarray:
+        """Likeliest pose (3,) of the robot in the dock's frame."""
+        return se2.inverse(self.mean)
+
+    @property
+    def lateral_deviation(self) -> float:
+        """Standard deviation of the robot's distance from the dock's axis, m."""
+        x, y, yaw = self.mean
+        away = np.array([math.sin(yaw), -math.cos(yaw), -(x * math.cos(yaw) + y * math.sin(yaw))])
+        return math.sqrt(max(float(away @ self.covariance @ away), 0.0))
+
+    def excess(self, poses: np.ndarray) -> np.ndarray:
+        """Return by how much (n, 3) poses are farther off than 3.3 standard deviations, squared."""
+        off = poses - self.mean
+        off[:, 2] = wrap(off[:, 2])
+        squares = np.sum((off @ np.linalg.inv(self.covariance)) * off, axis=1)
+        return np.maximum(squares - 11.0, 0.0)
+
+    def moved(self, motion: MotionStep) -> GaussianPose:
+        """Return it as seen by a robot after a step."""
+        mean = se2.between(motion.step, self.mean)
+        by_state, by_step = step_derivatives(mean, motion.step[2])
+        covariance = by_state @ self.covariance @ by_state.T
+        return GaussianPose(mean, covariance + by_step @ motion.covariance @ by_step.T)
+
+    def turned_to(self, yaw: float, variance: float) -> GaussianPose:
+        """Return it with a yaw (rad, rad²) taken into account that something else tells.
+
+        If the two contradict each other, the more certain of them is right: few pixels are off
+        together, and then in all images alike.
+        """
+        off = wrap(yaw - float(self.mean[2]))
+        own = self.covariance
+        doubt = off * off / (4.0 * (float(own[2, 2]) + variance))
+        if doubt > 1.0:
+            if variance > own[2, 2]:
+                return self
+            own = own * doubt
+        gain = own[:, 2] / (own[2, 2] + variance)
+        mean = self.mean + gain * off
+        mean[2] = wrap(float(mean[2]))
+        return GaussianPose(mean, own - np.outer(gain, own[2]))
+
+
+def step_derivatives(poses: np.ndarray, turn: float) -> Tuple[np.ndarray, np.ndarray]:
+    """Return what a step of the robot does to errors of (..., 3) poses, given after the step.
+
+    Returns:
+        Derivatives by the pose before, (3, 3), and by the step, (..., 3, 3).
+    """
+    cos, sin = math.cos(turn), math.sin(turn)
+    by_pose = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    by_step = np.zeros((*poses.shape[:-1], 3, 3))
+    by_step[..., :2, :2] = -by_pose[:2, :2]
+    by_step[..., 0, 2], by_step[..., 1, 2] = poses[..., 1], -poses[..., 0]
+    by_step[..., 2, 2] = -1.0
+    return by_pose, by_step
+
+
+# Measurement model ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Viewpoint:
+    """A camera as it was when it took an image, seen from the robot as it is now.
+
+    Attributes:
+        camera: its geometry.
+        mount: where it is on the robot.
+        moved: pose of the robot at the time of the image, in its present frame.
+    """
+
+    camera: PinholeCamera
+    mount: CameraMount
+    moved: PlanarPose = (0.0, 0.0, 0.0)
+
+    def optical(self, points: np.ndarray) -> np.ndarray:
+        """Turn (..., 3) points of the robot's present frame into the optical frame, m."""
+        cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
+        x, y = points[..., 0] - self.moved[0], points[..., 1] - self.moved[1]
+        then = np.stack([cos * x + sin * y, cos * y - sin * x, points[..., 2]], axis=-1)
+        there = (then - (self.mount.x, self.mount.y, self.mount.z)) @ self.mount.rotation()
+        return np.stack([-there[..., 1], -there[..., 2], there[..., 0]], axis=-1)
+
+    def pixels(self, optical: np.ndarray) -> np.ndarray:
+        """Return (..., 2) pixels of (..., 3) points of the optical frame."""
+        return self.camera.project(optical.reshape(-1, 3)).reshape(*optical.shape[:-1], 2)
+
+    @property
+    def origin(self) -> np.ndarray:
+        """Place (3,) of a camera after the robot's turn, but not its way, from image to now, m."""
+        mount, cos, sin = self.mount, math.cos(self.moved[2]), math.sin(self.moved[2])
+        return np.array([cos * mount.x - sin * mount.y, sin * mount.x + cos * mount.y, mount.z])
+
+    def line_of_sight(self, corners: np.ndarray, size: float) -> Tuple[np.ndarray, float]:
+        """Return the direction (3,) of a marker in the robot's frame, and its range in m.
+
+        The direction is scaled to unit length on the floor. A slanted marker is narrower than it
+        is tall, so the range comes from its height.
+
+        Args:
+            corners: (4, 2) px.
+            size: of the marker, m.
+        """
+        camera = self.camera
+        centre = np.mean(corners, axis=0)
+        across = (camera.cx - centre[0]) / camera.fx
+        ahead = np.array([1.0, across, (camera.cy - centre[1]) / camera.fy])
+        ray = self.mount.rotation() @ ahead
+        cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
+        ray = np.array([cos * ray[0] - sin * ray[1], sin * ray[0] + cos * ray[1], ray[2]])
+        tall = 0.5 * (np.hypot(*(corners[3] - corners[0])) + np.hypot(*(corners[2] - corners[1])))
+        depth = camera.fy * size / max(float(tall), 1.0)
+        floor = math.hypot(ray[0], ray[1])
+        return ray / floor, depth * floor
+
+
+def corner_points(states: np.ndarray, sizes) -> np.ndarray:
+    """Return the corners of markers in the robot's frame, m.
+
+    Args:
+        states: (..., 5).
+        sizes: m, edge of the black square, of the shape (...).
+
+    Returns:
+        (..., 4, 3): top left, top right, bottom right and bottom left, as one looks at it.
+
+    >>> corner_points(np.array([2.0, 0.0, 0.0, 0.5, 0.0]), 0.2)
+    array([[ 2. ,  0.1,  0.6],
+           [ 2. , -0.1,  0.6],
+           [ 2. , -0.1,  0.4],
+           [ 2. ,  0.1,  0.4]])
+    """
+    # Copies, since numpy's functions round differently where they take columns of a larger array
+    # to overlap with their result, which depends on where that happens to lie in memory.
+    half = 0.5 * (np.asarray(sizes, dtype=float) * np.exp(states[..., 4].copy()))[..., None]
+    across = half * np.array([1.0, -1.0, -1.0, 1.0])
+    up = half * np.array([1.0, 1.0, -1.0, -1.0])
+    x, y, yaw, height = (states[..., i, None] for i in range(4))
+    yaw = yaw.copy()
+    return np.stack([x - np.sin(yaw) * across, y + np.cos(yaw) * across, height + up], axis=-1)
+
+
+def predict(
+    states: np.ndarray, sizes: np.ndarray, view: Viewpoint
+) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where corners are seen, and the derivatives of that.
+
+    Args:
+        states: (n, 5) marker states.
+        sizes: (n,) m.
+        view: the camera.
+
+    Returns:
+        Pixels (n, 8) as u, v of each corner in turn; derivatives by the state (n, 8, 5); and by
+        pitch, roll and yaw of the robot at the moment of the image (n, 8, 3). NaN for a marker
+        that is not ahead of the camera.
+    """
+    count = len(states)
+    nudged = np.concatenate([states[:, None], states[:, None] + _NUDGES], axis=1)
+    points = view.optical(corner_points(nudged, np.repeat(sizes[:, None], STATES + 1, axis=1)))
+    here = points[:, 0]
+    x, y, z = here[..., 0], here[..., 1], here[..., 2]
+    zero = np.zeros_like(x)
+    tilted = here[:, None] + _TILT * np.stack(
+        [
+            np.stack([zero, -z, y], axis=-1),
+            np.stack([-y, x, zero], axis=-1),
+            np.stack([z, zero, -x], axis=-1),
+        ],
+        axis=1,
+    )
+    pixels = view.pixels(np.concatenate([points, tilted], axis=1)).reshape(count, -1, 8)
+    seen = pixels[:, 0]
+    changes = (pixels[:, 1:] - pixels[:, :1]).transpose(0, 2, 1)
+    return seen, changes[..., :STATES] / 1e-4, changes[..., STATES:] / _TILT
+
+
+def noise_covariance(noise: PixelNoise, extent: float, tilts: np.ndarray) -> np.ndarray:
+    """Return the (n, 8, 8) covariance of the corners of one image, px².
+
+    Args:
+        noise: how uncertain they are.
+        extent: px, size of the marker in the image.
+        tilts: (n, 8, 3) derivatives by pitch, roll and yaw.
+    """
+    own = noise.corner**2 + (noise.relative * extent) ** 2 + (noise.small / extent) ** 2
+    spread = tilts * np.array([noise.tilt, noise.tilt, noise.turn])
+    return own * np.eye(8) + spread @ spread.transpose(0, 2, 1)
+
+
+def extent_of(corners: np.ndarray) -> float:
+    """Return the size of a marker in the image: its mean diagonal over the root of two, in px.
+
+    >>> round(extent_of(np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 30.0], [0.0, 30.0]])), 9)
+    30.0
+    """
+    diagonals = np.hypot(*(corners[2] - corners[0])), np.hypot(*(corners[3] - corners[1]))
+    return float(np.mean(diagonals)) / math.sqrt(2.0)
+
+
+# Update ---------------------------------------------------------------------------------------
+
+
+def innovations(start, x, p, sizes, corners, view: Viewpoint, noise: PixelNoise):
+    """Compare corners with states `start` of covariance `p`, linearised at states `x`.
+
+    Returns:
+        What is left to explain (n, 8) px, its derivatives by the state (n, 8, 5), and its
+        covariance (n, 8, 8).
+    """
+    seen, by_state, tilts = predict(x, sizes, view)
+    bad = ~np.isfinite(seen).all(axis=1)
+    seen[bad], by_state[bad], tilts[bad] = 1e4, 0.0, 0.0
+    off = start - x
+    off[:, 2] = wrap(off[:, 2])
+    rest = corners.reshape(8) - seen - applied(by_state, off)
+    covariance = noise_covariance(noise, extent_of(corners), tilts)
+    return rest, by_state, covariance + by_state @ p @ by_state.transpose(0, 2, 1)
+
+
+def squared_distances(rest: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the squared Mahalanobis distances (n,) of (n, i) with covariances (n, i, i).
+
+    >>> squared_distances(np.array([[3.0, 4.0]]), np.array([np.diag([9.0, 4.0])]))
+    array([5.])
+    """
+    return np.sum(rest * np.linalg.solve(covariance, rest[..., None])[..., 0], axis=1)
+
+
+def applied(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Return products (n, i) of matrices (n, i, j) and vectors (n, j).
+
+    Not by einsum, whose last bits depend on where the arrays happen to lie in memory.
+    """
+    return (matrices @ vectors[..., None])[..., 0]
+
+
+def iterated_update(start, p, sizes, corners, view: Viewpoint, noise: PixelNoise, rounds: int = 3):
+    """Take corners (4, 2) px into account (Bell and Cathey 1993: Gauss and Newton's steps).
+
+    Args:
+        start: (n, 5) states.
+        p: (n, 5, 5) their covariances.
+        sizes: (n,) m.
+        corners: as seen.
+        view: by which camera.
+        noise: of the corners.
+        rounds: linearisations, at most.
+
+    Returns:
+        States (n, 5), covariances (n, 5, 5), squared Mahalanobis distances of the corners (n,)
+        and logarithms of the determinants of their covariances (n,).
+    """
+    corners = np.asarray(corners, dtype=float)
+    x = start
+    for number in range(rounds):
+        rest, by_state, covariance = innovations(start, x, p, sizes, corners, view, noise)
+        gain = np.linalg.solve(covariance, by_state @ p).transpose(0, 2, 1)
+        before, x = x, start + applied(gain, rest)
+        x[:, 2] = wrap(x[:, 2])
+        if number == 0 and rounds < 6 and np.max(np.abs(rest)) < _LINEAR:
+            break
+        if np.max(np.abs(x - before)) < 1e-4:
+            break
+    left = p - gain @ by_state @ p
+    left = 0.5 * (left + left.transpose(0, 2, 1))
+    return x, left, squared_distances(rest, covariance), np.linalg.slogdet(covariance)[1]

@@ -1,0 +1,329 @@
+"""Planner of a docking: where the robot is, what it may do there, and which ways are safe."""
+
+from __future__ import annotations
+
+import math
+from typing import List, Optional, Tuple
+
+import numpy as np
+
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
+from bullet_lab.docking.belief import DockBelief
+from bullet_lab.docking.control import AxisTracker, Lane
+from bullet_lab.docking.costmap import Costmap, sample_way
+from bullet_lab.docking.database import Dock
+from bullet_lab.docking.filter import GaussianPose
+from bullet_lab.docking.geometry import MarkerVisibility, clearance, wall_boxes
+from bullet_lab.docking.marker_track import MarkerTrack
+from bullet_lab.docking.next_best_view import NextView, next_best_view
+from bullet_lab.docking.types import (
+    STANDSTILL,
+    CameraMount,
+    Command,
+    DockingError,
+    DockingResult,
+    DockingSettings,
+    Point,
+    RobotShape,
+)
+from bullet_lab.errors import LabError
+
+_SAMPLES = 120
+_RISKY = 0.03
+_PROBE = 0.6
+_MOST_PROBES = 6
+# Between the walls' front edges and the circle in which the robot turns, at the least, in m.
+_ROOM_TO_TURN = 0.17
+# How far apart, in m along the dock's axis, two prints on one wall may seem.
+_SAME_PLANE = 0.2
+# Looks for a larger print, where the marker itself is too small to be found from outside: how
+# many, from how far (m), how wide that may be (half, by the opening), and the share of such looks
+# that miss it.
+_MOST_FAR_LOOKS = 14
+_FAR, _NEARER, _NEAREST = 4.5, 0.87, 2.6
+_WIDEST_PRINT = 0.42
+_FAR_MISSED = 0.3
+
+
+class DockingFailureError(LabError):
+    """The docking ends here, for a reason with a name."""
+
+    def __init__(self, error: DockingError, message: str):
+        super().__init__(message)
+        self.error = error
+
+
+class DockingPlanner:
+    """Knows the dock as far as it is known, and which ways are safe; the states share it.
+
+    Args:
+        dock: what the database says.
+        belief: what was seen.
+        mount: of the camera.
+        shape: of the robot.
+        settings: see `DockingSettings`.
+        search: whether to look for the marker where it is not seen at once.
+        max_retries: retreats before it gives up.
+
+    Attributes:
+        now: stamp of the tick, s.
+        retries: how often it retreated to try again.
+        stagings: how often it went for a better start.
+        ahead: m, of the camera before the robot's middle.
+    """
+
+    def __init__(
+        self,
+        dock: Dock,
+        belief: DockBelief,
+        mount: CameraMount,
+        shape: RobotShape,
+        settings: DockingSettings,
+        search: bool,
+        max_retries: int,
+    ):
+        self.dock, self.belief, self.settings = dock, belief, settings
+        self.shape, self.search, self.max_retries = shape, search, max_retries
+        self.lane = Lane(dock, shape, settings.wall_margin, mount.x)
+        self.tracker = AxisTracker(settings, mount.x)
+        self.ahead = mount.x
+        self.now = 0.0
+        self._at_rest_since: Optional[float] = None
+        self.retries = self.stagings = 0
+        self._boxes = wall_boxes(dock)
+        self._camera = np.array([mount.x, 0.0, 0.0])
+        self._doubts = self._far_looks = self._probes = 0
+        self._far_range = _FAR
+        self._far_visibility: Optional[MarkerVisibility] = None
+        self._cue: Tuple[Optional[MarkerTrack], int] = (None, 0)
+
+    # Where the robot is -----------------------------------------------------------------------
+
+    def commanded(self, command: Command) -> None:
+        """Take note of the command (m/s, rad/s) that is in force now."""
+        if command != STANDSTILL:
+            self._at_rest_since = None
+        elif self._at_rest_since is None:
+            self._at_rest_since = self.now
+
+    def settled(self) -> bool:
+        """Say whether the robot was told to stand for so long that images count."""
+        resting = 0.0 if self._at_rest_since is None else self.now - self._at_rest_since
+        return resting >= self.settings.settle_time
+
+    def unseen(self, track: MarkerTrack) -> float:
+        """Return for how long what a track follows was not seen, in s."""
+        return self.now - track.last_seen
+
+    def left(self, robot: np.ndarray) -> float:
+        """Return how far a robot at (3,) in the dock's frame has to go along the axis, in m."""
+        return -float(robot[0]) - self.dock.docked_distance - self.ahead
+
+    def bearing(self, estimate: GaussianPose) -> float:
+        """Return the direction of the marker as the camera sees it, in rad."""
+        return math.atan2(float(estimate.mean[1]), float(estimate.mean[0]) - self.ahead)
+
+    def marker_in_view(self, estimate: GaussianPose) -> bool:
+        """Say whether the marker should be found in an image taken now."""
+        visibility = self.belief.visibility
+        if visibility is None:
+            return True
+        return bool(visibility.visible(se2.between(estimate.mean, self._camera)))
+
+    def in_reach(self, robot: np.ndarray) -> bool:
+        """Say whether the marker is near enough to be found."""
+        visibility = self.belief.visibility
+        reach = math.hypot(float(robot[0]) + self.ahead, float(robot[1]))
+        return visibility is None or reach < visibility.farthest
+
+    def result(self, success: bool, error: DockingError, message: str) -> DockingResult:
+        """Return the result with the present estimates."""
+        estimate = self.estimate()
+        if estimate is None:
+            return DockingResult(success, error, message, self.retries)
+        robot = estimate.robot
+        distance = self.left(robot) + self.dock.docked_distance
+        lateral, yaw = float(robot[1]), wrap(float(robot[2]))
+        return DockingResult(success, error, message, self.retries, distance, lateral, yaw)
+
+    def estimate(self) -> Optional[GaussianPose]:
+        """Return the dock's pose in the robot's frame; None before the marker was seen."""
+        return None if self.belief.odometry.last is None else self.belief.estimate()
+
+    # What is allowed --------------------------------------------------------------------------
+
+    def in_lane(self, estimate: GaussianPose) -> bool:
+        """Say whether the robot can approach from where it is."""
+        robot = estimate.robot
+        return self.lane.holds(robot, self.left(robot), estimate.lateral_deviation)
+
+    def sure(self, track: MarkerTrack) -> bool:
+        """Say whether a track may be driven at between the walls; asked for, it counts."""
+        if track.real >= self.settings.sure or (self._doubts >= 3 and track.real > 0.2):
+            return True
+        if track.real > 0.5 and self._on_the_copys_wall(track):
+            return True
+        self._doubts += 1
+        return False
+
+    def _on_the_copys_wall(self, track: MarkerTrack) -> bool:
+        """Say whether it is, if real, where a larger copy says that the dock's back wall is."""
+        copy, walls = self.belief.copy_on_the_wall(), self.dock.walls
+        if copy is None or walls is None:
+            return False
+        off = se2.between(copy.likeliest().mean, track.likeliest().mean)
+        return abs(float(off[0])) < _SAME_PLANE and abs(float(off[1])) < 0.5 * walls.opening
+
+    def in_sight(self, left: float) -> float:
+        """Return so much left to go (m), or less where the marker would not be found there."""
+        visibility = self.belief.visibility
+        if visibility is None:
+            return left
+        return min(left, 0.9 * visibility.farthest - self.dock.docked_distance)
+
+    # Ways -------------------------------------------------------------------------------------
+
+    def costmap(self) -> Costmap:
+        """Return the costmap of the floor as it is believed to be now."""
+        return Costmap(
+            self.belief.pose[:2],
+            self.belief.samples(_SAMPLES),
+            self._boxes,
+            self._obstacles(),
+            self.shape.turning_radius + self.settings.wall_margin,
+        )
+
+    def still_safe(self, way: Tuple[Point, ...]) -> bool:
+        """Say whether the next metre and a half of a way is safe by what is known now."""
+        points = self._ahead_of_robot([self.belief.pose[:2], *way])
+        if not len(points):
+            return True
+        docks = self.belief.samples(_SAMPLES)
+        radius = self.shape.turning_radius
+        flat = np.column_stack([points, np.zeros(len(points))])
+        there = se2.between(docks[:, None], flat[None])[..., :2]
+        touched = clearance(there, self._boxes) < radius
+        if float(np.max(np.mean(touched, axis=0), initial=0.0)) > 2.0 * _RISKY:
+            return False
+        for x, y, size, weight in self._obstacles():
+            near = np.hypot(points[:, 0] - x, points[:, 1] - y) < size + radius
+            if weight > 0.3 and np.any(near):
+                return False
+        return True
+
+    def _obstacles(self) -> np.ndarray:
+        """Return (n, 4) what bears copies, without what cannot be: where the robot stands is free.
+
+        A print of unknown size could otherwise be a tiny one right before the camera.
+        """
+        rows = self.belief.obstacles()
+        away = np.hypot(*(rows[:, :2] - self.belief.pose[:2]).T) - rows[:, 2]
+        return rows[away > self.shape.turning_radius + self.settings.wall_margin]
+
+    def _ahead_of_robot(self, way) -> np.ndarray:
+        """Return points of a way without its first decimetres, where the robot stands anyway."""
+        points = sample_way(way, 0.05)
+        travelled = np.cumsum(np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)]))
+        return points[(travelled > 0.15) & (travelled < 1.6)]
+
+    def way_to_staging(self, estimate: GaussianPose) -> Optional[List[Point]]:
+        """Return a safe way to a point on the axis before the dock; None if there is none.
+
+        That is where the marker is found, if need be nearer than the database says, or else there.
+        """
+        staging, visibility = self.dock.staging_distance, self.belief.visibility
+        distances = [staging]
+        if visibility is not None:
+            room = self.lane.depth + self.shape.turning_radius + _ROOM_TO_TURN
+            distances.insert(0, min(staging, max(room, 0.9 * visibility.farthest + self.ahead)))
+        for distance in distances:
+            there = se2.compose(estimate.mean, (-distance, 0.0, 0.0))
+            costmap = self.costmap()
+            way = costmap.path(se2.compose(self.belief.pose, there).tolist())
+            if way is not None and costmap.risk(self._ahead_of_robot(way)) <= 2.0 * _RISKY:
+                return way
+        return None
+
+    def probing_way(self) -> float:
+        """Return how far (m) to drive ahead or, negative, back; 0 if not safe or often enough.
+
+        It shows how the size of what is seen changes.
+        """
+        if self._probes >= _MOST_PROBES:
+            return 0.0
+        pose, costmap = self.belief.pose, self.costmap()
+        heading = np.array([math.cos(pose[2]), math.sin(pose[2])])
+        for way in (-_PROBE, _PROBE):
+            points = np.asarray(pose[:2]) + np.linspace(0.2, 1.0, 9)[:, None] * way * heading
+            if costmap.risk(points) < _RISKY:
+                self._probes += 1
+                return way
+        return 0.0
+
+    # Looking for the marker -------------------------------------------------------------------
+
+    def chance_to_see(self) -> float:
+        """Return the probability that an image taken now would show the marker, or its copy."""
+        particles = self.belief.particles
+        visibility = self._far_visibility or self.belief.visibility
+        visible = visibility.visible(se2.between(particles.poses, self._camera))
+        return float(particles.weights @ visible)
+
+    def add_miss(self) -> None:
+        """Learn from a look that found nothing."""
+        self._add_miss(self.belief.visibility, self.settings.missed, counts=True)
+        if self._far_visibility is not None and not self.belief.copies_seen():
+            self._add_miss(self._far_visibility, _FAR_MISSED, counts=False)
+
+    def _add_miss(self, visibility: MarkerVisibility, missed: float, counts: bool) -> None:
+        particles = self.belief.particles
+        expected = visibility.detection_probability(se2.between(particles.poses, self._camera))
+        particles.add_miss(expected, missed, counts)
+
+    def use_cue(self) -> bool:
+        """Narrow the belief by a copy that can only be on the dock's back wall; say if there is.
+
+        A copy within the thinkable docks cannot be elsewhere: the dock fills that place.
+        """
+        found = self.belief.copy_on_the_wall()
+        if found is None:
+            return False
+        used, frames = self._cue
+        if used is not found or found.frames > 1.3 * frames:
+            self._cue = found, found.frames
+            walls = self.dock.walls
+            play = 0.1 if walls is None else 0.5 * (walls.opening - found.likeliest_size())
+            self.belief.concentrate(found.likeliest(), max(play, 0.03))
+        return True
+
+    def next_view(self) -> Optional[NextView]:
+        """Return where to look next; None if nothing can be seen from a safe place.
+
+        Where the marker cannot, from too far for it: for what else may tell where the dock is. A
+        larger print on the back wall is hidden by the walls sooner than the marker. Once
+        something was seen, each look is nearer than the one before: its size shows on the way.
+        """
+        view = self._next_view(self.belief.visibility)
+        walls = self.dock.walls
+        half = 0.0 if walls is None else _WIDEST_PRINT * walls.opening
+        while view is None and self._far_looks < _MOST_FAR_LOOKS:
+            self._far_looks += 1
+            if self.belief.copies_seen():
+                self._far_range = max(_NEARER * self._far_range, _NEAREST)
+            self._far_visibility = self.belief.visibility.up_to(self._far_range, half)
+            view = self._next_view(self._far_visibility)
+            if view is None:
+                self._far_range = _FAR
+        return view
+
+    def _next_view(self, visibility: MarkerVisibility) -> Optional[NextView]:
+        return next_best_view(
+            self.belief.pose,
+            self.costmap(),
+            self.belief.samples(_SAMPLES),
+            visibility,
+            self.ahead,
+            self.settings.drive_speed,
+            self.settings.turn_speed,
+        )

@@ -1,0 +1,477 @@
+"""State machine of a docking: what is done in turn, from the first look to the dock.
+
+A state is asked at each tick for a command, or for how it ended; `TRANSITIONS` says what follows.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Dict, NamedTuple, Optional, Tuple, Type, Union
+
+import numpy as np
+
+from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
+from bullet_lab.docking.control import PathFollower, clip, turn_command
+from bullet_lab.docking.marker_track import MarkerTrack
+from bullet_lab.docking.planner import DockingFailureError, DockingPlanner
+from bullet_lab.docking.types import STANDSTILL, Command, DockingError, DockingState, Point
+
+_CHECK_SECONDS = 0.5
+_FACING = math.radians(12.0)
+# Of the approach: m, left to go; and of the confirmation: m/s, rad/s, and how often.
+_THERE = 0.0008
+_CREEP, _FINE_TURN, _MOST_CORRECTIONS = 0.012, 0.05, 8
+_LEAST_RETREAT = 0.2
+# States that may follow each other in one tick.
+_MOST_TRANSITIONS = 3
+
+
+class Outcome(NamedTuple):
+    """How a state ended: a name of `TRANSITIONS`, and what the next state is made of."""
+
+    name: str
+    arguments: Tuple = ()
+
+
+class State:
+    """One thing that is done.
+
+    Attributes:
+        state: what it is called to the outside.
+        detail: one line for humans.
+    """
+
+    state = DockingState.SEARCHING
+    detail = ""
+
+    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:
+        """Return the command for now, or how it ended; raises DockingFailureError."""
+        raise NotImplementedError
+
+    def wants_images(self, planner: DockingPlanner) -> bool:
+        """Say whether an image would be used now."""
+        return True
+
+    def plan(self) -> Tuple[Point, ...]:
+        """Return points that are still to be driven to, in the odometry frame."""
+        return ()
+
+
+class Look(State):
+    """Stands and looks, and decides where to look next."""
+
+    detail = "looking for the marker"
+
+    def __init__(self):
+        self._since: Optional[int] = None
+
+    def wants_images(self, planner: DockingPlanner) -> bool:  # noqa: D102 - inherited
+        return planner.settled()
+
+    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+        belief, frames = planner.belief, planner.settings.look_frames
+        if belief.best() is not None:
+            return Outcome("seen")
+        if self._since is None or not planner.settled():
+            self._since = belief.images
+        enough = belief.images - self._since >= (3 * frames if belief.pending() else frames)
+        return self._elsewhere(planner) if enough and planner.settled() else STANDSTILL
+
+    def _elsewhere(self, planner: DockingPlanner) -> Outcome:
+        planner.add_miss()
+        if not planner.search:
+            raise DockingFailureError(DockingError.NOT_DETECTED, "the marker is not in sight")
+        if planner.belief.particles.mass < planner.settings.give_up_mass:
+            message = "the marker is not where the dock may be"
+            raise DockingFailureError(DockingError.NOT_DETECTED, message)
+        if planner.belief.copies_seen() and not planner.use_cue():
+            way = planner.probing_way()
+            if way:
+                return Outcome("size unknown", (way,))
+        view = planner.next_view()
+        if view is None:
+            message = "no safe place to look for the marker from"
+            raise DockingFailureError(DockingError.NOT_DETECTED, message)
+        return Outcome("not seen", (PathFollower(view.way, planner.settings), view.heading))
+
+
+class Drive(State):
+    """Drives along a way as long as that is safe."""
+
+    def __init__(self, way: PathFollower):
+        self._way = way
+        self._checked = -math.inf
+
+    def plan(self) -> Tuple[Point, ...]:  # noqa: D102 - inherited
+        return self._way.left
+
+    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+        if planner.now - self._checked >= _CHECK_SECONDS:
+            self._checked = planner.now
+            if not planner.still_safe(self._way.left):
+                return Outcome("not safe")
+        command = self._way.command(planner.belief.pose)
+        return self._arrived(planner) if command == STANDSTILL else command
+
+    def _arrived(self, planner: DockingPlanner) -> Union[Command, Outcome]:
+        """Return what to do at the end of the way."""
+        return Outcome("arrived")
+
+
+class Travel(Drive):
+    """Drives to a place, turns to a heading (rad) and looks."""
+
+    detail = "going to where the marker may be seen"
+
+    def __init__(self, way: PathFollower, heading: float):
+        super().__init__(way)
+        self._heading = heading
+
+    def wants_images(self, planner: DockingPlanner) -> bool:  # noqa: D102 - inherited
+        return planner.chance_to_see() > 0.05
+
+    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+        return Outcome("seen") if planner.belief.best() is not None else super().step(planner)
+
+    def _arrived(self, planner: DockingPlanner) -> Union[Command, Outcome]:
+        left = wrap(self._heading - planner.belief.pose[2])
+        command = turn_command(left, planner.settings.turn_speed)
+        return Outcome("arrived") if command == STANDSTILL else command
+
+
+class Stage(Drive):
+    """Drives to the point before the dock."""
+
+    state = DockingState.STAGING
+    detail = "going to the point before the dock"
+
+    def wants_images(self, planner: DockingPlanner) -> bool:  # noqa: D102 - inherited
+        estimate = planner.estimate()
+        return estimate is not None and planner.marker_in_view(estimate)
+
+    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+        return Outcome("lost") if planner.estimate() is None else super().step(planner)
+
+
+class Probe(State):
+    """Drives a little way (m; negative: back), to see how the size of what is seen changes.
+
+    While `searching`, it ends as soon as the marker is found.
+    """
+
+    detail = "finding out how large it is what shows the marker"
+
+    def __init__(self, way: float, searching: bool = True):
+        self._way, self._searching = way, searching
+        self._start: Optional[np.ndarray] = None
+
+    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+        pose = np.asarray(planner.belief.pose)
+        if self._start is None:
+            self._start = pose
+        moved = se2.between(self._start, pose)
+        left = abs(self._way) - abs(float(moved[0]))
+        if left <= 0.0 or (self._searching and planner.belief.best() is not None):
+            return Outcome("done")
+        speed = math.copysign(min(0.2, 0.05 + left), self._way)
+        return speed, clip(-2.0 * float(moved[2]), 0.3)
+
+
+class Measure(State):
+    """Turns to the marker, measures at rest and decides what to do."""
+
+    state = DockingState.MEASURING
+    detail = "measuring"
+
+    def __init__(self):
+        self._track: Optional[MarkerTrack] = None
+        self._frames = 0
+        self._turned = False
+        self._waited = 0.0
+
+    def wants_images(self, planner: DockingPlanner) -> bool:  # noqa: D102 - inherited
+        return planner.settled()
+
+    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+        track, estimate = planner.belief.best(), planner.estimate()
+        if track is None or estimate is None:
+            return Outcome("lost")
+        off = planner.bearing(estimate)
+        if not self._turned and abs(off) > _FACING:
+            return turn_command(off, planner.settings.turn_speed, 0.0)
+        self._turned = True
+        if track is not self._track or not planner.settled():
+            self._track, self._frames, self._waited = track, track.frames, planner.now
+            return STANDSTILL
+        if track.frames - self._frames >= planner.settings.measure_frames:
+            return decide(planner)
+        patience = planner.settings.unseen_timeout
+        # Images came, but none with the marker.
+        missing = planner.belief.last_image - max(track.last_seen, self._waited) > patience
+        if planner.now - self._waited <= 2.0 * patience or not missing:
+            return STANDSTILL
+        if not planner.in_reach(estimate.robot):
+            return decide(planner)
+        planner.belief.forget(track)
+        return Outcome("lost")
+
+
+def decide(planner: DockingPlanner) -> Outcome:
+    """Return what follows from a measurement at rest."""
+    estimate, track = planner.estimate(), planner.belief.best()
+    robot = estimate.robot
+    within = planner.lane.within_walls(robot)
+    if within and not planner.sure(track):
+        return _back_out(planner, planner.left(robot), 0.35)
+    if planner.in_lane(estimate):
+        return Outcome("in the lane")
+    if within:
+        return _back_out(planner, planner.left(robot), 0.30)
+    return _to_staging(planner, estimate)
+
+
+def _to_staging(planner: DockingPlanner, estimate) -> Outcome:
+    """Return the drive to the staging point; fails after too many, or without a way.
+
+    What shows the marker and is of unknown size may be anywhere on the line of sight, and so in
+    the way; a little drive tells where it is.
+    """
+    _count_staging(planner, "the point before the dock is not reached")
+    way = planner.way_to_staging(estimate)
+    if way is not None:
+        return Outcome("off the lane", (PathFollower(way, planner.settings),))
+    probe = planner.probing_way()
+    if not probe:
+        message = "no safe way to the point before the dock"
+        raise DockingFailureError(DockingError.STAGING_FAILED, message)
+    return Outcome("size unknown", (probe, False))
+
+
+def _back_out(planner: DockingPlanner, left: float, further: float) -> Outcome:
+    """Return the way back on the axis for a better start.
+
+    It goes out of sight of a small marker where it must: what a larger copy tells needs the way.
+    It costs one of the drives to the staging point, so that it does not go on for ever.
+    """
+    _count_staging(planner, "no way into the dock is found")
+    target = left + further
+    return Outcome("bad start", (target, planner.in_sight(target) > left + _LEAST_RETREAT))
+
+
+def _count_staging(planner: DockingPlanner, message: str) -> None:
+    planner.stagings += 1
+    if planner.stagings > planner.settings.max_stagings:
+        raise DockingFailureError(DockingError.STAGING_FAILED, message)
+
+
+def _retry(planner: DockingPlanner, left: float, trouble: str) -> Outcome:
+    """Return the way back for another try; fails when it was the last one."""
+    if planner.retries >= planner.max_retries:
+        raise DockingFailureError(DockingError.CONTROL_FAILED, f"gave up: {trouble}")
+    planner.retries += 1
+    return Outcome("failed", (max(left, 0.0) + 0.6,))
+
+
+class Approach(State):
+    """Drives in on the axis, measuring all the way."""
+
+    state = DockingState.APPROACHING
+    detail = "approaching"
+
+    def __init__(self):
+        self._held: Optional[float] = None
+        self._entered = False
+
+    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+        track, estimate = planner.belief.best(), planner.estimate()
+        if estimate is None:
+            return Outcome("lost")
+        robot = estimate.robot
+        left = planner.left(robot)
+        if planner.unseen(track) > planner.settings.unseen_timeout and planner.in_reach(robot):
+            return self._hold(planner)
+        self._held = None
+        if left <= _THERE:
+            return Outcome("arrived")
+        trouble = gate(planner, robot, left)
+        if trouble:
+            return _retry(planner, left, trouble)
+        if planner.lane.leads_at_an_edge(robot, estimate.lateral_deviation):
+            return _back_out(planner, left, 0.5)
+        if planner.lane.within_walls(robot) and not self._entered:
+            self._entered = True
+            if not planner.sure(track):
+                return _back_out(planner, left, 0.35)
+        return planner.tracker.forwards(robot, left)
+
+    def _hold(self, planner: DockingPlanner) -> Union[Command, Outcome]:
+        """Wait at rest for the marker to be seen again, then look at what is the matter."""
+        if self._held is None:
+            self._held = planner.now
+        waited = planner.now - self._held > planner.settings.unseen_timeout
+        return Outcome("lost") if waited else STANDSTILL
+
+
+def gate(planner: DockingPlanner, robot: np.ndarray, left: float) -> str:
+    """Say why an approach has to be given up; empty if it goes well.
+
+    Args:
+        planner: for the limits.
+        robot: (3,) its pose in the dock's frame.
+        left: m to go along the axis.
+    """
+    settings = planner.settings
+    beside, turned = abs(float(robot[1])), abs(wrap(float(robot[2])))
+    if left < settings.gate_distance and beside > settings.gate_lateral:
+        return f"{1e3 * beside:.0f} mm beside the axis"
+    if left < 0.6 * settings.gate_distance and turned > settings.gate_yaw:
+        return f"{math.degrees(turned):.1f} degrees against the axis"
+    if planner.lane.within_walls(robot) and beside > planner.lane.corridor:
+        return "too near the walls"
+    return ""
+
+
+class Retreat(State):
+    """Drives straight back on the axis until so much is left to go (m), for another try.
+
+    `in_sight`: only as far as the marker can be found.
+    """
+
+    state = DockingState.RETREATING
+    detail = "backing out"
+
+    def __init__(self, left: float, in_sight: bool = True):
+        self._target, self._in_sight = left, in_sight
+
+    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+        estimate = planner.estimate()
+        if estimate is None:
+            return Outcome("lost")
+        target = planner.in_sight(self._target) if self._in_sight else self._target
+        left = target - planner.left(estimate.robot)
+        unseen = planner.unseen(planner.belief.best())
+        if left <= 0.0:
+            return Outcome("arrived")
+        if self._in_sight and unseen > 2.0 * planner.settings.unseen_timeout:
+            return Outcome("lost")
+        return planner.tracker.backwards(estimate.robot, left)
+
+
+class BackOut(Retreat):
+    """Drives straight back on the axis for a better start, which is no retry."""
+
+    state = DockingState.STAGING
+
+
+class Confirm(State):
+    """Stands before the marker, measures, corrects what can be corrected there."""
+
+    state = DockingState.MEASURING
+    detail = "measuring where it stands"
+
+    def __init__(self):
+        self._frames: Optional[int] = None
+        self._since = 0.0
+        self._correction: Optional[Command] = None
+        self._corrections = 0
+
+    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+        track, estimate = planner.belief.best(), planner.estimate()
+        if estimate is None:
+            return Outcome("lost")
+        robot, settings = estimate.robot, planner.settings
+        left, turned = planner.left(robot), wrap(float(robot[2]))
+        if self._correction is not None:
+            return self._correct(planner, left, turned)
+        if self._frames is None or not planner.settled():
+            self._frames, self._since = track.frames, planner.now
+            return STANDSTILL
+        uncertain = float(estimate.deviations[2]) > 0.3 * planner.dock.tolerance.yaw
+        if track.frames - self._frames >= settings.final_frames * (3 if uncertain else 1):
+            return self._judge(planner, float(robot[1]), left, turned)
+        if planner.now - self._since > 5.0 * settings.unseen_timeout:
+            return _retry(planner, left, "the marker is lost before the dock")
+        return STANDSTILL
+
+    def _judge(
+        self, planner: DockingPlanner, beside: float, left: float, turned: float
+    ) -> Union[Command, Outcome]:
+        tolerance = planner.dock.tolerance
+        if abs(beside) > tolerance.lateral:
+            return _retry(planner, left, f"{1e3 * abs(beside):.1f} mm beside the axis")
+        if abs(left) <= tolerance.distance and abs(turned) <= tolerance.yaw:
+            return Outcome("within tolerance")
+        self._corrections += 1
+        if self._corrections > _MOST_CORRECTIONS:
+            return _retry(planner, left, "distance and yaw do not settle")
+        if abs(turned) > tolerance.yaw:
+            self._correction = (0.0, -math.copysign(_FINE_TURN, turned))
+        else:
+            self._correction = (math.copysign(_CREEP, left), 0.0)
+        return STANDSTILL
+
+    def _correct(self, planner: DockingPlanner, left: float, turned: float) -> Command:
+        """Turn or creep until the estimate says that it is done."""
+        v, w = self._correction
+        done = turned * w >= -1e-4 if w else left * v <= 0.0
+        if done or planner.now - self._since > 6.0:
+            self._correction, self._frames = None, None
+            return STANDSTILL
+        return v, w
+
+
+class Docked(State):
+    """Stands in the dock."""
+
+    state = DockingState.DOCKED
+    detail = "docked"
+
+    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+        return STANDSTILL
+
+
+TRANSITIONS: Dict[Type[State], Dict[str, Type[State]]] = {
+    Look: {"seen": Measure, "not seen": Travel, "size unknown": Probe},
+    Travel: {"seen": Measure, "arrived": Look, "not safe": Look},
+    Probe: {"done": Look},
+    Measure: {
+        "in the lane": Approach,
+        "off the lane": Stage,
+        "bad start": BackOut,
+        "size unknown": Probe,
+        "lost": Look,
+    },
+    Stage: {"arrived": Measure, "not safe": Measure, "lost": Look},
+    Approach: {"arrived": Confirm, "failed": Retreat, "bad start": BackOut, "lost": Measure},
+    BackOut: {"arrived": Measure, "lost": Measure},
+    Retreat: {"arrived": Measure, "lost": Measure},
+    Confirm: {"within tolerance": Docked, "failed": Retreat, "lost": Measure},
+    Docked: {},
+}
+"""What follows each state, by how it ended. It begins with `Look`."""
+
+
+class StateMachine:
+    """Runs the states of one docking.
+
+    Args:
+        planner: what they share.
+
+    Attributes:
+        state: the present one.
+    """
+
+    def __init__(self, planner: DockingPlanner):
+        self._planner = planner
+        self.state: State = Look()
+
+    def step(self) -> Command:
+        """Ask the state, and those that follow at once, for a command (m/s, rad/s)."""
+        for _ in range(_MOST_TRANSITIONS):
+            result = self.state.step(self._planner)
+            if not isinstance(result, Outcome):
+                return result
+            following = TRANSITIONS[type(self.state)][result.name]
+            self.state = following(*result.arguments)
+        return STANDSTILL

@@ -1,0 +1,77 @@
+"""Tests of the table of states: where it leads, and that dockings keep to it."""
+
+import docking_standin as standin
+import pytest
+
+from bullet_lab.docking import state_machine
+from bullet_lab.docking.state_machine import TRANSITIONS, Docked, Look, Outcome, State, StateMachine
+from bullet_lab.docking.types import STANDSTILL
+
+
+def reached(start):
+    """All states that may follow one, itself included."""
+    found, waiting = {start}, [start]
+    while waiting:
+        new = set(TRANSITIONS[waiting.pop()].values()) - found
+        found |= new
+        waiting += new
+    return found
+
+
+def test_every_state_is_in_the_table_and_reached():
+    subclasses, waiting = set(), [State]
+    while waiting:
+        below = waiting.pop().__subclasses__()
+        subclasses |= {state for state in below if state.step is not state_machine.Drive.step}
+        waiting += below
+    subclasses.discard(state_machine.Drive)
+    assert set(TRANSITIONS) == subclasses == reached(Look)
+
+
+@pytest.mark.parametrize("state", [state for state in TRANSITIONS if state is not Docked])
+def test_the_dock_is_reached_from_every_state(state):
+    assert Docked in reached(state)
+
+
+def test_what_follows_gets_what_was_found_out():
+    class Ended(State):
+        def step(self, planner):
+            return Outcome("found", ("here",))
+
+    class Following(State):
+        def __init__(self, place):
+            self.place = place
+
+        def step(self, planner):
+            return (0.1, 0.0)
+
+    machine = StateMachine(None)
+    machine.state = Ended()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(TRANSITIONS, Ended, {"found": Following})
+        assert machine.step() == (0.1, 0.0)
+        assert machine.state.place == "here"
+        patch.setitem(TRANSITIONS, Ended, {"found": lambda place: Ended()})
+        machine.state = Ended()
+        assert machine.step() == STANDSTILL
+
+
+def test_dockings_end_by_names_of_the_table(monkeypatch):
+    seen = []
+    for state in TRANSITIONS:
+        if "step" in vars(state):
+            monkeypatch.setattr(state, "step", recorded(state.step, seen))
+    for seed in (100, 103):
+        assert standin.run(standin.random_stand(seed)).result.success
+    assert {name for state, name in seen if name not in TRANSITIONS[state]} == set()
+    assert {state for state, _ in seen} >= {Look, state_machine.Measure, state_machine.Confirm}
+
+
+def recorded(step, seen):
+    def wrapper(self, planner):
+        result = step(self, planner)
+        if isinstance(result, Outcome):
+            seen.append((type(self), result.name))
+        return result
+
+    return wrapper
