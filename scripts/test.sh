@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Runs all tests: linters, unit tests, rostests. Status 0 only when all of them pass.
+# Runs the tests: linters, unit tests, rostests side by side; with --long, every job at its full
+# length too. Status 0 only when all of them pass.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
@@ -8,6 +9,8 @@ source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 LOG=$LAB_DIR/log/test
 export LAB_TALLY=$LOG/tally
 ROSTEST_TIMEOUT=600
+# Most of a rostest is waiting: for nodes that start, for steps of simulated time.
+ROSTESTS_AT_ONCE=$(($(nproc) + 1))
 
 # count PASSED FAILED: one line in the tally.
 count() { echo "$1 $2" >>"$LAB_TALLY"; }
@@ -20,10 +23,13 @@ attribute() {
   echo "${number:-0}"
 }
 
-run_unit_tests() {
-  local results=$LOG/unit.xml tests failed skipped status=0
+# run_pytest FOLDER [option ...]
+run_pytest() {
+  local folder=$1 results tests failed skipped status=0
+  shift
+  results=$LOG/$(basename "$folder").xml
   rm -f "$results"
-  python -m pytest -n auto "$LAB_ROOT/test/unit" --junitxml="$results" || status=$?
+  python -m pytest "$@" "$folder" --junitxml="$results" || status=$?
   tests=$(attribute tests "$results")
   skipped=$(attribute skipped "$results")
   failed=$(($(attribute failures "$results") + $(attribute errors "$results")))
@@ -64,27 +70,38 @@ run_rostest() {
 }
 
 run_rostests() {
-  local file
-  # The tests are about this machine: nothing of theirs is to be seen from outside.
-  unset ROS_MASTER_URI ROS_HOSTNAME
-  export ROS_IP=127.0.0.1
-  for file in "$LAB_ROOT"/test/rostest/*.test; do
-    [[ ! -e $file ]] || run_rostest "$file"
-  done
+  # shellcheck disable=SC2016 # expanded by the shell that xargs starts
+  # The longest first, so that none of them is left alone at the end.
+  wc -l "$LAB_ROOT"/test/rostest/*_test.py | sort -rn | sed -n 's/^ *[0-9]* \(.*\)_test.py$/\1.test/p' \
+    | xargs -r -d '\n' -n 1 -P "$ROSTESTS_AT_ONCE" bash -c 'run_rostest "$1"' run_rostest
 }
 
 main() {
-  local passed failed
+  local passed failed long=
+  case "${1:-}" in
+    --long) long=yes ;;
+    "") ;;
+    *)
+      echo "usage: scripts/test.sh [--long]" >&2
+      exit 2
+      ;;
+  esac
   "$LAB_ROOT/scripts/setup.sh" --with test
   mkdir -p "$LOG"
   : >"$LAB_TALLY"
   "$LAB_ROOT/scripts/lint.sh" || true
   enter_lab
-  run_unit_tests
+  # The tests are about this machine: nothing of theirs is to be seen from outside.
+  unset ROS_MASTER_URI ROS_HOSTNAME
+  export ROS_IP=127.0.0.1
+  run_pytest "$LAB_ROOT/test/unit" -n auto
   run_rostests
+  [[ -z $long ]] || run_pytest "$LAB_ROOT/test/long"
   read -r passed failed < <(awk '{p += $1; f += $2} END {print p + 0, f + 0}' "$LAB_TALLY")
   echo "$passed passed, $failed failed"
   ((passed && !failed))
 }
 
+export -f attribute count summary_of run_rostest
+export LOG ROSTEST_TIMEOUT LAB_ROOT LAB_ROS
 main "$@"

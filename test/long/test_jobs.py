@@ -1,0 +1,62 @@
+"""Every job at its full length, and every job interrupted: a new launch file is covered here."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bullet_lab.ros.launcher.jobs import find_jobs
+
+PACKAGE = Path(__file__).resolve().parents[2]
+JOBS = sorted(find_jobs(PACKAGE / "launch"))
+# The longest one, a detection range, takes three minutes on two cores.
+SECONDS = 1800
+INTERRUPTED = 130
+# Wall seconds: while roslaunch starts, or while the job is at work.
+LATEST_SIGNAL = 8.0
+
+
+def start(job, folder):
+    """Start a job in a process group of its own, as a terminal does."""
+    return subprocess.Popen(
+        [str(PACKAGE / "scripts" / "run.sh"), job, f"out:={folder}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def processes_of(session):
+    """Return the command lines of what still runs in a session."""
+    done = subprocess.run(["ps", "-o", "args=", "-s", str(session)], capture_output=True, text=True)
+    return [line for line in done.stdout.splitlines() if line]
+
+
+@pytest.mark.parametrize("job", JOBS)
+def test_a_job_runs_and_leaves_its_results(job, tmp_path):
+    process = start(job, tmp_path)
+    printed, _ = process.communicate(timeout=SECONDS)
+    assert process.returncode == 0, printed
+    assert isinstance(json.loads((tmp_path / "summary.json").read_text()), dict)
+    assert "Traceback" not in printed
+    assert not processes_of(process.pid)
+
+
+@pytest.mark.parametrize("job", JOBS)
+def test_an_interrupted_job_says_so_and_leaves_nothing_running(job, tmp_path):
+    process = start(job, tmp_path)
+    time.sleep(np.random.default_rng(zlib.crc32(job.encode())).uniform(0.5, LATEST_SIGNAL))
+    if process.poll() is not None:
+        pytest.skip("it was done before")
+    os.killpg(process.pid, signal.SIGINT)
+    printed, _ = process.communicate(timeout=120)
+    assert process.returncode == INTERRUPTED, printed
+    assert "Traceback" not in printed
+    assert not processes_of(process.pid)
