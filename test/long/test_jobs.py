@@ -57,6 +57,8 @@ def test_an_interrupted_job_says_so_and_leaves_nothing_running(job, tmp_path):
         pytest.skip("it was done before")
     os.killpg(process.pid, signal.SIGINT)
     printed, _ = process.communicate(timeout=120)
-    assert process.returncode == INTERRUPTED, printed
+    # The signal may have come when all was done.
+    done = process.returncode == 0 and f"{job}: done" in printed
+    assert done or process.returncode == INTERRUPTED, printed
     assert "Traceback" not in printed
     assert not processes_of(process.pid)
