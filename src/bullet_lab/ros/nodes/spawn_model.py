@@ -20,14 +20,14 @@ import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, List, Mapping, NoReturn, Sequence
+from typing import Any, List, Mapping, Sequence
 from xml.sax.saxutils import escape
 
 import rospy
 from std_srvs.srv import Empty
 
+from bullet_lab.core.arguments import ArgumentParser, ArgumentsError
 from bullet_lab.core.pose import Pose
-from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.conversions import pose_message
 from bullet_lab.ros.messages.gazebo_types import msg, srv
@@ -38,15 +38,12 @@ GAZEBO = "/gazebo"
 NUMBERS = ("-x", "-y", "-z", "-R", "-P", "-Y")
 DATABASE = '<sdf version="1.6"><include><uri>model://{}</uri></include></sdf>'
 PACKAGE_MESH = re.compile(r"""(<\s*mesh\b[^>]*\bfilename\s*=\s*["'])package://""")
-
-
-class SpawnArgumentsError(LabError):
-    """A command line that cannot be followed."""
+USAGE_STATUS = 2
 
 
 @dataclass(frozen=True)
 class SpawnArguments:
-    """What spawn_model is told.
+    """The command line of spawn_model.
 
     Attributes:
         urdf: whether the description is URDF; else it is SDF.
@@ -79,11 +76,6 @@ class SpawnArguments:
     bond: bool
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise SpawnArgumentsError(message)
-
-
 def parse_spawn_arguments(words: Sequence[str], namespace: str = "/") -> SpawnArguments:
     """Read spawn_model's arguments, those of gazebo_ros for Noetic, less those of ROS.
 
@@ -92,7 +84,7 @@ def parse_spawn_arguments(words: Sequence[str], namespace: str = "/") -> SpawnAr
         namespace: of the node; the robot's, if nothing else is said.
 
     Raises:
-        SpawnArgumentsError: something is unknown, missing, said twice or no number.
+        ArgumentsError: something is unknown, missing, said twice or no number.
     """
     found = _parser(namespace).parse_args(_with_numbers_joined(words))
     source = next(key for key in ("file", "param", "database", "stdin") if getattr(found, key))
@@ -115,18 +107,8 @@ def parse_spawn_arguments(words: Sequence[str], namespace: str = "/") -> SpawnAr
     )
 
 
-def database_text(model: str) -> str:
-    """Return the description that stands for a model of the model folders."""
-    return DATABASE.format(escape(model))
-
-
-def packages_to_models(text: str) -> str:
-    """Return a URDF whose meshes are looked up in model:// instead of package://."""
-    return PACKAGE_MESH.sub(r"\1model://", text)
-
-
-def _parser(namespace: str) -> _Parser:
-    parser = _Parser(prog="spawn_model", add_help=False, allow_abbrev=False)
+def _parser(namespace: str) -> ArgumentParser:
+    parser = ArgumentParser(prog="spawn_model", add_help=False, allow_abbrev=False)
     kind = parser.add_mutually_exclusive_group(required=True)
     kind.add_argument("-urdf", action="store_true")
     kind.add_argument("-sdf", "-gazebo", action="store_true")
@@ -170,7 +152,7 @@ def _is_number(word: str) -> bool:
 
 def _finite(text: str) -> float:
     if not _is_number(text):
-        raise SpawnArgumentsError(f"'{text}' is not a finite number")
+        raise ArgumentsError(f"'{text}' is not a finite number")
     return float(text)
 
 
@@ -180,46 +162,53 @@ def _filled(text: str) -> str:
     return text
 
 
-USAGE_STATUS = 2
-
-
-def description_of(told: SpawnArguments) -> str:
-    """Return the text that describes the model; raises LabError where there is none."""
-    if told.source == "file":
-        text = read_text(Path(told.source_name))
-    elif told.source == "param":
-        text = str(rospy.get_param(told.source_name, ""))
-    elif told.source == "database":
-        text = database_text(told.source_name)
-    else:
-        text = sys.stdin.read()
-    if not text.strip():
-        raise NodeError(f"-{told.source} {told.source_name}: there is nothing in it")
-    return packages_to_models(text) if told.package_to_model else text
-
-
-def spawn(told: SpawnArguments) -> str:
+def spawn(arguments: SpawnArguments) -> str:
     """Put the model into the world and return what was answered; raises LabError."""
-    gazebo = told.gazebo_namespace
-    if told.wait:
-        _wait_for(told.wait, f"{gazebo}/model_states")
-    service = f"{gazebo}/spawn_{'urdf' if told.urdf else 'sdf'}_model"
+    gazebo = arguments.gazebo_namespace
+    if arguments.wait:
+        _wait_for(arguments.wait, f"{gazebo}/model_states")
+    service = f"{gazebo}/spawn_{'urdf' if arguments.urdf else 'sdf'}_model"
     answer = call(
         service,
         srv.SpawnModel,
-        told.model,
-        description_of(told),
-        told.robot_namespace,
-        pose_message(told.pose),
-        told.reference_frame,
+        arguments.model,
+        description_of(arguments),
+        arguments.robot_namespace,
+        pose_message(arguments.pose),
+        arguments.reference_frame,
     )
-    if told.joints:
-        names, positions = zip(*told.joints.items())
+    if arguments.joints:
+        names, positions = zip(*arguments.joints.items())
         configure = f"{gazebo}/set_model_configuration"
-        call(configure, srv.SetModelConfiguration, told.model, "", names, positions)
-    if told.unpause:
+        call(configure, srv.SetModelConfiguration, arguments.model, "", names, positions)
+    if arguments.unpause:
         _unpause(f"{gazebo}/unpause_physics")
     return answer.status_message
+
+
+def description_of(arguments: SpawnArguments) -> str:
+    """Return the text that describes the model; raises LabError where there is none."""
+    if arguments.source == "file":
+        text = read_text(Path(arguments.source_name))
+    elif arguments.source == "param":
+        text = str(rospy.get_param(arguments.source_name, ""))
+    elif arguments.source == "database":
+        text = database_text(arguments.source_name)
+    else:
+        text = sys.stdin.read()
+    if not text.strip():
+        raise NodeError(f"-{arguments.source} {arguments.source_name}: there is nothing in it")
+    return packages_to_models(text) if arguments.package_to_model else text
+
+
+def database_text(model: str) -> str:
+    """Return the description that stands for a model of the model folders."""
+    return DATABASE.format(escape(model))
+
+
+def packages_to_models(text: str) -> str:
+    """Return a URDF whose meshes are looked up in model:// instead of package://."""
+    return PACKAGE_MESH.sub(r"\1model://", text)
 
 
 def _unpause(service: str) -> None:
@@ -243,13 +232,15 @@ def _wait_for(model: str, topic: str) -> None:
     subscriber.unregister()
 
 
-def _delete_at_the_end(told: SpawnArguments) -> None:
+def _delete_at_the_end(arguments: SpawnArguments) -> None:
     """Wait until ROS shuts down, then take the model out again."""
 
     def delete() -> None:
         # The simulation may be gone already.
         with contextlib.suppress(rospy.ServiceException, rospy.ROSException):
-            rospy.ServiceProxy(f"{told.gazebo_namespace}/delete_model", srv.DeleteModel)(told.model)
+            rospy.ServiceProxy(f"{arguments.gazebo_namespace}/delete_model", srv.DeleteModel)(
+                arguments.model
+            )
 
     rospy.on_shutdown(delete)
     rospy.spin()
@@ -262,14 +253,14 @@ def main() -> None:
         print(__doc__.split("\n\n")[1])
         sys.exit(0 if words else USAGE_STATUS)
     try:
-        told = parse_spawn_arguments(words, rospy.get_namespace())
-    except SpawnArgumentsError as error:
+        arguments = parse_spawn_arguments(words, rospy.get_namespace())
+    except ArgumentsError as error:
         print(f"spawn_model: {error}", file=sys.stderr)
         sys.exit(USAGE_STATUS)
 
     def body() -> None:
-        rospy.loginfo("spawn_model: %s", spawn(told))
-        if told.bond:
-            _delete_at_the_end(told)
+        rospy.loginfo("spawn_model: %s", spawn(arguments))
+        if arguments.bond:
+            _delete_at_the_end(arguments)
 
     run_node("spawn_model", body)

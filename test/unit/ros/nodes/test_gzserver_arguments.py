@@ -2,9 +2,9 @@ import os
 
 import pytest
 
+from bullet_lab.core.arguments import ArgumentsError
 from bullet_lab.ros.nodes.gzserver import (
     ServerArguments,
-    ServerArgumentsError,
     find_world,
     parse_server_arguments,
 )
@@ -46,7 +46,7 @@ def test_seed_and_plugins():
     ],
 )
 def test_refusals(line, said):
-    with pytest.raises(ServerArgumentsError, match=said):
+    with pytest.raises(ArgumentsError, match=said):
         parse(line)
 
 
@@ -60,7 +60,7 @@ def test_worlds_are_looked_up_as_in_gazebo(tmp_path, monkeypatch):
     for folder in (second, first, here):
         (folder / "worlds" / "empty.world").write_text("<sdf/>")
         assert find_world("worlds/empty.world", here) == str(folder / "worlds" / "empty.world")
-    with pytest.raises(ServerArgumentsError, match="'nix.world' is in none of .*first.*second"):
+    with pytest.raises(ArgumentsError, match="'nix.world' is in none of .*first.*second"):
         find_world("nix.world", here)
 
 

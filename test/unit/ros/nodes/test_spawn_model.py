@@ -1,8 +1,8 @@
 import pytest
 
+from bullet_lab.core.arguments import ArgumentsError
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.nodes.spawn_model import (
-    SpawnArgumentsError,
     database_text,
     packages_to_models,
     parse_spawn_arguments,
@@ -73,14 +73,14 @@ def test_sources():
     ],
 )
 def test_refusals(line, said):
-    with pytest.raises(SpawnArgumentsError) as caught:
+    with pytest.raises(ArgumentsError) as caught:
         parse(line)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_empty_names():
-    with pytest.raises(SpawnArgumentsError, match="-model: it is empty"):
+    with pytest.raises(ArgumentsError, match="-model: it is empty"):
         parse_spawn_arguments(["-urdf", "-stdin", "-model", ""])
 
 
