@@ -254,8 +254,19 @@ class Launch:
 
 def _load(path: Path, values: dict[str, str]) -> roslaunch.config.ROSLaunchConfig:
     words = [f"{name}:={value}" for name, value in values.items()]
-    with _as_supervision_error():
+    with _as_supervision_error(), _signals_held_back():
         return roslaunch.config.load_config_default([(str(path), words)], None)
+
+
+@contextlib.contextmanager
+def _signals_held_back():
+    """Have signals wait: programs that roslaunch asks for values would die of Ctrl-C, loudly."""
+    from_terminal = (signal.SIGINT, signal.SIGHUP)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, from_terminal)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def resolved_defaults(path: Path) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Finds markers and where they are.
+"""Detector of markers and of where they are.
 
 :ROS Parameters: see `ArucoParameters`.
 :ROS Subscribers, while somebody listens to a result or ~publish_tf is true:
@@ -26,6 +26,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from tf2_msgs.msg import TFMessage
 
+from bullet_lab.core import parameters
+from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.msg import MarkerDetectionArray
 from bullet_lab.ros.messages.camera_geometry import CameraGeometryError, camera_of
@@ -36,12 +38,15 @@ from bullet_lab.ros.messages.markers import (
     marker_pose_message,
     marker_transform,
 )
-from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.diagnostics import Health
-from bullet_lab.ros.node.parameters import ParameterError
 from bullet_lab.ros.node.publishers import publisher
 from bullet_lab.ros.node.tf_prefix import own_tf_prefix
-from bullet_lab.ros.nodes.image_node import Frame, ImageNode, ImageParameters, run_image_node
+from bullet_lab.ros.nodes.image_node import (
+    CameraImage,
+    ImageNode,
+    ImageParameters,
+    run_image_node,
+)
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.drawing import draw_axes, draw_marker, draw_text
 from bullet_lab.vision.images import VisionError
@@ -155,69 +160,73 @@ class ArucoParameters(ImageParameters):
 class Aruco(ImageNode):
     """Answers images with the markers in them."""
 
-    def __init__(self, wanted: ArucoParameters):
-        self._wanted_markers = wanted
-        self._observer = MarkerObserver(
-            wanted.settings(), wanted.width, wanted.sizes, wanted.pixel_sigma
-        )
-        self._memory = PoseMemory(wanted.upright)
-        self._state = Health(DiagnosticStatus.OK, "")
-        super().__init__(wanted, "marker detection", always=wanted.publish_tf)
-        self._detections = self.output("detections", MarkerDetectionArray)
-        self._pose = self.output("pose", PoseStamped)
-        self._covariance = self.output("pose_with_covariance", PoseWithCovarianceStamped)
-        self._prefix = own_tf_prefix()
-        self._tf = publisher("/tf", TFMessage, 10) if wanted.publish_tf else None
+    task = "marker detection"
+    outputs = {
+        "detections": MarkerDetectionArray,
+        "pose": PoseStamped,
+        "pose_with_covariance": PoseWithCovarianceStamped,
+    }
 
-    def look(self, frame: Frame) -> Mapping[str, Any]:
+    def __init__(self, parameters: ArucoParameters):
+        self._observer = MarkerObserver(
+            parameters.settings(), parameters.width, parameters.sizes, parameters.pixel_sigma
+        )
+        self._memory = PoseMemory(parameters.upright)
+        self._health = Health(DiagnosticStatus.OK, "")
+        super().__init__(parameters, always=parameters.publish_tf)
+        self._prefix = own_tf_prefix()
+        self._tf = publisher("/tf", TFMessage, 10) if parameters.publish_tf else None
+
+    def process(self, image: CameraImage) -> Mapping[str, Any]:
         """Publish the markers."""
-        camera, trouble = self._camera(frame)
-        detections = self._observer.detector.detect(frame.grey, camera)
-        located = self._locate(detections, camera, frame)
-        self._publish(frame, detections, located)
-        self.annotate(frame, lambda image: self._draw(image, detections, located, camera))
-        self._state = self._judge(detections, located, trouble)
+        camera, trouble = self._camera(image)
+        detections = self._observer.detector.detect(image.grey, camera)
+        located = self._locate(detections, camera, image)
+        self._publish_markers(image, detections, located)
+        self.annotate(image, lambda canvas: self._draw(canvas, detections, located, camera))
+        self._health = self._judge(detections, located, trouble)
         return _figures(detections)
 
-    def look_away(self, frame: Frame) -> None:
-        """Answer an image that cannot be used with no markers."""
-        self._detections.publish(MarkerDetectionArray(header=frame.header))
+    def process_unusable(self, image: CameraImage) -> None:
+        """Publish that there are no markers."""
+        self.publish("detections", MarkerDetectionArray(header=image.header))
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Forget where markers were."""
         self._memory.forget()
 
-    def state(self) -> Health:
+    def health(self) -> Health:
         """Return what was found in the last image, or why nothing was."""
-        return self._state
+        return self._health
 
-    def _camera(self, frame: Frame) -> Tuple[Optional[PinholeCamera], str]:
+    def _camera(self, image: CameraImage) -> Tuple[Optional[PinholeCamera], str]:
         """Return the camera, or None and why there is none."""
-        wanted = self._wanted_markers
-        if frame.info is None:
-            return None, f"no camera_info on {wanted.info_topic}: markers have no poses"
+        topic = self.parameters.info_topic
+        if image.info is None:
+            return None, f"no camera_info on {topic}: markers have no poses"
         try:
-            return camera_of(frame.info, frame.width, frame.height, wanted.rectified), ""
+            rectified = self.parameters.rectified
+            return camera_of(image.info, image.width, image.height, rectified), ""
         except CameraGeometryError as error:
-            self.refuse(wanted.info_topic, str(error))
+            self.refuse(topic, str(error))
             return None, str(error)
 
     def _locate(
-        self, detections: Detections, camera: Optional[PinholeCamera], frame: Frame
+        self, detections: Detections, camera: Optional[PinholeCamera], image: CameraImage
     ) -> List[Tuple[ObservedMarker, MarkerPose]]:
         if camera is None:
             return []
         observed = [self._observer.locate(marker, camera) for marker in detections.markers]
-        poses = self._memory.choose(observed, frame.header.stamp.to_sec())
+        poses = self._memory.choose(observed, image.header.stamp.to_sec())
         return list(zip(observed, poses))
 
-    def _publish(
+    def _publish_markers(
         self,
-        frame: Frame,
+        image: CameraImage,
         detections: Detections,
         located: List[Tuple[ObservedMarker, MarkerPose]],
     ) -> None:
-        header, tags = frame.header, self._wanted_markers.tags
+        header, tags = image.header, self.parameters.tags
         message = MarkerDetectionArray(header=header)
         if located:
             message.detections = [
@@ -226,12 +235,13 @@ class Aruco(ImageNode):
             ]
         else:
             message.detections = [detection_message(m, tags) for m in detections.markers]
-        self._detections.publish(message)
+        self.publish("detections", message)
         if not located:
             return
         pose = located[0][1]
-        self._pose.publish(PoseStamped(header, marker_pose_message(pose)))
-        self._covariance.publish(PoseWithCovarianceStamped(header, covariance_message(pose)))
+        self.publish("pose", PoseStamped(header, marker_pose_message(pose)))
+        covariance = PoseWithCovarianceStamped(header, covariance_message(pose))
+        self.publish("pose_with_covariance", covariance)
         if self._tf is not None:
             # Of several markers of one id, the largest in the image.
             by_id = {observed.id: pose for observed, pose in reversed(located)}
@@ -243,19 +253,19 @@ class Aruco(ImageNode):
 
     def _draw(
         self,
-        image: np.ndarray,
+        canvas: np.ndarray,
         detections: Detections,
         located: List[Tuple[ObservedMarker, MarkerPose]],
         camera: Optional[PinholeCamera],
     ) -> None:
         labels = [f"id {marker.id}" for marker in detections.markers]
         for index, (observed, pose) in enumerate(located):
-            draw_axes(image, pose, observed.size, camera)
+            draw_axes(canvas, pose, observed.size, camera)
             labels[index] += f"  {pose.distance:.2f} m"
         for marker, label in zip(detections.markers, labels):
-            draw_marker(image, marker, label)
+            draw_marker(canvas, marker, label)
         if not detections.markers:
-            draw_text(image, why_nothing(detections.report, self._wanted_markers.tags), (8, 16))
+            draw_text(canvas, why_nothing(detections.report, self.parameters.tags), (8, 16))
 
     def _judge(
         self,
@@ -267,7 +277,7 @@ class Aruco(ImageNode):
             missing = trouble.startswith("no ")
             return Health(DiagnosticStatus.WARN if missing else DiagnosticStatus.ERROR, trouble)
         if not detections.markers:
-            reason = why_nothing(detections.report, self._wanted_markers.tags)
+            reason = why_nothing(detections.report, self.parameters.tags)
             return Health(DiagnosticStatus.WARN, f"no marker: {reason}")
         found = ", ".join(f"id {o.id} at {pose.distance:.2f} m" for o, pose in located)
         return Health(DiagnosticStatus.OK, found)

@@ -1,4 +1,4 @@
-"""Finds edges (Canny).
+"""Edge detector (Canny).
 
 :ROS Parameters: see `CannyParameters`.
 :ROS Subscribers, while somebody listens: ~image and its camera_info
@@ -15,9 +15,14 @@ from typing import Any, Mapping
 import cv2
 from sensor_msgs.msg import Image
 
+from bullet_lab.core import parameters
 from bullet_lab.ros.messages.images import image_message
-from bullet_lab.ros.node import parameters
-from bullet_lab.ros.nodes.image_node import Frame, ImageNode, ImageParameters, run_image_node
+from bullet_lab.ros.nodes.image_node import (
+    CameraImage,
+    ImageNode,
+    ImageParameters,
+    run_image_node,
+)
 from bullet_lab.vision.drawing import draw_area
 from bullet_lab.vision.features import canny_edges
 
@@ -34,17 +39,16 @@ class CannyParameters(ImageParameters):
 class CannyEdges(ImageNode):
     """Answers images with their edges."""
 
-    def __init__(self, wanted: CannyParameters):
-        self._settings = (wanted.low, wanted.high, wanted.aperture)
-        super().__init__(wanted, "edge detection")
-        self._edges = self.output("edges", Image, queue_size=1)
+    task = "edge detection"
+    outputs = {"edges": Image}
 
-    def look(self, frame: Frame) -> Mapping[str, Any]:
+    def process(self, image: CameraImage) -> Mapping[str, Any]:
         """Publish the edges."""
-        edges = canny_edges(frame.grey, *self._settings)
-        if self._edges.has_connections():
-            self._edges.publish(image_message(frame.header, edges, "mono8"))
-        self.annotate(frame, lambda image: draw_area(image, edges > 0))
+        given = self.parameters
+        edges = canny_edges(image.grey, given.low, given.high, given.aperture)
+        if self.has_listeners("edges"):
+            self.publish("edges", image_message(image.header, edges, "mono8"))
+        self.annotate(image, lambda canvas: draw_area(canvas, edges > 0))
         return {"edge pixels": cv2.countNonZero(edges)}
 
 

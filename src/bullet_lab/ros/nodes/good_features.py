@@ -1,4 +1,4 @@
-"""Finds good features to track (Shi and Tomasi).
+"""Detector of good features to track (Shi and Tomasi).
 
 :ROS Parameters: see `GoodFeaturesParameters`.
 :ROS Subscribers, while somebody listens: ~image and its camera_info
@@ -12,10 +12,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Mapping
 
+from bullet_lab.core import parameters
 from bullet_lab.msg import ImagePoints
 from bullet_lab.ros.messages.images import points_message
-from bullet_lab.ros.node import parameters
-from bullet_lab.ros.nodes.image_node import Frame, ImageNode, ImageParameters, run_image_node
+from bullet_lab.ros.nodes.image_node import (
+    CameraImage,
+    ImageNode,
+    ImageParameters,
+    run_image_node,
+)
 from bullet_lab.vision.drawing import draw_points
 from bullet_lab.vision.features import good_features
 
@@ -34,16 +39,15 @@ class GoodFeaturesParameters(ImageParameters):
 class GoodFeatures(ImageNode):
     """Answers images with their good features."""
 
-    def __init__(self, wanted: GoodFeaturesParameters):
-        self._settings = (wanted.max_corners, wanted.quality, wanted.min_distance)
-        super().__init__(wanted, "feature detection")
-        self._points = self.output("points", ImagePoints)
+    task = "feature detection"
+    outputs = {"points": ImagePoints}
 
-    def look(self, frame: Frame) -> Mapping[str, Any]:
+    def process(self, image: CameraImage) -> Mapping[str, Any]:
         """Publish the features."""
-        points = good_features(frame.grey, *self._settings)
-        self._points.publish(points_message(frame.header, frame.grey.shape, points))
-        self.annotate(frame, lambda image: draw_points(image, points))
+        given = self.parameters
+        points = good_features(image.grey, given.max_corners, given.quality, given.min_distance)
+        self.publish("points", points_message(image.header, image.grey.shape, points))
+        self.annotate(image, lambda canvas: draw_points(canvas, points))
         return {"features": len(points)}
 
 

@@ -1,4 +1,4 @@
-"""Finds corners (Harris).
+"""Corner detector (Harris).
 
 :ROS Parameters: see `HarrisParameters`.
 :ROS Subscribers, while somebody listens: ~image and its camera_info
@@ -13,10 +13,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Mapping
 
+from bullet_lab.core import parameters
 from bullet_lab.msg import ImagePoints
 from bullet_lab.ros.messages.images import points_message
-from bullet_lab.ros.node import parameters
-from bullet_lab.ros.nodes.image_node import Frame, ImageNode, ImageParameters, run_image_node
+from bullet_lab.ros.nodes.image_node import (
+    CameraImage,
+    ImageNode,
+    ImageParameters,
+    run_image_node,
+)
 from bullet_lab.vision.drawing import draw_area
 from bullet_lab.vision.features import harris_corners
 
@@ -36,16 +41,17 @@ class HarrisParameters(ImageParameters):
 class HarrisCorners(ImageNode):
     """Answers images with their corners."""
 
-    def __init__(self, wanted: HarrisParameters):
-        self._settings = (wanted.block_size, wanted.aperture, wanted.k, wanted.threshold)
-        super().__init__(wanted, "corner detection")
-        self._points = self.output("points", ImagePoints)
+    task = "corner detection"
+    outputs = {"points": ImagePoints}
 
-    def look(self, frame: Frame) -> Mapping[str, Any]:
+    def process(self, image: CameraImage) -> Mapping[str, Any]:
         """Publish the corners."""
-        area, points = harris_corners(frame.grey, *self._settings)
-        self._points.publish(points_message(frame.header, frame.grey.shape, points))
-        self.annotate(frame, lambda image: draw_area(image, area))
+        given = self.parameters
+        area, points = harris_corners(
+            image.grey, given.block_size, given.aperture, given.k, given.threshold
+        )
+        self.publish("points", points_message(image.header, image.grey.shape, points))
+        self.annotate(image, lambda canvas: draw_area(canvas, area))
         return {"corners": len(points)}
 
 

@@ -1,7 +1,10 @@
-"""What the nodes that look at images share: when they work, what they take, how they fare.
+"""The base of the nodes that process images: when they work, what they take, how they fare.
 
-A node subscribes to the image (and, where it wants it, to camera_info) only while somebody
-listens to one of its results. Each image that comes is answered once, in order.
+A node subscribes to the image and its camera_info only while somebody listens to one of its
+results. Each image that comes is processed once, in order.
+
+A new detector is a subclass of `ImageNode` with its parameters, and the 7 lines in scripts/ that
+run it; `bullet_lab.ros.nodes.harris_corners` is one to begin with.
 
 :ROS Publishers, beside the node's own:
     - ~image_annotated (sensor_msgs/Image): what was found, drawn into the image
@@ -22,9 +25,9 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 
+from bullet_lab.core import parameters
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.images import image_message, pixels_of
-from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.diagnostics import Diagnostics, Health, Traffic
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
@@ -32,19 +35,21 @@ from bullet_lab.ros.node.publishers import Demand, Publisher, subscriber
 
 # Larger than an image, so that old ones do not pile up in the socket.
 _BUFFER_BYTES = 2**24
+# An old image is of no use; of anything else, 10 may wait.
+_QUEUE_SIZES = {Image: 1, CameraInfo: 1}
 # Wall seconds that the first image waits for its camera_info.
 _INFO_PATIENCE = 1.0
 # Wall seconds without an image after which that is a warning.
 _SILENCE = 1.5
 
 
-class FrameError(LabError):
-    """An image that cannot be answered."""
+class RepeatedImageError(LabError):
+    """An image whose stamp came before."""
 
 
 @dataclass(frozen=True)
 class ImageParameters:
-    """Private parameters of all nodes that look at images."""
+    """Private parameters of all nodes that process images."""
 
     image: str = parameters.text("/mycamera/image_raw", "topic of the images")
     camera_info: str = parameters.text("", "topic of their camera_info; empty: beside the image")
@@ -55,8 +60,15 @@ class ImageParameters:
         return self.camera_info or f"{self.image.rpartition('/')[0]}/camera_info".replace("//", "/")
 
 
-class Frame:
-    """An image that has come, decoded when it is asked for."""
+class CameraImage:
+    """An image that has come, decoded when it is asked for.
+
+    Attributes:
+        header: its stamp and frame.
+        info: the newest camera_info, if any came.
+        width: px.
+        height: px.
+    """
 
     def __init__(self, message: Image, info: Optional[CameraInfo]):
         self.header = message.header
@@ -67,29 +79,36 @@ class Frame:
 
     @property
     def grey(self) -> np.ndarray:
-        """The image in grey levels; raises ImageError."""
+        """The image in grey levels, (height, width) uint8; raises ImageError."""
         if self._grey is None:
             self._grey = pixels_of(self._message, "mono8")
         return self._grey
 
     def colour(self) -> np.ndarray:
-        """Return a copy of the image, bgr8, to draw into; raises ImageError."""
+        """Return a copy to draw into, (height, width, 3) uint8 BGR; raises ImageError."""
         return pixels_of(self._message, "bgr8").copy()
 
 
 class ImageNode:
-    """The base of the nodes that look at images.
+    """The base of the nodes that process images.
 
     Args:
-        wanted: parameters.
-        task: what the node does, for the diagnostics.
+        parameters: those of the node.
         always: whether to work even if nobody listens.
+
+    Attributes:
+        task: what the node does, for the diagnostics.
+        outputs: its private topics and their types; to listen to one is to ask for work.
+        parameters: as given.
     """
 
-    def __init__(self, wanted: ImageParameters, task: str, always: bool = False):
+    task = ""
+    outputs: Mapping[str, type] = {}
+
+    def __init__(self, parameters: Any, always: bool = False):
         # One thread is enough, and leaves the other cores to the simulation.
         cv2.setNumThreads(1)
-        self._wanted = wanted
+        self.parameters = parameters
         self._lock = threading.Condition()
         self._info: Optional[CameraInfo] = None
         self._waits_for_info = True
@@ -101,41 +120,48 @@ class ImageNode:
         self._refusals = Refusals()
         self._trouble = ""
         self._figures: Mapping[str, Any] = {}
-        self._annotated = self.output("image_annotated", Image, queue_size=1)
-        self._copied_info = self.output("camera_info", CameraInfo, queue_size=1)
-        self._diagnostics = Diagnostics(task, self._health)
+        topics = {"image_annotated": Image, "camera_info": CameraInfo, **self.outputs}
+        self._publishers: Dict[str, Publisher] = {
+            topic: self._demand.publisher(f"~{topic}", kind, _QUEUE_SIZES.get(kind, 10))
+            for topic, kind in topics.items()
+        }
+        self._diagnostics = Diagnostics(self.task, self._diagnose)
 
     # For the nodes
 
-    def output(self, topic: str, kind: type, queue_size: int = 10) -> Publisher:
-        """Return a publisher on a private topic, to which to listen is to ask for work."""
-        return self._demand.publisher(f"~{topic}", kind, queue_size)
-
-    def look(self, frame: Frame) -> Mapping[str, Any]:
-        """Answer an image and return figures for the diagnostics; raises LabError."""
+    def process(self, image: CameraImage) -> Mapping[str, Any]:
+        """Publish what is found and return figures for the diagnostics; raises LabError."""
         raise NotImplementedError
 
-    def look_away(self, frame: Frame) -> None:
-        """Answer an image that cannot be used, where an answer is due."""
+    def process_unusable(self, image: CameraImage) -> None:
+        """Publish an answer to an image that cannot be used, where an answer is due."""
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Forget all that was before, as time was set back or the work was interrupted."""
 
-    def state(self) -> Health:
+    def health(self) -> Health:
         """Return how the node fares while images come."""
         return Health(DiagnosticStatus.OK, "images come")
 
-    def annotate(self, frame: Frame, draw: Callable[[np.ndarray], None]) -> None:
+    def has_listeners(self, topic: str) -> bool:
+        """Return whether somebody listens to an output."""
+        return self._publishers[topic].has_connections()
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Publish on an output."""
+        self._publishers[topic].publish(message)
+
+    def annotate(self, image: CameraImage, draw: Callable[[np.ndarray], None]) -> None:
         """Publish the image with something drawn into it, if somebody listens.
 
         Args:
-            frame: the image.
-            draw: draws into a (h, w, 3) BGR array.
+            image: what came.
+            draw: draws into a (height, width, 3) uint8 BGR array.
         """
-        if self._annotated.has_connections():
-            canvas = frame.colour()
+        if self.has_listeners("image_annotated"):
+            canvas = image.colour()
             draw(canvas)
-            self._annotated.publish(image_message(frame.header, canvas, "bgr8"))
+            self.publish("image_annotated", image_message(image.header, canvas, "bgr8"))
 
     def refuse(self, topic: str, reason: str) -> None:
         """Count something that cannot be used and say why, once a second at most."""
@@ -148,7 +174,9 @@ class ImageNode:
         """Begin to work when somebody listens."""
         self._diagnostics.start()
         self._demand.watch()
-        join_when(self._is_connected, f"a listener, and somebody to publish {self._wanted.image}")
+        join_when(
+            self._is_connected, f"a listener, and somebody to publish {self.parameters.image}"
+        )
 
     def _is_connected(self) -> bool:
         with self._lock:
@@ -158,12 +186,12 @@ class ImageNode:
     def _start(self) -> None:
         with self._lock:
             self._info, self._waits_for_info, self._last_stamp = None, True, None
-            self.forget()
+            self.reset()
             self._info_subscriber = subscriber(
-                self._wanted.info_topic, CameraInfo, self._receive_info
+                self.parameters.info_topic, CameraInfo, self._receive_info
             )
             self._image_subscriber = subscriber(
-                self._wanted.image,
+                self.parameters.image,
                 Image,
                 self._receive_image,
                 queue_size=1,
@@ -188,19 +216,19 @@ class ImageNode:
         start = time.monotonic()
         try:
             self._check_time(message)
-        except FrameError as error:
-            self.refuse(self._wanted.image, str(error))
+        except RepeatedImageError as error:
+            self.refuse(self.parameters.image, str(error))
             return
-        frame = Frame(message, self._info_now())
+        image = CameraImage(message, self._info_now())
         try:
-            self._figures = self.look(frame)
+            self._figures = self.process(image)
             self._trouble = ""
         except LabError as error:
-            self.refuse(self._wanted.image, str(error))
-            self.look_away(frame)
-        if frame.info is not None and self._copied_info.has_connections():
-            frame.info.header = message.header
-            self._copied_info.publish(frame.info)
+            self.refuse(self.parameters.image, str(error))
+            self.process_unusable(image)
+        if image.info is not None and self.has_listeners("camera_info"):
+            image.info.header = message.header
+            self.publish("camera_info", image.info)
         self._traffic.note(time.monotonic() - start)
 
     def _info_now(self) -> Optional[CameraInfo]:
@@ -215,13 +243,13 @@ class ImageNode:
         stamp, last = message.header.stamp, self._last_stamp
         if last is not None and not stamp.is_zero():
             if stamp == last:
-                raise FrameError(f"a second image of {stamp.to_sec():.3f} s")
+                raise RepeatedImageError(f"a second image of {stamp.to_sec():.3f} s")
             if stamp < last:
-                rospy.loginfo("%s: time was set back: starting anew", self._wanted.image)
-                self.forget()
+                rospy.loginfo("%s: time was set back: starting anew", self.parameters.image)
+                self.reset()
         self._last_stamp = stamp
 
-    def _health(self) -> Health:
+    def _diagnose(self) -> Health:
         figures: Dict[str, str] = self._traffic.figures()
         figures.update({key: str(value) for key, value in dict(self._figures).items()})
         figures["refused"] = str(self._refusals.total)
@@ -236,15 +264,15 @@ class ImageNode:
                 subscriber = self._image_subscriber
             known = subscriber is not None and subscriber.get_num_connections() > 0
             reason = "nothing comes" if known else "nobody publishes it"
-            return DiagnosticStatus.WARN, f"no image on {self._wanted.image}: {reason}"
+            return DiagnosticStatus.WARN, f"no image on {self.parameters.image}: {reason}"
         if self._trouble:
             return DiagnosticStatus.ERROR, self._trouble
-        state = self.state()
-        return state.level, state.message
+        health = self.health()
+        return health.level, health.message
 
 
 def run_image_node(name: str, kind: type, node: Callable[[Any], ImageNode]) -> None:
-    """Run a node that looks at images.
+    """Run a node that processes images.
 
     Args:
         name: of the node.

@@ -1,4 +1,4 @@
-"""Shows what a camera sees: the image with a line on it, and its size and rate.
+"""View of a camera: the image with a line on it, and its size and rate.
 
 :ROS Parameters: see `ImageParameters`.
 :ROS Subscribers, while somebody listens: ~image and its camera_info
@@ -9,22 +9,26 @@ from __future__ import annotations
 
 from typing import Any, Mapping
 
-from bullet_lab.ros.nodes.image_node import Frame, ImageNode, ImageParameters, run_image_node
+from bullet_lab.ros.nodes.image_node import (
+    CameraImage,
+    ImageNode,
+    ImageParameters,
+    run_image_node,
+)
 from bullet_lab.vision.drawing import draw_text
 
 
 class ViewCamera(ImageNode):
     """Passes images on with their time and size written into them."""
 
-    def __init__(self, wanted: ImageParameters):
-        super().__init__(wanted, "camera view")
+    task = "camera view"
 
-    def look(self, frame: Frame) -> Mapping[str, Any]:
+    def process(self, image: CameraImage) -> Mapping[str, Any]:
         """Publish the image."""
-        size = f"{frame.width} x {frame.height}"
-        stamp = frame.header.stamp.to_sec()
-        self.annotate(frame, lambda image: draw_text(image, f"{size}  {stamp:.2f} s", (8, 16)))
-        return {"size": size, "mean grey level": f"{frame.grey.mean():.0f}"}
+        size = f"{image.width} x {image.height}"
+        stamp = image.header.stamp.to_sec()
+        self.annotate(image, lambda canvas: draw_text(canvas, f"{size}  {stamp:.2f} s", (8, 16)))
+        return {"size": size, "mean grey level": f"{image.grey.mean():.0f}"}
 
 
 def main() -> None:
