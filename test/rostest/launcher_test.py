@@ -26,6 +26,8 @@ def start(folder, *words, **environment):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # As in a terminal: what it starts is in its group, and this test is not.
+        start_new_session=True,
     )
 
 
@@ -89,6 +91,28 @@ class LauncherTest(unittest.TestCase):
             self.assertEqual(expected, status, err)
             self.assertNotIn("Traceback", err)
             self.assertEqual([], processes_of(out))
+
+    def test_ctrl_c_while_it_starts_is_no_failure(self):
+        for delay in (0.4, 0.8, 1.1, 1.3, 1.6):
+            run = start(self.folder, "squares", "out:=out", "rtf:=1")
+            time.sleep(delay)
+            os.killpg(run.pid, signal.SIGINT)
+            status, out, err = finish(run)
+            self.assertEqual(130, status, f"after {delay} s: {err}")
+            self.assertNotIn("Traceback", out + err)
+            self.assertEqual([], processes_of(self.folder / "out"))
+
+    def test_wrong_values_are_refused_before_anything_starts(self):
+        for word, line in (
+            ("std:=-1", "run.sh: std is '-1': it must be a number >= 0"),
+            ("model:=x", "run.sh: model is 'x': it must be one of report, rate_invariant, "),
+            ("rtf:=fast", "run.sh: rtf is 'fast': it must be a number >= 0"),
+        ):
+            status, out, err = finish(start(self.folder, "squares", word))
+            self.assertEqual((2, ""), (status, out))
+            self.assertEqual(1, len(err.splitlines()), err)
+            self.assertTrue(err.startswith(line), err)
+        self.assertEqual([], list(self.folder.iterdir()))
 
     def test_folder_in_use_is_refused_and_python_listens_on_the_loopback_only(self):
         out = self.folder / "out"

@@ -104,7 +104,10 @@ class Argument:
             allowed = check.allowed
             if not self.default:
                 default = declarations[0].default_text
-                doc = check.doc[:1].upper() + check.doc[1:]
+                # A sentence may begin with a unit.
+                doc = (
+                    check.doc[:1].upper() + check.doc[1:] if check.doc[1:2].isalpha() else check.doc
+                )
         limits = f" [{allowed}]" if allowed not in ("", "text") else ""
         return f"{self.name}:={default}", doc + limits
 
