@@ -52,7 +52,8 @@ MOVED: Dict[str, str] = {
     "experiments.published_noise": "studies.published_noise.study",
     "experiments.square_drive": "studies.squares",
     "experiments.squares": "studies.squares",
-    "markers.plates": "markers.faces",
+    "markers.dots": "markers.images",
+    "markers.plates": "markers.models",
     "numerics.angles": "core.angles",
     "numerics.binomial": "studies.dock_campaign.results",
     "numerics.ellipse": "core.ellipse",
@@ -240,9 +241,13 @@ MOVED: Dict[str, str] = {
     "simulation.xacro_files": "simulation.world.xacro",
     "simulation.xacro_packages": "simulation.world.xacro_packages",
     "simulation.xml_input": "simulation.world.xml",
+    "vision.edge_fit": "vision.quads",
     "vision.errors": "vision.images",
     "vision.explanation": "vision.marker_detector",
+    "vision.nested": "vision.quads",
     "vision.pose_memory": "vision.marker_observer",
+    "vision.sampling": "vision.images",
+    "vision.small_algebra": "vision.algebra",
 }
 PACKAGES = ("experiments", "numerics", "plotting", "recording", "simulation.devices")
 _ROOT = "bullet_lab."

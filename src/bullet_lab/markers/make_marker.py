@@ -15,17 +15,9 @@ from pathlib import Path
 from typing import NoReturn, Optional, Sequence
 
 from bullet_lab.errors import LabError
-from bullet_lab.markers.faces import (
-    Face,
-    Print,
-    dots_face,
-    nested_face,
-    plate_face,
-    wall_face,
-    write_plate,
-)
+from bullet_lab.markers.faces import Face, Print, dots_face, nested_face, plate_face, wall_face
 from bullet_lab.markers.images import MarkerError, dictionary_names
-from bullet_lab.markers.models import PLATE_THICKNESS, write_dock, write_panel
+from bullet_lab.markers.models import PLATE_THICKNESS, write_dock, write_panel, write_plate
 
 STATUS_BAD_INPUT = 2
 STATUS_INTERRUPTED = 130

@@ -1,4 +1,4 @@
-"""Models with a marker in Gazebo's layout: model.config, model.sdf and meshes.
+"""Models that bear a marker, in Gazebo's layout: model.config, model.sdf and meshes.
 
 The frame of each model is the dock's: the origin on the floor below the marker's face, x into
 the face. A robot that is docked looks along x.
@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Tuple
+from typing import List, Tuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
+import numpy as np
+from PIL import Image
+
 from bullet_lab.core.files import make_folder, replace_file
-from bullet_lab.markers.faces import WALL_GREY, WALL_SIZE, Face, write_plate
+from bullet_lab.markers.faces import WALL_GREY, WALL_SIZE, Face
 from bullet_lab.markers.images import MarkerError
 
 DOCK_DEPTH = 2.0
@@ -22,6 +25,17 @@ POST_WIDTH = 0.04
 HEADER = '<?xml version="1.0"?>\n'
 
 Vector = Tuple[float, float, float]
+
+# Corners of the front as one sees it, from the lower left one against the clock: depth as 0 or
+# 1, y (to the left) and z as -1 or 1. Then the other sides, normal and corners.
+_CORNERS = ((0, 1, -1), (0, -1, -1), (0, -1, 1), (0, 1, 1))
+_SIDES = (
+    ((1, 0, 0), ((1, -1, -1), (1, 1, -1), (1, 1, 1), (1, -1, 1))),
+    ((0, 1, 0), ((1, 1, -1), (0, 1, -1), (0, 1, 1), (1, 1, 1))),
+    ((0, -1, 0), ((0, -1, -1), (1, -1, -1), (1, -1, 1), (0, -1, 1))),
+    ((0, 0, 1), ((0, 1, 1), (0, -1, 1), (1, -1, 1), (1, 1, 1))),
+    ((0, 0, -1), ((1, 1, -1), (1, -1, -1), (0, -1, -1), (0, 1, -1))),
+)
 
 
 @dataclass(frozen=True)
@@ -80,6 +94,60 @@ def write_dock(face: Face, folder: Path, about: str) -> None:
     )
     write_plate(face, WALL_THICKNESS, folder / "meshes", "back_wall")
     _write_model(folder, parts, about)
+
+
+def write_plate(face: Face, thickness: float, folder: Path, name: str) -> Tuple[Path, ...]:
+    """Write <name>.obj, <name>.mtl and <name>.png of a box that shows a picture on its front.
+
+    The origin is the middle of the front, which looks along -x with z up; the box reaches
+    `thickness` metres to +x. The other sides have the colour of the picture's corner. The box
+    is whole, so that nothing has to stand close behind the picture: in a depth buffer of 16
+    bits things some millimetres apart fight for the pixels.
+
+    Returns:
+        The three files.
+
+    Raises:
+        FileError: the folder cannot be written to.
+    """
+    make_folder(folder)
+    obj, mtl, png = (folder / f"{name}.{kind}" for kind in ("obj", "mtl", "png"))
+    replace_file(obj, lambda part: part.write_text(_obj(face, thickness, name)))
+    replace_file(mtl, lambda part: part.write_text(_mtl(name)))
+    image = Image.fromarray(np.ascontiguousarray(face.image))
+    replace_file(png, lambda part: image.save(part, optimize=True))
+    return obj, mtl, png
+
+
+def _obj(face: Face, thickness: float, name: str) -> str:
+    lines = [f"mtllib {name}.mtl", f"o {name}", "usemtl face"]
+    lines += [_vertex(corner, face.size, thickness) for corner in _CORNERS]
+    for _, corners in _SIDES:
+        lines += [_vertex(corner, face.size, thickness) for corner in corners]
+    # The picture's corners, and the middle of its corner pixel for all other sides.
+    lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1"]
+    lines.append(f"vt {0.5 / len(face.image):.9g} {0.5 / len(face.image):.9g}")
+    lines.append("vn -1 0 0")
+    lines += ["vn {} {} {}".format(*normal) for normal, _ in _SIDES]
+    lines += _quad(1, (1, 2, 3, 4), 1)
+    for index in range(len(_SIDES)):
+        lines += _quad(5 + 4 * index, (5, 5, 5, 5), 2 + index)
+    return "\n".join(lines) + "\n"
+
+
+def _vertex(corner: Tuple[int, int, int], size: float, thickness: float) -> str:
+    x, y, z = corner[0] * thickness, 0.5 * size * corner[1], 0.5 * size * corner[2]
+    return f"v {x:.9g} {y:.9g} {z:.9g}"
+
+
+def _quad(first: int, texture: Tuple[int, int, int, int], normal: int) -> List[str]:
+    corners = [f"{first + k}/{texture[k]}/{normal}" for k in range(4)]
+    return [f"f {corners[0]} {corners[b]} {corners[c]}" for b, c in ((1, 2), (2, 3))]
+
+
+def _mtl(name: str) -> str:
+    lines = ("newmtl face", "Ka 1 1 1", "Kd 1 1 1", "Ks 0 0 0", f"map_Kd {name}.png")
+    return "\n".join(lines) + "\n"
 
 
 def _uri(folder: Path, mesh: str) -> str:

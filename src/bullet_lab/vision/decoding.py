@@ -1,4 +1,4 @@
-"""Reading the bits of a marker."""
+"""Decoding of a quadrilateral: the bits of its cells, and the marker that they are."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Optional
 
 import numpy as np
 
+from bullet_lab.vision.algebra import homography, solve_symmetric
 from bullet_lab.vision.dictionaries import MarkerDictionary
-from bullet_lab.vision.sampling import Lens, sample
-from bullet_lab.vision.small_algebra import solve_symmetric
+from bullet_lab.vision.images import Lens, sample
 
 # Where a cell is sampled, from its middle, in cells.
 _SPREAD = np.array([-0.24, -0.08, 0.08, 0.24])
@@ -56,23 +56,6 @@ class Match:
     turns: int
     errors: int
     likeness: float
-
-
-def homography(corners: np.ndarray) -> np.ndarray:
-    """Return the (3, 3) map from the unit square, corners clockwise from (0, 0), to a quad."""
-    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = corners
-    sum_x, sum_y = x0 - x1 + x2 - x3, y0 - y1 + y2 - y3
-    dx1, dx2, dy1, dy2 = x1 - x2, x3 - x2, y1 - y2, y3 - y2
-    determinant = dx1 * dy2 - dx2 * dy1
-    g = (sum_x * dy2 - dx2 * sum_y) / determinant
-    h = (dx1 * sum_y - sum_x * dy1) / determinant
-    return np.array(
-        [
-            [x1 - x0 + g * x1, x3 - x0 + h * x3, x0],
-            [y1 - y0 + g * y1, y3 - y0 + h * y3, y0],
-            [g, h, 1.0],
-        ]
-    )
 
 
 def may_be_marker(image: np.ndarray, quad: np.ndarray, cells: int, lens: Lens) -> bool:

@@ -1,4 +1,4 @@
-"""The marker dictionaries of OpenCV, by name, as arrays of bits."""
+"""Dictionaries of markers: OpenCV's, by name, as arrays of bits."""
 
 from __future__ import annotations
 
@@ -69,11 +69,16 @@ def _names() -> Dict[str, str]:
     for name in sorted(dir(cv2.aruco)):
         # From OpenCV 4.7 on AprilTags are there twice, as 36H11 and as 36h11; the latter counts.
         if name.startswith(_PREFIX):
-            names[_simple(name)] = name
+            names[simple_name(name)] = name
     return names
 
 
-def _simple(name: str) -> str:
+def simple_name(name: str) -> str:
+    """Return a dictionary's name in capitals and without DICT_.
+
+    >>> simple_name("DICT_4x4_50")
+    '4X4_50'
+    """
     simple = name.strip().upper()
     return simple[len(_PREFIX) :] if simple.startswith(_PREFIX) else simple
 
@@ -90,7 +95,7 @@ def dictionary_named(name: str) -> MarkerDictionary:
     Raises:
         VisionError: there is none of that name.
     """
-    found = _NAMES.get(_simple(name))
+    found = _NAMES.get(simple_name(name))
     if found is None:
         raise VisionError(f"there is no dictionary '{name}', only {', '.join(DICTIONARY_NAMES)}")
     return _load(found)

@@ -1,10 +1,13 @@
-"""Images as the detectors want them, and the error of the vision library."""
+"""Images as the detectors take them: grey levels, between pixels too, and lenses."""
 
 from __future__ import annotations
+
+from typing import Optional
 
 import cv2
 import numpy as np
 
+from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.errors import LabError
 
 
@@ -30,6 +33,9 @@ def grey(pixels: np.ndarray, encoding: str = "") -> np.ndarray:
 
     Raises:
         VisionError: it is not such an image, or smaller than 16 px.
+
+    >>> grey(np.full((16, 20, 3), (0, 0, 255), dtype=np.uint8), "bgr8")[0, 0]
+    76
     """
     pixels = np.asarray(pixels)
     if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or min(pixels.shape[:2]) < LEAST_EDGE:
@@ -41,3 +47,57 @@ def grey(pixels: np.ndarray, encoding: str = "") -> np.ndarray:
     if encoding not in known:
         raise VisionError(f"an image of {pixels.shape[2]} channels is not {encoding or 'known'}")
     return cv2.cvtColor(pixels, _TO_GREY[encoding])
+
+
+def sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the bilinear values of a (h, w) image at points (..., 2) of u, v in px.
+
+    Points outside get the value at the border. (OpenCV's `remap` rounds positions to 1/32 px.)
+
+    >>> sample(np.array([[0.0, 10.0], [20.0, 30.0]]), np.array([[0.5, 0.5], [0.0, 0.25]]))
+    array([15.,  5.])
+    """
+    height, width = image.shape
+    u = np.clip(points[..., 0], 0.0, width - 1.001)
+    v = np.clip(points[..., 1], 0.0, height - 1.001)
+    column, row = u.astype(np.intp), v.astype(np.intp)
+    right, down = u - column, v - row
+    index = row * width + column
+    flat = image.ravel()
+    upper = flat[index] + right * (flat[index + 1].astype(float) - flat[index])
+    index += width
+    lower = flat[index] + right * (flat[index + 1].astype(float) - flat[index])
+    return upper + down * (lower - upper)
+
+
+class Lens:
+    """Maps pixels to where a camera without distortion would see them, and back.
+
+    Straight edges are straight in ideal pixels only.
+
+    Args:
+        camera: the camera; None, or one without distortion, leaves pixels as they are.
+    """
+
+    def __init__(self, camera: Optional[PinholeCamera] = None):
+        self._camera = camera if camera is not None and any(camera.distortion) else None
+
+    def ideal(self, points: np.ndarray) -> np.ndarray:
+        """Return ideal pixels (..., 2) of those of the image."""
+        if self._camera is None:
+            return points
+        flat = np.asarray(points, dtype=float).reshape(-1, 1, 2)
+        matrix = self._camera.matrix
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-6)
+        distortion = np.array(self._camera.distortion)
+        undistorted = cv2.undistortPointsIter(flat, matrix, distortion, None, matrix, criteria)
+        return undistorted.reshape(np.shape(points))
+
+    def seen(self, points: np.ndarray) -> np.ndarray:
+        """Return pixels (..., 2) of the image of ideal ones."""
+        if self._camera is None:
+            return points
+        flat = np.asarray(points, dtype=float).reshape(-1, 2)
+        camera = self._camera
+        rays = (flat - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+        return camera.project(np.column_stack((rays, np.ones(len(rays))))).reshape(points.shape)

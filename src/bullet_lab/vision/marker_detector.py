@@ -13,11 +13,14 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision import images
 from bullet_lab.vision.decoding import Match, interpret, match, may_be_marker, read_cells
 from bullet_lab.vision.dictionaries import dictionary_named
-from bullet_lab.vision.edge_fit import refine_corners
-from bullet_lab.vision.images import VisionError
-from bullet_lab.vision.nested import quads_in_cells
-from bullet_lab.vision.quads import find_quads, mean_side, same_quads
-from bullet_lab.vision.sampling import Lens
+from bullet_lab.vision.images import Lens, VisionError
+from bullet_lab.vision.quads import (
+    find_quads,
+    mean_side,
+    quads_in_cells,
+    refine_corners,
+    same_quads,
+)
 
 # A quadrilateral that was found with several windows is tried in so many of its versions.
 _TRIES = 3

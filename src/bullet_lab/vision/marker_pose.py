@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.vision.decoding import homography
-from bullet_lab.vision.images import VisionError
-from bullet_lab.vision.small_algebra import (
+from bullet_lab.vision.algebra import (
+    homography,
     invert_symmetric,
     largest_singular_value,
     least_squares,
     nearest_rotation,
     solve_symmetric,
 )
+from bullet_lab.vision.images import VisionError
 
 # Two poses are told apart if the worse one fits so much worse, and by more than the corners'
 # own error.

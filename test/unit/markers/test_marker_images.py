@@ -5,13 +5,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bullet_lab.markers.dots import (
-    CLOSEST,
-    DOT_RADIUS,
-    DOTS_PER_SQUARE_METRE,
-    draw_dots,
-    scatter_dots,
-)
 from bullet_lab.markers.faces import (
     WALL_GREY,
     WALL_PIXELS,
@@ -20,15 +13,20 @@ from bullet_lab.markers.faces import (
     nested_face,
     plate_face,
     wall_face,
-    write_plate,
 )
 from bullet_lab.markers.images import (
+    CLOSEST,
+    DOT_RADIUS,
+    DOTS_PER_SQUARE_METRE,
     MarkerError,
     dictionary_names,
+    draw_dots,
     marker_cells,
     marker_image,
     paste,
+    scatter_dots,
 )
+from bullet_lab.markers.models import write_plate
 
 
 def detections(image, dictionary="DICT_APRILTAG_36h10"):
@@ -146,8 +144,8 @@ def test_the_ink_of_a_dot_is_that_of_its_disc():
 
 
 def test_too_many_dots_are_refused_rather_than_searched_for_ever(monkeypatch):
-    monkeypatch.setattr("bullet_lab.markers.dots.DOTS_PER_SQUARE_METRE", 20000.0)
-    monkeypatch.setattr("bullet_lab.markers.dots.TRIES_PER_DOT", 3)
+    monkeypatch.setattr("bullet_lab.markers.images.DOTS_PER_SQUARE_METRE", 20000.0)
+    monkeypatch.setattr("bullet_lab.markers.images.TRIES_PER_DOT", 3)
     with pytest.raises(MarkerError, match="no room for 200 dots"):
         scatter_dots(0.1, 0.1, (0.0, 0.0, 0.0, 0.0), np.random.default_rng(1))
 

@@ -1,0 +1,91 @@
+"""Algebra of quadrilaterals and of a few rows.
+
+numpy's goes to a BLAS that may wake threads for a 6 × 6 system, which on busy cores takes a
+thousand times as long as the sum itself; OpenCV's does not.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+
+def solve_symmetric(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return x (n,) of matrix · x = right for a positive definite (n, n) matrix; NaN if not.
+
+    >>> solve_symmetric(np.diag([2.0, 4.0]), np.array([2.0, 2.0]))
+    array([1. , 0.5])
+    """
+    solved, x = cv2.solve(matrix, right, flags=cv2.DECOMP_CHOLESKY)
+    return x.ravel() if solved else np.full(len(right), np.nan)
+
+
+def invert_symmetric(matrix: np.ndarray) -> np.ndarray:
+    """Return the inverse of a positive definite (n, n) matrix; NaN if it is not."""
+    solved, inverse = cv2.invert(matrix, flags=cv2.DECOMP_CHOLESKY)
+    return 0.5 * (inverse + inverse.T) if solved else np.full(matrix.shape, np.nan)
+
+
+def least_squares(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return x (n,) of the least |matrix · x - right|, by the normal equations."""
+    return solve_symmetric(matrix.T @ matrix, matrix.T @ right)
+
+
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """Return the rotation nearest a (3, 3) matrix that is nearly one."""
+    _, left, right = cv2.SVDecomp(matrix)
+    return left @ right
+
+
+def largest_singular_value(matrix: np.ndarray) -> float:
+    """Return it for a (2, 2) matrix.
+
+    >>> largest_singular_value(np.diag([-3.0, 2.0]))
+    3.0
+    """
+    (a, b), (c, d) = matrix
+    square, determinant = float(a * a + b * b + c * c + d * d), float(a * d - b * c)
+    rest = max(0.0, square * square - 4.0 * determinant * determinant)
+    return float(np.sqrt(0.5 * (square + np.sqrt(rest))))
+
+
+def homography(corners: np.ndarray) -> np.ndarray:
+    """Return the (3, 3) map from the unit square, corners clockwise from (0, 0), to a quad.
+
+    >>> corners = np.array([[2.0, 1.0], [4.0, 1.0], [4.0, 3.0], [2.0, 3.0]])
+    >>> homography(corners) @ [0.5, 0.5, 1.0]
+    array([3., 2., 1.])
+    """
+    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = corners
+    sum_x, sum_y = x0 - x1 + x2 - x3, y0 - y1 + y2 - y3
+    dx1, dx2, dy1, dy2 = x1 - x2, x3 - x2, y1 - y2, y3 - y2
+    determinant = dx1 * dy2 - dx2 * dy1
+    g = (sum_x * dy2 - dx2 * sum_y) / determinant
+    h = (dx1 * sum_y - sum_x * dy1) / determinant
+    return np.array(
+        [
+            [x1 - x0 + g * x1, x3 - x0 + h * x3, x0],
+            [y1 - y0 + g * y1, y3 - y0 + h * y3, y0],
+            [g, h, 1.0],
+        ]
+    )
+
+
+def intersections(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return (4, 2) corners: the k-th is where line k - 1 meets line k.
+
+    Args:
+        points: (4, 2), one on each line.
+        normals: (4, 2), that of each line.
+
+    >>> points = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    >>> intersections(points, np.array([[0.0, 1.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])).tolist()
+    [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]]
+    """
+    offsets = (points * normals).sum(axis=1)
+    before, offsets_before = np.roll(normals, 1, axis=0), np.roll(offsets, 1)
+    determinant = before[:, 0] * normals[:, 1] - before[:, 1] * normals[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = (offsets_before * normals[:, 1] - before[:, 1] * offsets) / determinant
+        v = (before[:, 0] * offsets - offsets_before * normals[:, 0]) / determinant
+    return np.column_stack((u, v))
