@@ -78,9 +78,9 @@ def intersections(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         points: (4, 2), one on each line.
         normals: (4, 2), that of each line.
 
-    >>> points = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    >>> points = np.array([[1.0, 1.0], [3.0, 1.0], [1.0, 2.0], [1.0, 1.0]])
     >>> intersections(points, np.array([[0.0, 1.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])).tolist()
-    [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]]
+    [[1.0, 1.0], [3.0, 1.0], [3.0, 2.0], [1.0, 2.0]]
     """
     offsets = (points * normals).sum(axis=1)
     before, offsets_before = np.roll(normals, 1, axis=0), np.roll(offsets, 1)

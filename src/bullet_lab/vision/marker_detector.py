@@ -1,4 +1,4 @@
-"""Finds the markers of a dictionary in an image, nested and double ones, or says why none."""
+"""Detector of the markers of a dictionary in an image, nested and double ones too."""
 
 from __future__ import annotations
 
@@ -39,6 +39,14 @@ _LEAST_CONTRAST = 3.0
 # Outlines of one id are of one marker if their sizes are within this factor, and their middles
 # within this part of the smaller one's side.
 _ONE_MARKER, _BESIDE = 1.5, 0.25
+
+# Grey levels: an image with less between its darkest and brightest pixel shows nothing, and
+# one whose mean is nearer than this to black or white shows little.
+_FLAT = 12.0
+_DARK = 12.0
+_BRIGHT = 243.0
+# A marker and its corners, (4, 2) ideal px from its top left on.
+Decoded = Tuple[Match, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -199,7 +207,7 @@ class MarkerDetector:
         report: DetectionReport,
     ) -> List[DetectedMarker]:
         quads = self._quads(smooth, contrast, 2 if report.second_pass else 1)
-        found: List[Tuple[Match, np.ndarray]] = []
+        found: List[Decoded] = []
         report.quads = report.undecoded = 0
         report.cropped, report.other_ids = [], []
         image = grey.astype(np.float32)
@@ -212,21 +220,16 @@ class MarkerDetector:
             if report.quads == self.settings.max_quads:
                 break
             report.quads += 1
-            decoded = None
-            for version in np.flatnonzero(same)[:_TRIES]:
-                decoded = self._decode(image, quads[version], lens)
-                if decoded is not None:
-                    break
+            tries = (self._decode(image, each, lens) for each in quads[same][:_TRIES])
+            decoded = next((one for one in tries if one is not None), None)
             if decoded is None:
                 report.undecoded += 1
             else:
-                take(decoded, found)
+                add_decoded(decoded, found)
         self._look_into_cells(image, found, lens)
         return self._choose(found, grey.shape, lens, report)
 
-    def _look_into_cells(
-        self, image: np.ndarray, found: List[Tuple[Match, np.ndarray]], lens: Lens
-    ) -> None:
+    def _look_into_cells(self, image: np.ndarray, found: List[Decoded], lens: Lens) -> None:
         """Add the markers in the white cells of those that were found."""
         for read, corners in found[:]:
             pattern = self.dictionary.pattern(read.marker)
@@ -236,7 +239,7 @@ class MarkerDetector:
                     continue
                 decoded = self._decode(image, quad, lens)
                 if decoded is not None:
-                    take(decoded, found)
+                    add_decoded(decoded, found)
 
     def _quads(self, grey: np.ndarray, contrast: float, scale: int) -> np.ndarray:
         """Return candidates in px of the image, the largest first."""
@@ -254,9 +257,7 @@ class MarkerDetector:
         sides = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).mean(axis=1)
         return quads[np.argsort(-sides, kind="stable")]
 
-    def _decode(
-        self, image: np.ndarray, quad: np.ndarray, lens: Lens
-    ) -> Optional[Tuple[Match, np.ndarray]]:
+    def _decode(self, image: np.ndarray, quad: np.ndarray, lens: Lens) -> Optional[Decoded]:
         cells = self.dictionary.cells
         if not may_be_marker(image, quad, cells, lens):
             return None
@@ -273,7 +274,7 @@ class MarkerDetector:
 
     def _choose(
         self,
-        found: List[Tuple[Match, np.ndarray]],
+        found: List[Decoded],
         shape: Tuple[int, ...],
         lens: Lens,
         report: DetectionReport,
@@ -294,7 +295,7 @@ class MarkerDetector:
         return chosen
 
 
-def take(decoded: Tuple[Match, np.ndarray], found: List[Tuple[Match, np.ndarray]]) -> None:
+def add_decoded(decoded: Decoded, found: List[Decoded]) -> None:
     """Add a marker; of two outlines of one marker, the one that looks more like it stays.
 
     A panel before a bright sky has an outline of its own, about as large as its marker's.
@@ -307,7 +308,7 @@ def take(decoded: Tuple[Match, np.ndarray], found: List[Tuple[Match, np.ndarray]
     found.append(decoded)
 
 
-def _same_marker(first: Tuple[Match, np.ndarray], second: Tuple[Match, np.ndarray]) -> bool:
+def _same_marker(first: Decoded, second: Decoded) -> bool:
     if first[0].marker != second[0].marker:
         return False
     sides = mean_side(first[1]), mean_side(second[1])
@@ -345,13 +346,6 @@ def noise_level(grey: np.ndarray) -> float:
         return 0.0
     median = middle - 0.5 + (0.5 * both.size - below) / (counts[middle] - below)
     return float(median) / (0.6745 * 6.0)
-
-
-# Grey levels: an image with less between its darkest and brightest pixel shows nothing, and
-# one whose mean is nearer than this to black or white shows little.
-_FLAT = 12.0
-_DARK = 12.0
-_BRIGHT = 243.0
 
 
 def why_nothing(report: DetectionReport, dictionary: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, Mapping, Optional, Sequence
+from typing import List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -115,12 +115,6 @@ _CLEARLY_UPRIGHT = 0.0014
 _UP = np.array([0.0, -1.0, 0.0])
 
 
-@dataclass(frozen=True)
-class _Seen:
-    id: int
-    pose: MarkerPose
-
-
 class PoseMemory:
     """Chooses between the two poses of each marker, from one image to the next.
 
@@ -134,7 +128,7 @@ class PoseMemory:
 
     def __init__(self, upright: bool = True):
         self._upright = upright
-        self._last: List[_Seen] = []
+        self._last: List[Tuple[int, MarkerPose]] = []
         self._stamp = -np.inf
 
     def forget(self) -> None:
@@ -147,7 +141,7 @@ class PoseMemory:
             self._last = []
         poses = [self._choose(marker) for marker in markers]
         if poses:
-            self._last = [_Seen(m.id, pose) for m, pose in zip(markers, poses)]
+            self._last = [(m.id, pose) for m, pose in zip(markers, poses)]
             self._stamp = stamp
         return poses
 
@@ -158,20 +152,13 @@ class PoseMemory:
         previous = self._previous(marker)
         if previous is not None:
             return estimate.nearest_to(previous.rotation)
-        if self._upright:
-            return _upright(estimate)
-        return estimate.best
+        return estimate.upright(_UP, _CLEARLY_UPRIGHT) if self._upright else estimate.best
 
     def _previous(self, marker: ObservedMarker) -> Optional[MarkerPose]:
         """Return the last pose of this very marker; others may bear the same id."""
         place = marker.pose.best.translation
-        same = [seen.pose for seen in self._last if seen.id == marker.id]
+        same = [pose for number, pose in self._last if number == marker.id]
         distances = [float(np.linalg.norm(pose.translation - place)) for pose in same]
         if not same or min(distances) > _NEAR * marker.pose.best.distance:
             return None
         return same[int(np.argmin(distances))]
-
-
-def _upright(estimate: PoseEstimate) -> MarkerPose:
-    gain = float((estimate.alternative.rotation[:, 1] - estimate.best.rotation[:, 1]) @ _UP)
-    return estimate.alternative if gain > _CLEARLY_UPRIGHT else estimate.best

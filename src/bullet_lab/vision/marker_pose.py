@@ -80,18 +80,17 @@ class PoseEstimate:
 
     def nearest_to(self, rotation: np.ndarray) -> MarkerPose:
         """Return the pose that is turned least against a (3, 3) rotation, such as the last."""
-        return max(self._both, key=lambda pose: float(np.sum(pose.rotation * rotation)))
+        both = self.best, self.alternative
+        return max(both, key=lambda pose: float(np.sum(pose.rotation * rotation)))
 
-    def upright(self, up: np.ndarray) -> MarkerPose:
-        """Return the pose whose y axis is nearest a direction (3,) of the optical frame.
+    def upright(self, up: np.ndarray, least: float = 0.0) -> MarkerPose:
+        """Return the pose whose y axis is nearer a direction (3,) of the optical frame.
 
-        A marker on an upright wall has its y axis up: (0, -1, 0) for a level camera.
+        A marker on an upright wall has its y axis up: (0, -1, 0) for a level camera. The one that
+        fits worse is returned only if the cosine of its angle is larger by `least`.
         """
-        return max(self._both, key=lambda pose: float(pose.rotation[:, 1] @ np.asarray(up)))
-
-    @property
-    def _both(self) -> Tuple[MarkerPose, MarkerPose]:
-        return self.best, self.alternative
+        gain = (self.alternative.rotation[:, 1] - self.best.rotation[:, 1]) @ np.asarray(up)
+        return self.alternative if gain > least else self.best
 
 
 def estimate_pose(

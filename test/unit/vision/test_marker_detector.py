@@ -13,8 +13,8 @@ from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_detector import (
     DetectorSettings,
     MarkerDetector,
+    add_decoded,
     noise_level,
-    take,
     why_nothing,
 )
 
@@ -117,7 +117,7 @@ def test_of_two_outlines_of_one_marker_the_likelier_stays():
     beside = (Match(0, 0, 0, 0.8), 100.0 + 25.0 * square + (60.0, 0.0))
     found = []
     for decoded in (panel, marker_itself, panel, inner, other_id, beside):
-        take(decoded, found)
+        add_decoded(decoded, found)
     assert found == [marker_itself, inner, other_id, beside]
 
 
