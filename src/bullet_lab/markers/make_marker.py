@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 from typing import NoReturn, Optional, Sequence
 
+from bullet_lab.core.arguments import ArgumentParser
 from bullet_lab.errors import LabError
 from bullet_lab.markers.faces import Face, Print, dots_face, nested_face, plate_face, wall_face
 from bullet_lab.markers.images import MarkerError, dictionary_names
@@ -63,18 +64,11 @@ def _write_plate(face: Face, values: argparse.Namespace, said: str) -> None:
         write_plate(face, PLATE_THICKNESS, values.out, values.out.absolute().name)
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser that complains in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        _end(message, STATUS_BAD_INPUT)
-
-
-def parser() -> argparse.ArgumentParser:
+def parser() -> ArgumentParser:
     """Return the parser of the command line."""
     default = Print()
     names = argparse.RawDescriptionHelpFormatter
-    made = _Parser(prog="make_marker.py", description=__doc__, formatter_class=names)
+    made = ArgumentParser(prog="make_marker.py", description=__doc__, formatter_class=names)
     made.add_argument("out", type=Path, help="folder that is written to; its name is the model's")
     made.add_argument(
         "--dictionary",
@@ -115,16 +109,12 @@ def main(arguments: Optional[Sequence[str]] = None) -> NoReturn:
     try:
         said = make(parser().parse_args(words))
     except LabError as error:
-        _end(str(error), STATUS_BAD_INPUT)
+        print(f"make_marker: {error}", file=sys.stderr, flush=True)
+        sys.exit(STATUS_BAD_INPUT)
     except KeyboardInterrupt:
         sys.exit(STATUS_INTERRUPTED)
     print(f"make_marker: {said}", flush=True)
     sys.exit(0)
-
-
-def _end(line: str, status: int) -> NoReturn:
-    print(f"make_marker: {line}", file=sys.stderr, flush=True)
-    sys.exit(status)
 
 
 if __name__ == "__main__":
