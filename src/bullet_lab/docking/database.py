@@ -45,7 +45,7 @@ class DockWalls:
 
 @dataclass(frozen=True)
 class DockTolerance:
-    """What counts as docked: m along the axis, m across it, rad."""
+    """Limits within which a robot is docked: m along the axis, m across it, rad."""
 
     distance: float
     lateral: float

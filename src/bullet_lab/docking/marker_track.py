@@ -10,7 +10,7 @@ changes by more or less than it should; the marker's height betrays many at once
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import astuple
 from typing import Optional, Tuple
 
 import numpy as np
@@ -309,15 +309,7 @@ class MarkerTrack:
         self._spot_frames += 1
         few = _OF_A_SMALL_ONE if extent < _SMALL else _FRAMES_AT_A_SPOT
         repeated = max(1.0, self._spot_frames / few)
-        noise = self._noise
-        return replace(
-            noise,
-            corner=noise.corner * repeated,
-            relative=noise.relative * repeated,
-            small=noise.small * repeated,
-            tilt=noise.tilt * repeated,
-            turn=noise.turn * repeated,
-        )
+        return PixelNoise(*(repeated * value for value in astuple(self._noise)))
 
     def _weigh(self) -> None:
         """Put the weights together: of the sizes, and of the yaws within each."""

@@ -449,7 +449,7 @@ TRANSITIONS: Dict[Type[State], Dict[str, Type[State]]] = {
     Confirm: {"within tolerance": Docked, "failed": Retreat, "lost": Measure},
     Docked: {},
 }
-"""What follows each state, by how it ended. It begins with `Look`."""
+"""The state that follows each one, by how it ended. It begins with `Look`."""
 
 
 class StateMachine:

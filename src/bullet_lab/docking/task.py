@@ -38,15 +38,15 @@ _UNDOCKED = 0.003
 
 
 class DockingTaskError(LabError):
-    """What docking is asked for makes no sense."""
+    """A docking that makes no sense."""
 
 
 class UndockingTaskError(LabError):
-    """What undocking is asked for makes no sense."""
+    """An undocking that makes no sense."""
 
 
 class _Task:
-    """What both tasks share: the watch over time, odometry and wheels, and the ramp.
+    """The part that both tasks share: the watch over time, odometry and wheels, and the ramp.
 
     Args:
         done: what has been done in the end, in a word.

@@ -114,7 +114,7 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What was seen in one image; also given when nothing was."""
+    """All sightings in one image; also given when there are none."""
 
     stamp: float
     camera: PinholeCamera
@@ -123,7 +123,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class PixelNoise:
-    """What the corners of one image are uncertain by.
+    """Uncertainty of the corners in one image.
 
     Attributes:
         corner: px, standard deviation of each corner, on its own.

@@ -1,1 +1,1 @@
-"""What images show: markers, edges, corners. OpenCV and numpy, no ROS."""
+"""Detectors of markers, edges and corners in images: OpenCV and numpy, no ROS."""

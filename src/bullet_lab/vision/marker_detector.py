@@ -51,7 +51,7 @@ Decoded = Tuple[Match, np.ndarray]
 
 @dataclass(frozen=True)
 class DetectorSettings:
-    """What to look for, and how.
+    """Settings of a detector: what to look for, and how.
 
     Attributes:
         dictionary: a name of `dictionaries.DICTIONARY_NAMES`, as `dictionary_named` takes it.
@@ -242,7 +242,7 @@ class MarkerDetector:
                     add_decoded(decoded, found)
 
     def _quads(self, grey: np.ndarray, contrast: float, scale: int) -> np.ndarray:
-        """Return candidates in px of the image, the largest first."""
+        """Return (n, 4, 2) quadrilaterals in px of the image, the largest first."""
         settings = self.settings
         if scale > 1:
             size = (grey.shape[1] * scale, grey.shape[0] * scale)
