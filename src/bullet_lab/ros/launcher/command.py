@@ -93,7 +93,8 @@ def _defaults(job: Job) -> dict[str, str]:
 def _run(job: Job, values: dict[str, str], package: Path, signals: StopSignals) -> int:
     started = time.monotonic()
     with OutputFolder(Path(values["out"])) as out:
-        with_rviz = values.get("rviz", job.default_of("rviz")) == "true"
+        rviz = job.arguments.get("rviz")
+        with_rviz = rviz is not None and values.get("rviz", rviz.default) == "true"
         if with_rviz and not _set_up_rviz(package / "scripts" / "setup.sh", signals):
             return 128 + signals.received if signals.received else STATUS_FAILED
         status = _supervise(job, values, with_rviz, out, signals)

@@ -18,7 +18,7 @@ import importlib
 import re
 from dataclasses import MISSING, dataclass, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Iterable
 from xml.dom import minidom
 from xml.parsers.expat import ExpatError
 
@@ -30,7 +30,7 @@ from bullet_lab.core.parameters import Declaration, declarations, declared
 from bullet_lab.errors import LabError
 
 _PACKAGE = "bullet_lab"
-_BRACKET = re.compile(r"\s*\[([^\[\]]+)\]\s*$")
+_DOC = re.compile(r"(.*?)(\s*\[([^\[\]]+)\])?")
 _NUMERIC = re.compile(r"(number|integer)((?: (?:>=|<=) [-+.\d]+| > [-+.\d]+)*)")
 _BOUND = re.compile(r"(>=|<=|>) ([-+.\d]+)")
 _BOUNDS = {">=": "minimum", "<=": "maximum", ">": "above"}
@@ -114,16 +114,12 @@ class Argument:
 
 @dataclass(frozen=True)
 class Job:
-    """A launch file that can be run by its name."""
+    """A launch file that can be run by its name; its arguments by theirs."""
 
     name: str
     path: Path
     summary: str
-    arguments: tuple[Argument, ...]
-
-    def default_of(self, name: str) -> str | None:
-        """The unresolved default of an argument, None where there is none."""
-        return next((a.default for a in self.arguments if a.name == name), None)
+    arguments: dict[str, Argument]
 
 
 def find_jobs(package: Path) -> dict[str, Job]:
@@ -140,20 +136,20 @@ def read_job(path: Path, package: Path) -> Job:
     """
     document = _parse(path)
     targets = _targets(path, package)
-    arguments = []
+    arguments = {}
     for node in document.documentElement.childNodes:
         # An <arg> with a value is a constant, which roslaunch lets nobody change.
         if node.nodeName == "arg" and not node.hasAttribute("value"):
             name = node.getAttribute("name")
             default = node.getAttribute("default") if node.hasAttribute("default") else None
-            doc, bracket = _split(" ".join(node.getAttribute("doc").split()))
+            doc, _, bracket = _DOC.fullmatch(" ".join(node.getAttribute("doc").split())).groups()
             try:
-                own = _bracket_check(name, bracket)
+                own = _bracket_check(name, bracket or "")
             except UsageError as error:
                 raise UsageError(f"{path}: {error}") from error
             handed = tuple(targets.get(name, ()))
-            arguments.append(Argument(name, default, doc, bracket, own, handed))
-    return Job(path.stem, path, _first_sentence(document), tuple(arguments))
+            arguments[name] = Argument(name, default, doc, bracket or "", own, handed)
+    return Job(path.stem, path, _first_sentence(document), arguments)
 
 
 def _parse(path: Path) -> minidom.Document:
@@ -161,11 +157,6 @@ def _parse(path: Path) -> minidom.Document:
         return defusedxml.minidom.parse(str(path))
     except (OSError, ExpatError, DefusedXmlException) as error:
         raise UsageError(f"{path}: {error}") from error
-
-
-def _split(doc: str) -> tuple[str, str]:
-    found = _BRACKET.search(doc)
-    return (doc[: found.start()], found.group(1).strip()) if found else (doc, "")
 
 
 def _bracket_check(name: str, bracket: str) -> Declaration | None:
@@ -262,7 +253,7 @@ def read_assignments(job: Job, words: list[str]) -> dict[str, str]:
         UsageError: a word is no assignment, or its name is not one of the job's.
         ParameterError: a value is not allowed.
     """
-    known = {argument.name: argument for argument in job.arguments}
+    known = job.arguments
     values = {}
     for word in words:
         name, assigned, value = word.partition(":=")
@@ -275,13 +266,13 @@ def read_assignments(job: Job, words: list[str]) -> dict[str, str]:
             )
         known[name].check(value)
         values[name] = value
-    missing = [a.name for a in job.arguments if a.default is None and a.name not in values]
+    missing = [a.name for a in known.values() if a.default is None and a.name not in values]
     if missing:
         raise UsageError(f"{job.name} needs a value for {', '.join(missing)}")
     return values
 
 
-def _hint(name: str, known) -> str:
+def _hint(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, list(known), n=1)
     return f" (did you mean {close[0]!r}?)" if close else ""
 
@@ -303,7 +294,7 @@ def list_of_jobs(jobs: dict[str, Job]) -> str:
 
 def help_on(job: Job, defaults: dict[str, str]) -> str:
     """The help on a job; defaults are the launch file's by the argument's name, resolved."""
-    rows = [a.help(defaults.get(a.name, a.default or "")) for a in job.arguments]
+    rows = [a.help(defaults.get(a.name, a.default or "")) for a in job.arguments.values()]
     width = max((len(left) for left, _ in rows), default=0)
     lines = [f"  {left:{width}}  {doc}".rstrip() for left, doc in rows]
     return "\n".join([f"{job.name}: {job.summary}", "", "arguments and defaults:", *lines])

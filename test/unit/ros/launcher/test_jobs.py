@@ -48,12 +48,12 @@ def argument(doc, folder):
     """An argument that is handed to no node."""
     return read(
         "a", f'<launch><arg name="std" default="" doc="{doc}"/></launch>', folder
-    ).arguments[0]
+    ).arguments["std"]
 
 
 def test_job_says_what_its_file_says(job):
     assert (job.name, job.summary) == ("thing", "Does one thing well.")
-    assert [(a.name, a.default, a.doc, a.bracket) for a in job.arguments] == [
+    assert [(a.name, a.default, a.doc, a.bracket) for a in job.arguments.values()] == [
         ("std", "0.1", "Noise per metre", "number >= 0"),
         ("empty", "", "", ""),
     ]
@@ -183,7 +183,7 @@ NODES = """
 
 def test_arguments_are_described_by_the_nodes_that_they_are_handed_to(tmp_path):
     job = read("a", NODES, tmp_path)
-    assert {a.name: a.targets for a in job.arguments} == {
+    assert {a.name: a.targets for a in job.arguments.values()} == {
         "noise": (Target("bullet_lab.ros.nodes.noisy_odom", "std"),),
         "seed": (
             Target("bullet_lab.ros.nodes.noisy_odom", "seed"),
@@ -227,8 +227,8 @@ def test_every_shipped_job_has_the_common_arguments_and_sound_defaults():
     assert {"squares", "beacons"} <= set(jobs)
     for job in jobs.values():
         assert job.summary.endswith(".")
-        assert {"out", "rtf", "seed", "rviz"} <= {a.name for a in job.arguments}
-        for argument in job.arguments:
+        assert {"out", "rtf", "seed", "rviz"} <= {a.name for a in job.arguments.values()}
+        for argument in job.arguments.values():
             assert argument.doc, argument.name
             if argument.default == "" and not argument.bracket:
                 assert argument.declarations(), f"{job.name}: nobody declares {argument.name}"
