@@ -260,13 +260,13 @@ def read_parameters(
     Raises:
         ParameterError: a value that is not allowed, or a name that is not declared.
     """
-    declared = declarations(kind)
-    unknown = sorted(set(given or ()) - set(declared))
+    found = declarations(kind)
+    unknown = sorted(set(given or ()) - set(found))
     if unknown:
-        known = ", ".join(f"~{name}" for name in sorted(declared))
+        known = ", ".join(f"~{name}" for name in sorted(found))
         raise ParameterError(f"there is no parameter ~{unknown[0]}: known are {known}")
     values = {}
-    for name, declaration in declared.items():
+    for name, declaration in found.items():
         value = get(f"~{name}", MISSING)
         if value is not MISSING:
             values[name] = declaration.read(value, f"~{name}")
