@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import List, Tuple
-from xml.etree.ElementTree import Element, SubElement, tostring
+from typing import List, Optional, Sequence, Tuple
+from xml.sax.saxutils import escape
 
 import numpy as np
 from PIL import Image
@@ -22,7 +22,6 @@ DOCK_DEPTH = 2.0
 WALL_THICKNESS = 0.2
 PLATE_THICKNESS = 0.02
 POST_WIDTH = 0.04
-HEADER = '<?xml version="1.0"?>\n'
 
 Vector = Tuple[float, float, float]
 
@@ -37,16 +36,57 @@ _SIDES = (
     ((0, 0, -1), ((1, 1, -1), (1, -1, -1), (0, -1, -1), (0, 1, -1))),
 )
 
+_SDF = """<?xml version="1.0"?>
+<sdf version="1.6">
+  <model name="{name}">
+    <static>true</static>
+    <link name="link">{shapes}
+    </link>
+  </model>
+</sdf>
+"""
+_SHAPES = """
+      <collision name="{name}">{box}
+      </collision>
+      <visual name="{name}">{visual}
+      </visual>"""
+_BOX = """
+        <pose>{place} 0 0 0</pose>
+        <geometry>
+          <box>
+            <size>{size}</size>
+          </box>
+        </geometry>"""
+_MESH = """
+        <pose>{place} 0 0 0</pose>
+        <geometry>
+          <mesh>
+            <uri>model://{model}/meshes/{name}.obj</uri>
+          </mesh>
+        </geometry>"""
+_GREY = """
+        <material>
+          <ambient>{0} {0} {0} 1</ambient>
+          <diffuse>{0} {0} {0} 1</diffuse>
+        </material>"""
+_CONFIG = """<?xml version="1.0"?>
+<model>
+  <name>{name}</name>
+  <version>1.0</version>
+  <sdf version="1.6">model.sdf</sdf>
+  <description>{about}</description>
+</model>
+"""
+
 
 @dataclass(frozen=True)
 class _Part:
-    """A box of a model; a `mesh` is drawn instead of it, with its origin at `mesh_origin`."""
+    """A box of a model; with a `mesh_origin`, the mesh of its name is drawn there instead of it."""
 
     name: str
     size: Vector
     centre: Vector
-    mesh: str = ""
-    mesh_origin: Vector = (0.0, 0.0, 0.0)
+    mesh_origin: Optional[Vector] = None
 
 
 def write_panel(face: Face, height: float, folder: Path, about: str) -> None:
@@ -67,13 +107,12 @@ def write_panel(face: Face, height: float, folder: Path, about: str) -> None:
         raise MarkerError(f"a plate of {face.size:g} m at a height of {height:g} m is in the floor")
     middle = 0.5 * PLATE_THICKNESS
     plate = (PLATE_THICKNESS, face.size, face.size)
-    mesh = _uri(folder, "plate")
-    parts = [_Part("plate", plate, (middle, 0.0, height), mesh, (0.0, 0.0, height))]
+    parts = [_Part("plate", plate, (middle, 0.0, height), (0.0, 0.0, height))]
     if below > 0.0:
         post = (PLATE_THICKNESS, POST_WIDTH, below)
         parts.append(_Part("post", post, (middle, 0.0, 0.5 * below)))
     write_plate(face, PLATE_THICKNESS, folder / "meshes", "plate")
-    _write_model(folder, tuple(parts), about)
+    _write_model(folder, parts, about)
 
 
 def write_dock(face: Face, folder: Path, about: str) -> None:
@@ -86,9 +125,8 @@ def write_dock(face: Face, folder: Path, about: str) -> None:
     side = (DOCK_DEPTH + WALL_THICKNESS, WALL_THICKNESS, size)
     x = 0.5 * (WALL_THICKNESS - DOCK_DEPTH)
     y = half + 0.5 * WALL_THICKNESS
-    mesh = _uri(folder, "back_wall")
     parts = (
-        _Part("back_wall", back, (0.5 * WALL_THICKNESS, 0.0, half), mesh, (0.0, 0.0, half)),
+        _Part("back_wall", back, (0.5 * WALL_THICKNESS, 0.0, half), (0.0, 0.0, half)),
         _Part("left_wall", side, (x, y, half)),
         _Part("right_wall", side, (x, -y, half)),
     )
@@ -150,77 +188,29 @@ def _mtl(name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _uri(folder: Path, mesh: str) -> str:
-    return f"model://{_name(folder)}/meshes/{mesh}.obj"
-
-
-def _name(folder: Path) -> str:
-    return folder.absolute().name
-
-
-def _write_model(folder: Path, parts: Tuple[_Part, ...], about: str) -> None:
+def _write_model(folder: Path, parts: Sequence[_Part], about: str) -> None:
     make_folder(folder)
-    root = Element("sdf", version="1.6")
-    model = SubElement(root, "model", name=_name(folder))
-    SubElement(model, "static").text = "true"
-    link = SubElement(model, "link", name="link")
-    for part in parts:
-        _add_part(link, part)
-    config = Element("model")
-    SubElement(config, "name").text = _name(folder)
-    SubElement(config, "version").text = "1.0"
-    SubElement(config, "sdf", version="1.6").text = "model.sdf"
-    SubElement(config, "description").text = about
-    for name, element in (("model.sdf", root), ("model.config", config)):
-        _indent(element)
-        text = HEADER + tostring(element, encoding="unicode")
-        replace_file(folder / name, lambda path, text=text: path.write_text(text))
+    name = folder.absolute().name
+    shapes = "".join(_shapes(part, name) for part in parts)
+    files = {
+        "model.sdf": _SDF.format(name=name, shapes=shapes),
+        "model.config": _CONFIG.format(name=name, about=escape(about)),
+    }
+    for file, text in files.items():
+        replace_file(folder / file, lambda path, text=text: path.write_text(text))
 
 
-def _add_part(link: Element, part: _Part) -> None:
-    collision = SubElement(link, "collision", name=part.name)
-    _add_box(collision, part)
-    visual = SubElement(link, "visual", name=part.name)
-    if not part.mesh:
-        _add_box(visual, part)
-        _add_material(visual)
-        return
-    # No <material>: Gazebo would paint it over the texture.
-    _add_pose(visual, part.mesh_origin)
-    mesh = SubElement(SubElement(visual, "geometry"), "mesh")
-    SubElement(mesh, "uri").text = part.mesh
-
-
-def _add_box(element: Element, part: _Part) -> None:
-    _add_pose(element, part.centre)
-    box = SubElement(SubElement(element, "geometry"), "box")
-    SubElement(box, "size").text = _numbers(part.size)
-
-
-def _add_pose(element: Element, position: Vector) -> None:
-    SubElement(element, "pose").text = f"{_numbers(position)} 0 0 0"
-
-
-def _add_material(visual: Element) -> None:
-    material = SubElement(visual, "material")
-    grey = f"{WALL_GREY / 255.0:.3f}"
-    for name in ("ambient", "diffuse"):
-        SubElement(material, name).text = f"{grey} {grey} {grey} 1"
+def _shapes(part: _Part, model: str) -> str:
+    """Return a part's collision and visual."""
+    box = _BOX.format(place=_numbers(part.centre), size=_numbers(part.size))
+    if part.mesh_origin is None:
+        visual = box + _GREY.format(f"{WALL_GREY / 255.0:.3f}")
+    else:
+        # No <material>: Gazebo would paint it over the texture.
+        place = _numbers(part.mesh_origin)
+        visual = _MESH.format(place=place, model=model, name=part.name)
+    return _SHAPES.format(name=part.name, box=box, visual=visual)
 
 
 def _numbers(values: Vector) -> str:
     return " ".join(f"{value:.9g}" for value in values)
-
-
-def _indent(element: Element, level: int = 0) -> None:
-    """Put each element on its own line; ElementTree learnt it in Python 3.9 only."""
-    children = list(element)
-    if children:
-        element.text = "\n" + "  " * (level + 1)
-    for child in children:
-        _indent(child, level + 1)
-        child.tail = "\n" + "  " * (level + 1)
-    if children:
-        children[-1].tail = "\n" + "  " * level
-    if level == 0:
-        element.tail = "\n"
