@@ -22,7 +22,7 @@ from bullet_lab.srv import Advance
 rospy.init_node("waiting", disable_signals=True)
 rospy.wait_for_service("/bullet_lab/advance")
 print("joining", flush=True)
-rospy.ServiceProxy("/bullet_lab/advance", Advance)("/waiting", rospy.Time(10), 0)
+rospy.ServiceProxy("/bullet_lab/advance", Advance)("/waiting", 1, rospy.Time(10), [], [], [])
 """
 
 # Asks for more steps than anybody can wait for.

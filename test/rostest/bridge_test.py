@@ -51,7 +51,7 @@ import rospy
 from bullet_lab.srv import Advance
 rospy.init_node("sleeper")
 rospy.wait_for_service("/bullet_lab/advance")
-rospy.ServiceProxy("/bullet_lab/advance", Advance)("/sleeper", rospy.Time(float(sys.argv[1])), 0)
+rospy.ServiceProxy("/bullet_lab/advance", Advance)("/sleeper", 1, rospy.Time(float(sys.argv[1])), [], [], [])
 print("joined", flush=True)
 time.sleep(1000)
 """
@@ -71,15 +71,20 @@ def step(steps):
     return milliseconds(answer.now)
 
 
-def advance(until, commands=0, node=None):
+def advance(until, commands=0, node=None, epoch=1):
     """Let time go on to so many ms, for all that this test cares; return the answer."""
     stamp = rospy.Time(*divmod(until * MILLISECOND, 10**9))
-    return call("/bullet_lab/advance", Advance, node or rospy.get_name(), stamp, commands)
+    return advance_to(stamp, commands, node or rospy.get_name(), epoch)
+
+
+def advance_to(stamp, commands, node, epoch):
+    sent = (["/cmd_vel"], ["/pybullet_bridge"], [commands])
+    return call("/bullet_lab/advance", Advance, node, epoch, stamp, *sent)
 
 
 def leave(commands=0):
     """Let time go on for ever, as soon as so many commands have arrived."""
-    call("/bullet_lab/advance", Advance, rospy.get_name(), END_OF_TIME, commands)
+    advance_to(END_OF_TIME, commands, rospy.get_name(), 0)
 
 
 def milliseconds(stamp):
@@ -338,13 +343,13 @@ class TimeTest(BridgeCase):
         self.start()
         clock, odom = self.topic("/clock", Clock), self.topic("odom", Odometry)
         commands = self.commands()
-        for _ in range(2):
+        for sent in (1, 3):
             commands.publish(twist(vx=0.5))
-            leave(1)
+            leave(sent)
             self.assertEqual(130, step(130))
             call("/gazebo/reset_simulation", Empty)
             commands.publish(twist())
-            leave(2)
+            leave(sent + 1)
             self.assertEqual(0, step(0))
         clock.wait(26)
         odom.wait(4)
@@ -422,7 +427,7 @@ class LockStepTest(BridgeCase):
             commands.publish(twist())
         leave(5)
         # Another life of the same name counts from 0.
-        now = int(milliseconds(advance(0).now))
+        now = int(milliseconds(advance(0, epoch=0).now))
         going = threading.Thread(target=advance, args=(now + 1000, 1), daemon=True)
         going.start()
         time.sleep(0.5)
@@ -475,6 +480,24 @@ class LockStepTest(BridgeCase):
         waiting.join(60)
         self.assertFalse(answers[0].success)
         self.assertEqual(0, milliseconds(answers[0].now))
+
+    def test_reset_reaches_a_member_that_is_busy(self):
+        self.start(paused=False, lock_step=rospy.get_name())
+        clock = self.topic("/clock", Clock)
+        for reset, now in (("world", 100), ("simulation", 0)):
+            epoch = advance(0, epoch=0).epoch
+            self.assertTrue(advance(100, epoch=epoch).success)
+            call(f"/gazebo/reset_{reset}", Empty)
+            # It was busy, and asks for what it would have asked for without the reset.
+            answer = advance(30_000, epoch=epoch)
+            self.assertFalse(answer.success)
+            self.assertEqual(now, milliseconds(answer.now))
+            self.assertEqual(epoch + 1, answer.epoch)
+            time.sleep(0.3)
+            self.assertEqual(100, clocks(clock)[-1])
+            self.assertTrue(advance(now + 50, epoch=answer.epoch).success)
+            clock.wait(15)
+            del clock.messages[-5:]
 
 
 # Commands (m/s, rad/s) that make a path in which each of them shows.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Callable, List, Mapping
 
+from bullet_lab.ros.bridge.device_topics import DeviceTopics
 from bullet_lab.ros.bridge.stepper import Stepper
-from bullet_lab.ros.bridge.wiring import Wiring
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
 
 
@@ -19,7 +19,7 @@ class RunningWorld:
     """
 
     stepper: Stepper
-    wiring: Wiring
+    topics: DeviceTopics
     changed: List[Callable[[str], None]] = field(default_factory=list)
 
     @property

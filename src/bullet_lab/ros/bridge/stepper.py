@@ -10,12 +10,11 @@ import contextlib
 import queue
 import threading
 import time
-from collections import Counter
-from typing import Any, Callable, Optional, Sequence
+from typing import Any, Callable, NamedTuple, Optional, Sequence
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.bridge.loop_watch import WAITING, Lag, LoopWatch
-from bullet_lab.ros.bridge.pace import FOR_EVER, Pace, TimeGate
+from bullet_lab.ros.bridge.lock_step import FOR_EVER, TimeGate
+from bullet_lab.ros.bridge.speed import WAITING, Lag, LoopWatch, Pace
 from bullet_lab.simulation.simulation import Simulation
 
 # Between two looks at what others want, at full speed: about two milliseconds of wall time.
@@ -28,6 +27,20 @@ PATIENCE = 2.0
 
 class StepperError(LabError):
     """The simulation ends before it has done what was asked."""
+
+
+class Reached(NamedTuple):
+    """What became of a grant.
+
+    Attributes:
+        success: whether time has come there.
+        step: that it is at.
+        epoch: that it is now.
+    """
+
+    success: bool
+    step: int
+    epoch: int
 
 
 class Stepper:
@@ -44,6 +57,9 @@ class Stepper:
         after_steps: called when steps have been made, before anybody is told of them.
         report_lag: called when time does not hold its speed, every few seconds.
         watch: notices that.
+
+    Attributes:
+        epoch: one more than there were resets, of the world or of time.
     """
 
     def __init__(
@@ -75,8 +91,7 @@ class Stepper:
         self._tasks: queue.Queue[_Task] = queue.Queue()
         self._wake = threading.Condition()
         self._wakeups = 0
-        self._commands: Counter = Counter()
-        self._resets = 0
+        self.epoch = 1
 
     @property
     def paused(self) -> bool:
@@ -149,54 +164,46 @@ class Stepper:
 
     def reset_world(self) -> None:
         """Put all models back; time goes on."""
-        self.do(self.simulation.reset_world)
+        self.do(self._reset_world)
 
     def reset_simulation(self) -> None:
         """Put all models back and start time again at 0."""
         self.do(self._reset_simulation)
 
-    def note_command(self, member: str) -> None:
-        """Note that a command of a member of the lock step has arrived."""
-        with self._wake:
-            self._commands[member] += 1
-            self._wake.notify_all()
+    def join(self, member: str) -> Reached:
+        """Have time stand until a member grants more, and return when it stands."""
+        while True:
+            answer = self.grant(member, 0, self.epoch)
+            # A reset may have come in between.
+            if answer.success or self._is_over():
+                return answer
 
-    def await_commands(self, member: str, count: int) -> bool:
-        """Wait until so many commands of a member have arrived; False if they do not come.
-
-        Args:
-            member: who has sent them.
-            count: how many, since it started. One that has sent none yet has just started,
-                and what an earlier node of its name has sent counts no longer.
-        """
-        with self._wake:
-            if count == 0:
-                self._commands[member] = 0
-            if self._wake.wait_for(lambda: self._commands[member] >= count, PATIENCE):
-                return True
-            # Do not wait for the lost ones again.
-            self._commands[member] = count
-            return False
-
-    def grant(self, member: str, step: float) -> bool:
+    def grant(self, member: str, step: float, epoch: int) -> Reached:
         """Let time go on to a step, for all that a member cares, and wait until it is there.
 
-        Returns:
-            Whether it is; False if time was set back or all is over. A grant for ever returns
-            at once.
+        It is refused, or ends early, where the world or time was reset since the epoch that the
+        member knows of, and where all is over. A grant for ever holds in every epoch and
+        returns at once.
         """
-        resets = self._resets
-        self.gate.grant(member, step)
-        self.wake()
+        with self._wake:
+            if step != FOR_EVER and epoch != self.epoch:
+                return self._reached_in(epoch, step)
+            self.gate.grant(member, step)
+            self._wakeups += 1
+            self._wake.notify_all()
         if step == FOR_EVER:
-            return True
+            return Reached(True, self._reached, self.epoch)
         if step <= self._reached:
             # The loop may be in the middle of a stride, and time stands only at the end of it.
             self.do(lambda: None)
         with self._wake:
-            while not self._wake.wait_for(lambda: self._is_settled(resets, step), LONGEST_WAIT):
+            while not self._wake.wait_for(lambda: self._is_settled(epoch, step), LONGEST_WAIT):
                 pass
-        return self._resets == resets and self._reached >= step
+            return self._reached_in(epoch, step)
+
+    def _reached_in(self, epoch: int, step: float) -> Reached:
+        reached = self._reached >= step and self.epoch == epoch
+        return Reached(reached, self._reached, self.epoch)
 
     # The loop
 
@@ -274,17 +281,25 @@ class Stepper:
         self._restart(goal)
         return goal
 
+    def _reset_world(self) -> None:
+        self.simulation.reset_world()
+        self._begin_epoch()
+
     def _reset_simulation(self) -> None:
         self.simulation.reset_simulation()
-        self._reached = 0
-        self.gate.restart()
         self._restart(0)
+        self._begin_epoch()
+
+    def _begin_epoch(self) -> None:
+        """Take back what members have granted: they know nothing of the reset."""
         with self._wake:
-            self._resets += 1
+            self._reached = self.simulation.step
+            self.gate.restart(self._reached)
+            self.epoch += 1
             self._wake.notify_all()
 
-    def _is_settled(self, resets: int, step: float) -> bool:
-        return self._reached >= step or self._resets != resets or self._is_over()
+    def _is_settled(self, epoch: int, step: float) -> bool:
+        return self._reached >= step or self.epoch != epoch or self._is_over()
 
     def _restart(self, step: int) -> None:
         """Let speed be measured from now on, with time at a step."""

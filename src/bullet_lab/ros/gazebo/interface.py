@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bullet_lab.ros.bridge.running_world import RunningWorld
-from bullet_lab.ros.bridge.world_feed import WorldFeed
+from bullet_lab.ros.bridge.world_topics import WorldMarkers
 from bullet_lab.ros.gazebo.forces import GazeboForces
 from bullet_lab.ros.gazebo.models import GazeboModels
 from bullet_lab.ros.gazebo.physics import GazeboPhysics
@@ -23,7 +23,7 @@ class Gazebo:
 
     def __init__(self, world: RunningWorld, frame: str, hidden: str, states_rate: float):
         self._world = world
-        self._feed = WorldFeed(world, frame, hidden)
+        self._markers = WorldMarkers(world, frame, hidden)
         self._topics = GazeboTopics(world, states_rate)
         self._services = [
             GazeboModels(world),

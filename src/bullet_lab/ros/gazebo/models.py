@@ -74,7 +74,7 @@ class GazeboModels:
             model, name, frame * pose * model.pose, request.robot_namespace, prefixes
         )
         try:
-            self._world.wiring.connect(instance)
+            self._world.topics.connect(instance)
         except (LabError, ValueError, rospy.ROSException) as error:
             self._take_out(name)
             raise SpawnError(f"cannot connect its topics: {error}") from error
@@ -90,7 +90,7 @@ class GazeboModels:
         return {}
 
     def _take_out(self, name: str) -> None:
-        self._world.wiring.disconnect(name)
+        self._world.topics.disconnect(name)
         self._world.simulation.remove(name)
 
     def _world_properties(self, _request: Any) -> Answer:

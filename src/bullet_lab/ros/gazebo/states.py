@@ -192,7 +192,7 @@ class _States(rospy.SubscribeListener):
         self._world = world
         self._kind = kind
         self._entities = entities
-        self._publisher = world.wiring.publisher(topic, kind)
+        self._publisher = world.topics.publisher(topic, kind)
         self._publisher.impl.add_subscriber_listener(self)
         world.changed.append(self._changed)
         world.simulation.every(rate, self._publish)

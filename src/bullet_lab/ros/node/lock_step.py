@@ -13,20 +13,24 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import time
 import xmlrpc.client
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Iterator, List, Optional, Set
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Set, Tuple
 
 import rospy
-import rosservice
+from geometry_msgs.msg import Twist
 
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import NodeError, wait_until
-from bullet_lab.srv import Advance, AdvanceRequest
+from bullet_lab.srv import Advance, AdvanceRequest, AdvanceResponse
 
 SERVICE = "/bullet_lab/advance"
 WAIT_FOR_BRIDGE_SECONDS = 60.0
+# Wall seconds for commands to find their way to the bridge, and between two looks.
+WAIT_FOR_ROUTE_SECONDS = 2.0
+ROUTE_CHECK_SECONDS = 0.1
 END_OF_TIME = rospy.Time(2**31 - 1)
 # Wall seconds for a latched message to reach subscribers that are still connecting.
 GOODBYE_SECONDS = 0.5
@@ -58,30 +62,50 @@ class Member:
 
     Attributes:
         publishers: whose messages to the bridge are awaited before time goes on.
-
-    Raises:
-        NodeError: there is no bridge that offers lock step.
     """
 
     def __init__(self):
         self.publishers: List[rospy.Publisher] = []
-        self._call: Any = None
+        self._call: Optional[rospy.ServiceProxy] = None
+        self._epoch = 0
+        self._now = rospy.Time(0)
 
     def join(self) -> rospy.Time:
-        """Hold simulated time back from now on; return what time it is."""
+        """Hold simulated time back from now on; return what time it is.
+
+        Returns when commands that are published reach the bridge, be it through a relay.
+
+        Raises:
+            ROSInterruptException: ROS or the bridge shuts down.
+            NodeError: there is no bridge that offers lock step, or it is gone.
+        """
         try:
             rospy.wait_for_service(SERVICE, WAIT_FOR_BRIDGE_SECONDS)
         except rospy.ROSException as error:
             if rospy.is_shutdown():
                 raise rospy.ROSInterruptException(str(error)) from error
             raise NodeError(f"no bridge offers {SERVICE}, which ~lock_step needs") from error
-        self._bridge = rosservice.get_service_node(SERVICE)
         self._call = rospy.ServiceProxy(SERVICE, Advance, persistent=True)
-        # A grant up to time 0 joins, and is reached already.
-        return self.advance(rospy.Time(0))
+        deadline = time.monotonic() + WAIT_FOR_ROUTE_SECONDS
+        heard = self._ask(0, rospy.Time(0)).heard
+        while True:
+            unheard = [p for p in self._commands() if p.resolved_name not in heard]
+            if not unheard:
+                return self._now
+            if time.monotonic() > deadline:
+                names = ", ".join(publisher.resolved_name for publisher in unheard)
+                rospy.logwarn("nothing leads from %s to the bridge: going on all the same", names)
+                return self._now
+            # A relay of topic_tools passes nothing on before it knows what it is to pass on.
+            for publisher in unheard:
+                publisher.publish(Twist())
+            rospy.rostime.wallsleep(ROUTE_CHECK_SECONDS)
+            heard = self._ask(0, rospy.Time(0)).heard
 
     def advance(self, until: rospy.Time) -> rospy.Time:
         """Let simulated time go on and wait until it is there; return what time it is.
+
+        It is less where time was set back. Where only the world was reset, time goes on.
 
         Args:
             until: when this node wants to act next.
@@ -92,26 +116,38 @@ class Member:
         """
         if self._call is None:
             self.join()
-        try:
-            return self._call(AdvanceRequest(rospy.get_name(), until, self._sent())).now
-        except (rospy.ServiceException, rospy.ROSException, OSError) as error:
-            if rospy.is_shutdown():
-                raise rospy.ROSInterruptException("shutdown") from error
-            raise NodeError(f"the bridge does not answer on {SERVICE}: {error}") from error
+        while True:
+            epoch, before = self._epoch, self._now
+            answer = self._ask(epoch, until)
+            if answer.success or answer.epoch == epoch or answer.now < before:
+                return answer.now
 
     def leave(self) -> None:
         """Hold simulated time back no longer."""
         self.advance(END_OF_TIME)
 
-    def _sent(self) -> int:
-        """Return how many messages have been sent to the bridge."""
-        return sum(
-            connection.stat_num_msg
+    def _ask(self, epoch: int, until: rospy.Time) -> AdvanceResponse:
+        try:
+            answer = self._call(AdvanceRequest(rospy.get_name(), epoch, until, *self._sent()))
+        except (rospy.ServiceException, rospy.ROSException, OSError) as error:
+            if rospy.is_shutdown():
+                raise rospy.ROSInterruptException("shutdown") from error
+            raise NodeError(f"the bridge does not answer on {SERVICE}: {error}") from error
+        self._epoch, self._now = answer.epoch, answer.now
+        return answer
+
+    def _commands(self) -> List[rospy.Publisher]:
+        return [p for p in self.publishers if p.data_class is Twist and p.impl is not None]
+
+    def _sent(self) -> Tuple[Sequence[str], Sequence[str], Sequence[int]]:
+        """Return topic, receiver and number of messages of all connections."""
+        sent = [
+            (publisher.resolved_name, connection.endpoint_id, connection.stat_num_msg)
             for publisher in self.publishers
             if publisher.impl is not None
             for connection in publisher.impl.connections
-            if connection.endpoint_id == self._bridge
-        )
+        ]
+        return tuple(zip(*sent)) or ((), (), ())
 
 
 @functools.lru_cache(maxsize=None)

@@ -153,7 +153,7 @@ def lossless_publisher(
     with warnings.catch_warnings():
         # rospy takes a missing queue size for an oversight.
         warnings.simplefilter("ignore", SyntaxWarning)
-        return publisher(topic, kind, queue_size=None, latch=latch)
+        return publisher(topic, kind, queue_size=None, latch=latch, tcp_nodelay=True)
 
 
 # Wall seconds between two looks for listeners that have gone without a word.

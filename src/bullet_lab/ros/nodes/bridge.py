@@ -38,13 +38,13 @@ from std_srvs.srv import Empty, EmptyResponse
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
-from bullet_lab.ros.bridge.odometry_frames import OdometryFrames
-from bullet_lab.ros.bridge.pace import FOR_EVER, Pace, TimeGate
+from bullet_lab.ros.bridge.device_topics import DeviceTopics
+from bullet_lab.ros.bridge.lock_step import FOR_EVER, Sent, TimeGate
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.simulators import answers, refuse_second_simulator
-from bullet_lab.ros.bridge.stepper import Stepper
-from bullet_lab.ros.bridge.touches import Touches
-from bullet_lab.ros.bridge.wiring import Wiring
+from bullet_lab.ros.bridge.speed import Pace
+from bullet_lab.ros.bridge.stepper import Reached, Stepper
+from bullet_lab.ros.bridge.world_topics import OdometryFrames, TouchCounter
 from bullet_lab.ros.gazebo.interface import Gazebo
 from bullet_lab.ros.messages.conversions import (
     NANOSECONDS_PER_STEP,
@@ -69,6 +69,8 @@ LOG_TIME_RATE = 5.0
 SILENCES = 3
 # Wall seconds between two looks at whether the loop is stuck.
 LOOP_CHECK_SECONDS = 1.0
+LOST = "commands of %s on %s to %s were lost on the way"
+NOT_REACHED = "the world or time was reset since, or the bridge shuts down"
 # A grant up to here, the end of ROS time, means "for ever".
 END_OF_TIME = 2**31 - 1
 
@@ -138,23 +140,23 @@ class PyBulletBridge:
             paused=wanted.paused,
             is_over=rospy.is_shutdown,
             report_stall=self._report_stall,
-            after_steps=lambda: self._wiring.flush(),
+            after_steps=lambda: self._topics.flush(),
             report_lag=lambda lag: rospy.logwarn("%s", lag),
         )
-        self._wiring = Wiring(self.stepper)
+        self._topics = DeviceTopics(self.stepper)
         self._silences: Counter = Counter()
         _stop_listening_to_the_clock()
         self._clock = Clock()
-        self._clock_publisher = self._wiring.publisher("/clock", Clock)
+        self._clock_publisher = self._topics.publisher("/clock", Clock)
         self.simulation.every(wanted.clock_rate, self._publish_clock)
         self.simulation.every(LOG_TIME_RATE, _set_log_time)
         for instance in self.simulation.models.values():
-            self._wiring.connect(instance)
+            self._topics.connect(instance)
         robot = self._add_robot()
-        world = RunningWorld(self.stepper, self._wiring)
+        world = RunningWorld(self.stepper, self._topics)
         hidden = "" if robot is None else robot.name
         self._gazebo = Gazebo(world, wanted.world_frame, hidden, wanted.states_rate)
-        self._touches = Touches(world)
+        self._touches = TouchCounter(world)
         self._frames = OdometryFrames(world, wanted.world_frame if wanted.publish_world_tf else "")
         self._services = self._offer_services()
 
@@ -191,7 +193,7 @@ class PyBulletBridge:
         robot = self.simulation.add(
             model, self._wanted.robot_name, pose, namespace, tf_prefixes(model, namespace)
         )
-        self._wiring.connect(robot)
+        self._topics.connect(robot)
         if self._wanted.camera_rate:
             _set_camera_rate(robot, self._wanted.camera_rate)
         return robot
@@ -233,13 +235,24 @@ class PyBulletBridge:
         return StepResponse(now=time_of(reached), success=True, status_message="")
 
     def _handle_advance(self, request: Any) -> AdvanceResponse:
-        if not self.stepper.await_commands(request.node, request.commands):
-            rospy.logwarn("commands of %s were lost on the way", request.node)
+        """Let a member of the lock step join, or let time go on for it."""
+        sent = [Sent(*one) for one in zip(request.topics, request.receivers, request.messages)]
+        if not request.epoch and request.until.secs < END_OF_TIME:
+            heard = self._topics.commands.heard(request.node, sent)
+            return self._advanced(self.stepper.join(request.node), sorted(heard))
+        for lost in self._topics.commands.wait(request.node, sent):
+            rospy.logwarn(LOST, request.node, lost.topic, lost.receiver)
         until = FOR_EVER if request.until.secs >= END_OF_TIME else first_step_at(request.until)
-        reached = self.stepper.grant(request.node, until)
-        message = "" if reached else "time was set back, or the bridge shuts down"
-        now = time_of(self.simulation.step)
-        return AdvanceResponse(now=now, success=reached, status_message=message)
+        return self._advanced(self.stepper.grant(request.node, until, request.epoch))
+
+    def _advanced(self, reached: Reached, heard: Sequence[str] = ()) -> AdvanceResponse:
+        return AdvanceResponse(
+            now=time_of(reached.step),
+            epoch=reached.epoch,
+            success=reached.success,
+            status_message="" if reached.success else NOT_REACHED,
+            heard=heard,
+        )
 
     def _report_failure(self, device: str, error: LabError) -> None:
         """Say once what a device cannot measure, and why."""

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from bullet_lab.ros.bridge.pace import Pace
+from bullet_lab.ros.bridge.speed import Pace
 
 
 class Clock:

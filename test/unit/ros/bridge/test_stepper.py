@@ -6,8 +6,8 @@ import pytest
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge import stepper as stepper_module
-from bullet_lab.ros.bridge.loop_watch import LoopWatch
-from bullet_lab.ros.bridge.pace import FOR_EVER, Pace, TimeGate
+from bullet_lab.ros.bridge.lock_step import FOR_EVER, TimeGate
+from bullet_lab.ros.bridge.speed import LoopWatch, Pace
 from bullet_lab.ros.bridge.stepper import Stepper, StepperError
 from bullet_lab.simulation.simulation import Simulation
 
@@ -45,6 +45,10 @@ class Running:
     @property
     def step(self):
         return self.simulation.step
+
+    def grant(self, member, step):
+        """Grant in the present epoch; return whether time has come there."""
+        return self.stepper.grant(member, step, self.stepper.epoch).success
 
     def end(self):
         self.over.set()
@@ -123,9 +127,9 @@ def test_errors_of_tasks_go_to_who_asked_and_the_loop_goes_on(running):
 def test_waits_for_missing_members(running):
     run = running(expected=["/a", "/b"])
     assert assert_stands(run) == 0
-    run.stepper.grant("/a", FOR_EVER)
+    run.grant("/a", FOR_EVER)
     assert assert_stands(run) == 0
-    run.stepper.grant("/b", FOR_EVER)
+    run.grant("/b", FOR_EVER)
     wait_for(lambda: run.step > 100)
 
 
@@ -133,14 +137,14 @@ def test_waits_for_missing_members(running):
 def test_grant_returns_exactly_there(running, rtf):
     run = running(rtf=rtf, expected=["/a"])
     for step in (0, 1, 100, 130):
-        assert run.stepper.grant("/a", step)
+        assert run.grant("/a", step)
         assert assert_stands(run) == step
 
 
 def test_what_steps_have_brought_goes_out_before_anybody_is_told(running):
     run = running(expected=["/a"])
     for step in range(0, 2000, 130):
-        run.stepper.grant("/a", step)
+        run.grant("/a", step)
         assert step == 0 or run.flushed[-1] == step
     run.stepper.pause()
     assert run.stepper.advance_by(7) == run.flushed[-1]
@@ -149,10 +153,10 @@ def test_what_steps_have_brought_goes_out_before_anybody_is_told(running):
 def test_joining_late_stops_time_before_it_is_answered(running):
     run = running()
     for _ in range(20):
-        run.stepper.grant("/a", FOR_EVER)
+        run.grant("/a", FOR_EVER)
         before = run.step
         wait_for(lambda before=before: run.step > before)
-        assert run.stepper.grant("/a", 0)
+        assert run.grant("/a", 0)
         now = run.step
         time.sleep(0.002)
         assert run.step == now
@@ -160,12 +164,12 @@ def test_joining_late_stops_time_before_it_is_answered(running):
 
 def test_grant_of_one_member_waits_for_the_other(running):
     run = running(expected=["/a", "/b"])
-    run.stepper.grant("/b", 0)
-    thread, results = in_thread(run.stepper.grant, "/a", 100)
+    run.grant("/b", 0)
+    thread, results = in_thread(run.grant, "/a", 100)
     assert assert_stands(run) == 0
-    assert run.stepper.grant("/b", 50)
+    assert run.grant("/b", 50)
     assert thread.is_alive()
-    assert run.stepper.grant("/b", 100)
+    assert run.grant("/b", 100)
     thread.join(PATIENCE)
     assert results == [True]
 
@@ -173,9 +177,9 @@ def test_grant_of_one_member_waits_for_the_other(running):
 @pytest.mark.parametrize("granted", [0, 50])
 def test_reset_releases_who_waits(running, granted):
     run = running(expected=["/a", "/b"])
-    run.stepper.grant("/b", 0)
-    in_thread(run.stepper.grant, "/b", granted)
-    thread, results = in_thread(run.stepper.grant, "/a", 100)
+    run.grant("/b", 0)
+    in_thread(run.grant, "/b", granted)
+    thread, results = in_thread(run.grant, "/a", 100)
     wait_for(lambda: run.step == granted and run.stepper.gate.has_joined("/a"))
     run.stepper.reset_simulation()
     thread.join(PATIENCE)
@@ -183,9 +187,42 @@ def test_reset_releases_who_waits(running, granted):
     assert assert_stands(run) == 0
 
 
+@pytest.mark.parametrize("world_only", [False, True])
+def test_a_grant_from_before_a_reset_is_never_given(running, world_only):
+    run = running(expected=["/a"])
+    busy = run.stepper.grant("/a", 100, run.stepper.join("/a").epoch)
+    reset = run.stepper.reset_world if world_only else run.stepper.reset_simulation
+    reset()
+    now = 100 if world_only else 0
+    assert assert_stands(run) == now
+    # The member thinks of what it does next, and knows nothing of the reset.
+    late = run.stepper.grant("/a", 30_000, busy.epoch)
+    assert (late.success, late.step) == (False, now)
+    assert assert_stands(run) == now
+    assert run.stepper.grant("/a", now + 100, late.epoch) == (True, now + 100, late.epoch)
+
+
+def test_who_is_gone_for_good_stays_so_after_a_reset(running):
+    run = running(expected=["/a"])
+    epoch = run.stepper.join("/a").epoch
+    run.stepper.reset_simulation()
+    assert run.stepper.grant("/a", FOR_EVER, epoch).success
+    wait_for(lambda: run.step > 100)
+    run.stepper.reset_simulation()
+    wait_for(lambda: run.step > 100)
+
+
+def test_to_join_again_stops_time(running):
+    run = running(expected=["/a"])
+    run.grant("/a", FOR_EVER)
+    wait_for(lambda: run.step > 100)
+    assert run.stepper.join("/a").success
+    assert_stands(run)
+
+
 def test_end_releases_who_waits(running):
     run = running(expected=["/a", "/b"])
-    thread, results = in_thread(run.stepper.grant, "/a", 100)
+    thread, results = in_thread(run.grant, "/a", 100)
     assert assert_stands(run) == 0
     run.end()
     thread.join(PATIENCE)
@@ -214,35 +251,6 @@ def test_end_cuts_a_long_way_short(running):
     run.end()
     thread.join(PATIENCE)
     assert len(errors) == 1
-
-
-def test_announced_commands_are_awaited(running):
-    run = running(paused=True)
-    thread, results = in_thread(run.stepper.await_commands, "/a", 2)
-    run.stepper.note_command("/a")
-    run.stepper.note_command("/b")
-    time.sleep(0.05)
-    assert thread.is_alive()
-    run.stepper.note_command("/a")
-    thread.join(PATIENCE)
-    assert results == [True]
-
-
-def test_lost_commands_are_given_up_once(running, monkeypatch):
-    monkeypatch.setattr(stepper_module, "PATIENCE", 0.05)
-    run = running(paused=True)
-    assert not run.stepper.await_commands("/a", 2)
-    assert run.stepper.await_commands("/a", 2)
-
-
-def test_member_that_has_sent_nothing_yet_counts_anew(running, monkeypatch):
-    monkeypatch.setattr(stepper_module, "PATIENCE", 0.05)
-    run = running(paused=True)
-    for _ in range(5):
-        run.stepper.note_command("/a")
-    assert run.stepper.await_commands("/a", 5)
-    assert run.stepper.await_commands("/a", 0)
-    assert not run.stepper.await_commands("/a", 1)
 
 
 def test_stall_is_reported_but_not_a_pause(running, monkeypatch):

@@ -18,7 +18,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
 from bullet_lab.docking.types import DockingError
 from bullet_lab.errors import LabError
-from bullet_lab.ros.bridge.touches import Touches
+from bullet_lab.ros.bridge.world_topics import TouchCounter
 from bullet_lab.ros.messages.camera_geometry import CameraGeometryError
 from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node.odometry import OdometryError
@@ -250,11 +250,11 @@ def test_touches_are_counted_anew_each_time_and_the_floor_is_none():
     listener = Listener()
     with Simulation.of("package://bullet_lab/worlds/docking.world") as simulation:
         robot = simulation.spawn("package://bullet_lab/urdf/camera_robot.urdf")
-        wiring = SimpleNamespace(publisher=lambda topic, kind: listener)
+        topics = SimpleNamespace(publisher=lambda topic, kind: listener)
         world = SimpleNamespace(
-            simulation=simulation, models=simulation.models, wiring=wiring, changed=[]
+            simulation=simulation, models=simulation.models, topics=topics, changed=[]
         )
-        Touches(world)
+        TouchCounter(world)
         simulation.run_for(0.5)
         assert listener.messages[-1].models == []
         assert len(listener.messages) == 5

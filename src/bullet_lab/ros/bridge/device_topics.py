@@ -1,0 +1,231 @@
+"""The topics of models' devices: what they measure is published, and commands reach them."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+import xmlrpc.client
+from dataclasses import dataclass
+from typing import Any, Dict, FrozenSet, List, Mapping, Sequence, Set, Tuple
+
+import rosgraph
+import rosgraph.names
+import rospy
+
+from bullet_lab.errors import LabError
+from bullet_lab.ros.bridge.lock_step import Arrival, CommandCounter
+from bullet_lab.ros.bridge.stepper import Stepper, StepperError
+from bullet_lab.ros.messages.conversions import INPUT_CONVERTERS, OUTPUT_CONVERTERS
+from bullet_lab.ros.node.node import Refusals
+from bullet_lab.ros.node.publishers import BatchPublisher, lossless_publisher
+from bullet_lab.simulation.plugins import DeviceError, Input, Output
+from bullet_lab.simulation.simulation import ModelInstance
+
+# Messages that wait for a slow subscriber while time follows the wall clock.
+QUEUE_SIZE = 100
+# Wall seconds after which it is looked anew for ways that were not there.
+ROUTES_SECONDS = 1.0
+
+
+class TopicError(LabError):
+    """A device names a topic that cannot be."""
+
+
+@dataclass
+class _Subscription:
+    """A topic that brings commands, to one device or several."""
+
+    subscriber: rospy.Subscriber
+    inputs: List[Input]
+
+
+class DeviceTopics:
+    """Publishes the samples of models' devices and hands them commands.
+
+    Topics that several devices speak on, such as /tf, have one publisher, and those that several
+    listen to one subscriber. All methods but those that rospy calls belong to the thread that
+    steps the simulation.
+
+    Args:
+        stepper: what advances the simulation.
+
+    Attributes:
+        commands: those that have arrived.
+    """
+
+    def __init__(self, stepper: Stepper):
+        self._stepper = stepper
+        self._refusals = Refusals()
+        self._publishers: Dict[str, BatchPublisher] = {}
+        self._users: Dict[str, int] = {}
+        self._instances: Dict[str, ModelInstance] = {}
+        self._subscriptions: Dict[str, _Subscription] = {}
+        self._routes = _Routes(self._subscriptions)
+        self.commands = CommandCounter(self._routes.find)
+
+    def publisher(self, topic: str, kind: type) -> BatchPublisher:
+        """Return the publisher on a topic, one that fits the pace.
+
+        At full speed nothing may be lost, so the simulation waits for its subscribers. Tied to
+        the wall clock it does not wait for anybody, as Gazebo does not. A pace that changes later
+        on is followed by `flush`.
+        """
+        publisher = self._publishers.get(topic)
+        if publisher is None:
+            if self._stepper.pace.free:
+                publisher = lossless_publisher(topic, kind, publisher=BatchPublisher)
+            else:
+                publisher = BatchPublisher(topic, kind, queue_size=QUEUE_SIZE, tcp_nodelay=True)
+            self._publishers[topic] = publisher
+        self._users[topic] = self._users.get(topic, 0) + 1
+        return publisher
+
+    def flush(self) -> None:
+        """Write out what the last steps have brought."""
+        lossless = self._stepper.hurried
+        for publisher in self._publishers.values():
+            publisher.flush(lossless)
+
+    def connect(self, instance: ModelInstance) -> None:
+        """Connect all devices of a model; raises TopicError for a topic that cannot be."""
+        _check_topics(instance)
+        self._instances[instance.name] = instance
+        for device in instance.devices:
+            for output in device.outputs:
+                self._connect_output(output)
+            for entry in device.inputs:
+                self._connect_input(entry)
+
+    def disconnect(self, name: str) -> None:
+        """Give up what a model had on ROS; nothing happens where it had nothing."""
+        instance = self._instances.pop(name, None)
+        for device in () if instance is None else instance.devices:
+            for output in device.outputs:
+                self.release(output.topic)
+            for entry in device.inputs:
+                self._disconnect_input(entry)
+
+    def release(self, topic: str) -> None:
+        """Give up the publisher on a topic, once all that have asked for it have done so."""
+        self._users[topic] -= 1
+        if not self._users[topic]:
+            del self._users[topic]
+            publisher = self._publishers.pop(topic)
+            publisher.flush()
+            publisher.unregister()
+
+    def _connect_output(self, output: Output) -> None:
+        converter = OUTPUT_CONVERTERS[output.kind]()
+        publisher = self.publisher(output.topic, converter.message_kind)
+        convert, publish = converter.convert, publisher.publish
+        output.connect(lambda sample: publish(convert(sample)), publisher.has_connections)
+
+    def _connect_input(self, entry: Input) -> None:
+        topic = rospy.resolve_name(entry.topic)
+        subscription = self._subscriptions.get(topic)
+        if subscription is not None:
+            subscription.inputs.append(entry)
+            return
+        converter = INPUT_CONVERTERS[entry.kind]
+        inputs = [entry]
+
+        def receive(message: Any) -> None:
+            command = converter.convert(message)
+            header = message._connection_header
+            # A command that comes as the bridge ends has nothing left to move.
+            with contextlib.suppress(StepperError):
+                self._stepper.do_now(lambda: self._command(inputs, command))
+                self.commands.note(Arrival(topic, header["callerid"]), header)
+
+        subscriber = rospy.Subscriber(topic, converter.message_kind, receive, tcp_nodelay=True)
+        self._subscriptions[topic] = _Subscription(subscriber, inputs)
+
+    def _disconnect_input(self, entry: Input) -> None:
+        topic = rospy.resolve_name(entry.topic)
+        subscription = self._subscriptions[topic]
+        subscription.inputs.remove(entry)
+        if not subscription.inputs:
+            del self._subscriptions[topic]
+            subscription.subscriber.unregister()
+
+    def _command(self, inputs: Sequence[Input], command: Any) -> None:
+        for entry in inputs:
+            try:
+                entry.handle(command)
+            except DeviceError as error:
+                self._refusals.refuse(entry.topic, str(error))
+
+
+class _Routes:
+    """Where messages arrive at the bridge that a node sends to another one.
+
+    Beside the straight way, that is through nodes that publish what has the type of what they
+    hear: relays, multiplexers, limiters.
+
+    Args:
+        subscriptions: by the topics that bring commands.
+    """
+
+    def __init__(self, subscriptions: Mapping[str, _Subscription]):
+        self._subscriptions = subscriptions
+        self._lock = threading.Lock()
+        self._known: Dict[Tuple[str, str, str], FrozenSet[Arrival]] = {}
+        self._known_for: FrozenSet[Arrival] = frozenset()
+        self._looked = -math.inf
+
+    def find(self, member: str, topic: str, receiver: str) -> FrozenSet[Arrival]:
+        """Return where arrives what a node sends to another on a topic."""
+        if receiver == rospy.get_name():
+            return frozenset({Arrival(topic, member)} if topic in self._subscriptions else ())
+        inbound = self._inbound()
+        with self._lock:
+            if inbound != self._known_for:
+                self._known.clear()
+                self._known_for = inbound
+            if time.monotonic() - self._looked > ROUTES_SECONDS:
+                self._looked = time.monotonic()
+                self._known = {key: found for key, found in self._known.items() if found}
+            key = (member, topic, receiver)
+            if key not in self._known:
+                self._known[key] = self._search(*key) & inbound
+            return self._known[key]
+
+    def _inbound(self) -> FrozenSet[Arrival]:
+        """Return which nodes are connected to which topics of commands."""
+        return frozenset(
+            Arrival(topic, connection.callerid_pub)
+            for topic, subscription in list(self._subscriptions.items())
+            if subscription.subscriber.impl is not None
+            for connection in subscription.subscriber.impl.connections
+        )
+
+    def _search(self, member: str, topic: str, receiver: str) -> Set[Arrival]:
+        master = rosgraph.Master(rospy.get_name())
+        try:
+            published, subscribed, _ = master.getSystemState()
+            kinds = dict(master.getTopicTypes())
+        except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
+            return set()
+        listeners = dict(subscribed)
+        found: Set[Arrival] = set()
+        seen, nodes = {member, rospy.get_name()}, [receiver]
+        while nodes:
+            node = nodes.pop()
+            if node in seen:
+                continue
+            seen.add(node)
+            for onward in (name for name, senders in published if node in senders):
+                if onward != topic and kinds.get(onward) == kinds.get(topic):
+                    found.add(Arrival(onward, node))
+                    nodes.extend(listeners.get(onward, ()))
+        return found
+
+
+def _check_topics(instance: ModelInstance) -> None:
+    # rospy would register the topic, and nobody could ever listen to it.
+    for device in instance.devices:
+        for entry in (*device.outputs, *device.inputs):
+            if not entry.topic or not rosgraph.names.is_legal_name(entry.topic):
+                raise TopicError(f"model '{instance.name}': no topic is called '{entry.topic}'")
