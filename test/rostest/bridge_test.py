@@ -51,7 +51,8 @@ import rospy
 from bullet_lab.srv import Advance
 rospy.init_node("sleeper")
 rospy.wait_for_service("/bullet_lab/advance")
-rospy.ServiceProxy("/bullet_lab/advance", Advance)("/sleeper", 1, rospy.Time(float(sys.argv[1])), [], [], [])
+until = rospy.Time(float(sys.argv[1]))
+rospy.ServiceProxy("/bullet_lab/advance", Advance)("/sleeper", 1, until, [], [], [])
 print("joined", flush=True)
 time.sleep(1000)
 """
