@@ -69,7 +69,7 @@ LOG_TIME_RATE = 5.0
 SILENCES = 3
 # Wall seconds between two looks at whether the loop is stuck.
 LOOP_CHECK_SECONDS = 1.0
-LOST = "commands of %s on %s to %s were lost on the way"
+LOST = "commands of %s were lost on the way (%s to %s)"
 NOT_REACHED = "the world or time was reset since, or the bridge shuts down"
 # A grant up to here, the end of ROS time, means "for ever".
 END_OF_TIME = 2**31 - 1
