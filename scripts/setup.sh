@@ -41,7 +41,7 @@ debian_packages() {
         ros-robot-state-publisher libegl1 libgl1-mesa-dri
       ;;
     rviz) echo rviz xvfb ;;
-    test) echo shellcheck python3-rostest iproute2 sdformat-sdf libxml2-utils ;;
+    test) echo shellcheck python3-rostest topic-tools iproute2 sdformat-sdf libxml2-utils ;;
   esac
 }
 
@@ -59,7 +59,7 @@ noetic_packages() {
       echo xvfb
       ;;
     test)
-      names=(rostest)
+      names=(rostest topic-tools)
       echo shellcheck iproute2 sdformat-sdf libxml2-utils
       ;;
   esac

@@ -1,4 +1,8 @@
-"""How a node fares, on /diagnostics once a second of wall time."""
+"""How a node fares, on /diagnostics once a second of wall time.
+
+diagnostic_updater counts its period and its rates in ROS time, which at full speed passes a
+hundred times as fast, and stands still while a simulation is paused.
+"""
 
 from __future__ import annotations
 
