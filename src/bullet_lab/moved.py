@@ -225,6 +225,8 @@ MOVED: Dict[str, str] = {
     "simulation.plugin_tags": "simulation.world.xml",
     "simulation.pose": "core.pose",
     "simulation.proportions": "simulation.world.proportions",
+    "simulation.rendering.choice": "simulation.rendering.graphics",
+    "simulation.rendering.textures": "simulation.rendering.surfaces",
     "simulation.resources": "simulation.world.resources",
     "simulation.samples": "simulation.plugins.samples",
     "simulation.schedule": "core.schedule",

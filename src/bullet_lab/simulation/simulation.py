@@ -28,7 +28,7 @@ from bullet_lab.simulation.physics.contacts import Contact, TouchedShapes, conta
 from bullet_lab.simulation.physics.physics import Body, Physics
 from bullet_lab.simulation.plugins import Device, Mount, known_plugins, make_device
 from bullet_lab.simulation.rendering.renderer import Renderer
-from bullet_lab.simulation.rendering.textures import check_textures
+from bullet_lab.simulation.rendering.surfaces import check_textures
 from bullet_lab.simulation.world.description import Model, ModelState, Plugin, World
 from bullet_lab.simulation.world.meshes import check_visible_meshes
 from bullet_lab.simulation.world.proportions import check_proportions

@@ -56,7 +56,7 @@ from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.node.tf_prefix import tf_prefixes
 from bullet_lab.simulation.plugins.camera import Camera
-from bullet_lab.simulation.rendering.choice import AUTO, CHOICES, check_choice
+from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
 from bullet_lab.simulation.world.description import Model
 from bullet_lab.simulation.world.resources import ResourceFinder

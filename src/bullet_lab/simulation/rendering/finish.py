@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Optional
+from typing import Optional, Tuple
 
 import cv2
 import numpy as np
@@ -33,7 +33,7 @@ class CameraSettings:
         exposure: factor to the brightness.
         blur: standard deviation of the blur in pixels.
         noise_mean: of what is added to each number of the picture, as a share of white.
-        noise_stddev: of what is added, as a share of white.
+        noise_stddev: its standard deviation, likewise.
     """
 
     samples: int = 1
@@ -59,15 +59,9 @@ class CameraSettings:
 class SensorNoise:
     """Normal noise on pictures, drawn once and read from a random place for each picture.
 
-    Numbers for each pixel of each frame would cost as much as drawing the frame. Within one
-    picture all are independent; two pictures share numbers, but at other pixels, unless their
-    places happen to be the same (one in a million).
-
-    Args:
-        mean: as a share of white.
-        stddev: as a share of white.
-        count: numbers per picture.
-        random: draws the table.
+    Numbers for each pixel of each frame would cost as much as drawing it. Within one picture all
+    are independent; two share numbers, but at other pixels, unless their places happen to be the
+    same (one in a million). Mean and deviation are shares of white.
     """
 
     def __init__(self, mean: float, stddev: float, count: int, random: np.random.Generator):
@@ -93,74 +87,55 @@ def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
 
 
 class Lens:
-    """A distorting lens: which ideal picture to draw, and how to bend it.
-
-    Args:
-        camera: geometry of the bent picture.
+    """A distorting lens: which ideal picture to draw, and how to bend it into a camera's.
 
     Raises:
         FinishError: the distortion folds the picture over, or would need one far too large.
     """
 
     def __init__(self, camera: PinholeCamera):
-        self.camera = camera
-        self._map: Optional[tuple] = None
-        self.ideal = camera
+        self.camera = self.ideal = camera
+        self._map: Optional[np.ndarray] = None
         if any(camera.distortion):
-            self._bend(camera)
+            self.ideal, self._map = _bent(camera)
 
     def bend(self, picture: np.ndarray) -> np.ndarray:
         """Return the picture of `camera`, given that of `ideal`."""
-        if self._map is None:
-            return picture
-        return cv2.remap(picture, *self._map, cv2.INTER_LINEAR)
+        return picture if self._map is None else cv2.remap(picture, *self._map, cv2.INTER_LINEAR)
 
     def pick(self, values: np.ndarray) -> np.ndarray:
         """Return the values of `camera`'s pixels, given those of `ideal`: of the nearest pixel.
 
         Between the depths of two things there is nothing, so they are not mixed.
         """
-        if self._map is None:
-            return values
-        return cv2.remap(values, *self._map, cv2.INTER_NEAREST)
+        return values if self._map is None else cv2.remap(values, *self._map, cv2.INTER_NEAREST)
 
     def slopes(self) -> np.ndarray:
-        """Return x/z and y/z of what each pixel sees in the optical frame.
-
-        Returns:
-            (2, height, width) float32.
-        """
-        camera = self.ideal
-        if self._map is None:
-            v, u = np.mgrid[0 : camera.height, 0 : camera.width]
-        else:
-            u, v = self._map
-        slopes = ((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
+        """Return x/z and y/z of what each pixel sees in the optical frame: (2, height, width)."""
+        camera, places = self.ideal, self._map
+        if places is None:
+            places = np.indices((camera.height, camera.width))[::-1]
+        slopes = (places[0] - camera.cx) / camera.fx, (places[1] - camera.cy) / camera.fy
         return np.array(slopes, dtype=np.float32)
 
-    def _bend(self, camera: PinholeCamera) -> None:
-        rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
-        pixels = np.column_stack((columns.ravel(), rows.ravel())).astype(float)
-        coefficients = np.array(camera.distortion)
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
-        rays = cv2.undistortPointsIter(
-            pixels[:, None], camera.matrix, coefficients, None, None, criteria
-        )[:, 0]
-        there = camera.project(np.column_stack((rays, np.ones(len(rays)))))
-        if not np.abs(there - pixels).max() < 1e-2:
-            raise FinishError(f"a distortion of {camera.distortion} folds the picture over")
-        u = camera.fx * rays[:, 0] + camera.cx
-        v = camera.fy * rays[:, 1] + camera.cy
-        # One pixel more on each side, for the interpolation.
-        left, top = math.floor(u.min()) - 1, math.floor(v.min()) - 1
-        width, height = math.ceil(u.max()) + 2 - left, math.ceil(v.max()) + 2 - top
-        if width > WIDEST * camera.width or height > WIDEST * camera.height:
-            raise FinishError(f"a distortion of {camera.distortion} needs too wide a picture")
-        self.ideal = PinholeCamera(
-            width, height, camera.fx, camera.fy, camera.cx - left, camera.cy - top
-        )
-        shape = (camera.height, camera.width)
-        self._map = (
-            (u - left).astype(np.float32).reshape(shape),
-            (v - top).astype(np.float32).reshape(shape),
-        )
+
+def _bent(camera: PinholeCamera) -> Tuple[PinholeCamera, np.ndarray]:
+    """Return the ideal camera behind a lens, and where each pixel looks in its picture."""
+    pixels = np.indices((camera.height, camera.width))[::-1].reshape(2, -1).T.astype(float)
+    coefficients = np.array(camera.distortion)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+    rays = cv2.undistortPointsIter(
+        pixels[:, None], camera.matrix, coefficients, None, None, criteria
+    )[:, 0]
+    there = camera.project(np.column_stack((rays, np.ones(len(rays)))))
+    if not np.abs(there - pixels).max() < 1e-2:
+        raise FinishError(f"a distortion of {camera.distortion} folds the picture over")
+    places = rays * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    # One pixel more on each side, for the interpolation.
+    first = np.floor(places.min(axis=0)) - 1
+    width, height = (np.ceil(places.max(axis=0)) + 2 - first).astype(int).tolist()
+    if width > WIDEST * camera.width or height > WIDEST * camera.height:
+        raise FinishError(f"a distortion of {camera.distortion} needs too wide a picture")
+    cx, cy = (np.array((camera.cx, camera.cy)) - first).tolist()
+    places = (places - first).astype(np.float32).T.reshape(2, camera.height, camera.width)
+    return PinholeCamera(width, height, camera.fx, camera.fy, cx, cy), places

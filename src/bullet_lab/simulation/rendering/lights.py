@@ -8,24 +8,16 @@ moved. So both follow from where things are now, and from nothing else.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
-from dataclasses import dataclass, replace
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.simulation.rendering.graphics import Graphics, Target
-from bullet_lab.simulation.rendering.shaders import (
-    MOVING,
-    PAINT,
-    SHADOW_FRAGMENT,
-    STILL,
-    LightProgram,
-    picture_fragment,
-    picture_vertex,
-    shadow_vertex,
-)
+from bullet_lab.simulation.rendering import shaders
+from bullet_lab.simulation.rendering.graphics import Graphics, Target, panda_matrix
+from bullet_lab.simulation.rendering.shaders import LAMP_SIZE, MOVING, NEAREST, STILL
 from bullet_lab.simulation.world.description import Light, World
 
 LOG = logging.getLogger(__name__)
@@ -33,12 +25,12 @@ LOG = logging.getLogger(__name__)
 PICTURE = "picture"
 # Which of a camera's bits shows what.
 BITS = {PICTURE: 0, STILL: 1, MOVING: 2}
-# What a pixel of a map is to cover (m), and the sizes that a map may have for that (pixels).
+# What a pixel of a sun's map is to cover (m), and the sizes that it may have for that (pixels).
 PIXEL = {STILL: 0.0025, MOVING: 0.006}
 SIZES = {STILL: (256, 512, 1024, 2048, 4096), MOVING: (64, 128, 256, 512)}
-# Of the maps of spots, and of each of the six around a lamp.
-SPOT_SIZES = {STILL: (2048,), MOVING: (512,)}
-LAMP_SIZE = 1024
+SPOT_SIZE = {STILL: 2048, MOVING: 512}
+# Across and ahead in the maps of a lamp.
+LAMP_AXES = np.eye(3)[[[1, 2, 0], [0, 2, 1], [0, 1, 2]]]
 # A surface is lifted by so many pixels of the map out of its own shadow.
 LIFT = 1.5
 # In m: what is larger, as a floor, throws its shadow within the map but does not make it larger.
@@ -47,128 +39,57 @@ LARGEST = 30.0
 MOST_MAPS = 15
 # Rad, the whole opening: a wider spot throws shadows within this only.
 WIDEST_SPOT = math.radians(160.0)
-# In m: what is nearer to a spot or lamp throws no shadow.
-NEAREST = 0.02
-NOWHERE = np.zeros((4, 4))
+
+# Matrices (4, 4) from the world to clip coordinates, for each tile of a shadow map; pixels along
+# its sides; how far a surface is lifted, in m, or per m of distance from a spot or lamp.
+Aim = Tuple[Sequence[np.ndarray], int, float]
 
 
-@dataclass(frozen=True)
-class Casters:
-    """What throws shadows.
-
-    Attributes:
-        boxes: returns the corners of boxes around the shapes, (n, 8, 3) in m in the world.
-        version: the same only while all of them are where they were.
-    """
-
-    boxes: Callable[[], np.ndarray]
-    version: int
-
-    def extent(self) -> np.ndarray:
-        """Return the points that a map has to hold, (m, 3) in m."""
-        boxes = self.boxes()
-        small = boxes[np.ptp(boxes, axis=1).max(axis=1) <= LARGEST]
-        return (small if len(small) else boxes).reshape(-1, 3)
-
-
-@dataclass(frozen=True, eq=False)
-class Aim:
-    """Where a shadow map looks.
-
-    Attributes:
-        matrices: for each tile, from the world to its clip coordinates, (4, 4).
-        size: pixels along each side of a tile.
-        margin: how far a surface is lifted, m, or per m of distance from a spot or lamp.
-        faces: of a lamp: nearest and farthest distance in m, and half a pixel as a share.
-    """
-
-    matrices: Sequence[np.ndarray]
-    size: int
-    margin: float = 0.0
-    faces: Tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-def aim_sun(light: Light, points: np.ndarray, kind: str) -> Aim:
-    """Return the map of a directional light that just holds points, (n, 3) in m."""
-    axes = axes_along(light.pose.rotate(light.direction))
-    seen = (points if len(points) else np.zeros((1, 3))) @ axes.T
-    low, high = seen.min(axis=0) - PIXEL[kind], seen.max(axis=0) + PIXEL[kind]
+def aim_at(boxes: np.ndarray, light: Light, kind: str) -> Aim:
+    """Return the map, STILL or MOVING, that just holds what a light sees of boxes (n, 8, 3)."""
+    place = np.asarray(light.pose.position)
+    size, limits, rim = SPOT_SIZE[kind], np.full(3, math.inf), PIXEL[kind]
+    if light.kind == "point":
+        ahead = [axes * ((1,), (1,), (sign,)) for sign in (-1, 1) for axes in LAMP_AXES]
+        return [_perspective(axes, place) for axes in ahead], LAMP_SIZE, 2.0 * LIFT / LAMP_SIZE
     matrix = np.eye(4)
-    matrix[:3, :3] = axes * (2.0 / (high - low))[:, None]
-    matrix[:3, 3] = -(high + low) / (high - low)
-    extent = float((high - low)[:2].max())
-    size = next((s for s in SIZES[kind] if extent <= PIXEL[kind] * s), SIZES[kind][-1])
-    return Aim((matrix,), size, LIFT * extent / size)
-
-
-def aim_spot(light: Light, points: np.ndarray, kind: str) -> Aim:
-    """Return the map of a spot that holds what its cone lights of points, (n, 3) in m."""
-    half = 0.5 * min(light.cone.outer, WIDEST_SPOT)
-    view = np.eye(4)
-    view[:3, :3] = axes_along(light.pose.rotate(light.direction))
-    view[:3, 3] = -view[:3, :3] @ np.asarray(light.pose.position)
-    far = _farthest(light, points)
-    slope = math.tan(half)
-    matrix = _perspective(far) @ np.diag((1.0 / slope, 1.0 / slope, 1.0, 1.0)) @ view
-    low, high = _cropped(np.column_stack((points, np.ones(len(points)))) @ matrix.T)
-    size = SPOT_SIZES[kind][0]
-    if (low >= high).any():
-        return Aim((NOWHERE,), size)
-    crop = np.eye(4)
-    crop[:2, :2] = np.diag(2.0 / (high - low))
-    crop[:2, 3] = -(high + low) / (high - low)
-    return Aim((crop @ matrix,), size, LIFT * slope * float((high - low).max()) / size)
-
-
-def aim_lamp(light: Light, points: np.ndarray) -> Aim:
-    """Return the six maps around a point light: for -x, -y, -z, x, y, z."""
-    far = _farthest(light, points)
-    matrices = []
-    for sign in (-1.0, 1.0):
-        for axis in range(3):
-            view = np.zeros((4, 4))
-            across = [other for other in range(3) if other != axis]
-            view[(0, 1), across] = 1.0
-            view[2, axis] = sign
-            view[:3, 3] = -view[:3, :3] @ np.asarray(light.pose.position)
-            view[3, 3] = 1.0
-            matrices.append(_perspective(far) @ view)
-    return Aim(matrices, LAMP_SIZE, 2.0 * LIFT / LAMP_SIZE, (NEAREST, far, 0.5 / LAMP_SIZE))
-
-
-def _farthest(light: Light, points: np.ndarray) -> float:
-    """Return the farthest distance of points within the light's range; at least something."""
-    distances = np.linalg.norm(points - np.asarray(light.pose.position), axis=1)
-    return 1.01 * max(2.0 * NEAREST, min(light.attenuation.range, float(distances.max())))
-
-
-def _perspective(far: float) -> np.ndarray:
-    """Return OpenGL's projection for a view along +z, 45° to each side."""
-    near = NEAREST
-    matrix = np.diag((1.0, 1.0, (far + near) / (far - near), 0.0))
-    matrix[2, 3], matrix[3, 2] = -2.0 * far * near / (far - near), 1.0
-    return matrix
-
-
-def _cropped(clip: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the rectangle of [-1, 1]² that holds points in clip coordinates, (n, 4)."""
-    if (clip[:, 3] <= NEAREST).any():
+    matrix[:3, :3] = axes_along(light.pose.rotate(light.direction))
+    if light.kind == "spot":
+        matrix = _perspective(matrix[:3, :3], place)
+        slope = math.tan(0.5 * min(light.cone.outer, WIDEST_SPOT))
+        limits, rim = np.array((slope, slope, 1.0)), 1e-4
+    small = boxes[np.ptp(boxes, axis=1).max(axis=1) <= LARGEST]
+    points = (small if len(small) else boxes).reshape(-1, 3)
+    nowhere = [np.zeros((4, 4))], size, 0.0
+    if not len(points):
+        return nowhere
+    clip = np.column_stack((points, np.ones(len(points)))) @ matrix.T
+    there = clip[:, :3] / np.maximum(clip[:, 3:], NEAREST)
+    if (clip[:, 3] < NEAREST).any():
         # Something is beside the light or behind it.
-        return -np.ones(2), np.ones(2)
-    there = clip[:, :2] / clip[:, 3:]
-    return np.maximum(there.min(axis=0), -1.0), np.minimum(there.max(axis=0), 1.0)
+        there = np.append(there, (-limits, limits), axis=0)
+    low = np.maximum(there.min(axis=0) - rim, -limits)
+    high = np.minimum(there.max(axis=0) + rim, limits)
+    if (low >= high).any():
+        return nowhere
+    extent = float((high - low)[:2].max())
+    if light.kind == "directional":
+        size = next((s for s in SIZES[kind] if extent <= PIXEL[kind] * s), SIZES[kind][-1])
+    fit = np.diag((*(2.0 / (high - low)), 1.0))
+    fit[:3, 3] = -(high + low) / (high - low)
+    return [fit @ matrix], size, LIFT * extent / size
 
 
-def _between(one: Aim, other: Aim) -> Tuple[List[float], List[float]]:
-    """Return what leads from places in one map of a sun to those in another.
+def _perspective(axes: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return the projection from a place along the last of three axes, 45° to each side.
 
-    Returns:
-        Factors and what is added, along three axes, for places within [0, 1].
+    A depth, from 0 to 1, is 1 - NEAREST / distance.
     """
-    (first,), (second,) = one.matrices, other.matrices
-    zoom = np.linalg.norm(second[:3, :3], axis=1) / np.linalg.norm(first[:3, :3], axis=1)
-    shift = 0.5 * (1.0 + second[:3, 3] - zoom * (1.0 + first[:3, 3]))
-    return zoom.tolist(), shift.tolist()
+    matrix = np.zeros((4, 4))
+    matrix[(0, 1, 3), :3] = axes
+    matrix[:, 3] = -matrix[:, :3] @ place
+    matrix[2] = matrix[3] - (0.0, 0.0, 0.0, 2.0 * NEAREST)
+    return matrix
 
 
 def axes_along(direction: Sequence[float]) -> np.ndarray:
@@ -180,235 +101,114 @@ def axes_along(direction: Sequence[float]) -> np.ndarray:
 
 
 class _ShadowMap:
-    """One shadow map of one light, in the uniforms of the scene.
+    """One shadow map of one light, in the uniforms of the scene."""
 
-    Args:
-        graphics: makes its buffers.
-        root: of the scene.
-        name: of the light's uniforms.
-        kind: STILL or MOVING.
-        tiles: columns and rows of maps in its buffer.
-    """
-
-    def __init__(
-        self, graphics: Graphics, root: Any, name: str, kind: str, tiles: Tuple[int, int] = (1, 1)
-    ):
-        self.aim = Aim((), 0)
-        self._graphics = graphics
-        self._root = root
-        self._name = name
-        self._kind = kind
-        self._targets: Dict[int, Target] = {}
+    def __init__(self, graphics: Graphics, root: Any, light: Light, name: str, kind: str):
+        self.kind = kind
+        self._graphics, self._root, self._light, self._name = graphics, root, light, name
+        self._target: Optional[Target] = None
         self._version = -1
-        # The uniforms with each tile's matrix; that of a single one is the picture's, too.
-        into = f"{name}_into_{kind}"
-        self._tiles = tiles
-        self._matrices = [into] if tiles == (1, 1) else [f"{into}_{k}" for k in range(6)]
-        self._states = [self._state(matrix) for matrix in self._matrices]
-
-    def is_of(self, version: int) -> bool:
-        """Whether the map is of this version; from now on it is taken for that."""
-        same, self._version = version == self._version, version
-        return same
-
-    def point(self, aim: Aim) -> Target:
-        """Return the target to be drawn into, its cameras and the uniforms set."""
-        if aim.size not in self._targets:
-            if self._kind == STILL:
-                self.remove()
-            self._targets[aim.size] = self._target(aim.size)
-        target = self._targets[aim.size]
-        self.aim = aim
-        put = self._root.set_shader_input
-        put(f"{self._name}_{self._kind}", target.texture)
-        for name, matrix in zip(self._matrices, aim.matrices):
-            put(name, self._graphics.matrix(matrix))
-        if len(self._matrices) > 1:
-            put(f"{self._name}_faces", *aim.faces)
-        return target
-
-    def _target(self, size: int) -> Target:
-        core = self._graphics.core
-        target = self._graphics.shadow_target(size, self._tiles)
-        for path, state in zip(target.cameras, self._states):
-            camera = path.node()
-            camera.set_initial_state(state)
-            camera.set_scene(self._root)
-            camera.set_camera_mask(core.BitMask32.bit(BITS[self._kind]))
-            # The program projects by itself: what the camera's own lens sees does not matter.
-            camera.set_cull_bounds(core.OmniBoundingVolume())
-        return target
-
-    def _state(self, matrix: str) -> Any:
-        core = self._graphics.core
-        state = core.NodePath("state")
-        program = self._graphics.program(shadow_vertex(matrix), SHADOW_FRAGMENT)
-        state.set_shader(program)
+        program = graphics.program(shaders.DEPTH_VERTEX, shaders.DEPTH_FRAGMENT)
         # Both sides throw shadows, since a mesh may be open.
-        state.set_attrib(core.CullFaceAttrib.make(core.CullFaceAttrib.M_cull_none))
-        return state.get_state()
+        self._state = graphics.state(program, cull="none")
+
+    def update(self, version: int, boxes: Callable[[str], np.ndarray]) -> List[Target]:
+        """Return the map if it is to be drawn since it is of another version."""
+        if self._version == version:
+            return []
+        self._version = version
+        matrices, size, lift = aim_at(boxes(self.kind), self._light, self.kind)
+        if self._target is None or self._target.size != size:
+            self.remove()
+            tiles = (3, 2) if len(matrices) > 1 else (1, 1)
+            self._target = self._graphics.shadow_target(size, tiles)
+        self._target.look(self._root, self._state, BITS[self.kind], matrices)
+        put = self._root.set_shader_input
+        put(f"{self._name}_{self.kind}", self._target.texture)
+        put(f"{self._name}_into_{self.kind}", panda_matrix(matrices[0]))
+        put(f"{self._name}_lift_{self.kind}", lift)
+        return [self._target]
 
     def remove(self) -> None:
-        """Give all buffers back."""
-        for target in self._targets.values():
-            self._graphics.remove(target)
-        self._targets.clear()
-
-
-class _Source:
-    """A light of the world in the uniforms of the scene, with its shadow maps."""
-
-    def __init__(self, light: Light, program: LightProgram, graphics: Graphics, root: Any):
-        self.program = program
-        self._light = light
-        self._name = f"light{program.number}"
-        self._root = root
-        tiles = (3, 2) if light.kind == "point" else (1, 1)
-        self._maps: Dict[str, _ShadowMap] = {}
-        self._aims: List[Aim] = []
-        for kind in program.maps:
-            self._maps[kind] = _ShadowMap(graphics, root, self._name, kind, tiles)
-        self._put("diffuse", *light.diffuse[:3])
-        if light.kind != "point":
-            along = np.asarray(light.pose.rotate(light.direction))
-            self._put("along", *(along / np.linalg.norm(along)).tolist())
-        if light.kind != "directional":
-            fade = light.attenuation
-            self._put("position", *light.pose.position)
-            self._put("attenuation", fade.range, fade.constant, fade.linear, fade.quadratic)
-        if light.kind == "spot":
-            cone = light.cone
-            cosines = (math.cos(0.5 * angle) for angle in (cone.inner, cone.outer))
-            self._put("cone", *cosines, cone.falloff)
-
-    def update(self, casters: Dict[str, Casters]) -> List[Target]:
-        """Take where all that throws shadows is now; return the maps that are to be drawn."""
-        due = []
-        for kind, shadow_map in self._maps.items():
-            if kind not in casters or shadow_map.is_of(casters[kind].version):
-                continue
-            due.append(shadow_map.point(self._aim(casters[kind], kind)))
-        # A map that is not looked up now may be of anywhere: it has no say in the uniforms.
-        aims = [shadow_map.aim for kind, shadow_map in self._maps.items() if kind in casters]
-        if aims != self._aims:
-            self._aims = aims
-            self._put("margin", max(aim.margin for aim in aims))
-            if self._light.kind == "directional" and len(aims) == 2:
-                zoom, shift = _between(*aims)
-                self._put("zoom", *zoom)
-                self._put("shift", *shift)
-        return due
-
-    def shadow_of(self, points: np.ndarray, bounds: np.ndarray) -> np.ndarray:
-        """Return points (…, n, 3) and where their shadows leave bounds (2, 3): (…, 2 n, 3)."""
-        if self._light.kind == "directional":
-            ways = np.broadcast_to(self._light.pose.rotate(self._light.direction), points.shape)
-        else:
-            ways = points - np.asarray(self._light.pose.position)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            steps = (np.where(ways > 0.0, bounds[1], bounds[0]) - points) / ways
-        farthest = np.where(ways == 0.0, np.inf, steps).min(axis=-1, keepdims=True)
-        return np.concatenate((points, points + np.maximum(farthest, 0.0) * ways), axis=-2)
-
-    def remove(self) -> None:
-        """Give all maps back."""
-        for shadow_map in self._maps.values():
-            shadow_map.remove()
-
-    def _aim(self, casters: Casters, kind: str) -> Aim:
-        points = casters.extent()
-        if self._light.kind == "directional":
-            return aim_sun(self._light, points, kind)
-        if not len(points):
-            size = LAMP_SIZE if self._light.kind == "point" else SPOT_SIZES[kind][0]
-            return Aim((NOWHERE,) * 6, size, faces=(1.0, 2.0, 0.5))
-        if self._light.kind == "spot":
-            return aim_spot(self._light, points, kind)
-        return aim_lamp(self._light, points)
-
-    def _put(self, name: str, *values: float) -> None:
-        self._root.set_shader_input(f"{self._name}_{name}", *values)
+        """Give the buffer back."""
+        if self._target is not None:
+            self._graphics.remove(self._target)
 
 
 class Lighting:
     """The lights of a world in the uniforms of a scene.
 
-    Args:
-        world: for its lights.
-        graphics: draws the shadow maps.
-        root: node path of the scene.
+    Attributes:
+        programs: by whether shadows of what moves are looked up, and by PLAIN, TEXTURED or SLANTED.
     """
 
     def __init__(self, world: World, graphics: Graphics, root: Any):
-        programs = plan_maps(world)
-        self._sources = [
-            _Source(light, program, graphics, root)
-            for light, program in zip(world.lights, programs)
-        ]
+        self._maps: List[_ShadowMap] = []
+        self._positions: List[np.ndarray] = []
+        self.programs: Dict[bool, Dict[str, Any]] = {False: {}, True: {}}
+        planned = list(zip(world.lights, plan_maps(world)))
         root.set_shader_input("ambient", *world.ambient[:3])
-        without = [replace(program, maps=program.maps[:1]) for program in programs]
-        self._states = {
-            moving: {paint: _drawing(graphics, lights, paint) for paint in PAINT}
-            for moving, lights in ((True, programs), (False, without))
-        }
+        for number, (light, kinds) in enumerate(planned):
+            uniforms = _uniforms(light)
+            for name, values in uniforms.items():
+                root.set_shader_input(f"light{number}_{name}", *map(float, values))
+            for kind in kinds:
+                self._maps.append(_ShadowMap(graphics, root, light, f"light{number}", kind))
+            if MOVING in kinds:
+                self._positions.append(np.array(uniforms["position"]))
+        for moving, paint in itertools.product((False, True), shaders.PAINT):
+            lit = [(light.kind, kinds[: 1 + moving]) for light, kinds in planned]
+            program = graphics.program(*shaders.picture_programs(lit, paint))
+            self.programs[moving][paint] = program
 
-    @property
-    def casting(self) -> bool:
-        """Whether any light throws shadows."""
-        return any(source.program.maps for source in self._sources)
+    def update(self, now: Dict[str, int], boxes: Callable[[str], np.ndarray]) -> List[Target]:
+        """Return the maps that are to be drawn.
 
-    def states(self, moving: bool) -> Dict[str, Any]:
-        """Return how PLAIN, TEXTURED and SLANTED surfaces are drawn.
-
-        Args:
-            moving: with the shadows of what moves.
+        `now` has the versions of what is STILL, and of what is MOVING if that matters: the same
+        only while all of it is where it was. `boxes` gives corners of those around it, (n, 8, 3).
         """
-        return self._states[moving]
+        known = (shadow_map for shadow_map in self._maps if shadow_map.kind in now)
+        return [target for each in known for target in each.update(now[each.kind], boxes)]
 
-    def update(self, casters: Dict[str, Casters]) -> List[Target]:
-        """Take where what throws shadows is now; return the maps that are to be drawn.
+    def shadows_of(self, boxes: np.ndarray) -> Iterator[np.ndarray]:
+        """Return for each light hulls of moving boxes (n, 8, 3) with their shadows, (n, 16, 4).
 
-        Args:
-            casters: what stands still, by STILL, and what moves, by MOVING, if it matters.
+        These are homogeneous: the corners, and the directions in which shadows go on without end.
         """
-        return [target for source in self._sources for target in source.update(casters)]
-
-    def shadows_of(self, boxes: np.ndarray, bounds: np.ndarray) -> List[np.ndarray]:
-        """Return for each light that moving things throw shadows from where these are.
-
-        Args:
-            boxes: (n, 8, 3) corners of boxes that throw shadows, m in the world.
-            bounds: (2, 3) least and greatest corner of the box around all that is to be seen.
-
-        Returns:
-            Points whose hulls hold each box and its shadow, (n, 16, 3).
-        """
-        return [s.shadow_of(boxes, bounds) for s in self._sources if MOVING in s.program.maps]
+        for position in self._positions:
+            hulls = np.zeros((len(boxes), 16, 4))
+            hulls[:, :8] = np.insert(boxes, 3, 1.0, axis=2)
+            hulls[:, 8:, :3] = position[3] * boxes - position[:3]
+            yield hulls
 
     def remove(self) -> None:
         """Give all shadow maps back."""
-        for source in self._sources:
-            source.remove()
+        for shadow_map in self._maps:
+            shadow_map.remove()
 
 
-def _drawing(graphics: Graphics, lights: Sequence[LightProgram], paint: str) -> Any:
-    """Return the state that a kind of surfaces is drawn with."""
-    program = graphics.program(picture_vertex(lights), picture_fragment(lights, paint))
-    state = graphics.core.NodePath("state")
-    state.set_shader(program)
-    return state.get_state()
+def _uniforms(light: Light) -> Dict[str, Sequence[float]]:
+    """Return what the programs have to know of a light, by their names for it."""
+    along = np.asarray(light.pose.rotate(light.direction))
+    along = along / (np.linalg.norm(along) or 1.0)
+    fade, cone = light.attenuation, light.cone
+    return {
+        "diffuse": light.diffuse[:3],
+        "position": (*-along, 0.0) if light.kind == "directional" else (*light.pose.position, 1.0),
+        "along": along,
+        "attenuation": (fade.range, fade.constant, fade.linear, fade.quadratic),
+        "cone": (math.cos(0.5 * cone.inner), math.cos(0.5 * cone.outer), cone.falloff),
+    }
 
 
-def plan_maps(world: World) -> List[LightProgram]:
-    """Return how each light of a world is worked out; says so where shadows are left out."""
-    programs, maps = [], 0
-    for number, light in enumerate(world.lights):
-        wanted: Tuple[str, ...] = ()
-        if world.shadows and light.casts_shadows:
-            wanted = (STILL,) if light.kind == "point" else (STILL, MOVING)
-        if maps + len(wanted) > MOST_MAPS:
+def plan_maps(world: World) -> List[Tuple[str, ...]]:
+    """Return the shadow maps of each light; says so where shadows are left out."""
+    planned: List[Tuple[str, ...]] = []
+    for light in world.lights:
+        wanted = (STILL,) if light.kind == "point" else (STILL, MOVING)
+        wanted = wanted if world.shadows and light.casts_shadows else ()
+        if sum(map(len, planned)) + len(wanted) > MOST_MAPS:
             LOG.warning("light '%s' throws no shadows: too many others do", light.name)
             wanted = ()
-        maps += len(wanted)
-        programs.append(LightProgram(number, light.kind, wanted))
-    return programs
+        planned.append(wanted)
+    return planned

@@ -11,24 +11,49 @@ There are no highlights.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import List, Sequence
+from typing import Sequence, Tuple
 
 STILL, MOVING = "still", "moving"
+# In m: what is nearer to a spot or lamp throws no shadow.
+NEAREST = 0.02
+# Pixels along each side of one of the six maps around a lamp.
+LAMP_SIZE = 1024
 
-VERSION = "#version 150\n"
-
-VERTEX = """
+DEPTH_VERTEX = """#version 150
 uniform mat4 p3d_ModelViewProjectionMatrix;
-uniform mat4 p3d_ModelMatrix;
+in vec4 p3d_Vertex;
+
+void main() {
+  gl_Position = p3d_ModelViewProjectionMatrix * p3d_Vertex;
+}
+"""
+# Distance along the view: what a projection divides by. In shadow maps, it does not matter.
+DEPTH_FRAGMENT = """#version 150
+out vec4 depth;
+
+void main() {
+  depth = vec4(1.0 / gl_FragCoord.w);
+}
+"""
+
+VERTEX = """#version 150
+uniform mat4 p3d_ModelViewProjectionMatrix, p3d_ModelMatrix;
 in vec4 p3d_Vertex;
 in vec3 p3d_Normal;
 in vec4 p3d_Color;
 in vec2 p3d_MultiTexCoord0;
-out vec3 place;
-out vec3 normal;
+out vec3 place, normal;
 flat out vec4 colour;
 out vec2 picture;
+DECLARED
+// Where a corner is in a shadow map. A place that is a little above a surface does not lie in the
+// surface's own shadow; for a spot it is higher farther away, in proportion to the distance along
+// its axis, which is always 1 for a sun.
+vec4 in_map(mat4 into, float lift) {
+  float ahead = (into * vec4(place, 1.0)).w;
+  vec4 clip = into * vec4(place + lift * ahead * normal, 1.0);
+  return 0.5 * (clip + clip.w);
+}
 
 void main() {
   gl_Position = p3d_ModelViewProjectionMatrix * p3d_Vertex;
@@ -36,51 +61,35 @@ void main() {
   normal = mat3(p3d_ModelMatrix) * p3d_Normal;
   colour = p3d_Color;
   picture = p3d_MultiTexCoord0;
+LIGHTS}
 """
+# A sun's position is the direction to it.
+CORNER_LINE = "  LIGHT_cosine = max(0.0, dot(normal, LIGHT_position.xyz));\n"
+CORNER_MAP_LINE = "  LIGHT_in_MAP = in_map(LIGHT_into_MAP, LIGHT_lift_MAP);\n"
 
-# Distance along the view: what a projection divides by.
-DEPTH_VERTEX = """#version 150
-uniform mat4 p3d_ModelViewProjectionMatrix;
-in vec4 p3d_Vertex;
-out float ahead;
-
-void main() {
-  gl_Position = p3d_ModelViewProjectionMatrix * p3d_Vertex;
-  ahead = gl_Position.w;
-}
-"""
-
-DEPTH_FRAGMENT = """#version 150
-in float ahead;
-out vec4 depth;
-
-void main() {
-  depth = vec4(ahead);
-}
-"""
-
-SHADOW_FRAGMENT = """#version 150
-void main() {
-}
-"""
-
-FRAGMENT = """
+# Mesa's own anisotropic filter in software takes the nearest texel, which moves edges by up to a
+# pixel. There is no branch since in software both ways of one are always taken.
+FRAGMENT = """#version 150
 uniform float exposure;
 uniform vec3 ambient;
-in vec3 place;
-in vec3 normal;
+uniform sampler2D p3d_Texture0;
+in vec3 place, normal;
 flat in vec4 colour;
 in vec2 picture;
 out vec4 drawn;
-
-// What is left of a light at a distance within its range.
-float fading(float distance, vec4 attenuation) {
+DECLARED
+// What a surface takes of a lamp or spot that is at an offset from it: attenuation holds the range
+// and how it fades.
+float lamp(vec3 n, vec3 offset, vec4 attenuation) {
+  float distance = max(1e-6, length(offset));
   float fade = attenuation.y + distance * (attenuation.z + distance * attenuation.w);
-  return 1.0 / max(1.0, fade);
+  float cosine = max(0.0, dot(n, offset) / distance);
+  return distance <= attenuation.x ? cosine / max(1.0, fade) : 0.0;
 }
 
 // What is left of a spot: cone holds the cosines of the inner and the outer angle and the power.
-float cone_share(float cosine, vec3 cone) {
+float cone_share(vec3 offset, vec3 along, vec3 cone) {
+  float cosine = dot(normalize(offset), along);
   float share = clamp((cosine - cone.y) / max(1e-6, cone.x - cone.y), 0.0, 1.0);
   return cone.z == 1.0 ? share : pow(share, cone.z);
 }
@@ -97,39 +106,21 @@ float reach(sampler2DShadow map, vec4 there) {
 }
 
 // The same for a lamp with six maps around it: columns for x, y, z, rows for the two directions.
-// faces holds the nearest and the farthest distance in the maps, and half a pixel of one.
-float reach_around(sampler2DShadow maps, vec3 offset, vec3 faces) {
+float reach_around(sampler2DShadow maps, vec3 offset, vec3 lift) {
+  offset += length(offset) * lift;
   vec3 size = abs(offset);
   float ahead = max(size.x, max(size.y, size.z));
   float column = ahead == size.x ? 0.0 : ahead == size.y ? 1.0 : 2.0;
   vec3 turned = column == 0.0 ? offset.yzx : column == 1.0 ? offset.xzy : offset;
-  vec2 there = clamp(0.5 * turned.xy / ahead + 0.5, faces.z, 1.0 - faces.z);
+  vec2 there = clamp(0.5 * turned.xy / ahead + 0.5, HALF_A_PIXEL, 1.0 - HALF_A_PIXEL);
   float row = turned.z < 0.0 ? 0.0 : 1.0;
-  float near = faces.x, far = faces.y;
-  float depth = (far + near - 2.0 * far * near / ahead) / (far - near);
   return texture(maps, vec3((there.x + column) / 3.0, (there.y + row) / 2.0,
-                            min(0.5 * depth + 0.5, 1.0)));
+                            1.0 - NEAREST / ahead));
 }
-"""
 
-# What the footprint of a pixel covers of a texture: as the driver has it, a square as wide as the
-# footprint is long.
-PAINTED = """
-uniform sampler2D p3d_Texture0;
-
-vec3 painted(vec2 there) {
-  return texture(p3d_Texture0, there).rgb;
-}
-"""
-
-# On a surface at a slant the footprint is longer than wide: four samples along it, from finer
-# copies of the texture than one sample would need. The driver's own anisotropic filter will not do:
-# Mesa's in software takes the nearest texel, which moves edges by up to a pixel. Without a branch:
-# in software both ways of one are always taken.
-PAINTED_AT_A_SLANT = """
-uniform sampler2D p3d_Texture0;
-
-vec3 painted(vec2 there) {
+// On a surface at a slant, what a pixel covers of a texture is longer than wide: four samples along
+// it, from finer copies of the texture than one sample would need.
+vec3 at_a_slant(vec2 there) {
   vec2 size = vec2(textureSize(p3d_Texture0, 0));
   vec2 right = dFdx(there), down = dFdy(there);
   vec2 r = right * size, d = down * size;
@@ -138,162 +129,73 @@ vec3 painted(vec2 there) {
   float shorter = max(1.0, abs(r.x * d.y - r.y * d.x) / longer);
   float count = clamp(longer / shorter, 1.0, 4.0);
   float level = log2(longer / count);
-  // Samples a quarter of the footprint apart where it is four times as long as wide, else nearer.
+  // Samples a quarter of the length apart where it is four times the width, else nearer.
   vec2 step = (rr > dd ? right : down) * (count - 1.0) / (3.0 * count);
   return 0.25 * (textureLod(p3d_Texture0, there - 1.5 * step, level).rgb
                  + textureLod(p3d_Texture0, there - 0.5 * step, level).rgb
                  + textureLod(p3d_Texture0, there + 0.5 * step, level).rgb
                  + textureLod(p3d_Texture0, there + 1.5 * step, level).rgb);
 }
-"""
 
-PLAIN, TEXTURED, SLANTED = "plain", "textured", "slanted"
-PAINT = {PLAIN: "", TEXTURED: PAINTED, SLANTED: PAINTED_AT_A_SLANT}
-
-# What is worked out for corners and interpolated between them. A place that is a little above a
-# surface does not lie in the surface's own shadow; for a spot it is higher farther away, in
-# proportion to the distance along its axis. From the [-1, 1] of clip coordinates to the [0, 1] of a
-# map; a sun's rays are parallel, so nothing is to be divided by.
-SUN_CORNER = """
-  LIGHT_cosine = max(0.0, -dot(normal, LIGHT_along));
-"""
-SUN_IN_MAP = """
-  LIGHT_in_still = 0.5 * (LIGHT_into_still * vec4(place + LIGHT_margin * normal, 1.0)).xyz + 0.5;
-"""
-SPOT_IN_MAP = """
-  {
-    float ahead = (LIGHT_into_MAP * vec4(place, 1.0)).w;
-    vec4 clip = LIGHT_into_MAP * vec4(place + LIGHT_margin * ahead * normal, 1.0);
-    LIGHT_in_MAP = 0.5 * (clip + clip.w);
-  }
-"""
-
-SUN_LINES = """
-  if (LIGHT_cosine > 0.0) lit += LIGHT_diffuse * LIGHT_cosine{factors};
-"""
-LAMP_LINES = """
-  {{
-    vec3 towards = LIGHT_position - place;
-    float distance = max(1e-6, length(towards));
-    towards /= distance;
-    float cosine = dot(n, towards);
-    if (cosine > 0.0 && distance <= LIGHT_attenuation.x)
-      lit += LIGHT_diffuse * cosine * fading(distance, LIGHT_attenuation){factors};
-  }}
-"""
-
-
-@dataclass(frozen=True)
-class LightProgram:
-    """How one light is worked out; its uniforms are named `light<number>_…`.
-
-    Attributes:
-        number: of the light.
-        kind: directional, point or spot.
-        maps: its shadow maps: none, STILL, or of other lights than points STILL and MOVING.
-    """
-
-    number: int
-    kind: str
-    maps: Sequence[str] = ()
-
-    def vertex_declarations(self) -> str:
-        """Return what the program for corners declares."""
-        names: List[str] = []
-        if self.kind == "directional":
-            names += ["uniform vec3 LIGHT_along", "out float LIGHT_cosine"]
-        if self.kind != "point" and self.maps:
-            names += ["uniform float LIGHT_margin"]
-            names += [f"uniform mat4 LIGHT_into_{name}" for name in self._in_maps()]
-        return self._named("".join(f"{name};\n" for name in names) + self._places("out"))
-
-    def vertex_lines(self) -> str:
-        """Return what is worked out for a corner."""
-        if self.kind == "directional":
-            return self._named(SUN_CORNER + (SUN_IN_MAP if self.maps else ""))
-        return self._named("".join(SPOT_IN_MAP.replace("MAP", name) for name in self._in_maps()))
-
-    def fragment_declarations(self) -> str:
-        """Return what the program for pixels declares."""
-        names = ["uniform vec3 LIGHT_diffuse"]
-        if self.kind == "directional":
-            names += ["in float LIGHT_cosine"]
-        else:
-            names += ["uniform vec3 LIGHT_position", "uniform vec4 LIGHT_attenuation"]
-        names += ["uniform vec3 LIGHT_along", "uniform vec3 LIGHT_cone"] * (self.kind == "spot")
-        names += [f"uniform sampler2DShadow LIGHT_{name}" for name in self.maps]
-        if self.kind == "point" and self.maps:
-            names += ["uniform vec3 LIGHT_faces", "uniform float LIGHT_margin"]
-        if self.kind == "directional" and MOVING in self.maps:
-            names += ["uniform vec3 LIGHT_zoom", "uniform vec3 LIGHT_shift"]
-        return self._named("".join(f"{name};\n" for name in names) + self._places("in"))
-
-    def fragment_lines(self) -> str:
-        """Return what adds the light to `lit`, given `place` and the normal `n`."""
-        factors: List[str] = []
-        if self.kind == "spot":
-            factors += ["cone_share(dot(-towards, LIGHT_along), LIGHT_cone)"]
-        if self.kind == "directional":
-            # Both maps look along the same axes.
-            there = {STILL: "LIGHT_in_still", MOVING: "LIGHT_zoom * LIGHT_in_still + LIGHT_shift"}
-            factors += [f"reach(LIGHT_{name}, {there[name]})" for name in self.maps]
-        elif self.kind == "point" and self.maps:
-            lifted = "place + LIGHT_margin * distance * n - LIGHT_position"
-            factors += [f"reach_around(LIGHT_still, {lifted}, LIGHT_faces)"]
-        else:
-            factors += [f"reach(LIGHT_{name}, LIGHT_in_{name})" for name in self._in_maps()]
-        lines = SUN_LINES if self.kind == "directional" else LAMP_LINES
-        return self._named(lines.format(factors="".join(f" * {factor}" for factor in factors)))
-
-    def _in_maps(self) -> Sequence[str]:
-        """Return the maps that corners have their places in."""
-        if self.kind == "point":
-            return ()
-        return self.maps[:1] if self.kind == "directional" else self.maps
-
-    def _places(self, way: str) -> str:
-        size = "vec3" if self.kind == "directional" else "vec4"
-        return "".join(f"{way} {size} LIGHT_in_{name};\n" for name in self._in_maps())
-
-    def _named(self, text: str) -> str:
-        return text.replace("LIGHT", f"light{self.number}")
-
-
-def picture_vertex(lights: Sequence[LightProgram]) -> str:
-    """Return the program for the corners of what is seen."""
-    declared = "".join(light.vertex_declarations() for light in lights)
-    return f"{VERSION}{declared}{VERTEX}{''.join(light.vertex_lines() for light in lights)}}}\n"
-
-
-def picture_fragment(lights: Sequence[LightProgram], paint: str) -> str:
-    """Return the program for the pixels of what is seen: PLAIN, TEXTURED, or also SLANTED."""
-    declared = "".join(light.fragment_declarations() for light in lights)
-    added = "".join(light.fragment_lines() for light in lights)
-    surface = "colour.rgb" if paint == PLAIN else "colour.rgb * painted(picture)"
-    return f"""{VERSION}{declared}{FRAGMENT}{PAINT[paint]}
-void main() {{
+void main() {
   vec3 n = normalize(normal);
   vec3 lit = ambient;
-{added}
+LIGHTS
   // Panda3D hands pixels out with blue first.
-  drawn = vec4((exposure * lit * {surface}).bgr, colour.a);
-}}
+  drawn = vec4((exposure * lit * colour.rgb * PAINT).bgr, colour.a);
+}
+""".replace("NEAREST", str(NEAREST)).replace("HALF_A_PIXEL", str(0.5 / LAMP_SIZE))
+# For both programs; the one hands out what the other takes in.
+DECLARED = """uniform vec3 LIGHT_diffuse, LIGHT_along, LIGHT_cone;
+uniform vec4 LIGHT_position, LIGHT_attenuation;
+INOUT float LIGHT_cosine;
 """
+MAP_DECLARED = """uniform sampler2DShadow LIGHT_MAP;
+uniform mat4 LIGHT_into_MAP;
+uniform float LIGHT_lift_MAP;
+INOUT vec4 LIGHT_in_MAP;
+"""
+# What a surface takes of each kind of light, and what share of that a shadow map lets through.
+LAMP = "lamp(n, LIGHT_position.xyz - place, LIGHT_attenuation)"
+CONE = "cone_share(place - LIGHT_position.xyz, LIGHT_along, LIGHT_cone)"
+TAKEN = {"directional": "LIGHT_cosine", "point": LAMP, "spot": f"{LAMP} * {CONE}"}
+REACH = {
+    "directional": " * reach(LIGHT_MAP, LIGHT_in_MAP.xyz)",
+    "point": " * reach_around(LIGHT_MAP, place - LIGHT_position.xyz, LIGHT_lift_MAP * n)",
+    "spot": " * reach(LIGHT_MAP, LIGHT_in_MAP)",
+}
+# What the triangles' colour is multiplied by.
+PLAIN, TEXTURED, SLANTED = "plain", "textured", "slanted"
+PAINT = {
+    PLAIN: "1.0",
+    TEXTURED: "texture(p3d_Texture0, picture).rgb",
+    SLANTED: "at_a_slant(picture)",
+}
+
+# The kind of a light, and its shadow maps: none, STILL, or STILL and, but for points, MOVING.
+Lit = Tuple[str, Sequence[str]]
 
 
-def shadow_vertex(into_map: str) -> str:
-    """Return the program for the corners of what throws shadows.
+def picture_programs(lights: Sequence[Lit], paint: str) -> Tuple[str, str]:
+    """Return the programs for corners and pixels of what is PLAIN, TEXTURED or also SLANTED.
 
-    Args:
-        into_map: name of the uniform with the matrix from the world to the map's clip
-            coordinates.
+    The uniforms of the lights are named `light<number>_…`.
     """
-    return f"""{VERSION}
-uniform mat4 p3d_ModelMatrix;
-uniform mat4 {into_map};
-in vec4 p3d_Vertex;
+    declared = _each(lights, DECLARED, MAP_DECLARED)
+    vertex = VERTEX.replace("DECLARED", declared.replace("INOUT", "out"))
+    fragment = FRAGMENT.replace("DECLARED", declared.replace("INOUT", "in"))
+    vertex = vertex.replace("LIGHTS", _each(lights, CORNER_LINE, CORNER_MAP_LINE))
+    lines = _each(lights, "  lit += LIGHT_diffuse * TAKEN", "REACH", ";\n")
+    return vertex, fragment.replace("LIGHTS", lines).replace("PAINT", PAINT[paint])
 
-void main() {{
-  gl_Position = {into_map} * (p3d_ModelMatrix * p3d_Vertex);
-}}
-"""
+
+def _each(lights: Sequence[Lit], of_light: str, of_map: str, end: str = "") -> str:
+    """Return a text for each light, with one for each of its maps."""
+    texts = ""
+    for number, (kind, maps) in enumerate(lights):
+        reach = of_map.replace("REACH", REACH[kind])
+        text = of_light.replace("TAKEN", TAKEN[kind]) + "".join(
+            reach.replace("MAP", m) for m in maps
+        )
+        texts += text.replace("LIGHT", f"light{number}") + end
+    return texts

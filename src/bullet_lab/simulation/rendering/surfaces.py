@@ -1,19 +1,34 @@
-"""Shapes as triangles with normals and, where they have a picture on them, its coordinates."""
+"""Shapes as triangles with normals and, where they have an image on them, its coordinates.
+
+Meshes with images are Wavefront .obj with the .mtl and the images that it names.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import os
 from dataclasses import dataclass, replace
-from typing import List, Optional, Tuple
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Iterator, List, Optional, Sequence
 
 import numpy as np
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.rendering.textures import Image, load_textured
-from bullet_lab.simulation.world.description import Box, Cylinder, Geometry, Mesh, Plane, Sphere
-from bullet_lab.simulation.world.meshes import load_triangles
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.world.description import Box, Geometry, Mesh, Model, Plane, Sphere
+from bullet_lab.simulation.world.meshes import load_triangles, read_bytes, read_scene
+from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 
 CYLINDER_SIDES = 48
-SPHERE_RINGS = 16
+# Of a ball, from pole to pole and around.
+SPHERE_LINES = (18, 16)
+# Of an image's sides, in pixels: what the graphics side takes; larger images are made smaller.
+LARGEST_SIDE = 8192
+
+
+class TextureError(LabError):
+    """An image that a mesh names is not there or is none."""
 
 
 @dataclass(frozen=True)
@@ -23,112 +38,165 @@ class Surface:
     Attributes:
         corners: (n, 3, 3) positions.
         normals: (n, 3, 3) unit normals at the corners.
-        picture: (n, 3, 2) coordinates in the texture, from its lower left; None without one.
-        image: on the surface; None without one.
+        picture: (n, 3, 2) coordinates in the image, from its lower left; None without one.
+        image: on the surface, (height, width, 3) uint8, RGB; None without one.
+        colour: that all of it, and of the image, is multiplied by.
     """
 
     corners: np.ndarray
     normals: np.ndarray
     picture: Optional[np.ndarray] = None
-    image: Optional[Image] = None
+    image: Optional[np.ndarray] = None
+    colour: Sequence[float] = (1.0, 1.0, 1.0, 1.0)
 
-    def moved(self, pose: Pose) -> Surface:
-        """Return the same, seen from the frame that `pose` is given in."""
+    def placed(self, pose: Pose, colour: Sequence[float]) -> Surface:
+        """Return the same in a colour, seen from the frame that `pose` is given in."""
         turn = pose.rotation_matrix()
         corners = self.corners @ turn.T + np.asarray(pose.position)
-        return replace(self, corners=corners, normals=self.normals @ turn.T)
+        return replace(self, corners=corners, normals=self.normals @ turn.T, colour=colour)
+
+    def floats(self) -> np.ndarray:
+        """Return place, normal, colour and place in the image of all corners, (3 n, 12) float32."""
+        colour = np.broadcast_to(self.colour, (*self.corners.shape[:2], 4))
+        picture = np.zeros(colour.shape) if self.picture is None else self.picture
+        parts = (self.corners, self.normals, colour, picture[..., :2])
+        return np.concatenate(parts, axis=2, dtype=np.float32).reshape(-1, 12)
 
 
 def surfaces_of(geometry: Geometry) -> List[Surface]:
     """Return what is seen of a shape; raises LabError for an unusable mesh or texture."""
-    if isinstance(geometry, Box):
-        return [_box(geometry.size)]
-    if isinstance(geometry, Cylinder):
-        return [_cylinder(geometry.radius, geometry.length)]
-    if isinstance(geometry, Sphere):
-        return [_sphere(geometry.radius)]
+    from trimesh import creation
+
+    if isinstance(geometry, Mesh):
+        return _mesh(geometry)
     if isinstance(geometry, Plane):
-        return [_plane(geometry.normal, geometry.size)]
-    return _mesh(geometry)
+        return [_flat(_plane(geometry))]
+    if isinstance(geometry, Box):
+        return [_flat(creation.box(geometry.size).triangles)]
+    if isinstance(geometry, Sphere):
+        corners = creation.uv_sphere(radius=geometry.radius, count=SPHERE_LINES).triangles
+        return [Surface(corners, _unit(corners))]
+    flat = _flat(creation.cylinder(geometry.radius, geometry.length, CYLINDER_SIDES).triangles)
+    round_ = np.where(np.abs(flat.normals[..., 2:]) > 0.5, flat.normals, flat.corners * (1, 1, 0))
+    return [replace(flat, normals=_unit(round_))]
 
 
-def _box(size: Tuple[float, float, float]) -> Surface:
-    half = 0.5 * np.asarray(size)
-    corners, normals = [], []
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            u, v = np.roll(np.eye(3), -axis, axis=0)[1:]
-            normal = sign * np.eye(3)[axis]
-            square = [normal + a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-            if sign < 0.0:
-                square.reverse()
-            corners += _two_triangles(square)
-            normals += [[normal] * 3] * 2
-    return Surface(np.array(corners) * half, np.array(normals))
+def check_textures(model: Model) -> None:
+    """Refuse a model whose meshes name images that are not there, or lie where they must not."""
+    for link in model.links:
+        for visual in link.visuals:
+            if isinstance(visual.geometry, Mesh):
+                _scene_with_images(visual.geometry)
 
 
-def _plane(normal: Tuple[float, float, float], size: Tuple[float, float]) -> Surface:
-    z = np.asarray(normal) / np.linalg.norm(normal)
+def _plane(plane: Plane) -> np.ndarray:
+    z = np.asarray(plane.normal) / np.linalg.norm(plane.normal)
     x = np.cross((0.0, 1.0, 0.0) if abs(z[1]) < 0.9 else (0.0, 0.0, 1.0), z)
     x /= np.linalg.norm(x)
-    y = np.cross(z, x)
-    a, b = 0.5 * size[0] * x, 0.5 * size[1] * y
-    corners = np.array(_two_triangles([-a - b, a - b, a + b, b - a]))
-    return Surface(corners, np.broadcast_to(z, corners.shape).copy())
-
-
-def _cylinder(radius: float, length: float) -> Surface:
-    angles = np.linspace(0.0, 2.0 * np.pi, CYLINDER_SIDES + 1)
-    rim = np.column_stack((np.cos(angles), np.sin(angles), 0.0 * angles))
-    up = np.array((0.0, 0.0, 0.5 * length))
-    corners, normals = [], []
-    for first, second in zip(rim[:-1], rim[1:]):
-        a, b = radius * first, radius * second
-        corners += _two_triangles([a - up, b - up, b + up, a + up])
-        normals += _two_triangles([first, second, second, first])
-        corners += [[up, a + up, b + up], [-up, b - up, a - up]]
-        normals += [[(0.0, 0.0, 1.0)] * 3, [(0.0, 0.0, -1.0)] * 3]
-    return Surface(np.array(corners), np.array(normals))
-
-
-def _sphere(radius: float) -> Surface:
-    tilts = np.linspace(-0.5 * np.pi, 0.5 * np.pi, SPHERE_RINGS + 1)
-    turns = np.linspace(0.0, 2.0 * np.pi, 2 * SPHERE_RINGS + 1)
-    directions = np.stack(
-        (
-            np.outer(np.cos(tilts), np.cos(turns)),
-            np.outer(np.cos(tilts), np.sin(turns)),
-            np.outer(np.sin(tilts), np.ones_like(turns)),
-        ),
-        axis=-1,
-    )
-    normals = []
-    for low, high in zip(directions[:-1], directions[1:]):
-        for k in range(len(turns) - 1):
-            normals += _two_triangles([low[k], low[k + 1], high[k + 1], high[k]])
-    return Surface(radius * np.array(normals), np.array(normals))
+    square = np.array(((-1, -1), (1, -1), (1, 1), (-1, -1), (1, 1), (-1, 1)))
+    return (square * 0.5 * np.array(plane.size) @ (x, np.cross(z, x))).reshape(2, 3, 3)
 
 
 def _mesh(mesh: Mesh) -> List[Surface]:
-    textured = load_textured(mesh)
-    if textured:
-        return [Surface(c, _face_normals(c), p, image) for c, p, image in textured]
-    triangles = load_triangles(mesh)
-    corners = triangles.vertices[triangles.faces]
-    if np.prod(mesh.scale) < 0.0:
-        corners = corners[:, ::-1]
-    return [Surface(corners, _face_normals(corners))]
+    triangles, order = load_triangles(mesh), -1 if np.prod(mesh.scale) < 0.0 else 1
+    scene = _scene_with_images(mesh)
+    if scene is None:
+        return [_flat(triangles.vertices[triangles.faces[:, ::order]])]
+    found = []
+    for part in scene.geometry.values():
+        faces = part.faces[:, ::order]
+        surface = _flat((part.vertices * mesh.scale)[faces])
+        material = getattr(part.visual, "material", None)
+        # Where a material is not known, trimesh makes one up, without a name.
+        if material is not None and material.name is not None and material.image is not None:
+            if part.visual.uv is None:
+                raise TextureError(f"{mesh.path}: a face with a picture has no picture coordinates")
+            picture = part.visual.uv[faces][..., :2]
+            surface = replace(surface, picture=picture, image=_pixels(material.image, mesh.path))
+        found.append(surface)
+    return found
 
 
-def _face_normals(corners: np.ndarray) -> np.ndarray:
-    """Return each triangle's normal at its three corners; a triangle without area gets up."""
+def _scene_with_images(mesh: Mesh) -> Any:
+    """Return what trimesh reads of a mesh that names images; None if it names none."""
+    if mesh.path.suffix.lower() != ".obj":
+        return None
+    files = _Files(mesh.path)
+    scene = read_scene(mesh.path, files)
+    if files.refusal is not None:
+        raise files.refusal
+    return scene if files.has_images else None
+
+
+class _Files:
+    """What trimesh may read beside a mesh: its material file, and the images that this names."""
+
+    def __init__(self, mesh: Path):
+        self._user = mesh
+        # trimesh passes over what is raised here.
+        self.refusal: Optional[LabError] = None
+        self.has_images = False
+
+    def __getitem__(self, name: str) -> str:
+        """Return a material file; many meshes name one that nobody has."""
+        if not (self._user.parent / name).exists():
+            raise FileNotFoundError(name)
+        with self._remembering():
+            self._user = _find(name, self._user)
+            return read_bytes(self._user).decode("utf-8", errors="replace")
+
+    def get(self, name: str) -> bytes:
+        """Return an image; options such as "-s 1 1 1" may stand before its name."""
+        import PIL.Image
+
+        with self._remembering():
+            path = _find(name.split()[-1] if name.startswith("-") else name, self._user)
+            data = read_bytes(path)
+            try:
+                PIL.Image.open(BytesIO(data))
+            except Exception as error:
+                raise TextureError(f"{path}: not a readable image") from error
+            self.has_images = True
+            return data
+
+    @contextlib.contextmanager
+    def _remembering(self) -> Iterator[None]:
+        try:
+            yield
+        except LabError as error:
+            self.refusal = self.refusal or error
+            raise
+
+
+def _find(name: str, user: Path) -> Path:
+    """Return a file that another one names: in its folder, or that of its Gazebo model."""
+    folder = user.parent
+    try:
+        if "://" in name or Path(name).is_absolute():
+            return ResourceFinder(folder).find(name)
+        root = folder.parent if (folder.parent / "model.config").is_file() else folder
+        return ResourceFinder(root).find(os.path.relpath(folder / name, root))
+    except (ResourceError, ValueError) as error:
+        raise TextureError(f"{user}: '{name}': {error}") from error
+
+
+def _pixels(image: Any, user: Path) -> np.ndarray:
+    """Return an image without its transparency, and not too large."""
+    try:
+        plain = image.convert("RGB")
+        plain.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
+        return np.array(plain)
+    except Exception as error:
+        raise TextureError(f"{user}: not a readable image: {error}") from error
+
+
+def _flat(corners: np.ndarray) -> Surface:
+    """Return triangles with the normal of each at its three corners."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    normals[lengths == 0.0] = (0.0, 0.0, 1.0)
-    normals /= np.where(lengths == 0.0, 1.0, lengths)[:, None]
-    return np.repeat(normals[:, None, :], 3, axis=1)
+    return Surface(corners, np.repeat(_unit(normals)[:, None], 3, axis=1))
 
 
-def _two_triangles(square: list) -> list:
-    a, b, c, d = square
-    return [[a, b, c], [a, c, d]]
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors with length 1; up for those without any."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(lengths > 0.0, vectors / np.where(lengths > 0.0, lengths, 1.0), (0.0, 0.0, 1.0))

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import List, Tuple
+from typing import Any, List, Tuple
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
@@ -24,6 +24,8 @@ CACHED_MESHES = 16
 MOST_CORNERS = 131_072
 # That corners of a larger convex hull are looked for in.
 DIRECTIONS = 4096
+# Faces of an .obj with indices that count back, or with four corners that are more than places.
+ODD_FACE = re.compile(rb"^\s*f(\s[^#\n]*-|([ \t]+\d*/\S*){4})", re.MULTILINE)
 UNUSABLE_NUMBER = re.compile(r"nan|inf", re.IGNORECASE)
 COLLADA = "{http://www.collada.org/2005/11/COLLADASchema}"
 
@@ -136,14 +138,68 @@ def _read(path: Path, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
             raise
         except Exception as error:
             raise MeshError(f"{path}: not a readable mesh: {error}") from error
-    data = _bytes(path)
+    scene = read_scene(path)
     try:
-        return _read_other(data, suffix)
+        merged = scene.to_geometry() if hasattr(scene, "to_geometry") else scene.dump(True)
+        return np.asarray(merged.vertices, dtype=float), np.asarray(merged.faces, dtype=int)
+    except Exception as error:
+        raise MeshError(f"{path}: not a readable mesh: {error}") from error
+
+
+def read_scene(path: Path, resolver: Any = None) -> Any:
+    """Return what trimesh reads of an .obj or .stl file.
+
+    Args:
+        path: of the file.
+        resolver: gives trimesh the other files that the file names; without one, it gets none.
+
+    Raises:
+        MeshError: the file is missing, too large or malformed.
+    """
+    # Costs 100 ms and 30 MB: only worlds with such meshes pay for it.
+    import trimesh
+
+    data, kind = read_bytes(path), path.suffix.lower()[1:]
+    try:
+        # From memory: given a file, trimesh would look beside it for the materials and textures
+        # that a mesh names. Not processed: that would drop corners that are not finite.
+        file = BytesIO(_plain_faces(data) if kind == "obj" else data)
+        return trimesh.load(file, file_type=kind, force="scene", process=False, resolver=resolver)
     except ImportError as error:
         # trimesh would guess the encoding with a library that nobody needs.
         raise MeshError(f"{path}: neither a whole binary mesh nor text") from error
     except Exception as error:
         raise MeshError(f"{path}: not a readable mesh: {error}") from error
+
+
+def _plain_faces(data: bytes) -> bytes:
+    """Return an .obj with triangles only that name corners by their numbers from the start.
+
+    trimesh counts back from the end of the file, and before 5 it passes over what corners of
+    other faces say of textures.
+    """
+    if not ODD_FACE.search(data):
+        return data
+    counts = {b"v": 0, b"vt": 0, b"vn": 0}
+    lines = data.splitlines()
+    for row, line in enumerate(lines):
+        word, *corners = line.split(b"#")[0].split() or [b""]
+        if word in counts:
+            counts[word] += 1
+        elif word == b"f":
+            parts = (zip(corner.split(b"/"), counts.values()) for corner in corners)
+            first, *others = (b"/".join(_index(*pair) for pair in part) for part in parts)
+            fan = zip(others, others[1:])
+            lines[row] = b"\n".join(b" ".join((b"f", first, *pair)) for pair in fan)
+    return b"\n".join(lines)
+
+
+def _index(index: bytes, count: int) -> bytes:
+    if not index.startswith(b"-"):
+        return index
+    if count + int(index) < 0:
+        raise ValueError(f"index {int(index)} of {count}")
+    return b"%d" % (count + int(index) + 1)
 
 
 def _read_collada(root: Element, where: str) -> Tuple[np.ndarray, np.ndarray]:
@@ -174,18 +230,8 @@ def _read_collada(root: Element, where: str) -> Tuple[np.ndarray, np.ndarray]:
     return metres * np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
 
 
-def _read_other(data: bytes, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
-    # Costs 100 ms and 30 MB: only worlds with such meshes pay for it.
-    import trimesh
-
-    # From memory: given a file, trimesh would look beside it for the materials and textures
-    # that a mesh names. Not processed: that would drop corners that are not finite.
-    scene = trimesh.load(BytesIO(data), file_type=suffix[1:], force="scene", process=False)
-    merged = scene.to_geometry() if hasattr(scene, "to_geometry") else scene.dump(True)
-    return np.asarray(merged.vertices, dtype=float), np.asarray(merged.faces, dtype=int)
-
-
-def _bytes(path: Path) -> bytes:
+def read_bytes(path: Path) -> bytes:
+    """Return what is in a file; raises MeshError if it is missing or too large."""
     try:
         with path.open("rb") as file:
             data = file.read(MAXIMUM_BYTES + 1)

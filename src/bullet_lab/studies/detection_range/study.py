@@ -31,8 +31,7 @@ from tqdm import tqdm
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.rendering.choice import AUTO, CHOICES, check_choice
-from bullet_lab.simulation.rendering.graphics import driver_name
+from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice, driver_name
 from bullet_lab.studies.detection_range.figures import heat_map, range_figure
 from bullet_lab.studies.detection_range.results import describe, detection_summary, write_cells
 from bullet_lab.studies.detection_range.tasks import (

@@ -32,7 +32,7 @@ from tqdm import tqdm
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.rendering.choice import AUTO, CHOICES, check_choice
+from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
 from bullet_lab.studies.dock_campaign.docking import MARKER_POSE
 from bullet_lab.studies.dock_campaign.figures import campaign_figure
 from bullet_lab.studies.dock_campaign.results import (

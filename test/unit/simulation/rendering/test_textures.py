@@ -6,8 +6,9 @@ from picture_worlds import CAMERA, plate, simulation_of, thing, write_plate
 from PIL import Image
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering.renderer import Shot
-from bullet_lab.simulation.rendering.textures import TextureError, load_textured
+from bullet_lab.simulation.rendering.surfaces import TextureError, surfaces_of
 from bullet_lab.simulation.world.description import Mesh
 
 AHEAD = Pose((0.0, 0.0, 0.5))
@@ -169,9 +170,9 @@ def test_pictures_beside_the_meshes_of_a_gazebo_model(tmp_path):
     (tmp_path / "textures").mkdir()
     shutil.move(tmp_path / "meshes" / "p.png", tmp_path / "textures" / "q.png")
     (tmp_path / "meshes" / "p.mtl").write_text("newmtl face\nmap_Kd ../textures/q.png\n")
-    ((corners, _, image),) = load_textured(Mesh(path, ""))
-    assert corners.shape == (2, 3, 3)
-    assert (image.pixels == COLOURS[1]).all()
+    (surface,) = surfaces_of(Mesh(path, ""))
+    assert surface.corners.shape == (2, 3, 3)
+    assert (surface.image == COLOURS[1]).all()
 
 
 @pytest.mark.parametrize(
@@ -188,12 +189,13 @@ def test_pictures_beside_the_meshes_of_a_gazebo_model(tmp_path):
 def test_broken_files_are_one_line(tmp_path, name, content, message):
     path = write_plate(tmp_path, "p", flat(COLOURS[0]), 1.0, 1.0)
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(TextureError, match=message) as caught:
-        load_textured(Mesh(path, ""))
+    with pytest.raises(LabError, match=message) as caught:
+        surfaces_of(Mesh(path, ""))
     assert "\n" not in str(caught.value)
 
 
 def test_a_material_file_that_nobody_has_is_passed_over(tmp_path):
     path = write_plate(tmp_path, "p", flat(COLOURS[0]), 1.0, 1.0)
     (tmp_path / "p.mtl").unlink()
-    assert load_textured(Mesh(path, "")) == []
+    (surface,) = surfaces_of(Mesh(path, ""))
+    assert surface.image is None

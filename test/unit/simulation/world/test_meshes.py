@@ -89,6 +89,14 @@ def test_stl_and_obj(load, name, content):
     assert corners == pytest.approx(np.array(CORNERS) * (1, 2, 1))
 
 
+def test_indices_of_an_obj_that_count_back(load):
+    text = "v 9 9 9\nv 0 0 0\nv 2 0 0\nv 0 1 0\nvn 0 0 1\nf -3//-1 -2//-1 -1//-1\nv 5 5 5\n"
+    triangles = load("d.obj", text)
+    assert triangles.vertices[triangles.faces].tolist() == [CORNERS]
+    with pytest.raises(MeshError, match="not a readable mesh: index -4 of 3"):
+        load("e.obj", "v 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 -4\n")
+
+
 @pytest.fixture(scope="module")
 def opened_files():
     """The names of all files that this process opens from now on."""
