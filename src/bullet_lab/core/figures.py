@@ -33,6 +33,13 @@ def save(figure: Figure, path: Path) -> None:
     replace_file(path, lambda part: figure.savefig(part, format="png", metadata={"Software": ""}))
 
 
+def plan_axes(axes: Axes, **more: str) -> None:
+    """Prepare axes for what is seen from above, in m and to scale; `more` is as of `Axes.set`."""
+    axes.set(**{"xlabel": "x (m)", "ylabel": "y (m)", **more})
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.grid(alpha=0.3)
+
+
 Outline = Sequence[Tuple[float, float]]
 
 MARKER_SIDE = 0.2

@@ -1,1 +1,127 @@
-"""What each job leaves behind: columns, summary and figure, without ROS."""
+"""What each job leaves behind: what is recorded, its summary and its figures, without ROS.
+
+A report names the topics that it wants; `bullet_lab.ros.record` runs any of them. A new job's
+report is one module here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Callable, Dict, Iterable, Mapping, Optional, Sequence
+
+from matplotlib.figure import Figure
+
+from bullet_lab.core.files import make_folder
+from bullet_lab.core.series import NANOSECONDS, Series
+
+# ns: where a robot is sent somewhere, what comes before is not recorded, for somebody may not
+# have been connected yet.
+BEGINNING = 500_000_000
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a message says.
+
+    Attributes:
+        stamp: ns of simulated time.
+        values: numbers for a row; x (m), y (m) and yaw (rad) of a pose.
+        detail: what else it says; which type of message gives what stands in
+            `bullet_lab.ros.record.readings`.
+    """
+
+    stamp: int
+    values: Sequence[float] = ()
+    detail: Any = None
+
+    @property
+    def seconds(self) -> float:
+        """The stamp in s, rounded as rospy does."""
+        return self.stamp // NANOSECONDS + self.stamp % NANOSECONDS / NANOSECONDS
+
+
+class Report:
+    """What one job leaves behind in a folder.
+
+    This one keeps a series for each topic, until all have come to the end; a subclass says
+    otherwise where need be. Its methods are called by one thread at a time.
+
+    Attributes:
+        about: what else summary.json says.
+        topics: what is recorded: the type of each topic's messages, such as sensor_msgs/Imu, of
+            those that `bullet_lab.ros.record.readings` knows.
+        series: where rows go, by topic.
+        until: the time in ns that is recorded up to; None while that is not known.
+        begins_anew: called with the namespace of a robot for whom time was set back, and the
+            folder that what was recorded before is in now.
+
+    Args:
+        folder: where files go; made if need be.
+
+    Raises:
+        FileError: a file cannot be written, here and in all that adds to files.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = make_folder(folder)
+        self.about: Mapping[str, Any] = {}
+        self.topics: Dict[str, str] = {}
+        self.series: Dict[str, Series] = {}
+        self.until: Optional[int] = None
+        self.begins_anew: Callable[[str, Path], None] = lambda namespace, old: None
+
+    def take(self, topic: str, reading: Reading) -> bool:
+        """Record what came on a topic; return whether a row was.
+
+        Raises:
+            LabError: it cannot be used.
+        """
+        self.series[topic].add(reading.stamp, reading.values)
+        return True
+
+    def newest(self) -> Optional[int]:
+        """Return the stamp in ns that all series have come to; None before that."""
+        return earliest(series.last for series in self.series.values())
+
+    def is_complete(self) -> bool:
+        """Return whether all has come up to the end."""
+        newest = self.newest()
+        return None not in (self.until, newest) and newest >= self.until
+
+    def finish(self, until: Optional[int] = None) -> None:
+        """Write the files once more, whole; leave out what came after a stamp in ns, if given."""
+        for series in self.series.values():
+            series.finish(until)
+
+    def seconds(self) -> float:
+        """Return the simulated time from the first to the last row of the first series."""
+        stamps, _ = next(iter(self.series.values())).table()
+        return float(stamps[-1] - stamps[0]) if len(stamps) else 0.0
+
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
+        """Return what summary.json says after `about`.
+
+        Args:
+            finished: whether all came up to the end.
+            run: figures of the run itself, to be among the others: times and refusals.
+        """
+        raise NotImplementedError
+
+    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
+        """Return the pictures by the names of their files."""
+        raise NotImplementedError
+
+    def line(self, summary: Mapping[str, Any]) -> str:
+        """Return in a line for people what came of it."""
+        raise NotImplementedError
+
+    def has_failed(self, summary: Mapping[str, Any]) -> bool:
+        """Return whether the line says that the job came to an end, but not to its goal."""
+        return False
+
+
+def earliest(stamps: Iterable[Optional[int]]) -> Optional[int]:
+    """Return the least of some stamps; None if one of them is None."""
+    found = list(stamps)
+    return None if None in found else min(found)

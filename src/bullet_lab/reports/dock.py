@@ -1,11 +1,14 @@
-"""One docking: what it leaves behind, and its figure."""
+"""One docking: the true path, what it comes down to, and its figures."""
 
 from __future__ import annotations
 
+import contextlib
 import math
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, Iterable, List, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
 
+import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -24,67 +27,161 @@ from bullet_lab.core.figures import (
     draw_plan,
     new_figure,
 )
-from bullet_lab.core.files import RowFile, make_folder
-from bullet_lab.core.trajectory import Trajectory, tum_row
-from bullet_lab.errors import LabError
+from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.series import NANOSECONDS, PathSeries
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.docking.types import DockingError, DockingResult
+from bullet_lab.reports import BEGINNING, Reading, Report
 
-PlanarPose = Tuple[float, float, float]
-NANOSECONDS = 1_000_000_000
+# ns that are recorded after the end: a robot that should stand, stands.
+REST = NANOSECONDS // 2
+PICTURE_WIDTH = 320
+UNFINISHED = "the docking was not finished"
+ERRORS = ("distance_error_m", "lateral_error_m", "yaw_error_deg")
 
 
-class DockingRunError(LabError):
-    """A pose cannot be recorded."""
+@dataclass(frozen=True)
+class Station:
+    """Where a robot docks.
 
-
-class PathRecording:
-    """Writes one path as a TUM file while poses come in.
-
-    Args:
-        path: of the file; its folder is made if need be.
-
-    Raises:
-        FileError: it cannot be written, here and in all that adds to it.
+    Attributes:
+        outlines: of all that stands there, in m.
+        dock: true pose (m, m, rad) of the floor below the marker's face.
+        camera_ahead: m, of the camera from the robot's middle.
+        docked_distance: m, from the camera to the marker's face in a docked robot.
     """
 
-    def __init__(self, path: Path):
-        make_folder(path.parent)
-        self._file = RowFile(path)
-        self._stamps: List[int] = []
-        self._poses: List[PlanarPose] = []
+    outlines: Sequence[Outline]
+    dock: PlanarPose
+    camera_ahead: float
+    docked_distance: float
 
-    @property
-    def last(self) -> Optional[int]:
-        """The last stamp in ns, None while there is none."""
-        return self._stamps[-1] if self._stamps else None
 
-    def add(self, stamp: int, pose: PlanarPose) -> None:
-        """Record a pose (m, m, rad) at a stamp in ns.
+class DockReport(Report):
+    """The true path, in truth.tum, pictures of the camera, and how it ended.
 
-        Raises:
-            DockingRunError: not later than the one before.
-        """
-        if self._stamps and stamp <= self._stamps[-1]:
-            raise DockingRunError("time goes back")
-        self._stamps.append(stamp)
-        self._poses.append(pose)
-        self._file.write(tum_row(stamp / NANOSECONDS, *pose))
+    What an earlier docking has left in the folder is removed.
 
-    def until(self, stamp: Optional[int]) -> Optional[Trajectory]:
-        """Return the path up to a stamp in ns, all of it for None; None while there is none."""
-        count = sum(stamp is None or one <= stamp for one in self._stamps)
-        if not count:
+    Attributes:
+        sent: whether the robot has been sent to its dock: pictures count from then on.
+        result: of the action; None before its end.
+
+    Args:
+        folder: where the files go.
+        station: where it docks.
+        pictures: how many of the camera's are kept.
+    """
+
+    def __init__(self, folder: Path, station: Station, pictures: int):
+        super().__init__(folder)
+        for name in ("path.png", "camera.png", "summary.json"):
+            with contextlib.suppress(FileNotFoundError):
+                (folder / name).unlink()
+        self._station = station
+        self._truth = PathSeries(folder / "truth.tum")
+        self.series = {"odom": self._truth}
+        self.topics = {
+            "odom": "nav_msgs/Odometry",
+            "bullet_lab/touched": "bullet_lab/TouchedModels",
+            "aruco/image_annotated": "sensor_msgs/Image",
+            "dock/feedback": "bullet_lab/DockActionFeedback",
+            "dock/plan": "nav_msgs/Path",
+            "dock/finished": "std_msgs/Time",
+        }
+        self.sent = False
+        self.result: Optional[DockingResult] = None
+        self._frames = Sampler(pictures)
+        self._states: List[Tuple[float, str]] = []
+        self._plan: Sequence[Tuple[float, float]] = ()
+        self._touched: Optional[Reading] = None
+
+    def take(self, topic: str, reading: Reading) -> bool:
+        """Record a pose, or what else there is to know; see `Report`."""
+        if topic == "odom":
+            return reading.stamp >= BEGINNING and super().take(topic, reading)
+        if topic == "aruco/image_annotated":
+            if self.sent and self.until is None:
+                self._frames.add((reading.seconds, _small(reading.detail)))
+        elif topic == "bullet_lab/touched":
+            # What is touched after the end is no part of the docking.
+            if None in (self.until, self._touched) or self._touched.stamp < self.until:
+                self._touched = reading
+        elif topic == "dock/feedback":
+            if not self._states or self._states[-1][1] != reading.detail:
+                self._states.append((reading.seconds, reading.detail))
+        elif topic == "dock/plan":
+            self._plan = reading.detail or self._plan
+        else:
+            self.until = reading.stamp + REST
+        return False
+
+    def newest(self) -> Optional[int]:
+        """Return the stamp in ns that path and touches have come to; None before that."""
+        if self._truth.last is None or self._touched is None:
             return None
-        seconds = [one / NANOSECONDS for one in self._stamps[:count]]
-        return Trajectory(seconds, self._poses[:count])
+        return min(self._truth.last, self._touched.stamp)
 
-    def finish(self, stamp: Optional[int]) -> None:
-        """Close the file; leave out what came after a stamp in ns, if one is given."""
-        kept = [
-            tum_row(one / NANOSECONDS, *pose)
-            for one, pose in zip(self._stamps, self._poses)
-            if stamp is None or one <= stamp
-        ]
-        self._file.rewrite(kept)
+    def is_complete(self) -> bool:
+        """Return whether all has come up to the end, the result as well."""
+        return self.result is not None and super().is_complete()
+
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
+        """Return the figures for summary.json."""
+        station, truth = self._station, self._truth.path()
+        result = self.result or DockingResult(False, DockingError.UNKNOWN, UNFINISHED)
+        touches: Mapping[str, int] = self._touched.detail if self._touched else {}
+        errors: Dict[str, Any] = dict.fromkeys(ERRORS)
+        if truth is not None:
+            camera = (station.camera_ahead, station.docked_distance)
+            errors = docking_errors(truth.poses[-1], station.dock, *camera)
+        return {
+            "finished": self.until is not None,
+            "docked": result.success,
+            "error_code": int(result.error),
+            "error_name": result.error.name,
+            "message": result.message,
+            **errors,
+            "wall_contacts": sum(touches.values()),
+            "touched": dict(touches),
+            "retries": result.retries if self.result else None,
+            "images": self._frames.seen,
+            **run,
+        }
+
+    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
+        """Return the path, and the camera's pictures if there are any, by their files' names."""
+        truth, station, title = self._truth.path(), self._station, self.line(summary)
+        outlines, dock = station.outlines, station.dock
+        path = docking_figure(truth, self._states, self._plan, outlines, dock, title)
+        frames = [(at, self._state_at(at), picture) for at, picture in self._frames.chosen()]
+        return {"path.png": path, **({"camera.png": strip_figure(frames)} if frames else {})}
+
+    def line(self, summary: Mapping[str, Any]) -> str:
+        """Return how it ended."""
+        if not summary["docked"]:
+            return f"not docked: {summary['message']} ({summary['error_name']})"
+        return (
+            f"docked after {summary['sim_time_s']:.1f} s, {summary['retries']} retries, "
+            f"{summary['wall_contacts']} wall contacts; off by "
+            f"{1000.0 * summary['distance_error_m']:+.1f} mm along the axis, "
+            f"{1000.0 * summary['lateral_error_m']:+.1f} mm across, "
+            f"{summary['yaw_error_deg']:+.2f} deg"
+        )
+
+    def has_failed(self, summary: Mapping[str, Any]) -> bool:
+        """Return whether the docking came to an end, but not to the dock."""
+        return summary["finished"] and not summary["docked"]
+
+    def _state_at(self, seconds: float) -> str:
+        before = [name for at, name in self._states if at <= seconds]
+        return before[-1] if before else "at rest"
+
+
+def _small(picture: np.ndarray) -> np.ndarray:
+    """Return a picture (h, w, 3), blue green red, as a small one, red green blue."""
+    height = round(PICTURE_WIDTH * picture.shape[0] / picture.shape[1])
+    coloured = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    return cv2.resize(coloured, (PICTURE_WIDTH, height), interpolation=cv2.INTER_AREA)
 
 
 def docking_errors(
@@ -111,8 +208,11 @@ def docking_errors(
     }
 
 
-class Keepsakes:
+class Sampler:
     """Keeps some of many things, spread evenly over their number, and the last one.
+
+    Attributes:
+        seen: how many there were.
 
     Args:
         count: how many there shall be at least, once there were so many.
@@ -122,18 +222,18 @@ class Keepsakes:
         self._count = max(2, count)
         self._kept: List[Any] = []
         self._last: Any = None
-        self._seen = 0
+        self.seen = 0
         self._stride = 1
 
     def add(self, thing: Any) -> None:
         """Take the next one."""
-        if self._seen % self._stride == 0:
+        if self.seen % self._stride == 0:
             if len(self._kept) >= 4 * self._count:
                 self._kept = self._kept[::2]
                 self._stride *= 2
-            if self._seen % self._stride == 0:
+            if self.seen % self._stride == 0:
                 self._kept.append(thing)
-        self._seen += 1
+        self.seen += 1
         self._last = thing
 
     def chosen(self) -> List[Any]:

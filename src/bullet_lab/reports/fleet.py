@@ -1,9 +1,11 @@
-"""The squares of a fleet: what they come down to, and the paths side by side."""
+"""The squares of a fleet: their paths, what they come down to, and all of them side by side."""
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
-from typing import Any, Dict, Mapping, Optional, Sequence, Tuple
+from pathlib import Path
+from typing import Any, Collection, Dict, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,9 +13,78 @@ from matplotlib.figure import Figure
 
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, new_figure
 from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.reports.squares import (
+    OdometryReport,
+    PathsRecording,
+    settings_line,
+    squares_summary,
+)
 
 # Of each robot, and in the mean over all of them.
 ERRORS = ("final_error_m", "final_heading_error_deg", "ape_rmse_m")
+
+
+class FleetReport(OdometryReport):
+    """The perfect and the noisy path of each robot, in a folder of its own.
+
+    Args:
+        folder: where the robots' folders go.
+        seeds: of the robots' noise, by their names, which are their namespaces as well.
+    """
+
+    def __init__(self, folder: Path, seeds: Mapping[str, int]):
+        clear_away(folder, seeds)
+        super().__init__(folder, seeds)
+        self._seeds = dict(seeds)
+
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
+        """Return the figures for summary.json; see `fleet_summary`."""
+        robots = [
+            {
+                "name": name,
+                "seed": self._seeds[name],
+                **squares_summary(paths.perfect(), paths.pairs()),
+            }
+            for name, paths in self.robots.items()
+        ]
+        return {"finished": finished, **run, **fleet_summary(robots)}
+
+    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
+        """Return the picture by the name of its file."""
+        robots = []
+        for name, paths in self.robots.items():
+            pairs = paths.pairs()
+            robots.append(RobotPaths(name, paths.perfect(), pairs and pairs[1]))
+        title = f"{len(robots)} robots with noisy odometry{settings_line(self.about)}"
+        return {"fleet.png": fleet_figure(robots, title)}
+
+    def line(self, summary: Mapping[str, Any]) -> str:
+        """Return the main figures."""
+        robots = summary["robots"]
+        squares = sum(len(robot["side_lengths_m"]) for robot in robots)
+        parts = [f"{len(robots)} robots, {squares} sides"]
+        if summary["final_error_m_rms"] is not None:
+            parts.append(
+                f"noisy paths end {summary['final_error_m_rms']:.3f} m rms off, "
+                f"{summary['final_error_m_largest']:.3f} m at most"
+            )
+        factor: Optional[float] = summary["real_time_factor"]
+        if factor is not None:
+            parts.append(f"{factor:.1f} times real time")
+        return "; ".join(parts)
+
+
+def clear_away(folder: Path, names: Collection[str]) -> None:
+    """Remove what an earlier, larger fleet has left in a folder, and nothing else."""
+    for old in folder.glob("robot*"):
+        if old.name in names or not old.name[len("robot") :].isdigit():
+            continue
+        for path in PathsRecording.FILES:
+            with contextlib.suppress(FileNotFoundError):
+                (old / path).unlink()
+        # Somebody may keep files of their own there.
+        with contextlib.suppress(OSError):
+            old.rmdir()
 
 
 def fleet_summary(robots: Sequence[Mapping[str, Any]]) -> Dict[str, Any]:

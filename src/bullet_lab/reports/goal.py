@@ -1,10 +1,11 @@
-"""Drives to goals: what they come down to, and their figure."""
+"""Drives to goals: the true path, what they come down to, and their figure."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Dict, Optional, Sequence, Tuple
+from pathlib import Path
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,10 +13,25 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from bullet_lab.core.angles import wrap
-from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, new_figure
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    VERMILION,
+    new_figure,
+    plan_axes,
+)
+from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.series import NANOSECONDS, PathSeries
 from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.reports import BEGINNING, Reading, Report
 
-PlanarPose = Tuple[float, float, float]
+# ns that are recorded after the end: a robot that should stand, stands.
+REST = NANOSECONDS
+Beacon = Tuple[str, float, float]
+"""Name, x and y (m)."""
 
 
 @dataclass
@@ -35,6 +51,116 @@ class GoalRecord:
     ended: Optional[float] = None
     reached: bool = False
     text: str = ""
+
+
+@dataclass(frozen=True)
+class GoalAnswer:
+    """What the driver says of a goal.
+
+    Attributes:
+        id: of the goal.
+        text: what it says.
+        rejected: whether it does not drive there.
+        reached: whether it is there.
+    """
+
+    id: str
+    text: str
+    rejected: bool
+    reached: bool
+
+
+class GoalReport(Report):
+    """The true path, in truth.tum, and the goals, whoever gave them.
+
+    Args:
+        folder: where the files go.
+        tolerance: m from the goals that the robot may stop, for the picture.
+        stay: whether the first goal's end is not that of the recording.
+        beacons: returns what stands there.
+    """
+
+    def __init__(
+        self, folder: Path, tolerance: float, stay: bool, beacons: Callable[[], List[Beacon]]
+    ):
+        super().__init__(folder)
+        self._tolerance, self._stay, self._beacons = tolerance, stay, beacons
+        self._truth = PathSeries(folder / "truth.tum")
+        self.series = {"odom": self._truth}
+        self.topics = {
+            "odom": "nav_msgs/Odometry",
+            "drive_to_goal/current_goal": "geometry_msgs/PoseStamped",
+            "drive_to_goal/status": "actionlib_msgs/GoalStatus",
+            "drive_to_goal/finished": "std_msgs/Time",
+        }
+        # What the driver says of its goals, in their order.
+        self._poses: List[Reading] = []
+        self._ends: List[Reading] = []
+        self._answers: Dict[str, GoalAnswer] = {}
+        self._refused: List[str] = []
+
+    def take(self, topic: str, reading: Reading) -> bool:
+        """Record a pose, or what the driver says; see `Report`."""
+        if topic == "odom":
+            return reading.stamp >= BEGINNING and super().take(topic, reading)
+        if topic == "drive_to_goal/current_goal":
+            self._poses.append(reading)
+        elif topic == "drive_to_goal/finished":
+            self._ends.append(reading)
+            if not self._stay:
+                self.until = self._ends[0].stamp + REST
+        elif reading.detail.rejected:
+            self._refused.append(reading.detail.text)
+        else:
+            self._answers[reading.detail.id] = reading.detail
+        return False
+
+    def is_answered(self) -> bool:
+        """Return whether the driver has taken or refused a goal."""
+        return bool(self._answers or self._refused)
+
+    def is_complete(self) -> bool:
+        """Return whether the robot has come to rest after the first goal, or will not drive."""
+        return not self._stay and (bool(self._refused) or super().is_complete())
+
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
+        """Return the figures for summary.json."""
+        truth = self._truth.path()
+        goals = [goal_figures(record, truth) for record in self._records()]
+        return {
+            "finished": bool(goals) and all(one["seconds"] is not None for one in goals),
+            "goals": goals,
+            "refused_goals": self._refused,
+            "greatest_speed_mps": None if truth is None else greatest_speed(truth),
+            **run,
+        }
+
+    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
+        """Return the picture by the name of its file."""
+        truth, goals, beacons = self._truth.path(), self._records(), self._beacons()
+        title = self.line(summary)
+        return {"path.png": goal_figure(truth, goals, beacons, self._tolerance, title)}
+
+    def line(self, summary: Mapping[str, Any]) -> str:
+        """Return how the drives ended."""
+        goals = summary["goals"]
+        return self._refused[0] if self._refused and not goals else title_of(goals)
+
+    def has_failed(self, summary: Mapping[str, Any]) -> bool:
+        """Return whether a goal was refused or not reached, where it was to be the only one."""
+        missed = any(one.ended is not None and not one.reached for one in self._records())
+        return not self._stay and (missed or bool(self._refused))
+
+    def _records(self) -> List[GoalRecord]:
+        """Return the goals: the k-th id, pose and end belong together, one goal at a time."""
+        records = []
+        for index, (pose, answer) in enumerate(zip(self._poses, self._answers.values())):
+            record = GoalRecord(tuple(pose.values), pose.seconds)
+            if index < len(self._ends):
+                record.ended, record.text = self._ends[index].seconds, answer.text
+                record.reached = answer.reached
+            records.append(record)
+        return records
 
 
 def goal_figures(record: GoalRecord, truth: Optional[Trajectory]) -> Dict[str, Any]:
@@ -110,7 +236,7 @@ MARGIN = 0.6
 def goal_figure(
     truth: Optional[Trajectory],
     goals: Sequence[GoalRecord],
-    beacons: Sequence[Tuple[str, float, float]],
+    beacons: Sequence[Beacon],
     tolerance: float,
     title: str,
 ) -> Figure:
@@ -119,7 +245,7 @@ def goal_figure(
     Args:
         truth: the true path; None for nothing yet.
         goals: that were given.
-        beacons: name, x and y (m) of what stands there.
+        beacons: what stands there.
         tolerance: m from the goals that the robot may stop.
         title: above all.
     """
@@ -145,12 +271,10 @@ def _draw_way(
     axes: Axes,
     truth: Optional[Trajectory],
     goals: Sequence[GoalRecord],
-    beacons: Sequence[Tuple[str, float, float]],
+    beacons: Sequence[Beacon],
     tolerance: float,
 ) -> None:
-    axes.set(xlabel="x (m)", ylabel="y (m)")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.grid(alpha=0.3)
+    plan_axes(axes)
     for name, x, y in beacons:
         axes.add_patch(Circle((x, y), BEACON_RADIUS, facecolor="#d5d5d5", edgecolor=GREY))
         axes.annotate(name, (x, y), ha="center", va="center", fontsize=7, annotation_clip=True)

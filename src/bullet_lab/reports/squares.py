@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bullet_lab.core.figures import BLACK, BLUE, GREEN, ORANGE, VERMILION, new_figure
-from bullet_lab.core.files import RowFile, make_folder
-from bullet_lab.core.trajectory import (
-    CSV_HEADER,
-    Trajectory,
-    closure_error,
-    csv_row,
-    path_error,
-    tum_row,
-)
-from bullet_lab.errors import LabError
+from bullet_lab.core.ellipse import ellipse_points
+from bullet_lab.core.figures import BLACK, BLUE, GREEN, ORANGE, VERMILION, new_figure, plan_axes
+from bullet_lab.core.files import make_folder, move_file
+from bullet_lab.core.series import Join, PathSeries, Series, Values
+from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, closure_error, path_error
+from bullet_lab.reports import Reading, Report, earliest
+
+# How many ellipses are drawn along the noisy path.
+ELLIPSES = 12
 
 TURNING_RADIUS = 0.1
 """m; a message is part of a drive if the curve it lies on is at least this wide."""
@@ -142,115 +141,216 @@ def squares_summary(
     }
 
 
-PlanarPose = Tuple[float, float, float]
-NANOSECONDS = 1_000_000_000
-
-
-class RecordingError(LabError):
-    """A pose cannot be recorded."""
-
-
 class PathsRecording:
     """Writes odom.tum, noisy_odom.tum and paths.csv while poses come in.
 
     Poses of the two paths are paired where their stamps are the same to the nanosecond. Each row
-    is in the file as soon as it is known; `finish` writes the files once more, whole.
+    is in the file as soon as it is known; `finish` writes the files once more, whole. Where time
+    is set back, what was recorded before is moved to a folder run_1, run_2 and so on.
 
     Args:
         folder: where the files go; made if need be.
+        begins_anew: called with the folder of what was before time was set back.
 
     Raises:
         FileError: a file cannot be written, here and in all that adds to the files.
     """
 
-    PERFECT, NOISY, PAIRS = "odom.tum", "noisy_odom.tum", "paths.csv"
+    PERFECT, NOISY = "odom", "noisy_odom"
+    FILES = ("odom.tum", "noisy_odom.tum", "paths.csv")
 
-    def __init__(self, folder: Path):
-        self.folder = make_folder(folder)
-        self._perfect: Dict[int, PlanarPose] = {}
-        self._noisy: Dict[int, PlanarPose] = {}
-        self._last: Dict[str, int] = {}
-        self._files = {
-            name: RowFile(folder / name) for name in (self.PERFECT, self.NOISY, self.PAIRS)
-        }
-        self._files[self.PAIRS].write(CSV_HEADER)
+    def __init__(self, folder: Path, begins_anew: Callable[[Path], None] = lambda old: None):
+        self.folder = folder
+        self._begins_anew = begins_anew
+        self._runs = 0
+        self._left_behind: Optional[str] = None
+        self._left_at: Optional[int] = None
+        self._open()
 
-    def add_perfect(self, stamp: int, pose: PlanarPose) -> None:
+    def take(self, name: str, stamp: int, pose: Sequence[float]) -> bool:
+        """Record a pose (m, m, rad) of PERFECT or NOISY at a stamp in ns; return whether it was.
+
+        Raises:
+            SeriesError: not finite, or at the stamp of the one before.
+        """
+        if not self._belongs_to_this_run(name, stamp):
+            return False
+        self._add(name, stamp, pose)
+        return True
+
+    def add_perfect(self, stamp: int, pose: Sequence[float]) -> None:
         """Record a perfect pose (m, m, rad) at a stamp in ns.
 
         Raises:
-            RecordingError: not finite, or not later than the one before.
+            SeriesError: not finite, or not later than the one before.
         """
-        self._add(self.PERFECT, self._perfect, stamp, pose)
-        self._write_pair(stamp)
+        self._add(self.PERFECT, stamp, pose)
 
-    def add_noisy(self, stamp: int, pose: PlanarPose) -> None:
+    def add_noisy(self, stamp: int, pose: Sequence[float]) -> None:
         """Record a noisy pose; see `add_perfect`."""
-        self._add(self.NOISY, self._noisy, stamp, pose)
-        self._write_pair(stamp)
+        self._add(self.NOISY, stamp, pose)
 
     def last(self, name: str) -> Optional[int]:
-        """Return the last stamp in ns in PERFECT or NOISY, or None."""
-        return self._last.get(name)
+        """Return the last stamp in ns of PERFECT or NOISY, or None."""
+        return self._series[name].last
+
+    def newest(self) -> Optional[int]:
+        """Return the stamp in ns that both have come to; None before that."""
+        return earliest(self.last(name) for name in (self.PERFECT, self.NOISY))
 
     def perfect(self) -> Optional[Trajectory]:
         """Return the whole perfect path, or None while there is none."""
-        return _trajectory(self._perfect, sorted(self._perfect))
+        return self._series[self.PERFECT].path()
 
     def pairs(self) -> Optional[Tuple[Trajectory, Trajectory]]:
         """Return the paired poses of both paths, or None while there are none."""
-        stamps = self._paired_stamps()
-        if not stamps:
-            return None
-        return _trajectory(self._perfect, stamps), _trajectory(self._noisy, stamps)
+        return (self._pairs.path(0), self._pairs.path(3)) if len(self._pairs) else None
 
     def finish(self, until: Optional[int] = None) -> None:
         """Close the files; leave out what came after the stamp `until` in ns, if given."""
-        self.close()
-        if until is not None:
-            for poses in (self._perfect, self._noisy):
-                for stamp in [s for s in poses if s > until]:
-                    del poses[stamp]
-        self._files[self.PERFECT].rewrite(self._tum_rows(self._perfect))
-        self._files[self.NOISY].rewrite(self._tum_rows(self._noisy))
-        self._files[self.PAIRS].rewrite(
-            [CSV_HEADER] + [self._pair_row(stamp) for stamp in self._paired_stamps()]
-        )
+        for series in (*self._series.values(), self._pairs):
+            series.finish(until)
 
-    def close(self) -> None:
-        """Close the files as they are."""
-        for file in self._files.values():
-            file.close()
+    def _open(self) -> None:
+        perfect, noisy, pairs = (self.folder / name for name in self.FILES)
+        self._series = {self.PERFECT: PathSeries(perfect), self.NOISY: PathSeries(noisy)}
+        self._pairs = Series(pairs, CSV_HEADER.split(",")[1:])
+        self._join = Join(self._series, self._add_pair)
 
-    def _add(self, name: str, poses: Dict[int, PlanarPose], stamp: int, pose: PlanarPose) -> None:
-        if not all(map(math.isfinite, pose)):
-            raise RecordingError(f"a pose that is not finite: {pose}")
-        last = self._last.get(name)
-        if last is not None and stamp <= last:
-            raise RecordingError(f"time goes back from {last / 1e9:.9f} s to {stamp / 1e9:.9f} s")
-        self._last[name] = stamp
-        poses[stamp] = pose
-        self._files[name].write(tum_row(stamp / NANOSECONDS, *pose))
+    def _add(self, name: str, stamp: int, pose: Sequence[float]) -> None:
+        self._series[name].add(stamp, pose)
+        self._join.add(name, stamp, pose)
 
-    def _write_pair(self, stamp: int) -> None:
-        if stamp in self._perfect and stamp in self._noisy:
-            self._files[self.PAIRS].write(self._pair_row(stamp))
+    def _add_pair(self, stamp: int, poses: Dict[str, Values]) -> None:
+        self._pairs.add(stamp, (*poses[self.PERFECT], *poses[self.NOISY]))
 
-    def _pair_row(self, stamp: int) -> str:
-        return csv_row(stamp / NANOSECONDS, self._perfect[stamp], self._noisy[stamp])
+    def _belongs_to_this_run(self, name: str, stamp: int) -> bool:
+        """Begin a new run where time was set back; drop what the old run still sends after."""
+        last = self.last(name)
+        if self._left_behind == name:
+            if self._left_at is not None and stamp > self._left_at:
+                return False
+            self._left_behind = None
+        elif last is not None and stamp < last:
+            other = self.NOISY if name == self.PERFECT else self.PERFECT
+            # Its messages of the old run may come yet, all of them later than its last one.
+            self._left_behind, self._left_at = other, self.last(other)
+            self._begin_new_run()
+        return True
 
-    def _paired_stamps(self) -> List[int]:
-        return sorted(self._perfect.keys() & self._noisy.keys())
+    def _begin_new_run(self) -> None:
+        self.finish()
+        self._runs += 1
+        old = make_folder(self.folder / f"run_{self._runs}")
+        for name in self.FILES:
+            move_file(self.folder / name, old)
+        self._open()
+        self._begins_anew(old)
 
-    @staticmethod
-    def _tum_rows(poses: Dict[int, PlanarPose]) -> List[str]:
-        return [tum_row(stamp / NANOSECONDS, *poses[stamp]) for stamp in sorted(poses)]
+
+class OdometryReport(Report):
+    """The perfect and the noisy path of each robot, by the robots' namespaces."""
+
+    def __init__(self, folder: Path, namespaces: Iterable[str]):
+        super().__init__(folder)
+        self.robots = {
+            name: PathsRecording(folder / name, partial(self._begin_anew, name))
+            for name in namespaces
+        }
+        for name in self.robots:
+            for path in (PathsRecording.NOISY, PathsRecording.PERFECT):
+                self.topics[f"{name}/{path}".lstrip("/")] = "nav_msgs/Odometry"
+
+    def take(self, topic: str, reading: Reading) -> bool:
+        """Record a pose; see `Report`."""
+        namespace, _, name = topic.rpartition("/")
+        return self.robots[namespace].take(name, reading.stamp, reading.values)
+
+    def newest(self) -> Optional[int]:
+        """Return the stamp in ns that all paths have come to; None before that."""
+        return earliest(paths.newest() for paths in self.robots.values())
+
+    def finish(self, until: Optional[int] = None) -> None:
+        """Write the files once more; see `Report`."""
+        for paths in self.robots.values():
+            paths.finish(until)
+
+    def seconds(self) -> float:
+        """Return the simulated time of the longest of the perfect paths."""
+        found = [paths.perfect() for paths in self.robots.values()]
+        return max((p.stamps[-1] - p.stamps[0] for p in found if p is not None), default=0.0)
+
+    def _begin_anew(self, namespace: str, old: Path) -> None:
+        self.begins_anew(namespace, old)
 
 
-def _trajectory(poses: Dict[int, PlanarPose], stamps: List[int]) -> Optional[Trajectory]:
-    if not stamps:
-        return None
-    return Trajectory([s / NANOSECONDS for s in stamps], [poses[s] for s in stamps])
+class SquaresReport(OdometryReport):
+    """The perfect and the noisy path of one robot."""
+
+    def __init__(self, folder: Path):
+        super().__init__(folder, [""])
+        self._paths = self.robots[""]
+        # Of the noisy position, m², by stamp in ns.
+        self._covariances: Dict[int, Any] = {}
+
+    def take(self, topic: str, reading: Reading) -> bool:
+        """Record a pose; see `Report`."""
+        recorded = super().take(topic, reading)
+        if recorded and topic == PathsRecording.NOISY:
+            self._covariances[reading.stamp] = reading.detail
+        return recorded
+
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
+        """Return the figures for summary.json; see `squares_summary`."""
+        figures = squares_summary(self._paths.perfect(), self._paths.pairs())
+        return {"finished": finished, **figures, **run}
+
+    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
+        """Return the picture by the name of its file, with ellipses along the noisy path."""
+        perfect, pairs = self._paths.perfect(), self._paths.pairs()
+        title = f"Noise generated by /noisy_odom{settings_line(self.about)}"
+        ellipses = [] if pairs is None else self._ellipses(pairs[1])
+        return {"paths.png": noise_figure(perfect, pairs, title, ellipses)}
+
+    def line(self, summary: Mapping[str, Any]) -> str:
+        """Return the main figures."""
+        sides = " ".join(f"{side:.3f}" for side in summary["side_lengths_m"])
+        turns = " ".join(f"{turn:.2f}" for turn in summary["turns_deg"])
+        parts = [f"sides {sides} m"] if sides else ["no sides"]
+        if turns:
+            parts.append(f"turns {turns} deg")
+        if summary["final_error_m"] is not None:
+            parts.append(
+                f"noisy path ends {summary['final_error_m']:.3f} m and "
+                f"{summary['final_heading_error_deg']:.1f} deg off"
+            )
+            rms, most = summary["ape_rmse_m"], summary["ape_max_m"]
+            parts.append(f"APE {rms:.3f} m rms, {most:.3f} m at most")
+        return "; ".join(parts)
+
+    def _ellipses(self, noisy: Trajectory) -> List[np.ndarray]:
+        """Return the 95 % ellipses of the noisy odometry, evenly spaced along its path."""
+        travelled = noisy.travelled()
+        places = np.linspace(0.0, travelled[-1], ELLIPSES + 1)[1:]
+        chosen = np.unique(np.searchsorted(travelled, places).clip(max=len(noisy) - 1))
+        found = [(i, self._covariances.get(round(noisy.stamps[i] * 1e9))) for i in chosen]
+        return [
+            noisy.poses[i, :2] + ellipse_points(covariance)
+            for i, covariance in found
+            if covariance is not None
+        ]
+
+    def _begin_anew(self, namespace: str, old: Path) -> None:
+        self._covariances.clear()
+        super()._begin_anew(namespace, old)
+
+
+def settings_line(about: Mapping[str, Any]) -> str:
+    """Return what a title says in its second line of how the noise was made; may be empty."""
+    parts = [f"{key} = {about[key]}" for key in ("std", "model", "mode", "seed") if key in about]
+    if about.get("as_published"):
+        parts.append("as published")
+    return f"\n{', '.join(parts)}" if parts else ""
 
 
 def noise_figure(
@@ -284,9 +384,7 @@ def noise_figure(
 
 
 def _draw_paths(axes: Axes, perfect: Optional[Trajectory], noisy: Optional[Trajectory]) -> None:
-    axes.set(xlabel="x Distance (m)", ylabel="y Distance (m)")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.grid(alpha=0.3)
+    plan_axes(axes, xlabel="x Distance (m)", ylabel="y Distance (m)")
     for path, colour, name in ((noisy, BLUE, "Noisy odom"), (perfect, ORANGE, "Perfect odom")):
         if path is None:
             continue

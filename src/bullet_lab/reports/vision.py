@@ -1,17 +1,142 @@
-"""What the detectors see, side by side, as in figure 7."""
+"""What the detectors see in one image, side by side as in figure 7."""
 
 from __future__ import annotations
 
 import textwrap
-from typing import Mapping
+from pathlib import Path
+from typing import Any, Dict, List, Mapping, Sequence, Tuple
 
+import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
 from bullet_lab.core.figures import new_figure
+from bullet_lab.core.files import FileError, replace_file
+from bullet_lab.reports import Reading, Report
+from bullet_lab.vision.drawing import enlarged
 
+# Pictures by the name of their detector, in the order of figure 7.
+PICTURES = {
+    "view_camera": "view_camera/image_annotated",
+    "canny_edges": "canny_edges/edges",
+    "good_features": "good_features/image_annotated",
+    "harris_corners": "harris_corners/image_annotated",
+    "aruco": "aruco/image_annotated",
+}
+FEATURES = ("good_features", "harris_corners")
+DETECTIONS = "aruco/detections"
 _COLUMNS = 3
 _LINE_LENGTH = 58
+# Edge of the picture of the marker alone, px.
+_ENLARGED = 480
+
+
+class VisionReport(Report):
+    """A picture for each detector, marker.png if there is one, and what was found.
+
+    Attributes:
+        found: a line for each picture, once all answers are there.
+    """
+
+    def __init__(self, folder: Path):
+        super().__init__(folder)
+        self.topics = {
+            **dict.fromkeys(PICTURES.values(), "sensor_msgs/Image"),
+            **{f"{name}/points": "bullet_lab/ImagePoints" for name in FEATURES},
+            DETECTIONS: "bullet_lab/MarkerDetectionArray",
+        }
+        self.found: Dict[str, str] = {}
+        self._answers: Dict[str, Reading] = {}
+        self._pictures: Dict[str, np.ndarray] = {}
+
+    def take(self, topic: str, reading: Reading) -> bool:
+        """Take the answer of a detector to the image."""
+        self._answers[topic] = reading
+        return False
+
+    def is_complete(self) -> bool:
+        """Return whether there is an answer on each topic."""
+        return len(self._answers) == len(self.topics)
+
+    def finish(self, until: Any = None) -> None:
+        """Write the pictures."""
+        self._pictures = {name: self._answers[topic].detail for name, topic in PICTURES.items()}
+        self.found = self._found()
+        if self._markers():
+            corners = np.reshape(self._markers()[0].corners, (4, 2))
+            self._pictures["marker"] = enlarged(self._pictures["view_camera"], corners, _ENLARGED)
+            self.found["marker"] = "the marker, enlarged, and the outline that aruco found"
+        for name, picture in self._pictures.items():
+            replace_file(self.folder / f"{name}.png", lambda path, p=picture: _write(path, p))
+
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
+        """Return what was found, for summary.json."""
+        markers = [marker_figures(marker) for marker in self._markers()]
+        return {"stamp_s": self._stamp().seconds, "found": self.found, "markers": markers}
+
+    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
+        """Return all pictures in one, by the name of its file."""
+        title = f"What the detectors make of one image ({self._stamp().seconds:.3f} s)"
+        coloured = {name: picture[:, :, ::-1] for name, picture in self._pictures.items()}
+        return {"side_by_side.png": vision_figure(coloured, self.found, title)}
+
+    def line(self, summary: Mapping[str, Any]) -> str:
+        """Return where all is."""
+        return f"pictures in {self.folder}"
+
+    def _stamp(self) -> Reading:
+        return self._answers[PICTURES["view_camera"]]
+
+    def _markers(self) -> Sequence[Any]:
+        return self._answers[DETECTIONS].detail
+
+    def _found(self) -> Dict[str, str]:
+        """Return a line on what each detector found, by its name."""
+        view = self._pictures["view_camera"]
+        height, width = view.shape[:2]
+        grey = cv2.cvtColor(view, cv2.COLOR_BGR2GRAY)
+        edges = int(np.count_nonzero(self._pictures["canny_edges"][:, :, 0]))
+        points = {name: self._answers[f"{name}/points"].detail for name in FEATURES}
+        return {
+            "view_camera": f"{width} x {height} px, mean grey level {grey.mean():.0f}",
+            "canny_edges": f"{edges} edge pixels, {100.0 * edges / grey.size:.1f} % of the image",
+            **{name: _points_line(found) for name, found in points.items()},
+            "aruco": "; ".join(map(_marker_line, self._markers())) or "no marker",
+        }
+
+
+def marker_figures(marker: Any) -> Dict[str, Any]:
+    """Return what summary.json says of a marker, which is as bullet_lab/MarkerDetection."""
+    place = marker.pose.pose.position
+    return {
+        "id": marker.id,
+        "dictionary": marker.dictionary,
+        "corners_px": [list(marker.corners[k : k + 2]) for k in range(0, 8, 2)],
+        "position_m": [place.x, place.y, place.z],
+        "reprojection_error_px": marker.reprojection_error,
+        "ambiguous": marker.ambiguous,
+    }
+
+
+def _points_line(points: List[Tuple[float, float]]) -> str:
+    if not points:
+        return "no corner"
+    x, y = points[0]
+    return f"{len(points)} corners, the strongest at ({x:.0f}, {y:.0f}) px"
+
+
+def _marker_line(marker: Any) -> str:
+    name = f"marker {marker.id} of {marker.dictionary}"
+    if not marker.size:
+        return f"{name}, no pose without camera_info"
+    place = marker.pose.pose.position
+    where = f"{place.z:.3f} m ahead, {place.x:.3f} m right, {place.y:.3f} m down"
+    return f"{name}, {where}, to {marker.reprojection_error:.2f} px"
+
+
+def _write(path: Path, picture: np.ndarray) -> None:
+    if not cv2.imwrite(str(path), picture):
+        raise FileError(f"cannot write {path}")
 
 
 def vision_figure(

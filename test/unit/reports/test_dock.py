@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.figures import save
+from bullet_lab.core.series import PathSeries
 from bullet_lab.core.trajectory import read_tum
+from bullet_lab.docking.types import DockingError, DockingResult
+from bullet_lab.reports import Reading
 from bullet_lab.reports.dock import (
     STATES,
-    DockingRunError,
-    Keepsakes,
-    PathRecording,
+    DockReport,
+    Sampler,
+    Station,
     docking_errors,
     docking_figure,
     strip_figure,
@@ -19,36 +22,78 @@ DOCK = (4.0, 0.0, 0.0)
 STEP = 50_000_000
 
 
+RUN = {"sim_time_s": 1.0, "wall_time_s": 0.1, "real_time_factor": 10.0, "refused_messages": 0}
+
+
 def path_of(folder, count):
-    recording = PathRecording(folder / "truth.tum")
+    series = PathSeries(folder / "truth.tum")
     for number in range(1, count + 1):
-        recording.add(STEP * number, (0.1 * number, 0.01 * number, 0.0))
-    return recording
+        series.add(STEP * number, (0.1 * number, 0.01 * number, 0.0))
+    return series
 
 
-def test_each_pose_is_in_the_file_at_once(tmp_path):
-    recording = path_of(tmp_path / "new", 3)
-    found = read_tum(tmp_path / "new" / "truth.tum")
-    assert found.stamps.tolist() == [0.05, 0.1, 0.15]
-    assert found.poses[2, 1] == 0.01 * 3
-    recording.finish(None)
+@pytest.fixture
+def report(tmp_path):
+    return DockReport(tmp_path, Station([], DOCK, 0.16, 0.4), 8)
 
 
-def test_what_came_after_the_end_is_left_out(tmp_path):
-    recording = path_of(tmp_path, 10)
-    assert recording.last == 10 * STEP
-    recording.finish(4 * STEP)
-    assert len(read_tum(tmp_path / "truth.tum")) == 4
-    assert len(recording.until(4 * STEP)) == 4
-    assert recording.until(0) is None
+def drive(report, count):
+    """Send a path past its beginning, at which nothing is recorded."""
+    for number in range(1, count + 1):
+        report.take("odom", Reading(STEP * number, (0.1 * number, 0.0, 0.0)))
 
 
-def test_time_does_not_go_back(tmp_path):
-    recording = path_of(tmp_path, 2)
-    with pytest.raises(DockingRunError):
-        recording.add(2 * STEP, (0.0, 0.0, 0.0))
-    recording.finish(None)
-    assert len(read_tum(tmp_path / "truth.tum")) == 2
+def test_the_path_begins_with_the_goal_and_ends_half_a_second_after_it(report):
+    drive(report, 40)
+    report.take("dock/finished", Reading(20 * STEP))
+    assert report.until == 30 * STEP
+    report.take("bullet_lab/touched", Reading(30 * STEP, (), {"wall": 2}))
+    assert not report.is_complete()
+    report.result = DockingResult(True, DockingError.NONE, "docked", 1)
+    assert report.is_complete()
+    # After the end, and no part of it.
+    report.take("bullet_lab/touched", Reading(31 * STEP, (), {"wall": 3}))
+    report.finish(report.until)
+    stamps = read_tum(report.folder / "truth.tum").stamps
+    assert (stamps[0], stamps[-1]) == (0.5, 1.5)
+    summary = report.summary(True, RUN)
+    assert (summary["docked"], summary["retries"], summary["wall_contacts"]) == (True, 1, 2)
+    assert report.line(summary).startswith("docked after 1.0 s, 1 retries, 2 wall contacts")
+    assert not report.has_failed(summary)
+
+
+def test_a_docking_that_fails_and_one_that_is_broken_off(report):
+    summary = report.summary(False, RUN)
+    assert (summary["finished"], summary["error_name"]) == (False, "UNKNOWN")
+    assert summary["retries"] is None
+    assert not report.has_failed(summary)
+    report.result = DockingResult(False, DockingError.BLOCKED, "a wall", 2)
+    report.take("dock/finished", Reading(20 * STEP))
+    summary = report.summary(True, RUN)
+    assert report.line(summary) == "not docked: a wall (BLOCKED)"
+    assert report.has_failed(summary)
+
+
+def test_pictures_are_those_on_the_way_each_with_its_state(report):
+    picture = np.zeros((48, 64, 3), dtype=np.uint8)
+    report.take("aruco/image_annotated", Reading(STEP, (), picture))
+    report.sent = True
+    report.take("aruco/image_annotated", Reading(2 * STEP, (), picture))
+    report.take("dock/feedback", Reading(3 * STEP, (), "staging"))
+    report.take("aruco/image_annotated", Reading(4 * STEP, (), picture))
+    report.take("dock/finished", Reading(5 * STEP))
+    report.take("aruco/image_annotated", Reading(6 * STEP, (), picture))
+    summary = report.summary(True, RUN)
+    assert summary["images"] == 2
+    titles = [axes.get_title() for axes in report.figures(summary)["camera.png"].axes]
+    assert titles == ["0.1 s, at rest", "0.2 s, staging"]
+
+
+def test_what_an_earlier_docking_has_left_goes(tmp_path):
+    for name in ("camera.png", "summary.json", "notes.txt"):
+        (tmp_path / name).write_text("old")
+    DockReport(tmp_path, Station([], DOCK, 0.16, 0.4), 8)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "truth.tum"]
 
 
 @pytest.mark.parametrize(
@@ -76,21 +121,22 @@ def test_errors_are_those_seen_from_the_dock_wherever_it_stands():
 
 
 @pytest.mark.parametrize("seen", [0, 1, 3, 8, 9, 31, 32, 33, 500])
-def test_keepsakes_are_spread_over_all_and_end_with_the_last(seen):
-    keepsakes = Keepsakes(8)
+def test_sampler_are_spread_over_all_and_end_with_the_last(seen):
+    sampler = Sampler(8)
     for number in range(seen):
-        keepsakes.add(number)
-    chosen = keepsakes.chosen()
+        sampler.add(number)
+    chosen = sampler.chosen()
     assert len(chosen) == min(seen, 8)
     if seen:
         assert (chosen[0], chosen[-1]) == (0, seen - 1)
     if seen > 8:
         assert max(np.diff(chosen)) <= 2.1 * seen / 7
-    assert len(keepsakes._kept) <= 32
+    assert sampler.seen == seen
+    assert len(sampler._kept) <= 32
 
 
 def test_the_path_has_a_colour_for_each_state(tmp_path):
-    truth = path_of(tmp_path, 40).until(None)
+    truth = path_of(tmp_path, 40).path()
     states = [(0.5, "searching"), (1.0, "staging"), (1.5, "approaching")]
     walls = [((3.0, 0.5), (2.0, 0.5), (2.0, 0.7), (3.0, 0.7))]
     figure = docking_figure(truth, states, [(0.0, 0.0), (3.0, 0.0)], walls, DOCK, "title")

@@ -4,8 +4,18 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.reports.goal import GoalRecord, goal_figure, goal_figures, greatest_speed, title_of
+from bullet_lab.reports import Reading
+from bullet_lab.reports.goal import (
+    GoalAnswer,
+    GoalRecord,
+    GoalReport,
+    goal_figure,
+    goal_figures,
+    greatest_speed,
+    title_of,
+)
 
+MS = 1_000_000
 STAMPS = np.arange(0.0, 5.0, 0.5)
 # 0.2 m/s along x up to 0.6 m.
 PATH = Trajectory(STAMPS, [[min(0.2 * t, 0.6), 0.0, 0.1] for t in STAMPS])
@@ -46,3 +56,41 @@ def test_the_picture_draws_anything():
     assert way.get_xlim()[1] < 5.0
     assert len(way.patches) == 4
     goal_figure(None, [], [], 0.05, "nothing")
+
+
+def drive(report, reached):
+    """Send what comes of a goal at 0.7 s that is given up or reached at 2 s."""
+    report.take("drive_to_goal/current_goal", Reading(700 * MS, (0.3, 0.0, 0.0)))
+    report.take("drive_to_goal/status", Reading(0, (), GoalAnswer("a", "driving", False, False)))
+    for k in range(100):
+        report.take("odom", Reading(50 * k * MS, (0.005 * k, 0.0, 0.0)))
+        if k == 40:
+            answer = GoalAnswer("a", "the end", False, reached)
+            report.take("drive_to_goal/status", Reading(0, (), answer))
+            report.take("drive_to_goal/finished", Reading(2000 * MS))
+
+
+@pytest.mark.parametrize("reached", [True, False])
+@pytest.mark.parametrize("stay", [True, False])
+def test_a_goal_is_recorded_until_the_robot_stands(tmp_path, reached, stay):
+    report = GoalReport(tmp_path, 0.05, stay, lambda: [("beacon_0", 1.0, 1.0)])
+    drive(report, reached)
+    assert report.is_answered()
+    assert report.is_complete() != stay
+    report.finish(report.until)
+    summary = report.summary(True, {})
+    (goal,) = summary["goals"]
+    assert (goal["reached"], goal["seconds"]) == (reached, 1.3)
+    assert report.has_failed(summary) == (not stay and not reached)
+    rows = (tmp_path / "truth.tum").read_text().splitlines()
+    assert rows[0].startswith("0.500000000 ")
+    assert rows[-1].startswith("4.950000000 " if stay else "3.000000000 ")
+
+
+def test_a_goal_that_is_refused_is_the_end(tmp_path):
+    report = GoalReport(tmp_path, 0.05, False, list)
+    report.take("drive_to_goal/status", Reading(0, (), GoalAnswer("a", "refused", True, False)))
+    assert report.is_complete()
+    summary = report.summary(True, {})
+    assert (report.line(summary), report.has_failed(summary)) == ("refused", True)
+    assert summary["finished"] is False

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.files import FileError
+from bullet_lab.core.series import SeriesError
 from bullet_lab.core.trajectory import CSV_HEADER, read_paths_csv, read_tum
-from bullet_lab.reports.squares import PathsRecording, RecordingError, squares_summary
+from bullet_lab.reports import Reading
+from bullet_lab.reports.squares import PathsRecording, SquaresReport, squares_summary
 
 TICK = 50_000_000
 RNG = np.random.default_rng(3)
@@ -14,9 +16,7 @@ POSES = [tuple(pose) for pose in RNG.uniform(-3, 3, (40, 3)).tolist()]
 
 @pytest.fixture
 def recording(tmp_path):
-    with_files = PathsRecording(tmp_path / "out")
-    yield with_files
-    with_files.close()
+    return PathsRecording(tmp_path / "out")
 
 
 def lines(recording, name):
@@ -79,7 +79,7 @@ def test_only_equal_stamps_make_a_pair_whatever_comes_first(recording):
 @pytest.mark.parametrize("stamp", [0, TICK - 1, TICK])
 def test_time_does_not_go_back(recording, stamp):
     recording.add_perfect(TICK, POSES[0])
-    with pytest.raises(RecordingError, match="^time goes back from 0.050000000 s to "):
+    with pytest.raises(SeriesError, match="^time goes back from 0.050000000 s to "):
         recording.add_perfect(stamp, POSES[1])
     recording.add_noisy(stamp, POSES[2])
     assert len(lines(recording, "odom.tum")) == 1
@@ -87,7 +87,7 @@ def test_time_does_not_go_back(recording, stamp):
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_poses_are_finite(recording, bad):
-    with pytest.raises(RecordingError, match="not finite"):
+    with pytest.raises(SeriesError, match="not finite"):
         recording.add_noisy(TICK, (0.0, bad, 0.0))
     assert lines(recording, "noisy_odom.tum") == []
     assert recording.last(recording.NOISY) is None
@@ -122,6 +122,34 @@ def test_a_place_that_cannot_be_written_to(tmp_path):
     (tmp_path / "odom.tum").mkdir()
     with pytest.raises(FileError, match="^cannot write .*odom.tum: Is a directory$"):
         PathsRecording(tmp_path)
+
+
+def test_time_set_back_begins_a_new_run(recording):
+    fill(recording)
+    old = []
+    recording._begins_anew = old.append
+    assert recording.take("odom", 3 * TICK, POSES[0])
+    assert old == [recording.folder / "run_1"]
+    assert len(read_paths_csv(old[0] / "paths.csv")[0]) == 15
+    # Of the old run, on its way still.
+    assert not recording.take("noisy_odom", 16 * TICK, POSES[1])
+    assert recording.take("noisy_odom", 3 * TICK, POSES[1])
+    assert recording.pairs()[0].stamps.tolist() == [0.15]
+    assert recording.newest() == 3 * TICK
+
+
+def test_the_report_forgets_the_covariances_of_the_old_run(tmp_path):
+    report = SquaresReport(tmp_path)
+    anew = []
+    report.begins_anew = lambda *what: anew.append(what)
+    for stamp in (2 * TICK, TICK):
+        for topic in ("odom", "noisy_odom"):
+            assert report.take(topic, Reading(stamp, POSES[0], ((0.01, 0.0), (0.0, 0.01))))
+    assert anew == [("", tmp_path / "run_1")]
+    assert list(report._covariances) == [TICK]
+    report.about = {"std": 0.1, "seed": 2}
+    figure = report.figures({})["paths.png"]
+    assert figure._suptitle.get_text().endswith("\nstd = 0.1, seed = 2")
 
 
 def test_the_summary_of_a_square(recording):

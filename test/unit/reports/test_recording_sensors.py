@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.series import Series, SeriesError
+from bullet_lab.reports import Reading
 from bullet_lab.reports.sensors import (
-    Angles,
-    SensorsRecording,
+    SensorsReport,
     scan_points,
     sensors_figure,
-    sensors_summary,
 )
 
 MS = 1_000_000
@@ -47,33 +46,35 @@ def test_rows_that_are_refused(tmp_path, stamp, values):
 
 @pytest.fixture
 def recording(tmp_path):
-    found = SensorsRecording(tmp_path, 4)
+    found = SensorsReport(tmp_path, 4)
     for k in range(4):
         found.odom.add(50 * k * MS, (0.1 * k, 0.0, math.pi / 2))
         found.imu.add((50 * k + 1) * MS, (0.0, 0.0, 9.8, 0.0, 0.0, -0.1 * k))
         found.range.add(50 * k * MS, (3.0 - k,))
         found.bumper.add(50 * k * MS, (k // 2, -3.0 * (k // 2), 4.0 * (k // 2), 0.0))
-    found.scan.add(100 * MS, (1.0, math.inf, 2.0, -math.inf))
+    ranges = (1.0, math.inf, 2.0, -math.inf)
+    found.take("scan", Reading(100 * MS, ranges, (-math.pi / 2, math.pi / 2)))
     return found
 
 
 def test_scans_are_placed_by_the_pose_of_their_moment(recording):
-    points = scan_points(recording, Angles(-math.pi / 2, math.pi / 2))
+    points = scan_points(recording)
     # The robot is at (0.2, 0) and looks along y: the first ray goes along x, the third along -x.
     np.testing.assert_allclose(points, [(1.2, 0.0), (-1.8, 0.0)], atol=1e-12)
 
 
 def test_a_scan_before_all_odometry_is_left_out(tmp_path):
-    found = SensorsRecording(tmp_path, 1)
+    found = SensorsReport(tmp_path, 1)
     found.scan.add(0, (1.0,))
-    assert scan_points(found, Angles(0.0, 0.0)).shape == (0, 2)
+    assert scan_points(found).shape == (0, 2)
     found.odom.add(50 * MS, (0.0, 0.0, 0.0))
-    assert scan_points(found, Angles(0.0, 0.0)).shape == (0, 2)
+    assert scan_points(found).shape == (0, 2)
 
 
 def test_summary(recording):
-    figures = sensors_summary(recording, {"crate", "box"})
-    assert figures["messages"] == {"odom": 4, "scan": 1, "range": 4, "imu": 4, "bumper": 4}
+    recording.take("bumper", Reading(200 * MS, (0, 0.0, 0.0, 0.0), ["crate", "box", "crate"]))
+    figures = recording.summary(True, {})
+    assert figures["messages"] == {"odom": 4, "scan": 1, "range": 4, "imu": 4, "bumper": 5}
     assert figures["nearest_scan_m"] == 1.0
     assert figures["nearest_range_m"] == 0.0
     assert figures["mean_upward_acceleration_mps2"] == pytest.approx(9.8)
@@ -83,13 +84,13 @@ def test_summary(recording):
 
 
 def test_nothing_measured(tmp_path):
-    found = SensorsRecording(tmp_path, 1)
-    figures = sensors_summary(found, ())
+    found = SensorsReport(tmp_path, 1)
+    figures = found.summary(True, {})
     assert figures["median_push_N"] is figures["nearest_scan_m"] is None
-    sensors_figure(found, Angles(0.0, 0.0), "nothing")
+    sensors_figure(found, "nothing")
 
 
 def test_the_picture_has_a_panel_for_each_sensor(recording):
-    figure = sensors_figure(recording, Angles(-math.pi / 2, math.pi / 2), "title")
+    figure = sensors_figure(recording, "title")
     assert len(figure.axes) == 6
     assert all(axes.lines for axes in figure.axes)

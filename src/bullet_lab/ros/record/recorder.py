@@ -1,58 +1,63 @@
-"""What the recording nodes share: when to end, and how to leave everything behind."""
+"""The recorder: a node's work that runs any report of `bullet_lab.reports`.
+
+It subscribes to what the report names, refuses and counts what cannot be used, has rows written
+as they come, renews the pictures while it runs, and ends where the report says that all is in.
+"""
 
 from __future__ import annotations
 
 import math
+import threading
 import time
-from typing import Any, Mapping, Optional, Protocol
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, ContextManager, Dict, List, Mapping, Optional, Protocol
 
 import rospy
 from std_msgs.msg import Time
 
-from bullet_lab.core.files import FileError
-from bullet_lab.ros.node.lock_step import join_when
+from bullet_lab.core.figures import save
+from bullet_lab.core.files import FileError, write_json
+from bullet_lab.errors import LabError
+from bullet_lab.reports import Report
+from bullet_lab.ros.node import parameters
+from bullet_lab.ros.node.lock_step import join_when, time_held_at
+from bullet_lab.ros.node.node import NodeError, Refusals, wait_until
+from bullet_lab.ros.node.publishers import subscriber
+from bullet_lab.ros.record.readings import Reader, reader_of
 
 # Wall seconds that messages may take after the end has been announced.
 PATIENCE = 5.0
 POLL_SECONDS = 0.02
+# Simulated time of an errand's goal: between two ticks of the server, which has seen the one
+# before.
+GOAL_TIME = rospy.Time(0, 525_000_000)
+# Wall seconds for the server to take the goal.
+ACCEPTANCE = 30.0
 
 
-class EndOfRecording:
-    """Knows when a recording is complete.
+def about(*kinds: type) -> Any:
+    """Declare ~about, with parameters of these dataclasses as they stand in a launch file."""
+    return parameters.mapping("what else summary.json shall say", *kinds)
 
-    Args:
-        topic: a std_msgs/Time there says when, in simulated time, the recording ends; with an
-            empty name it goes on until ROS shuts down.
-    """
 
-    def __init__(self, topic: str):
-        self._until: Optional[int] = None
-        self._announced = math.inf
-        self._subscriber = rospy.Subscriber(topic, Time, self._receive) if topic else None
+@dataclass(frozen=True)
+class RecordParameters:
+    """Private parameters of every node that records."""
 
-    @property
-    def until(self) -> Optional[int]:
-        """The end in ns of simulated time, once it is known."""
-        return self._until
+    out: str = parameters.text("results", "folder for the files")
+    about: Mapping[str, Any] = about()
 
-    def reached(self, newest: Optional[int]) -> bool:
-        """Return whether all is in.
 
-        Args:
-            newest: the stamp in ns that every recorded topic has come to; None for nothing yet.
-        """
-        if self._until is None:
-            return False
-        if newest is not None and newest >= self._until:
-            return True
-        if time.monotonic() - self._announced < PATIENCE:
-            return False
-        rospy.logwarn("the end was announced and nothing more comes: some messages may be missing")
-        return True
+@dataclass(frozen=True)
+class TimedParameters(RecordParameters):
+    """Private parameters of a node that records up to a time."""
 
-    def _receive(self, message: Time) -> None:
-        self._announced = time.monotonic()
-        self._until = message.data.to_nsec()
+    until: str = parameters.text("", "topic (std_msgs/Time) that ends it; empty: Ctrl-C does")
+    plot_period: float = parameters.number(
+        10.0, "wall seconds between two versions of the picture", above=0.0
+    )
 
 
 class Stopwatch:
@@ -75,51 +80,208 @@ class Stopwatch:
         return {"sim_time_s": sim_seconds, "wall_time_s": wall, "real_time_factor": factor}
 
 
-class Recorder(Protocol):
-    """What a recording node does."""
+class View(Protocol):
+    """What shows in RViz what is recorded."""
+
+    def append(self, topic: str, message: Any) -> None:
+        """Add a message that was recorded."""
+
+    def forget(self, namespace: str) -> None:
+        """Begin anew with the topics of a namespace."""
+
+
+class Errand(Protocol):
+    """Where a robot is sent before its way is recorded."""
+
+    server: str
 
     def is_connected(self) -> bool:
-        """Return whether every topic has a publisher."""
+        """Return whether the server is there."""
 
-    def is_complete(self) -> bool:
-        """Return whether the announced end has come."""
+    def send(self) -> None:
+        """Send the goal."""
 
-    def plot_now(self) -> None:
-        """Draw what there is so far."""
-
-    def finish(self, complete: bool) -> None:
-        """Write everything for the last time."""
+    def is_taken(self) -> bool:
+        """Return whether the server has taken the goal."""
 
 
-def record(recorder: Recorder, period: float, lock_step: bool, topics: str) -> None:
-    """Record until all is in, or until ROS shuts down, and leave everything behind.
+class Recorder:
+    """Records until all is in, or until ROS shuts down, and leaves everything behind.
 
     Args:
-        recorder: what records.
-        period: wall seconds between two drawings of what there is.
-        lock_step: whether to tell the bridge when all topics are connected.
-        topics: what is waited for then, in the log.
+        report: what is recorded.
+        parameters: of the node.
+        topics: what is waited for, in the log.
+        view: shows what is recorded.
+        errand: is run first, if there is one.
     """
-    complete = False
-    try:
-        if lock_step:
-            join_when(recorder.is_connected, topics)
-        complete = _wait(recorder, period)
-    finally:
-        recorder.finish(complete)
 
+    def __init__(
+        self,
+        report: Report,
+        parameters: RecordParameters,
+        topics: str,
+        view: Optional[View] = None,
+        errand: Optional[Errand] = None,
+    ):
+        self._report, self._parameters, self._topics = report, parameters, topics
+        self._view, self._errand = view, errand
+        self._lock = threading.Lock()
+        self._refusals = Refusals()
+        self._stopwatch = Stopwatch()
+        self._failure: Optional[FileError] = None
+        self._finished = False
+        report.about = parameters.about
+        report.begins_anew = self._begin_anew
+        self._end: Optional[rospy.Subscriber] = None
+        self._period = math.inf
+        if isinstance(parameters, TimedParameters):
+            self._period = parameters.plot_period
+            if parameters.until:
+                self._end = rospy.Subscriber(parameters.until, Time, self._receive_end)
+        self._subscribers: List[rospy.Subscriber] = [
+            self._listen(topic, kind) for topic, kind in report.topics.items()
+        ]
 
-def _wait(recorder: Recorder, period: float) -> bool:
-    """Return whether the recording is complete."""
-    last = time.monotonic()
-    while not rospy.is_shutdown():
-        if recorder.is_complete():
-            return True
-        if time.monotonic() - last >= period:
+    def run(self) -> None:
+        """Record, and write everything.
+
+        Raises:
+            NodeError: the errand was not taken, or did not come to its goal.
+            FileError: what came could not be written.
+        """
+        complete = False
+        try:
+            self._begin()
+            complete = self._wait()
+        finally:
+            summary = self._finish(complete)
+            failed, line = self._report.has_failed(summary), self._report.line(summary)
+            if not failed:
+                rospy.loginfo("%s", line)
+        if failed:
+            raise NodeError(line)
+
+    # Beginning and end
+
+    def _begin(self) -> None:
+        if self._errand is not None:
+            self._run_errand(self._errand)
+        else:
+            join_when(self._is_connected, self._topics)
+
+    def _run_errand(self, errand: Errand) -> None:
+        wait_until(lambda: self._is_connected() and errand.is_connected(), self._topics)
+        # In lock step, time stands until the server has the goal: it is taken up at its next tick.
+        with time_held_at(GOAL_TIME):
+            errand.send()
+            deadline = time.monotonic() + ACCEPTANCE
+            while not errand.is_taken():
+                if rospy.is_shutdown():
+                    raise rospy.ROSInterruptException("shutdown")
+                if time.monotonic() > deadline:
+                    raise NodeError(f"{errand.server} has not taken the goal for {ACCEPTANCE:g} s")
+                time.sleep(POLL_SECONDS)
+
+    def _is_connected(self) -> bool:
+        return all(one.get_num_connections() > 0 for one in self._subscribers)
+
+    def _wait(self) -> bool:
+        """Return whether all is in."""
+        until, announced, drawn = None, 0.0, time.monotonic()
+        while not rospy.is_shutdown():
+            with self._lock:
+                if self._failure is not None:
+                    raise self._failure
+                if self._report.is_complete():
+                    return True
+                known = self._report.until
+            now = time.monotonic()
+            if known != until:
+                until, announced = known, now
+            if until is not None and now - announced > PATIENCE:
+                rospy.logwarn("the end was announced and nothing more comes: some may be missing")
+                return True
+            if now - drawn >= self._period:
+                self._renew()
+                drawn = time.monotonic()
+            time.sleep(POLL_SECONDS)
+        return False
+
+    def _finish(self, complete: bool) -> Mapping[str, Any]:
+        for subscriber in self._subscribers:
+            subscriber.unregister()
+        with self._lock:
+            # A message may be on its way in still.
+            self._finished = True
+            self._report.finish(self._report.until if complete else None)
+        return self._write(complete)
+
+    # What comes in
+
+    def _listen(self, topic: str, kind: str) -> rospy.Subscriber:
+        message_type, read = reader_of(kind)
+        return subscriber(topic, message_type, partial(self._receive, topic, read))
+
+    def _receive(self, topic: str, read: Reader, message: Any) -> None:
+        with self._lock:
+            if self._finished or self._failure is not None:
+                return
             try:
-                recorder.plot_now()
-            except (FileError, OSError) as error:
-                rospy.logerr_throttle(10.0, f"cannot write: {error}")
-            last = time.monotonic()
-        time.sleep(POLL_SECONDS)
-    return False
+                recorded = self._report.take(topic, read(message))
+            except FileError as error:
+                self._failure = error
+            except LabError as error:
+                self._refusals.refuse(topic, str(error))
+            else:
+                if recorded:
+                    self._stopwatch.note()
+                    if self._view is not None:
+                        self._view.append(topic, message)
+
+    def _receive_end(self, message: Time) -> None:
+        with self._lock:
+            self._report.until = message.data.to_nsec()
+
+    def _begin_anew(self, namespace: str, old: Path) -> None:
+        rospy.loginfo("time was set back: what was recorded before is in %s", old)
+        self._stopwatch = Stopwatch()
+        if self._view is not None:
+            self._view.forget(namespace)
+
+    # What is left behind
+
+    def _renew(self) -> None:
+        try:
+            self._write(finished=False)
+        except (FileError, OSError) as error:
+            rospy.logerr_throttle(10.0, f"cannot write: {error}")
+
+    def _write(self, finished: bool) -> Mapping[str, Any]:
+        with self._lock:
+            times = self._stopwatch.figures(self._report.seconds())
+        run = {**times, "refused_messages": self._refusals.total}
+        return write_report(self._report, finished, run, self._lock)
+
+
+def write_report(
+    report: Report, finished: bool, run: Mapping[str, Any], lock: ContextManager
+) -> Mapping[str, Any]:
+    """Write summary.json and the pictures; return what summary.json says.
+
+    Args:
+        report: what is written.
+        finished: whether all came up to the end.
+        run: figures of the run itself.
+        lock: is held while the report is asked; not while pictures are drawn, which takes long.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+    with lock:
+        summary: Dict[str, Any] = {**report.about, **report.summary(finished, run)}
+        figures = report.figures(summary)
+    write_json(report.folder / "summary.json", summary)
+    for name, figure in figures.items():
+        save(figure, report.folder / name)
+    return summary

@@ -5,12 +5,18 @@ pytest.importorskip("rospy")
 
 from bullet_lab.core.seeds import derived_seed
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.reports.fleet import RobotPaths, fleet_figure, fleet_summary
+from bullet_lab.reports import Reading
+from bullet_lab.reports.fleet import (
+    FleetReport,
+    RobotPaths,
+    clear_away,
+    fleet_figure,
+    fleet_summary,
+)
 from bullet_lab.reports.squares import squares_summary
 from bullet_lab.ros.node.parameters import read_parameters
 from bullet_lab.ros.nodes.fleet import robot_names
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters, robots_of
-from bullet_lab.ros.record.plot_fleet import clear_away
 
 FIGURES = {"final_error_m": 0.3, "final_heading_error_deg": -2.0, "ape_rmse_m": 0.1}
 
@@ -79,6 +85,18 @@ def test_figure_of_robots_that_have_sent_nothing_yet():
     figure = fleet_figure([RobotPaths("robot1", None, None)], "fleet")
     figure.canvas.draw()
     assert not figure.axes[0].texts
+
+
+def test_each_robot_has_a_folder_of_its_own(tmp_path):
+    report = FleetReport(tmp_path, {"robot1": 11, "robot2": 12})
+    for topic in report.topics:
+        assert report.newest() is None
+        report.take(topic, Reading(50_000_000, (1.0, 2.0, 0.0)))
+    assert report.newest() == 50_000_000
+    assert len((tmp_path / "robot2" / "paths.csv").read_text().splitlines()) == 2
+    summary = report.summary(True, {"real_time_factor": 3.0})
+    assert [robot["seed"] for robot in summary["robots"]] == [11, 12]
+    assert report.line(summary).startswith("2 robots, 0 sides")
 
 
 def test_what_a_larger_fleet_has_left_goes_and_nothing_else(tmp_path):
