@@ -100,8 +100,8 @@ class SameImage:
 
     def close(self) -> None:
         """Listen no longer."""
-        for subscriber in self._subscribers:
-            subscriber.unregister()
+        for one in self._subscribers:
+            one.unregister()
 
     def _receive(self, topic: str, message: Any) -> None:
         if message.header.stamp.to_sec() >= self._settle:

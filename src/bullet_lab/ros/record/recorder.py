@@ -209,8 +209,8 @@ class Recorder:
         return False
 
     def _finish(self, complete: bool) -> Mapping[str, Any]:
-        for subscriber in self._subscribers:
-            subscriber.unregister()
+        for one in self._subscribers:
+            one.unregister()
         with self._lock:
             # A message may be on its way in still.
             self._finished = True
