@@ -82,6 +82,7 @@ inputs_of() {
     python-test) cat "$LAB_ROOT/requirements.txt" "$LAB_ROOT/requirements-test.txt" ;;
     build)
       package_entries
+      ls "$LAB_ROOT"/{scripts/*.py,launch/*.launch}
       cat "$LAB_ROOT"/{CMakeLists.txt,package.xml,setup.py} "$LAB_ROOT"/{action,msg,srv}/*
       for name in $(stand_ins); do
         ls "$LAB_ROOT/stand_ins/$name"/*

@@ -26,6 +26,9 @@ from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.reports import Reading, Report
 
 FILE = "distances.csv"
+BEACON_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE)
+# Radius of meshes/beacon.dae in m.
+BEACON_RADIUS = 0.25
 Table = Tuple[Trajectory, np.ndarray, np.ndarray]
 """The robot's path, and the measured and the true distances in m, shape (n, beacons)."""
 
@@ -74,7 +77,17 @@ class BeaconsReport(Report):
 
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
         """Return the picture by the name of its file."""
-        return {"distances.png": beacons_figure(self.beacons, self.table())}
+        table = self.table()
+        figure = new_figure(9.5, 7.0)
+        figure.suptitle("Distances to the beacons")
+        above, below = figure.subplots(2, 1, gridspec_kw={"height_ratios": (1.0, 1.8)})
+        figure.subplots_adjust(left=0.08, right=0.86, top=0.92, bottom=0.08, hspace=0.26)
+        _draw_way(above, self.beacons, None if table is None else table[0])
+        below.set(xlabel="simulated time (s)", ylabel="distance (m)")
+        below.grid(alpha=0.3)
+        if table is not None:
+            _draw_distances(below, self.beacons, table)
+        return {"distances.png": figure}
 
     def line(self, summary: Mapping[str, Any]) -> str:
         """Return where all is."""
@@ -99,35 +112,6 @@ class BeaconsReport(Report):
         measured = [value for name in self.beacons for value in found[f"{name}/range"]]
         true = [math.hypot(x - bx, y - by) for bx, by in self.beacons.values()]
         self._rows.add(stamp, [*pose, *measured, *true])
-
-
-BEACON_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE)
-# Radius of meshes/beacon.dae in m.
-BEACON_RADIUS = 0.25
-
-
-def beacons_figure(
-    beacons: Mapping[str, Tuple[float, float]],
-    table: Optional[Table],
-    title: str = "Distances to the beacons",
-) -> Figure:
-    """Draw the way from above, and measured over true distances against time.
-
-    Args:
-        beacons: positions (m, m) by name.
-        table: None for nothing yet.
-        title: above all.
-    """
-    figure = new_figure(9.5, 7.0)
-    figure.suptitle(title)
-    above, below = figure.subplots(2, 1, gridspec_kw={"height_ratios": (1.0, 1.8)})
-    figure.subplots_adjust(left=0.08, right=0.86, top=0.92, bottom=0.08, hspace=0.26)
-    _draw_way(above, beacons, None if table is None else table[0])
-    below.set(xlabel="simulated time (s)", ylabel="distance (m)")
-    below.grid(alpha=0.3)
-    if table is not None:
-        _draw_distances(below, beacons, table)
-    return figure
 
 
 def _draw_way(

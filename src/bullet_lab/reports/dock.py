@@ -307,16 +307,8 @@ def strip_figure(frames: Sequence[Frame]) -> Figure:
     columns = min(4, len(frames))
     rows = -(-len(frames) // columns)
     figure = new_figure(3.2 * columns, 2.72 * rows)
-    grid = figure.add_gridspec(
-        rows,
-        columns,
-        left=0.005,
-        right=0.995,
-        bottom=0.005,
-        top=1.0 - 0.3 / (2.72 * rows),
-        wspace=0.02,
-        hspace=0.14,
-    )
+    frame = {"left": 0.005, "right": 0.995, "bottom": 0.005, "top": 1.0 - 0.3 / (2.72 * rows)}
+    grid = figure.add_gridspec(rows, columns, **frame, wspace=0.02, hspace=0.14)
     for cell, (seconds, state, picture) in zip(grid, frames):
         axes = figure.add_subplot(cell)
         axes.imshow(picture)
@@ -350,15 +342,9 @@ def _draw_robot(axes: Axes, pose: Sequence[float], colour: str, label: str) -> N
     """Draw the outline of the robot with a line ahead."""
     x, y, yaw = pose
     cosine, sine = math.cos(yaw), math.sin(yaw)
-    corners = [
-        (x + cosine * a - sine * b, y + sine * a + cosine * b)
-        for a, b in (
-            (HALF_LENGTH, HALF_WIDTH),
-            (-HALF_LENGTH, HALF_WIDTH),
-            (-HALF_LENGTH, -HALF_WIDTH),
-            (HALF_LENGTH, -HALF_WIDTH),
-        )
-    ]
+    signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    sides = [(HALF_LENGTH * ahead, HALF_WIDTH * left) for ahead, left in signs]
+    corners = [(x + cosine * a - sine * b, y + sine * a + cosine * b) for a, b in sides]
     outline = Polygon(corners, fill=False, edgecolor=colour, linewidth=1.6, label=label, zorder=3)
     axes.add_patch(outline)
     ahead = (x + HALF_LENGTH * cosine, y + HALF_LENGTH * sine)

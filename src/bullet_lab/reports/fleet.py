@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+import itertools
 from pathlib import Path
 from typing import Any, Collection, Dict, Mapping, Optional, Sequence, Tuple
 
@@ -19,6 +19,18 @@ from bullet_lab.reports.squares import (
     settings_line,
     squares_summary,
 )
+
+# Neighbours differ; the numbers tell the rest apart.
+COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, "#56B4E9")
+WIDTH = 9.0
+HEIGHTS = (4.0, 11.0)
+# Inches around the paths for title, labels and legend: left, right, below, above.
+FRAME = (0.7, 0.2, 1.0, 0.75)
+# m around the paths.
+MARGIN = 0.3
+
+Paths = Tuple[Optional[Trajectory], Optional[Trajectory]]
+"""The perfect and the noisy path of a robot; None for what is not there yet."""
 
 # Of each robot, and in the mean over all of them.
 ERRORS = ("final_error_m", "final_heading_error_deg", "ape_rmse_m")
@@ -51,12 +63,10 @@ class FleetReport(OdometryReport):
 
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
         """Return the picture by the name of its file."""
-        robots = []
-        for name, paths in self.robots.items():
-            pairs = paths.pairs()
-            robots.append(RobotPaths(name, paths.perfect(), pairs and pairs[1]))
-        title = f"{len(robots)} robots with noisy odometry{settings_line(self.about)}"
-        return {"fleet.png": fleet_figure(robots, title)}
+        paths = {name: (its.perfect(), its.pairs()) for name, its in self.robots.items()}
+        drawn = {name: (perfect, pairs and pairs[1]) for name, (perfect, pairs) in paths.items()}
+        title = f"{len(drawn)} robots with noisy odometry{settings_line(self.about)}"
+        return {"fleet.png": fleet_figure(drawn, title)}
 
     def line(self, summary: Mapping[str, Any]) -> str:
         """Return the main figures."""
@@ -105,34 +115,11 @@ def fleet_summary(robots: Sequence[Mapping[str, Any]]) -> Dict[str, Any]:
     return {**values, "robots": [dict(robot) for robot in robots]}
 
 
-# Neighbours differ; the numbers tell the rest apart.
-COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, "#56B4E9")
-WIDTH = 9.0
-HEIGHTS = (4.0, 11.0)
-# Inches around the paths for title, labels and legend: left, right, below, above.
-FRAME = (0.7, 0.2, 1.0, 0.75)
-# m around the paths.
-MARGIN = 0.3
-
-
-@dataclass(frozen=True)
-class RobotPaths:
-    """What is drawn of one robot; None for what is not there yet."""
-
-    name: str
-    perfect: Optional[Trajectory]
-    noisy: Optional[Trajectory]
-
-
-def fleet_figure(robots: Sequence[RobotPaths], title: str) -> Figure:
+def fleet_figure(robots: Mapping[str, Paths], title: str) -> Figure:
     """Draw the perfect and the noisy path of each robot, with its name in the middle."""
-    places = [
-        path.poses[:, :2]
-        for robot in robots
-        for path in (robot.perfect, robot.noisy)
-        if path is not None
-    ]
-    low, high = _extent(np.concatenate(places) if places else np.zeros((1, 2)))
+    drawn = [path.poses[:, :2] for paths in robots.values() for path in paths if path is not None]
+    places = np.concatenate(drawn) if drawn else np.zeros((1, 2))
+    low, high = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
     width, height = _size(high - low)
     figure = new_figure(width, height)
     figure.suptitle(title)
@@ -144,22 +131,23 @@ def fleet_figure(robots: Sequence[RobotPaths], title: str) -> Figure:
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.grid(alpha=0.3)
-    for number, robot in enumerate(robots):
-        _draw(axes, robot, COLOURS[number % len(COLOURS)])
+    for (name, paths), colour in zip(robots.items(), itertools.cycle(COLOURS)):
+        _draw(axes, name, paths, colour)
     _explain(axes)
     figure.legend(loc="lower center", ncol=3, frameon=False)
     return figure
 
 
-def _draw(axes: Axes, robot: RobotPaths, colour: str) -> None:
-    if robot.noisy is not None:
-        axes.plot(*robot.noisy.poses[:, :2].T, color=colour, linewidth=1.8)
-        x, y = robot.noisy.poses[-1, :2]
+def _draw(axes: Axes, name: str, paths: Paths, colour: str) -> None:
+    perfect, noisy = paths
+    if noisy is not None:
+        axes.plot(*noisy.poses[:, :2].T, color=colour, linewidth=1.8)
+        x, y = noisy.poses[-1, :2]
         axes.plot(x, y, "s", color=colour, markeredgecolor=BLACK, markersize=5)
-    if robot.perfect is not None:
-        axes.plot(*robot.perfect.poses[:, :2].T, color=BLACK, linewidth=0.8)
-        x, y = robot.perfect.poses[:, :2].min(axis=0) + robot.perfect.poses[:, :2].max(axis=0)
-        axes.text(0.5 * x, 0.5 * y, robot.name, color=colour, ha="center", va="center")
+    if perfect is not None:
+        axes.plot(*perfect.poses[:, :2].T, color=BLACK, linewidth=0.8)
+        x, y = perfect.poses[:, :2].min(axis=0) + perfect.poses[:, :2].max(axis=0)
+        axes.text(0.5 * x, 0.5 * y, name, color=colour, ha="center", va="center")
 
 
 def _explain(axes: Axes) -> None:
@@ -167,11 +155,6 @@ def _explain(axes: Axes) -> None:
     axes.plot([], [], color=BLACK, linewidth=0.8, label="Perfect odom")
     axes.plot([], [], color=GREY, linewidth=1.8, label="Noisy odom, a colour for each robot")
     axes.plot([], [], "s", color=GREY, markeredgecolor=BLACK, markersize=5, label="its end")
-
-
-def _extent(places: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the corners, in m, of what is to be seen."""
-    return places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
 
 
 def _size(extent: np.ndarray) -> Tuple[float, float]:

@@ -137,9 +137,22 @@ class GoalReport(Report):
 
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
         """Return the picture by the name of its file."""
-        truth, goals, beacons = self._truth.path(), self._records(), self._beacons()
-        title = self.line(summary)
-        return {"path.png": goal_figure(truth, goals, beacons, self._tolerance, title)}
+        truth, goals = self._truth.path(), self._records()
+        figure = new_figure(10.5, 5.6)
+        figure.suptitle(self.line(summary))
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0))
+        figure.subplots_adjust(left=0.07, right=0.98, top=0.9, bottom=0.1, hspace=0.28, wspace=0.2)
+        self._draw_way(figure.add_subplot(grid[:, 0]), truth, goals)
+        left, speed = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
+        left.set(ylabel="distance to the goal (m)")
+        speed.set(xlabel="simulated time (s)", ylabel="speed (m/s)")
+        for axes in (left, speed):
+            axes.grid(alpha=0.3)
+        if truth is not None:
+            self._draw_distance(left, truth, goals)
+            speed.plot(truth.stamps[1:], _speeds(truth), color=ORANGE, linewidth=1.2)
+            speed.set_ylim(bottom=0.0)
+        return {"path.png": figure}
 
     def line(self, summary: Mapping[str, Any]) -> str:
         """Return how the drives ended."""
@@ -150,6 +163,37 @@ class GoalReport(Report):
         """Return whether a goal was refused or not reached, where it was to be the only one."""
         missed = any(one.ended is not None and not one.reached for one in self._records())
         return not self._stay and (missed or bool(self._refused))
+
+    def _draw_way(
+        self, axes: Axes, truth: Optional[Trajectory], goals: Sequence[GoalRecord]
+    ) -> None:
+        plan_axes(axes)
+        for name, x, y in self._beacons():
+            axes.add_patch(Circle((x, y), BEACON_RADIUS, facecolor="#d5d5d5", edgecolor=GREY))
+            axes.annotate(name, (x, y), ha="center", va="center", fontsize=7, annotation_clip=True)
+        if truth is not None:
+            x, y = truth.poses[:, 0], truth.poses[:, 1]
+            axes.plot(x, y, color=ORANGE, linewidth=1.8, label="true path")
+            axes.plot(x[0], y[0], "o", color="white", markeredgecolor=BLACK, label="start")
+            _arrow(axes, truth.poses[-1], BLACK, "end")
+        for number, record in enumerate(goals):
+            colour = GREEN if record.reached else VERMILION
+            axes.add_patch(Circle(record.goal[:2], self._tolerance, fill=False, edgecolor=colour))
+            _arrow(axes, record.goal, colour, f"goal {number + 1}" if len(goals) > 1 else "goal")
+        _set_limits(axes, [] if truth is None else truth.poses, [one.goal for one in goals])
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="best")
+
+    def _draw_distance(self, axes: Axes, truth: Trajectory, goals: Sequence[GoalRecord]) -> None:
+        for record in goals:
+            end = truth.stamps[-1] if record.ended is None else record.ended
+            chosen = (truth.stamps >= record.begun) & (truth.stamps <= end + 0.5)
+            x, y = truth.poses[chosen, 0], truth.poses[chosen, 1]
+            away = np.hypot(x - record.goal[0], y - record.goal[1])
+            axes.plot(truth.stamps[chosen], away, color=BLUE, linewidth=1.2)
+        axes.axhline(self._tolerance, color=GREY, linewidth=0.8, linestyle="--", label="tolerance")
+        axes.set_ylim(bottom=0.0)
+        axes.legend(loc="upper right")
 
     def _records(self) -> List[GoalRecord]:
         """Return the goals: the k-th id, pose and end belong together, one goal at a time."""
@@ -203,8 +247,11 @@ def greatest_speed(truth: Trajectory) -> float:
     """Return the greatest speed (m/s) between two poses of a path; 0 for a single one."""
     if len(truth) < 2:
         return 0.0
-    steps = np.diff(truth.poses[:, :2], axis=0)
-    return float(np.max(np.hypot(*steps.T) / np.diff(truth.stamps)))
+    return float(np.max(_speeds(truth)))
+
+
+def _speeds(truth: Trajectory) -> np.ndarray:
+    return np.hypot(*np.diff(truth.poses[:, :2], axis=0).T) / np.diff(truth.stamps)
 
 
 def _index_at(truth: Trajectory, seconds: float) -> int:
@@ -233,65 +280,6 @@ BEACON_RADIUS = 0.25
 MARGIN = 0.6
 
 
-def goal_figure(
-    truth: Optional[Trajectory],
-    goals: Sequence[GoalRecord],
-    beacons: Sequence[Beacon],
-    tolerance: float,
-    title: str,
-) -> Figure:
-    """Draw the way.
-
-    Args:
-        truth: the true path; None for nothing yet.
-        goals: that were given.
-        beacons: what stands there.
-        tolerance: m from the goals that the robot may stop.
-        title: above all.
-    """
-    figure = new_figure(10.5, 5.6)
-    figure.suptitle(title)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0))
-    figure.subplots_adjust(left=0.07, right=0.98, top=0.9, bottom=0.1, hspace=0.28, wspace=0.2)
-    _draw_way(figure.add_subplot(grid[:, 0]), truth, goals, beacons, tolerance)
-    left, speed = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
-    left.set(ylabel="distance to the goal (m)")
-    speed.set(xlabel="simulated time (s)", ylabel="speed (m/s)")
-    for axes in (left, speed):
-        axes.grid(alpha=0.3)
-    if truth is not None:
-        _draw_distance(left, truth, goals, tolerance)
-        steps = np.hypot(*np.diff(truth.poses[:, :2], axis=0).T) / np.diff(truth.stamps)
-        speed.plot(truth.stamps[1:], steps, color=ORANGE, linewidth=1.2)
-        speed.set_ylim(bottom=0.0)
-    return figure
-
-
-def _draw_way(
-    axes: Axes,
-    truth: Optional[Trajectory],
-    goals: Sequence[GoalRecord],
-    beacons: Sequence[Beacon],
-    tolerance: float,
-) -> None:
-    plan_axes(axes)
-    for name, x, y in beacons:
-        axes.add_patch(Circle((x, y), BEACON_RADIUS, facecolor="#d5d5d5", edgecolor=GREY))
-        axes.annotate(name, (x, y), ha="center", va="center", fontsize=7, annotation_clip=True)
-    if truth is not None:
-        x, y = truth.poses[:, 0], truth.poses[:, 1]
-        axes.plot(x, y, color=ORANGE, linewidth=1.8, label="true path")
-        axes.plot(x[0], y[0], "o", color="white", markeredgecolor=BLACK, label="start")
-        _arrow(axes, truth.poses[-1], BLACK, "end")
-    for number, record in enumerate(goals):
-        colour = GREEN if record.reached else VERMILION
-        axes.add_patch(Circle(record.goal[:2], tolerance, fill=False, edgecolor=colour))
-        _arrow(axes, record.goal, colour, f"goal {number + 1}" if len(goals) > 1 else "goal")
-    _set_limits(axes, [] if truth is None else truth.poses, [one.goal for one in goals])
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="best")
-
-
 def _set_limits(axes: Axes, *paths: Sequence[Sequence[float]]) -> None:
     """Leave out what stands far from the way."""
     points = np.array([point[:2] for path in paths for point in path])
@@ -302,30 +290,7 @@ def _set_limits(axes: Axes, *paths: Sequence[Sequence[float]]) -> None:
 
 def _arrow(axes: Axes, pose: Sequence[float], colour: str, label: str) -> None:
     x, y, yaw = pose
-    axes.quiver(
-        [x],
-        [y],
-        [ARROW * math.cos(yaw)],
-        [ARROW * math.sin(yaw)],
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        width=0.006,
-        color=colour,
-        zorder=3,
-    )
+    along, across = [ARROW * math.cos(yaw)], [ARROW * math.sin(yaw)]
+    units = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
+    axes.quiver([x], [y], along, across, **units, width=0.006, color=colour, zorder=3)
     axes.plot(x, y, "s", color=colour, markersize=4, label=label)
-
-
-def _draw_distance(
-    axes: Axes, truth: Trajectory, goals: Sequence[GoalRecord], tolerance: float
-) -> None:
-    for record in goals:
-        end = truth.stamps[-1] if record.ended is None else record.ended
-        chosen = (truth.stamps >= record.begun) & (truth.stamps <= end + 0.5)
-        x, y = truth.poses[chosen, 0], truth.poses[chosen, 1]
-        away = np.hypot(x - record.goal[0], y - record.goal[1])
-        axes.plot(truth.stamps[chosen], away, color=BLUE, linewidth=1.2)
-    axes.axhline(tolerance, color=GREY, linewidth=0.8, linestyle="--", label="tolerance")
-    axes.set_ylim(bottom=0.0)
-    axes.legend(loc="upper right")

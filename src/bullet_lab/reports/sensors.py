@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Dict, Mapping, Optional, Set
 
@@ -27,23 +26,11 @@ from bullet_lab.reports import Reading, Report
 TOUCH = 0.1
 
 
-@dataclass(frozen=True)
-class Angles:
-    """Of the rays of a scan, in rad: the first one's and the step to the next."""
-
-    first: float
-    step: float
-
-    def of(self, count: int) -> np.ndarray:
-        """Return the angles of so many rays."""
-        return self.first + self.step * np.arange(count)
-
-
 class SensorsReport(Report):
     """Series of all sensors: odom.csv, scan.csv, range.csv, imu.csv and bumper.csv.
 
     Attributes:
-        angles: of the rays of the newest scan.
+        angles: rad, of the first ray of the newest scan, and the step to the next.
         touched: names of what the bumper touched.
 
     Args:
@@ -67,14 +54,14 @@ class SensorsReport(Report):
         self.bumper = Series(folder / "bumper.csv", ("points", "fx", "fy", "fz"))
         every = (self.odom, self.scan, self.range, self.imu, self.bumper)
         self.series = dict(zip(self.topics, every))
-        self.angles = Angles(0.0, 0.0)
+        self.angles = (0.0, 0.0)
         self.touched: Set[str] = set()
 
     def take(self, topic: str, reading: Reading) -> bool:
         """Record what a sensor measured; see `Report`."""
         super().take(topic, reading)
         if topic == "scan":
-            self.angles = Angles(*reading.detail)
+            self.angles = reading.detail
         elif topic == "bumper":
             self.touched.update(reading.detail)
         return True
@@ -108,7 +95,31 @@ class SensorsReport(Report):
 
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
         """Return the picture by the name of its file."""
-        return {"sensors.png": sensors_figure(self, "What the sensors measured")}
+        figure = new_figure(12.5, 7.6)
+        figure.suptitle("What the sensors measured")
+        grid = figure.add_gridspec(5, 2, width_ratios=(1.0, 1.1))
+        figure.subplots_adjust(
+            left=0.06, right=0.98, top=0.93, bottom=0.07, hspace=0.22, wspace=0.18
+        )
+        _draw_plan(figure.add_subplot(grid[:, 0]), self)
+        panels = [figure.add_subplot(grid[row, 1]) for row in range(5)]
+        _draw_scan(panels[0], self)
+        stamps, ranges = self.range.table()
+        panels[1].plot(stamps, ranges, color=GREEN, linewidth=1.0)
+        panels[1].set(ylabel="range (m)")
+        stamps, inertial = self.imu.table()
+        for column, (name, colour) in enumerate(zip("xyz", (BLUE, ORANGE, PURPLE))):
+            panels[2].plot(stamps, inertial[:, column], color=colour, linewidth=0.8, label=name)
+            panels[3].plot(stamps, inertial[:, 3 + column], color=colour, linewidth=0.8, label=name)
+        panels[2].set(ylabel="IMU (m/s²)")
+        panels[3].set(ylabel="IMU (rad/s)")
+        for panel in panels[2:4]:
+            panel.legend(loc="upper left", ncol=3, fontsize=7)
+        stamps, bumps = self.bumper.table()
+        panels[4].plot(stamps, np.hypot(bumps[:, 1], bumps[:, 2]), color=VERMILION, linewidth=1.0)
+        panels[4].set(ylabel="bumper (N)", xlabel="simulated time (s)")
+        _share_time(panels, self)
+        return {"sensors.png": figure}
 
     def line(self, summary: Mapping[str, Any]) -> str:
         """Return where all is."""
@@ -122,7 +133,7 @@ def scan_points(report: SensorsReport) -> np.ndarray:
     taken to stand above the robot's origin.
 
     Returns:
-        Points (m, m), shape (n, 2).
+        Points in m, shape (n, 2).
     """
     stamps, poses = report.odom.table()
     scan_stamps, ranges = report.scan.table()
@@ -131,7 +142,8 @@ def scan_points(report: SensorsReport) -> np.ndarray:
     index = np.searchsorted(stamps, scan_stamps + 1e-9) - 1
     chosen = index >= 0
     x, y, yaw = (column[:, None] for column in poses[index[chosen]].T)
-    bearing = yaw + report.angles.of(ranges.shape[1])[None, :]
+    first, step = report.angles
+    bearing = yaw + (first + step * np.arange(ranges.shape[1]))[None, :]
     seen = np.isfinite(ranges[chosen])
     reach = np.where(seen, ranges[chosen], 0.0)
     points = np.stack([x + reach * np.cos(bearing), y + reach * np.sin(bearing)], axis=-1)
@@ -140,38 +152,6 @@ def scan_points(report: SensorsReport) -> np.ndarray:
 
 def _least(values: np.ndarray) -> Optional[float]:
     return float(values.min()) if values.size else None
-
-
-def sensors_figure(report: SensorsReport, title: str) -> Figure:
-    """Draw all series.
-
-    Args:
-        report: a series without rows is an empty panel.
-        title: above all.
-    """
-    figure = new_figure(12.5, 7.6)
-    figure.suptitle(title)
-    grid = figure.add_gridspec(5, 2, width_ratios=(1.0, 1.1))
-    figure.subplots_adjust(left=0.06, right=0.98, top=0.93, bottom=0.07, hspace=0.22, wspace=0.18)
-    _draw_plan(figure.add_subplot(grid[:, 0]), report)
-    panels = [figure.add_subplot(grid[row, 1]) for row in range(5)]
-    _draw_scan(panels[0], report)
-    stamps, ranges = report.range.table()
-    panels[1].plot(stamps, ranges, color=GREEN, linewidth=1.0)
-    panels[1].set(ylabel="range (m)")
-    stamps, inertial = report.imu.table()
-    for column, (name, colour) in enumerate(zip("xyz", (BLUE, ORANGE, PURPLE))):
-        panels[2].plot(stamps, inertial[:, column], color=colour, linewidth=0.8, label=name)
-        panels[3].plot(stamps, inertial[:, 3 + column], color=colour, linewidth=0.8, label=name)
-    panels[2].set(ylabel="IMU (m/s²)")
-    panels[3].set(ylabel="IMU (rad/s)")
-    for panel in panels[2:4]:
-        panel.legend(loc="upper left", ncol=3, fontsize=7)
-    stamps, bumps = report.bumper.table()
-    panels[4].plot(stamps, np.hypot(bumps[:, 1], bumps[:, 2]), color=VERMILION, linewidth=1.0)
-    panels[4].set(ylabel="bumper (N)", xlabel="simulated time (s)")
-    _share_time(panels, report)
-    return figure
 
 
 def _draw_plan(axes: Axes, report: SensorsReport) -> None:

@@ -76,9 +76,21 @@ class VisionReport(Report):
 
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
         """Return all pictures in one, by the name of its file."""
-        title = f"What the detectors make of one image ({self._stamp().seconds:.3f} s)"
-        coloured = {name: picture[:, :, ::-1] for name, picture in self._pictures.items()}
-        return {"side_by_side.png": vision_figure(coloured, self.found, title)}
+        figure = new_figure(14.0, 8.6)
+        figure.suptitle(f"What the detectors make of one image ({self._stamp().seconds:.3f} s)")
+        rows = -(-len(self._pictures) // _COLUMNS)
+        grid = figure.subplots(rows, _COLUMNS, squeeze=False)
+        figure.subplots_adjust(
+            left=0.02, right=0.98, top=0.92, bottom=0.06, hspace=0.28, wspace=0.05
+        )
+        for axes in grid.ravel():
+            axes.set_axis_off()
+        for axes, (name, picture) in zip(grid.ravel(), self._pictures.items()):
+            axes.imshow(picture[:, :, ::-1])
+            axes.set_title(name, fontsize=11, fontweight="bold")
+            line, centred = textwrap.fill(self.found[name], _LINE_LENGTH), {"ha": "center"}
+            axes.text(0.5, -0.03, line, transform=axes.transAxes, va="top", fontsize=9, **centred)
+        return {"side_by_side.png": figure}
 
     def line(self, summary: Mapping[str, Any]) -> str:
         """Return where all is."""
@@ -137,28 +149,3 @@ def _marker_line(marker: Any) -> str:
 def _write(path: Path, picture: np.ndarray) -> None:
     if not cv2.imwrite(str(path), picture):
         raise FileError(f"cannot write {path}")
-
-
-def vision_figure(
-    pictures: Mapping[str, np.ndarray], lines: Mapping[str, str], title: str
-) -> Figure:
-    """Draw pictures in two rows.
-
-    Args:
-        pictures: (h, w, 3) uint8, red green blue, by name.
-        lines: what was found, by the same names; written below.
-        title: above all.
-    """
-    figure = new_figure(14.0, 8.6)
-    figure.suptitle(title)
-    rows = -(-len(pictures) // _COLUMNS)
-    grid = figure.subplots(rows, _COLUMNS, squeeze=False)
-    figure.subplots_adjust(left=0.02, right=0.98, top=0.92, bottom=0.06, hspace=0.28, wspace=0.05)
-    for axes in grid.ravel():
-        axes.set_axis_off()
-    for axes, (name, picture) in zip(grid.ravel(), pictures.items()):
-        axes.imshow(picture)
-        axes.set_title(name, fontsize=11, fontweight="bold")
-        line = textwrap.fill(lines[name], _LINE_LENGTH)
-        axes.text(0.5, -0.03, line, transform=axes.transAxes, ha="center", va="top", fontsize=9)
-    return figure

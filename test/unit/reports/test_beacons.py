@@ -7,7 +7,7 @@ import pytest
 from bullet_lab.core.files import FileError, RowFile
 from bullet_lab.core.series import SeriesError
 from bullet_lab.reports import Reading
-from bullet_lab.reports.beacons import FILE, BeaconsReport, beacons_figure
+from bullet_lab.reports.beacons import FILE, BeaconsReport
 
 BEACONS = {"a": (3.0, 4.0), "b": (-1.0, 0.0)}
 
@@ -67,7 +67,7 @@ def test_figure_has_a_curve_over_the_truth_for_each_beacon(tmp_path):
     recording.take("odom", Reading(200, (1.0, 0.0, 0.5)))
     recording.take("a/range", Reading(200, (4.0,)))
     recording.take("b/range", Reading(200, (2.0,)))
-    below = beacons_figure(BEACONS, recording.table()).axes[1]
+    below = recording.figures({})["distances.png"].axes[1]
     drawn = [line.get_ydata() for line in below.lines if len(line.get_ydata())]
     np.testing.assert_allclose(drawn[0], [5.0, math.hypot(2.0, 4.0)])
     np.testing.assert_allclose(drawn[1], [5.25, 4.0])

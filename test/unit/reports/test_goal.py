@@ -9,7 +9,6 @@ from bullet_lab.reports.goal import (
     GoalAnswer,
     GoalRecord,
     GoalReport,
-    goal_figure,
     goal_figures,
     greatest_speed,
     title_of,
@@ -49,13 +48,15 @@ def test_speed():
     assert greatest_speed(Trajectory([0.0], [[0.0, 0.0, 0.0]])) == 0.0
 
 
-def test_the_picture_draws_anything():
-    goals = [GoalRecord((0.6, 0.0, 0.0), 0.0, 3.0, True), GoalRecord((2.0, 1.0, 1.0), 3.0)]
-    figure = goal_figure(PATH, goals, [("beacon_0", 1.0, 1.0), ("far", 90.0, 0.0)], 0.05, "t")
-    way = figure.axes[0]
+def test_the_picture_leaves_out_what_is_far(tmp_path):
+    report = GoalReport(tmp_path, 0.05, False, lambda: [("a", 1.0, 1.0), ("far", 90.0, 0.0)])
+    report.figures(report.summary(False, {}))
+    drive(report, True)
+    report.take("drive_to_goal/current_goal", Reading(2100 * MS, (2.0, 1.0, 1.0)))
+    report.take("drive_to_goal/status", Reading(0, (), GoalAnswer("b", "driving", False, False)))
+    way = report.figures(report.summary(True, {}))["path.png"].axes[0]
     assert way.get_xlim()[1] < 5.0
     assert len(way.patches) == 4
-    goal_figure(None, [], [], 0.05, "nothing")
 
 
 def drive(report, reached):

@@ -8,7 +8,6 @@ from bullet_lab.reports import Reading
 from bullet_lab.reports.sensors import (
     SensorsReport,
     scan_points,
-    sensors_figure,
 )
 
 MS = 1_000_000
@@ -87,10 +86,10 @@ def test_nothing_measured(tmp_path):
     found = SensorsReport(tmp_path, 1)
     figures = found.summary(True, {})
     assert figures["median_push_N"] is figures["nearest_scan_m"] is None
-    sensors_figure(found, "nothing")
+    found.figures({})
 
 
 def test_the_picture_has_a_panel_for_each_sensor(recording):
-    figure = sensors_figure(recording, "title")
+    figure = recording.figures({})["sensors.png"]
     assert len(figure.axes) == 6
     assert all(axes.lines for axes in figure.axes)

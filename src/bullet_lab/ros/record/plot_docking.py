@@ -22,13 +22,12 @@ from actionlib import GoalStatus, SimpleActionClient
 from geometry_msgs.msg import PoseStamped
 
 from bullet_lab.docking.types import DockingError, DockingResult
-from bullet_lab.msg import DockAction, DockGoal
-from bullet_lab.msg import DockResult as DockResultMessage
+from bullet_lab.msg import DockAction, DockGoal, DockResult
 from bullet_lab.reports.dock import DockReport, Station
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
-from bullet_lab.ros.record.recorder import Recorder, RecordParameters, about
+from bullet_lab.ros.record.recorder import Errand, Recorder, RecordParameters, about
 from bullet_lab.ros.record.rviz import PathTopics
 from bullet_lab.simulation.floor_plan import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -59,41 +58,32 @@ class PlotDockingParameters(RecordParameters):
     pictures: int = parameters.integer(8, "of the camera along the way", minimum=2, maximum=40)
 
 
-class _Docking:
-    """Calls the action; see `bullet_lab.ros.record.recorder.Errand`."""
-
-    server = "dock"
-
-    def __init__(self, read: PlotDockingParameters, report: DockReport):
-        self._goal = DockGoal(read.dock_id, PoseStamped(), read.search, read.max_retries)
-        self._report = report
-        self._client = SimpleActionClient("dock", DockAction)
-
-    def is_connected(self) -> bool:
-        """Return whether the action server is there."""
-        client = self._client.action_client
-        ends = (client.pub_goal, client.result_sub, client.status_sub)
-        return all(end.get_num_connections() > 0 for end in ends)
-
-    def send(self) -> None:
-        """Send the goal."""
-        self._client.send_goal(self._goal, done_cb=self._note_result)
-        self._report.sent = True
-
-    def is_taken(self) -> bool:
-        """Return whether the server has taken the goal."""
-        return self._client.get_state() != GoalStatus.PENDING
-
-    def _note_result(self, state: int, result: DockResultMessage) -> None:
-        error = DockingError(result.error_code)
-        self._report.result = DockingResult(result.success, error, result.message, result.retries)
-
-
 def station_of(read: PlotDockingParameters) -> Station:
     """Return where the robot docks; raises LabError where there is no such world."""
     world = read_world_file(ResourceFinder.anywhere().find(read.world))
     outlines = [one.corners() for one in footprints(world, below=ROBOT_HEIGHT)]
     return Station(outlines, read.true_dock, read.camera_ahead, read.docked_distance)
+
+
+def docking_errand(read: PlotDockingParameters, report: DockReport) -> Errand:
+    """Return the call of the action, whose result goes to the report."""
+    client = SimpleActionClient("dock", DockAction)
+
+    def is_connected() -> bool:
+        inner = client.action_client
+        ends = (inner.pub_goal, inner.result_sub, inner.status_sub)
+        return all(end.get_num_connections() > 0 for end in ends)
+
+    def note(state: int, result: DockResult) -> None:
+        error = DockingError(result.error_code)
+        report.result = DockingResult(result.success, error, result.message, result.retries)
+
+    def send() -> None:
+        goal = DockGoal(read.dock_id, PoseStamped(), read.search, read.max_retries)
+        client.send_goal(goal, done_cb=note)
+        report.sent = True
+
+    return Errand("dock", is_connected, send, lambda: client.get_state() != GoalStatus.PENDING)
 
 
 def main() -> None:
@@ -102,7 +92,7 @@ def main() -> None:
     def body() -> None:
         read = private_parameters(PlotDockingParameters)
         report = DockReport(Path(read.out), station_of(read), read.pictures)
-        view, errand = PathTopics({"odom": "~path"}), _Docking(read, report)
+        view, errand = PathTopics({"odom": "~path"}), docking_errand(read, report)
         Recorder(report, read, "the bridge and dock", view, errand).run()
 
     run_node("plot_docking", body)

@@ -30,7 +30,7 @@ from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.nodes.dock_goals import stamped_pose
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
-from bullet_lab.ros.record.recorder import Recorder, RecordParameters, about
+from bullet_lab.ros.record.recorder import Errand, Recorder, RecordParameters, about
 
 
 @dataclass(frozen=True)
@@ -47,23 +47,6 @@ class PlotGoalParameters(RecordParameters):
     stay: bool = parameters.boolean(False, "wait for more goals, such as RViz's, until Ctrl-C")
 
 
-class _FirstGoal:
-    """Sends the first goal; see `bullet_lab.ros.record.recorder.Errand`."""
-
-    server = "drive_to_goal"
-
-    def __init__(self, read: PlotGoalParameters, report: GoalReport):
-        self._read = read
-        self._publisher = Publisher("move_base_simple/goal", PoseStamped, queue_size=10)
-        self.is_connected = self._publisher.has_connections
-        self.is_taken = report.is_answered
-
-    def send(self) -> None:
-        """Send the goal."""
-        goal = stamped_pose(rospy.Time.now(), self._read.frame, self._read.goal)
-        self._publisher.publish(goal)
-
-
 def main() -> None:
     """Run the node."""
 
@@ -77,7 +60,12 @@ def main() -> None:
 
         report = GoalReport(Path(read.out), read.tolerance, read.stay, beacons)
         rospy.Subscriber(WORLD, MarkerArray, standing.take)
-        errand = _FirstGoal(read, report)
+        first = Publisher("move_base_simple/goal", PoseStamped, queue_size=10)
+
+        def send() -> None:
+            first.publish(stamped_pose(rospy.Time.now(), read.frame, read.goal))
+
+        errand = Errand("drive_to_goal", first.has_connections, send, report.is_answered)
         Recorder(report, read, "the bridge and drive_to_goal", errand=errand).run()
 
     run_node("plot_goal", body)

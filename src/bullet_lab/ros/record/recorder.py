@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ContextManager, Dict, List, Mapping, Optional, Protocol
+from typing import Any, Callable, ContextManager, Dict, List, Mapping, Optional, Protocol
 
 import rospy
 from std_msgs.msg import Time
@@ -90,19 +90,21 @@ class View(Protocol):
         """Begin anew with the topics of a namespace."""
 
 
-class Errand(Protocol):
-    """Where a robot is sent before its way is recorded."""
+@dataclass(frozen=True)
+class Errand:
+    """Where a robot is sent before its way is recorded.
+
+    Attributes:
+        server: name of the node that takes the goal.
+        is_connected: returns whether it is there.
+        send: sends the goal.
+        is_taken: returns whether the server has taken it.
+    """
 
     server: str
-
-    def is_connected(self) -> bool:
-        """Return whether the server is there."""
-
-    def send(self) -> None:
-        """Send the goal."""
-
-    def is_taken(self) -> bool:
-        """Return whether the server has taken the goal."""
+    is_connected: Callable[[], bool]
+    send: Callable[[], None]
+    is_taken: Callable[[], bool]
 
 
 class Recorder:

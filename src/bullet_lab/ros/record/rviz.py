@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 from typing import Callable, Dict, Iterable, List, Mapping, Tuple
 
@@ -130,15 +131,9 @@ def _line(topic: str, message: Odometry) -> Marker:
 
 def _copy(marker: Marker) -> Marker:
     """Return a marker with points of its own, which stay as they are while it is sent."""
-    return Marker(
-        header=marker.header,
-        ns=marker.ns,
-        type=marker.type,
-        pose=marker.pose,
-        scale=marker.scale,
-        color=marker.color,
-        points=list(marker.points),
-    )
+    copied = copy.copy(marker)
+    copied.points = list(marker.points)
+    return copied
 
 
 def _labels(markers: Iterable[Marker]) -> List[Marker]:

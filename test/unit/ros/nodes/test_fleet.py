@@ -8,7 +8,6 @@ from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.reports import Reading
 from bullet_lab.reports.fleet import (
     FleetReport,
-    RobotPaths,
     clear_away,
     fleet_figure,
     fleet_summary,
@@ -64,25 +63,25 @@ def test_summary_of_robots_that_have_not_moved_has_no_errors():
 
 @pytest.mark.parametrize("number", [1, 2, 7, 20])
 def test_figure_shows_all_paths_to_one_scale(number):
-    robots = [
-        RobotPaths(name, path(2.5 * (k % 5), 2.5 * (k // 5)), path(2.5 * (k % 5) + 0.1))
+    robots = {
+        name: (path(2.5 * (k % 5), 2.5 * (k // 5)), path(2.5 * (k % 5) + 0.1))
         for k, name in enumerate(robot_names(number))
-    ]
+    }
     figure = fleet_figure(robots, "fleet")
     (axes,) = figure.axes
     assert axes.get_aspect() == 1.0
     assert [text.get_text() for text in axes.texts] == robot_names(number)
-    for robot in robots:
-        for trajectory in (robot.perfect, robot.noisy):
+    for paths in robots.values():
+        for trajectory in paths:
             drawn = [line.get_xydata() for line in axes.lines]
             assert any(np.array_equal(trajectory.poses[:, :2], line) for line in drawn)
     low, high = np.transpose([axes.get_xlim(), axes.get_ylim()])
-    places = np.concatenate([robot.perfect.poses[:, :2] for robot in robots])
+    places = np.concatenate([perfect.poses[:, :2] for perfect, _ in robots.values()])
     assert (places > low).all() and (places < high).all()
 
 
 def test_figure_of_robots_that_have_sent_nothing_yet():
-    figure = fleet_figure([RobotPaths("robot1", None, None)], "fleet")
+    figure = fleet_figure({"robot1": (None, None)}, "fleet")
     figure.canvas.draw()
     assert not figure.axes[0].texts
 
