@@ -3,7 +3,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-rospy = pytest.importorskip("rospy")
+pytest.importorskip("rospy")
+import rospy
 
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import plot_vision
