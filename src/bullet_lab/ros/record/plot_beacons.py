@@ -18,8 +18,8 @@ from typing import Dict, Tuple
 import rospy
 from visualization_msgs.msg import MarkerArray
 
+from bullet_lab.core.parameters import name_list, text
 from bullet_lab.reports.beacons import BeaconsReport
-from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import NodeError, private_parameters, run_node
 from bullet_lab.ros.record.recorder import Recorder, TimedParameters
 
@@ -31,8 +31,8 @@ BEACONS = ("beacon_0", "beacon_1", "beacon_2")
 class PlotBeaconsParameters(TimedParameters):
     """Private parameters of plot_beacons."""
 
-    out: str = parameters.text("results/beacons", "folder for the files")
-    beacons: Tuple[str, ...] = parameters.name_list("models of the world that are beacons")
+    out: str = text("results/beacons", "folder for the files")
+    beacons: Tuple[str, ...] = name_list("models of the world that are beacons")
 
 
 def true_beacons(names: Tuple[str, ...]) -> Dict[str, Tuple[float, float]]:
@@ -58,8 +58,8 @@ def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        read = private_parameters(PlotBeaconsParameters)
-        report = BeaconsReport(Path(read.out), true_beacons(read.beacons or BEACONS))
-        Recorder(report, read, "odom and the distances").run()
+        parameters = private_parameters(PlotBeaconsParameters)
+        report = BeaconsReport(Path(parameters.out), true_beacons(parameters.beacons or BEACONS))
+        Recorder(report, parameters, "odom and the distances").run()
 
     run_node("plot_beacons", body)

@@ -16,15 +16,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Mapping, Tuple
+from typing import Any, Mapping, Optional, Tuple
 
 from actionlib import GoalStatus, SimpleActionClient
 from geometry_msgs.msg import PoseStamped
 
+from bullet_lab.core.parameters import boolean, integer, number, number_list, text
 from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.msg import DockAction, DockGoal, DockResult
 from bullet_lab.reports.dock import DockReport, Station
-from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.record.recorder import Errand, Recorder, RecordParameters, about
@@ -41,31 +41,33 @@ class PlotDockingParameters(RecordParameters):
     """Private parameters of plot_docking."""
 
     about: Mapping[str, Any] = about(NoisyOdomParameters)
-    out: str = parameters.text("results/dock", "folder for the files")
-    dock_id: str = parameters.text("dock", "name of the dock in the database of dock.py")
-    search: bool = parameters.boolean(True, "look for the marker where it is not seen at once")
-    max_retries: int = parameters.integer(-1, "-1: as dock.py is configured", minimum=-1)
-    world: str = parameters.text(
+    out: str = text("results/dock", "folder for the files")
+    dock_id: str = text("dock", "name of the dock in the database of dock.py")
+    search: bool = boolean(True, "look for the marker where it is not seen at once")
+    max_retries: int = integer(-1, "-1: as dock.py is configured", minimum=-1)
+    world: str = text(
         "package://bullet_lab/worlds/docking.world", "world for the plan: a path or package://"
     )
-    true_dock: Tuple[float, ...] = parameters.number_list(
+    true_dock: Tuple[float, ...] = number_list(
         (4.0, 0.0, 0.0), "true pose of the floor below the marker: x y in m, yaw in rad"
     )
-    camera_ahead: float = parameters.number(0.16, "m, of the camera from the robot's middle")
-    docked_distance: float = parameters.number(
+    camera_ahead: float = number(0.16, "m, of the camera from the robot's middle")
+    docked_distance: float = number(
         0.4, "m from the camera to the marker in a docked robot", above=0.0
     )
-    pictures: int = parameters.integer(8, "of the camera along the way", minimum=2, maximum=40)
+    pictures: int = integer(8, "of the camera along the way", minimum=2, maximum=40)
 
 
-def station_of(read: PlotDockingParameters) -> Station:
+def station_of(parameters: PlotDockingParameters) -> Station:
     """Return where the robot docks; raises LabError where there is no such world."""
-    world = read_world_file(ResourceFinder.anywhere().find(read.world))
+    world = read_world_file(ResourceFinder.anywhere().find(parameters.world))
     outlines = [one.corners() for one in footprints(world, below=ROBOT_HEIGHT)]
-    return Station(outlines, read.true_dock, read.camera_ahead, read.docked_distance)
+    return Station(
+        outlines, parameters.true_dock, parameters.camera_ahead, parameters.docked_distance
+    )
 
 
-def docking_errand(read: PlotDockingParameters, report: DockReport) -> Errand:
+def docking_errand(parameters: PlotDockingParameters, report: DockReport) -> Errand:
     """Return the call of the action, whose result goes to the report."""
     client = SimpleActionClient("dock", DockAction)
 
@@ -74,12 +76,16 @@ def docking_errand(read: PlotDockingParameters, report: DockReport) -> Errand:
         ends = (inner.pub_goal, inner.result_sub, inner.status_sub)
         return all(end.get_num_connections() > 0 for end in ends)
 
-    def note(state: int, result: DockResult) -> None:
+    def note(state: int, result: Optional[DockResult]) -> None:
+        if result is None:
+            return
         error = DockingError(result.error_code)
         report.result = DockingResult(result.success, error, result.message, result.retries)
 
     def send() -> None:
-        goal = DockGoal(read.dock_id, PoseStamped(), read.search, read.max_retries)
+        goal = DockGoal(
+            parameters.dock_id, PoseStamped(), parameters.search, parameters.max_retries
+        )
         client.send_goal(goal, done_cb=note)
         report.sent = True
 
@@ -90,9 +96,9 @@ def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        read = private_parameters(PlotDockingParameters)
-        report = DockReport(Path(read.out), station_of(read), read.pictures)
-        view, errand = PathTopics({"odom": "~path"}), docking_errand(read, report)
-        Recorder(report, read, "the bridge and dock", view, errand).run()
+        parameters = private_parameters(PlotDockingParameters)
+        report = DockReport(Path(parameters.out), station_of(parameters), parameters.pictures)
+        view, errand = PathTopics({"odom": "~path"}), docking_errand(parameters, report)
+        Recorder(report, parameters, "the bridge and dock", view, errand).run()
 
     run_node("plot_docking", body)

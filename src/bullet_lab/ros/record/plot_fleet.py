@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Mapping
 
+from bullet_lab.core.parameters import integer, text
 from bullet_lab.core.seeds import derived_seed
 from bullet_lab.reports.fleet import FleetReport
-from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.nodes.fleet import MOST_ROBOTS, robot_names
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
@@ -29,19 +29,19 @@ class PlotFleetParameters(TimedParameters):
     """Private parameters of plot_fleet."""
 
     about: Mapping[str, Any] = about(NoisyOdomParameters)
-    out: str = parameters.text("results/fleet", "folder for the files")
-    robots: int = parameters.integer(8, "how many there are: robot1 and so on", 1, MOST_ROBOTS)
-    seed: int = parameters.integer(0, "of noisy_odom, which derives one for each robot", minimum=0)
+    out: str = text("results/fleet", "folder for the files")
+    robots: int = integer(8, "how many there are: robot1 and so on", 1, MOST_ROBOTS)
+    seed: int = integer(0, "of noisy_odom, which derives one for each robot", minimum=0)
 
 
 def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        read = private_parameters(PlotFleetParameters)
-        names = robot_names(read.robots)
-        seeds = {name: derived_seed(read.seed, index) for index, name in enumerate(names)}
-        report = FleetReport(Path(read.out), seeds)
-        Recorder(report, read, "the robots' odometry", FleetMarkers()).run()
+        parameters = private_parameters(PlotFleetParameters)
+        names = robot_names(parameters.robots)
+        seeds = {name: derived_seed(parameters.seed, index) for index, name in enumerate(names)}
+        report = FleetReport(Path(parameters.out), seeds)
+        Recorder(report, parameters, "the robots' odometry", FleetMarkers()).run()
 
     run_node("plot_fleet", body)

@@ -20,11 +20,11 @@ import rospy
 from geometry_msgs.msg import PoseStamped
 from visualization_msgs.msg import MarkerArray
 
+from bullet_lab.core.parameters import boolean, number, number_list, text
 from bullet_lab.reports.goal import Beacon, GoalReport
 from bullet_lab.ros.gazebo.client import numbered
 from bullet_lab.ros.gazebo.standing_models import TOPIC as WORLD
 from bullet_lab.ros.gazebo.standing_models import StandingModels
-from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.nodes.dock_goals import stamped_pose
@@ -38,34 +38,32 @@ class PlotGoalParameters(RecordParameters):
     """Private parameters of plot_goal."""
 
     about: Mapping[str, Any] = about(DriveToGoalParameters, NoisyOdomParameters)
-    out: str = parameters.text("results/goal", "folder for the files")
-    goal: Tuple[float, ...] = parameters.number_list(
-        (1.0, 1.0, 0.0), "where to: x y in m, yaw in rad"
-    )
-    frame: str = parameters.text("world", "frame of the goal")
-    tolerance: float = parameters.number(0.05, "m, for the picture", above=0.0)
-    stay: bool = parameters.boolean(False, "wait for more goals, such as RViz's, until Ctrl-C")
+    out: str = text("results/goal", "folder for the files")
+    goal: Tuple[float, ...] = number_list((1.0, 1.0, 0.0), "where to: x y in m, yaw in rad")
+    frame: str = text("world", "frame of the goal")
+    tolerance: float = number(0.05, "m, for the picture", above=0.0)
+    stay: bool = boolean(False, "wait for more goals, such as RViz's, until Ctrl-C")
 
 
 def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        read = private_parameters(PlotGoalParameters)
+        parameters = private_parameters(PlotGoalParameters)
         standing = StandingModels()
 
         def beacons() -> List[Beacon]:
             names = numbered(standing.names(), "beacon")
             return [(name, *standing.origin(name)[:2]) for name in names]
 
-        report = GoalReport(Path(read.out), read.tolerance, read.stay, beacons)
+        report = GoalReport(Path(parameters.out), parameters.tolerance, parameters.stay, beacons)
         rospy.Subscriber(WORLD, MarkerArray, standing.take)
         first = Publisher("move_base_simple/goal", PoseStamped, queue_size=10)
 
         def send() -> None:
-            first.publish(stamped_pose(rospy.Time.now(), read.frame, read.goal))
+            first.publish(stamped_pose(rospy.Time.now(), parameters.frame, parameters.goal))
 
         errand = Errand("drive_to_goal", first.has_connections, send, report.is_answered)
-        Recorder(report, read, "the bridge and drive_to_goal", errand=errand).run()
+        Recorder(report, parameters, "the bridge and drive_to_goal", errand=errand).run()
 
     run_node("plot_goal", body)

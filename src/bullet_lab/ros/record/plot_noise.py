@@ -17,8 +17,8 @@ from typing import Any, Mapping
 
 import rospy
 
+from bullet_lab.core.parameters import boolean, text
 from bullet_lab.reports.squares import SquaresReport
-from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
@@ -31,8 +31,8 @@ class PlotNoiseParameters(TimedParameters):
     """Private parameters of plot_noise."""
 
     about: Mapping[str, Any] = about(NoisyOdomParameters, DriveSquaresParameters)
-    out: str = parameters.text("results/squares", "folder for the files")
-    show: bool = parameters.boolean(False, "open a window at the end, where there is a screen")
+    out: str = text("results/squares", "folder for the files")
+    show: bool = boolean(False, "open a window at the end, where there is a screen")
 
 
 def show(path: Path) -> None:
@@ -56,11 +56,11 @@ def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        read = private_parameters(PlotNoiseParameters)
-        folder = Path(read.out)
+        parameters = private_parameters(PlotNoiseParameters)
+        folder = Path(parameters.out)
         view = PathTopics({"odom": "odom_path", "noisy_odom": "noisy_odom_path"})
-        Recorder(SquaresReport(folder), read, "odom and noisy_odom", view).run()
-        if read.show:
+        Recorder(SquaresReport(folder), parameters, "odom and noisy_odom", view).run()
+        if parameters.show:
             show(folder / "paths.png")
 
     run_node("plot_noise", body)

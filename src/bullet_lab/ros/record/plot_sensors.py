@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Mapping
 
+from bullet_lab.core.parameters import integer, text
 from bullet_lab.reports.sensors import SensorsReport
-from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
 from bullet_lab.ros.record.recorder import Recorder, TimedParameters, about
@@ -28,15 +28,17 @@ class PlotSensorsParameters(TimedParameters):
     """Private parameters of plot_sensors."""
 
     about: Mapping[str, Any] = about(DriveSquaresParameters)
-    out: str = parameters.text("results/sensors", "folder for the files")
-    rays: int = parameters.integer(360, "of the laser scanner", minimum=1, maximum=100_000)
+    out: str = text("results/sensors", "folder for the files")
+    rays: int = integer(360, "of the laser scanner", minimum=1, maximum=100_000)
 
 
 def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        read = private_parameters(PlotSensorsParameters)
-        Recorder(SensorsReport(Path(read.out), read.rays), read, "the sensors").run()
+        parameters = private_parameters(PlotSensorsParameters)
+        Recorder(
+            SensorsReport(Path(parameters.out), parameters.rays), parameters, "the sensors"
+        ).run()
 
     run_node("plot_sensors", body)

@@ -23,8 +23,8 @@ from typing import Any, Dict, Mapping, Optional
 import rospy
 from message_filters import SimpleFilter, TimeSynchronizer
 
+from bullet_lab.core.parameters import number, text
 from bullet_lab.reports.vision import VisionReport
-from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import NodeError, private_parameters, run_node
 from bullet_lab.ros.node.publishers import subscriber
@@ -41,9 +41,9 @@ _QUEUE = 100
 class PlotVisionParameters(RecordParameters):
     """Private parameters of plot_vision."""
 
-    out: str = parameters.text("results/vision", "folder for the files")
-    settle: float = parameters.number(1.0, "simulated seconds before the image", minimum=0.0)
-    timeout: float = parameters.number(90.0, "wall seconds to wait for all results", above=0.0)
+    out: str = text("results/vision", "folder for the files")
+    settle: float = number(1.0, "simulated seconds before the image", minimum=0.0)
+    timeout: float = number(90.0, "wall seconds to wait for all results", above=0.0)
 
 
 class SameImage:
@@ -119,12 +119,12 @@ def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        read = private_parameters(PlotVisionParameters)
-        report = VisionReport(Path(read.out))
-        report.about = read.about
-        answers = SameImage(report.topics, read.settle)
+        parameters = private_parameters(PlotVisionParameters)
+        report = VisionReport(Path(parameters.out))
+        report.about = parameters.about
+        answers = SameImage(report.topics, parameters.settle)
         join_when(answers.is_connected, "the detectors")
-        messages = answers.wait(read.timeout)
+        messages = answers.wait(parameters.timeout)
         answers.close()
         for topic, kind in report.topics.items():
             report.take(topic, reader_of(kind)[1](messages[topic]))

@@ -19,9 +19,9 @@ from std_msgs.msg import Time
 
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import FileError, write_json
+from bullet_lab.core.parameters import mapping, number, text
 from bullet_lab.errors import LabError
 from bullet_lab.reports import Report
-from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.lock_step import join_when, time_held_at
 from bullet_lab.ros.node.node import NodeError, Refusals, wait_until
 from bullet_lab.ros.node.publishers import subscriber
@@ -39,14 +39,14 @@ ACCEPTANCE = 30.0
 
 def about(*kinds: type) -> Any:
     """Declare ~about, with parameters of these dataclasses as they stand in a launch file."""
-    return parameters.mapping("what else summary.json shall say", *kinds)
+    return mapping("what else summary.json shall say", *kinds)
 
 
 @dataclass(frozen=True)
 class RecordParameters:
     """Private parameters of every node that records."""
 
-    out: str = parameters.text("results", "folder for the files")
+    out: str = text("results", "folder for the files")
     about: Mapping[str, Any] = about()
 
 
@@ -54,10 +54,8 @@ class RecordParameters:
 class TimedParameters(RecordParameters):
     """Private parameters of a node that records up to a time."""
 
-    until: str = parameters.text("", "topic (std_msgs/Time) that ends it; empty: Ctrl-C does")
-    plot_period: float = parameters.number(
-        10.0, "wall seconds between two versions of the picture", above=0.0
-    )
+    until: str = text("", "topic (std_msgs/Time) that ends it; empty: Ctrl-C does")
+    plot_period: float = number(10.0, "wall seconds between two versions of the picture", above=0.0)
 
 
 class Stopwatch:
