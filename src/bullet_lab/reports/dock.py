@@ -100,7 +100,8 @@ class DockReport(Report):
         if topic == "odom":
             return reading.stamp >= BEGINNING and super().take(topic, reading)
         if topic == "aruco/image_annotated":
-            if self.sent and self.until is None:
+            # Whether one of before the goal comes before it is sent is a matter of luck.
+            if self.sent and reading.stamp > BEGINNING and self.until is None:
                 self._frames.add((reading.seconds, _small(reading.detail)))
         elif topic == "bullet_lab/touched":
             # What is touched after the end is no part of the docking.

@@ -76,17 +76,23 @@ def test_a_docking_that_fails_and_one_that_is_broken_off(report):
 
 def test_pictures_are_those_on_the_way_each_with_its_state(report):
     picture = np.zeros((48, 64, 3), dtype=np.uint8)
-    report.take("aruco/image_annotated", Reading(STEP, (), picture))
+
+    def see(number):
+        report.take("aruco/image_annotated", Reading(number * STEP, (), picture))
+
+    see(11)
     report.sent = True
-    report.take("aruco/image_annotated", Reading(2 * STEP, (), picture))
-    report.take("dock/feedback", Reading(3 * STEP, (), "staging"))
-    report.take("aruco/image_annotated", Reading(4 * STEP, (), picture))
-    report.take("dock/finished", Reading(5 * STEP))
-    report.take("aruco/image_annotated", Reading(6 * STEP, (), picture))
+    # Seen before the goal, and late.
+    see(8)
+    see(12)
+    report.take("dock/feedback", Reading(13 * STEP, (), "staging"))
+    see(14)
+    report.take("dock/finished", Reading(15 * STEP))
+    see(16)
     summary = report.summary(True, RUN)
     assert summary["images"] == 2
     titles = [axes.get_title() for axes in report.figures(summary)["camera.png"].axes]
-    assert titles == ["0.1 s, at rest", "0.2 s, staging"]
+    assert titles == ["0.6 s, at rest", "0.7 s, staging"]
 
 
 def test_what_an_earlier_docking_has_left_goes(tmp_path):
