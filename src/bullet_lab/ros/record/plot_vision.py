@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import threading
 import time
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,7 +28,12 @@ from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import NodeError, private_parameters, run_node
 from bullet_lab.ros.node.publishers import subscriber
 from bullet_lab.ros.record.readings import reader_of
-from bullet_lab.ros.record.recorder import POLL_SECONDS, RecordParameters, write_report
+from bullet_lab.ros.record.recorder import (
+    POLL_SECONDS,
+    RecordParameters,
+    save_figures,
+    save_summary,
+)
 
 # Wall seconds that results of one image are waited for, once there is one of each.
 _PATIENCE = 5.0
@@ -129,7 +133,9 @@ def main() -> None:
         for topic, kind in report.topics.items():
             report.take(topic, reader_of(kind)[1](messages[topic]))
         report.finish()
-        summary = write_report(report, True, {}, nullcontext())
+        summary = report.summary(True, {})
+        save_summary(report, summary)
+        save_figures(report, report.figures(summary))
         for name, line in report.found.items():
             rospy.loginfo("%s: %s", name, line)
         rospy.loginfo("%s", report.line(summary))

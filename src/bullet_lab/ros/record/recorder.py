@@ -12,9 +12,10 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Callable, ContextManager, Dict, List, Mapping, Optional, Protocol
+from typing import Any, Callable, Dict, List, Mapping, Optional, Protocol, Tuple
 
 import rospy
+from matplotlib.figure import Figure
 from std_msgs.msg import Time
 
 from bullet_lab.core.figures import save
@@ -215,7 +216,11 @@ class Recorder:
             # A message may be on its way in still.
             self._finished = True
             self._report.finish(self._report.until if complete else None)
-        return self._write(complete)
+            summary, figures = self._contents(finished=complete)
+        # The numbers first: whoever shuts down may be in a hurry.
+        save_summary(self._report, summary)
+        save_figures(self._report, figures)
+        return summary
 
     # What comes in
 
@@ -253,35 +258,28 @@ class Recorder:
 
     def _renew(self) -> None:
         try:
-            self._write(finished=False)
+            with self._lock:
+                summary, figures = self._contents(finished=False)
+            # Who sees the summary finds the pictures of it.
+            save_figures(self._report, figures)
+            save_summary(self._report, summary)
         except (FileError, OSError) as error:
             rospy.logerr_throttle(10.0, f"cannot write: {error}")
 
-    def _write(self, finished: bool) -> Mapping[str, Any]:
-        with self._lock:
-            times = self._stopwatch.figures(self._report.seconds())
+    def _contents(self, finished: bool) -> Tuple[Dict[str, Any], Dict[str, Figure]]:
+        """Return summary and figures, which are drawn later, without the lock: it takes long."""
+        times = self._stopwatch.figures(self._report.seconds())
         run = {**times, "refused_messages": self._refusals.total}
-        return write_report(self._report, finished, run, self._lock)
+        summary = self._report.summary(finished, run)
+        return summary, self._report.figures(summary)
 
 
-def write_report(
-    report: Report, finished: bool, run: Mapping[str, Any], lock: ContextManager
-) -> Mapping[str, Any]:
-    """Write summary.json and the pictures; return what summary.json says.
+def save_summary(report: Report, summary: Mapping[str, Any]) -> None:
+    """Write summary.json; raises FileError."""
+    write_json(report.folder / "summary.json", {**report.about, **summary})
 
-    Args:
-        report: what is written.
-        finished: whether all came up to the end.
-        run: figures of the run itself.
-        lock: is held while the report is asked; not while pictures are drawn, which takes long.
 
-    Raises:
-        FileError: a file cannot be written.
-    """
-    with lock:
-        summary: Dict[str, Any] = {**report.about, **report.summary(finished, run)}
-        figures = report.figures(summary)
-    write_json(report.folder / "summary.json", summary)
+def save_figures(report: Report, figures: Mapping[str, Figure]) -> None:
+    """Write the pictures; raises FileError."""
     for name, figure in figures.items():
         save(figure, report.folder / name)
-    return summary
