@@ -1,0 +1,162 @@
+import json
+import math
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rospy")
+import rospy
+from nav_msgs.msg import Odometry
+
+from bullet_lab.core.figures import new_figure
+from bullet_lab.core.series import PathSeries
+from bullet_lab.reports import Report
+from bullet_lab.ros.node.node import NodeError
+from bullet_lab.ros.record import recorder
+from bullet_lab.ros.record.recorder import Errand, Recorder, TimedParameters
+
+
+class PathReport(Report):
+    """The smallest report: one path."""
+
+    failed = False
+
+    def __init__(self, folder):
+        super().__init__(folder)
+        self.topics = {"odom": "nav_msgs/Odometry"}
+        self.series = {"odom": PathSeries(folder / "path.tum")}
+
+    def summary(self, finished, run):
+        return {"finished": finished, "rows": len(self.series["odom"]), **run}
+
+    def figures(self, summary):
+        return {"path.png": new_figure(1.0, 1.0)}
+
+    def line(self, summary):
+        return f"{summary['rows']} rows"
+
+    def has_failed(self, summary):
+        return self.failed
+
+
+@pytest.fixture
+def receive(monkeypatch):
+    """What the subscribers would call, by topic."""
+    receivers = {}
+
+    def subscriber(topic, kind, receive, *args):
+        receivers[topic] = receive
+        return SimpleNamespace(get_num_connections=lambda: 1, unregister=lambda: None)
+
+    monkeypatch.setattr(recorder, "subscriber", subscriber)
+    monkeypatch.setattr(recorder.rospy, "Subscriber", subscriber)
+    monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
+    return receivers
+
+
+def odometry(number, x=0.0, frame="odom"):
+    message = Odometry()
+    message.header.stamp = rospy.Time(0, 50_000_000 * number)
+    message.header.frame_id = frame
+    message.pose.pose.position.x = x
+    message.pose.pose.orientation.w = 1.0
+    return message
+
+
+def summary_of(folder):
+    return json.loads((folder / "summary.json").read_text())
+
+
+def end_at(number):
+    return SimpleNamespace(data=rospy.Time(0, 50_000_000 * number))
+
+
+def test_what_cannot_be_used_is_counted_and_the_end_is_where_it_was_announced(tmp_path, receive):
+    parameters = TimedParameters(out=str(tmp_path), about={"job": "test"}, until="over")
+    recording = Recorder(PathReport(tmp_path), parameters, "odom")
+    for message in (
+        odometry(1),
+        odometry(2, math.nan),
+        odometry(2, frame="map"),
+        odometry(1),
+        odometry(2),
+        odometry(3),
+        odometry(4),
+    ):
+        receive["odom"](message)
+    assert len((tmp_path / "path.tum").read_text().splitlines()) == 4
+    receive["over"](end_at(3))
+    recording.run()
+    summary = summary_of(tmp_path)
+    assert list(summary)[:2] == ["job", "finished"]
+    assert (summary["finished"], summary["rows"], summary["refused_messages"]) == (True, 3, 3)
+    assert summary["sim_time_s"] == pytest.approx(0.1)
+    assert len((tmp_path / "path.tum").read_text().splitlines()) == 3
+    assert (tmp_path / "path.png").is_file()
+    # On its way in still.
+    receive["odom"](odometry(5))
+    assert len((tmp_path / "path.tum").read_text().splitlines()) == 3
+
+
+def test_an_end_that_nothing_comes_up_to_is_one_all_the_same(tmp_path, receive, monkeypatch):
+    monkeypatch.setattr(recorder, "PATIENCE", 0.05)
+    parameters = TimedParameters(out=str(tmp_path), until="over")
+    recording = Recorder(PathReport(tmp_path), parameters, "odom")
+    receive["odom"](odometry(1))
+    receive["over"](end_at(3))
+    recording.run()
+    assert summary_of(tmp_path)["rows"] == 1
+
+
+def test_nothing_is_cut_off_where_it_is_broken_off(tmp_path, receive, monkeypatch):
+    parameters = TimedParameters(out=str(tmp_path), until="over")
+    recording = Recorder(PathReport(tmp_path), parameters, "odom")
+    receive["odom"](odometry(1))
+    monkeypatch.setattr(rospy, "is_shutdown", lambda: True)
+    recording.run()
+    assert (summary_of(tmp_path)["finished"], summary_of(tmp_path)["rows"]) == (False, 1)
+
+
+def test_pictures_are_renewed_before_the_summary(tmp_path, receive):
+    parameters = TimedParameters(out=str(tmp_path), until="over", plot_period=0.01)
+    recording = Recorder(PathReport(tmp_path), parameters, "odom")
+    receive["odom"](odometry(1))
+    seen = []
+
+    def watch():
+        while not (tmp_path / "summary.json").exists():
+            pass
+        seen.append((tmp_path / "path.png").exists())
+        receive["over"](end_at(1))
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    recording.run()
+    watcher.join()
+    assert seen == [True]
+
+
+def test_an_errand_that_fails_leaves_everything_and_one_line(tmp_path, receive):
+    report = PathReport(tmp_path)
+    report.failed = True
+    sent = []
+    errand = Errand("server", lambda: True, lambda: sent.append(1), lambda: bool(sent))
+    report.until = 50_000_000
+    parameters = recorder.RecordParameters(out=str(tmp_path))
+    recording = Recorder(report, parameters, "server", errand=errand)
+    receive["odom"](odometry(1))
+    with pytest.raises(NodeError, match="^1 rows$"):
+        recording.run()
+    assert sent == [1]
+    assert summary_of(tmp_path)["finished"] is True
+
+
+def test_a_goal_that_nobody_takes(tmp_path, receive, monkeypatch):
+    monkeypatch.setattr(recorder, "ACCEPTANCE", 0.05)
+    errand = Errand("server", lambda: True, lambda: None, lambda: False)
+    parameters = recorder.RecordParameters(out=str(tmp_path))
+    recording = Recorder(PathReport(tmp_path), parameters, "server", errand=errand)
+    with pytest.raises(NodeError, match=r"^server has not taken the goal for 0\.05 s$"):
+        recording.run()
+    assert summary_of(tmp_path)["rows"] == 0
