@@ -134,9 +134,10 @@ class Viewpoint:
 
     @property
     def origin(self) -> np.ndarray:
-        """Place (3,) of a camera after the robot's turn, but not its way, from image to now, m."""
+        """Place (3,) of the camera at the time of the image, in the robot's present frame, m."""
         mount, cos, sin = self.mount, math.cos(self.moved[2]), math.sin(self.moved[2])
-        return np.array([cos * mount.x - sin * mount.y, sin * mount.x + cos * mount.y, mount.z])
+        turned = np.array([cos * mount.x - sin * mount.y, sin * mount.x + cos * mount.y, mount.z])
+        return np.array([*self.moved[:2], 0.0]) + turned
 
     def line_of_sight(self, corners: np.ndarray, size: float) -> Tuple[np.ndarray, float]:
         """Return the direction (3,) of a marker in the robot's frame, and its range in m.

@@ -335,7 +335,7 @@ class MarkerTrack:
         slants = np.tile(_SLANTS, len(SCALES))
         sizes = self._size * SCALES[scale]
         distance = reach * SCALES[scale]
-        eye = np.array([*view.moved[:2], 0.0]) + view.origin
+        eye = view.origin
         states = np.zeros((len(scale), STATES))
         states[:, :2] = eye[:2] + distance[:, None] * ray[:2]
         states[:, 2] = wrap(math.atan2(ray[1], ray[0]) + slants)

@@ -34,6 +34,9 @@ class Outcome(NamedTuple):
     arguments: Tuple = ()
 
 
+Step = Union[Command, Outcome]
+
+
 class State:
     """One thing that is done.
 
@@ -45,7 +48,7 @@ class State:
     state = DockingState.SEARCHING
     detail = ""
 
-    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:
+    def step(self, planner: DockingPlanner) -> Step:
         """Return the command for now, or how it ended; raises DockingFailureError."""
         raise NotImplementedError
 
@@ -69,7 +72,7 @@ class Look(State):
     def wants_images(self, planner: DockingPlanner) -> bool:  # noqa: D102 - inherited
         return planner.settled()
 
-    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+    def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         belief, frames = planner.belief, planner.settings.look_frames
         if belief.best() is not None:
             return Outcome("seen")
@@ -106,7 +109,7 @@ class Drive(State):
     def plan(self) -> Tuple[Point, ...]:  # noqa: D102 - inherited
         return self._way.left
 
-    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+    def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         if planner.now - self._checked >= _CHECK_SECONDS:
             self._checked = planner.now
             if not planner.still_safe(self._way.left):
@@ -114,7 +117,7 @@ class Drive(State):
         command = self._way.command(planner.belief.pose)
         return self._arrived(planner) if command == STANDSTILL else command
 
-    def _arrived(self, planner: DockingPlanner) -> Union[Command, Outcome]:
+    def _arrived(self, planner: DockingPlanner) -> Step:
         """Return what to do at the end of the way."""
         return Outcome("arrived")
 
@@ -131,10 +134,10 @@ class Travel(Drive):
     def wants_images(self, planner: DockingPlanner) -> bool:  # noqa: D102 - inherited
         return planner.chance_to_see() > 0.05
 
-    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+    def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         return Outcome("seen") if planner.belief.best() is not None else super().step(planner)
 
-    def _arrived(self, planner: DockingPlanner) -> Union[Command, Outcome]:
+    def _arrived(self, planner: DockingPlanner) -> Step:
         left = wrap(self._heading - planner.belief.pose[2])
         command = turn_command(left, planner.settings.turn_speed)
         return Outcome("arrived") if command == STANDSTILL else command
@@ -150,7 +153,7 @@ class Stage(Drive):
         estimate = planner.estimate()
         return estimate is not None and planner.marker_in_view(estimate)
 
-    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+    def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         return Outcome("lost") if planner.estimate() is None else super().step(planner)
 
 
@@ -166,7 +169,7 @@ class Probe(State):
         self._way, self._searching = way, searching
         self._start: Optional[np.ndarray] = None
 
-    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+    def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         pose = np.asarray(planner.belief.pose)
         if self._start is None:
             self._start = pose
@@ -193,7 +196,7 @@ class Measure(State):
     def wants_images(self, planner: DockingPlanner) -> bool:  # noqa: D102 - inherited
         return planner.settled()
 
-    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+    def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         track, estimate = planner.belief.best(), planner.estimate()
         if track is None or estimate is None:
             return Outcome("lost")
@@ -283,7 +286,7 @@ class Approach(State):
         self._held: Optional[float] = None
         self._entered = False
 
-    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+    def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         track, estimate = planner.belief.best(), planner.estimate()
         if estimate is None:
             return Outcome("lost")
@@ -305,7 +308,7 @@ class Approach(State):
                 return _back_out(planner, left, 0.35)
         return planner.tracker.forwards(robot, left)
 
-    def _hold(self, planner: DockingPlanner) -> Union[Command, Outcome]:
+    def _hold(self, planner: DockingPlanner) -> Step:
         """Wait at rest for the marker to be seen again, then look at what is the matter."""
         if self._held is None:
             self._held = planner.now
@@ -344,7 +347,7 @@ class Retreat(State):
     def __init__(self, left: float, in_sight: bool = True):
         self._target, self._in_sight = left, in_sight
 
-    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+    def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         estimate = planner.estimate()
         if estimate is None:
             return Outcome("lost")
@@ -376,7 +379,7 @@ class Confirm(State):
         self._correction: Optional[Command] = None
         self._corrections = 0
 
-    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+    def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         track, estimate = planner.belief.best(), planner.estimate()
         if estimate is None:
             return Outcome("lost")
@@ -394,9 +397,7 @@ class Confirm(State):
             return _retry(planner, left, "the marker is lost before the dock")
         return STANDSTILL
 
-    def _judge(
-        self, planner: DockingPlanner, beside: float, left: float, turned: float
-    ) -> Union[Command, Outcome]:
+    def _judge(self, planner: DockingPlanner, beside: float, left: float, turned: float) -> Step:
         tolerance = planner.dock.tolerance
         if abs(beside) > tolerance.lateral:
             return _retry(planner, left, f"{1e3 * abs(beside):.1f} mm beside the axis")
@@ -427,7 +428,7 @@ class Docked(State):
     state = DockingState.DOCKED
     detail = "docked"
 
-    def step(self, planner: DockingPlanner) -> Union[Command, Outcome]:  # noqa: D102 - inherited
+    def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         return STANDSTILL
 
 
