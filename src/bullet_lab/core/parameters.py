@@ -281,6 +281,10 @@ def check_parameters(parameters: Any) -> None:
     """
     for name, declaration in declarations(type(parameters)).items():
         value = getattr(parameters, name)
+        if isinstance(value, str) and not isinstance(declaration.default, str):
+            # What launch files write as text has been read before.
+            allowed = declaration.check.allowed
+            raise ParameterError(f"{name} is '{value}': it must be {allowed}, not a text")
         if value != declaration.default:
             declaration.read(value)
 

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import abc
 import math
-from dataclasses import dataclass
-from numbers import Real
-from typing import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Dict, List, Mapping, Sequence, Tuple, Type
 
 import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.core.angles import wrap
+from bullet_lab.core.parameters import ParameterError, check_parameters, declarations, number
 from bullet_lab.errors import LabError
 
 MIN_TRANSLATION = 1e-4
@@ -25,9 +25,6 @@ MIN_TRANSLATION = 1e-4
 
 RESOLUTION = 1e-9
 """m or rad; smaller standard deviations drown in the rounding of the poses."""
-
-MODELS = ("report", "rate_invariant", "probabilistic")
-"""The names that `make_rule` knows."""
 
 _LARGEST_PARAMETER = 1e6  # far beyond any robot; keeps squares and sums finite
 _NO_COVARIANCE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -79,8 +76,36 @@ def _directions(dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.arctan2(sign * dy, np.abs(dx)), sign * np.hypot(dx, dy)
 
 
+@dataclass(frozen=True)
 class NoiseRule(abc.ABC):
-    """Says how uncertain a step is."""
+    """A noise model: says how uncertain a step is, all that the paths and the moments ask of it.
+
+    A model is one such class, a frozen dataclass below `register`. Its fields, declared with
+    `bullet_lab.core.parameters.number`, are parameters of noisy_odom; parameters of the same name
+    are one and the same. A level of noise in a study is `at_level`.
+
+    Attributes:
+        name: of the model, as in the parameter `model`.
+        title: of the model in figures.
+        stream: number in the key of a study's random generators. It is never changed, so that
+            what has been studied stays as it is whatever model comes along.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    stream: ClassVar[int]
+
+    def __post_init__(self) -> None:
+        """Raise NoiseError where a parameter is not allowed."""
+        try:
+            check_parameters(self)
+        except ParameterError as error:
+            raise NoiseError(str(error)) from None
+
+    @classmethod
+    def at_level(cls, std: float) -> NoiseRule:
+        """Return the rule at a level of noise; raises NoiseError for one that makes no sense."""
+        return rule_of(cls.name, {"std": std})
 
     @abc.abstractmethod
     def variances(self, rot1, trans, rot2):
@@ -96,6 +121,28 @@ class NoiseRule(abc.ABC):
         """
 
 
+MODELS: Dict[str, Type[NoiseRule]] = {}
+"""The noise models by name."""
+
+
+def register(model: Type[NoiseRule]) -> Type[NoiseRule]:
+    """Make a noise model known: a decorator of its class.
+
+    Raises:
+        ValueError: a model of this name, or with its number of random streams, is known already.
+    """
+    for other in MODELS.values():
+        if model.name == other.name or model.stream == other.stream:
+            raise ValueError(f"{model.__name__} has the name or the stream of {other.__name__}")
+    MODELS[model.name] = model
+    return model
+
+
+def _parameter(default: float, doc: str) -> Any:
+    return number(default, doc, minimum=0.0, maximum=_LARGEST_PARAMETER)
+
+
+@register
 @dataclass(frozen=True)
 class ReportRule(NoiseRule):
     """The rule of the report: standard deviation = std · |part|, for each message.
@@ -104,43 +151,51 @@ class ReportRule(NoiseRule):
 
     Attributes:
         std: standard deviation per metre (translation) and per radian (rotations), >= 0.
+
+    >>> ReportRule(0.5).variances(0.0, -2.0, 1.0)
+    (0.0, 1.0, 0.25)
     """
 
-    std: float
+    name, title, stream = "report", "The report's", 0
 
-    def __post_init__(self):
-        _check_parameter("std", self.std)
+    std: float = _parameter(
+        0.1, "standard deviation per metre and per radian (rate_invariant: per root)"
+    )
 
     def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
         std1, std_trans, std2 = self.std * rot1, self.std * trans, self.std * rot2
         return std1 * std1, std_trans * std_trans, std2 * std2
 
 
+@register
 @dataclass(frozen=True)
 class RateInvariantRule(NoiseRule):
     """Variance in proportion to what was travelled, as of a random walk.
 
-    Translation gains k² per metre; heading gains k² per metre and per radian, half of it before
-    and half after the translation. The heading variance of a path, and the variance along a
-    straight one, are the same however many messages it is cut into; across, N steps give
-    1 + 1/(2 N²) times the limit k² L³ / 3. Strafing counts as distance, not as two turns.
+    Translation gains std² per metre; heading gains std² per metre and per radian, half of it
+    before and half after the translation. The heading variance of a path, and the variance along
+    a straight one, are the same however many messages it is cut into; across, N steps give
+    1 + 1/(2 N²) times the limit std² L³ / 3. Strafing counts as distance, not as two turns.
 
     Attributes:
-        k: m/√m and rad/√m and rad/√rad, >= 0.
+        std: m/√m and rad/√m and rad/√rad, >= 0.
+
+    >>> RateInvariantRule(0.5).variances(0.0, -2.0, 0.0)
+    (0.25, 0.5, 0.25)
     """
 
-    k: float
+    name, title, stream = "rate_invariant", "Rate-invariant", 1
 
-    def __post_init__(self):
-        _check_parameter("k", self.k)
+    std: float = _parameter(0.1, "standard deviation per root of a metre and of a radian")
 
     def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
-        variance = self.k * self.k
+        variance = self.std * self.std
         distance = abs(trans)
         half_turn = 0.5 * variance * (distance + abs(wrap(rot1 + rot2)))
         return half_turn, variance * distance, half_turn
 
 
+@register
 @dataclass(frozen=True)
 class ProbabilisticRule(NoiseRule):
     """The odometry motion model of Probabilistic Robotics, 2nd and later printings, table 5.6.
@@ -152,16 +207,27 @@ class ProbabilisticRule(NoiseRule):
         alpha2: variance of a rotation per translation squared (rad²/m²), >= 0.
         alpha3: variance of the translation per translation squared, >= 0.
         alpha4: variance of the translation per rotation squared (m²/rad²), >= 0.
+
+    >>> ProbabilisticRule(0.5, 0.25, 2.0, 1.0).variances(0.0, 2.0, -1.0)
+    (1.0, 9.0, 1.5)
     """
 
-    alpha1: float
-    alpha2: float
-    alpha3: float
-    alpha4: float
+    name, title, stream = "probabilistic", "Probabilistic", 2
 
-    def __post_init__(self):
-        for name in ("alpha1", "alpha2", "alpha3", "alpha4"):
-            _check_parameter(name, getattr(self, name))
+    alpha1: float = _parameter(0.01, "probabilistic: rotation from rotation")
+    alpha2: float = _parameter(0.001, "probabilistic: rotation from distance")
+    alpha3: float = _parameter(0.01, "probabilistic: distance from distance")
+    alpha4: float = _parameter(0.001, "probabilistic: distance from rotation")
+
+    @classmethod
+    def at_level(cls, std: float) -> NoiseRule:
+        """Return the rule with alpha1 = alpha3 = std² and alpha2 = alpha4 = std² / 10.
+
+        At 0.1 these are the defaults.
+        """
+        std = ReportRule(std).std
+        square = std * std
+        return cls(square, 0.1 * square, square, 0.1 * square)
 
     def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
         turn1, way, turn2 = rot1 * rot1, trans * trans, rot2 * rot2
@@ -172,34 +238,72 @@ class ProbabilisticRule(NoiseRule):
         )
 
 
-def make_rule(model: str, std: float, alphas: Sequence[float] = ()) -> NoiseRule:
-    """Return the noise rule of a name.
+def model_named(name: str) -> Type[NoiseRule]:
+    """Return a noise model; raises NoiseError for a name that is not in `MODELS`."""
+    try:
+        return MODELS[name]
+    except KeyError:
+        raise NoiseError(f"unknown noise model {name!r}; choose from {', '.join(MODELS)}") from None
+
+
+def noise_fields() -> List[Tuple[str, type, Any]]:
+    """Return the parameters of all models, each once, as `dataclasses.make_dataclass` has them."""
+    found: Dict[str, Any] = {}
+    for model in MODELS.values():
+        for own in fields(model):
+            found.setdefault(own.name, field(default=own.default, metadata=own.metadata))
+    return [(name, float, copy) for name, copy in found.items()]
+
+
+def rule_of(model: str, values: Mapping[str, Any]) -> NoiseRule:
+    """Return the noise rule of a model.
 
     Args:
         model: one of `MODELS`.
-        std: std of the report's rule, k of the rate-invariant one; checked in any case.
-        alphas: alpha1 to alpha4 of the probabilistic one; else not looked at.
+        values: of parameters by name. "std" is checked in any case; other models' are not looked
+            at, and those that are missing have their defaults.
 
     Raises:
-        NoiseError: the name is unknown or a value is not a number that is finite and >= 0.
+        NoiseError: the model is unknown, or a value is not a number that is finite and >= 0.
+
+    >>> rule_of("report", {"std": 0.2, "alpha1": 0.1})
+    ReportRule(std=0.2)
     """
-    _check_parameter("std", std)
-    if model == "report":
-        return ReportRule(std)
-    if model == "rate_invariant":
-        return RateInvariantRule(std)
-    if model == "probabilistic":
-        if len(alphas) != 4:
-            raise NoiseError(f"the probabilistic model takes 4 alphas, not {len(alphas)}")
-        return ProbabilisticRule(*alphas)
-    raise NoiseError(f"unknown noise model {model!r}; choose from {', '.join(MODELS)}")
+    kind = model_named(model)
+    if "std" in values:
+        ReportRule(values["std"])
+    own = declarations(kind)
+    return kind(**{name: value for name, value in values.items() if name in own})
 
 
-def _check_parameter(name: str, value) -> None:
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise NoiseError(f"{name} must be a number, not {value!r}")
-    if not 0.0 <= value <= _LARGEST_PARAMETER:
-        raise NoiseError(f"{name} must be from 0 to {_LARGEST_PARAMETER:g}, not {value!r}")
+def named_alphas(model: str, alphas: Sequence[float]) -> Dict[str, float]:
+    """Return the parameters that a model has beside std, by name, from their values in order.
+
+    Raises:
+        NoiseError: the model is unknown, or has another number of them, and any at all.
+    """
+    names = [name for name in declarations(model_named(model)) if name != "std"]
+    if names and len(alphas) != len(names):
+        raise NoiseError(f"the {model} model takes {len(names)} alphas, not {len(alphas)}")
+    return dict(zip(names, alphas))
+
+
+def make_rule(model: str, std: float, alphas: Sequence[float] = ()) -> NoiseRule:
+    """Return the noise rule of a model from its parameters in order.
+
+    Args:
+        model: one of `MODELS`.
+        std: the parameter std, if the model has one; checked in any case.
+        alphas: the other parameters, such as alpha1 to alpha4 of the probabilistic model; not
+            looked at where there are none.
+
+    Raises:
+        NoiseError: the model is unknown, or a value is not a number that is finite and >= 0.
+
+    >>> make_rule("rate_invariant", 0.2)
+    RateInvariantRule(std=0.2)
+    """
+    return rule_of(model, {"std": std, **named_alphas(model, alphas)})
 
 
 def make_generator(seed: int | None) -> np.random.Generator:

@@ -4,161 +4,239 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import itertools
 import logging
 import os
 import re
 import signal
-import tempfile
 import threading
-from concurrent.futures import CancelledError, ThreadPoolExecutor
-from typing import Any, Callable, Dict, Iterable, Iterator, Tuple
+from collections import Counter
+from concurrent.futures import CancelledError
+from dataclasses import dataclass
+from itertools import islice
+from multiprocessing import connection, get_context, parent_process
+from typing import Any, Callable, Dict, Iterable, Iterator, Sequence, Tuple
 
 import cv2
-import dask
-from distributed import Client, KilledWorker, LocalCluster, TimeoutError, as_completed
 
-from bullet_lab.errors import LabError
-
-
-def in_own_thread(call: Callable[..., Any], *arguments: Any) -> Any:
-    """Call something in the one thread of this process that draws, and return what it returns.
-
-    PyBullet and the graphics library do not like to change threads, and who runs tasks (Dask)
-    does not promise to keep to one.
-    """
-    return _thread().submit(call, *arguments).result()
-
-
-@functools.lru_cache(maxsize=None)
-def _thread() -> ThreadPoolExecutor:
-    # Graphics and vision would start a thread for each core; the cores have a process each.
-    os.environ.setdefault("LP_NUM_THREADS", "1")
-    cv2.setNumThreads(1)
-    return ThreadPoolExecutor(max_workers=1, thread_name_prefix="drawing")
-
+from bullet_lab.core.parameters import check_parameters, checked, choice, integer
+from bullet_lab.simulation.rendering.choice import AUTO, CHOICES, check_choice
+from bullet_lab.studies.study import UnfinishedError
 
 SECONDS_FOR_SCHEDULER = 10.0
 SECONDS_FOR_WORKERS = 30.0
 LIVES = 2
-"""How many workers a task may cost, on a cluster of our own, before it is suspected."""
+"""How many processes a task may cost before it is suspected."""
 
-_SECONDS_TO_CLOSE = 3.0
-_LOOPBACK = "127.0.0.1"
-_ANY_PORT = f"{_LOOPBACK}:0"
-_CONFIGURATION = {
-    # A worker at work does not answer for a while, and that is all right.
-    "distributed.admin.tick.limit": "1h",
-    "distributed.scheduler.allowed-failures": LIVES - 1,
-    "distributed.worker.profile.enabled": False,
-    # One thread for each library that would start one per core. Dask's own choice also has
-    # memory given back at every turn (MALLOC_TRIM_THRESHOLD_), which costs a third of the time
-    # where images come and go.
-    "distributed.nanny.pre-spawn-environ": {
-        "LP_NUM_THREADS": "1",
-        "MKL_NUM_THREADS": "1",
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-    },
-}
+MOST_WORKERS = 1024
+
+_SPAWN = get_context("spawn")
+_LOST = "every worker that tried it has died"
+
+Task = Callable[[int], Any]
+Results = Iterator[Tuple[int, Any]]
+Run = Callable[[Task, Sequence[int]], Iterable[Tuple[int, Any]]]
+"""Has a task done for each of some numbers; yields numbers and results as they come.
+
+The result of one that was given up is a TaskLostError, not raised.
+"""
 
 
-class WorkersError(LabError):
+class WorkersError(UnfinishedError):
     """There is nobody to do the work."""
 
 
-class AddressError(WorkersError):
-    """What should be the address of a scheduler is none."""
+class TaskLostError(UnfinishedError):
+    """A task has cost every process that tried it its life."""
 
 
-class TaskLostError(LabError):
-    """A task has cost every worker that tried it its life."""
+@dataclass(frozen=True)
+class WorkerSettings:
+    """Who does the work."""
+
+    workers: int = integer(0, "processes; 0: one for each core", 0, MOST_WORKERS)
+    renderer: str = choice(AUTO, "passed over", CHOICES)
+
+    def __post_init__(self) -> None:
+        """Raise ParameterError where a value is not allowed."""
+        check_parameters(self)
+        check_choice(self.renderer)
 
 
-@contextlib.contextmanager
-def dask_client(workers: int = 0, scheduler: str = "") -> Iterator[Client]:
-    """Provide a client of a cluster, and clear away what was started for it.
+def _address(value: Any) -> str:
+    # Of other words, Dask makes host names, and much noise.
+    if value and not re.fullmatch(r"\w+://\S+:\d+", value, re.ASCII):
+        raise ValueError
+    return value
+
+
+@dataclass(frozen=True)
+class ClusterSettings(WorkerSettings):
+    """Who does the work, here or elsewhere."""
+
+    scheduler: str = checked(
+        "", "of a Dask cluster to use instead", "an address such as tcp://host:8786", _address
+    )
+
+
+def this_process(task: Task, numbers: Sequence[int]) -> Results:
+    """Do the tasks here, one after the other: the simplest `Run`."""
+    return ((number, task(number)) for number in numbers)
+
+
+def workers(count: int = 0, scheduler: str = "") -> Run:
+    """Return what runs tasks.
+
+    A task whose process dies is tried again by another one, and at last alone, since it may have
+    been another's fault. What is returned raises WorkersError where the tasks cannot be run at
+    all, or nobody is left to run them.
 
     Args:
-        workers: processes of a cluster of our own, each with one thread, that listens on the
-            loopback only; 0 for one per core.
-        scheduler: address such as tcp://host:8786 of a cluster to use instead.
-
-    Raises:
-        WorkersError: the scheduler does not answer or has no workers.
+        count: processes of this machine; 0 for one per core. They share nothing, and end with
+            this one, however it ends.
+        scheduler: address such as tcp://host:8786 of a Dask cluster that does it instead.
     """
-    _silence_dask()
-    maker = _remote_client(scheduler) if scheduler else _local_client(workers)
-    with dask.config.set(_CONFIGURATION), maker as client:
-        yield client
+    some = functools.partial(*((_on_dask, scheduler) if scheduler else (_on_processes, count)))
+
+    def run(task: Task, numbers: Sequence[int]) -> Results:
+        suspects = []
+        for number, result in some(task, numbers):
+            if isinstance(result, TaskLostError):
+                suspects.append(number)
+            else:
+                yield number, result
+        for number in suspects:
+            yield from some(task, [number])
+
+    return run
 
 
-def completed(
-    client: Client, task: Callable[[int], Any], numbers: Iterable[int]
-) -> Iterator[Tuple[int, Any]]:
-    """Have `task(number)` run for each number; yield numbers and results as they come.
+def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
+    # A process has one core: no library in it shall start a thread for each.
+    for library in ("LP", "MKL", "OMP", "OPENBLAS"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    most = count or len(os.sched_getaffinity(0))
+    left, deaths = list(reversed(numbers)), Counter()
+    busy: Dict[Any, _Worker] = {}
+    try:
+        while left or busy:
+            while left and len(busy) < most:
+                worker = _Worker(task)
+                busy[worker.pipe] = worker
+                worker.give(left.pop())
+            for pipe in connection.wait(list(busy)):
+                number, found = busy[pipe].number, busy[pipe].result()
+                if found is not None and left:
+                    busy[pipe].give(left.pop())
+                else:
+                    busy.pop(pipe).end()
+                if found is None:
+                    deaths[number] += 1
+                    if deaths[number] < LIVES:
+                        left.append(number)
+                        continue
+                    found = True, TaskLostError(_LOST)
+                done, value = found
+                if not done:
+                    raise WorkersError(f"the workers cannot do it: {value}")
+                yield number, value
+    finally:
+        for worker in busy.values():
+            worker.end()
 
-    A task whose worker dies is tried again on another, and at last alone, since it may have
-    been another's fault. The result of one that was given up is a TaskLostError, not raised.
 
-    Raises:
-        WorkersError: the cluster is gone, or its workers cannot run the task at all.
-    """
-    suspects = []
-    for number, result in _round(client, task, numbers):
-        if isinstance(result, TaskLostError):
-            suspects.append(number)
-        else:
-            yield number, result
-    for number in suspects:
-        yield from _round(client, task, [number])
+class _Worker:
+    """A process that does tasks, one at a time."""
+
+    def __init__(self, task: Task):
+        self.pipe, theirs = _SPAWN.Pipe()
+        self._process = _SPAWN.Process(target=_work, args=(task, theirs), daemon=True)
+        # It passes over Ctrl-C from the first moment on: this process ends it.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        self._process.start()
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        theirs.close()
+
+    def give(self, number: int) -> None:
+        """Have a task done."""
+        self.number = number
+        # Where the process has died, `result` says so.
+        with contextlib.suppress(OSError):
+            self.pipe.send(number)
+
+    def result(self) -> Any:
+        """Return what `_work` sends of the task, or None where the process has died."""
+        try:
+            return self.pipe.recv()
+        except (EOFError, OSError):
+            return None
+
+    def end(self) -> None:
+        """End the process, in the middle of a task or not."""
+        self._process.kill()
+        self._process.join()
+        self.pipe.close()
 
 
-def _round(
-    client: Client, task: Callable[[int], Any], numbers: Iterable[int]
-) -> Iterator[Tuple[int, Any]]:
-    """Keep each thread of the cluster busy with one task, until all are done."""
+def _work(task: Task, pipe: connection.Connection) -> None:
+    """Do tasks as their numbers come: send each result with True, or False and what is wrong."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    cv2.setNumThreads(1)
+    with contextlib.suppress(EOFError):
+        while True:
+            number = pipe.recv()
+            try:
+                pipe.send((True, task(number)))
+            except Exception as error:  # whatever a task raises, or a result that does not travel
+                pipe.send((False, f"{type(error).__name__}: {error}"))
+
+
+def _end_with_parent() -> None:
+    parent: Any = parent_process()
+    parent.join()
+    os._exit(1)
+
+
+_TURN = threading.Lock()
+
+
+def _in_turn(task: Task, number: int) -> Any:
+    """Do a task while this process does no other: neither simulation nor pictures share one."""
+    with _TURN:
+        cv2.setNumThreads(1)
+        return task(number)
+
+
+def _on_dask(scheduler: str, task: Task, numbers: Sequence[int]) -> Results:
+    """Keep each thread of a cluster busy with one task, until all are done."""
+    from distributed import as_completed
+
     left = iter(numbers)
     number_of: Dict[str, int] = {}
-    waiting = as_completed(loop=client.loop)
-    while True:
-        free = _threads(client) - len(number_of)
-        for number in itertools.islice(left, max(free, 0 if number_of else 1)):
-            # Not pure: what the scheduler knows of another campaign is of no use to this one.
-            future = client.submit(task, number, pure=False)
-            number_of[future.key] = number
-            waiting.add(future)
-        if not number_of:
-            return
-        future = next(waiting)
-        yield number_of.pop(future.key), _result_of(future)
-        future.release()
-
-
-def _threads(client: Client) -> int:
-    try:
-        return sum(client.nthreads().values())
-    except (OSError, TimeoutError, CancelledError):
-        raise WorkersError("the Dask scheduler is gone") from None
-
-
-def _result_of(future: Any) -> Any:
-    try:
-        return future.result()
-    except KilledWorker:
-        return TaskLostError("every worker that tried it has died")
-    except CancelledError:
-        raise WorkersError("the Dask scheduler is gone") from None
-    except Exception as error:  # whatever a worker without the right libraries raises
-        kind = type(error).__name__
-        raise WorkersError(f"the workers cannot do it: {kind}: {error}") from error
+    with _dask_client(scheduler) as client:
+        waiting = as_completed(loop=client.loop)
+        while True:
+            free = _threads(client) - len(number_of)
+            for number in islice(left, max(free, 0 if number_of else 1)):
+                # Not pure: what the scheduler knows of another study is of no use to this one.
+                future = client.submit(_in_turn, task, number, pure=False)
+                number_of[future.key] = number
+                waiting.add(future)
+            if not number_of:
+                return
+            future = next(waiting)
+            yield number_of.pop(future.key), _future_result(future)
+            future.release()
 
 
 @contextlib.contextmanager
-def _remote_client(scheduler: str) -> Iterator[Client]:
-    # Of other words, Dask makes host names, and much noise.
-    if not re.fullmatch(r"\w+://\S+:\d+", scheduler, re.ASCII):
-        raise AddressError(f"'{scheduler}' is no address such as tcp://host:8786")
+def _dask_client(scheduler: str) -> Iterator[Any]:
+    from distributed import Client, TimeoutError
+
+    # What matters is raised.
+    for name in ("distributed", *logging.root.manager.loggerDict):
+        if name.split(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(scheduler, timeout=SECONDS_FOR_SCHEDULER, set_as_default=False)
     except (OSError, ValueError, TimeoutError):
@@ -171,63 +249,24 @@ def _remote_client(scheduler: str) -> Iterator[Client]:
         yield client
 
 
-@contextlib.contextmanager
-def _local_client(workers: int) -> Iterator[Client]:
-    with contextlib.ExitStack() as stack:
-        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lab-dask-"))
-        stack.enter_context(dask.config.set({"temporary-directory": folder}))
-        with _interrupts_ignored():
-            cluster = LocalCluster(
-                n_workers=workers or len(os.sched_getaffinity(0)),
-                threads_per_worker=1,
-                processes=True,
-                host=_LOOPBACK,
-                dashboard_address=_ANY_PORT,
-                worker_dashboard_address=_ANY_PORT,
-                scheduler_kwargs={"dashboard": False},
-                memory_limit=None,
-                local_directory=folder,
-                silence_logs=logging.CRITICAL,
-            )
-        stack.callback(_close, cluster)
-        client = stack.enter_context(contextlib.closing(Client(cluster, set_as_default=False)))
-        try:
-            yield client
-        except BaseException:
-            _kill_workers(cluster)
-            raise
+def _threads(client: Any) -> int:
+    from distributed import TimeoutError
 
-
-def _kill_workers(cluster: LocalCluster) -> None:
-    """End workers in the middle of their tasks, for which Dask itself would wait."""
-    for nanny in cluster.workers.values():
-        nanny.auto_restart = False
-        if nanny.pid is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(nanny.pid, signal.SIGKILL)
-
-
-def _close(cluster: LocalCluster) -> None:
-    # On a busy machine the processes may take longer to end; they do so all the same.
-    with contextlib.suppress(TimeoutError):
-        cluster.close(_SECONDS_TO_CLOSE)
-
-
-def _silence_dask() -> None:
-    """Have Dask say nothing: what matters is raised."""
-    for name in ("distributed", *logging.root.manager.loggerDict):
-        if name.split(".")[0] == "distributed":
-            logging.getLogger(name).setLevel(logging.CRITICAL)
-
-
-@contextlib.contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Have processes that are started meanwhile ignore Ctrl-C: this one stops them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+        return sum(client.nthreads().values())
+    except (OSError, TimeoutError, CancelledError):
+        raise WorkersError("the Dask scheduler is gone") from None
+
+
+def _future_result(future: Any) -> Any:
+    from distributed import KilledWorker
+
+    try:
+        return future.result()
+    except KilledWorker:
+        return TaskLostError(_LOST)
+    except CancelledError:
+        raise WorkersError("the Dask scheduler is gone") from None
+    except Exception as error:  # whatever a worker without the right libraries raises
+        kind = type(error).__name__
+        raise WorkersError(f"the workers cannot do it: {kind}: {error}") from error

@@ -12,8 +12,8 @@ With ~robots, one node does this for as many robots, each in its namespace: robo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Dict, List, Optional, Tuple
+from dataclasses import asdict, dataclass, make_dataclass, replace
+from typing import Any, Dict, List, Optional, Tuple
 
 import numpy as np
 import rospy
@@ -25,7 +25,15 @@ from visualization_msgs.msg import Marker
 from bullet_lab.core.angles import quaternion_from_yaw
 from bullet_lab.core.ellipse import ellipse_points
 from bullet_lab.core.seeds import derived_seed
-from bullet_lab.noise.odometry_noise import MODELS, NoiseError, NoisyPath, NoisyStep, make_rule
+from bullet_lab.noise.odometry_noise import (
+    MODELS,
+    NoiseError,
+    NoisyPath,
+    NoisyStep,
+    named_alphas,
+    noise_fields,
+    rule_of,
+)
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.lock_step import join_when
@@ -40,18 +48,14 @@ PLANAR_AXES = (0, 1, 5)
 QUEUE_SIZE = 100
 
 
-@dataclass(frozen=True)
-class NoisyOdomParameters:
-    """Private parameters of noisy_odom."""
+_NoiseParameters: Any = make_dataclass("_NoiseParameters", noise_fields(), frozen=True)
 
-    std: float = parameters.number(
-        0.10, "standard deviation per metre and per radian (rate_invariant: per root)", minimum=0.0
-    )
+
+@dataclass(frozen=True)
+class NoisyOdomParameters(_NoiseParameters):
+    """Private parameters of noisy_odom, beside those of the noise models, ~std and so on."""
+
     model: str = parameters.choice("report", "rule of the noise", MODELS)
-    alpha1: float = parameters.number(0.01, "probabilistic: rotation from rotation", minimum=0.0)
-    alpha2: float = parameters.number(0.001, "probabilistic: rotation from distance", minimum=0.0)
-    alpha3: float = parameters.number(0.01, "probabilistic: distance from distance", minimum=0.0)
-    alpha4: float = parameters.number(0.001, "probabilistic: distance from rotation", minimum=0.0)
     seed: int = parameters.integer(0, "of the random draws", minimum=0)
     robots: int = parameters.integer(
         0, "serve robot1 … robot<n>, each with a seed of its own derived from ~seed", 0, MOST_ROBOTS
@@ -78,8 +82,8 @@ class NoisyOdometry:
         self._sampler = Sampler(wanted.rate) if wanted.as_published else None
         self._published = PublishedNoise(wanted.std, wanted.seed)
         self._model = wanted.model
-        self._alphas = (wanted.alpha1, wanted.alpha2, wanted.alpha3, wanted.alpha4)
-        self._path = NoisyPath(make_rule(self._model, self.std, self._alphas), wanted.seed)
+        self._noise = asdict(wanted)
+        self._path = NoisyPath(rule_of(self._model, self._noise), wanted.seed)
         self._frames = FrameGuard()
         self._refusals = Refusals()
         self.pub = publisher(f"{namespace}noisy_odom", Odometry, QUEUE_SIZE)
@@ -122,12 +126,14 @@ class NoisyOdometry:
         """Change the noise from the next message on."""
         if self._sampler is not None:
             return SetNoiseResponse(False, "as_published runs the report's noise as it was")
-        model, alphas = request.model or self._model, tuple(request.alphas) or self._alphas
+        model, noise = request.model or self._model, {**self._noise, "std": request.std}
         try:
-            self._path.change_rule(make_rule(model, request.std, alphas))
+            if request.alphas:
+                noise.update(named_alphas(model, request.alphas))
+            self._path.change_rule(rule_of(model, noise))
         except NoiseError as error:
             return SetNoiseResponse(False, str(error))
-        self._model, self.std, self._alphas = model, request.std, alphas
+        self._model, self.std, self._noise = model, request.std, noise
         rospy.loginfo("noise is now %s with std %g", model, request.std)
         return SetNoiseResponse(True, "")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 from dataclasses import dataclass
 from typing import Any, Dict, List, Optional, Tuple
 
@@ -173,9 +172,6 @@ def count_false(settings: TrialSettings, world: str, block: int) -> Tuple[int, i
 
 @functools.lru_cache(maxsize=None)
 def _eyes(world: str, light: str, seed: int) -> Eyes:
-    # A process has one core: neither the graphics library nor OpenCV shall take others'.
-    os.environ.setdefault("LP_NUM_THREADS", "1")
-    cv2.setNumThreads(1)
     return Eyes(world, light, seed)
 
 

@@ -1,8 +1,7 @@
-"""A campaign's log, from which a stopped one goes on, and what it comes down to."""
+"""A campaign's log, from which a stopped one goes on, and what it comes down to; the picture."""
 
 from __future__ import annotations
 
-import csv
 import errno
 import fcntl
 import json
@@ -10,15 +9,26 @@ import math
 import os
 from collections import Counter
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Sequence
+from typing import Any, Dict, Iterable, Iterator, List, Mapping, Sequence, Tuple
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.special import betaincinv
 
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    VERMILION,
+    Outline,
+    draw_plan,
+    new_figure,
+)
 from bullet_lab.core.files import FileError, replace_file
 from bullet_lab.errors import LabError
-
-# Each halves the interval; after these a double has no digits left.
-_HALVINGS = 1100
+from bullet_lab.studies.dock_campaign.trial import DOCKED, Record
 
 
 class BinomialError(LabError):
@@ -28,13 +38,17 @@ class BinomialError(LabError):
 def lower_bound(successes: int, trials: int, confidence: float = 0.95) -> float:
     """Return Clopper and Pearson's one-sided lower bound of a probability of success.
 
-    It is the p for which so many successes or more have the probability 1 - confidence; the
-    true probability lies above it in at least that share of all experiments, whatever it is.
+    It is the p for which so many successes or more have the probability 1 - confidence, a
+    quantile of the beta distribution; the true probability lies above it in at least that share
+    of all experiments, whatever it is.
     (C. J. Clopper and E. S. Pearson, Biometrika 26, 1934. Without a failure it is
     (1 - confidence)^(1 / trials), some 1 - 3 / trials at 95 %.)
 
     Raises:
         BinomialError: not 0 <= successes <= trials, no trials, or a confidence beyond (0, 1).
+
+    >>> round(lower_bound(200, 200), 4)
+    0.9851
     """
     if not 0 <= successes <= trials or trials < 1:
         raise BinomialError(f"{successes} successes of {trials}")
@@ -42,42 +56,9 @@ def lower_bound(successes: int, trials: int, confidence: float = 0.95) -> float:
         raise BinomialError(f"a confidence of {confidence:g} is not between 0 and 1")
     if successes == 0:
         return 0.0
-    low, high = 0.0, successes / trials
-    tail = _Tail(successes, trials)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        if not low < middle < high:
-            break
-        if tail.probability(middle) < 1.0 - confidence:
-            low = middle
-        else:
-            high = middle
-    return low
+    return float(betaincinv(successes, trials - successes + 1, 1.0 - confidence))
 
 
-class _Tail:
-    """The probability of so many successes or more."""
-
-    def __init__(self, successes: int, trials: int):
-        counts = range(successes, trials + 1)
-        self._counts = np.array(counts, dtype=float)
-        self._rest = trials - self._counts
-        self._ways = np.array(
-            [
-                math.lgamma(trials + 1) - math.lgamma(k + 1) - math.lgamma(trials - k + 1)
-                for k in counts
-            ]
-        )
-
-    def probability(self, p: float) -> float:
-        """Return it for a probability of success 0 < p < 1."""
-        logs = self._ways + self._counts * math.log(p) + self._rest * math.log1p(-p)
-        return float(np.exp(logs).sum())
-
-
-Record = Mapping[str, Any]
-
-DOCKED = "docked"
 ERRORS = ("distance_error_m", "lateral_error_m", "yaw_error_deg")
 CONFIDENCE = 0.95
 
@@ -132,20 +113,10 @@ def _shares(records: Sequence[Record], name: str) -> Dict[str, Any]:
     return {value: f"{docked[value]} of {total[value]}" for value in sorted(total)}
 
 
-def write_campaign_csv(path: Path, records: Sequence[Record]) -> None:
-    """Write a row for each docking, every number with all its digits; raises FileError."""
-
-    def write(part: Path) -> None:
-        with part.open("w", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(records[0])
-            writer.writerows(_cells(record) for record in records)
-
-    replace_file(path, write)
-
-
-def _cells(record: Record) -> List[Any]:
-    return ["" if value is None else value for value in record.values()]
+def campaign_rows(records: Sequence[Record]) -> Iterator[Iterable[Any]]:
+    """Yield a header and a row for each docking, every number with all its digits."""
+    yield records[0]
+    yield from (record.values() for record in records)
 
 
 class DockLogError(LabError):
@@ -263,3 +234,122 @@ def _differences(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> List[st
 
 def _shown(value: Any) -> str:
     return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+
+
+TICK = 0.18
+BINS = 24
+HISTOGRAMS = (
+    ("distance_error_m", 1000.0, "distance error (mm)"),
+    ("lateral_error_m", 1000.0, "lateral error (mm)"),
+    ("yaw_error_deg", 1.0, "yaw error (°)"),
+)
+
+
+def campaign_figure(
+    records: Sequence[Record], outlines: Iterable[Outline], dock: Sequence[float], title: str
+) -> Figure:
+    """Draw starts and ends over the dock's plan, the ends close up, and the errors.
+
+    Blue is docked and vermilion is not; those that are not are crossed as well.
+
+    Args:
+        records: of at least one docking.
+        outlines: of all that stands in the worlds, in m.
+        dock: x, y (m) and yaw (rad) of the floor below the marker's face.
+        title: above all.
+    """
+    figure = new_figure(11.0, 8.8)
+    figure.suptitle(title)
+    left, right = figure.add_gridspec(
+        1, 2, width_ratios=(0.75, 1.0), wspace=0.2, left=0.07, right=0.98, top=0.93, bottom=0.07
+    )
+    docked = [record for record in records if record["result"] == DOCKED]
+    failed = [record for record in records if record["result"] != DOCKED]
+    _draw_all(figure.add_subplot(left), (docked, failed), outlines, dock)
+    rows = right.subgridspec(4, 1, height_ratios=(2.1, 1.0, 1.0, 1.0), hspace=0.5)
+    _draw_close_up(figure.add_subplot(rows[0]), docked)
+    for row, (name, scale, label) in zip(list(rows)[1:], HISTOGRAMS):
+        _draw_histogram(figure.add_subplot(row), [scale * record[name] for record in docked], label)
+    return figure
+
+
+def _draw_all(
+    axes: Axes,
+    groups: Tuple[Sequence[Record], Sequence[Record]],
+    outlines: Iterable[Outline],
+    dock: Sequence[float],
+) -> None:
+    draw_plan(axes, outlines, dock)
+    docked, failed = groups
+    for records, colour, name in ((docked, BLUE, "docked"), (failed, VERMILION, "failed")):
+        if not records:
+            continue
+        size = 5.0 if records is failed else 3.0
+        starts = _poses(records, "start")
+        axes.plot(*_ticks(starts), color=colour, linewidth=0.8)
+        label = f"start, {name} ({len(records)})"
+        axes.plot(starts[:, 0], starts[:, 1], "o", color=colour, markersize=size, label=label)
+        ends = _poses([r for r in records if r["end_x_m"] is not None], "end")
+        face = ORANGE if records is docked else VERMILION
+        mark, label = ("s", "end, docked") if records is docked else ("X", "end, failed")
+        axes.plot(
+            ends[:, 0],
+            ends[:, 1],
+            mark,
+            color=face,
+            markeredgecolor=BLACK,
+            markeredgewidth=0.5,
+            markersize=5.0 if records is docked else 7.0,
+            label=label,
+        )
+    axes.legend(loc="lower right", fontsize="small")
+
+
+def _poses(records: Sequence[Record], which: str) -> np.ndarray:
+    """Return x, y (m) and yaw (rad) of starts or ends, shape (n, 3)."""
+    rows: List[Tuple[float, float, float]] = [
+        (
+            record[f"{which}_x_m"],
+            record[f"{which}_y_m"],
+            math.radians(record[f"{which}_yaw_deg"]),
+        )
+        for record in records
+    ]
+    return np.array(rows).reshape(-1, 3)
+
+
+def _ticks(poses: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return x and y of a broken line with a short piece in the heading of each pose."""
+    x, y, yaw = poses.T
+    gap = np.full_like(x, np.nan)
+    ahead = np.stack([x, x + TICK * np.cos(yaw), gap], axis=1).ravel()
+    return ahead, np.stack([y, y + TICK * np.sin(yaw), gap], axis=1).ravel()
+
+
+def _draw_close_up(axes: Axes, docked: Sequence[Record]) -> None:
+    axes.set(xlabel="distance error (mm)", ylabel="lateral error (mm)")
+    axes.set_title("where the docked robots stand", fontsize="medium")
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    axes.grid(alpha=0.3)
+    if not docked:
+        return
+    distance = [1000.0 * record["distance_error_m"] for record in docked]
+    lateral = [1000.0 * record["lateral_error_m"] for record in docked]
+    axes.plot(distance, lateral, ".", color=BLUE, markersize=5.0)
+    axes.set_aspect("equal", adjustable="datalim")
+
+
+def _draw_histogram(axes: Axes, values: Sequence[float], label: str) -> None:
+    axes.set(xlabel=label, ylabel="dockings")
+    axes.grid(alpha=0.3)
+    if not values:
+        return
+    axes.hist(values, bins=BINS, color=BLUE, edgecolor="white", linewidth=0.4)
+    median = float(np.median(np.abs(values)))
+    # Half of the dockings are between these two lines.
+    axes.axvline(-median, color=BLACK, linestyle="-")
+    axes.axvline(median, color=BLACK, linestyle="-", label=f"median of the sizes {median:.2f}")
+    largest = values[int(np.argmax(np.abs(values)))]
+    axes.axvline(largest, color=BLACK, linestyle=":", label=f"largest {abs(largest):.2f}")
+    axes.legend(fontsize="small")

@@ -1,112 +1,72 @@
 """Hundreds of dockings from random starts, on all cores, without ROS.
 
 Example:
-    python3 -m bullet_lab.studies.dock_campaign.study results/dock_campaign -n 200 --seed 1
-    python3 -m bullet_lab.studies.dock_campaign.study results/far --scheduler tcp://host:8786
+    python3 -m bullet_lab.studies.dock_campaign results/dock_campaign -n 200 --seed 1
+    python3 -m bullet_lab.studies.dock_campaign results/far --scheduler tcp://host:8786
 """
 
 from __future__ import annotations
 
-import argparse
 import functools
-import re
-import sys
 import time
-from dataclasses import asdict, dataclass
+from collections import Counter
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import (
-    Any,
-    Callable,
-    Dict,
-    Iterable,
-    Iterator,
-    List,
-    NoReturn,
-    Optional,
-    Sequence,
-    Tuple,
-)
-
-from tqdm import tqdm
+from typing import Any, Callable, Dict, Iterator, List, NoReturn, Optional, Sequence, Tuple
 
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
-from bullet_lab.errors import LabError
-from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
+from bullet_lab.core.parameters import integer
 from bullet_lab.studies.dock_campaign.docking import MARKER_POSE
-from bullet_lab.studies.dock_campaign.figures import campaign_figure
 from bullet_lab.studies.dock_campaign.results import (
-    DOCKED,
     DockLog,
+    campaign_figure,
+    campaign_rows,
     campaign_summary,
-    write_campaign_csv,
 )
-from bullet_lab.studies.dock_campaign.scenarios import (
-    LIGHTS,
-    ODOMETRY,
-    WORLDS,
+from bullet_lab.studies.dock_campaign.trial import (
+    DOCKED,
     DrawSettings,
+    Record,
+    crashed_record,
     draw_scenario,
     obstacles,
+    run_trial,
 )
-from bullet_lab.studies.dock_campaign.trial import Record, crashed_record, run_trial
-from bullet_lab.studies.interruption import interrupt_once
-from bullet_lab.studies.workers import (
-    AddressError,
-    TaskLostError,
-    WorkersError,
-    completed,
-    dask_client,
+from bullet_lab.studies.study import (
+    SUMMARY,
+    Tell,
+    progress,
+    run_from,
+    silent,
+    whole_results,
+    write_table,
 )
+from bullet_lab.studies.workers import ClusterSettings, Run, TaskLostError, workers
 
-LOG, TABLE, SUMMARY, PICTURE = "dockings.jsonl", "campaign.csv", "summary.json", "campaign.png"
+LOG, TABLE, PICTURE = "dockings.jsonl", "campaign.csv", "campaign.png"
 MOST_DOCKINGS = 1_000_000
-MOST_WORKERS = 1024
-STATUS_CANNOT_GO_ON = 1
-STATUS_BAD_INPUT = 2
-STATUS_INTERRUPTED = 130
 
-Trial = Callable[[int], Record]
-Workers = Callable[[Trial, Sequence[int]], Iterable[Tuple[int, Any]]]
-
-
-class CampaignError(LabError):
-    """A campaign that cannot be run."""
+Trial = Callable[[DrawSettings, int], Record]
 
 
 @dataclass(frozen=True)
-class CampaignSettings:
-    """What is run.
+class CampaignSettings(DrawSettings):
+    """What is run: the dockings of the indices from 0 on."""
 
-    Attributes:
-        draw: what scenarios are drawn from.
-        dockings: how many, those of the indices from 0 on.
-    """
+    dockings: int = integer(200, "how many", 1, MOST_DOCKINGS)
 
-    draw: DrawSettings = DrawSettings()
-    dockings: int = 200
-
-    def __post_init__(self):
-        if not 1 <= self.dockings <= MOST_DOCKINGS:
-            raise CampaignError(f"n must be from 1 to {MOST_DOCKINGS}, not {self.dockings}")
-
-
-def dask_workers(workers: int = 0, scheduler: str = "") -> Workers:
-    """Return what runs dockings on Dask; see `dask_client`. Each is tried until its end."""
-
-    def run(trial: Trial, indices: Sequence[int]) -> Iterator[Tuple[int, Any]]:
-        with dask_client(min(workers, len(indices)), scheduler) as client:
-            yield from completed(client, trial, indices)
-
-    return run
+    def drawn_from(self) -> Dict[str, Any]:
+        """Return what decides the outcome of each docking, by name."""
+        return {entry.name: getattr(self, entry.name) for entry in fields(DrawSettings)}
 
 
 def run_campaign(
     folder: Path,
     settings: CampaignSettings,
-    run: Workers,
-    trial: Callable[[DrawSettings, int], Record] = run_trial,
-    tell: Callable[[str], None] = lambda _: None,
+    run: Run,
+    trial: Trial = run_trial,
+    tell: Tell = silent,
 ) -> Dict[str, Any]:
     """Run a campaign, or what is missing of it, and leave log, table, picture and summary.
 
@@ -116,8 +76,7 @@ def run_campaign(
     Args:
         folder: where the files go; made if need be.
         settings: what is run.
-        run: has `trial` done for indices, somewhere, and yields them and their records, or a
-            TaskLostError for one that has crashed.
+        run: has `trial` done for indices, somewhere.
         trial: returns the record of a docking.
         tell: gets a line of text now and then.
 
@@ -127,7 +86,7 @@ def run_campaign(
     Raises:
         LabError: the folder holds another campaign or cannot be written to, or nobody works.
     """
-    log = DockLog(make_folder(folder) / LOG, asdict(settings.draw))
+    log = DockLog(make_folder(folder) / LOG, settings.drawn_from())
     try:
         seconds, new = _run_missing(log, settings, run, trial, tell)
     except BaseException:
@@ -141,9 +100,9 @@ def run_campaign(
 def _run_missing(
     log: DockLog,
     settings: CampaignSettings,
-    run: Workers,
-    trial: Callable[[DrawSettings, int], Record],
-    tell: Callable[[str], None],
+    run: Run,
+    trial: Trial,
+    tell: Tell,
 ) -> Tuple[float, List[Record]]:
     """Run what the log has not; return the wall seconds it took, and the new records."""
     known = [log.records[i] for i in range(settings.dockings) if i in log.records]
@@ -153,15 +112,20 @@ def _run_missing(
         return 0.0, new
     if known:
         tell(f"going on after {len(known)} of {settings.dockings} dockings")
-    docked = sum(record["result"] == DOCKED for record in known)
-    start = time.monotonic()
-    with DockProgress(settings.dockings, docked, len(known) - docked, tell) as progress:
-        for index, result in run(functools.partial(trial, settings.draw), missing):
+    results = Counter(record["result"] == DOCKED for record in known)
+
+    def counts() -> str:
+        return f"docked {results[True]}, failed {results[False]}"
+
+    start, done = time.monotonic(), len(known)
+    with progress("docking", settings.dockings, tell, done, unit="docking", counts=counts) as note:
+        for index, result in run(functools.partial(trial, settings), missing):
             if isinstance(result, TaskLostError):
-                result = crashed_record(settings.draw, index, str(result))
+                result = crashed_record(settings, index, str(result))
             log.append(result)
             new.append(result)
-            progress.note(result["result"] == DOCKED)
+            results[result["result"] == DOCKED] += 1
+            note()
     return time.monotonic() - start, new
 
 
@@ -183,19 +147,20 @@ def _write_results(
 ) -> Dict[str, Any]:
     summary = {
         "job": "dock_campaign",
-        **asdict(settings.draw),
+        **settings.drawn_from(),
         **campaign_summary(records),
         "run": figures_of_run,
     }
-    write_campaign_csv(folder / TABLE, records)
-    standing = {box.corners(): None for world in settings.draw.worlds for box in obstacles(world)}
+    standing = {box.corners(): None for world in settings.worlds for box in obstacles(world)}
     title = (
         f"{summary['docked']} of {len(records)} dockings succeeded "
-        f"(seed {settings.draw.seed}; success rate over "
+        f"(seed {settings.seed}; success rate over "
         f"{100.0 * summary['success_rate_lower_95']:.2f} % at 95 % confidence)"
     )
-    save(campaign_figure(records, standing, MARKER_POSE, title), folder / PICTURE)
-    write_json(folder / SUMMARY, summary)
+    with whole_results(folder) as part:
+        write_table(part / TABLE, campaign_rows(records))
+        save(campaign_figure(records, standing, MARKER_POSE, title), part / PICTURE)
+        write_json(part / SUMMARY, summary)
     return summary
 
 
@@ -230,118 +195,15 @@ def _errors(summary: Dict[str, Any]) -> Iterator[str]:
         yield f"{title} {' / '.join(f'{value:.2f}' for value in values)} {unit}"
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser that complains in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        _end(message, STATUS_BAD_INPUT)
-
-
-def _parser() -> argparse.ArgumentParser:
-    default = CampaignSettings()
-    parser = _Parser(prog="dock_campaign", description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path, help="folder for the results; a stopped one goes on")
-    parser.add_argument("-n", type=int, default=default.dockings, help="dockings")
-    parser.add_argument("--seed", type=int, default=default.draw.seed)
-    parser.add_argument("--worlds", nargs="+", default=WORLDS, metavar="WORLD")
-    parser.add_argument("--lights", nargs="+", default=LIGHTS, metavar="LIGHT")
-    parser.add_argument("--odom", nargs="+", default=ODOMETRY, metavar="TOPIC")
-    parser.add_argument("--renderer", choices=CHOICES, default=AUTO, help="passed over")
-    parser.add_argument("--workers", type=int, default=0, help="processes; 0: one per core")
-    parser.add_argument("--scheduler", default="", help="of a Dask cluster, tcp://host:port")
-    return parser
-
-
-def main(arguments: Optional[Sequence[str]] = None) -> NoReturn:
-    """Run from the command line, and exit: 0 done, 1 no workers, 2 bad input, 130 interrupted."""
-    words = sys.argv[1:] if arguments is None else arguments
-    # roslaunch adds its own: __name:=… and __log:=…
-    words = [word for word in words if not re.match(r"__\w+:=", word)]
-    try:
-        interrupt_once()
-        _run(_parser().parse_args(words))
-    except LabError as error:
-        nobody = isinstance(error, WorkersError) and not isinstance(error, AddressError)
-        _end(str(error), STATUS_CANNOT_GO_ON if nobody else STATUS_BAD_INPUT)
-    except KeyboardInterrupt:
-        sys.exit(STATUS_INTERRUPTED)
-    sys.exit(0)
-
-
-def _run(values: argparse.Namespace) -> None:
-    if not 0 <= values.workers <= MOST_WORKERS:
-        raise CampaignError(f"workers must be from 0 to {MOST_WORKERS}, not {values.workers}")
-    draw = DrawSettings(
-        values.seed,
-        tuple(values.worlds),
-        tuple(values.lights),
-        tuple(values.odom),
-    )
-    check_choice(values.renderer)
-    settings = CampaignSettings(draw, values.n)
+def _run(folder: Path, settings: CampaignSettings, cluster: ClusterSettings, tell: Tell) -> None:
     # A world that is missing is better known now than from each worker.
-    draw_scenario(draw, 0)
-    run = dask_workers(values.workers, values.scheduler)
-    for line in describe(run_campaign(values.out, settings, run, tell=_tell)):
-        _tell(line)
+    draw_scenario(settings, 0)
+    run = workers(cluster.workers, cluster.scheduler)
+    for line in describe(run_campaign(folder, settings, run, tell=tell)):
+        tell(line)
 
 
-def _tell(line: str) -> None:
-    print(f"dock_campaign: {line}", flush=True)
-
-
-def _end(line: str, status: int) -> NoReturn:
-    print(f"dock_campaign: {line}", file=sys.stderr, flush=True)
-    sys.exit(status)
-
-
-if __name__ == "__main__":
-    main()
-
-
-_LINES = 10
-
-
-class DockProgress:
-    """Counts dockings and tells of them.
-
-    Args:
-        total: how many there will be.
-        docked: how many of them have succeeded before.
-        failed: how many of them have failed before.
-        tell: gets a line of text now and then, where there is no terminal.
-    """
-
-    def __init__(self, total: int, docked: int, failed: int, tell: Callable[[str], None]):
-        self._docked, self._failed = docked, failed
-        self._tell = tell
-        self._every = -(-total // _LINES)
-        self._bar = tqdm(
-            total=total, initial=docked + failed, unit="docking", desc="docking", disable=None
-        )
-
-    def __enter__(self) -> DockProgress:
-        self._show()
-        return self
-
-    def __exit__(self, *_) -> None:
-        self._bar.close()
-
-    def note(self, docked: bool) -> None:
-        """Count a docking that has succeeded, or has not."""
-        if docked:
-            self._docked += 1
-        else:
-            self._failed += 1
-        self._bar.update()
-        self._show()
-        done = self._docked + self._failed
-        if self._bar.disable and done % self._every == 0:
-            self._tell(f"{done} of {self._bar.total} done, {self._counts()}")
-
-    def _show(self) -> None:
-        if not self._bar.disable:
-            self._bar.set_postfix_str(self._counts())
-
-    def _counts(self) -> str:
-        return f"docked {self._docked}, failed {self._failed}"
+def main(words: Optional[Sequence[str]] = None) -> NoReturn:
+    """Run the campaign from the command line; see `run_from`."""
+    settings = (CampaignSettings, ClusterSettings)
+    run_from("dock_campaign", __doc__, settings, _run, words, short=[("-n", "dockings")])

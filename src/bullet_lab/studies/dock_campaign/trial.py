@@ -1,14 +1,123 @@
-"""One docking of a campaign: run where a worker is, returned as a plain record."""
+"""A docking of a campaign: drawn at random, run where a worker is, returned as a plain record."""
 
 from __future__ import annotations
 
+import functools
 import math
-from typing import Any, Callable, Dict, Mapping
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, Mapping, Tuple
 
-from bullet_lab.studies.dock_campaign.docking import DockingOutcome, DockingScenario, run_docking
-from bullet_lab.studies.dock_campaign.results import DOCKED
-from bullet_lab.studies.dock_campaign.scenarios import DrawSettings, draw_scenario
-from bullet_lab.studies.workers import in_own_thread
+import numpy as np
+
+from bullet_lab.core.parameters import check_parameters, choices, integer
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.floor_plan import Footprint, footprints
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.studies.dock_campaign.docking import (
+    MARKER_POSE,
+    TURNING_RADIUS,
+    DockingOutcome,
+    DockingScenario,
+    run_docking,
+)
+from bullet_lab.studies.study import MOST_SEED
+
+WORLDS = ("docking", "docking_dots", "docking_nested", "docking_decoy")
+DOCKS = {"docking_nested": "nested_dock"}
+"""Names of docks in the database by worlds; of others it is "dock"."""
+
+LIGHTS = ("default", "dark", "bright", "backlit")
+ODOMETRY = ("odom", "noisy_odom")
+ROBOT_HEIGHT = 0.55
+NEAREST, FARTHEST = 0.7, 5.0
+WIDEST = math.radians(60.0)
+DATABASE_ERROR = (0.3, 0.3, math.radians(10.0))
+LARGEST_ODOMETRY_STD = 0.1
+LARGEST_IMAGE_NOISE = 0.02
+LARGEST_BLUR = 1.0
+
+_MOST_ATTEMPTS = 10_000
+
+
+class ScenarioError(LabError):
+    """Nothing can be drawn."""
+
+
+@dataclass(frozen=True)
+class DrawSettings:
+    """What scenarios are drawn from, each name as likely as the others."""
+
+    seed: int = integer(1, "of all that is random", 0, MOST_SEED)
+    worlds: Tuple[str, ...] = choices(WORLDS, "worlds of the package", WORLDS)
+    lights: Tuple[str, ...] = choices(LIGHTS, "the world's own is default", LIGHTS)
+    odometry: Tuple[str, ...] = choices(ODOMETRY, "topics of odometry", ODOMETRY)
+
+    def __post_init__(self) -> None:
+        """Raise ParameterError where a value is not allowed."""
+        check_parameters(self)
+
+
+def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
+    """Return the scenario of an index, which depends on nothing but these two.
+
+    The start's distance from the plane of the back wall is uniform within `NEAREST` to
+    `FARTHEST`; its direction as seen from the marker, within `WIDEST` of the dock's axis, and
+    its heading are uniform too, drawn again until `TURNING_RADIUS` around it is free. The error
+    of the dock's rough pose is uniform within `DATABASE_ERROR`, and so are the standard
+    deviations of noise and blur up to their largest.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(index,)))
+    world = str(rng.choice(settings.worlds))
+    light = str(rng.choice(settings.lights))
+    odometry = str(rng.choice(settings.odometry))
+    error = rng.uniform(-1.0, 1.0, 3) * DATABASE_ERROR
+    odometry_std = rng.uniform(0.0, LARGEST_ODOMETRY_STD)
+    image_noise = rng.uniform(0.0, LARGEST_IMAGE_NOISE)
+    image_blur = rng.uniform(0.0, LARGEST_BLUR)
+    odometry_seed, image_seed = rng.integers(2**31, size=2)
+    # Last, because it takes as many draws as it takes.
+    start = _draw_start(rng, obstacles(world))
+    return DockingScenario(
+        world=world_uri(world),
+        lighting="" if light == "default" else world_uri(f"docking_{light}"),
+        start=start,
+        dock=DOCKS.get(world, "dock"),
+        dock_error=tuple(error.tolist()),
+        odometry=odometry,
+        odometry_std=float(odometry_std) if odometry == "noisy_odom" else 0.0,
+        odometry_seed=int(odometry_seed),
+        image_noise=float(image_noise),
+        image_blur=float(image_blur),
+        image_seed=int(image_seed),
+    )
+
+
+def world_uri(name: str) -> str:
+    """Return the URI of a world of the package."""
+    return f"package://bullet_lab/worlds/{name}.world"
+
+
+@functools.lru_cache(maxsize=None)
+def obstacles(world: str) -> Tuple[Footprint, ...]:
+    """Return what the robot could run into in a world of the package, by its name."""
+    found = ResourceFinder.anywhere().find(world_uri(world))
+    return footprints(read_world_file(found), below=ROBOT_HEIGHT)
+
+
+def _draw_start(
+    rng: np.random.Generator, walls: Tuple[Footprint, ...]
+) -> Tuple[float, float, float]:
+    dock_x, dock_y, _ = MARKER_POSE
+    distance = rng.uniform(NEAREST, FARTHEST)
+    for _ in range(_MOST_ATTEMPTS):
+        bearing = rng.uniform(-WIDEST, WIDEST)
+        heading = rng.uniform(-math.pi, math.pi)
+        x, y = dock_x - distance, dock_y + distance * math.tan(bearing)
+        if all(wall.distance((x, y)) > TURNING_RADIUS for wall in walls):
+            return x, y, heading
+    raise ScenarioError("there is no room for a robot")
+
 
 Record = Mapping[str, Any]
 Dock = Callable[[DockingScenario], DockingOutcome]
@@ -16,18 +125,12 @@ Dock = Callable[[DockingScenario], DockingOutcome]
 LARGEST_ERRORS = {"distance_error_m": 0.02, "lateral_error_m": 0.01, "yaw_error_deg": 1.0}
 """A robot that says it has docked has, by the simulator's truth, if it is within these."""
 
-WALL_CONTACT, INACCURATE, CRASHED = "wall_contact", "inaccurate", "crashed"
+DOCKED, WALL_CONTACT, INACCURATE, CRASHED = "docked", "wall_contact", "inaccurate", "crashed"
+"""What a docking comes to, beside the names of docking's errors."""
 
 
 def run_trial(settings: DrawSettings, index: int, dock: Dock = run_docking) -> Record:
-    """Run the docking of an index and return its record; never raises what the docking raises.
-
-    It runs in the one thread of this process that draws.
-    """
-    return in_own_thread(_run_trial, settings, index, dock)
-
-
-def _run_trial(settings: DrawSettings, index: int, dock: Dock) -> Record:
+    """Run the docking of an index and return its record; never raises what the docking raises."""
     scenario = draw_scenario(settings, index)
     try:
         outcome = dock(scenario)

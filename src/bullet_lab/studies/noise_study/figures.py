@@ -22,7 +22,8 @@ from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_fi
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import Moments
 from bullet_lab.noise.noisy_paths import noisy_steps
-from bullet_lab.studies.noise_study.resampling import find_corners, resample
+from bullet_lab.noise.odometry_noise import MODELS
+from bullet_lab.studies.noise_study.paths import find_corners, resample
 from bullet_lab.studies.noise_study.statistics import Case, level_rule, theory
 
 COLUMNS = 5
@@ -49,7 +50,7 @@ def levels_figure(cases: Sequence[Case]) -> Figure:
     figure = new_figure(0.8 + 2.6 * columns, 1.3 + rows * (min(height, 5.0) + 0.35))
     first = cases[0]
     figure.suptitle(
-        f"{_name(first.model)} noise at {first.rate:g} Hz: "
+        f"{MODELS[first.model].title} noise at {first.rate:g} Hz: "
         f"{len(first.sample.kept)} of {first.sample.paths} paths at each level"
     )
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
@@ -81,7 +82,7 @@ def distance_figure(cases: Sequence[Case]) -> Figure:
         shown = _shown_levels(of_model)
         for case, colour in zip(shown, _colours(len(shown))):
             _draw_error(axes, case, colour)
-        axes.set(title=_name(model), xlabel="distance travelled (m)", yscale="log")
+        axes.set(title=MODELS[model].title, xlabel="distance travelled (m)", yscale="log")
         _plain_numbers(axes.yaxis)
         axes.grid(alpha=0.3)
         axes.margins(x=0.0)
@@ -120,7 +121,7 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
             case = next(c for c in of_model if c.rate == rate and c.std == level)
             _draw_sheet(axes, case, window)
             axes.set_title(f"{rate:g} Hz", fontsize=10)
-        row[0].set_ylabel(f"{_name(model)}\n\ny (m)")
+        row[0].set_ylabel(f"{MODELS[model].title}\n\ny (m)")
         _draw_rates(row[-1], of_model, trajectory)
     for axes in grid[-1, :-1]:
         axes.set_xlabel("x (m)")
@@ -148,7 +149,7 @@ def coverage_figure(cases: Sequence[Case]) -> Figure:
     for column, (model, of_model) in zip(grid.T, by_model.items()):
         known = [case for case in of_model if case.sample.nees is not None]
         _draw_coverage(column[0], known)
-        column[0].set_title(_name(model))
+        column[0].set_title(MODELS[model].title)
         std = [case.std for case in known]
         column[1].axhline(1.0, color=GREY, linewidth=5.0, alpha=0.5)
         nees = [case.sample.nees / 3.0 for case in known]
@@ -331,8 +332,3 @@ def _spread(values: Sequence, count: int) -> List:
 def _colours(count: int) -> List:
     """Return colours from dark to light, which print and the colour-blind tell apart."""
     return [viridis(value) for value in np.linspace(0.1, 0.9, count)]
-
-
-def _name(model: str) -> str:
-    names = {"report": "The report's", "rate_invariant": "Rate-invariant"}
-    return names.get(model, model.capitalize())

@@ -1,48 +1,44 @@
 """Thousands of noisy versions of one path, at every level of noise, without ROS.
 
 Example:
-    python3 -m bullet_lab.studies.noise_study.study results/noise_study --paths 10000
-    python3 -m bullet_lab.studies.noise_study.study results/mine --path odom.tum --levels 0.05 0.1
+    python3 -m bullet_lab.studies.noise_study results/noise_study --paths 10000
+    python3 -m bullet_lab.studies.noise_study results/mine --path odom.tum --levels 0.05 0.1
 """
 
 from __future__ import annotations
 
-import argparse
-import re
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, List, NoReturn, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, NoReturn, Optional, Sequence, Tuple
+
+import numpy as np
 
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
+from bullet_lab.core.parameters import check_parameters, choices, integer, number, numbers, text
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.drive.square import PlanarPose, Square
-from bullet_lab.errors import LabError
 from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import MODELS
-from bullet_lab.studies.interruption import interrupt_once
 from bullet_lab.studies.noise_study.figures import (
     coverage_figure,
     distance_figure,
     levels_figure,
     rates_figure,
 )
-from bullet_lab.studies.noise_study.resampling import resample
-from bullet_lab.studies.noise_study.results import (
-    SUMMARY,
-    case_summary,
-    check_path,
-    kept_path,
-    read_path,
-    whole_results,
-    write_error_by_distance,
-    write_metrics,
-    write_tum,
-)
-from bullet_lab.studies.noise_study.statistics import Case, level_rule, study_case
+from bullet_lab.studies.noise_study.paths import check_path, read_path, resample, write_tum
+from bullet_lab.studies.noise_study.statistics import Case, study_case
 from bullet_lab.studies.squares import SECONDS_PER_STEP, drive_square
+from bullet_lab.studies.study import (
+    MOST_SEED,
+    SUMMARY,
+    Tell,
+    run_from,
+    silent,
+    whole_results,
+    write_table,
+)
 
 LARGEST_STD = 10.0
 """At this level a robot has lost its heading after some centimetres."""
@@ -50,58 +46,39 @@ LARGEST_STD = 10.0
 MOST_PATHS = 10_000_000
 KEPT_PATHS = 60
 SIDES_PER_LAP = 4
-STATUS_BAD_INPUT = 2
-STATUS_INTERRUPTED = 130
-
-
-class StudyError(LabError):
-    """A study that cannot be made."""
+_DISTANCES_PER_CASE = 100
 
 
 @dataclass(frozen=True)
 class StudySettings:
-    """What is studied.
+    """What is studied; a level is std, per metre and per radian (per roots: rate_invariant)."""
 
-    Attributes:
-        levels: std, per metre and per radian (m/√m, rad/√m for the rate-invariant model).
-        models: names of noise rules.
-        rates: of the messages, Hz.
-        paths: noisy paths for each level, model and rate.
-        seed: of all that is random, >= 0.
-        delta: m, of the relative pose error and the drift.
-    """
+    levels: Tuple[float, ...] = numbers(
+        (0.0, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5), "std", 0.0, maximum=LARGEST_STD
+    )
+    models: Tuple[str, ...] = choices(tuple(MODELS), "rules of the noise", MODELS)
+    rates: Tuple[float, ...] = numbers((0.9, 5.0, 20.0), "of the messages, Hz", above=0.0)
+    paths: int = integer(3000, "for each level, model and rate", 2, MOST_PATHS)
+    seed: int = integer(1, "of all that is random", 0, MOST_SEED)
+    delta: float = number(1.0, "m, of the relative pose error and the drift", above=0.0)
 
-    levels: Tuple[float, ...] = (0.0, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
-    models: Tuple[str, ...] = MODELS
-    rates: Tuple[float, ...] = (0.9, 5.0, 20.0)
-    paths: int = 3000
-    seed: int = 1
-    delta: float = 1.0
+    def __post_init__(self) -> None:
+        """Raise ParameterError where a value is not allowed."""
+        check_parameters(self)
 
-    def __post_init__(self):
-        for name in ("levels", "models", "rates"):
-            values = getattr(self, name)
-            if not values or len(set(values)) < len(values):
-                raise StudyError(f"{name} must not be empty nor hold a value twice")
-        for std in self.levels:
-            if not 0.0 <= std <= LARGEST_STD:
-                raise StudyError(f"a level must be from 0 to {LARGEST_STD:g}, not {std:g}")
-        for model in self.models:
-            level_rule(model, 0.0)
-        if not 2 <= self.paths <= MOST_PATHS:
-            raise StudyError(f"paths must be from 2 to {MOST_PATHS}, not {self.paths}")
-        if self.seed < 0:
-            raise StudyError(f"seed must be an integer >= 0, not {self.seed}")
+
+@dataclass(frozen=True)
+class PathSettings:
+    """The perfect path."""
+
+    path: str = text("", "TUM, CSV or bag file; else the square")
+    topic: str = text("/odom", "of a bag, nav_msgs/Odometry")
+    base: str = text("", "folder that a relative path starts from")
+    laps: int = integer(1, "times round the simulated square", 1)
 
 
 def simulated_square(laps: int = 1) -> Trajectory:
-    """Return the odometry of the square that the report drives, from the simulation, at 20 Hz.
-
-    Raises:
-        StudyError: laps is not >= 1.
-    """
-    if laps < 1:
-        raise StudyError(f"laps must be >= 1, not {laps}")
+    """Return the odometry of the square that the report drives, from the simulation, at 20 Hz."""
     stamps: List[float] = []
     poses: List[PlanarPose] = []
 
@@ -113,9 +90,7 @@ def simulated_square(laps: int = 1) -> Trajectory:
     return Trajectory(stamps, poses)
 
 
-def study(
-    trajectory: Trajectory, settings: StudySettings, tell: Callable[[str], None] = lambda _: None
-) -> List[Case]:
+def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = silent) -> List[Case]:
     """Study every level, model and rate on a path; nothing is written.
 
     Args:
@@ -158,21 +133,17 @@ def study(
 def _verdict(cases: Sequence[Case]) -> str:
     """Say in words up to which level the first-order ellipse is to be trusted."""
     noisy = [case for case in cases if case.sample.coverage["first_order"] is not None]
-    bad = min((c for c in noisy if not c.theory.gaussian_enough()), key=_level, default=None)
+    bad = min((c.std for c in noisy if not c.theory.gaussian_enough()), default=None)
     if not noisy:
         return "no ellipses"
     if bad is None:
         return "ellipses are right at all levels"
-    worst = max(noisy, key=_level)
+    worst = max(noisy, key=lambda case: case.std)
     covered = 100.0 * worst.sample.coverage["first_order"]
     return (
-        f"first-order ellipses are right below std {bad.std:g} and at {worst.std:g} cover "
+        f"first-order ellipses are right below std {bad:g} and at {worst.std:g} cover "
         f"{covered:.1f} %, their area {worst.theory.area_ratio():.2f} of the exact one"
     )
-
-
-def _level(case: Case) -> float:
-    return case.std
 
 
 def run_study(
@@ -180,7 +151,7 @@ def run_study(
     settings: StudySettings,
     trajectory: Trajectory,
     source: str = "",
-    tell: Callable[[str], None] = lambda _: None,
+    tell: Tell = silent,
 ) -> Dict[str, Any]:
     """Study a path and leave tables, pictures, TUM files and summary.json.
 
@@ -215,15 +186,53 @@ def run_study(
             "duration_s": float(trajectory.stamps[-1] - trajectory.stamps[0]),
             "laps": len(cases[0].perfect_closure),
         },
-        "cases": [case_summary(case) for case in cases],
+        "cases": [case.summary() for case in cases],
     }
     with whole_results(folder) as part:
         write_json(part / SUMMARY, summary)
-        write_metrics(part / "metrics.csv", cases)
-        write_error_by_distance(part / "error_by_distance.csv", cases)
+        write_table(part / "metrics.csv", metrics_rows(cases))
+        write_table(part / "error_by_distance.csv", distance_rows(cases))
         _write_tum_files(part / "tum", cases, max(settings.rates))
         _draw(part, cases, trajectory, settings)
     return summary
+
+
+def metrics_rows(cases: Sequence[Case]) -> List[List[Any]]:
+    """Return a header and a row for each case: metrics, coverage, NEES, how far off first order."""
+    # At a low rate a lap may be missing.
+    fullest = max((case.sample.metrics for case in cases), key=len)
+    metrics = [(name, part) for name, parts in fullest.items() for part in parts]
+    header = [
+        *("model", "rate_hz", "std", "paths", *(f"{name}_{part}" for name, part in metrics)),
+        *("coverage_first_order", "coverage_exact", "coverage_published"),
+        *("nees_mean", "nees_within_95", "mean_missed_by_std", "area_over_exact"),
+        "gaussian_enough",
+    ]
+    return [header, *(_metrics_row(case, metrics) for case in cases)]
+
+
+def _metrics_row(case: Case, metrics: Sequence[Tuple[str, str]]) -> List[Any]:
+    sample, known = case.sample, case.theory
+    return [
+        *(case.model, case.rate, case.std, sample.paths),
+        *(sample.metrics.get(name, {}).get(part) for name, part in metrics),
+        *(sample.coverage[name] for name in ("first_order", "exact", "published")),
+        *(sample.nees, sample.nees_within, known.shift(), known.area_ratio()),
+        str(known.gaussian_enough()).lower(),
+    ]
+
+
+def distance_rows(cases: Sequence[Case]) -> Iterator[List[Any]]:
+    """Yield a header and rows with the rms distance from the perfect path, sampled and exact."""
+    names = ("travelled_m", "sample_rms_m", "exact_rms_m", "first_order_rms_m")
+    yield ["model", "rate_hz", "std", *names]
+    for case in cases:
+        travelled, theory = case.trajectory.travelled(), case.theory
+        moments = (theory.exact, theory.first_order)
+        columns = (travelled, case.sample.rms_distance, *(m.rms_distance() for m in moments))
+        count = min(_DISTANCES_PER_CASE, len(travelled))
+        for index in np.unique(np.linspace(0, len(travelled) - 1, count).round().astype(int)):
+            yield [case.model, case.rate, case.std, *(float(column[index]) for column in columns)]
 
 
 def _write_tum_files(folder: Path, cases: Sequence[Case], rate: float) -> None:
@@ -232,7 +241,7 @@ def _write_tum_files(folder: Path, cases: Sequence[Case], rate: float) -> None:
     for case in cases:
         if case.rate == rate:
             write_tum(folder / "perfect.tum", case.trajectory)
-            write_tum(folder / f"{case.model}_std_{case.std:g}.tum", kept_path(case, 0))
+            write_tum(folder / f"{case.model}_std_{case.std:g}.tum", case.kept_path(0))
 
 
 def _draw(
@@ -247,75 +256,18 @@ def _draw(
     save(coverage_figure(cases), folder / "coverage.png")
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser that complains in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        _end(message, STATUS_BAD_INPUT)
-
-
-def _parser() -> argparse.ArgumentParser:
-    default = StudySettings()
-    parser = _Parser(prog="noise_study", description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path, help="folder for the results")
-    parser.add_argument("--path", default="", help="TUM, CSV or bag file; else the square")
-    parser.add_argument("--topic", default="/odom", help="of a bag, nav_msgs/Odometry")
-    parser.add_argument("--base", default="", help="folder that a relative --path starts from")
-    parser.add_argument("--laps", type=int, default=1, help="times round the simulated square")
-    parser.add_argument("--levels", type=float, nargs="+", default=default.levels)
-    parser.add_argument("--models", nargs="+", default=default.models)
-    parser.add_argument("--rates", type=float, nargs="+", default=default.rates, help="Hz")
-    parser.add_argument("--paths", type=int, default=default.paths, help="for each of them")
-    parser.add_argument("--seed", type=int, default=default.seed)
-    parser.add_argument("--delta", type=float, default=default.delta, help="m, of the RPE")
-    return parser
-
-
-def main(arguments: Optional[Sequence[str]] = None) -> NoReturn:
-    """Run the study from the command line, and exit: 0 done, 2 bad input, 130 interrupted."""
-    words = sys.argv[1:] if arguments is None else arguments
-    # roslaunch adds its own: __name:=… and __log:=…
-    words = [word for word in words if not re.match(r"__\w+:=", word)]
-    try:
-        # What is half done is then cleared away, as on Ctrl-C.
-        interrupt_once()
-        values = _parser().parse_args(words)
-        _run(values)
-    except LabError as error:
-        _end(str(error), STATUS_BAD_INPUT)
-    except KeyboardInterrupt:
-        sys.exit(STATUS_INTERRUPTED)
-    sys.exit(0)
-
-
-def _run(values: argparse.Namespace) -> None:
-    settings = StudySettings(
-        tuple(values.levels),
-        tuple(values.models),
-        tuple(values.rates),
-        values.paths,
-        values.seed,
-        values.delta,
-    )
-    if values.path:
-        source = Path(values.base) / values.path
-        trajectory = read_path(source, values.topic)
+def _run(folder: Path, settings: StudySettings, perfect: PathSettings, tell: Tell) -> None:
+    if perfect.path:
+        source = str(Path(perfect.base) / perfect.path)
+        trajectory = read_path(Path(source), perfect.topic)
     else:
         source = "the report's square, simulated"
-        trajectory = simulated_square(values.laps)
+        trajectory = simulated_square(perfect.laps)
     # Better known now than after the work.
-    make_folder(values.out)
-    run_study(values.out, settings, trajectory, str(source), _tell)
+    make_folder(folder)
+    run_study(folder, settings, trajectory, source, tell)
 
 
-def _tell(line: str) -> None:
-    print(f"noise_study: {line}", flush=True)
-
-
-def _end(line: str, status: int) -> NoReturn:
-    print(f"noise_study: {line}", file=sys.stderr, flush=True)
-    sys.exit(status)
-
-
-if __name__ == "__main__":
-    main()
+def main(words: Optional[Sequence[str]] = None) -> NoReturn:
+    """Run the study from the command line; see `run_from`."""
+    run_from("noise_study", __doc__, (StudySettings, PathSettings), _run, words)

@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from bullet_lab.core.angles import wrap
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
-from bullet_lab.studies.published_noise.likeness import RESOLUTION, SIGNIFICANCE
+from bullet_lab.studies.published_noise.results import RESOLUTION, SIGNIFICANCE
 
 PLAIN_NAMES = {
     "aliasing": "aliasing",

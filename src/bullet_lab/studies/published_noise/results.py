@@ -1,30 +1,161 @@
-"""The digitised figure 1b, and what replays of the report's noise come down to."""
+"""How well replays of the report's noise explain figure 1b, and what they come down to.
+
+Two lengths count as alike when they differ by about the resolution of the measurement, or by
+about a quarter of their size: a length d is known to sqrt(RESOLUTION² + (TOLERANCE · d)²). On
+the scale asinh(d · TOLERANCE / RESOLUTION), straight for small lengths and logarithmic for large
+ones, that is the same TOLERANCE everywhere. The likelihood of a measurement is that of a
+Gaussian of that width around each simulated run, averaged over the runs; the Gaussian is folded
+at 0, since what is read from a picture is the size of a deviation, never less than 0.
+"""
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Dict, List, Mapping, Sequence, Set
 
 import numpy as np
+from scipy.special import logsumexp, ndtr
 
 from bullet_lab.errors import LabError
 from bullet_lab.studies.published_noise.defects import DEFECTS, Defects
-from bullet_lab.studies.published_noise.likeness import (
-    RESOLUTION,
-    SIGNIFICANCE,
-    TOLERANCE,
-    Likeness,
-    log_likelihood,
-)
-from bullet_lab.studies.published_noise.side_deviation import (
-    SIDES,
-    corner_points,
-    side_deviations,
-    sides_between,
-)
+from bullet_lab.studies.published_noise.side_deviation import SIDES
+
+RESOLUTION = 0.003
+"""m; what can be read from figure 1 of the report."""
+
+TOLERANCE = 0.25
+"""As a share; wide enough to have some of a thousand runs within it."""
+
+SIGNIFICANCE = 0.05
+"""Runs for which a measurement has a smaller p-value than this do not explain it."""
+
+_MOST_REPLICAS = 500  # for the p-value, which takes the product of runs and replicas
+_BLOCK = 100
+
+
+class LikenessError(LabError):
+    """The lengths cannot be compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Likeness:
+    """How well the runs explain the measurement.
+
+    Attributes:
+        log_likelihood: natural logarithm of the likelihood, on the scale of this module; of use
+            only beside that of other runs.
+        log_likelihood_error: its standard error, from the number of runs.
+        percentiles: share of the runs below each measured length, the measurement's error
+            included, 0 to 1, shape (k,).
+        p_value: share of runs, measured as badly, that would be as unlikely as the measurement
+            or more, of 500 at most. Small: the runs do not explain it. Never less than 1 / 501.
+        nearest: which of the runs is most like the measurement.
+    """
+
+    log_likelihood: float
+    log_likelihood_error: float
+    percentiles: np.ndarray
+    p_value: float
+    nearest: int
+
+
+def log_likelihood(
+    measured, runs, resolution: float = RESOLUTION, tolerance: float = TOLERANCE
+) -> float:
+    """Return the natural logarithm of the likelihood of a measurement, for some runs.
+
+    Args:
+        measured: k lengths (m), shape (k,).
+        runs: the same of m simulated runs, shape (m, k).
+        resolution: m; in place of `RESOLUTION`.
+        tolerance: as a share; in place of `TOLERANCE`.
+
+    Raises:
+        LikenessError: the shapes do not go together or a length is not finite and >= 0.
+    """
+    measured, runs = _checked(measured, runs)
+    point, cloud = (_scale(lengths, resolution, tolerance) for lengths in (measured, runs))
+    return float(_log_mean(_exponents(point[np.newaxis], cloud, tolerance))[0])
+
+
+def compare(measured, runs, seed: int) -> Likeness:
+    """Say how well runs explain a measurement.
+
+    Args:
+        measured: k lengths (m), shape (k,).
+        runs: the same of m simulated runs, shape (m, k), m at least 2.
+        seed: of the errors that the runs get for the p-value.
+
+    Raises:
+        LikenessError: the shapes do not go together or a length is not finite and >= 0.
+    """
+    measured, runs = _checked(measured, runs)
+    point, cloud = _scale(measured), _scale(runs)
+    exponents = _exponents(point[np.newaxis], cloud)[0]
+    logarithm = float(_log_mean(exponents))
+    weights = np.exp(exponents - exponents.max())
+    return Likeness(
+        log_likelihood=logarithm,
+        log_likelihood_error=float(np.std(weights) / np.mean(weights) / math.sqrt(len(runs))),
+        percentiles=_share_below(point, cloud),
+        p_value=_p_value(logarithm, cloud, seed),
+        nearest=int(np.argmax(exponents)),
+    )
+
+
+def _checked(measured, runs) -> tuple[np.ndarray, np.ndarray]:
+    measured, runs = np.asarray(measured, dtype=float), np.asarray(runs, dtype=float)
+    if runs.ndim != 2 or measured.shape != runs.shape[1:] or len(runs) < 2:
+        raise LikenessError(f"lengths of shape {measured.shape} and {runs.shape}")
+    for lengths in (measured, runs):
+        if not (np.isfinite(lengths).all() and (lengths >= 0.0).all()):
+            raise LikenessError("a length is not finite and >= 0")
+    return measured, runs
+
+
+def _scale(
+    lengths: np.ndarray, resolution: float = RESOLUTION, tolerance: float = TOLERANCE
+) -> np.ndarray:
+    return np.arcsinh(lengths * (tolerance / resolution))
+
+
+def _exponents(points: np.ndarray, cloud: np.ndarray, tolerance: float = TOLERANCE) -> np.ndarray:
+    """Return the logarithm of the folded Gaussian of each of the cloud at each point."""
+    norm = cloud.shape[1] * math.log(tolerance * math.sqrt(2.0 * math.pi))
+    exponents = np.full((len(points), len(cloud)), -norm)
+    folds = np.ones_like(exponents)
+    for point, centre in zip(points.T, cloud.T):
+        exponents -= (point[:, np.newaxis] - centre) ** 2 / (2.0 * tolerance**2)
+        folds *= 1.0 + np.exp(np.outer(point, centre) * (-2.0 / tolerance**2))
+    return exponents + np.log(folds)
+
+
+def _log_mean(exponents: np.ndarray) -> np.ndarray:
+    """Return the logarithm of the mean of exp(exponents) over the last axis."""
+    return logsumexp(exponents, axis=-1) - math.log(exponents.shape[-1])
+
+
+def _p_value(log_likelihood: float, cloud: np.ndarray, seed: int) -> float:
+    """Measure each run as the figure was measured, and judge it by the other runs."""
+    count = min(len(cloud), _MOST_REPLICAS)
+    errors = np.random.default_rng(seed).standard_normal((count, cloud.shape[1]))
+    replicas = np.abs(cloud[:count] + TOLERANCE * errors)
+    as_unlikely = 0
+    for start in range(0, count, _BLOCK):
+        rows = np.arange(start, min(start + _BLOCK, count))
+        exponents = _exponents(replicas[rows], cloud)
+        exponents[np.arange(len(rows)), rows] = -np.inf
+        others = _log_mean(exponents) + math.log(len(cloud) / (len(cloud) - 1))
+        as_unlikely += int(np.count_nonzero(others <= log_likelihood))
+    return (as_unlikely + 1) / (count + 1)
+
+
+def _share_below(point: np.ndarray, cloud: np.ndarray) -> np.ndarray:
+    """Return the share of the folded Gaussians below a point, shape (k,)."""
+    low, high = (point - cloud) / TOLERANCE, (point + cloud) / TOLERANCE
+    return (ndtr(low) - ndtr(-high)).mean(axis=0)
+
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
@@ -279,70 +410,3 @@ def _ratio_text(log10_ratio: float) -> str:
 
 def _millimetres(metres: Sequence[float]) -> str:
     return ", ".join(f"{1e3 * value:.1f}" for value in metres)
-
-
-_CORNER_REACH = 0.1  # m; the corners of figure 1b are within 0.06 m of the simulated ones
-# At the end of figure 1b no blue shows beside the orange, and at the corners no more than a
-# pixel; so the corners of its noisy path are those of its perfect path as well.
-SEEN_AT_END = 0.0
-_LEAST_STEP = 0.1  # m; shorter steps of the drawn path are at the corners
-
-
-class PublishedFigureError(LabError):
-    """The digitised figure cannot be read."""
-
-
-@dataclass(frozen=True, eq=False)
-class PublishedFigure:
-    """What figure 1b shows.
-
-    Attributes:
-        points: of the noisy path (m), shape (n, 2).
-        corners: five of them (m), shape (5, 2); the perfect path joins them.
-        deviations: m, of the noisy path from the perfect one: the largest on each side, and the
-            distance at the end, which is 0 as far as can be seen; shape (5,).
-        third_side_steps: how many steps the third side is drawn in.
-    """
-
-    points: np.ndarray
-    corners: np.ndarray
-    deviations: np.ndarray
-    third_side_steps: int
-
-
-def read_published_figure(path: Path, corners) -> PublishedFigure:
-    """Read figure 1b from a file as in the folder data.
-
-    Args:
-        path: of the file.
-        corners: of the simulated square (m), shape (5, 2), near which its own are looked for.
-
-    Raises:
-        LabError: the file cannot be read or does not hold a path around that square.
-    """
-    points = _read_series(path, "fig1b_noisy")
-    indices = corner_points(points, corners, _CORNER_REACH)
-    sides = sides_between(indices, len(points))
-    deviations = side_deviations(points[:, np.newaxis], sides[:, np.newaxis], points[indices])
-    third = points[indices[2] : indices[3] + 1]
-    steps = np.hypot(*np.diff(third, axis=0).T)
-    return PublishedFigure(
-        points,
-        points[indices],
-        np.append(deviations[0], SEEN_AT_END),
-        int(np.count_nonzero(steps > _LEAST_STEP)),
-    )
-
-
-def _read_series(path: Path, name: str) -> np.ndarray:
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = [row for row in csv.DictReader(file) if row["series"] == name]
-        points = np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows])
-    except OSError as error:
-        raise PublishedFigureError(f"cannot read {path}: {error.strerror}") from error
-    except (KeyError, TypeError, ValueError, csv.Error) as error:
-        raise PublishedFigureError(f"{path} is not a table of series,x_m,y_m") from error
-    if not points.size or not np.isfinite(points).all():
-        raise PublishedFigureError(f"{path} has no path {name}, or one that is not finite")
-    return points

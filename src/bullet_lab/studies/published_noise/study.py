@@ -1,14 +1,11 @@
 """Which of the report's defects make its figure 1b? All 32 combinations, over many seeds.
 
 Example:
-    python3 -m bullet_lab.studies.published_noise.study results/published --std 0.1 --seeds 1000
+    python3 -m bullet_lab.studies.published_noise results/published --std 0.1 --seeds 1000
 """
 
 from __future__ import annotations
 
-import argparse
-import re
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Dict, List, NoReturn, Optional, Sequence, Tuple
@@ -16,10 +13,9 @@ from typing import Any, Dict, List, NoReturn, Optional, Sequence, Tuple
 import numpy as np
 
 from bullet_lab.core.figures import save
-from bullet_lab.core.files import make_folder, replace_file, write_json
+from bullet_lab.core.files import make_folder, write_json
+from bullet_lab.core.parameters import check_parameters, integer, number
 from bullet_lab.drive.square import OPEN_LOOP_RATE, PlanarPose, Square
-from bullet_lab.entry import STATUS_INTERRUPTED
-from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION, make_generator
 from bullet_lab.noise.published_noise import PUBLISHED_RATE
 from bullet_lab.simulation.world.resources import package_share
@@ -40,23 +36,35 @@ from bullet_lab.studies.published_noise.figures import (
     first_turns_figure,
     sides_figure,
 )
-from bullet_lab.studies.published_noise.likeness import compare
 from bullet_lab.studies.published_noise.results import (
-    SEEN_AT_END,
-    PublishedFigure,
     Result,
     combination_rows,
+    compare,
     deviation_rows,
     groups_of_same,
     log10_to_best,
     published_summary,
     ranked,
-    read_published_figure,
     rounded,
     verdict_lines,
 )
-from bullet_lab.studies.published_noise.side_deviation import NO_SIDE, SIDES, side_deviations
+from bullet_lab.studies.published_noise.side_deviation import (
+    NO_SIDE,
+    SEEN_AT_END,
+    SIDES,
+    PublishedFigure,
+    read_published_figure,
+    side_deviations,
+)
 from bullet_lab.studies.squares import SECONDS_PER_STEP, drive_square
+from bullet_lab.studies.study import (
+    MOST_SEED,
+    SUMMARY,
+    Tell,
+    run_from,
+    whole_results,
+    write_table,
+)
 
 FIGURE_DATA = "data/fig1_paths.csv"
 # Long enough for the sampling node to look before and after the drive, whatever its phase.
@@ -68,32 +76,19 @@ _SEEDS_AT_A_TIME = 500
 _EXAMPLES = 12
 
 
-class PublishedNoiseError(LabError):
-    """The experiment cannot be run as asked, or what it needs is not there."""
-
-
 @dataclass(frozen=True)
 class PublishedNoiseSettings:
-    """What is run; the names are those of the job's arguments.
+    """What is run; the std of figure 1b is 0.1."""
 
-    Attributes:
-        std: standard deviation per metre and per radian, 0 to 1; that of figure 1b is 0.1.
-        seeds: how many noisy paths for each combination.
-        seed: of the first of them; the others have the numbers that follow.
-    """
+    std: float = number(
+        0.1, "standard deviation of the noise per metre and per radian", 0.0, maximum=LARGEST_STD
+    )
+    seeds: int = integer(1000, "noisy paths for each combination", FEWEST_SEEDS, MOST_SEEDS)
+    seed: int = integer(1, "of the first path; the others have those that follow", 0, MOST_SEED)
 
-    std: float = 0.1
-    seeds: int = 1000
-    seed: int = 1
-
-    def __post_init__(self):
-        if isinstance(self.std, bool) or not 0.0 <= self.std <= LARGEST_STD:
-            raise PublishedNoiseError(f"std must be from 0 to {LARGEST_STD:g}, not {self.std!r}")
-        if not FEWEST_SEEDS <= self.seeds <= MOST_SEEDS:
-            raise PublishedNoiseError(
-                f"seeds must be from {FEWEST_SEEDS} to {MOST_SEEDS}, not {self.seeds!r}"
-            )
-        make_generator(self.seed)
+    def __post_init__(self) -> None:
+        """Raise ParameterError where a value is not allowed."""
+        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,11 +208,12 @@ def run_published_noise(folder: Path, settings: PublishedNoiseSettings) -> Dict[
         asdict(settings), _figure_facts(figure, drive), figure.deviations, results
     )
     pictures = _pictures(replay, figure, results, settings)
-    for name, picture in pictures.items():
-        save(picture, folder / name)
-    _write_rows(folder / "combinations.csv", combination_rows(results))
-    _write_rows(folder / "deviations.csv", deviation_rows(results, settings.seed))
-    write_json(folder / "summary.json", summary)
+    with whole_results(folder) as part:
+        for name, picture in pictures.items():
+            save(picture, part / name)
+        write_table(part / "combinations.csv", combination_rows(results))
+        write_table(part / "deviations.csv", deviation_rows(results, settings.seed))
+        write_json(part / SUMMARY, summary)
     return summary
 
 
@@ -247,11 +243,6 @@ def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> Dict[str, Any]
         "third_side_steps": figure.third_side_steps,
         "sampling_rate_hz": round(speed * figure.third_side_steps / drawn, 3),
     }
-
-
-def _write_rows(path: Path, rows: List[List[Any]]) -> None:
-    text = "".join(",".join(map(str, row)) + "\n" for row in rows)
-    replace_file(path, lambda part: part.write_text(text))
 
 
 def _pictures(
@@ -315,51 +306,10 @@ def _switch(values: List[bool]) -> Optional[bool]:
     return values[0] if len(set(values)) == 1 else None
 
 
-class _Parser(argparse.ArgumentParser):
-    """Ends with one line, without the usage."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"published_noise: {message}\n")
+def _run(folder: Path, settings: PublishedNoiseSettings, _tell: Tell) -> None:
+    print("\n".join(verdict_lines(run_published_noise(folder, settings))))
 
 
-def _parser() -> _Parser:
-    default = PublishedNoiseSettings()
-    parser = _Parser(prog="published_noise", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("out", type=Path, help="folder for the results")
-    parser.add_argument(
-        "--std",
-        type=float,
-        default=default.std,
-        help="standard deviation of the noise per metre and per radian (%(default)s)",
-    )
-    parser.add_argument(
-        "--seeds",
-        type=int,
-        default=default.seeds,
-        help="how many noisy paths for each combination (%(default)s)",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=default.seed, help="of the first path (%(default)s)"
-    )
-    return parser
-
-
-def main(arguments: Optional[Sequence[str]] = None) -> None:
-    """Run the experiment from the command line; exit with status 2 on bad input."""
-    words = sys.argv[1:] if arguments is None else arguments
-    # roslaunch adds the node's name and log as __name:=… and __log:=….
-    words = [word for word in words if not re.match(r"__\w+:=", word)]
-    values = vars(_parser().parse_args(words))
-    folder = values.pop("out")
-    try:
-        summary = run_published_noise(folder, PublishedNoiseSettings(**values))
-    except LabError as error:
-        print(f"published_noise: {error}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(STATUS_INTERRUPTED)
-    print("\n".join(verdict_lines(summary)))
-
-
-if __name__ == "__main__":
-    main()
+def main(words: Optional[Sequence[str]] = None) -> NoReturn:
+    """Run the experiment from the command line; see `run_from`."""
+    run_from("published_noise", __doc__, (PublishedNoiseSettings,), _run, words)

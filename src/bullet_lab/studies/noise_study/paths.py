@@ -1,0 +1,214 @@
+"""The perfect path of a noise study: as files have it, at another message rate, and its corners."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import Any, Dict, List, Sequence
+
+import numpy as np
+
+from bullet_lab.core.angles import wrap, yaw_from_quaternion
+from bullet_lab.core.trajectory import Trajectory, TrajectoryError, read_tum, tum_row
+from bullet_lab.errors import LabError
+
+LONGEST_PATH = 1e7
+"""m; a path that is longer is not one of a robot on this planet."""
+
+CSV_COLUMNS = ("stamp", "x", "y", "yaw")
+ODOMETRY_KIND = "nav_msgs/Odometry"
+
+
+class PathFileError(LabError):
+    """A path cannot be read, or no noise can be studied on it."""
+
+
+def read_path(path: Path, topic: str = "/odom") -> Trajectory:
+    """Read a perfect path: a bag (.bag), a table (.csv), otherwise a file in TUM format.
+
+    A table has a first line that names its columns, `CSV_COLUMNS` among them, in s, m and rad:
+    the paths.csv of the squares is one.
+
+    Args:
+        path: the file.
+        topic: of a bag, with messages of `ODOMETRY_KIND`.
+
+    Raises:
+        LabError: the file cannot be read, or does not hold a path that leads anywhere.
+    """
+    readers = {".bag": lambda name: _read_bag(name, topic), ".csv": _read_csv}
+    trajectory = readers.get(Path(path).suffix.lower(), read_tum)(path)
+    try:
+        check_path(trajectory)
+    except PathFileError as error:
+        raise PathFileError(f"{path}: {error}") from None
+    return trajectory
+
+
+def check_path(trajectory: Trajectory) -> None:
+    """Raise PathFileError unless the path has two poses and a length that makes sense."""
+    if len(trajectory) < 2:
+        raise PathFileError("the path has only one pose")
+    if np.abs(trajectory.poses[:, :2]).max() > LONGEST_PATH or trajectory.length() > LONGEST_PATH:
+        raise PathFileError(f"the path leads farther than {LONGEST_PATH:g} m")
+    if trajectory.length() < 1e-3:
+        raise PathFileError("the path leads nowhere")
+
+
+def _read_csv(path: Path) -> Trajectory:
+    rows: List[List[float]] = []
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file)
+            missing = set(CSV_COLUMNS) - set(reader.fieldnames or ())
+            if missing:
+                raise PathFileError(
+                    f"{path}: the first line has to name the columns {', '.join(CSV_COLUMNS)}"
+                )
+            for row in reader:
+                rows.append(_csv_values(row, f"{path}, line {reader.line_num}"))
+    except OSError as error:
+        raise PathFileError(f"cannot read {path}: {error.strerror}") from None
+    except (UnicodeDecodeError, csv.Error):
+        raise PathFileError(f"cannot read {path}: it is not a table") from None
+    return _trajectory(path, rows)
+
+
+def _csv_values(row: Dict[str, Any], where: str) -> List[float]:
+    try:
+        values = [float(row[name]) for name in CSV_COLUMNS]
+    except (TypeError, ValueError):
+        raise PathFileError(f"{where}: a value is not a number") from None
+    if not all(map(math.isfinite, values)):
+        raise PathFileError(f"{where}: a value is not finite")
+    return values
+
+
+def _read_bag(path: Path, topic: str) -> Trajectory:
+    try:
+        import rosbag
+    except ImportError as error:
+        raise PathFileError(f"cannot read {path} without ROS's rosbag: {error}") from None
+    try:
+        with rosbag.Bag(str(path)) as bag:
+            _, seen = bag.get_type_and_topic_info()
+            topics = {name: info.msg_type for name, info in seen.items()}
+            wanted = [name for name in topics if name.strip("/") == topic.strip("/")]
+            # Without a topic rosbag reads all of them.
+            found = bag.read_messages(topics=wanted) if wanted else ()
+            messages = [message for _, message, _ in found]
+    except OSError as error:
+        raise PathFileError(f"cannot read {path}: {error.strerror or error}") from None
+    except Exception as error:  # rosbag raises whatever it stumbles over in a broken bag
+        raise PathFileError(f"cannot read {path}: {error or type(error).__name__}") from None
+    if not messages:
+        paths = sorted(name for name, kind in topics.items() if kind == ODOMETRY_KIND)
+        there = f"odometry is on {', '.join(paths)}" if paths else "there is no odometry"
+        raise PathFileError(f"{path}: nothing on the topic {topic}; {there}")
+    if messages[0]._type != ODOMETRY_KIND:
+        raise PathFileError(f"{path}: {topic} is of {messages[0]._type}, not {ODOMETRY_KIND}")
+    return _trajectory(path, [_odometry_values(message) for message in messages])
+
+
+def _odometry_values(message) -> List[float]:
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    yaw = yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
+    return [message.header.stamp.to_sec(), place.x, place.y, yaw]
+
+
+def _trajectory(path: Path, rows: Sequence[Sequence[float]]) -> Trajectory:
+    table = np.array(rows, dtype=float).reshape(-1, 4)
+    try:
+        return Trajectory(table[:, 0], table[:, 1:])
+    except TrajectoryError as error:
+        raise PathFileError(f"{path}: {error}") from None
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a path in the TUM format, which evo_traj and evo_ape read."""
+    rows = [tum_row(stamp, *pose) for stamp, pose in zip(trajectory.stamps, trajectory.poses)]
+    path.write_text("".join(f"{row}\n" for row in rows))
+
+
+MOST_POSES = 2_000_000
+"""A path of more poses is more likely a mistake than a path."""
+
+_SAME_STAMP = 1e-6  # s; closer than messages ever are
+
+
+class ResamplingError(LabError):
+    """A path cannot be resampled at a rate."""
+
+
+def resample(trajectory: Trajectory, rate: float) -> Trajectory:
+    """Return the poses that messages at a rate would carry: at start + k / rate, and at the end.
+
+    The last pose is always one of them, so that all rates end in the same place. Between two
+    poses of the path, position and heading are interpolated, the heading the short way round.
+
+    Args:
+        trajectory: the path, two poses at least.
+        rate: Hz, > 0.
+
+    Raises:
+        ResamplingError: the path has one pose, or the rate makes no sense for it.
+    """
+    if len(trajectory) < 2:
+        raise ResamplingError("the path has only one pose")
+    if not 0.0 < rate < math.inf:
+        raise ResamplingError(f"a rate must be finite and > 0 Hz, not {rate!r}")
+    start, end = trajectory.stamps[[0, -1]]
+    count = (end - start) * rate
+    if count >= MOST_POSES:
+        raise ResamplingError(f"{rate:g} Hz for {end - start:g} s are too many messages")
+    stamps = start + np.arange(math.floor(count) + 1) / rate
+    if end - stamps[-1] > _SAME_STAMP:
+        stamps = np.append(stamps, end)
+    stamps = _snapped(stamps, trajectory.stamps)
+    x, y, yaw = trajectory.poses.T
+    columns = [np.interp(stamps, trajectory.stamps, values) for values in (x, y, np.unwrap(yaw))]
+    columns[2] = wrap(columns[2])
+    return Trajectory(stamps, np.column_stack(columns))
+
+
+def _snapped(stamps: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Replace stamps by known ones that are the same but for rounding."""
+    after = np.minimum(np.searchsorted(known, stamps), len(known) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.where(stamps - known[before] < known[after] - stamps, before, after)
+    return np.where(np.abs(known[nearer] - stamps) <= _SAME_STAMP, known[nearer], stamps)
+
+
+def find_corners(trajectory: Trajectory, most: int = 12) -> np.ndarray:
+    """Return the indices of the poses between which a path is nearly straight, start left out.
+
+    They are the vertices that Ramer, Douglas and Peucker's simplification keeps, the farthest
+    ones first, until what is left is within 5 % of the size of the path or there are enough.
+
+    Args:
+        trajectory: the path.
+        most: how many there may be, the end included.
+    """
+    x, y, _ = trajectory.poses.T
+    position = x + 1j * y
+    tolerance = 0.05 * max(np.ptp(x), np.ptp(y))
+    kept = [0, len(position) - 1]
+    while len(kept) <= most:
+        farthest = max(
+            (_farthest(position, i, j) for i, j in zip(kept[:-1], kept[1:])), default=(0.0, 0)
+        )
+        if farthest[0] <= tolerance:
+            break
+        kept = sorted([*kept, farthest[1]])
+    return np.array(kept[1:])
+
+
+def _farthest(position: np.ndarray, first: int, last: int) -> tuple[float, int]:
+    """Return how far (m) a path goes from the line between two of its poses, and where."""
+    between = position[first:last] - position[first]
+    chord = position[last] - position[first]
+    along = (between * np.conj(chord)).real / max(abs(chord) ** 2, 1e-12)
+    distance = np.abs(between - np.clip(along, 0.0, 1.0) * chord)
+    index = int(np.argmax(distance))
+    return float(distance[index]), first + index
