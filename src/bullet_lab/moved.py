@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import re
 import sys
 import types
 import warnings
@@ -38,15 +39,15 @@ MOVED: Dict[str, str] = {
     "experiments.dask_workers": "studies.workers",
     "experiments.detection_range": "studies.detection_range.study",
     "experiments.detection_scenes": "studies.detection_range.scenes",
-    "experiments.detection_tasks": "studies.detection_range.tasks",
+    "experiments.detection_tasks": "studies.detection_range.study",
     "experiments.detection_trial": "studies.detection_range.trial",
     "experiments.dock_campaign": "studies.dock_campaign.study",
-    "experiments.dock_progress": "studies.dock_campaign.study",
-    "experiments.dock_scenarios": "studies.dock_campaign.scenarios",
+    "experiments.dock_progress": "studies.study",
+    "experiments.dock_scenarios": "studies.dock_campaign.trial",
     "experiments.dock_trial": "studies.dock_campaign.trial",
     "experiments.docking": "studies.dock_campaign.docking",
     "experiments.free_camera": "studies.detection_range.scenes",
-    "experiments.interruption": "studies.interruption",
+    "experiments.interruption": "studies.study",
     "experiments.noise_study": "studies.noise_study.study",
     "experiments.own_thread": "studies.workers",
     "experiments.published_noise": "studies.published_noise.study",
@@ -59,16 +60,16 @@ MOVED: Dict[str, str] = {
     "numerics.ellipse": "core.ellipse",
     "numerics.exact_moments": "noise.exact_moments",
     "numerics.goal_driver": "drive.goal",
-    "numerics.likeness": "studies.published_noise.likeness",
+    "numerics.likeness": "studies.published_noise.results",
     "numerics.metrics": "core.trajectory",
     "numerics.noisy_paths": "noise.noisy_paths",
     "numerics.odometry_noise": "noise.odometry_noise",
-    "numerics.path_metrics": "studies.noise_study.path_metrics",
+    "numerics.path_metrics": "studies.noise_study.statistics",
     "numerics.patterns": "core.patterns",
     "numerics.pinhole": "core.pinhole",
     "numerics.published_defects": "studies.published_noise.defects",
     "numerics.published_noise": "noise.published_noise",
-    "numerics.resampling": "studies.noise_study.resampling",
+    "numerics.resampling": "studies.noise_study.paths",
     "numerics.se2": "core.se2",
     "numerics.seeds": "core.seeds",
     "numerics.side_deviation": "studies.published_noise.side_deviation",
@@ -78,7 +79,7 @@ MOVED: Dict[str, str] = {
     "numerics.study_statistics": "studies.noise_study.statistics",
     "numerics.trajectory": "core.trajectory",
     "plotting.beacons_figure": "reports.beacons",
-    "plotting.campaign_figure": "studies.dock_campaign.figures",
+    "plotting.campaign_figure": "studies.dock_campaign.results",
     "plotting.detection_figures": "studies.detection_range.figures",
     "plotting.docking_figure": "reports.dock",
     "plotting.fleet_figure": "reports.fleet",
@@ -90,7 +91,7 @@ MOVED: Dict[str, str] = {
     "plotting.study_figures": "studies.noise_study.figures",
     "plotting.style": "core.figures",
     "plotting.vision_figure": "reports.vision",
-    "recording.detection_summary": "studies.detection_range.results",
+    "recording.detection_summary": "studies.detection_range.study",
     "recording.distances": "reports.beacons",
     "recording.dock_log": "studies.dock_campaign.results",
     "recording.dock_summary": "studies.dock_campaign.results",
@@ -99,12 +100,12 @@ MOVED: Dict[str, str] = {
     "recording.fleet_summary": "reports.fleet",
     "recording.goal_summary": "reports.goal",
     "recording.paths": "reports.squares",
-    "recording.published_figure": "studies.published_noise.results",
+    "recording.published_figure": "studies.published_noise.side_deviation",
     "recording.published_summary": "studies.published_noise.results",
     "recording.sensors": "reports.sensors",
     "recording.series": "core.series",
     "recording.squares_summary": "reports.squares",
-    "recording.study_files": "studies.noise_study.results",
+    "recording.study_files": "studies.noise_study.paths",
     "ros.aruco": "ros.nodes.aruco",
     "ros.camera_geometry": "ros.messages.camera_geometry",
     "ros.canny_edges": "ros.nodes.canny_edges",
@@ -273,9 +274,10 @@ class _Alias(Loader):
         module.__spec__ = self._spec
 
     def get_code(self, fullname: str) -> Any:
-        """Return the new module's code, for `python -m` with the old name."""
-        loader: Any = importlib.util.find_spec(self._name).loader
-        return loader.get_code(self._name)
+        """Return the new module's code, or its folder's, for `python -m` with the old name."""
+        name = re.sub(r"\.study$", ".__main__", self._name)
+        loader: Any = importlib.util.find_spec(name).loader
+        return loader.get_code(name)
 
 
 class _Folder(Loader):
@@ -296,7 +298,7 @@ class _Finder(MetaPathFinder):
             return None
         name = fullname[len(_ROOT) :]
         if name in MOVED:
-            return ModuleSpec(fullname, _Alias(_ROOT + MOVED[name]))
+            return ModuleSpec(fullname, _Alias(_ROOT + MOVED[name]), origin=fullname)
         if name in PACKAGES:
             return ModuleSpec(fullname, _Folder(), is_package=True)
         return None

@@ -17,23 +17,22 @@ from pathlib import Path
 from typing import Any, Dict
 
 from bullet_lab.simulation.rendering.graphics import driver_name
-from bullet_lab.studies.dock_campaign.scenarios import DrawSettings
 from bullet_lab.studies.dock_campaign.study import (
     CampaignSettings,
-    dask_workers,
     describe,
     run_campaign,
 )
+from bullet_lab.studies.workers import workers
 
 LEAST_FACTOR = 18.0
 
 
 def measure(dockings: int, seed: int) -> Dict[str, Any]:
     """Run a campaign and return its figures."""
-    settings = CampaignSettings(DrawSettings(seed=seed), dockings)
+    settings = CampaignSettings(seed=seed, dockings=dockings)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
-        summary = run_campaign(Path(folder), settings, dask_workers(), tell=print)
+        summary = run_campaign(Path(folder), settings, workers(), tell=print)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     for line in describe(summary):

@@ -20,7 +20,7 @@ from bullet_lab.noise.odometry_noise import (
     ReportRule,
 )
 from bullet_lab.studies.noise_study import statistics as study_statistics
-from bullet_lab.studies.noise_study.resampling import ResamplingError, find_corners, resample
+from bullet_lab.studies.noise_study.paths import ResamplingError, find_corners, resample
 from bullet_lab.studies.noise_study.statistics import level_rule, study_case
 
 RULES = [ReportRule(0.3), RateInvariantRule(0.2), ProbabilisticRule(0.1, 0.02, 0.1, 0.03)]

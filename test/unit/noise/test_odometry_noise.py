@@ -111,13 +111,13 @@ def test_make_rule_by_name():
 
 @pytest.mark.parametrize("bad", [-0.1, math.nan, math.inf, 1e300, "0.1", None, True])
 def test_bad_parameters_are_refused(bad):
-    with pytest.raises(NoiseError, match="std must be"):
+    with pytest.raises(NoiseError, match="std is"):
         make_rule("report", bad)
-    with pytest.raises(NoiseError, match="std must be"):
+    with pytest.raises(NoiseError, match="std is"):
         make_rule("probabilistic", bad, [0.1] * 4)
-    with pytest.raises(NoiseError, match="k must be"):
+    with pytest.raises(NoiseError, match="std is"):
         RateInvariantRule(bad)
-    with pytest.raises(NoiseError, match="alpha3 must be"):
+    with pytest.raises(NoiseError, match="alpha3 is"):
         ProbabilisticRule(0.1, 0.1, bad, 0.1)
 
 

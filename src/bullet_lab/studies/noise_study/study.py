@@ -17,8 +17,9 @@ import numpy as np
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
 from bullet_lab.core.parameters import check_parameters, choices, integer, number, numbers, text
+from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.drive.square import PlanarPose, Square
+from bullet_lab.drive.square import Square
 from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.figures import (

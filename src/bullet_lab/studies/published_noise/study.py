@@ -15,7 +15,8 @@ import numpy as np
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
 from bullet_lab.core.parameters import check_parameters, integer, number
-from bullet_lab.drive.square import OPEN_LOOP_RATE, PlanarPose, Square
+from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.drive.square import OPEN_LOOP_RATE, Square
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION, make_generator
 from bullet_lab.noise.published_noise import PUBLISHED_RATE
 from bullet_lab.simulation.world.resources import package_share

@@ -8,21 +8,20 @@ import sys
 import time
 
 import numpy as np
+import psutil
 import pytest
 
+from bullet_lab.core.parameters import ParameterError
 from bullet_lab.studies.dock_campaign.docking import DockingOutcome
 from bullet_lab.studies.dock_campaign.results import DockLogError
-from bullet_lab.studies.dock_campaign.scenarios import DrawSettings, draw_scenario
 from bullet_lab.studies.dock_campaign.study import (
-    CampaignError,
     CampaignSettings,
-    dask_workers,
     describe,
     main,
     run_campaign,
 )
-from bullet_lab.studies.dock_campaign.trial import run_trial
-from bullet_lab.studies.workers import TaskLostError, WorkersError
+from bullet_lab.studies.dock_campaign.trial import DrawSettings, draw_scenario, run_trial
+from bullet_lab.studies.workers import TaskLostError, WorkersError, workers
 
 FILES = ("dockings.jsonl", "campaign.csv", "campaign.png")
 
@@ -84,7 +83,7 @@ def stopping_after(count):
 
 
 def campaign(folder, run=in_order, dockings=30, trial=fake_trial, **draw):
-    settings = CampaignSettings(DrawSettings(**draw), dockings)
+    settings = CampaignSettings(**draw, dockings=dockings)
     return run_campaign(folder, settings, run, trial)
 
 
@@ -216,25 +215,26 @@ def test_a_docking_counts_only_if_it_is_true(values, result):
     assert run_trial(DrawSettings(), 0, dock)["result"] == result
 
 
-def test_on_dask_it_is_the_same(reference, tmp_path):
-    campaign(tmp_path, dask_workers(2))
+def test_on_workers_it_is_the_same(reference, tmp_path):
+    campaign(tmp_path, workers(2))
     assert_same_results(tmp_path, reference)
 
 
-def test_killed_it_goes_on_with_what_it_has(reference, tmp_path):
-    log = tmp_path / "dockings.jsonl"
+def test_killed_it_leaves_nothing_behind_and_goes_on_with_what_it_has(reference, tmp_path):
+    folder, temporary = tmp_path / "out", tmp_path / "tmp"
+    temporary.mkdir()
+    log = folder / "dockings.jsonl"
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path\n"
         "import test_dock_campaign as t\n"
         "if __name__ == '__main__':\n"
-        "    t.campaign(Path(sys.argv[2]), t.dask_workers(1), trial=t.slow_trial)\n"
+        "    t.campaign(Path(sys.argv[2]), t.workers(2), trial=t.slow_trial)\n"
     )
     script = tmp_path / "run.py"
     script.write_text(code)
     process = subprocess.Popen(
-        [sys.executable, str(script), os.path.dirname(__file__), str(tmp_path)],
-        # What is killed cannot clear away its temporary files.
-        env=dict(os.environ, TMPDIR=str(tmp_path)),
+        [sys.executable, str(script), os.path.dirname(__file__), str(folder)],
+        env=dict(os.environ, TMPDIR=str(temporary)),
         stderr=subprocess.DEVNULL,
     )
     deadline = time.monotonic() + 60.0
@@ -242,19 +242,24 @@ def test_killed_it_goes_on_with_what_it_has(reference, tmp_path):
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.01)
+    children = psutil.Process(process.pid).children(recursive=True)
+    assert len(children) >= 2
     process.send_signal(signal.SIGKILL)
     process.wait()
+    _, alive = psutil.wait_procs(children, timeout=20.0)
+    assert alive == []
+    assert list(temporary.iterdir()) == []
     lines = log.read_bytes().count(b"\n")
     assert lines < 31
     log.write_bytes(log.read_bytes()[:-7])
-    new = campaign(tmp_path)["run"]["dockings"]
+    new = campaign(folder)["run"]["dockings"]
     assert new == 30 - (lines - 2)
-    assert_same_results(tmp_path, reference)
+    assert_same_results(folder, reference)
 
 
 @pytest.mark.parametrize("count", [0, 1_000_001])
 def test_impossible_numbers_of_dockings_are_refused(count):
-    with pytest.raises(CampaignError):
+    with pytest.raises(ParameterError, match="dockings is"):
         CampaignSettings(dockings=count)
 
 
@@ -262,10 +267,10 @@ def test_impossible_numbers_of_dockings_are_refused(count):
     ("words", "said"),
     [
         ([], "out"),
-        (["x", "-n", "0"], "n must be"),
-        (["x", "-n", "two"], "invalid int"),
+        (["x", "-n", "0"], "--dockings is '0': it must be a whole number from 1 to 1000000"),
+        (["x", "-n", "two"], "--dockings is 'two'"),
         (["x", "--worlds", "kitchen"], "kitchen"),
-        (["x", "--workers", "-1"], "workers"),
+        (["x", "--workers", "-1"], "--workers is '-1'"),
         (["x", "--scheduler", "somewhere", "-n", "1"], "tcp://host:8786"),
         (["/proc/no", "-n", "1"], "cannot make the folder"),
     ],

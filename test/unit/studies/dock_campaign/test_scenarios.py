@@ -3,8 +3,9 @@ import math
 import numpy as np
 import pytest
 
+from bullet_lab.core.parameters import ParameterError
 from bullet_lab.studies.dock_campaign.docking import MARKER_POSE, TURNING_RADIUS
-from bullet_lab.studies.dock_campaign.scenarios import (
+from bullet_lab.studies.dock_campaign.trial import (
     DATABASE_ERROR,
     FARTHEST,
     LARGEST_BLUR,
@@ -14,7 +15,6 @@ from bullet_lab.studies.dock_campaign.scenarios import (
     WIDEST,
     WORLDS,
     DrawSettings,
-    ScenarioError,
     draw_scenario,
     obstacles,
 )
@@ -113,7 +113,7 @@ def test_choices_can_be_narrowed():
     ],
 )
 def test_what_cannot_be_drawn_is_refused(wrong):
-    with pytest.raises(ScenarioError):
+    with pytest.raises(ParameterError):
         DrawSettings(**wrong)
 
 

@@ -9,15 +9,15 @@ from bullet_lab.core import se2
 from bullet_lab.core.angles import wrap
 from bullet_lab.core.trajectory import Trajectory, path_error, read_tum
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
-from bullet_lab.studies.noise_study.path_metrics import (
+from bullet_lab.studies.noise_study.paths import resample, write_tum
+from bullet_lab.studies.noise_study.statistics import (
     PathMetrics,
     PathMetricsError,
     find_laps,
+    level_rule,
     pairs_at_distance,
+    study_case,
 )
-from bullet_lab.studies.noise_study.resampling import resample
-from bullet_lab.studies.noise_study.results import kept_path, write_tum
-from bullet_lab.studies.noise_study.statistics import level_rule, study_case
 
 CASES = [
     ("report", 0.5, 0.9),
@@ -153,7 +153,7 @@ def evo_values(folder, case, number):
     file_interface = pytest.importorskip("evo.tools.file_interface")
     reference, estimate = folder / "reference.tum", folder / "estimate.tum"
     write_tum(reference, case.trajectory)
-    write_tum(estimate, kept_path(case, number))
+    write_tum(estimate, case.kept_path(number))
     pair = tuple(
         file_interface.read_tum_trajectory_file(str(path)) for path in (reference, estimate)
     )
@@ -194,9 +194,10 @@ def test_evo_says_the_same(tmp_path, model, std, rate):
 
 def test_an_exported_path_comes_back(tmp_path):
     case = kept_case("rate_invariant", 0.3, 5.0)
-    path = kept_path(case, 3)
+    path = case.kept_path(3)
     write_tum(tmp_path / "a.tum", path)
     back = read_tum(tmp_path / "a.tum")
     np.testing.assert_array_equal(back.poses[:, :2], path.poses[:, :2])
     np.testing.assert_allclose(wrap(back.poses[:, 2] - path.poses[:, 2]), 0.0, atol=1e-14)
-    assert kept_path(case, 4) is None
+    with pytest.raises(IndexError):
+        case.kept_path(4)

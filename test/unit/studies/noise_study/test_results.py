@@ -12,20 +12,16 @@ from bullet_lab.core.files import FileError
 from bullet_lab.core.trajectory import Trajectory, read_tum
 from bullet_lab.errors import LabError
 from bullet_lab.studies.noise_study import study as noise_study
-from bullet_lab.studies.noise_study.results import (
-    PathFileError,
-    read_path,
-    whole_results,
-    write_metrics,
-    write_tum,
-)
+from bullet_lab.studies.noise_study.paths import PathFileError, read_path, write_tum
 from bullet_lab.studies.noise_study.study import (
     StudySettings,
     main,
+    metrics_rows,
     run_study,
     simulated_square,
     study,
 )
+from bullet_lab.studies.study import whole_results, write_table
 
 SMALL = StudySettings(levels=(0.0, 0.1), rates=(0.9, 5.0), paths=20)
 FILES = {
@@ -112,7 +108,7 @@ def test_metrics_of_a_lap_that_a_low_rate_does_not_see(tmp_path):
     )
     cases = study(Trajectory(stamps, poses), settings)
     assert [len(case.perfect_closure) for case in cases] == [0, 1]
-    write_metrics(tmp_path / "metrics.csv", cases)
+    write_table(tmp_path / "metrics.csv", metrics_rows(cases))
     with (tmp_path / "metrics.csv").open() as file:
         low, high = csv.DictReader(file)
     assert low["closure_error_lap_1_m_mean"] == ""
@@ -273,20 +269,20 @@ def test_a_bad_path_ends_with_one_line_and_nothing_written(tmp_path, capfd, name
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--levels", "-0.1"], "a level must be from 0 to 10, not -0.1"),
-        (["--levels", "1e9"], "a level must be"),
-        (["--levels", "nan"], "a level must be"),
-        (["--levels", "0.1", "0.1"], "levels must not be empty nor hold a value twice"),
-        (["--levels", "much"], "argument --levels"),
-        (["--rates", "0"], "a rate must be finite and > 0"),
+        (["--levels", "-0.1"], "--levels is '-0.1': it must be different numbers >= 0 and <= 10"),
+        (["--levels", "1e9"], "--levels is"),
+        (["--levels", "nan"], "--levels is"),
+        (["--levels", "0.1", "0.1"], "it must be different numbers"),
+        (["--levels", "much"], "--levels is 'much'"),
+        (["--rates", "0"], "--rates is '0': it must be different numbers > 0"),
         (["--rates", "1e9"], "too many messages"),
-        (["--models", "magic"], "unknown noise model 'magic'"),
-        (["--paths", "1"], "paths must be from 2"),
-        (["--paths", "100000000"], "paths must be from 2"),
-        (["--seed", "-1"], "seed must be an integer >= 0"),
-        (["--delta", "0"], "delta must be finite and > 0"),
+        (["--models", "magic"], "--models is 'magic': it must be different words of report"),
+        (["--paths", "1"], "--paths is '1': it must be a whole number from 2 to 10000000"),
+        (["--paths", "100000000"], "--paths is"),
+        (["--seed", "-1"], "--seed is '-1'"),
+        (["--delta", "0"], "--delta is '0': it must be a number > 0"),
         (["--delta", "50"], "no two poses are 50 m apart"),
-        (["--laps", "0"], "laps must be >= 1"),
+        (["--laps", "0"], "--laps is '0'"),
         (["--path", "nix.tum"], "cannot read nix.tum: No such file"),
         (["--path", "nix.csv"], "cannot read nix.csv: No such file"),
         (["--nix"], "unrecognized arguments: --nix"),

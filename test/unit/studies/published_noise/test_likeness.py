@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.studies.published_noise.likeness import (
+from bullet_lab.studies.published_noise.results import (
     RESOLUTION,
     TOLERANCE,
     LikenessError,

@@ -9,12 +9,15 @@ import pytest
 from bullet_lab.errors import LabError
 from bullet_lab.noise.published_noise import PublishedNoise
 from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, combinations
-from bullet_lab.studies.published_noise.side_deviation import NO_SIDE, SideError
+from bullet_lab.studies.published_noise.side_deviation import (
+    NO_SIDE,
+    SideError,
+    read_published_figure,
+)
 from bullet_lab.studies.published_noise.study import (
     PublishedNoiseSettings,
     Replay,
     main,
-    read_published_figure,
     replay_drive,
     run_published_noise,
 )
@@ -147,12 +150,12 @@ def test_blocks_do_not_show(drive):
 @pytest.mark.parametrize(
     "words, said",
     [
-        (["--std", "-0.1"], "std must be from 0 to 1, not -0.1"),
-        (["--std", "nan"], "std must be from 0 to 1, not nan"),
-        (["--std", "1e30"], "std must be from 0 to 1"),
-        (["--seeds", "3"], "seeds must be from 20 to 20000, not 3"),
-        (["--seeds", "many"], "argument --seeds: invalid int value: 'many'"),
-        (["--seed", "-1"], "seed must be an integer >= 0, not -1"),
+        (["--std", "-0.1"], "--std is '-0.1': it must be a number >= 0 and <= 1"),
+        (["--std", "nan"], "--std is 'nan'"),
+        (["--std", "1e30"], "--std is '1e30'"),
+        (["--seeds", "3"], "--seeds is '3': it must be a whole number from 20 to 20000"),
+        (["--seeds", "many"], "--seeds is 'many'"),
+        (["--seed", "-1"], "--seed is '-1'"),
         (["--noise"], "unrecognized arguments: --noise"),
     ],
 )
@@ -175,13 +178,17 @@ def test_an_unwritable_folder_is_one_line_and_status_2(tmp_path, capsys):
 
 
 def test_the_words_that_roslaunch_adds_are_ignored(tmp_path, capsys):
-    main([str(tmp_path), "--seeds", "20", "__name:=published_noise", "__log:=/tmp/a b.log"])
+    words = ["--seeds", "20", "__name:=published_noise", "__log:=/tmp/a b.log"]
+    with pytest.raises(SystemExit) as end:
+        main([str(tmp_path), *words])
+    assert end.value.code == 0
     assert {path.name for path in tmp_path.iterdir()} == FILES
     assert "figure 1b strays" in capsys.readouterr().out
 
 
 def test_noise_that_is_not_there_explains_nothing(tmp_path, capsys):
-    main([str(tmp_path), "--seeds", "20", "--std", "0"])
+    with pytest.raises(SystemExit):
+        main([str(tmp_path), "--seeds", "20", "--std", "0"])
     assert "no combination explains figure 1b" in capsys.readouterr().out
 
 
