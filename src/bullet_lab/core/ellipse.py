@@ -22,6 +22,9 @@ def ellipse_points(covariance, count: int = 73) -> np.ndarray:
 
     Returns:
         (count, 2) array of x and y in m.
+
+    >>> ellipse_points(np.diag([0.04, 0.01]), 5).round(3).max(axis=0)
+    array([0.49 , 0.245])
     """
     values, vectors = np.linalg.eigh(np.asarray(covariance, dtype=float)[:2, :2])
     radii = np.sqrt(SQUARE_RADIUS * np.maximum(values, 0.0))

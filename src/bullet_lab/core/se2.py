@@ -24,6 +24,10 @@ def compose(a, b) -> np.ndarray:
 
     Returns:
         Poses of the common broadcast shape (..., 3).
+
+    >>> compose([1.0, 2.0, np.pi / 2.0], [[0.5, 0.0, 0.0], [0.0, 0.0, 1.0]]).round(3)
+    array([[1.   , 2.5  , 1.571],
+           [1.   , 2.   , 2.571]])
     """
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
@@ -46,6 +50,9 @@ def between(a, b) -> np.ndarray:
 
     Returns:
         Poses of the common broadcast shape (..., 3).
+
+    >>> between([1.0, 2.0, np.pi / 2.0], [1.0, 2.5, 0.0]).round(3)
+    array([ 0.5  ,  0.   , -1.571])
     """
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
@@ -57,11 +64,20 @@ def between(a, b) -> np.ndarray:
 
 
 def inverse(pose) -> np.ndarray:
-    """Return the origin as seen from each pose, shape (..., 3)."""
+    """Return the origin as seen from each pose, shape (..., 3).
+
+    >>> inverse([1.0, 0.0, 0.0])
+    array([-1.,  0.,  0.])
+    """
     return between(pose, np.zeros(3))
 
 
 def steps(poses) -> np.ndarray:
-    """Return each pose of a path as seen from the one before: (..., n, 3) gives (..., n-1, 3)."""
+    """Return each pose of a path as seen from the one before: (..., n, 3) gives (..., n-1, 3).
+
+    >>> steps([(0.0, 0.0, 0.0), (1.0, 0.0, 0.5), (1.0, 0.0, 0.0)])
+    array([[ 1. ,  0. ,  0.5],
+           [ 0. ,  0. , -0.5]])
+    """
     poses = np.asarray(poses, dtype=float)
     return between(poses[..., :-1, :], poses[..., 1:, :])

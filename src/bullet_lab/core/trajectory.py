@@ -83,6 +83,9 @@ def tum_row(stamp: float, x: float, y: float, yaw: float) -> str:
 
     The stamp (s) has 9 decimals; the pose (m, m, rad) has every digit of its doubles, so
     reading it back gives x and y bit for bit. No line end.
+
+    >>> tum_row(0.05, 1.0, 2.0, 0.0)
+    '0.050000000 1.0 2.0 0 0 0 0.0 1.0'
     """
     _, _, z, w = quaternion_from_yaw(yaw)
     return f"{stamp:.9f} {float(x)!r} {float(y)!r} 0 0 0 {float(z)!r} {float(w)!r}"
@@ -213,6 +216,11 @@ def path_error(reference: Trajectory, estimate: Trajectory) -> PathError:
 
     Raises:
         MetricsError: the stamps are not exactly the same.
+
+    >>> perfect = Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
+    >>> noisy = Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.5, 0.0)])
+    >>> path_error(perfect, noisy).final_error_m
+    0.5
     """
     if not np.array_equal(reference.stamps, estimate.stamps):
         raise MetricsError("only trajectories with the same stamps can be compared")
@@ -235,7 +243,11 @@ def path_error(reference: Trajectory, estimate: Trajectory) -> PathError:
 
 
 def closure_error(trajectory: Trajectory) -> float:
-    """Return the distance (m) from the first to the last position."""
+    """Return the distance (m) from the first to the last position.
+
+    >>> closure_error(Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0), (3.0, 4.0, 1.0)]))
+    5.0
+    """
     dx, dy, _ = trajectory.poses[-1] - trajectory.poses[0]
     return math.hypot(dx, dy)
 

@@ -62,7 +62,15 @@ class Moments:
 
 
 def exact_moments(steps: NoisySteps) -> Moments:
-    """Return the moments for independent Gaussian noise; see the head of this module."""
+    """Return the moments for independent Gaussian noise; see the head of this module.
+
+    >>> from bullet_lab.noise.noisy_paths import noisy_steps
+    >>> from bullet_lab.noise.odometry_noise import ProbabilisticRule
+    >>> rule = ProbabilisticRule(0.0, 0.0, 0.25, 0.0)
+    >>> line = noisy_steps([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], rule)
+    >>> exact_moments(line).covariance[-1].diagonal()
+    array([0.25, 0.  , 0.  ])
+    """
     d, s2, unit = steps.trans, steps.variance_trans, steps.direction
     turned = steps.variance1 + steps.variance2
     v = np.cumsum(turned) - steps.variance2

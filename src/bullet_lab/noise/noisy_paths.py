@@ -65,6 +65,11 @@ def noisy_steps(poses, rule: NoiseRule) -> NoisySteps:
 
     Raises:
         NoiseError: the shape is another, or a pose is not finite.
+
+    >>> from bullet_lab.noise.odometry_noise import ReportRule
+    >>> steps = noisy_steps([(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)], ReportRule(0.5))
+    >>> len(steps), steps.trans, steps.variance_trans
+    (1, array([2.]), array([1.]))
     """
     poses = np.asarray(poses, dtype=float)
     if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < 2:

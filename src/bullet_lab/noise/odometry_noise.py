@@ -48,6 +48,9 @@ def decompose(dx: float, dy: float, dyaw: float) -> tuple[float, float, float]:
 
     Returns:
         rot1 (rad, in [-pi/2, pi/2]), trans (m, signed), rot2 (rad, in [-pi, pi)).
+
+    >>> decompose(0.5, 0.0, 0.25)
+    (0.0, 0.5, 0.25)
     """
     direction, trans = _direction(dx, dy)
     rot1 = direction if abs(trans) >= MIN_TRANSLATION else 0.0
@@ -359,6 +362,10 @@ class NoisyPath:
 
     Raises:
         NoiseError: the seed cannot be used.
+
+    >>> path = NoisyPath(ReportRule(0.0), seed=1)
+    >>> [path.update(x, 0.0, 0.0).pose for x in (0.0, 0.5)]
+    [(0.0, 0.0, 0.0), (0.5, 0.0, 0.0)]
     """
 
     def __init__(self, rule: NoiseRule, seed: int | None):
@@ -512,6 +519,9 @@ def recover_noise(true_poses, noisy_poses) -> RecoveredNoise:
 
     Raises:
         NoiseError: the shapes differ or are not (n, 3).
+
+    >>> recover_noise([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], [(0.0, 0.0, 0.0), (1.5, 0.0, 0.1)]).noise
+    array([[0. , 0.5, 0.1]])
     """
     true_poses = np.asarray(true_poses, dtype=float)
     noisy_poses = np.asarray(noisy_poses, dtype=float)

@@ -30,6 +30,10 @@ class PublishedNoise:
 
     Raises:
         NoiseError: a parameter cannot be used.
+
+    >>> published = PublishedNoise(0.0, seed=1)
+    >>> [published.update(x, 0.0, 0.0) for x in (0.0, 0.5)]
+    [(0.0, 0.0, 0.0), (0.5, 0.0, 0.0)]
     """
 
     def __init__(self, std: float, seed: int | None):
@@ -91,6 +95,10 @@ class Sampler:
 
     Raises:
         NoiseError: the rate is not finite or not > 0.
+
+    >>> sampler = Sampler(1.0)
+    >>> [sampler.due(stamp) for stamp in (0.0, 0.6, 1.2, 1.8)]
+    [False, False, True, False]
     """
 
     def __init__(self, rate: float):

@@ -54,7 +54,7 @@ class WorkerSettings:
     """Who does the work."""
 
     workers: int = integer(0, "processes; 0: one for each core", 0, MOST_WORKERS)
-    renderer: str = choice(AUTO, "passed over", CHOICES)
+    renderer: str = choice(AUTO, "passed over: Panda3D draws all pictures", CHOICES)
 
     def __post_init__(self) -> None:
         """Raise ParameterError where a value is not allowed."""
@@ -74,7 +74,7 @@ class ClusterSettings(WorkerSettings):
     """Who does the work, here or elsewhere."""
 
     scheduler: str = checked(
-        "", "of a Dask cluster to use instead", "an address such as tcp://host:8786", _address
+        "", "Dask scheduler to use instead", "an address such as tcp://host:8786", _address
     )
 
 

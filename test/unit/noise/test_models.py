@@ -146,12 +146,6 @@ def test_a_parameter_of_several_models_is_declared_once():
     assert set(declarations(ReportRule)) == {"std"}
 
 
-@pytest.mark.parametrize("job", ["squares", "fleet"])
-def test_launch_files_name_all_models(package, job):
-    text = (package / "launch" / f"{job}.launch").read_text()
-    assert f"Rule that scales the noise [{'|'.join(MODELS)}]" in text
-
-
 def test_a_rule_without_variances_is_none():
     @dataclass(frozen=True)
     class Nothing(NoiseRule):

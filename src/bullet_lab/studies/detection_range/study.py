@@ -54,8 +54,10 @@ Result = Any
 class RangeSettings:
     """What is tried: a grid of positions in each world and light, and pictures of the dots."""
 
-    worlds: Tuple[str, ...] = choices(tuple(WORLDS), "worlds of the package", WORLDS)
-    lights: Tuple[str, ...] = choices(tuple(LIGHTS), "the world's own is default", LIGHTS)
+    worlds: Tuple[str, ...] = choices(tuple(WORLDS), "worlds to try", WORLDS)
+    lights: Tuple[str, ...] = choices(
+        tuple(LIGHTS), "lights to try; default is the world's own", LIGHTS
+    )
     distances: Tuple[float, ...] = numbers(
         (
             *(0.3, 0.32, 0.34, 0.35, 0.36, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0),
@@ -67,14 +69,16 @@ class RangeSettings:
     )
     bearings: Tuple[float, ...] = numbers(
         (0.0, 15.0, 30.0, 45.0, 60.0),
-        "from the marker's axis, degrees; each is tried on both sides",
+        "angles from the marker's axis, degrees, each tried on both sides",
         0.0,
         maximum=85.0,
     )
-    frames: int = integer(10, "pictures in each cell", 1, MOST_FRAMES)
-    dots: int = integer(1000, "pictures in which only the marker may be found", 0, MOST_FRAMES)
-    seed: int = integer(1, "of all that is random", 0, MOST_SEED)
-    every_light: bool = boolean(False, "try all worlds in all lights")
+    frames: int = integer(10, "pictures for each distance, bearing and light", 1, MOST_FRAMES)
+    dots: int = integer(1000, "pictures of the dots to count false detections in", 0, MOST_FRAMES)
+    seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
+    every_light: bool = boolean(
+        False, "try each world in each light, not only marker_panel and docking"
+    )
 
     def __post_init__(self) -> None:
         """Raise ParameterError where a value is not allowed."""

@@ -54,7 +54,7 @@ Trial = Callable[[DrawSettings, int], Record]
 class CampaignSettings(DrawSettings):
     """What is run: the dockings of the indices from 0 on."""
 
-    dockings: int = integer(200, "how many", 1, MOST_DOCKINGS)
+    dockings: int = integer(200, "number of dockings", 1, MOST_DOCKINGS)
 
     def drawn_from(self) -> Dict[str, Any]:
         """Return what decides the outcome of each docking, by name."""

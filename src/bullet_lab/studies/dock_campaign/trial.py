@@ -48,10 +48,12 @@ class ScenarioError(LabError):
 class DrawSettings:
     """What scenarios are drawn from, each name as likely as the others."""
 
-    seed: int = integer(1, "of all that is random", 0, MOST_SEED)
-    worlds: Tuple[str, ...] = choices(WORLDS, "worlds of the package", WORLDS)
-    lights: Tuple[str, ...] = choices(LIGHTS, "the world's own is default", LIGHTS)
-    odometry: Tuple[str, ...] = choices(ODOMETRY, "topics of odometry", ODOMETRY)
+    seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
+    worlds: Tuple[str, ...] = choices(WORLDS, "worlds to draw from", WORLDS)
+    lights: Tuple[str, ...] = choices(
+        LIGHTS, "lights to draw from; default is the world's own", LIGHTS
+    )
+    odometry: Tuple[str, ...] = choices(ODOMETRY, "odometry to draw from", ODOMETRY)
 
     def __post_init__(self) -> None:
         """Raise ParameterError where a value is not allowed."""

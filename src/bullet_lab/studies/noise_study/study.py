@@ -55,13 +55,18 @@ class StudySettings:
     """What is studied; a level is std, per metre and per radian (per roots: rate_invariant)."""
 
     levels: Tuple[float, ...] = numbers(
-        (0.0, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5), "std", 0.0, maximum=LARGEST_STD
+        (0.0, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5),
+        "levels of noise, values of std",
+        0.0,
+        maximum=LARGEST_STD,
     )
-    models: Tuple[str, ...] = choices(tuple(MODELS), "rules of the noise", MODELS)
-    rates: Tuple[float, ...] = numbers((0.9, 5.0, 20.0), "of the messages, Hz", above=0.0)
-    paths: int = integer(3000, "for each level, model and rate", 2, MOST_PATHS)
-    seed: int = integer(1, "of all that is random", 0, MOST_SEED)
-    delta: float = number(1.0, "m, of the relative pose error and the drift", above=0.0)
+    models: Tuple[str, ...] = choices(tuple(MODELS), "rules that scale the noise", MODELS)
+    rates: Tuple[float, ...] = numbers((0.9, 5.0, 20.0), "message rates, Hz", above=0.0)
+    paths: int = integer(3000, "noisy paths for each level, model and rate", 2, MOST_PATHS)
+    seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
+    delta: float = number(
+        1.0, "distance over which relative errors and drift are measured, m", above=0.0
+    )
 
     def __post_init__(self) -> None:
         """Raise ParameterError where a value is not allowed."""
@@ -72,8 +77,8 @@ class StudySettings:
 class PathSettings:
     """The perfect path."""
 
-    path: str = text("", "TUM, CSV or bag file; else the square")
-    topic: str = text("/odom", "of a bag, nav_msgs/Odometry")
+    path: str = text("", "TUM, CSV or bag file; else the simulated square")
+    topic: str = text("/odom", "odometry topic of a bag")
     base: str = text("", "folder that a relative path starts from")
     laps: int = integer(1, "times round the simulated square", 1)
 

@@ -85,7 +85,9 @@ class PublishedNoiseSettings:
         0.1, "standard deviation of the noise per metre and per radian", 0.0, maximum=LARGEST_STD
     )
     seeds: int = integer(1000, "noisy paths for each combination", FEWEST_SEEDS, MOST_SEEDS)
-    seed: int = integer(1, "of the first path; the others have those that follow", 0, MOST_SEED)
+    seed: int = integer(
+        1, "seed of the first noisy path; the others have those that follow", 0, MOST_SEED
+    )
 
     def __post_init__(self) -> None:
         """Raise ParameterError where a value is not allowed."""
