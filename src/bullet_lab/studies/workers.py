@@ -19,7 +19,7 @@ from typing import Any, Callable, Dict, Iterable, Iterator, Sequence, Tuple
 import cv2
 
 from bullet_lab.core.parameters import check_parameters, checked, choice, integer
-from bullet_lab.simulation.rendering.choice import AUTO, CHOICES, check_choice
+from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
 from bullet_lab.studies.study import UnfinishedError
 
 SECONDS_FOR_SCHEDULER = 10.0

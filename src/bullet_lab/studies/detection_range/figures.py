@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Dict, List, Mapping, Optional, Protocol, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Wedge
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
+from bullet_lab.studies.detection_range.trial import Snapshot
 
 Row = Mapping[str, Any]
 
@@ -25,13 +26,6 @@ ROBOT_RADIUS = 0.2
 CAMERA_AHEAD = 0.16
 PICTURE_SPAN = 5.0
 """A picture is cut out to so many sides of the marker in it."""
-
-
-class Snapshot(Protocol):
-    """A picture as PNG, and the (n, 4, 2) corners of markers in it."""
-
-    png: bytes
-    corners: np.ndarray
 
 
 def heat_map(world: str, rows: Sequence[Row]) -> Figure:

@@ -108,7 +108,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class View:
+class Shot:
     """A place of the camera, and the number of its picture."""
 
     pose: Pose
@@ -137,36 +137,36 @@ def _world(name: str) -> World:
     return read_world_file(ResourceFinder.anywhere().find(uri))
 
 
-def views(cell: Cell, frames: int, seed: int) -> List[View]:
+def cell_shots(cell: Cell, frames: int, seed: int) -> List[Shot]:
     """Return the camera's places for a cell: jittered, to the left and the right in turn.
 
     They depend on the cell, the seed and nothing else. The camera looks at the marker, but for
     a little.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=cell.key()))
-    return [_view(cell, (-1.0) ** index, rng) for index in range(frames)]
+    return [_shot(cell, (-1.0) ** index, rng) for index in range(frames)]
 
 
-def strewn_views(world: str, frames: int, seed: int, block: int) -> List[View]:
+def strewn_shots(world: str, frames: int, seed: int, block: int) -> List[Shot]:
     """Return places of the camera all over a world, at random distances and bearings."""
     key = (crc32(world.encode()), block)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-    found: List[View] = []
+    found: List[Shot] = []
     while len(found) < frames:
         cell = Cell(world, "default", rng.uniform(*STREWN_DISTANCES), rng.uniform(*STREWN_BEARINGS))
         if is_reachable(cell):
-            found.append(_view(cell, rng.choice((-1.0, 1.0)), rng, STREWN_HEADING))
+            found.append(_shot(cell, rng.choice((-1.0, 1.0)), rng, STREWN_HEADING))
     return found
 
 
-def _view(
+def _shot(
     cell: Cell, side: float, rng: np.random.Generator, astray: float = HEADING_JITTER
-) -> View:
+) -> Shot:
     share, most = DISTANCE_JITTER
     reach = min(share * cell.distance, most)
     off, aside, turned = rng.uniform(-1.0, 1.0, 3) * (reach, BEARING_JITTER, astray)
     bearing = side * cell.bearing + aside
-    return View(camera_pose(cell.distance + off, bearing, turned), int(rng.integers(2**31)))
+    return Shot(camera_pose(cell.distance + off, bearing, turned), int(rng.integers(2**31)))
 
 
 def camera_pose(distance: float, bearing: float, turned: float = 0.0) -> Pose:

@@ -19,7 +19,7 @@ from bullet_lab.core.parameters import boolean, check_parameters, choices, integ
 from bullet_lab.simulation.rendering.graphics import driver_name
 from bullet_lab.studies.detection_range.figures import heat_map, range_figure
 from bullet_lab.studies.detection_range.scenes import LIGHTS, WORLDS, Cell, is_reachable
-from bullet_lab.studies.detection_range.trial import TrialSettings, count_false, try_cell
+from bullet_lab.studies.detection_range.trial import count_false, try_cell
 from bullet_lab.studies.study import (
     MOST_SEED,
     SUMMARY,
@@ -84,10 +84,6 @@ class RangeSettings:
         """Raise ParameterError where a value is not allowed."""
         check_parameters(self)
 
-    def trial(self, frames: int) -> TrialSettings:
-        """Return how pictures are taken."""
-        return TrialSettings(frames, self.seed)
-
 
 @dataclass(frozen=True)
 class Task:
@@ -120,9 +116,9 @@ def do_task(settings: RangeSettings, number: int) -> Result:
     """Do one of the `tasks`: return a CellResult, or false detections and finds of a block."""
     task = tasks(settings)[number]
     if task.cell is None:
-        return count_false(settings.trial(task.frames), DOTS, task.block)
+        return count_false(DOTS, task.block, task.frames, settings.seed)
     keep = task.cell.light == "default" and task.cell.bearing == 0.0
-    return try_cell(settings.trial(settings.frames), task.cell, keep)
+    return try_cell(task.cell, settings.frames, settings.seed, keep)
 
 
 Row = Mapping[str, Any]

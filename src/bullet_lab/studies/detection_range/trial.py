@@ -19,12 +19,12 @@ from bullet_lab.studies.detection_range.scenes import (
     Cell,
     FreeCamera,
     PrintedMarker,
-    View,
+    Shot,
+    cell_shots,
     in_optical_frame,
     is_visible,
     lit_world,
-    strewn_views,
-    views,
+    strewn_shots,
 )
 from bullet_lab.vision.marker_detector import DetectorSettings
 from bullet_lab.vision.marker_observer import MarkerObserver, ObservedMarker
@@ -122,60 +122,53 @@ def _spread(name: str, values: List[float]) -> Dict[str, Optional[float]]:
     }
 
 
-@dataclass(frozen=True)
-class TrialSettings:
-    """How a cell is tried: pictures per cell, and seed."""
-
-    frames: int
-    seed: int
-
-
-def try_cell(settings: TrialSettings, cell: Cell, keep: bool = False) -> CellResult:
+def try_cell(cell: Cell, frames: int, seed: int, keep: bool = False) -> CellResult:
     """Take the pictures of a cell and judge what the detector finds in them.
 
     Where the marker is hidden fewer are taken: `HIDDEN_SHARE` of them.
 
     Args:
-        settings: how many pictures, and how.
         cell: where.
+        frames: how many pictures.
+        seed: of all that is random.
         keep: return the first picture, too.
 
     Raises:
         LabError: the world cannot be read or drawn.
     """
     visible = is_visible(cell)
-    count = settings.frames if visible else math.ceil(HIDDEN_SHARE * settings.frames)
-    eyes = _eyes(cell.world, cell.light, settings.seed)
-    shots = views(cell, count, settings.seed)
-    frames = tuple(eyes.judge(view) for view in shots)
-    side = float(np.mean([eyes.side(view.pose) for view in shots]))
-    snapshot = eyes.snapshot(shots[0]) if keep else None
-    return CellResult(cell, visible, frames, side / CELLS_PER_SIDE, snapshot)
+    count = frames if visible else math.ceil(HIDDEN_SHARE * frames)
+    inspection = _inspection(cell.world, cell.light, seed)
+    shots = cell_shots(cell, count, seed)
+    judged = tuple(inspection.judge(shot) for shot in shots)
+    side = float(np.mean([inspection.side(shot.pose) for shot in shots]))
+    snapshot = inspection.snapshot(shots[0]) if keep else None
+    return CellResult(cell, visible, judged, side / CELLS_PER_SIDE, snapshot)
 
 
-def count_false(settings: TrialSettings, world: str, block: int) -> Tuple[int, int]:
+def count_false(world: str, block: int, frames: int, seed: int) -> Tuple[int, int]:
     """Take pictures from all over a world and count what the detector finds that is not there.
 
     Args:
-        settings: how many pictures, and how.
         world: name of the world, in its own light.
         block: which such set of pictures, >= 0.
+        frames: how many pictures.
+        seed: of all that is random.
 
     Returns:
         How many false detections there were, and in how many pictures the marker was found.
     """
-    eyes = _eyes(world, "default", settings.seed)
-    shots = strewn_views(world, settings.frames, settings.seed, block)
-    frames = [eyes.judge(view) for view in shots]
-    return sum(frame.false for frame in frames), sum(frame.found for frame in frames)
+    inspection = _inspection(world, "default", seed)
+    judged = [inspection.judge(shot) for shot in strewn_shots(world, frames, seed, block)]
+    return sum(frame.false for frame in judged), sum(frame.found for frame in judged)
 
 
 @functools.lru_cache(maxsize=None)
-def _eyes(world: str, light: str, seed: int) -> Eyes:
-    return Eyes(world, light, seed)
+def _inspection(world: str, light: str, seed: int) -> Inspection:
+    return Inspection(world, light, seed)
 
 
-class Eyes:
+class Inspection:
     """Camera and detector in a world whose markers are known."""
 
     def __init__(self, world: str, light: str, seed: int):
@@ -188,19 +181,19 @@ class Eyes:
         """Geometry of the pictures."""
         return self._camera.camera
 
-    def snapshot(self, view: View) -> Snapshot:
+    def snapshot(self, shot: Shot) -> Snapshot:
         """Take a picture and keep it, with the corners of what is found."""
-        picture, markers = self._look(view)
+        picture, markers = self._look(shot)
         png = cv2.imencode(".png", picture)[1].tobytes()
         return Snapshot(png, np.array([m.corners for m in markers]).reshape(-1, 4, 2))
 
-    def judge(self, view: View) -> Frame:
+    def judge(self, shot: Shot) -> Frame:
         """Take a picture and compare what is found in it with the truth."""
-        _, markers = self._look(view)
-        return judge(markers, view.pose, self._known.wanted, self._known.others, self.camera)
+        _, markers = self._look(shot)
+        return judge(markers, shot.pose, self._known.wanted, self._known.others, self.camera)
 
-    def _look(self, view: View) -> Tuple[np.ndarray, List[ObservedMarker]]:
-        picture = self._camera.take(view.pose, view.number)
+    def _look(self, shot: Shot) -> Tuple[np.ndarray, List[ObservedMarker]]:
+        picture = self._camera.take(shot.pose, shot.number)
         return picture, self._observer.observe(picture, self.camera).markers
 
     def side(self, pose: Pose) -> float:

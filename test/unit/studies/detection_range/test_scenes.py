@@ -18,12 +18,12 @@ from bullet_lab.studies.detection_range.scenes import (
     SceneError,
     camera_alone,
     camera_pose,
+    cell_shots,
     in_optical_frame,
     is_reachable,
     is_visible,
     lit_world,
-    strewn_views,
-    views,
+    strewn_shots,
 )
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
@@ -55,7 +55,7 @@ def test_the_corners_are_those_of_an_upright_marker():
 
 
 def test_the_places_of_a_cell_are_on_both_sides_and_close_to_it():
-    for number, view in enumerate(views(cell(2.0, 30.0), 20, 1)):
+    for number, view in enumerate(cell_shots(cell(2.0, 30.0), 20, 1)):
         x, y, z = view.pose.position
         distance, bearing = math.hypot(4.0 - x, y), math.atan2(y, 4.0 - x)
         assert distance == pytest.approx(2.0, abs=0.0101) and z == 0.44
@@ -65,17 +65,17 @@ def test_the_places_of_a_cell_are_on_both_sides_and_close_to_it():
 
 
 def test_places_follow_from_the_cell_and_the_seed_alone():
-    assert views(cell(2.0), 3, 1) == views(cell(2.0), 5, 1)[:3]
+    assert cell_shots(cell(2.0), 3, 1) == cell_shots(cell(2.0), 5, 1)[:3]
     others = [cell(2.0, 15.0), cell(2.5), cell(2.0, world="docking_dots"), cell(2.0, light="dark")]
-    numbers = {views(c, 1, 1)[0].number for c in [cell(2.0), *others]}
-    numbers.add(views(cell(2.0), 1, 2)[0].number)
+    numbers = {cell_shots(c, 1, 1)[0].number for c in [cell(2.0), *others]}
+    numbers.add(cell_shots(cell(2.0), 1, 2)[0].number)
     assert len(numbers) == 6
 
 
 def test_strewn_places_are_all_over_the_world_but_not_in_its_walls():
-    places = strewn_views("docking_dots", 100, 1, 0)
-    assert places == strewn_views("docking_dots", 100, 1, 0)
-    assert places != strewn_views("docking_dots", 100, 1, 1)
+    places = strewn_shots("docking_dots", 100, 1, 0)
+    assert places == strewn_shots("docking_dots", 100, 1, 0)
+    assert places != strewn_shots("docking_dots", 100, 1, 1)
     x, y, _ = np.array([view.pose.position for view in places]).T
     assert x.min() < -2.0 and x.max() > 3.0 and y.min() < -2.0 and y.max() > 2.0
     assert not ((x > 1.95) & (abs(y) > 0.45) & (abs(y) < 0.75)).any()
