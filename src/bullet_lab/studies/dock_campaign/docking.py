@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Any, List, Optional, Tuple
-
-import numpy as np
+from dataclasses import dataclass, replace
+from typing import Optional
 
 from bullet_lab.core import se2
 from bullet_lab.core.angles import wrap
@@ -23,7 +21,6 @@ from bullet_lab.docking.types import (
 )
 from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import NoisyPath, make_rule
-from bullet_lab.simulation.floor_plan import footprints
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
@@ -70,7 +67,6 @@ class DockingScenario:
         time_limit: s of simulated time.
         max_retries: None: as docking has it.
         search: look for the marker where it is not seen at once.
-        keep_frames: how many images to keep, spread over the drive; 0: none.
     """
 
     world: str = "package://bullet_lab/worlds/docking.world"
@@ -90,20 +86,9 @@ class DockingScenario:
     time_limit: float = 300.0
     max_retries: Optional[int] = None
     search: bool = True
-    keep_frames: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class KeptFrame:
-    """An image of the drive: time in s, state, (h, w, 3) RGB, corners (4, 2) px or None."""
-
-    time: float
-    state: str
-    image: np.ndarray
-    corners: Optional[np.ndarray]
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class DockingOutcome:
     """How a docking went.
 
@@ -112,8 +97,7 @@ class DockingOutcome:
 
     Attributes:
         docked: the task said so.
-        error_code: of `DockingError`.
-        error_name: its name.
+        error_name: of `DockingError`.
         message: one line for the user.
         distance_error_m: along the axis.
         lateral_error_m: across it.
@@ -121,17 +105,11 @@ class DockingOutcome:
         wall_contacts: how often the robot began to touch anything but the floor.
         retries: how often it retreated to try again.
         sim_time_s: until the end.
-        images: that were taken.
-        truth: (n, 4) time, x, y and yaw of the robot in the world.
-        estimate: (n, 4) the same as the task believes it, where it has seen the marker; given
-            in the world by the true pose of the dock.
-        states: when which state began.
-        frames: the images that were kept.
-        renderer: driver that drew the images.
+        end: x, y (m) and yaw (rad) of the robot in the world, then.
+        renderer: driver that drew the images; empty where there were none.
     """
 
     docked: bool
-    error_code: int
     error_name: str
     message: str
     distance_error_m: float
@@ -140,25 +118,8 @@ class DockingOutcome:
     wall_contacts: int
     retries: int
     sim_time_s: float
-    images: int
-    truth: np.ndarray
-    estimate: np.ndarray
-    states: Tuple[Tuple[float, str], ...]
-    frames: Tuple[KeptFrame, ...] = ()
+    end: PlanarPose
     renderer: str = ""
-
-
-@dataclass
-class _Record:
-    """What is written down on the way."""
-
-    truth: List[Tuple[float, ...]] = field(default_factory=list)
-    estimate: List[Tuple[float, ...]] = field(default_factory=list)
-    states: List[Tuple[float, str]] = field(default_factory=list)
-    frames: List[KeptFrame] = field(default_factory=list)
-    images: int = 0
-    contacts: int = 0
-    touching: bool = False
 
 
 def run_docking(scenario: DockingScenario) -> DockingOutcome:
@@ -170,12 +131,6 @@ def run_docking(scenario: DockingScenario) -> DockingOutcome:
     dock = _wrong_dock(scenario)
     with Simulation(_world(scenario), scenario.image_seed) as simulation:
         return _Drive(scenario, dock, simulation).run()
-
-
-def is_free(start: PlanarPose, world: str = DockingScenario.world) -> bool:
-    """Say whether a robot can turn on the spot at a pose in a world without touching anything."""
-    plan = footprints(read_world_file(ResourceFinder.anywhere().find(world)), below=0.55)
-    return all(wall.distance(start[:2]) > TURNING_RADIUS for wall in plan)
 
 
 def _wrong_dock(scenario: DockingScenario) -> Dock:
@@ -227,7 +182,8 @@ class _Drive:
             time_limit=scenario.time_limit,
             seed=scenario.odometry_seed,
         )
-        self._record = _Record()
+        self._images = self._contacts = 0
+        self._touching = False
         self._odometry: Optional[OdometrySample] = None
         self._stamp = 0.0
 
@@ -247,9 +203,9 @@ class _Drive:
                     self._look()
             v, w = self._task.tick(simulation.seconds)
             self._robot.command("cmd_vel", PlanarCommand(v, 0.0, w))
-            self._write_down()
+        seconds, end = simulation.seconds, _planar(self._robot)
         simulation.run_for(0.5)
-        return self._outcome()
+        return self._outcome(seconds, end)
 
     def _take_odometry(self, sample: OdometrySample) -> None:
         self._odometry = sample
@@ -273,61 +229,31 @@ class _Drive:
         sightings = tuple(Sighting(m.id, self._dictionary, m.corners) for m in found)
         stamp = simulation.seconds
         self._task.add_observation(Observation(stamp, camera.camera, sightings))
-        self._record.images += 1
-        if self._scenario.keep_frames:
-            corners = found[0].corners if found else None
-            frame = KeptFrame(stamp, self._task.state.label, image, corners)
-            self._record.frames.append(frame)
-            _thin_out(self._record.frames, 4 * self._scenario.keep_frames)
+        self._images += 1
 
     def _check_contact(self, step: int) -> None:
         touching = any(other != FLOOR for other in self._simulation.contacts(self._robot.name))
-        if touching and not self._record.touching:
-            self._record.contacts += 1
-        self._record.touching = touching
+        if touching and not self._touching:
+            self._contacts += 1
+        self._touching = touching
 
-    def _write_down(self) -> None:
-        record, stamp = self._record, self._simulation.seconds
-        record.truth.append((stamp, *_planar(self._robot)))
-        believed = self._task.estimated_robot()
-        if believed is not None:
-            record.estimate.append((stamp, *se2.compose(MARKER_POSE, believed).tolist()))
-        state = self._task.state.label
-        if not record.states or record.states[-1][1] != state:
-            record.states.append((stamp, state))
-
-    def _outcome(self) -> DockingOutcome:
-        record, result, scenario = self._record, self._task.result, self._scenario
+    def _outcome(self, seconds: float, end: PlanarPose) -> DockingOutcome:
+        result = self._task.result
         x, y, yaw = se2.between(MARKER_POSE, _planar(self._robot)).tolist()
-        ahead = _mount_of(self._robot, self._camera).x
-        distance = -x - ahead * math.cos(yaw)
-        frames = record.frames
-        _thin_out(frames, scenario.keep_frames)
+        distance = -x - _mount_of(self._robot, self._camera).x * math.cos(yaw)
         return DockingOutcome(
             result.success,
-            int(result.error),
             DockingError(result.error).name,
             result.message,
             distance - self._dock.docked_distance,
             y,
             math.degrees(yaw),
-            record.contacts,
+            self._contacts,
             result.retries,
-            record.truth[-1][0],
-            record.images,
-            np.array(record.truth),
-            np.array(record.estimate).reshape(-1, 4),
-            tuple(record.states),
-            tuple(frames),
-            self._simulation.renderer().driver if record.images else "",
+            seconds,
+            end,
+            self._simulation.renderer().driver if self._images else "",
         )
-
-
-def _thin_out(frames: List[Any], most: int) -> None:
-    """Drop images so that those that stay are spread evenly; the last one stays."""
-    while len(frames) > most > 0:
-        gaps = [b.time - a.time for a, b in zip(frames[:-2], frames[2:])]
-        del frames[1 + int(np.argmin(gaps)) if gaps else 0]
 
 
 def _planar(robot: ModelInstance) -> PlanarPose:

@@ -183,7 +183,7 @@ def _name_of(world: str) -> str:
 
 
 def _found(outcome: DockingOutcome) -> Dict[str, Any]:
-    _, x, y, yaw = (float(value) for value in outcome.truth[-1])
+    x, y, yaw = (float(value) for value in outcome.end)
     return {
         "result": judge(outcome),
         "message": outcome.message,

@@ -34,7 +34,6 @@ def outcome_of(scenario, **values):
     end = (3.44 + distance, lateral, np.radians(yaw)) if docked else scenario.start
     said = {
         "docked": docked,
-        "error_code": 0 if docked else 904,
         "error_name": "NONE" if docked else "NOT_DETECTED",
         "message": "",
         "distance_error_m": distance,
@@ -43,11 +42,7 @@ def outcome_of(scenario, **values):
         "wall_contacts": 0,
         "retries": 0,
         "sim_time_s": float(rng.uniform(30.0, 60.0)),
-        "images": 10,
-        "truth": np.array([(0.0, *scenario.start), (40.0, *end)]),
-        "estimate": np.empty((0, 4)),
-        "states": (),
-        "frames": (),
+        "end": end,
         "renderer": "egl",
     }
     return DockingOutcome(**{**said, **values})
