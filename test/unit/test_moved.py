@@ -41,9 +41,12 @@ def test_what_never_was_is_not_found():
         from bullet_lab.simulation.physics import Nothing  # noqa: F401
 
 
-def test_an_old_name_runs_as_a_program():
+@pytest.mark.parametrize(
+    "name", ["dock_campaign", "detection_range", "noise_study", "published_noise"]
+)
+def test_an_old_name_runs_as_a_program(name):
     done = subprocess.run(
-        [sys.executable, "-m", "bullet_lab.experiments.dock_campaign", "--help"],
+        [sys.executable, "-m", f"bullet_lab.experiments.{name}", "--help"],
         capture_output=True,
         text=True,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import logging
 import os
 import re
@@ -95,17 +94,21 @@ def workers(count: int = 0, scheduler: str = "") -> Run:
             this one, however it ends.
         scheduler: address such as tcp://host:8786 of a Dask cluster that does it instead.
     """
-    some = functools.partial(*((_on_dask, scheduler) if scheduler else (_on_processes, count)))
+
+    def run_round(task: Task, numbers: Sequence[int]) -> Results:
+        if scheduler:
+            return _on_dask(scheduler, task, numbers)
+        return _on_processes(count, task, numbers)
 
     def run(task: Task, numbers: Sequence[int]) -> Results:
         suspects = []
-        for number, result in some(task, numbers):
+        for number, result in run_round(task, numbers):
             if isinstance(result, TaskLostError):
                 suspects.append(number)
             else:
                 yield number, result
         for number in suspects:
-            yield from some(task, [number])
+            yield from run_round(task, [number])
 
     return run
 

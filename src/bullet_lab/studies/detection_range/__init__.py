@@ -1,1 +1,1 @@
-"""From where the marker is found, and how well."""
+"""The range of the marker's detection: from where it is found, and how well."""

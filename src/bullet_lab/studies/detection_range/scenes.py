@@ -1,4 +1,4 @@
-"""Where the detection of the marker is tried out: worlds, lights, and places of the camera."""
+"""Worlds, lights and places of the camera in which the detection of the marker is tried."""
 
 from __future__ import annotations
 

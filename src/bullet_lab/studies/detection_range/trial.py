@@ -1,4 +1,4 @@
-"""What the detector makes of the pictures of one cell, judged by the truth."""
+"""Trial of one cell: its pictures, and what the detector finds in them, judged by the truth."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class DockingScenario:
         odometry_model: rule of the noise, see `make_rule`.
         odometry_std: its parameter.
         odometry_seed: of the noise.
-        image_rate: images per second, while they are wanted.
+        image_rate: images per second, while the task takes them.
         image_noise: standard deviation as a share of white.
         image_blur: standard deviation in px.
         image_seed: of the image noise.

@@ -199,10 +199,10 @@ class DockLog:
         found = self._parse(line, 1).get("campaign")
         if not isinstance(found, dict):
             raise DockLogError(f"{self._path} is no log of a campaign")
-        wanted = json.loads(self._header)["campaign"]
+        given = json.loads(self._header)["campaign"]
         raise DockLogError(
             f"{self._path} is the log of a campaign with other parameters "
-            f"({', '.join(_differences(found, wanted))}): choose another folder, or remove it"
+            f"({', '.join(_differences(found, given))}): choose another folder, or remove it"
         )
 
     def _parse(self, line: bytes, number: int) -> Dict[str, Any]:
@@ -227,9 +227,9 @@ def _line(values: Mapping[str, Any]) -> bytes:
     return (json.dumps(values, allow_nan=False) + "\n").encode()
 
 
-def _differences(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> List[str]:
-    names = [name for name in {**wanted, **found} if found.get(name) != wanted.get(name)]
-    return [f"{name} {_shown(found.get(name))}, not {_shown(wanted.get(name))}" for name in names]
+def _differences(found: Mapping[str, Any], given: Mapping[str, Any]) -> List[str]:
+    names = [name for name in {**given, **found} if found.get(name) != given.get(name)]
+    return [f"{name} {_shown(found.get(name))}, not {_shown(given.get(name))}" for name in names]
 
 
 def _shown(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""What thousands of noisy versions of one path come down to, beside what theory says.
+"""Statistics of thousands of noisy versions of one path, beside what theory says.
 
 The metrics are those that people measure of an odometry, without alignment, as the noisy and the
 perfect path share their origin. Names and definitions are those of evo,

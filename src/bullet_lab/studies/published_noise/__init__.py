@@ -1,1 +1,1 @@
-"""Which of the report's defects make its figure 1b?"""
+"""The defects of the report's noise, and which of them make its figure 1b."""

@@ -1,4 +1,4 @@
-"""How well replays of the report's noise explain figure 1b, and what they come down to.
+"""Likelihood of figure 1b under replays of the report's noise, and the verdict on its defects.
 
 Two lengths count as alike when they differ by about the resolution of the measurement, or by
 about a quarter of their size: a length d is known to sqrt(RESOLUTION² + (TOLERANCE · d)²). On

@@ -1,4 +1,4 @@
-"""How far a path around a square strays from each of its sides, and what figure 1b shows of it."""
+"""Deviations of a path around a square from each of its sides, and those in figure 1b."""
 
 from __future__ import annotations
 
