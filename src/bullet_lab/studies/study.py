@@ -6,7 +6,6 @@ function that takes them. `run_from` makes a program of the two.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import csv
 import re
@@ -18,6 +17,7 @@ from typing import Any, Callable, Iterable, Iterator, NoReturn, Optional, Sequen
 
 from tqdm import tqdm
 
+from bullet_lab.core.arguments import ArgumentParser
 from bullet_lab.core.files import FileError, make_folder
 from bullet_lab.core.parameters import add_options, read_options
 from bullet_lab.entry import STATUS_INTERRUPTED
@@ -63,7 +63,7 @@ def run_from(
     words = sys.argv[1:] if words is None else words
     try:
         interrupt_once()
-        parser = _Parser(prog=name, description=(about or "").split("\n")[0])
+        parser = ArgumentParser(prog=name, description=(about or "").split("\n")[0])
         parser.add_argument("out", type=Path, help="folder for the results")
         for kind in settings:
             add_options(parser, kind)
@@ -79,13 +79,6 @@ def run_from(
     except KeyboardInterrupt:
         sys.exit(STATUS_INTERRUPTED)
     sys.exit(0)
-
-
-class _Parser(argparse.ArgumentParser):
-    """A parser that complains in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        raise LabError(message)
 
 
 def interrupt_once() -> None:
