@@ -254,6 +254,16 @@ class FreeCamera:
         self._device.image.connect(self._keep)
         self._sample: Optional[ImageSample] = None
 
+    def __enter__(self) -> FreeCamera:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give everything back."""
+        self._simulation.close()
+
     @property
     def camera(self) -> PinholeCamera:
         """Geometry of the pictures."""

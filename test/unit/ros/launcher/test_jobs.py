@@ -195,7 +195,7 @@ def test_arguments_are_described_by_the_nodes_that_they_are_handed_to(tmp_path):
     }
     text = help_on(job, {})
     assert "  noise:=0.1  Standard deviation per metre" in text
-    assert "[a number >= 0]" in text
+    assert "[a number >= 0 and <= 1e+06]" in text
     assert "  seed:=1     Of all [a whole number from 0 to 2147483647]" in text
     assert "  speed:=0.5  How fast [number >= 0.1]" in text
 
@@ -203,7 +203,7 @@ def test_arguments_are_described_by_the_nodes_that_they_are_handed_to(tmp_path):
 @pytest.mark.parametrize(
     ("word", "message"),
     [
-        ("noise:=-1", "^noise is '-1': it must be a number >= 0$"),
+        ("noise:=-1", r"^noise is '-1': it must be a number >= 0 and <= 1e\+06$"),
         ("seed:=0.5", "^seed is '0.5': it must be a whole number from 0 to 2147483647$"),
         ("speed:=0.05", "^speed is '0.05': it must be a number >= 0.1$"),
     ],
