@@ -230,7 +230,7 @@ def test_every_shipped_job_has_the_common_arguments_and_sound_defaults():
         assert {"out", "rtf", "seed", "rviz"} <= {a.name for a in job.arguments.values()}
         for argument in job.arguments.values():
             assert argument.doc, argument.name
-            if argument.default == "" and not argument.bracket:
+            if argument.default == "":
                 assert argument.declarations(), f"{job.name}: nobody declares {argument.name}"
             elif "$(" not in argument.default:
                 argument.check(argument.default)

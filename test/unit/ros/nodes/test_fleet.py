@@ -3,6 +3,7 @@ import pytest
 
 pytest.importorskip("rospy")
 
+from bullet_lab.core.parameters import read_parameters
 from bullet_lab.core.seeds import derived_seed
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.reports import Reading
@@ -13,7 +14,6 @@ from bullet_lab.reports.fleet import (
     fleet_summary,
 )
 from bullet_lab.reports.squares import squares_summary
-from bullet_lab.ros.node.parameters import read_parameters
 from bullet_lab.ros.nodes.fleet import robot_names
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters, robots_of
 
