@@ -181,7 +181,7 @@ MOVED: Dict[str, str] = {
     "ros.stamps": "ros.messages.stamps",
     "ros.standing_models": "ros.gazebo.standing_models",
     "ros.stepper": "ros.bridge.stepper",
-    "ros.tf_prefix": "ros.node.tf_prefix",
+    "ros.tf_prefix": "ros.node.transforms",
     "ros.time_gate": "ros.bridge.lock_step",
     "ros.touches": "ros.bridge.world_topics",
     "ros.track_robot": "ros.nodes.track_robot",

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Callable, List, Mapping
+from typing import Any, Callable, Dict, List, Mapping
+
+import rosgraph
 
 from bullet_lab.ros.bridge.device_topics import DeviceTopics
 from bullet_lab.ros.bridge.stepper import Stepper
+from bullet_lab.ros.node.node import TF_PREFIX
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
+from bullet_lab.simulation.world.description import Model
 
 
 @dataclass
@@ -49,3 +53,27 @@ class RunningWorld:
                 listener(name)
 
         self.do(change)
+
+
+def tf_prefix_in(namespace: str) -> str:
+    """Return the tf_prefix that holds in a namespace: its own, or that of one around it."""
+    # The search begins in the namespace of whoever asks.
+    master = rosgraph.Master(f"/{namespace.strip('/')}/robot".replace("//", "/"))
+    try:
+        found = master.searchParam(TF_PREFIX)
+        return str(master.getParam(found)) if found else ""
+    except rosgraph.MasterException:
+        # There is none.
+        return ""
+
+
+def tf_prefixes(model: Model, namespace: str) -> Callable[[str], str]:
+    """Return what gives the tf_prefix for the robotNamespace of each of a model's plugins.
+
+    Args:
+        model: whose plugins they are.
+        namespace: robotNamespace of those that name none.
+    """
+    spaces = {namespace, *(p.tags.get("robotNamespace", "") for p in model.plugins)}
+    prefixes: Dict[str, str] = {space: tf_prefix_in(space) for space in spaces}
+    return lambda space: prefixes.get(space, "")

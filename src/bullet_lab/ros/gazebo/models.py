@@ -12,11 +12,10 @@ import rospy
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.ros.bridge.running_world import RunningWorld
+from bullet_lab.ros.bridge.running_world import RunningWorld, tf_prefixes
 from bullet_lab.ros.gazebo.services import Answer, offer
 from bullet_lab.ros.messages.gazebo import pose_of
 from bullet_lab.ros.messages.gazebo_types import srv
-from bullet_lab.ros.node.tf_prefix import tf_prefixes
 from bullet_lab.simulation.entities import find_model, frame_state
 from bullet_lab.simulation.simulation import ModelInstance
 from bullet_lab.simulation.world.description import Model

@@ -18,6 +18,8 @@ STATUS_CANNOT_GO_ON = 1
 STATUS_BAD_PARAMETER = 2
 MASTER_CHECK_SECONDS = 2.0
 LOCK_STEP = "lock_step"
+# The parameter that keeps the frames of several robots apart, as the tf library finds it.
+TF_PREFIX = "tf_prefix"
 
 REPORT_WAIT_SECONDS = 3.0
 

@@ -1,4 +1,4 @@
-"""Goals and points in whatever frame RViz sends them, brought into another one."""
+"""Frames: their names in a fleet, by tf_prefix, and poses brought from one into another."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import pose_of
 from bullet_lab.ros.node.lock_step import in_lock_step
+from bullet_lab.ros.node.node import TF_PREFIX
 
 # Wall seconds for a transform that nobody has sent yet.
 PATIENCE = 2.0
@@ -99,3 +100,22 @@ class FrameFinder:
 
 def _line(error: Exception) -> str:
     return " ".join(str(error).split())
+
+
+def own_tf_prefix() -> str:
+    """Return what stands before the frames of the node that asks, with its slash, or nothing."""
+    found = rospy.search_param(TF_PREFIX)
+    prefix = str(rospy.get_param(found)).strip("/") if found else ""
+    return f"{prefix}/" if prefix else ""
+
+
+def own_frame(frame: str) -> str:
+    """Return the full name of a frame that the node that asks means.
+
+    As with the tf library, its tf_prefix goes before names that do not begin with a slash; a
+    name that has it already stays.
+    """
+    prefix = own_tf_prefix()
+    if not frame or frame.startswith(("/", prefix)):
+        return frame.lstrip("/")
+    return prefix + frame

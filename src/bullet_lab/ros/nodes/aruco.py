@@ -40,7 +40,7 @@ from bullet_lab.ros.messages.markers import (
 )
 from bullet_lab.ros.node.diagnostics import Health
 from bullet_lab.ros.node.publishers import publisher
-from bullet_lab.ros.node.tf_prefix import own_tf_prefix
+from bullet_lab.ros.node.transforms import own_tf_prefix
 from bullet_lab.ros.nodes.image_node import (
     CameraImage,
     ImageNode,

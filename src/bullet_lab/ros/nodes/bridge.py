@@ -40,7 +40,7 @@ from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.device_topics import DeviceTopics
 from bullet_lab.ros.bridge.lock_step import FOR_EVER, Sent, TimeGate
-from bullet_lab.ros.bridge.running_world import RunningWorld
+from bullet_lab.ros.bridge.running_world import RunningWorld, tf_prefixes
 from bullet_lab.ros.bridge.simulators import answers, refuse_second_simulator
 from bullet_lab.ros.bridge.speed import Pace
 from bullet_lab.ros.bridge.stepper import Reached, Stepper
@@ -54,7 +54,6 @@ from bullet_lab.ros.messages.conversions import (
 )
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.node import private_parameters, run_node
-from bullet_lab.ros.node.tf_prefix import tf_prefixes
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
 from bullet_lab.simulation.simulation import ModelInstance, Simulation

@@ -52,8 +52,7 @@ from bullet_lab.ros.node.lock_step import rate
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.node.parameters import ParameterError
 from bullet_lab.ros.node.publishers import Publisher, publisher
-from bullet_lab.ros.node.tf_prefix import own_frame
-from bullet_lab.ros.node.transforms import FrameError, FrameFinder
+from bullet_lab.ros.node.transforms import FrameError, FrameFinder, own_frame
 from bullet_lab.ros.nodes.dock_errands import DockErrand, Errand, Surroundings, UndockErrand
 from bullet_lab.ros.nodes.dock_goals import (
     GoalError,

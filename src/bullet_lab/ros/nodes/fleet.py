@@ -24,8 +24,7 @@ from bullet_lab.drive.square import MODES, OPEN_LOOP, Square
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.node import parameters
-from bullet_lab.ros.node.node import private_parameters, run_node
-from bullet_lab.ros.node.tf_prefix import PARAMETER as TF_PREFIX
+from bullet_lab.ros.node.node import TF_PREFIX, private_parameters, run_node
 from bullet_lab.ros.nodes.drive_squares import DriveSquares
 from bullet_lab.ros.nodes.populate import description_of
 
