@@ -280,18 +280,6 @@ def _connections(uri: str) -> list:
 # Names of before, for nodes that are in lock step without ~lock_step.
 
 
-class LockStep:
-    """This process's membership, by its name of before."""
-
-    def listen_only(self) -> None:
-        """Join as one that never holds time back: "I am ready, do start"."""
-        _leave_when_known()
-
-    def advance(self, until: rospy.Time, commands: int = 0) -> rospy.Time:
-        """Let simulated time go on and wait until it is there; return what time it is."""
-        return member().advance(until)
-
-
 class CountedPublisher:
     """A publisher, written out at once, whose messages to the bridge are awaited."""
 
@@ -320,10 +308,3 @@ class LockStepRate(Rate):
 
     def _membership(self) -> Member:
         return member()
-
-
-class FreeRate(Rate):
-    """A rate that is not in lock step, whatever ~lock_step says."""
-
-    def _membership(self) -> None:
-        return None
