@@ -22,7 +22,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Set,
 import rospy
 from geometry_msgs.msg import Twist
 
-from bullet_lab.ros.node import parameters
+from bullet_lab.core import parameters
 from bullet_lab.ros.node.node import NodeError, wait_until
 from bullet_lab.srv import Advance, AdvanceRequest, AdvanceResponse
 

@@ -11,8 +11,8 @@ from typing import Callable, Dict, Type, TypeVar
 import rosgraph
 import rospy
 
+from bullet_lab.core.parameters import ParameterError, read_parameters
 from bullet_lab.errors import LabError
-from bullet_lab.ros.node.parameters import ParameterError, read_parameters
 
 STATUS_CANNOT_GO_ON = 1
 STATUS_BAD_PARAMETER = 2
