@@ -146,7 +146,7 @@ def command_delays(count: int) -> List[int]:
     wanted = BridgeParameters(world=WORLD, robot=ROBOT, rtf=1.0)
     bridge = PyBulletBridge(wanted)
     simulation = bridge.simulation
-    device = next(d for d in simulation.models["block_robot"].devices if d.inputs)
+    device = next(d for d in simulation.models["block_robot"].plugins if d.inputs)
     arrivals: List[int] = []
     moved: List[int] = []
     place = simulation.models["block_robot"].pose

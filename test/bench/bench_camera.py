@@ -138,7 +138,7 @@ class Stopwatch:
 
     def __init__(self, bridge: PyBulletBridge, frames: int):
         (robot,) = (m for m in bridge.simulation.models.values() if m.model.name == "camera_robot")
-        (self._camera,) = (d for d in robot.devices if isinstance(d, Camera))
+        (self._camera,) = (d for d in robot.plugins if isinstance(d, Camera))
         self._frames = frames
         self._bare = PyBulletCamera(bridge.simulation, self._camera)
         self.bare: Dict[int, List[float]] = {samples: [] for samples in SAMPLES}

@@ -62,7 +62,7 @@ def message_writer(kind: type) -> Callable[[Any], None]:
 def listen_to_all(robots: List[ModelInstance]) -> None:
     """Have messages made of all that robots measure."""
     for robot in robots:
-        for device in robot.devices:
+        for device in robot.plugins:
             for output in device.outputs:
                 output.connect(message_writer(output.kind))
 
@@ -73,7 +73,7 @@ def scan_milliseconds(robots: int, scans: int) -> List[float]:
     with Simulation.of(WORLD) as simulation:
         fleet = add_fleet(simulation, robots)
         simulation.run_for(0.1)
-        laser = next(d for d in fleet[0].devices for o in d.outputs if "scan" in o.topic)
+        laser = next(d for d in fleet[0].plugins for o in d.outputs if "scan" in o.topic)
         laser.outputs[0].connect(message_writer(laser.outputs[0].kind))
         for number in range(scans):
             start = time.perf_counter()

@@ -20,6 +20,12 @@ class Pose:
     """A pose: `position` in metres and unit `quaternion` (x, y, z, w).
 
     `a * b` is the pose `b`, given in the frame of `a`, seen from the frame that `a` is given in.
+
+    >>> turned = Pose.from_rpy((1.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))
+    >>> [round(value, 9) for value in (turned * Pose((2.0, 0.0, 0.0))).position]
+    [1.0, 2.0, 0.0]
+    >>> round(math.degrees(turned.yaw), 9)
+    90.0
     """
 
     position: Vector = (0.0, 0.0, 0.0)
@@ -74,7 +80,11 @@ class Pose:
         return Pose((-px, -py, -pz), turned_back.quaternion)
 
     def rotate(self, vector: Vector) -> Vector:
-        """Turn a vector given in this pose's frame into the outer frame (no translation)."""
+        """Turn a vector given in this pose's frame into the outer frame (no translation).
+
+        >>> Pose(quaternion=(0.0, 0.0, 1.0, 0.0)).rotate((1.0, 2.0, 3.0))
+        (-1.0, -2.0, 3.0)
+        """
         x, y, z, w = self.quaternion
         vx, vy, vz = vector
         tx = 2.0 * (y * vz - z * vy)
@@ -137,7 +147,11 @@ def subtract(one: Vector, other: Vector) -> Vector:
 
 
 def cross(one: Vector, other: Vector) -> Vector:
-    """Return the vector product of two vectors."""
+    """Return the vector product of two vectors.
+
+    >>> cross((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    (0.0, 0.0, 1.0)
+    """
     return (
         one[1] * other[2] - one[2] * other[1],
         one[2] * other[0] - one[0] * other[2],

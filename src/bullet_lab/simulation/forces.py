@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Callable, List, Union
+from typing import List, Tuple, Union
 
-from bullet_lab.core.pose import Pose, Vector, add, cross
+from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.physics.attached_frame import AttachedFrame
+from bullet_lab.simulation.models import Entity, ModelInstance
 from bullet_lab.simulation.world.description import FrameState
-
-if TYPE_CHECKING:
-    from bullet_lab.simulation.model_instance import ModelInstance
 
 # Beyond this, in N or N m, numbers overflow rather than bodies move.
 STRONGEST = 1e9
@@ -50,8 +47,7 @@ class Period:
 class Wrench:
     """A force in N at the origin of a link's frame, a torque in N m, in the world's axes."""
 
-    instance: ModelInstance
-    frame: AttachedFrame
+    link: Entity
     force: Vector
     torque: Vector
     period: Period
@@ -60,8 +56,7 @@ class Wrench:
     def at_point(
         cls,
         given_in: FrameState,
-        instance: ModelInstance,
-        frame: AttachedFrame,
+        link: Entity,
         force: Vector,
         torque: Vector,
         point: Vector,
@@ -73,15 +68,23 @@ class Wrench:
         """
         turn = Pose(quaternion=given_in.pose.quaternion)
         push, twist = turn.rotate(force), turn.rotate(torque)
-        origin = frame.pose().position
         at = (given_in.pose * Pose(point)).position
-        arm = tuple(a - b for a, b in zip(at, origin))
-        return cls(instance, frame, push, add(twist, cross(arm, push)), period)
+        arm = subtract(at, link.frame.pose().position)
+        return cls(link, push, add(twist, cross(arm, push)), period)
+
+    @property
+    def target(self) -> Tuple[ModelInstance, str]:
+        """The model and the link that it acts on."""
+        return self.link.instance, self.link.frame.link
+
+    def numbers(self) -> Tuple[float, ...]:
+        """Return how strong it is, in N and N m."""
+        return self.force + self.torque
 
     def apply(self) -> None:
         """Push and turn in the coming step."""
-        origin = self.frame.pose().position
-        self.frame.body.push(self.frame.link, self.force, self.torque, origin)
+        frame = self.link.frame
+        frame.body.push(frame.link, self.force, self.torque, frame.pose().position)
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,15 @@ class Effort:
     joint: str
     effort: float
     period: Period
+
+    @property
+    def target(self) -> Tuple[ModelInstance, str]:
+        """The model and the joint that it acts on."""
+        return self.instance, self.joint
+
+    def numbers(self) -> Tuple[float, ...]:
+        """Return how strong it is, in N m or N."""
+        return (self.effort,)
 
     def apply(self) -> None:
         """Turn or push in the coming step."""
@@ -115,9 +127,12 @@ class Forces:
         Raises:
             ForceError: a number that is not finite or absurd, or the model never moves.
         """
-        _check(force)
-        if force.instance.model.static:
-            raise ForceError(f"model '{force.instance.name}' is static: nothing moves it")
+        for number in force.numbers():
+            if not abs(number) <= STRONGEST:
+                raise ForceError(f"a force of {number:g} is not within {STRONGEST:g} N or N m")
+        model = force.target[0].model
+        if model.static:
+            raise ForceError(f"model '{model.name}' is static: nothing moves it")
         self._forces.append(force)
 
     def before_step(self, step: int) -> None:
@@ -133,35 +148,23 @@ class Forces:
 
     def clear_link(self, instance: ModelInstance, link: str) -> None:
         """End all wrenches on a link."""
-        self._keep(
-            lambda force: (
-                not isinstance(force, Wrench)
-                or (force.instance, force.frame.link) != (instance, link)
-            )
-        )
+        self._clear(Wrench, (instance, link))
 
     def clear_joint(self, instance: ModelInstance, joint: str) -> None:
         """End all efforts on a joint."""
-        self._keep(
-            lambda force: (
-                not isinstance(force, Effort) or (force.instance, force.joint) != (instance, joint)
-            )
-        )
+        self._clear(Effort, (instance, joint))
 
     def forget(self, instance: ModelInstance) -> None:
         """End all forces on a model, which is taken away."""
-        self._keep(lambda force: force.instance is not instance)
+        self._forces = [force for force in self._forces if force.target[0] is not instance]
 
     def clear(self) -> None:
         """End all forces."""
         self._forces = []
 
-    def _keep(self, kept: Callable[[Union[Wrench, Effort]], bool]) -> None:
-        self._forces = [force for force in self._forces if kept(force)]
-
-
-def _check(force: Union[Wrench, Effort]) -> None:
-    numbers = force.force + force.torque if isinstance(force, Wrench) else (force.effort,)
-    for number in numbers:
-        if not abs(number) <= STRONGEST:
-            raise ForceError(f"a force of {number:g} is not within {STRONGEST:g} N or N m")
+    def _clear(self, kind: type, target: Tuple[ModelInstance, str]) -> None:
+        self._forces = [
+            force
+            for force in self._forces
+            if not (isinstance(force, kind) and force.target == target)
+        ]

@@ -23,15 +23,14 @@ from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.forces import Forces
-from bullet_lab.simulation.model_instance import ModelInstance, SimulationError, check_pose
-from bullet_lab.simulation.physics.contacts import Contact, TouchedShapes, contacts_of
+from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose
+from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_name
 from bullet_lab.simulation.physics.physics import Body, Physics
-from bullet_lab.simulation.plugins import Device, Mount, known_plugins, make_device
+from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin
 from bullet_lab.simulation.rendering.renderer import Renderer
 from bullet_lab.simulation.rendering.surfaces import check_textures
-from bullet_lab.simulation.world.description import Model, ModelState, Plugin, World
-from bullet_lab.simulation.world.meshes import check_visible_meshes
-from bullet_lab.simulation.world.proportions import check_proportions
+from bullet_lab.simulation.world.description import Model, PluginTag, Snapshot, World
+from bullet_lab.simulation.world.inertia import check_proportions
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
 from bullet_lab.simulation.world.urdf import read_urdf_file
@@ -41,15 +40,6 @@ __all__ = ["ModelInstance", "Simulation", "SimulationError", "Snapshot", "Timer"
 LOG = logging.getLogger(__name__)
 
 TfPrefix = Union[str, Callable[[str], str]]
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """A world at a step: its models, and where all their parts are."""
-
-    world: World
-    step: int
-    models: Tuple[Tuple[Model, ModelState], ...]
 
 
 @dataclass(frozen=True)
@@ -80,14 +70,14 @@ class Simulation:
         self.step = 0
         self._physics = Physics(self.world.gravity)
         self._instances: Dict[str, ModelInstance] = {}
-        # Names of the models by the unique ids of their bodies.
+        # Names of the models, and their bodies, by the bodies' unique ids.
         self._owners: Dict[int, str] = {}
-        self._touched_shapes = TouchedShapes(lambda body: self._instances[self._owners[body]])
-        self._acting: List[Device] = []
-        self._measuring: List[Union[Device, Timer]] = []
-        self._timers: List[Union[Device, Timer]] = []
+        self._bodies: Dict[int, Body] = {}
+        self._acting: List[Plugin] = []
+        self._measuring: List[Union[Plugin, Timer]] = []
+        self._timers: List[Union[Plugin, Timer]] = []
         self._on_failure: Optional[Callable[[str, LabError], None]] = None
-        self._spent: Dict[Union[Device, Timer], float] = {}
+        self._spent: Dict[Union[Plugin, Timer], float] = {}
         self.forces = Forces()
         try:
             for model in self.world.models:
@@ -184,19 +174,23 @@ class Simulation:
         check_proportions(model)
         plugins = tuple(_in_namespace(plugin, namespace) for plugin in model.plugins)
         model = replace(model, name=name, pose=pose or model.pose, plugins=plugins)
-        check_visible_meshes(model)
+        for link in model.links:
+            for visual in link.visuals:
+                # Refuses a mesh that could not be drawn.
+                visual.geometry.bounds()
         check_textures(model)
         bodies = self._physics.add(model)
         try:
-            devices = self._make_devices(model, bodies, tf_prefix)
+            plugins = self._make_plugins(model, bodies, tf_prefix)
         except LabError:
             self._physics.remove(bodies)
             raise
-        instance = ModelInstance(model, bodies, devices)
+        instance = ModelInstance(model, bodies, plugins)
         self._instances[name] = instance
-        self._owners.update((body.unique_id, name) for body in bodies.values())
-        self._acting.extend(device for device in devices if device.acts)
-        self._measuring.extend(device for device in devices if device.schedule is not None)
+        for body in bodies.values():
+            self._owners[body.unique_id], self._bodies[body.unique_id] = name, body
+        self._acting.extend(plugin for plugin in plugins if plugin.acts)
+        self._measuring.extend(plugin for plugin in plugins if plugin.schedule is not None)
         return instance
 
     def remove(self, name: str) -> None:
@@ -206,12 +200,12 @@ class Simulation:
             raise SimulationError(f"there is no model '{name}'")
         self._physics.remove(instance.bodies)
         self.forces.forget(instance)
-        for device in instance.devices:
-            self._spent.pop(device, None)
+        for plugin in instance.plugins:
+            self._spent.pop(plugin, None)
         for body in instance.bodies.values():
-            del self._owners[body.unique_id]
-        self._acting = [d for d in self._acting if d not in instance.devices]
-        self._measuring = [d for d in self._measuring if d not in instance.devices]
+            del self._owners[body.unique_id], self._bodies[body.unique_id]
+        self._acting = [p for p in self._acting if p not in instance.plugins]
+        self._measuring = [p for p in self._measuring if p not in instance.plugins]
 
     def contacts(self, name: str) -> Dict[str, Contact]:
         """Return what a model touched in the last step, by the other models' names.
@@ -221,10 +215,9 @@ class Simulation:
         Raises:
             SimulationError: there is no such model.
         """
-        instance = self._instances.get(name)
-        if instance is None:
+        if name not in self._instances:
             raise SimulationError(f"there is no model '{name}'")
-        return contacts_of(instance.bodies.values(), self._owners, name)
+        return contacts_of(self._instances[name].bodies.values(), self._owners, name)
 
     def set_gravity(self, gravity: Vector) -> None:
         """Change gravity, in m/s²; raises SimulationError for what is not finite."""
@@ -233,8 +226,8 @@ class Simulation:
         self.world = replace(self.world, gravity=gravity)
         self._physics.set_gravity(gravity)
         for instance in self._instances.values():
-            for device in instance.devices:
-                device.gravity = -gravity[2]
+            for plugin in instance.plugins:
+                plugin.gravity = -gravity[2]
 
     def snapshot(self) -> Snapshot:
         """Return all that makes up the present state, to be written by whoever has time."""
@@ -242,7 +235,7 @@ class Simulation:
         return Snapshot(self.world, self.step, models)
 
     def every(self, rate: float, call: Callable[[int], None]) -> None:
-        """Call `call(step)` `rate` times per simulated second, before devices send theirs.
+        """Call `call(step)` `rate` times per simulated second, before plugins send theirs.
 
         Raises:
             ScheduleError: the rate is not within 0 … 1000 Hz.
@@ -250,11 +243,11 @@ class Simulation:
         self._timers.append(Timer(Schedule(rate, self.step), call))
 
     def go_on_after(self, failed: Callable[[str, LabError], None]) -> None:
-        """Go on where a device cannot measure, as a camera without a driver to draw with.
+        """Go on where a plugin cannot measure, as a camera without a driver to draw with.
 
         Args:
-            failed: is told the device's name and the reason, each time. Without this, `run_until`
-                raises what the device raises.
+            failed: is told the plugin's name and the reason, each time. Without this, `run_until`
+                raises what the plugin raises.
         """
         self._on_failure = failed
 
@@ -288,8 +281,8 @@ class Simulation:
         """Put all models back to where they were added; time goes on."""
         for instance in self._instances.values():
             instance.place(instance.model.pose)
-            for device in instance.devices:
-                device.reset(self.step)
+            for plugin in instance.plugins:
+                plugin.reset(self.step)
 
     def reset_simulation(self) -> None:
         """Put all models back and let time start again at 0."""
@@ -299,7 +292,7 @@ class Simulation:
         for timer in self._timers + self._measuring:
             timer.schedule.restart(0)
 
-    def _produce(self, timer: Union[Device, Timer]) -> None:
+    def _produce(self, timer: Union[Plugin, Timer]) -> None:
         try:
             timer.produce(self.step)
         except LabError as error:
@@ -309,7 +302,7 @@ class Simulation:
 
     def _march(self, stop: int) -> None:
         """Advance the physics; this is the loop that decides the speed."""
-        acting: List[Callable[[int], None]] = [d.before_step for d in self._acting]
+        acting: List[Callable[[int], None]] = [plugin.before_step for plugin in self._acting]
         if self.forces.active:
             acting.append(self.forces.before_step)
         advance = self._physics.step
@@ -322,54 +315,44 @@ class Simulation:
         self.step = step
 
     def _mount(
-        self, model: Model, bodies: Mapping[str, Body], plugin: Plugin, tf_prefix: TfPrefix
+        self, model: Model, bodies: Mapping[str, Body], tag: PluginTag, tf_prefix: TfPrefix
     ) -> Mount:
-        gravity = -self.world.gravity[2]
         if callable(tf_prefix):
-            tf_prefix = tf_prefix(plugin.tags.get("robotNamespace", ""))
-        return Mount(
-            model,
-            bodies,
-            plugin,
-            gravity,
-            self.seed,
-            tf_prefix,
-            self.renderer,
-            self._touched_shapes.name,
-        )
+            tf_prefix = tf_prefix(tag.tags.get("robotNamespace", ""))
+        gravity, name_shape = -self.world.gravity[2], self._shape_name
+        return Mount(model, bodies, tag, gravity, self.seed, tf_prefix, self.renderer, name_shape)
 
-    def _make_devices(
+    def _shape_name(self, unique_id: int, index: int, place: Vector) -> str:
+        return shape_name(self._owners[unique_id], self._bodies[unique_id], index, place)
+
+    def _make_plugins(
         self, model: Model, bodies: Mapping[str, Body], tf_prefix: TfPrefix
-    ) -> Tuple[Device, ...]:
-        devices = []
-        for plugin in model.plugins:
-            device = make_device(self._mount(model, bodies, plugin, tf_prefix))
-            if device is None:
-                LOG.warning(
-                    "model '%s': plugin '%s' (%s) is not simulated and skipped; known are %s",
-                    model.name,
-                    plugin.name,
-                    plugin.filename,
-                    ", ".join(known_plugins()),
-                )
-            else:
-                device.reset(self.step)
-                if device.schedule is not None:
-                    device.schedule.restart(self.step)
-                devices.append(device)
-                for tag in device.mount.unread_tags():
-                    LOG.warning("%s is not known and skipped", device.mount.where(tag))
-        return tuple(devices)
+    ) -> Tuple[Plugin, ...]:
+        plugins = []
+        for tag in model.plugins:
+            plugin = make_plugin(self._mount(model, bodies, tag, tf_prefix))
+            if plugin is None:
+                known = ", ".join(known_plugins())
+                what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
+                LOG.warning("%s is not simulated and skipped; known are %s", what, known)
+                continue
+            plugin.reset(self.step)
+            if plugin.schedule is not None:
+                plugin.schedule.restart(self.step)
+            plugins.append(plugin)
+            for unread in plugin.mount.unread_tags():
+                LOG.warning("%s is not known and skipped", plugin.mount.where(unread))
+        return tuple(plugins)
 
 
-def _name_of(timer: Union[Device, Timer]) -> str:
+def _name_of(timer: Union[Plugin, Timer]) -> str:
     """Name in messages what takes its time."""
     if isinstance(timer, Timer):
         return "clock and states"
     return f"plugin '{timer.mount.plugin.name}' of '{timer.mount.model.name}'"
 
 
-def _in_namespace(plugin: Plugin, namespace: str) -> Plugin:
-    if not namespace or plugin.tags.get("robotNamespace"):
-        return plugin
-    return replace(plugin, tags={**plugin.tags, "robotNamespace": namespace})
+def _in_namespace(tag: PluginTag, namespace: str) -> PluginTag:
+    if not namespace or tag.tags.get("robotNamespace"):
+        return tag
+    return replace(tag, tags={**tag.tags, "robotNamespace": namespace})

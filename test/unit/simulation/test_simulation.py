@@ -23,7 +23,7 @@ from bullet_lab.simulation.world.description import (
     Link,
     Mesh,
     Model,
-    Plugin,
+    PluginTag,
     Visual,
     World,
 )
@@ -208,18 +208,18 @@ def test_half_a_model_does_not_stay(world, tmp_path):
 
 
 def test_unknown_plugins_are_named_once_and_skipped(world, caplog):
-    known = Plugin("libgazebo_ros_joint_state_publisher", "states", {})
-    unknown = Plugin("libgazebo_ros_teleporter.so", "beam", {})
+    known = PluginTag("libgazebo_ros_joint_state_publisher", "states", {})
+    unknown = PluginTag("libgazebo_ros_teleporter.so", "beam", {})
     robot = world.add(thing(plugins=(unknown, known)))
     world.run_for(0.1)
     (record,) = caplog.records
     assert record.levelname == "WARNING"
     assert "model 'cube': plugin 'beam' (libgazebo_ros_teleporter.so)" in record.getMessage()
-    assert len(robot.devices) == 1
+    assert len(robot.plugins) == 1
 
 
 def test_planar_move_on_what_cannot_move_is_refused(world):
-    plugin = Plugin("libgazebo_ros_planar_move.so", "move", {})
+    plugin = PluginTag("libgazebo_ros_planar_move.so", "move", {})
     with pytest.raises(LabError, match="model 'cube': planar_move on what cannot move"):
         world.add(thing(plugins=(plugin,), static=True))
     assert "cube" not in world.models

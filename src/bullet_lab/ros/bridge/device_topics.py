@@ -20,7 +20,7 @@ from bullet_lab.ros.bridge.stepper import Stepper, StepperError
 from bullet_lab.ros.messages.conversions import INPUT_CONVERTERS, OUTPUT_CONVERTERS
 from bullet_lab.ros.node.node import Refusals
 from bullet_lab.ros.node.publishers import BatchPublisher, lossless_publisher
-from bullet_lab.simulation.plugins import DeviceError, Input, Output
+from bullet_lab.simulation.plugins import Input, Output, PluginError
 from bullet_lab.simulation.simulation import ModelInstance
 
 # Messages that wait for a slow subscriber while time follows the wall clock.
@@ -92,7 +92,7 @@ class DeviceTopics:
         """Connect all devices of a model; raises TopicError for a topic that cannot be."""
         _check_topics(instance)
         self._instances[instance.name] = instance
-        for device in instance.devices:
+        for device in instance.plugins:
             for output in device.outputs:
                 self._connect_output(output)
             for entry in device.inputs:
@@ -101,7 +101,7 @@ class DeviceTopics:
     def disconnect(self, name: str) -> None:
         """Give up what a model had on ROS; nothing happens where it had nothing."""
         instance = self._instances.pop(name, None)
-        for device in () if instance is None else instance.devices:
+        for device in () if instance is None else instance.plugins:
             for output in device.outputs:
                 self.release(output.topic)
             for entry in device.inputs:
@@ -154,7 +154,7 @@ class DeviceTopics:
         for entry in inputs:
             try:
                 entry.handle(command)
-            except DeviceError as error:
+            except PluginError as error:
                 self._refusals.refuse(entry.topic, str(error))
 
 
@@ -225,7 +225,7 @@ class _Routes:
 
 def _check_topics(instance: ModelInstance) -> None:
     # rospy would register the topic, and nobody could ever listen to it.
-    for device in instance.devices:
+    for device in instance.plugins:
         for entry in (*device.outputs, *device.inputs):
             if not entry.topic or not rosgraph.names.is_legal_name(entry.topic):
                 raise TopicError(f"model '{instance.name}': no topic is called '{entry.topic}'")

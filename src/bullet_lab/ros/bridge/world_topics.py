@@ -17,8 +17,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.msg import TouchedModels
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
-from bullet_lab.ros.messages.conversions import pose_message
-from bullet_lab.ros.messages.stamps import set_time
+from bullet_lab.ros.messages.poses import pose_message, set_time
 from bullet_lab.ros.messages.world import deleted_markers, world_markers
 from bullet_lab.ros.node.publishers import BatchPublisher, Publisher
 from bullet_lab.simulation.plugins.samples import OdometrySample
@@ -193,7 +192,7 @@ def _places_of_frames(instance: Optional[ModelInstance]) -> Dict[str, Pose]:
         return {}
     return {
         device.frame: getattr(device, "origin", Pose())
-        for device in instance.devices
+        for device in instance.plugins
         if any(output.kind is OdometrySample for output in device.outputs)
     }
 
@@ -240,7 +239,7 @@ class TouchCounter:
         """Begin or end to watch a model, or all with an empty name."""
         for model in [name] if name else {*self._world.models, *self._watched}:
             instance = self._world.models.get(model)
-            takes_commands = instance is not None and any(d.inputs for d in instance.devices)
+            takes_commands = instance is not None and any(d.inputs for d in instance.plugins)
             if takes_commands and model not in self._watched:
                 topic = f"{_namespace(instance)}{TOUCHED}"
                 publisher = self._world.topics.publisher(topic, TouchedModels)
@@ -273,7 +272,7 @@ class TouchCounter:
 
 def _namespace(instance: ModelInstance) -> str:
     """Return the namespace of the first device that takes commands, with its slash, or nothing."""
-    first = next(device for device in instance.devices if device.inputs)
+    first = next(device for device in instance.plugins if device.inputs)
     namespace = first.mount.text("robotNamespace").strip("/")
     return f"/{namespace}" if namespace else ""
 

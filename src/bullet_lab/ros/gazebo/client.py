@@ -1,13 +1,32 @@
-"""Calling the services of a running simulator, this package's or Gazebo."""
+"""Clients of a running simulator: its services, this package's or Gazebo's, and what stands where.
+
+The latter follows from the markers that the bridge shows.
+"""
 
 from __future__ import annotations
 
+import math
 import re
-from typing import Any, Iterable, List
+import threading
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, Dict, Iterable, List, Optional, Tuple
 
+import numpy as np
 import rospy
+from visualization_msgs.msg import Marker, MarkerArray
 
+from bullet_lab.core.pose import Vector
+from bullet_lab.errors import LabError
+from bullet_lab.ros.messages.poses import pose_of
 from bullet_lab.ros.node.node import NodeError, wait_until
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.shapes import Box, Mesh
+
+# Markers of all shapes in the world.
+WORLD = "/bullet_lab/world"
+# What rises less than this (m) above the floor is floor.
+FLOOR = 0.02
 
 
 def call(service: str, kind: type, *arguments: Any) -> Any:
@@ -39,5 +58,98 @@ def _is_offered(service: str) -> bool:
 
 def numbered(names: Iterable[str], name: str) -> List[str]:
     """Return those names that are `name`, an underscore and a number."""
-    wanted = re.compile(rf"{re.escape(name)}_\d+")
-    return [found for found in names if wanted.fullmatch(found)]
+    pattern = re.compile(rf"{re.escape(name)}_\d+")
+    return [found for found in names if pattern.fullmatch(found)]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """The box around a shape.
+
+    Attributes:
+        least: x, y, z of its lower corner in the world, m.
+        greatest: of its upper corner.
+        origin: x, y, z of the shape itself.
+    """
+
+    least: Vector
+    greatest: Vector
+    origin: Vector
+
+    def distance(self, x: float, y: float) -> float:
+        """Return how far (m) a point of the floor is from it, 0 below it."""
+        dx = max(self.least[0] - x, 0.0, x - self.greatest[0])
+        dy = max(self.least[1] - y, 0.0, y - self.greatest[1])
+        return math.hypot(dx, dy)
+
+
+class StandingModels:
+    """Keeps the shapes of all models, by the markers' namespaces and numbers.
+
+    Thread-safe: messages come in threads of rospy.
+    """
+
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._shapes: Dict[Tuple[str, int], Standing] = {}
+        self._known = False
+
+    def take(self, message: MarkerArray) -> None:
+        """Take note of shapes that came, moved or went."""
+        with self._lock:
+            self._known = True
+            for marker in message.markers:
+                if marker.action == Marker.DELETEALL:
+                    self._shapes.clear()
+                elif marker.action == Marker.DELETE:
+                    self._shapes.pop((marker.ns, marker.id), None)
+                else:
+                    self._shapes[marker.ns, marker.id] = standing(marker)
+
+    def is_known(self) -> bool:
+        """Return whether anything has been told yet."""
+        return self._known
+
+    def names(self) -> Tuple[str, ...]:
+        """Return the names of the models."""
+        with self._lock:
+            return tuple(sorted({name for name, _ in self._shapes}))
+
+    def origin(self, name: str) -> Optional[Vector]:
+        """Return where (m) a model's first shape is; None if there is no such model."""
+        with self._lock:
+            numbers = [number for model, number in self._shapes if model == name]
+            return self._shapes[name, min(numbers)].origin if numbers else None
+
+    def nearest(self, x: float, y: float) -> Tuple[str, float]:
+        """Return the nearest model that rises above the floor, and its distance in m."""
+        with self._lock:
+            found: List[Tuple[float, str]] = [
+                (shape.distance(x, y), name)
+                for (name, _), shape in self._shapes.items()
+                if shape.greatest[2] > FLOOR
+            ]
+        distance, name = min(found, default=(math.inf, ""))
+        return name, distance
+
+
+def standing(marker: Marker) -> Standing:
+    """Return the box around a marker's shape; that around its origin if nobody knows its size."""
+    pose = pose_of(marker.pose.position, marker.pose.orientation)
+    corners = np.array([pose.rotate(corner) for corner in product(*_bounds(marker).T.tolist())])
+    corners += np.array(pose.position)
+    least, greatest = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+    return Standing(tuple(least), tuple(greatest), pose.position)
+
+
+def _bounds(marker: Marker) -> np.ndarray:
+    """Return the least and the greatest corner of a shape in its own frame, (2, 3)."""
+    scale = (marker.scale.x, marker.scale.y, marker.scale.z)
+    if marker.type != Marker.MESH_RESOURCE:
+        return Box(scale).bounds()
+    try:
+        path = ResourceFinder.anywhere().find(marker.mesh_resource)
+        return Mesh(path, marker.mesh_resource, scale).bounds()
+    except LabError as error:
+        rospy.logwarn_once("a mesh whose size nobody knows: %s", error)
+        return np.zeros((2, 3))

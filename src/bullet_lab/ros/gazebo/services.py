@@ -3,14 +3,36 @@
 from __future__ import annotations
 
 import traceback
+from functools import partial
 from typing import Any, Callable, Dict
 
 import rospy
 
 from bullet_lab.errors import LabError
+from bullet_lab.ros.bridge.running_world import RunningWorld
 
 # Fields of a response besides success and status_message.
 Answer = Dict[str, Any]
+
+
+def between_steps(world: RunningWorld, answer: Callable[[Any], Answer]) -> Callable[[Any], Answer]:
+    """Return what answers a request between two steps of the simulation."""
+    return lambda request: world.do(partial(answer, request))
+
+
+def changing(world: RunningWorld, change: Callable[[Any], str]) -> Callable[[Any], Answer]:
+    """Return what answers a request by a change between two steps, and tells who shows the world.
+
+    Args:
+        world: that is changed.
+        change: takes the request and returns the name of the model that it has changed.
+    """
+
+    def answer(request: Any) -> Answer:
+        world.change(partial(change, request))
+        return {}
+
+    return answer
 
 
 def offer(

@@ -3,9 +3,9 @@
 /gazebo/get_model_state, set_model_state, get_link_state, set_link_state,
 set_model_configuration; the topics /gazebo/set_model_state and set_link_state.
 
-They are made while somebody listens, `rate` times per simulated second. In between, whoever
-subscribes is told at once how things are, and everybody when something was added, taken away
-or put elsewhere: so they are of use while time stands still, too.
+/gazebo/model_states and link_states are made while somebody listens, `rate` times per simulated
+second. In between, whoever subscribes is told at once how things are, and everybody when something
+was added, taken away or put elsewhere: so they are of use while time stands still, too.
 """
 
 from __future__ import annotations
@@ -18,12 +18,18 @@ import rospy
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
-from bullet_lab.ros.gazebo.services import Answer, offer
-from bullet_lab.ros.messages.conversions import pose_message, set_time
-from bullet_lab.ros.messages.gazebo import MessageError, set_state, state_of, twist_message
+from bullet_lab.ros.gazebo.services import Answer, between_steps, changing, offer
 from bullet_lab.ros.messages.gazebo_types import msg, srv
+from bullet_lab.ros.messages.poses import (
+    InputError,
+    pose_message,
+    set_state,
+    set_time,
+    state_of,
+    twist_message,
+)
 from bullet_lab.ros.node.node import Refusals
-from bullet_lab.simulation.entities import (
+from bullet_lab.simulation.models import (
     Entity,
     find_link,
     find_model,
@@ -44,41 +50,43 @@ class GazeboStates:
     def __init__(self, world: RunningWorld):
         self._world = world
         self._refusals = Refusals()
+        set_model_state = changing(world, self._set_model_state)
+        set_link_state = changing(world, self._set_link_state)
         self.services = [
             offer(
                 "get_model_state",
                 srv.GetModelState,
-                self._get_model_state,
+                between_steps(world, self._get_model_state),
                 "GetModelState: got properties",
             ),
             offer(
                 "set_model_state",
                 srv.SetModelState,
-                lambda request: self._set_model_state(request.model_state),
+                lambda request: set_model_state(request.model_state),
                 "SetModelState: set model state done",
             ),
             offer(
                 "get_link_state",
                 srv.GetLinkState,
-                self._get_link_state,
+                between_steps(world, self._get_link_state),
                 "GetLinkState: got state",
             ),
             offer(
                 "set_link_state",
                 srv.SetLinkState,
-                lambda request: self._set_link_state(request.link_state),
+                lambda request: set_link_state(request.link_state),
                 "SetLinkState: success",
             ),
             offer(
                 "set_model_configuration",
                 srv.SetModelConfiguration,
-                self._set_model_configuration,
+                changing(world, self._set_model_configuration),
                 "SetModelConfiguration: success",
             ),
         ]
         self.subscribers = [
-            self._listen("set_model_state", msg.ModelState, self._set_model_state),
-            self._listen("set_link_state", msg.LinkState, self._set_link_state),
+            self._listen("set_model_state", msg.ModelState, set_model_state),
+            self._listen("set_link_state", msg.LinkState, set_link_state),
         ]
 
     def _listen(self, name: str, kind: type, take: Callable[[Any], Answer]) -> rospy.Subscriber:
@@ -97,66 +105,43 @@ class GazeboStates:
         return rospy.Subscriber(topic, kind, receive, queue_size=QUEUE_SIZE, tcp_nodelay=True)
 
     def _get_model_state(self, request: Any) -> Answer:
-        def look() -> Answer:
-            models = self._world.models
-            state = model_entity(find_model(models, request.model_name)).state()
-            frame = frame_state(models, request.relative_entity_name)
-            response = srv.GetModelStateResponse()
-            set_time(response.header.stamp, self._world.simulation.step)
-            response.header.frame_id = request.relative_entity_name or "world"
-            set_state(response, relative_to(frame, state))
-            return {key: getattr(response, key) for key in ("header", "pose", "twist")}
-
-        return self._world.do(look)
-
-    def _set_model_state(self, wanted: Any) -> Answer:
-        state = state_of(wanted)
-
-        def change() -> str:
-            models = self._world.models
-            instance = find_model(models, wanted.model_name)
-            placed = in_world(frame_state(models, wanted.reference_frame), state)
-            instance.move(placed.pose, placed.linear, placed.angular)
-            return instance.name
-
-        self._world.change(change)
-        return {}
+        models = self._world.models
+        state = model_entity(find_model(models, request.model_name)).state()
+        frame = frame_state(models, request.relative_entity_name)
+        response = srv.GetModelStateResponse()
+        set_time(response.header.stamp, self._world.simulation.step)
+        response.header.frame_id = request.relative_entity_name or "world"
+        set_state(response, relative_to(frame, state))
+        return {key: getattr(response, key) for key in ("header", "pose", "twist")}
 
     def _get_link_state(self, request: Any) -> Answer:
-        def look() -> Answer:
-            models = self._world.models
-            state = find_link(models, request.link_name).state()
-            frame = frame_state(models, request.reference_frame)
-            message = msg.LinkState(link_name=request.link_name)
-            message.reference_frame = request.reference_frame or "world"
-            set_state(message, relative_to(frame, state))
-            return {"link_state": message}
+        models = self._world.models
+        state = find_link(models, request.link_name).state()
+        frame = frame_state(models, request.reference_frame)
+        message = msg.LinkState(link_name=request.link_name)
+        message.reference_frame = request.reference_frame or "world"
+        set_state(message, relative_to(frame, state))
+        return {"link_state": message}
 
-        return self._world.do(look)
+    def _set_model_state(self, message: Any) -> str:
+        state, models = state_of(message), self._world.models
+        instance = find_model(models, message.model_name)
+        placed = in_world(frame_state(models, message.reference_frame), state)
+        instance.move(placed.pose, placed.linear, placed.angular)
+        return instance.name
 
-    def _set_link_state(self, wanted: Any) -> Answer:
-        state = state_of(wanted)
+    def _set_link_state(self, message: Any) -> str:
+        state, models = state_of(message), self._world.models
+        link = find_link(models, message.link_name)
+        move_link(link, in_world(frame_state(models, message.reference_frame), state))
+        return link.instance.name
 
-        def change() -> str:
-            models = self._world.models
-            link = find_link(models, wanted.link_name)
-            move_link(link, in_world(frame_state(models, wanted.reference_frame), state))
-            return link.instance.name
-
-        self._world.change(change)
-        return {}
-
-    def _set_model_configuration(self, request: Any) -> Answer:
+    def _set_model_configuration(self, request: Any) -> str:
         if len(request.joint_names) != len(request.joint_positions):
-            raise MessageError("joint name and position list have different lengths")
-        wanted = dict(zip(request.joint_names, request.joint_positions))
-
-        def change() -> str:
-            find_model(self._world.models, request.model_name).configure(wanted)
-            return request.model_name
-
-        self._world.change(change)
-        return {}
+            raise InputError("joint name and position list have different lengths")
+        positions = dict(zip(request.joint_names, request.joint_positions))
+        find_model(self._world.models, request.model_name).configure(positions)
+        return request.model_name
 
 
 Named = Tuple[str, Entity]

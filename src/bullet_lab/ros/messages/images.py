@@ -1,24 +1,26 @@
-"""Images and their geometry: as messages, as arrays, as samples of the simulation."""
+"""Images and their geometry: from messages to arrays and cameras, and back."""
 
 from __future__ import annotations
 
+import math
 from typing import Tuple
 
 import cv2
 import cv_bridge
 import numpy as np
 from geometry_msgs.msg import Point32
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
+from bullet_lab.core.pinhole import PinholeCamera, PinholeError
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ImagePoints
-from bullet_lab.ros.messages.stamps import set_time
-from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
 from bullet_lab.vision.images import LEAST_EDGE
 
 _LARGEST_EDGE = 16384
 _BRIDGE = cv_bridge.CvBridge()
+_NO_DISTORTION = (0.0,) * 5
+_ALLOWED_SKEW = 1e-6
 
 
 class ImageError(LabError):
@@ -67,91 +69,61 @@ def points_message(header: Header, shape: Tuple[int, int], points: np.ndarray) -
     return ImagePoints(header, width, height, [Point32(u, v, s) for u, v, s in points])
 
 
-class ImageConverter:
-    """ImageSample to sensor_msgs/Image."""
-
-    message_kind = Image
-
-    def __init__(self):
-        self._message = Image()
-
-    def convert(self, sample: ImageSample) -> Image:
-        """Return the message, which the next call overwrites."""
-        message = self._message
-        set_time(message.header.stamp, sample.step)
-        message.header.frame_id = sample.frame
-        message.encoding = sample.encoding
-        message.height, message.width = sample.pixels.shape[:2]
-        message.step = sample.pixels.nbytes // message.height
-        message.data = sample.pixels.tobytes()
-        return message
+class CameraGeometryError(LabError):
+    """A camera_info message that says nothing of use about the image."""
 
 
-class CameraInfoConverter:
-    """CameraInfoSample to sensor_msgs/CameraInfo."""
+def camera_of(info: CameraInfo, width: int, height: int, rectified: bool = False) -> PinholeCamera:
+    """Return the geometry of an image.
 
-    message_kind = CameraInfo
+    Args:
+        info: belongs to the image.
+        width: of the image that has come, px.
+        height: of it, px.
+        rectified: the image is a rectified one: P holds, and there is no distortion.
 
-    def __init__(self):
-        self._message = CameraInfo(distortion_model="plumb_bob")
-        self._message.R = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-
-    def convert(self, sample: CameraInfoSample) -> CameraInfo:
-        """Return the message, which the next call overwrites."""
-        message, camera = self._message, sample.camera
-        set_time(message.header.stamp, sample.step)
-        message.header.frame_id = sample.frame
-        message.width, message.height = camera.width, camera.height
-        message.D = list(camera.distortion)
-        message.K = camera.matrix.ravel().tolist()
-        shift = 0.0 - camera.fx * sample.baseline
-        message.P = [camera.fx, 0.0, camera.cx, shift, 0.0, camera.fy, camera.cy, 0.0]
-        message.P += [0.0, 0.0, 1.0, 0.0]
-        return message
-
-
-# As PCL's PointXYZRGB lies in memory, and Gazebo's messages.
-POINT = np.dtype(
-    {
-        "names": ["x", "y", "z", "rgb"],
-        "formats": ["<f4", "<f4", "<f4", "<u4"],
-        "offsets": [0, 4, 8, 16],
-        "itemsize": 32,
-    }
-)
-
-
-class PointsConverter:
-    """PointsSample to sensor_msgs/PointCloud2, a row of points for each row of pixels.
-
-    The colour is 0x00rrggbb, declared as a float, as PCL has it.
+    Raises:
+        CameraGeometryError: nothing there (a zero K), not finite, of another size, binned, or
+            with a lens that the pinhole camera has no numbers for.
     """
+    numbers = info.P if rectified else info.K
+    name = "P" if rectified else "K"
+    if not all(map(math.isfinite, (*numbers, *info.D))):
+        raise CameraGeometryError(f"camera_info has numbers in {name} or D that are not finite")
+    if not any(numbers):
+        raise CameraGeometryError(f"camera_info has a zero {name}: the camera is not calibrated")
+    row = 4 if rectified else 3
+    fx, skew, cx, fy, cy = numbers[0], numbers[1], numbers[2], numbers[row + 1], numbers[row + 2]
+    if abs(skew) > _ALLOWED_SKEW * abs(fx) or numbers[row] or numbers[2 * row + 2] != 1.0:
+        raise CameraGeometryError(f"camera_info has a {name} that is no pinhole camera's")
+    left, top = _region(info, width, height)
+    distortion = _NO_DISTORTION if rectified else _distortion(info)
+    try:
+        return PinholeCamera(width, height, fx, fy, cx - left, cy - top, distortion)
+    except PinholeError as error:
+        raise CameraGeometryError(f"camera_info: {error}") from error
 
-    message_kind = PointCloud2
 
-    def __init__(self):
-        self._message = PointCloud2(is_bigendian=False, point_step=POINT.itemsize)
-        self._message.fields = [
-            PointField(name, POINT.fields[name][1], PointField.FLOAT32, 1) for name in POINT.names
-        ]
-        self._points = np.zeros((0, 0), POINT)
+def _region(info: CameraInfo, width: int, height: int) -> Tuple[int, int]:
+    """Return where the image begins in what K is about, px."""
+    if info.binning_x > 1 or info.binning_y > 1:
+        binning = f"{info.binning_x} x {info.binning_y}"
+        raise CameraGeometryError(f"camera_info has {binning} binning, which is not supported")
+    region = info.roi
+    size = (info.width, info.height)
+    if region.width or region.height:
+        size = (region.width or info.width, region.height or info.height)
+    if size != (width, height):
+        described = f"{size[0]} x {size[1]}"
+        raise CameraGeometryError(f"camera_info is about {described} px, not {width} x {height}")
+    return region.x_offset, region.y_offset
 
-    def convert(self, sample: PointsSample) -> PointCloud2:
-        """Return the message, which the next call overwrites."""
-        message = self._message
-        set_time(message.header.stamp, sample.step)
-        message.header.frame_id = sample.frame
-        message.height, message.width = sample.points.shape[:2]
-        message.row_step = message.width * message.point_step
-        message.is_dense = bool(np.isfinite(sample.points[..., 2]).all())
-        message.data = self._packed(sample).tobytes()
-        return message
 
-    def _packed(self, sample: PointsSample) -> np.ndarray:
-        points, colours = self._points, sample.colours.astype(np.uint32)
-        if points.shape != sample.points.shape[:2]:
-            points = self._points = np.zeros(sample.points.shape[:2], POINT)
-        for axis, name in enumerate("xyz"):
-            points[name] = sample.points[..., axis]
-        points["rgb"] = colours[..., 0] << 16 | colours[..., 1] << 8 | colours[..., 2]
-        return points
+def _distortion(info: CameraInfo) -> Tuple[float, ...]:
+    values = tuple(info.D)
+    if not any(values):
+        return _NO_DISTORTION
+    if info.distortion_model != "plumb_bob" or len(values) not in (4, 5):
+        kind = f"'{info.distortion_model}' with {len(values)} numbers"
+        raise CameraGeometryError(f"camera_info has the lens {kind}, only plumb_bob is known")
+    return (*values, 0.0)[:5]

@@ -1,19 +1,58 @@
-"""Poses of messages that come from outside, read with care."""
+"""Times, poses and velocities in messages: written from plain data, and read with care."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Tuple
 
-from bullet_lab.core.pose import Pose
+import genpy
+from geometry_msgs.msg import Pose as PoseMessage
+from geometry_msgs.msg import Twist
+
+from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
+from bullet_lab.simulation.world.description import FrameState
 
+NANOSECONDS_PER_STEP = 1_000_000_000 // STEPS_PER_SECOND
 # A quaternion that is off by more than this is no rotation but a mistake, such as all zeros.
 NORM_TOLERANCE = 1e-2
 
 
 class InputError(LabError):
-    """A message that docking cannot use."""
+    """A message that cannot be used."""
+
+
+def set_time(stamp: genpy.Time, step: int) -> None:
+    """Set a stamp to the simulated time of a step."""
+    stamp.secs, rest = divmod(step, STEPS_PER_SECOND)
+    stamp.nsecs = rest * NANOSECONDS_PER_STEP
+
+
+def time_of(step: int) -> genpy.Time:
+    """Return the simulated time of a step."""
+    stamp = genpy.Time()
+    set_time(stamp, step)
+    return stamp
+
+
+def first_step_at(stamp: genpy.Time) -> int:
+    """Return the first step at or after a simulated time."""
+    return stamp.secs * STEPS_PER_SECOND - (-stamp.nsecs // NANOSECONDS_PER_STEP)
+
+
+def pose_message(pose: Pose) -> PoseMessage:
+    """Return a pose as a message."""
+    message = PoseMessage()
+    set_pose(message, pose)
+    return message
+
+
+def set_pose(message: PoseMessage, pose: Pose) -> None:
+    """Write a pose into a message."""
+    message.position.x, message.position.y, message.position.z = pose.position
+    turn = message.orientation
+    turn.x, turn.y, turn.z, turn.w = pose.quaternion
 
 
 def pose_of(place: Any, turn: Any) -> Pose:
@@ -26,3 +65,59 @@ def pose_of(place: Any, turn: Any) -> Pose:
     if abs(norm - 1.0) > NORM_TOLERANCE:
         raise InputError(f"an orientation of length {norm:.3g} is no unit quaternion")
     return Pose(position, tuple(value / norm for value in quaternion))
+
+
+def vector_of(message: Any, what: str) -> Vector:
+    """Return x, y and z of a message; raises InputError for what is not finite."""
+    values = (message.x, message.y, message.z)
+    if not all(map(math.isfinite, values)):
+        raise InputError(f"{what} is not finite: {values}")
+    return values
+
+
+def normalised_pose(message: PoseMessage) -> Pose:
+    """Return a pose with its quaternion normalised, as Gazebo does it.
+
+    (0, 0, 0, 0), which messages start with, means no rotation.
+
+    Raises:
+        InputError: a number is not finite.
+    """
+    turn = message.orientation
+    quaternion = (turn.x, turn.y, turn.z, turn.w)
+    if not all(map(math.isfinite, quaternion)):
+        raise InputError(f"the orientation is not finite: {quaternion}")
+    # Scaled first: the squares of huge numbers overflow.
+    largest = max(map(abs, quaternion))
+    position = vector_of(message.position, "the position")
+    if largest == 0.0:
+        return Pose(position)
+    scaled = [value / largest for value in quaternion]
+    length = math.sqrt(sum(value * value for value in scaled))
+    x, y, z, w = (value / length for value in scaled)
+    return Pose(position, (x, y, z, w))
+
+
+def twist_of(message: Twist) -> Tuple[Vector, Vector]:
+    """Return linear and angular velocity; raises InputError for what is not finite."""
+    linear = vector_of(message.linear, "the linear velocity")
+    return linear, vector_of(message.angular, "the angular velocity")
+
+
+def state_of(message: Any) -> FrameState:
+    """Return pose and velocity of a ModelState or LinkState message; raises InputError."""
+    return FrameState(normalised_pose(message.pose), *twist_of(message.twist))
+
+
+def twist_message(state: FrameState) -> Twist:
+    """Return a velocity as a message."""
+    twist = Twist()
+    twist.linear.x, twist.linear.y, twist.linear.z = state.linear
+    twist.angular.x, twist.angular.y, twist.angular.z = state.angular
+    return twist
+
+
+def set_state(message: Any, state: FrameState) -> None:
+    """Write a state into a message with a pose and a twist."""
+    set_pose(message.pose, state.pose)
+    message.twist = twist_message(state)

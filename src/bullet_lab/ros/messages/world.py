@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Iterable, Iterator
+from typing import Any, Callable, Dict, Iterable, Iterator, Tuple
 
 from geometry_msgs.msg import Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.messages.conversions import pose_message
+from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.simulation.simulation import ModelInstance
-from bullet_lab.simulation.world.description import Box, Cylinder, Mesh, Plane, Sphere, Visual
+from bullet_lab.simulation.world.description import Visual
+from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
 # A plane is drawn as a slab just below the floor, or it would flicker with RViz's grid.
 SLAB_THICKNESS = 0.01
 SLAB_DEPTH = 0.005
 LARGEST_PLANE = 20.0
+# Type and scale of the marker of each shape.
+MARKERS: Dict[type, Callable[[Any], Tuple[int, Tuple[float, ...]]]] = {
+    Box: lambda box: (Marker.CUBE, box.size),
+    Cylinder: lambda c: (Marker.CYLINDER, (2.0 * c.radius, 2.0 * c.radius, c.length)),
+    Sphere: lambda sphere: (Marker.SPHERE, (2.0 * sphere.radius,) * 3),
+    Plane: lambda plane: (
+        Marker.CUBE,
+        (*(min(side, LARGEST_PLANE) for side in plane.size), SLAB_THICKNESS),
+    ),
+    Mesh: lambda mesh: (Marker.MESH_RESOURCE, mesh.scale),
+}
 
 
 def world_markers(models: Iterable[ModelInstance], frame: str) -> MarkerArray:
@@ -67,25 +78,11 @@ def _visuals(instance: ModelInstance) -> Iterator[tuple]:
 
 
 def _marker(visual: Visual) -> Marker:
-    marker = Marker(action=Marker.ADD, frame_locked=True)
-    geometry = visual.geometry
-    if isinstance(geometry, Box):
-        marker.type, size = Marker.CUBE, geometry.size
-    elif isinstance(geometry, Cylinder):
-        marker.type = Marker.CYLINDER
-        size = (2.0 * geometry.radius, 2.0 * geometry.radius, geometry.length)
-    elif isinstance(geometry, Sphere):
-        marker.type, size = Marker.SPHERE, (2.0 * geometry.radius,) * 3
-    elif isinstance(geometry, Plane):
-        marker.type = Marker.CUBE
-        size = tuple(min(side, LARGEST_PLANE) for side in geometry.size) + (SLAB_THICKNESS,)
-    else:
-        marker.type, size = Marker.MESH_RESOURCE, geometry.scale
-        marker.mesh_resource = _resource(geometry)
-    marker.scale = Vector3(*size)
+    shape = visual.geometry
+    kind, size = MARKERS[type(shape)](shape)
+    marker = Marker(action=Marker.ADD, frame_locked=True, type=kind, scale=Vector3(*size))
+    if isinstance(shape, Mesh):
+        # RViz knows package:// itself, and file:// for the rest.
+        in_package = shape.uri.startswith("package://")
+        marker.mesh_resource = shape.uri if in_package else shape.path.absolute().as_uri()
     return marker
-
-
-def _resource(mesh: Mesh) -> str:
-    # RViz knows package:// itself, and file:// for the rest.
-    return mesh.uri if mesh.uri.startswith("package://") else Path(mesh.path).absolute().as_uri()

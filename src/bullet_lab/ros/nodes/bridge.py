@@ -46,7 +46,7 @@ from bullet_lab.ros.bridge.speed import Pace
 from bullet_lab.ros.bridge.stepper import Reached, Stepper
 from bullet_lab.ros.bridge.world_topics import OdometryFrames, TouchCounter
 from bullet_lab.ros.gazebo.interface import Gazebo
-from bullet_lab.ros.messages.conversions import (
+from bullet_lab.ros.messages.poses import (
     NANOSECONDS_PER_STEP,
     first_step_at,
     set_time,
@@ -294,7 +294,7 @@ def _empty_handler(action: Callable[[], None]) -> Callable[[Any], EmptyResponse]
 
 
 def _set_camera_rate(robot: ModelInstance, rate: float) -> None:
-    for device in robot.devices:
+    for device in robot.plugins:
         if isinstance(device, Camera):
             device.set_rate(rate, 0)
 

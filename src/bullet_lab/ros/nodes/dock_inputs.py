@@ -19,7 +19,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.docking.types import CameraMount, Odometry, Sighting
 from bullet_lab.errors import LabError
 from bullet_lab.msg import MarkerDetectionArray
-from bullet_lab.ros.messages import camera_geometry
+from bullet_lab.ros.messages import images
 from bullet_lab.ros.messages.poses import InputError, pose_of
 from bullet_lab.ros.node.lock_step import in_lock_step
 from bullet_lab.ros.node.node import Refusals
@@ -53,7 +53,7 @@ def odometry_of(message: OdometryMessage) -> Odometry:
 
 def camera_of(message: CameraInfo) -> PinholeCamera:
     """Return the geometry of raw images; raises CameraGeometryError."""
-    return camera_geometry.camera_of(message, message.width, message.height)
+    return images.camera_of(message, message.width, message.height)
 
 
 def sightings_of(message: MarkerDetectionArray) -> Tuple[Sighting, ...]:

@@ -22,9 +22,7 @@ from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.ros.gazebo.client import call
-from bullet_lab.ros.gazebo.standing_models import TOPIC as WORLD
-from bullet_lab.ros.gazebo.standing_models import StandingModels
+from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node import parameters

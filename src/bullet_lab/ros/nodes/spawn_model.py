@@ -29,8 +29,8 @@ from std_srvs.srv import Empty
 from bullet_lab.core.arguments import ArgumentParser, ArgumentsError
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.gazebo.client import call
-from bullet_lab.ros.messages.conversions import pose_message
 from bullet_lab.ros.messages.gazebo_types import msg, srv
+from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.ros.node.node import NodeError, run_node, wait_until
 from bullet_lab.simulation.world.xml import read_text
 

@@ -25,9 +25,7 @@ from sensor_msgs.msg import Range
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.ros.gazebo.client import numbered
-from bullet_lab.ros.gazebo.standing_models import TOPIC as WORLD
-from bullet_lab.ros.gazebo.standing_models import StandingModels
+from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node

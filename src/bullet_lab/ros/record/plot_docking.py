@@ -29,7 +29,7 @@ from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.record.recorder import Errand, Recorder, RecordParameters, about
 from bullet_lab.ros.record.rviz import PathTopics
-from bullet_lab.simulation.floor_plan import footprints
+from bullet_lab.simulation.world.floor_plan import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
 

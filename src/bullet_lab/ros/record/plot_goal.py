@@ -22,9 +22,7 @@ from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.core.parameters import boolean, number, number_list, text
 from bullet_lab.reports.goal import Beacon, GoalReport
-from bullet_lab.ros.gazebo.client import numbered
-from bullet_lab.ros.gazebo.standing_models import TOPIC as WORLD
-from bullet_lab.ros.gazebo.standing_models import StandingModels
+from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.nodes.dock_goals import stamped_pose

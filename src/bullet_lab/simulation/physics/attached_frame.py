@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from copy import copy
-from typing import Tuple
+from typing import Iterable, Tuple
 
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.simulation.physics.engine import pybullet
 from bullet_lab.simulation.physics.physics import Body
+from bullet_lab.simulation.world.description import Model
 from bullet_lab.simulation.world.inertia import principal_axes
 
 ORIGIN = Pose()
@@ -40,6 +41,27 @@ class AttachedFrame:
         principal = ORIGIN if inertia is None else principal_axes(inertia)[1]
         # PyBullet knows a link by its principal frame.
         self._in_principal = principal.inverse() * offset
+
+    @classmethod
+    def of(
+        cls, model: Model, bodies: Iterable[Body], link: str, offset: Pose = ORIGIN
+    ) -> AttachedFrame:
+        """Return a frame that is fixed to a link, which may have been merged into another.
+
+        Args:
+            model: that has the link.
+            bodies: of the model.
+            link: the link's name in the description.
+            offset: pose of the frame in the link's frame.
+
+        Raises:
+            KeyError: there is no such link.
+        """
+        keeper, pose = model.frames.get(link, (link, ORIGIN))
+        for body in bodies:
+            if any(part.name == keeper for part in body.links):
+                return cls(body, keeper, pose * offset)
+        raise KeyError(link)
 
     def pose(self) -> Pose:
         """Return the frame's pose in the world."""

@@ -10,16 +10,16 @@ ones are made once.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
-from typing import Any, Dict, Hashable, Iterable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterable, List, Optional, Sequence, Tuple
 
 from bullet_lab.core.native_output import hidden_native_output
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
-from bullet_lab.simulation.world.description import Box, Collision, Joint, Link, Mesh
-from bullet_lab.simulation.world.inertia import mobility, principal_axes
+from bullet_lab.simulation.world.description import Collision, Joint, Link
+from bullet_lab.simulation.world.inertia import FASTEST, mobility, principal_axes
 from bullet_lab.simulation.world.meshes import file_version, hull_corners, triangle_corners
-from bullet_lab.simulation.world.proportions import FASTEST
+from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
 # PyBullet's limits: of shapes in one call, and of links beside the root in one body.
 MOST_SHAPES = 16
@@ -31,6 +31,27 @@ JOINT_TYPES = {
     "continuous": pybullet.JOINT_REVOLUTE,
     "revolute": pybullet.JOINT_REVOLUTE,
     "prismatic": pybullet.JOINT_PRISMATIC,
+}
+# What `createCollisionShapeArray` is told of a shape; a mesh is made by its corners.
+SHAPES: Dict[type, Callable[[Any], Dict[str, Any]]] = {
+    Box: lambda box: {
+        "shapeTypes": pybullet.GEOM_BOX,
+        "halfExtents": tuple(0.5 * side for side in box.size),
+    },
+    Cylinder: lambda cylinder: {
+        "shapeTypes": pybullet.GEOM_CYLINDER,
+        "radii": cylinder.radius,
+        "lengths": cylinder.length,
+    },
+    Sphere: lambda sphere: {"shapeTypes": pybullet.GEOM_SPHERE, "radii": sphere.radius},
+    Plane: lambda plane: {"shapeTypes": pybullet.GEOM_PLANE, "planeNormals": plane.normal},
+}
+# For what a shape has not.
+NO_MEASURES = {
+    "radii": 0.0,
+    "halfExtents": (0.0, 0.0, 0.0),
+    "lengths": 0.0,
+    "planeNormals": (0.0, 0.0, 1.0),
 }
 # Around convex meshes, in m, instead of Bullet's 1 mm. Without one, most rays go through them.
 SKIN = 1e-4
@@ -167,15 +188,9 @@ class BodyMaker:
         return self._made[key]
 
     def _simple(self, group: Sequence[Collision]) -> int:
-        shapes = [shape.geometry for shape in group]
-        boxes = [shape.size if isinstance(shape, Box) else (0.0, 0.0, 0.0) for shape in shapes]
-        # The description calls shapes as PyBullet does.
+        told = [{**NO_MEASURES, **SHAPES[type(shape.geometry)](shape.geometry)} for shape in group]
         return pybullet.createCollisionShapeArray(
-            [getattr(pybullet, f"GEOM_{type(shape).__name__.upper()}") for shape in shapes],
-            radii=[getattr(shape, "radius", 0.0) for shape in shapes],
-            halfExtents=[tuple(0.5 * side for side in size) for size in boxes],
-            lengths=[getattr(shape, "length", 0.0) for shape in shapes],
-            planeNormals=[getattr(shape, "normal", (0.0, 0.0, 1.0)) for shape in shapes],
+            **{key: [measures[key] for measures in told] for key in told[0]},
             collisionFramePositions=[shape.pose.position for shape in group],
             collisionFrameOrientations=[shape.pose.quaternion for shape in group],
             physicsClientId=self._client,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
-from typing import Dict, List, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.errors import LabError
@@ -53,6 +53,7 @@ class Body:
     go without a detour, for the inner loop.
 
     Attributes:
+        client: the PyBullet client that it lives in.
         unique_id: PyBullet's number of it.
         parts: what is a link to PyBullet, in its order; its index of the first, the root, is -1.
         links: of the description, the root first.
@@ -67,7 +68,7 @@ class Body:
         self.unique_id = unique_id
         self.parts = tuple(parts)
         self.links = tuple(part.link for part in parts if part.joint is not HELPER_JOINT)
-        self._client = client
+        self.client = client
         # Called at every step: bound once, in C.
         self.com_place = partial(pybullet.getBasePositionAndOrientation, unique_id, client)
         self.set_velocity = partial(pybullet.resetBaseVelocity, unique_id, physicsClientId=client)
@@ -82,11 +83,6 @@ class Body:
                 self._joints[part.joint.name] = index
                 # PyBullet holds every joint still with a motor until told otherwise.
                 self.drive_joint(part.joint.name, 0.0, 0.0)
-
-    @property
-    def client(self) -> int:
-        """The PyBullet client that the body lives in."""
-        return self._client
 
     @property
     def joint_names(self) -> Tuple[str, ...]:
@@ -108,7 +104,7 @@ class Body:
 
     def velocity(self) -> Tuple[Vector, Vector]:
         """Return linear (m/s, of the centre of mass) and angular (rad/s) velocity, in the world."""
-        return pybullet.getBaseVelocity(self.unique_id, self._client)
+        return pybullet.getBaseVelocity(self.unique_id, self.client)
 
     def origin_velocity(self) -> Tuple[Vector, Vector]:
         """Return linear (m/s) and angular (rad/s) velocity of the root link's frame, in the world.
@@ -122,13 +118,10 @@ class Body:
 
     def place(self, pose: Pose) -> None:
         """Put the body somewhere, at rest, its joints at zero."""
-        com = pose * self._com
-        pybullet.resetBasePositionAndOrientation(
-            self.unique_id, com.position, com.quaternion, self._client
-        )
+        self._put(pose)
         self.set_velocity((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        for index in self._joints.values():
-            pybullet.resetJointState(self.unique_id, index, 0.0, 0.0, self._client)
+        for name in self._joints:
+            self.set_joint(name, 0.0)
 
     def move(self, pose: Pose, linear: Vector, angular: Vector) -> None:
         """Put the body somewhere in motion; its joints keep their positions and stand still.
@@ -138,10 +131,7 @@ class Body:
             linear: velocity in m/s of the root link's origin, in the world.
             angular: velocity in rad/s, in the world.
         """
-        com = pose * self._com
-        pybullet.resetBasePositionAndOrientation(
-            self.unique_id, com.position, com.quaternion, self._client
-        )
+        self._put(pose)
         arm = pose.rotate(self._com.position)
         self.set_velocity(add(linear, cross(angular, arm)), angular)
         for name in self._joints:
@@ -157,8 +147,8 @@ class Body:
             point: where the force acts, in m in the world.
         """
         index, world = self.link_index(link), pybullet.WORLD_FRAME
-        pybullet.applyExternalForce(self.unique_id, index, force, point, world, self._client)
-        pybullet.applyExternalTorque(self.unique_id, index, torque, world, self._client)
+        self._call(pybullet.applyExternalForce, index, force, point, world)
+        self._call(pybullet.applyExternalTorque, index, torque, world)
 
     def exert(self, joint: str, effort: float) -> None:
         """Turn (N m) or push (N) a joint in the coming step, whatever its motor does besides.
@@ -167,25 +157,18 @@ class Body:
         """
         described = self._joint(joint)
         velocity = self.joint_state(joint).velocity if "velocity" in described.limits else 0.0
-        pybullet.setJointMotorControl2(
-            self.unique_id,
-            self._joints[joint],
-            pybullet.TORQUE_CONTROL,
-            force=allowed_effort(described, effort, velocity),
-            physicsClientId=self._client,
-        )
+        allowed = allowed_effort(described, effort, velocity)
+        self._control(joint, pybullet.TORQUE_CONTROL, force=allowed)
 
     def joint_state(self, name: str) -> JointState:
         """Return the state of a joint; raises KeyError for an unknown name."""
-        position, velocity, _, effort = pybullet.getJointState(
-            self.unique_id, self._joints[name], self._client
-        )
+        index = self._joints[name]
+        position, velocity, _, effort = pybullet.getJointState(self.unique_id, index, self.client)
         return JointState(position, velocity, effort)
 
     def set_joint(self, name: str, position: float, velocity: float = 0.0) -> None:
         """Put a joint somewhere (rad or m); raises KeyError for an unknown name."""
-        index = self._joints[name]
-        pybullet.resetJointState(self.unique_id, index, position, velocity, self._client)
+        self._call(pybullet.resetJointState, self._joints[name], position, velocity)
 
     def drive_joint(self, name: str, velocity: float, effort: float) -> None:
         """Let a motor turn a joint from now on; raises KeyError for an unknown name.
@@ -198,14 +181,7 @@ class Body:
             effort: the most that it exerts, in N m or N.
         """
         velocity, effort = net_motor(self._joint(name), velocity, effort)
-        pybullet.setJointMotorControl2(
-            self.unique_id,
-            self._joints[name],
-            pybullet.VELOCITY_CONTROL,
-            targetVelocity=velocity,
-            force=effort,
-            physicsClientId=self._client,
-        )
+        self._control(name, pybullet.VELOCITY_CONTROL, targetVelocity=velocity, force=effort)
 
     def hold_joint(self, name: str, position: float, effort: float) -> None:
         """Let a motor hold a joint at a position (rad or m) with at most `effort` (N m or N).
@@ -213,16 +189,14 @@ class Body:
         Raises:
             KeyError: an unknown name.
         """
-        pybullet.setJointMotorControl2(
-            self.unique_id,
-            self._joints[name],
+        self._control(
+            name,
             pybullet.POSITION_CONTROL,
             targetPosition=position,
             targetVelocity=0.0,
             positionGain=HOLDING_GAIN,
             velocityGain=1.0,
             force=net_motor(self._joint(name), 0.0, effort)[1],
-            physicsClientId=self._client,
         )
 
     def set_sticking(self, name: str, sticking: bool) -> None:
@@ -236,21 +210,15 @@ class Body:
             KeyError: an unknown name.
         """
         for index in self._links[self.part_at(self._joints[name]).link.name]:
-            pybullet.changeDynamics(
-                self.unique_id, index, frictionAnchor=int(sticking), physicsClientId=self._client
-            )
+            self._call(pybullet.changeDynamics, index, frictionAnchor=int(sticking))
             if sticking:
                 # Only new points stick: setting the filter, to what it is, drops the old.
-                pybullet.setCollisionFilterGroupMask(
-                    self.unique_id, index, *FREE_BODY_FILTER, physicsClientId=self._client
-                )
+                self._call(pybullet.setCollisionFilterGroupMask, index, *FREE_BODY_FILTER)
 
     def remove_sliding_friction(self) -> None:
         """Let the body slide freely, for a device that models its friction itself."""
         for index in range(ROOT, len(self.parts) - 1):
-            pybullet.changeDynamics(
-                self.unique_id, index, lateralFriction=0.0, physicsClientId=self._client
-            )
+            self._call(pybullet.changeDynamics, index, lateralFriction=0.0)
 
     def link_index(self, name: str) -> int:
         """Return PyBullet's index of a link, -1 for the root."""
@@ -265,7 +233,17 @@ class Body:
         return self.parts[index - ROOT]
 
     def _joint(self, name: str) -> Joint:
-        return self.parts[self._joints[name] - ROOT].joint
+        return self.part_at(self._joints[name]).joint
+
+    def _put(self, pose: Pose) -> None:
+        com = pose * self._com
+        self._call(pybullet.resetBasePositionAndOrientation, com.position, com.quaternion)
+
+    def _control(self, joint: str, mode: int, **targets: float) -> None:
+        self._call(pybullet.setJointMotorControl2, self._joints[joint], mode, **targets)
+
+    def _call(self, function: Callable[..., Any], *arguments: Any, **more: Any) -> None:
+        function(self.unique_id, *arguments, physicsClientId=self.client, **more)
 
 
 class Physics:
@@ -350,14 +328,9 @@ def part_the_links(body: Body) -> None:
         apart = names[0] == names[1] or names in joined or names[::-1] in joined
         touchy = one.link.self_collide or other.link.self_collide
         # Of every pair: PyBullet remembers what was said of a body that had this id before.
-        pybullet.setCollisionFilterPair(
-            body.unique_id,
-            body.unique_id,
-            first,
-            second,
-            int(touchy and not apart),
-            physicsClientId=body.client,
-        )
+        ends = (body.unique_id, body.unique_id, first, second)
+        together = int(touchy and not apart)
+        pybullet.setCollisionFilterPair(*ends, together, physicsClientId=body.client)
 
 
 def use_friction_pyramid(body: Body) -> None:

@@ -1,45 +1,25 @@
-"""What robots can do: one class for each Gazebo plugin that is simulated."""
+"""What the `<plugin>` tags of robots do: one class for each plugin of Gazebo that is simulated.
 
-from bullet_lab.simulation.plugins import (
-    bumper,
-    camera,
-    depth_camera,
-    diff_drive,
-    imu,
-    joint_states,
-    laser,
-    p3d,
-    planar_move,
-    range_sensor,
-    skid_steer,
-)
-from bullet_lab.simulation.plugins.device import (
-    Device,
-    DeviceError,
+Every module of this folder is imported, and with that its plugins are known.
+"""
+
+import importlib
+import pkgutil
+
+from bullet_lab.simulation.plugins.plugin import (
     Input,
     Mount,
     Output,
+    Plugin,
+    PluginError,
     known_plugins,
-    make_device,
+    make_plugin,
 )
 
-__all__ = [
-    "Device",
-    "DeviceError",
-    "Input",
-    "Mount",
-    "Output",
-    "bumper",
-    "camera",
-    "depth_camera",
-    "diff_drive",
-    "imu",
-    "joint_states",
-    "known_plugins",
-    "laser",
-    "make_device",
-    "p3d",
-    "planar_move",
-    "range_sensor",
-    "skid_steer",
-]
+__all__ = ["Input", "Mount", "Output", "Plugin", "PluginError", "known_plugins", "make_plugin"]
+
+for _module in pkgutil.iter_modules(__path__, f"{__name__}."):
+    importlib.import_module(_module.name)
+
+# The names of before 2.0.
+__getattr__ = importlib.import_module(f"{__name__}.plugin").__getattr__

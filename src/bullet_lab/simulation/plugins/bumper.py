@@ -8,17 +8,15 @@ from typing import Dict, List, Optional, Tuple
 from bullet_lab.core.pose import Pose, Vector, cross, subtract
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
 from bullet_lab.simulation.physics.contacts import ContactPoint, contact_points
-from bullet_lab.simulation.plugins.device import Device, DeviceError, Mount, Output, device
+from bullet_lab.simulation.plugins.plugin import Mount, Output, Plugin, PluginError, SensorTag
 from bullet_lab.simulation.plugins.samples import ContactsSample, ShapeContact
-from bullet_lab.simulation.plugins.sensor_tag import SensorTag
 from bullet_lab.simulation.world.tree import LUMP
 
 # What Gazebo's conversion of URDF adds to a shape's name.
 ADDED = re.compile(rf"^.*{LUMP}|_collision(_\d+)?$")
 
 
-@device("libgazebo_ros_bumper.so")
-class Bumper(Device):
+class Bumper(Plugin):
     """Reports which shapes touch those of its link, where, and how hard.
 
     A message is sent at the sensor's rate, without contacts if there are none. Forces are those
@@ -29,6 +27,8 @@ class Bumper(Device):
     watch; all of the link's without it. Vectors are given in frameName if that is a link of the
     model, else in the world. (In Gazebo they are the world's, whatever frameName says.)
     """
+
+    filenames = ("libgazebo_ros_bumper.so",)
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
@@ -95,7 +95,7 @@ def _contact(
 
 
 def _watched(mount: Mount, tag: SensorTag, link: str) -> Tuple[str, ...]:
-    """Return the full names of the shapes that the sensor watches; raises DeviceError."""
+    """Return the full names of the shapes that the sensor watches; raises PluginError."""
     known = [shape.name for shape in mount.model.links_by_name()[link].collisions]
     wanted = [(element.text or "").strip() for element in tag.elements("contact/collision")]
     chosen: List[str] = []
@@ -104,7 +104,7 @@ def _watched(mount: Mount, tag: SensorTag, link: str) -> Tuple[str, ...]:
         found = [name] if name in known else [k for k in known if _core(k) == _core(name)]
         if not found:
             shapes = ", ".join(known) or "none"
-            raise DeviceError(
+            raise PluginError(
                 f"{tag.where('collision')}: link '{link}' has no shape '{name}' but {shapes}"
             )
         chosen += found

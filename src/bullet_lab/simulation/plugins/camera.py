@@ -1,4 +1,7 @@
-"""libgazebo_ros_camera.so: a camera that sees what the simulation draws."""
+"""Cameras that see what the simulation draws, and how far away it is.
+
+libgazebo_ros_camera.so, libgazebo_ros_openni_kinect.so and libgazebo_ros_depth_camera.so.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,8 @@ import numpy as np
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import Schedule, ScheduleError
-from bullet_lab.simulation.plugins.device import Device, DeviceError, Mount, Output, device
-from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample
-from bullet_lab.simulation.plugins.sensor_tag import SensorTag
+from bullet_lab.simulation.plugins.plugin import Mount, Output, Plugin, PluginError, SensorTag
+from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
 from bullet_lab.simulation.rendering.finish import CameraSettings, Lens, SensorNoise, blurred
 from bullet_lab.simulation.rendering.graphics import SAMPLES
 from bullet_lab.simulation.rendering.renderer import Shot
@@ -30,10 +32,18 @@ DISTORTION_TAGS = {"K1": "k1", "K2": "k2", "T1": "p1", "T2": "p2", "K3": "k3"}
 TABLE_STEP = 2**63
 # Gazebo lets these say another geometry than that of the picture.
 GEOMETRY_TAGS = ("CxPrime", "Cx", "Cy", "focalLength")
+KINECT = "libgazebo_ros_openni_kinect"
+KINECTS_CUTOFF = 5.0
+# What is published beside points only where somebody has asked Gazebo for it, and not here.
+NOT_SIMULATED = ("reduceNormals", "normalsTopicName", "reflectanceTopicName")
+TO_RGB = {"bgr8": cv2.COLOR_BGR2RGB, "mono8": cv2.COLOR_GRAY2RGB}
+# The view reaches beyond what is measured, by this factor.
+FARTHER = 1.01
+# The greatest number of millimetres that a 16UC1 image holds.
+MOST_MILLIMETRES = 65535
 
 
-@device("libgazebo_ros_camera.so")
-class Camera(Device):
+class Camera(Plugin):
     """Takes pictures along the x axis of its link, the link's z axis upwards.
 
     The picture is drawn only while somebody wants it; camera_info tells the geometry that it
@@ -47,6 +57,7 @@ class Camera(Device):
     simulation, in the plugin: samples, exposure and blur, see `CameraSettings`.
     """
 
+    filenames = ("libgazebo_ros_camera.so",)
     sensors: ClassVar[Tuple[str, ...]] = ("camera",)
 
     def __init__(self, mount: Mount):
@@ -140,7 +151,7 @@ def _geometry(mount: Mount, tag: SensorTag) -> PinholeCamera:
     height = tag.count("camera/image/height", 240, LARGEST_SIDE)
     fov = tag.number("camera/horizontal_fov", 1.047)
     if not 0.0 < fov < math.pi:
-        raise DeviceError(f"{tag.where('camera/horizontal_fov')}: {fov:g} is not within 0 … pi")
+        raise PluginError(f"{tag.where('camera/horizontal_fov')}: {fov:g} is not within 0 … pi")
     for name in GEOMETRY_TAGS:
         if mount.number(name, 0.0) != 0.0:
             LOG.warning("%s is passed over: the picture has its own", mount.where(name))
@@ -154,7 +165,7 @@ def _distortion(mount: Mount, tag: SensorTag) -> Tuple[float, ...]:
     told = tuple(mount.number(f"distortion{key}", 0.0) for key in DISTORTION_TAGS)
     bent = tuple(tag.number(f"camera/distortion/{key}", 0.0) for key in DISTORTION_TAGS.values())
     if any(told) and any(bent) and told != bent:
-        raise DeviceError(
+        raise PluginError(
             f"{mount.where('distortionK1')}: other coefficients than those of the sensor"
         )
     return told if any(told) else bent
@@ -170,7 +181,7 @@ def _settings(mount: Mount, tag: SensorTag) -> CameraSettings:
             noise_stddev=tag.number("camera/noise/stddev", 0.0),
         )
     elif tag.has("camera/noise") and kind != "none":
-        raise DeviceError(f"{tag.where('camera/noise/type')}: '{kind}' is not gaussian or none")
+        raise PluginError(f"{tag.where('camera/noise/type')}: '{kind}' is not gaussian or none")
     own = ("exposure", "blur")
     settings = replace(settings, **{k: mount.number(k, getattr(settings, k)) for k in own})
     return replace(settings, samples=_samples(mount, tag))
@@ -189,7 +200,7 @@ def _encoding(tag: SensorTag) -> str:
     said = tag.text("camera/image/format", "R8G8B8")
     if said not in ENCODINGS:
         known = ", ".join(ENCODINGS)
-        raise DeviceError(f"{tag.where('camera/image/format')}: '{said}' is not one of {known}")
+        raise PluginError(f"{tag.where('camera/image/format')}: '{said}' is not one of {known}")
     return ENCODINGS[said]
 
 
@@ -200,4 +211,96 @@ def _schedule(mount: Mount, tag: SensorTag) -> Schedule:
     try:
         return Schedule(min(given, default=DEFAULT_RATE))
     except ScheduleError as error:
-        raise DeviceError(f"{mount.where('updateRate')}: {error}") from error
+        raise PluginError(f"{mount.where('updateRate')}: {error}") from error
+
+
+class DepthCamera(Camera):
+    """Takes pictures and measures the distance of what each pixel shows, in the same frame.
+
+    Depth is metric, along the optical axis and without noise, as Gazebo's. A pixel has none
+    (NaN) where nothing is within pointCloudCutoff … pointCloudCutoffMax or where something
+    nearer hides it. Picture, depth and points are of one moment and one geometry; each is
+    worked out only while somebody wants it.
+
+    Tags as in Gazebo, besides the camera's: depthImageTopicName (depth/image_raw),
+    depthImageCameraInfoTopicName (depth/camera_info), pointCloudTopicName (points),
+    pointCloudCutoff (0.4 m), pointCloudCutoffMax (5 m for openni_kinect, for depth_camera as far
+    as the sensor sees) and useDepth16UC1Format (false). Normals and reflectance are not
+    simulated.
+    """
+
+    filenames = ("libgazebo_ros_openni_kinect.so", "libgazebo_ros_depth_camera.so")
+    sensors: ClassVar[Tuple[str, ...]] = ("depth",)
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        self._closest, self._farthest = self._measured_range()
+        self._in_millimetres = mount.boolean("useDepth16UC1Format", False)
+        for tag in NOT_SIMULATED:
+            mount.text(tag)
+        self.depth = self.output("depthImageTopicName", "depth/image_raw", ImageSample)
+        self.depth_info = self.output(
+            "depthImageCameraInfoTopicName", "depth/camera_info", CameraInfoSample
+        )
+        self.points = self.output("pointCloudTopicName", "points", PointsSample)
+        self.outputs = (*self.outputs, self.depth, self.depth_info, self.points)
+        self._slopes: Optional[np.ndarray] = None
+
+    def produce(self, step: int) -> None:
+        """Send what is wanted of picture, depth, points and geometry."""
+        image, depth, points = (o.wanted for o in (self.image, self.depth, self.points))
+        picture = self.take(step) if image or points else None
+        depths = self.measure() if depth or points else None
+        if image:
+            self.send_picture(step, picture)
+        if depth:
+            self.depth.send(self._depth_image(step, depths))
+        if points:
+            colours = self._coloured(picture)
+            self.points.send(PointsSample(step, self.frame, self.points_at(depths), colours))
+        self.send_geometry(step, self.info)
+        self.send_geometry(step, self.depth_info)
+
+    def measure(self) -> np.ndarray:
+        """Return the distances along the optical axis, (height, width) float32 in m, or NaN.
+
+        Raises:
+            LabError: something in the world cannot be drawn.
+        """
+        shot = Shot(self.lens.ideal, self.near, FARTHER * self._farthest)
+        depths = self.mount.renderer().depths(self.pose(), shot)
+        depths[(depths <= self._closest) | (depths >= self._farthest)] = np.nan
+        return self.lens.pick(depths)
+
+    def points_at(self, depths: np.ndarray) -> np.ndarray:
+        """Return the points of the optical frame (m) at each pixel's depth, (h, w, 3) float32."""
+        if self._slopes is None:
+            self._slopes = self.lens.slopes()
+        x, y = self._slopes
+        return np.dstack((x * depths, y * depths, depths))
+
+    def _depth_image(self, step: int, depths: np.ndarray) -> ImageSample:
+        if not self._in_millimetres:
+            return ImageSample(step, self.frame, "32FC1", depths)
+        # 0 is for what has no depth, in this format.
+        whole = np.nan_to_num(np.rint(1e3 * depths), nan=0.0)
+        pixels = np.where(whole > MOST_MILLIMETRES, 0, whole).astype(np.uint16)
+        return ImageSample(step, self.frame, "16UC1", pixels)
+
+    def _coloured(self, picture: np.ndarray) -> np.ndarray:
+        code = TO_RGB.get(self.encoding)
+        return picture if code is None else cv2.cvtColor(picture, code)
+
+    def _measured_range(self) -> Tuple[float, float]:
+        """Return between which distances along the view (m) depth is measured."""
+        mount = self.mount
+        is_kinect = mount.plugin.filename.startswith(KINECT)
+        closest = max(self.near, mount.number("pointCloudCutoff", 0.4))
+        default = KINECTS_CUTOFF if is_kinect else self.far
+        farthest = min(self.far, mount.number("pointCloudCutoffMax", default))
+        if not closest < farthest:
+            raise PluginError(
+                f"{mount.where('pointCloudCutoff')}: nothing is between {closest:g} m and "
+                f"{farthest:g} m"
+            )
+        return closest, farthest

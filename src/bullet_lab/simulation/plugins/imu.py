@@ -9,18 +9,18 @@ from typing import Deque, Optional, Tuple
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Quaternion, Vector
-from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
+from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
-from bullet_lab.simulation.plugins.device import (
-    Device,
-    DeviceError,
+from bullet_lab.simulation.plugins.plugin import (
     Mount,
     Output,
+    Plugin,
+    PluginError,
+    SensorTag,
     StepNoise,
-    device,
+    slower_of,
 )
 from bullet_lab.simulation.plugins.samples import ImuSample
-from bullet_lab.simulation.plugins.sensor_tag import SensorTag
 
 # Steps over which accelerations are averaged at least.
 AVERAGING = 10
@@ -86,7 +86,7 @@ class AxisNoise:
         return tag.number(f"{path}/mean", 0.0) + sign * bias
 
 
-class InertialUnit(Device):
+class InertialUnit(Plugin):
     """What the two plugins have in common.
 
     Reports the orientation in the world (REP 145), the angular velocity and the specific force
@@ -102,9 +102,7 @@ class InertialUnit(Device):
         self._frame = frame
         self.imu = Output(mount.topic(topic), ImuSample)
         self.outputs = (self.imu,)
-        self._deviation = mount.number("gaussianNoise", 0.0)
-        if self._deviation < 0.0:
-            raise DeviceError(f"{mount.where('gaussianNoise')}: {self._deviation:g} is negative")
+        self._deviation = mount.coefficient("gaussianNoise", 0.0)
         self._noise = mount.noise()
         self._accelerometer = Accelerometer()
         self._rate_noise: Optional[AxisNoise] = None
@@ -163,7 +161,6 @@ class InertialUnit(Device):
         )
 
 
-@device("libgazebo_ros_imu.so")
 class Imu(InertialUnit):
     """The plugin of a model, which names the link that it sits on.
 
@@ -173,10 +170,12 @@ class Imu(InertialUnit):
     offered there: in Gazebo the service does nothing.
     """
 
+    filenames = ("libgazebo_ros_imu.so",)
+
     def __init__(self, mount: Mount):
         body = mount.text("bodyName")
         if not body:
-            raise DeviceError(f"{mount.where('bodyName')}: is missing")
+            raise PluginError(f"{mount.where('bodyName')}: is missing")
         frame = mount.frame(mount.text("frameName", body))
         super().__init__(mount, frame, mount.text("topicName", "/default_imu"))
         mount.text("serviceName")
@@ -184,7 +183,6 @@ class Imu(InertialUnit):
         self.schedule = mount.schedule("updateRate", 0.0)
 
 
-@device("libgazebo_ros_imu_sensor.so")
 class ImuSensor(InertialUnit):
     """The plugin of an `<sensor type="imu">`.
 
@@ -195,17 +193,18 @@ class ImuSensor(InertialUnit):
     bias_mean, bias_stddev).
     """
 
+    filenames = ("libgazebo_ros_imu_sensor.so",)
+
     def __init__(self, mount: Mount):
         tag = SensorTag(mount, ("imu",))
         frame = mount.text("frameName")
         if not frame:
-            raise DeviceError(f"{mount.where('frameName')}: is missing")
+            raise PluginError(f"{mount.where('frameName')}: is missing")
         super().__init__(mount, mount.frame(frame), mount.text("topicName", "imu_data"))
         self.place = tag.place(_offset(mount))
         if mount.boolean("initialOrientationAsReference", False):
             self.reference = self.place.pose().inverse().quaternion
-        rates = mount.schedule("updateRateHZ", 1.0), tag.schedule()
-        self.schedule: Schedule = max(rates, key=lambda schedule: schedule.period)
+        self.schedule = slower_of(mount.schedule("updateRateHZ", 1.0), tag.schedule())
         name = f"{mount.model.name}/{mount.plugin.name}"
         if tag.has("imu/angular_velocity"):
             biases = StepNoise(mount.seed, f"{name}/angular_velocity")

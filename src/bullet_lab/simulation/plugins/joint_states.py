@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from bullet_lab.simulation.plugins.device import Device, DeviceError, Mount, Output, device
+from bullet_lab.simulation.plugins.plugin import Mount, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.samples import JointSample
 
 
-@device("libgazebo_ros_joint_state_publisher.so")
-class JointStates(Device):
+class JointStates(Plugin):
     """Reports position, velocity and effort of the joints.
 
     Tags: jointName (names with commas between them; all movable joints if left out),
     updateRate (100 Hz; 0: every step) and robotNamespace, as in Gazebo.
     """
+
+    filenames = ("libgazebo_ros_joint_state_publisher.so",)
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
@@ -27,15 +28,7 @@ class JointStates(Device):
         if not self._names or not self.states.wanted:
             return
         states = [self._body.joint_state(name) for name in self._names]
-        self.states.send(
-            JointSample(
-                step,
-                self._names,
-                tuple(state.position for state in states),
-                tuple(state.velocity for state in states),
-                tuple(state.effort for state in states),
-            )
-        )
+        self.states.send(JointSample.of(step, self._names, states))
 
 
 def _joint_names(mount: Mount) -> tuple:
@@ -44,5 +37,5 @@ def _joint_names(mount: Mount) -> tuple:
     names = tuple(name for name in listed if name) or known
     missing = [name for name in names if name not in known]
     if missing:
-        raise DeviceError(f"{mount.where('jointName')}: no movable joint '{missing[0]}'")
+        raise PluginError(f"{mount.where('jointName')}: no movable joint '{missing[0]}'")
     return names

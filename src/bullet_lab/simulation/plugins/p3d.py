@@ -6,14 +6,13 @@ from typing import Optional, Tuple
 
 from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
-from bullet_lab.simulation.plugins.device import Device, DeviceError, Mount, Output, device
+from bullet_lab.simulation.plugins.plugin import Mount, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.samples import MotionSample
 
 WORLD_FRAMES = ("world", "/world", "map", "/map")
 
 
-@device("libgazebo_ros_p3d.so")
-class TruePose(Device):
+class TruePose(Plugin):
     """Reports the pose and velocity of a link as odometry.
 
     As in Gazebo, the velocity is given along the axes of frameName, not of the link; xyzOffset
@@ -26,12 +25,14 @@ class TruePose(Device):
     robotNamespace.
     """
 
+    filenames = ("libgazebo_ros_p3d.so",)
+
     def __init__(self, mount: Mount):
         super().__init__(mount)
         body, topic = mount.text("bodyName"), mount.text("topicName")
         for tag, text in (("bodyName", body), ("topicName", topic)):
             if not text:
-                raise DeviceError(f"{mount.where(tag)}: is missing")
+                raise PluginError(f"{mount.where(tag)}: is missing")
         self._child = mount.frame(body)
         self._place = mount.attached(body)
         frame = mount.text("frameName", WORLD_FRAMES[0])
@@ -41,9 +42,7 @@ class TruePose(Device):
             self._reference = mount.attached(frame)
         self._shift = mount.vector("xyzOffset")
         self._turn = Pose.from_rpy((0.0, 0.0, 0.0), mount.vector("rpyOffset"))
-        self._deviation = mount.number("gaussianNoise", 0.0)
-        if self._deviation < 0.0:
-            raise DeviceError(f"{mount.where('gaussianNoise')}: {self._deviation:g} is negative")
+        self._deviation = mount.coefficient("gaussianNoise", 0.0)
         self._noise = mount.noise()
         self.odometry = Output(mount.topic(topic), MotionSample)
         self.outputs = (self.odometry,)

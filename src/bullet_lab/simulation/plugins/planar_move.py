@@ -24,8 +24,9 @@ from typing import Optional, Tuple
 from bullet_lab.core.pose import Pose, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
-from bullet_lab.simulation.plugins.device import Device, DeviceError, Input, Mount, Output, device
-from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand, TransformSample
+from bullet_lab.simulation.plugins.mobile_base import POSE_VARIANCES, STANDSTILL, MobileBase
+from bullet_lab.simulation.plugins.plugin import Mount, PluginError
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 
 # From the three turns in data/fig1_paths.csv: 90.14°, 90.13° and 90.67° in 34 commands at 10 Hz,
 # 0.4636 rad/s where 0.5236 was asked for; r = 0.0600 rad/s · Izz / (m·g·dt).
@@ -61,6 +62,11 @@ class SupportPatch:
             dt: duration in s, short enough for the force to be constant.
 
         Friction brings the robot to rest and never reverses it.
+
+        >>> patch = SupportPatch(friction=1.0, radius=0.01, mass=2.0, inertia=0.1)
+        >>> vx, vy, wz = patch.slow_down(0.5, 0.0, 0.0, load=19.6, dt=1e-3)
+        >>> round(vx, 9), vy, wz
+        (0.4902, 0.0, 0.0)
         """
         spin = self.radius * wz
         slip = math.sqrt(vx * vx + vy * vy + spin * spin)
@@ -72,16 +78,12 @@ class SupportPatch:
         return keep_linear * vx, keep_linear * vy, keep_angular * wz
 
 
-STANDSTILL = PlanarCommand()
 STEP_SQUARED = STEP_SECONDS * STEP_SECONDS
 # Bullet's contact carries a body in small pushes; the load is their mean over some 20 steps.
 LOAD_SMOOTHING = 0.05
-# As in Gazebo: x and y are known, what the robot cannot do is not.
-POSE_VARIANCES = (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
 
 
-@device("libgazebo_ros_planar_move.so")
-class PlanarMove(Device):
+class PlanarMove(MobileBase):
     """Moves the robot as commanded and reports where it is.
 
     Before each step the body gets the last commanded velocity, turned by its yaw and less what
@@ -95,38 +97,31 @@ class PlanarMove(Device):
     metres of the patch that the robot stands on.
     """
 
+    filenames = ("libgazebo_ros_planar_move.so",)
     acts = True
+    directions = ("vx", "vy", "wz")
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
-        self._body = mount.body
-        self.frame = mount.frame(mount.text("odometryFrame", "odom"))
-        self._base_frame = mount.frame(mount.text("robotBaseFrame", "base_footprint"))
         self._timeout = _timeout_steps(mount.number("cmdTimeout", -1.0))
         self._patch = _support_patch(mount)
         self._slow_down = self._patch.slow_down
         self._set_velocity = self._body.set_velocity
         self._mass = self._patch.mass
         self._turned = self._body.turned_inertia
-        self.odometry = Output(mount.topic(mount.text("odometryTopic", "odom")), OdometrySample)
-        self.transform = Output("/tf", TransformSample)
         self.outputs = (self.odometry, self.transform)
-        command = mount.topic(mount.text("commandTopic", "cmd_vel"))
-        self.inputs = (Input(command, PlanarCommand, self.command),)
         self.schedule = mount.schedule("odometryRate", 20.0)
         self._body.remove_sliding_friction()
         self.reset(0)
 
     def command(self, command: PlanarCommand) -> None:
-        """Take over a velocity; it acts from the next step on.
+        """Take over a velocity; it acts from the next step on, until the time-out.
 
         Raises:
-            DeviceError: NaN or infinite; the command before stays in force.
+            PluginError: NaN or infinite; the command before stays in force.
         """
-        if not all(map(math.isfinite, (command.vx, command.vy, command.wz))):
-            raise DeviceError(f"the velocity {command} is not finite")
+        super().command(command)
         self._expires = None if self._timeout is None else self._now + self._timeout
-        self._command = command
 
     def before_step(self, step: int) -> None:
         """Set the velocity for the coming step."""
@@ -151,21 +146,13 @@ class PlanarMove(Device):
         pose = self._body.pose()
         velocity = self._velocity_since(step, pose)
         self._last_step, self._last_pose = step, pose
-        x, y, _ = pose.position
-        flat = Pose((x, y, 0.0), pose.quaternion)
-        frames = (self.frame, self._base_frame)
-        if self.odometry.wanted:
-            self.odometry.send(OdometrySample(step, *frames, flat, velocity, POSE_VARIANCES))
-        if self.transform.wanted:
-            self.transform.send(TransformSample(step, *frames, pose))
+        self._send_odometry(step, (self._flat(pose), pose), velocity, POSE_VARIANCES)
 
     def reset(self, step: int) -> None:
         """Forget the command and where the robot was."""
-        self._command = STANDSTILL
         self._now = step
         self._expires: Optional[int] = None
-        self._last_step = step
-        self.placed()
+        super().reset(step)
 
     def placed(self) -> None:
         """Forget where the robot was: it neither drove nor fell from there."""
@@ -197,8 +184,8 @@ def _support_patch(mount: Mount) -> SupportPatch:
     masses = [link.inertia.mass for link in mount.model.links if link.inertia is not None]
     radius = mount.number("supportRadius", PUBLISHED_RADIUS)
     if radius < 0.0:
-        raise DeviceError(f"{mount.where('supportRadius')}: {radius:g} m is negative")
+        raise PluginError(f"{mount.where('supportRadius')}: {radius:g} m is negative")
     if root.inertia is None or mount.model.static:
-        raise DeviceError(f"model '{mount.model.name}': planar_move on what cannot move")
+        raise PluginError(f"model '{mount.model.name}': planar_move on what cannot move")
     friction = min((c.friction for c in root.collisions), default=1.0)
     return SupportPatch(friction, radius, sum(masses), float(root.inertia.matrix[2, 2]))

@@ -1,18 +1,19 @@
-"""What devices measure and what they are told, as plain data.
+"""What plugins measure and what they are told, as plain data.
 
 Every sample carries the simulated time `step` in whole milliseconds. The ROS side turns each
-kind into its message in `bullet_lab.ros.messages.conversions`.
+kind into its message in `bullet_lab.ros.messages.samples`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Tuple
+from typing import ClassVar, Iterable, Tuple
 
 import numpy as np
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Quaternion, Vector
+from bullet_lab.simulation.physics.physics import JointState
 
 # Row-major diagonals in REP 103 order x, y, z, rotation about x, y, z.
 Diagonal = Tuple[float, float, float, float, float, float]
@@ -20,7 +21,7 @@ Diagonal = Tuple[float, float, float, float, float, float]
 
 @dataclass(frozen=True)
 class PlanarCommand:
-    """A wanted body velocity: m/s ahead and to the left, rad/s counter-clockwise."""
+    """The velocity that a robot shall have: m/s ahead and to the left, rad/s counter-clockwise."""
 
     vx: float = 0.0
     vy: float = 0.0
@@ -63,6 +64,13 @@ class JointSample:
     positions: Tuple[float, ...]
     velocities: Tuple[float, ...]
     efforts: Tuple[float, ...]
+    # They are in no frame.
+    frame: ClassVar[str] = ""
+
+    @classmethod
+    def of(cls, step: int, names: Tuple[str, ...], states: Iterable[JointState]) -> JointSample:
+        """Make a sample of the states of joints."""
+        return cls(step, names, *zip(*((s.position, s.velocity, s.effort) for s in states)))
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """What a world and the models in it are made of, as plain data.
 
-URDF and SDF are read into these classes; the physics, the RViz markers and (later) the saved
+URDF and SDF are read into these classes; the physics, the pictures, the RViz markers and the saved
 world are made from them. Lengths are metres, masses kilograms, angles radians.
 """
 
@@ -8,63 +8,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Dict, Mapping, Optional, Tuple, Union
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
+Geometry = Union[Box, Cylinder, Sphere, Plane, Mesh]
 Colour = Tuple[float, float, float, float]
 
 WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
-
-
-@dataclass(frozen=True)
-class Box:
-    """A box with its centre at the origin; `size` along x, y, z."""
-
-    size: Vector
-
-
-@dataclass(frozen=True)
-class Cylinder:
-    """A cylinder along z with its centre at the origin."""
-
-    radius: float
-    length: float
-
-
-@dataclass(frozen=True)
-class Sphere:
-    """A ball with its centre at the origin."""
-
-    radius: float
-
-
-@dataclass(frozen=True)
-class Plane:
-    """A plane through the origin; it collides without end and is drawn `size` wide."""
-
-    normal: Vector = (0.0, 0.0, 1.0)
-    size: Tuple[float, float] = (100.0, 100.0)
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """A triangle mesh file (.dae, .stl or .obj).
-
-    `uri` is what the description said, for those who resolve it themselves (RViz); `path` is
-    the file that it means here.
-    """
-
-    path: Path
-    uri: str
-    scale: Vector = (1.0, 1.0, 1.0)
-
-
-Geometry = Union[Box, Cylinder, Sphere, Plane, Mesh]
 
 
 @dataclass(frozen=True)
@@ -137,7 +92,7 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Plugin:
+class PluginTag:
     """A `<plugin>` tag; `link` names the link that it refers to, if any.
 
     `tags` holds the text of each child by tag name; `sensor` is the `<sensor>` element around
@@ -163,7 +118,7 @@ class Model:
     name: str
     links: Tuple[Link, ...]
     joints: Tuple[Joint, ...] = ()
-    plugins: Tuple[Plugin, ...] = ()
+    plugins: Tuple[PluginTag, ...] = ()
     pose: Pose = Pose()
     static: bool = False
     frames: Mapping[str, Tuple[str, Pose]] = field(default_factory=dict)
@@ -265,3 +220,12 @@ class World:
     background: Colour = (0.7, 0.7, 0.7, 1.0)
     shadows: bool = True
     states: Mapping[str, ModelState] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A world at a step: its models, and where all their parts are."""
+
+    world: World
+    step: int
+    models: Tuple[Tuple[Model, ModelState], ...]

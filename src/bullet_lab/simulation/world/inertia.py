@@ -1,17 +1,24 @@
-"""Mass, centre of mass and inertia of rigid bodies."""
+"""Mass and inertia of rigid bodies, and what is out of all proportion for the engine."""
 
 from __future__ import annotations
 
-from typing import Sequence, Tuple
+from itertools import chain
+from typing import Iterable, Iterator, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector
-from bullet_lab.simulation.world.description import Inertia
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.world.description import Inertia, Model
 from bullet_lab.simulation.world.xml import XmlError
 
 # Rounded figures in a file miss the limits of what is physical by this much at most.
 RELATIVE_TOLERANCE = 1e-3
+# In m, m/s and rad/s: no robot of a lab is so far away, or so fast.
+FARTHEST = 1e6
+FASTEST = 1e6
+# In kg.
+HEAVIEST = 1e12
 
 
 class InertiaError(XmlError):
@@ -21,8 +28,30 @@ class InertiaError(XmlError):
 def matrix_from_elements(
     ixx: float, iyy: float, izz: float, ixy: float = 0.0, ixz: float = 0.0, iyz: float = 0.0
 ) -> np.ndarray:
-    """Return the 3x3 inertia matrix in kg m²."""
+    """Return the 3x3 inertia matrix in kg m².
+
+    >>> matrix_from_elements(1.0, 2.0, 3.0, ixy=0.5).tolist()
+    [[1.0, 0.5, 0.0], [0.5, 2.0, 0.0], [0.0, 0.0, 3.0]]
+    """
     return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]], dtype=float)
+
+
+def inertia_at(pose: Pose, mass: float, elements: Sequence[float], where: str) -> Inertia:
+    """Return an inertia that a document gives in a frame of its own.
+
+    Args:
+        pose: of that frame in the link's; its origin is the centre of mass.
+        mass: kg.
+        elements: ixx, iyy, izz, ixy, ixz, iyz in kg m².
+        where: names the link in messages.
+
+    Raises:
+        InertiaError: as `check_inertia`.
+    """
+    turn = pose.rotation_matrix()
+    inertia = Inertia(mass, pose.position, turn @ matrix_from_elements(*elements) @ turn.T)
+    check_inertia(inertia, where)
+    return inertia
 
 
 def check_inertia(inertia: Inertia, where: str) -> None:
@@ -51,6 +80,11 @@ def combine(parts: Sequence[Tuple[Inertia, Pose]]) -> Inertia:
         parts: each body's inertia and the pose of its frame in the common one.
 
     Uses the parallel axis theorem about the common centre of mass.
+
+    >>> ball = Inertia(1.0, (0.0, 0.0, 0.0), np.eye(3))
+    >>> both = combine([(ball, Pose((-2.0, 0.0, 0.0))), (ball, Pose((2.0, 0.0, 0.0)))])
+    >>> both.mass, both.centre, both.matrix.diagonal().tolist()
+    (2.0, (0.0, 0.0, 0.0), [2.0, 10.0, 10.0])
     """
     mass = sum(inertia.mass for inertia, _ in parts)
     centres = [np.array((pose * Pose(inertia.centre)).position) for inertia, pose in parts]
@@ -91,3 +125,38 @@ def principal_axes(inertia: Inertia) -> Tuple[Tuple[float, float, float], Pose]:
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] = -axes[:, 0]
     return tuple(float(value) for value in moments), Pose.from_matrix(inertia.centre, axes)
+
+
+class ProportionError(LabError):
+    """Something is out of all proportion."""
+
+
+def check_proportions(model: Model) -> None:
+    """Refuse a model with a part that is absurdly far away, large or heavy.
+
+    Raises:
+        ProportionError: there is one; the message says which.
+    """
+    for what, values, limit in _measures(model):
+        for value in values:
+            # Not finite is out of proportion, too.
+            if not abs(value) <= limit:
+                raise ProportionError(
+                    f"model '{model.name}': {what}: {value:g} is out of all proportion"
+                )
+
+
+def _measures(model: Model) -> Iterator[Tuple[str, Iterable[float], float]]:
+    yield "pose", model.pose.position, FARTHEST
+    for link in model.links:
+        where = f"link '{link.name}'"
+        yield f"{where}: pose", link.pose.position, FARTHEST
+        if link.inertia is not None:
+            yield f"{where}: mass", (link.inertia.mass,), HEAVIEST
+            yield f"{where}: centre of mass", link.inertia.centre, FARTHEST
+            yield f"{where}: inertia", link.inertia.matrix.flat, HEAVIEST * FARTHEST
+        for shape in (*link.visuals, *link.collisions):
+            yield f"{where}: pose of a shape", shape.pose.position, FARTHEST
+            yield f"{where}: size of a shape", chain(*shape.geometry.measures().values()), FARTHEST
+    for joint in model.joints:
+        yield f"joint '{joint.name}': pose", joint.pose.position, FARTHEST

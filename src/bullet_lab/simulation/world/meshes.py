@@ -1,4 +1,8 @@
-"""Mesh files, read and made ready for PyBullet."""
+"""Mesh files as triangles, as what PyBullet takes, and as solids.
+
+COLLADA is read with pycollada itself: trimesh would pass over its unit and over what is broken in
+it, and costs 0.3 s to import, which only worlds with .stl and .obj files pay.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +11,14 @@ import re
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, List, Tuple
+from typing import Any, List, Protocol, Tuple
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
+from bullet_lab.core.pose import Vector
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import Mesh, Model
-from bullet_lab.simulation.world.xml import number, parse_text, read_text
+from bullet_lab.simulation.world.xml import file_bytes, number, parse_text, read_text
 
 KNOWN_SUFFIXES = (".dae", ".stl", ".obj")
 MAXIMUM_BYTES = 200_000_000
@@ -34,6 +38,13 @@ class MeshError(LabError):
     """A mesh file holds no usable triangles."""
 
 
+class MeshFile(Protocol):
+    """What names a mesh: its file, and three factors for the coordinates in it."""
+
+    path: Path
+    scale: Vector
+
+
 @dataclass(frozen=True)
 class Triangles:
     """A triangle mesh: `vertices` (n, 3) in metres, `faces` (m, 3) indices into them."""
@@ -42,7 +53,7 @@ class Triangles:
     faces: np.ndarray
 
 
-def load_triangles(mesh: Mesh) -> Triangles:
+def load_triangles(mesh: MeshFile) -> Triangles:
     """Read a mesh with all transforms of its file and the description's scale applied.
 
     The transforms matter: the `<matrix>` of a COLLADA node is where Blender writes the size.
@@ -56,7 +67,7 @@ def load_triangles(mesh: Mesh) -> Triangles:
     return _load(mesh, file_version(mesh))
 
 
-def file_version(mesh: Mesh) -> Tuple[int, int]:
+def file_version(mesh: MeshFile) -> Tuple[int, int]:
     """Return what changes when the file of a mesh does: its time (ns) and its size (bytes)."""
     try:
         found = mesh.path.stat()
@@ -66,7 +77,7 @@ def file_version(mesh: Mesh) -> Tuple[int, int]:
 
 
 @functools.lru_cache(maxsize=CACHED_MESHES)
-def _load(mesh: Mesh, _version: Tuple[int, int]) -> Triangles:
+def _load(mesh: MeshFile, _version: Tuple[int, int]) -> Triangles:
     suffix = mesh.path.suffix.lower()
     if suffix not in KNOWN_SUFFIXES:
         raise MeshError(f"{mesh.path}: a mesh is one of {', '.join(KNOWN_SUFFIXES)}")
@@ -82,15 +93,28 @@ def _load(mesh: Mesh, _version: Tuple[int, int]) -> Triangles:
     return Triangles(vertices, faces)
 
 
-def check_visible_meshes(model: Model) -> None:
-    """Refuse a model that could not be drawn; raises as `load_triangles`."""
-    for link in model.links:
-        for visual in link.visuals:
-            if isinstance(visual.geometry, Mesh):
-                load_triangles(visual.geometry)
+def mesh_bounds(mesh: MeshFile) -> np.ndarray:
+    """Return the least and the greatest corner of a mesh, shape (2, 3); raises as it is read."""
+    return _bounds(mesh, file_version(mesh))
 
 
-def hull_corners(mesh: Mesh) -> np.ndarray:
+@functools.lru_cache(maxsize=64)
+def _bounds(mesh: MeshFile, _version: Tuple[int, int]) -> np.ndarray:
+    vertices = load_triangles(mesh).vertices
+    bounds = np.array((vertices.min(axis=0), vertices.max(axis=0)))
+    bounds.setflags(write=False)
+    return bounds
+
+
+def mesh_solid(mesh: MeshFile) -> Any:
+    """Return what a mesh encloses as a `trimesh.Trimesh`; raises as `load_triangles`."""
+    import trimesh
+
+    triangles = load_triangles(mesh)
+    return trimesh.Trimesh(triangles.vertices, triangles.faces, process=False)
+
+
+def hull_corners(mesh: MeshFile) -> np.ndarray:
     """Return corners (n, 3) that have the same convex hull as a mesh, as many as Bullet takes.
 
     Bullet itself drops those within the hull. Of a mesh with too many, those stay that are
@@ -108,7 +132,7 @@ def hull_corners(mesh: Mesh) -> np.ndarray:
     return corners[np.unique([np.argmax(block @ round_, axis=1) for block in blocks])]
 
 
-def triangle_corners(mesh: Mesh) -> List[np.ndarray]:
+def triangle_corners(mesh: MeshFile) -> List[np.ndarray]:
     """Return a mesh in pieces that Bullet takes: corners (n, 3), three for each triangle.
 
     Raises:
@@ -232,11 +256,4 @@ def _read_collada(root: Element, where: str) -> Tuple[np.ndarray, np.ndarray]:
 
 def read_bytes(path: Path) -> bytes:
     """Return what is in a file; raises MeshError if it is missing or too large."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAXIMUM_BYTES + 1)
-    except OSError as error:
-        raise MeshError(f"{path}: {error.strerror}") from error
-    if len(data) > MAXIMUM_BYTES:
-        raise MeshError(f"{path}: larger than {MAXIMUM_BYTES} bytes")
-    return data
+    return file_bytes(path, MAXIMUM_BYTES, MeshError)

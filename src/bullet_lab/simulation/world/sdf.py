@@ -1,4 +1,4 @@
-"""Reading worlds and models from SDF, the format of Gazebo."""
+"""Reading worlds and models from SDF, the format of Gazebo, with the `<state>` of saved worlds."""
 
 from __future__ import annotations
 
@@ -6,50 +6,46 @@ import logging
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Dict, Iterator, List, Mapping, Optional, Set, Tuple, Union
+from typing import Dict, Iterable, Iterator, Mapping, Optional, Tuple, Union
 from xml.etree.ElementTree import Element
 
-from bullet_lab.core.pose import Pose
+from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.simulation.world.description import (
     WHITE,
     Attenuation,
-    Box,
     Collision,
     Colour,
     Cone,
-    Cylinder,
-    Geometry,
+    FrameState,
     Inertia,
     Joint,
     Light,
     Link,
-    Mesh,
     Model,
-    Plane,
-    Plugin,
-    Sphere,
+    ModelState,
+    PluginTag,
     Visual,
     World,
 )
-from bullet_lab.simulation.world.gazebo_materials import gazebo_colour
-from bullet_lab.simulation.world.inertia import check_inertia, matrix_from_elements
+from bullet_lab.simulation.world.gazebo_tags import (
+    ReportOnce,
+    gazebo_colour,
+    plugins_in,
+    report_unknown,
+)
+from bullet_lab.simulation.world.inertia import inertia_at
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
-from bullet_lab.simulation.world.sdf_state import read_states
-from bullet_lab.simulation.world.sdf_unknown import report_unknown
+from bullet_lab.simulation.world.shapes import SHAPES, Shape, ShapeTag
 from bullet_lab.simulation.world.tree import check_forest, lump_fixed_joints
+from bullet_lab.simulation.world.urdf import read_urdf
 from bullet_lab.simulation.world.xml import (
+    ElementReader,
     XmlError,
-    boolean,
     child_text,
-    direction,
-    friction,
-    mesh_scale,
     number,
     numbers,
     parse_text,
-    plugins_in,
     read_text,
-    sizes,
 )
 
 LOG = logging.getLogger(__name__)
@@ -78,8 +74,27 @@ def read_world_file(path: Path, finder: Optional[ResourceFinder] = None) -> Worl
     element = root.find("world") if root.tag == "sdf" else None
     if element is None:
         raise SdfError(f"{path}: no <sdf> with a <world>")
-    report_unknown(root, context.source, context.reported)
+    report_unknown(root, context.source, context.report)
     return _world(element, context)
+
+
+def read_description(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
+    """Return the model that a text describes, SDF or URDF.
+
+    Args:
+        text: the description.
+        source: names it in messages.
+        finder: finds the files that it names.
+
+    Raises:
+        LabError: neither, or no model that could exist; the message says what and where.
+    """
+    root = parse_text(text, source)
+    if root.tag == "robot":
+        return read_urdf(text, source, finder)
+    if root.tag == "sdf":
+        return read_model_text(text, source, finder)
+    raise XmlError(f"{source}: the root element is <{root.tag}>, neither <sdf> nor <robot>")
 
 
 def read_model_text(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
@@ -96,15 +111,15 @@ def read_model_text(text: str, source: str, finder: Optional[ResourceFinder] = N
 class _Context:
     """Where an element comes from: for messages, and to find the files that it names.
 
-    `static` is what an <include> says about all models in it, if it says anything; `reported`
-    is what the user was told of that is not simulated.
+    `static` is what an <include> says about all models in it, if it says anything; `report`
+    tells the user what is not simulated.
     """
 
     source: str
     finder: ResourceFinder
     depth: int = 0
     static: Optional[bool] = None
-    reported: Set[str] = field(default_factory=set)
+    report: ReportOnce = field(default_factory=ReportOnce)
 
     def find(self, uri: str, where: str) -> Path:
         try:
@@ -112,8 +127,17 @@ class _Context:
         except ResourceError as error:
             raise ResourceError(f"{where}: {error}") from error
 
-    def within(self, place: str) -> _Context:
+    def within(self, element: Element) -> _Context:
+        place = f"{element.tag} '{element.get('name', '')}'"
         return replace(self, source=f"{self.source}: {place}")
+
+    def named(self, element: Element) -> _Context:
+        if not element.get("name"):
+            raise SdfError(f"{self.source}: a <{element.tag}> without a name")
+        return self.within(element)
+
+    def tags(self, element: Element) -> ElementReader:
+        return ElementReader(element, self.source)
 
 
 Part = Union[Model, Light]
@@ -123,19 +147,17 @@ def _world(element: Element, context: _Context) -> World:
     parts = list(_parts(element, context))
     models = tuple(part for part in parts if isinstance(part, Model))
     _refuse_repeated_names(models, context)
-    gravity = child_text(element, "gravity", "0 0 -9.8")
-    scene = element.find("scene")
+    scene, state = element.find("scene"), element.find("state")
     scene = Element("scene") if scene is None else scene
-    state = element.find("state")
     return World(
         element.get("name", "default"),
         models,
         tuple(part for part in parts if isinstance(part, Light)),
-        numbers(gravity, 3, f"{context.source}: gravity"),
-        _colour(scene, "ambient", (0.4, 0.4, 0.4, 1.0), context),
-        _colour(scene, "background", (0.7, 0.7, 0.7, 1.0), context),
-        boolean(child_text(scene, "shadows", "true"), f"{context.source}: <shadows>"),
-        {} if state is None else read_states(state, models, context.source),
+        numbers(child_text(element, "gravity", "0 0 -9.8"), 3, f"{context.source}: gravity"),
+        _colour(scene, "ambient", World.ambient, context),
+        _colour(scene, "background", World.background, context),
+        context.tags(scene).boolean("shadows", True),
+        {} if state is None else _states(state, models, context.source),
     )
 
 
@@ -161,7 +183,7 @@ def _parts(element: Element, context: _Context) -> Iterator[Part]:
 def _parts_of_sdf(root: Element, context: _Context) -> Iterator[Part]:
     if root.tag != "sdf":
         raise SdfError(f"{context.source}: the root element is <{root.tag}>, not <sdf>")
-    report_unknown(root, context.source, context.reported)
+    report_unknown(root, context.source, context.report)
     return _parts(root, context)
 
 
@@ -172,15 +194,11 @@ def _include(element: Element, context: _Context) -> Iterator[Part]:
     if not uri:
         raise SdfError(f"{context.source}: an <include> without <uri>")
     path = _model_file(context.find(uri, f"{context.source}: <include>"))
-    said = child_text(element, "static")
-    static = boolean(said, f"{context.source}: <static>") if said else context.static
-    inner = replace(
-        context,
-        source=str(path),
-        finder=context.finder.beside(path),
-        depth=context.depth + 1,
-        static=static,
-    )
+    static = context.static
+    if child_text(element, "static"):
+        static = context.tags(element).boolean("static", False)
+    finder, depth = context.finder.beside(path), context.depth + 1
+    inner = replace(context, source=str(path), finder=finder, depth=depth, static=static)
     for part in _parts_of_sdf(parse_text(read_text(path), str(path)), inner):
         name = child_text(element, "name", part.name)
         pose = _pose(element, context) if element.find("pose") is not None else part.pose
@@ -202,21 +220,18 @@ def _model_file(found: Path) -> Path:
 
 
 def _model(element: Element, context: _Context) -> Model:
-    name = element.get("name")
-    if not name:
-        raise SdfError(f"{context.source}: a <model> without a name")
-    inner = context.within(f"model '{name}'")
+    inner = context.named(element)
     if element.find("include") is not None or element.find("model") is not None:
         LOG.warning("%s: models inside a model are not read", inner.source)
-    static = boolean(child_text(element, "static", "false"), f"{inner.source}: <static>")
+    static = inner.tags(element).boolean("static", False)
     static = static if context.static is None else context.static
     links = tuple(_link(child, static, inner) for child in element.findall("link"))
     by_name = {link.name: link for link in links}
     joints = tuple(_joint(child, by_name, inner) for child in element.findall("joint"))
     check_forest(links, joints, inner.source)
     frames = _frames(element, by_name, inner)
-    plugins = _plugins(element, frames)
-    model = lump_fixed_joints(Model(name, links, joints, plugins, _pose(element, inner), static))
+    plugins, pose = _plugins(element, frames), _pose(element, inner)
+    model = lump_fixed_joints(Model(element.get("name"), links, joints, plugins, pose, static))
     placed = {key: _lumped(place, model) for key, place in frames.items()}
     return replace(model, frames={**placed, **model.frames})
 
@@ -243,7 +258,7 @@ def _lumped(place: Tuple[str, Pose], model: Model) -> Tuple[str, Pose]:
     return keeper, offset * pose
 
 
-def _plugins(element: Element, frames: Mapping[str, Tuple[str, Pose]]) -> Tuple[Plugin, ...]:
+def _plugins(element: Element, frames: Mapping[str, Tuple[str, Pose]]) -> Tuple[PluginTag, ...]:
     found = list(plugins_in(element))
     for link in element.findall("link"):
         for plugin in plugins_in(link, link.get("name", "")):
@@ -254,137 +269,120 @@ def _plugins(element: Element, frames: Mapping[str, Tuple[str, Pose]]) -> Tuple[
 
 
 def _link(element: Element, static: bool, context: _Context) -> Link:
-    name = element.get("name")
-    if not name:
-        raise SdfError(f"{context.source}: a <link> without a name")
-    inner = context.within(f"link '{name}'")
-    visuals: List[Visual] = []
-    for child in element.findall("visual"):
-        geometry = _geometry(child, inner)
-        if geometry is not None:
-            colour = _visual_colour(child, geometry, inner)
-            said = child_text(child, "cast_shadows", "true")
-            casts = boolean(said, f"{inner.source}: <cast_shadows>")
-            name_of = child.get("name", "")
-            visuals.append(Visual(geometry, _pose(child, inner), colour, name_of, casts))
-    collisions: List[Collision] = []
-    for child in element.findall("collision"):
-        geometry = _geometry(child, inner)
-        if geometry is not None:
-            mu = child_text(child, "surface/friction/ode/mu", "1")
-            mu = friction(mu, f"{inner.source}: <mu>")
-            called, spring = child.get("name", ""), _spring(child, inner)
-            collisions.append(Collision(geometry, _pose(child, inner), mu, called, *spring))
-    inertia = None if static else _inertia(element.find("inertial"), inner)
-    said = child_text(element, "self_collide", "false")
-    touchy = boolean(said, f"{inner.source}: <self_collide>")
-    return Link(name, _pose(element, inner), inertia, tuple(visuals), tuple(collisions), touchy)
-
-
-def _spring(collision: Element, context: _Context) -> Tuple[Optional[float], ...]:
-    """Return stiffness and damping of a shape's contacts, None for what is not said."""
-    texts = {key: child_text(collision, f"surface/contact/ode/{key}") for key in ("kp", "kd")}
-    return tuple(
-        friction(text, f"{context.source}: <{key}>") if text else None
-        for key, text in texts.items()
+    inner = context.named(element)
+    return Link(
+        element.get("name"),
+        _pose(element, inner),
+        None if static else _inertia(element.find("inertial"), inner),
+        tuple(_visual(*shape, inner) for shape in _shapes(element, "visual", inner)),
+        tuple(_collision(*shape, inner) for shape in _shapes(element, "collision", inner)),
+        inner.tags(element).boolean("self_collide", False),
     )
+
+
+def _shapes(link: Element, tag: str, context: _Context) -> Iterator[Tuple[Element, Shape]]:
+    """Yield the visuals or collisions of a link, with those of their shapes that are simulated."""
+    for element in link.findall(tag):
+        geometry = _geometry(element, context)
+        if geometry is not None:
+            yield element, geometry
+
+
+def _visual(element: Element, geometry: Shape, context: _Context) -> Visual:
+    colour = _visual_colour(element, geometry, context)
+    casts = context.tags(element).boolean("cast_shadows", True)
+    return Visual(geometry, _pose(element, context), colour, element.get("name", ""), casts)
+
+
+def _collision(element: Element, geometry: Shape, context: _Context) -> Collision:
+    tags = context.tags(element)
+    mu = tags.coefficient("surface/friction/ode/mu", 1.0)
+    # Stiffness and damping of its contacts, None for what is not said.
+    paths = [f"surface/contact/ode/{key}" for key in ("kp", "kd")]
+    spring = [tags.coefficient(path, 0.0) if tags.text(path) else None for path in paths]
+    return Collision(geometry, _pose(element, context), mu, element.get("name", ""), *spring)
 
 
 def _inertia(element: Optional[Element], context: _Context) -> Inertia:
     # What SDF leaves out weighs 1 kg and has unit moments: the format's own defaults.
     element = Element("inertial") if element is None else element
-    pose = _pose(element, context)
-    entries = [
-        number(child_text(element, f"inertia/{key}", default), f"{context.source}: <{key}>")
-        for key, default in zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "111000")
-    ]
-    turn = pose.rotation_matrix()
-    mass = number(child_text(element, "mass", "1"), f"{context.source}: <mass>")
+    tags, pose = context.tags(element), _pose(element, context)
+    elements = [tags.number(f"inertia/{key}", 1.0) for key in ("ixx", "iyy", "izz")]
+    elements += [tags.number(f"inertia/{key}", 0.0) for key in ("ixy", "ixz", "iyz")]
+    mass = tags.number("mass", 1.0)
     if mass == 0.0:
         raise SdfError(f"{context.source}: the mass is 0; a thing that never moves is <static>")
-    inertia = Inertia(mass, pose.position, turn @ matrix_from_elements(*entries) @ turn.T)
-    check_inertia(inertia, context.source)
-    return inertia
+    return inertia_at(pose, mass, elements, context.source)
 
 
-def _joint(element: Element, links: dict, context: _Context) -> Joint:
-    inner = context.within(f"joint '{element.get('name', '')}'")
-    kind = element.get("type", "")
+def _joint(element: Element, links: Mapping[str, Link], context: _Context) -> Joint:
+    inner = context.within(element)
+    kind, tags = element.get("type", ""), inner.tags(element)
     if kind not in SIMULATED_JOINTS:
         raise SdfError(f"{inner.source}: type '{kind}' is not one of {', '.join(SIMULATED_JOINTS)}")
     if _pose(element, inner) != Pose():
         raise SdfError(f"{inner.source}: a joint with a <pose> of its own is not read")
-    parent, child = child_text(element, "parent"), child_text(element, "child")
+    parent, child = tags.text("parent"), tags.text("child")
     for end in (parent, child):
         if end not in links:
             raise SdfError(f"{inner.source}: names no link '{end}'")
-    pose = links[parent].pose.inverse() * links[child].pose
     return Joint(
         element.get("name", ""),
         kind,
         parent,
         child,
-        pose,
-        direction(child_text(element, "axis/xyz", "0 0 1"), f"{inner.source}: <xyz>"),
-        _limits(element, inner),
-        *(
-            number(child_text(element, f"axis/dynamics/{tag}", "0"), f"{inner.source}: <{tag}>")
-            for tag in ("damping", "friction")
-        ),
+        links[parent].pose.inverse() * links[child].pose,
+        tags.direction("axis/xyz", "0 0 1"),
+        _limits(element.find("axis/limit"), inner),
+        tags.number("axis/dynamics/damping", 0.0),
+        tags.number("axis/dynamics/friction", 0.0),
     )
 
 
-def _limits(element: Element, context: _Context) -> dict:
-    found = element.find("axis/limit")
-    if found is None:
-        return {}
+def _limits(element: Optional[Element], context: _Context) -> Dict[str, float]:
     limits = {
         child.tag: number(child.text, f"{context.source}: <{child.tag}>")
-        for child in found
+        for child in (element if element is not None else ())
         if child.tag in ("lower", "upper", "effort", "velocity")
     }
     # Bounds as far as SDF's own defaults are none.
     return {key: value for key, value in limits.items() if abs(value) < NO_BOUND}
 
 
-def _geometry(element: Element, context: _Context) -> Optional[Geometry]:
+def _geometry(element: Element, context: _Context) -> Optional[Shape]:
     """Return the shape of a visual or collision; None for one that is not simulated."""
     holder = element.find("geometry")
     shape = holder[0] if holder is not None and len(holder) else None
     where = f"{context.source}: <{element.tag}>"
     if shape is None:
         raise SdfError(f"{where} without a geometry")
-    if shape.tag == "box":
-        return Box(sizes(child_text(shape, "size"), 3, f"{where}: <size>"))
-    if shape.tag == "cylinder":
-        keys = ("radius", "length")
-        return Cylinder(*(sizes(child_text(shape, k), 1, f"{where}: <{k}>")[0] for k in keys))
-    if shape.tag == "sphere":
-        return Sphere(*sizes(child_text(shape, "radius"), 1, f"{where}: <radius>"))
-    if shape.tag == "plane":
-        normal = direction(child_text(shape, "normal", "0 0 1"), f"{where}: <normal>")
-        return Plane(normal, sizes(child_text(shape, "size", "1 1"), 2, f"{where}: <size>"))
-    if shape.tag == "mesh":
-        return _mesh(shape, context, where)
+    if shape.tag in SHAPES:
+        return SHAPES[shape.tag].read(_ShapeElement(shape, where, context))
     if shape.tag != "empty":
         LOG.warning("%s: geometry <%s> is not simulated", where, shape.tag)
     return None
 
 
-def _mesh(shape: Element, context: _Context, where: str) -> Mesh:
-    uri = child_text(shape, "uri")
-    if not uri:
-        raise SdfError(f"{where}: a <mesh> without <uri>")
-    if shape.find("submesh") is not None:
-        LOG.warning("%s: <submesh> is not read, the whole mesh is used", where)
-    scale = mesh_scale(child_text(shape, "scale", "1 1 1"), f"{where}: <scale>")
-    return Mesh(context.find(uri, where), uri, scale)
+class _ShapeElement(ElementReader, ShapeTag):
+    def __init__(self, element: Element, source: str, context: _Context):
+        super().__init__(element, source)
+        self._context = context
+
+    def uri(self) -> str:
+        uri = self.text("uri")
+        if not uri:
+            raise SdfError(f"{self.source}: a <mesh> without <uri>")
+        if self.element.find("submesh") is not None:
+            LOG.warning("%s: <submesh> is not read, the whole mesh is used", self.source)
+        return uri
+
+    def find(self, uri: str) -> Path:
+        return self._context.find(uri, self.source)
 
 
-def _visual_colour(element: Element, geometry: Geometry, context: _Context) -> Colour:
+def _visual_colour(element: Element, geometry: Shape, context: _Context) -> Colour:
     material = element.find("material")
-    # A mesh may bring colours and pictures of its own, which nothing shall darken.
-    colour = WHITE if isinstance(geometry, Mesh) else DEFAULT_COLOUR
+    colour = WHITE if geometry.has_own_colours else DEFAULT_COLOUR
     if material is not None:
         named = gazebo_colour(child_text(material, "script/name")) or DEFAULT_COLOUR
         ambient = _colour(material, "ambient", named, context)
@@ -395,44 +393,32 @@ def _visual_colour(element: Element, geometry: Geometry, context: _Context) -> C
 
 def _light(element: Element, context: _Context) -> Light:
     name = element.get("name", "light")
-    inner = context.within(f"light '{name}'")
-    kind = element.get("type", "")
+    inner = replace(context, source=f"{context.source}: light '{name}'")
+    kind, tags = element.get("type", ""), inner.tags(element)
     if kind not in ("point", "directional", "spot"):
         raise SdfError(f"{inner.source}: type '{kind}' is not point, directional or spot")
+    fading = {
+        key: tags.coefficient(f"attenuation/{key}", getattr(Attenuation, key))
+        for key in ("range", "constant", "linear", "quadratic")
+    }
     return Light(
         name,
         kind,
         _pose(element, inner),
-        _colour(element, "diffuse", (1.0, 1.0, 1.0, 1.0), inner),
-        direction(child_text(element, "direction", "0 0 -1"), f"{inner.source}: <direction>"),
-        boolean(child_text(element, "cast_shadows", "false"), f"{inner.source}: <cast_shadows>"),
-        _attenuation(element, inner),
-        _cone(element, inner),
+        _colour(element, "diffuse", WHITE, inner),
+        tags.direction("direction", "0 0 -1"),
+        tags.boolean("cast_shadows", False),
+        Attenuation(**fading),
+        _cone(tags),
     )
 
 
-def _attenuation(light: Element, context: _Context) -> Attenuation:
-    values = {}
-    for key, default in (("range", 10.0), ("constant", 1.0), ("linear", 0.0), ("quadratic", 0.0)):
-        where = f"{context.source}: <{key}>"
-        values[key] = number(child_text(light, f"attenuation/{key}", repr(default)), where)
-        if values[key] < 0.0:
-            raise SdfError(f"{where}: {values[key]:g} is negative")
-    return Attenuation(**values)
-
-
-def _cone(light: Element, context: _Context) -> Cone:
-    default = Cone()
-    inner, outer, falloff = (
-        number(child_text(light, f"spot/{tag}", repr(value)), f"{context.source}: <{tag}>")
-        for tag, value in (
-            ("inner_angle", default.inner),
-            ("outer_angle", default.outer),
-            ("falloff", default.falloff),
-        )
-    )
+def _cone(light: ElementReader) -> Cone:
+    inner = light.number("spot/inner_angle", Cone.inner)
+    outer = light.number("spot/outer_angle", Cone.outer)
+    falloff = light.number("spot/falloff", Cone.falloff)
     if not 0.0 <= inner <= outer <= 2.0 * math.pi or falloff < 0.0:
-        raise SdfError(f"{context.source}: <spot> is no cone: {inner:g}, {outer:g}, {falloff:g}")
+        raise SdfError(f"{light.source}: <spot> is no cone: {inner:g}, {outer:g}, {falloff:g}")
     return Cone(inner, outer, falloff)
 
 
@@ -453,3 +439,70 @@ def _colour(element: Element, tag: str, default: Colour, context: _Context) -> C
     # Alpha may be left out.
     padded = text if len(text.split()) != 3 else f"{text} 1"
     return numbers(padded, 4, f"{context.source}: <{tag}>")
+
+
+def _states(element: Element, models: Iterable[Model], source: str) -> Mapping[str, ModelState]:
+    """Return what a `<state>` says of a world's models, by their names."""
+    known = {model.name: model for model in models}
+    states: Dict[str, ModelState] = {}
+    for child in element.findall("model"):
+        name = child.get("name", "")
+        where = f"{source}: state of model '{name}'"
+        if name not in known:
+            LOG.warning("%s: there is no such model", where)
+        else:
+            states[name] = _model_state(child, known[name], where)
+    return states
+
+
+def _model_state(element: Element, model: Model, source: str) -> ModelState:
+    present = model.links_by_name()
+    links = {
+        child.get("name", ""): _frame_state(child, f"{source}: link '{child.get('name', '')}'")
+        for child in element.findall("link")
+        if child.get("name", "") in present
+    }
+    positions = {
+        child.get("name", ""): number(child_text(child, "angle", "0"), f"{source}: <angle>")
+        for child in element.findall("joint")
+    }
+    joints = {
+        joint.name: (positions.get(joint.name, _position(joint, links)), _rate(joint, links))
+        for joint in model.joints
+    }
+    return ModelState(ElementReader(element, source).pose(), links, joints)
+
+
+def _frame_state(element: Element, source: str) -> FrameState:
+    tags = ElementReader(element, source)
+    values = tags.numbers("velocity", 6, "0 0 0 0 0 0")
+    return FrameState(tags.pose(), values[:3], values[3:])
+
+
+def _position(joint: Joint, links: Mapping[str, FrameState]) -> float:
+    """Return where a joint stands (rad or m), from where the links at its ends do."""
+    if joint.parent not in links or joint.child not in links:
+        return 0.0
+    moved = (links[joint.parent].pose * joint.pose).inverse() * links[joint.child].pose
+    if joint.kind == "prismatic":
+        return _along(joint.axis, moved.position, (0.0, 0.0, 0.0))
+    x, y, z, w = moved.quaternion
+    half = math.atan2(_along(joint.axis, (x, y, z), (0.0, 0.0, 0.0)), w)
+    return math.remainder(2.0 * half, math.tau)
+
+
+def _rate(joint: Joint, links: Mapping[str, FrameState]) -> float:
+    """Return how fast a joint moves (rad/s or m/s), from how the links at its ends do."""
+    if joint.parent not in links or joint.child not in links:
+        return 0.0
+    parent, child = links[joint.parent], links[joint.child]
+    axis = child.pose.rotate(joint.axis)
+    if joint.kind == "prismatic":
+        arm = tuple(a - b for a, b in zip(child.pose.position, parent.pose.position))
+        carried = add(parent.linear, cross(parent.angular, arm))
+        return _along(axis, child.linear, carried)
+    return _along(axis, child.angular, parent.angular)
+
+
+def _along(axis: Vector, moving: Vector, still: Vector) -> float:
+    return sum(a * (m - s) for a, m, s in zip(axis, moving, still))

@@ -2,48 +2,39 @@
 
 from __future__ import annotations
 
-import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Dict, Iterable, List, Optional, Tuple
+from typing import Dict, Optional
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import (
     WHITE,
-    Box,
     Collision,
     Colour,
-    Cylinder,
-    Geometry,
     Inertia,
     Joint,
     Link,
-    Mesh,
     Model,
-    Plugin,
-    Sphere,
     Visual,
 )
-from bullet_lab.simulation.world.gazebo_materials import gazebo_colour
-from bullet_lab.simulation.world.inertia import check_inertia, matrix_from_elements
+from bullet_lab.simulation.world.gazebo_tags import GazeboTags, plugins_in
+from bullet_lab.simulation.world.inertia import inertia_at
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
+from bullet_lab.simulation.world.shapes import SHAPES, Shape, ShapeTag
 from bullet_lab.simulation.world.tree import check_tree, lump_fixed_joints, place_links
 from bullet_lab.simulation.world.xacro import expand_xacro, is_xacro
 from bullet_lab.simulation.world.xml import (
+    TagReader,
     XmlError,
-    boolean,
     direction,
-    friction,
-    mesh_scale,
     number,
     numbers,
     parse_text,
-    plugins_in,
     read_text,
-    sizes,
 )
 
+INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SIMULATED_JOINTS = ("fixed", "revolute", "continuous", "prismatic")
 
 
@@ -98,13 +89,12 @@ class _Reader:
         tags = GazeboTags(self._root.findall("gazebo"), references, self._source)
         links = tuple(map(tags.apply, links))
         name = self._root.get("name") or "robot"
-        return Model(name, place_links(links, joints), joints, self._plugins())
-
-    def _plugins(self) -> Tuple[Plugin, ...]:
-        found: List[Plugin] = []
-        for element in self._root.findall("gazebo"):
-            found.extend(plugins_in(element, element.get("reference", "")))
-        return tuple(found)
+        plugins = tuple(
+            plugin
+            for element in self._root.findall("gazebo")
+            for plugin in plugins_in(element, element.get("reference", ""))
+        )
+        return Model(name, place_links(links, joints), joints, plugins)
 
     def _link(self, element: Element) -> Link:
         name = self._name(element, "link")
@@ -138,41 +128,20 @@ class _Reader:
         if mass_element is None or tensor is None:
             raise UrdfError(f"{where}: <inertial> needs <mass> and <inertia>")
         mass = number(mass_element.get("value"), f"{where}: mass")
-        entries = [
-            number(tensor.get(key, "0"), f"{where}: {key}")
-            for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-        ]
-        origin = self._origin(element, link)
-        turn = origin.rotation_matrix()
-        matrix = turn @ matrix_from_elements(*entries) @ turn.T
-        inertia = Inertia(mass, origin.position, matrix)
-        check_inertia(inertia, where)
-        return inertia
+        moments = _Attributes(tensor, where)
+        elements = [moments.number(key, 0.0) for key in INERTIA_KEYS]
+        return inertia_at(self._origin(element, link), mass, elements, where)
 
-    def _geometry(self, element: Element, link: str) -> Geometry:
+    def _geometry(self, element: Element, link: str) -> Shape:
         where = f"{self._source}: link '{link}'"
         holder = element.find("geometry")
         shape = holder[0] if holder is not None and len(holder) else None
         if shape is None:
             raise UrdfError(f"{where}: <{element.tag}> without a geometry")
-        if shape.tag == "box":
-            return Box(sizes(shape.get("size"), 3, f"{where}: box size"))
-        if shape.tag == "cylinder":
-            keys = ("radius", "length")
-            return Cylinder(*(sizes(shape.get(k), 1, f"{where}: cylinder {k}")[0] for k in keys))
-        if shape.tag == "sphere":
-            return Sphere(*sizes(shape.get("radius"), 1, f"{where}: sphere radius"))
-        if shape.tag == "mesh":
-            return self._mesh(shape, where)
-        raise UrdfError(f"{where}: no geometry is called <{shape.tag}>")
-
-    def _mesh(self, shape: Element, where: str) -> Mesh:
-        uri = shape.get("filename", "")
-        scale = mesh_scale(shape.get("scale", "1 1 1"), f"{where}: mesh scale")
-        try:
-            return Mesh(self._finder.find(uri), uri, scale)
-        except ResourceError as error:
-            raise ResourceError(f"{where}: mesh: {error}") from error
+        kind = SHAPES.get(shape.tag)
+        if kind is None or not kind.in_urdf:
+            raise UrdfError(f"{where}: no geometry is called <{shape.tag}>")
+        return kind.read(_ShapeAttributes(shape, where, self._finder))
 
     def _joint(self, element: Element) -> Joint:
         name = self._name(element, "joint")
@@ -180,8 +149,9 @@ class _Reader:
         kind = element.get("type", "")
         if kind not in SIMULATED_JOINTS:
             raise UrdfError(f"{where}: type '{kind}' is not one of {', '.join(SIMULATED_JOINTS)}")
-        axis, limit, dynamics = (element.find(tag) for tag in ("axis", "limit", "dynamics"))
+        axis, limit = element.find("axis"), element.find("limit")
         along = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+        dynamics = _Attributes(element.find("dynamics"), where)
         return Joint(
             name,
             kind,
@@ -190,8 +160,8 @@ class _Reader:
             self._origin(element, name),
             direction(along, f"{where}: axis"),
             {} if limit is None else {k: number(v, f"{where}: {k}") for k, v in limit.items()},
-            _attribute(dynamics, "damping", where),
-            _attribute(dynamics, "friction", where),
+            dynamics.number("damping", 0.0),
+            dynamics.number("friction", 0.0),
         )
 
     def _end(self, element: Element, tag: str, where: str) -> str:
@@ -206,8 +176,8 @@ class _Reader:
         if origin is None:
             return Pose()
         where = f"{self._source}: origin in '{what}'"
-        position = numbers(origin.get("xyz", "0 0 0"), 3, where)
-        return Pose.from_rpy(position, numbers(origin.get("rpy", "0 0 0"), 3, where))
+        xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, where) for key in ("xyz", "rpy"))
+        return Pose.from_rpy(xyz, rpy)
 
     def _colour(self, element: Element) -> Colour:
         return numbers(element.get("rgba"), 4, f"{self._source}: colour")
@@ -217,6 +187,38 @@ class _Reader:
         if not name:
             raise UrdfError(f"{self._source}: a <{kind}> without a name")
         return name
+
+
+class _Attributes(TagReader):
+    """The attributes of a tag, which may be missing."""
+
+    def __init__(self, element: Optional[Element], where: str):
+        self._element = Element("") if element is None else element
+        self._where = where
+
+    def text(self, key: str, default: str = "") -> str:
+        return self._element.get(key, default)
+
+    def where(self, key: str) -> str:
+        return f"{self._where}: {key}"
+
+
+class _ShapeAttributes(_Attributes, ShapeTag):
+    def __init__(self, element: Element, where: str, finder: ResourceFinder):
+        super().__init__(element, f"{where}: {element.tag}")
+        self._finder = finder
+
+    def where(self, key: str) -> str:
+        return f"{self._where} {key}"
+
+    def uri(self) -> str:
+        return self.text("filename")
+
+    def find(self, uri: str) -> Path:
+        try:
+            return self._finder.find(uri)
+        except ResourceError as error:
+            raise ResourceError(f"{self._where}: {error}") from error
 
 
 def _with_shapes_named(model: Model) -> Model:
@@ -232,136 +234,3 @@ def _with_shapes_named(model: Model) -> Model:
             for link in model.links
         ),
     )
-
-
-def _attribute(element: Optional[Element], name: str, where: str) -> float:
-    return 0.0 if element is None else number(element.get(name, "0"), f"{where}: {name}")
-
-
-LOG = logging.getLogger(__name__)
-
-# Read elsewhere, or for the eye alone.
-QUIET_TAGS = frozenset(("plugin", "sensor", "visualize", "visual"))
-# Texts that ask for what happens anyway.
-AS_IT_IS = {"gravity": ("1", "true"), "turnGravityOff": ("0", "false"), "static": ("0", "false")}
-
-
-@dataclass(frozen=True)
-class LinkTags:
-    """What Gazebo is told of one link; None where it is told nothing.
-
-    `mu` is Coulomb's coefficient, `stiffness` (N/m) and `damping` (N s/m) are those of its
-    contacts.
-    """
-
-    colour: Optional[Colour] = None
-    mu: Optional[float] = None
-    stiffness: Optional[float] = None
-    damping: Optional[float] = None
-    self_collide: bool = False
-
-    def apply(self, link: Link) -> Link:
-        """Return the link as Gazebo would have it."""
-        changes = {"friction": self.mu, "stiffness": self.stiffness, "damping": self.damping}
-        told = {key: value for key, value in changes.items() if value is not None}
-        visuals = link.visuals
-        if self.colour is not None:
-            visuals = tuple(replace(visual, colour=self.colour) for visual in visuals)
-        return replace(
-            link,
-            visuals=visuals,
-            collisions=tuple(replace(shape, **told) for shape in link.collisions),
-            self_collide=self.self_collide,
-        )
-
-
-class GazeboTags:
-    """Collects the `<gazebo>` elements of a document.
-
-    Tags that are not simulated are reported once each by name, and so are references to nothing.
-
-    Args:
-        elements: the `<gazebo>` elements.
-        references: names of the links and joints that may be referred to.
-        source: names the document in messages.
-
-    Raises:
-        XmlError: a tag that is simulated makes no sense.
-    """
-
-    def __init__(self, elements: Iterable[Element], references: Iterable[str], source: str):
-        self._source = source
-        self._tags: Dict[str, LinkTags] = {}
-        self._reported: set = set()
-        known = set(references)
-        for element in elements:
-            name = element.get("reference")
-            if name is None:
-                self._report_unknown(element, ())
-                continue
-            if name not in known:
-                self._report(f"<gazebo reference='{name}'>: there is no such link or joint")
-            self._tags[name] = self._read(element, self._tags.get(name, LinkTags()), name)
-
-    def apply(self, link: Link) -> Link:
-        """Return a link as Gazebo would have it."""
-        tags = self._tags.get(link.name)
-        return link if tags is None else tags.apply(link)
-
-    def _read(self, element: Element, tags: LinkTags, link: str) -> LinkTags:
-        readers = {
-            "material": self._material,
-            "mu1": self._mu1,
-            "mu2": self._mu2,
-            "kp": self._kp,
-            "kd": self._kd,
-            "selfCollide": self._self_collide,
-        }
-        for child in element:
-            if child.tag in readers:
-                # Gazebo reads both spellings: <mu1>1</mu1> and <mu1 value="1"/>.
-                text = (child.get("value") or child.text or "").strip()
-                where = f"{self._source}: <{child.tag}> of '{link}'"
-                tags = readers[child.tag](tags, text, where)
-        self._report_unknown(element, readers)
-        return tags
-
-    def _material(self, tags: LinkTags, text: str, where: str) -> LinkTags:
-        colour = gazebo_colour(text)
-        if colour is None:
-            self._report(f"{where}: material '{text}' is not known and not drawn")
-            return tags
-        return replace(tags, colour=colour)
-
-    def _mu1(self, tags: LinkTags, text: str, where: str) -> LinkTags:
-        return replace(tags, mu=friction(text, where))
-
-    def _mu2(self, tags: LinkTags, text: str, where: str) -> LinkTags:
-        # Bullet's friction is the same in all directions.
-        value = friction(text, where)
-        if tags.mu is None:
-            return replace(tags, mu=value)
-        if value != tags.mu:
-            self._report(f"{where}: friction has one coefficient here, <mu1>: {tags.mu:g}")
-        return tags
-
-    def _kp(self, tags: LinkTags, text: str, where: str) -> LinkTags:
-        # A coefficient that must not be negative, like that of friction.
-        return replace(tags, stiffness=friction(text, where))
-
-    def _kd(self, tags: LinkTags, text: str, where: str) -> LinkTags:
-        return replace(tags, damping=friction(text, where))
-
-    def _self_collide(self, tags: LinkTags, text: str, where: str) -> LinkTags:
-        return replace(tags, self_collide=boolean(text, where))
-
-    def _report_unknown(self, element: Element, known: Iterable[str]) -> None:
-        for child in element:
-            is_as_it_is = (child.text or "").strip() in AS_IT_IS.get(child.tag, ())
-            if child.tag not in QUIET_TAGS and child.tag not in known and not is_as_it_is:
-                self._report(f"{self._source}: <gazebo>: <{child.tag}> is not simulated")
-
-    def _report(self, message: str) -> None:
-        if message not in self._reported:
-            self._reported.add(message)
-            LOG.warning("%s", message)

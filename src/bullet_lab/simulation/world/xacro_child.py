@@ -1,4 +1,4 @@
-"""The process that expands one xacro file; see `xacro_files`. Not to be imported."""
+"""The process that expands one xacro file; see `xacro`. Not to be imported."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import json
 import resource
 import sys
+import types
 from io import StringIO
 from typing import Any, Mapping
 
@@ -15,13 +16,11 @@ def main() -> int:
     # Run as a file, Python looks for modules beside it first.
     del sys.path[0]
     order = json.load(sys.stdin)
-    from bullet_lab.simulation.world.xacro_packages import find_packages_of_ros1
-
     try:
         import xacro
     except ImportError:
         return _fail("the Python package xacro is not installed")
-    find_packages_of_ros1()
+    _find_packages_of_ros1()
     _limit(order)
     try:
         text = _expand(xacro, order)
@@ -31,6 +30,22 @@ def main() -> int:
         return _fail(" ".join(f"xacro: {error or type(error).__name__}".split()))
     sys.stdout.write(text)
     return 0
+
+
+def _find_packages_of_ros1() -> None:
+    """Have xacro's $(find package) look where package:// does: PyPI's xacro would ask ROS 2."""
+    from bullet_lab.simulation.world.resources import ros_package_folder
+
+    def share_folder(name: str) -> str:
+        folder = ros_package_folder(name)
+        if folder is None:
+            raise LookupError(f"no ROS package '{name}'")
+        return str(folder)
+
+    packages = types.ModuleType("ament_index_python.packages")
+    packages.get_package_share_directory = share_folder
+    sys.modules["ament_index_python"] = types.ModuleType("ament_index_python")
+    sys.modules["ament_index_python.packages"] = packages
 
 
 def _expand(xacro: Any, order: Mapping[str, Any]) -> str:

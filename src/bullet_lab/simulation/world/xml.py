@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Iterator, Optional, Tuple
+from typing import Optional, Tuple, Type
 from xml.etree.ElementTree import Element, ParseError
 
 import defusedxml.ElementTree
 from defusedxml.common import DefusedXmlException
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import Plugin
 
 # A description of a robot or a world is text for people; meshes are files of their own.
 MAXIMUM_BYTES = 20_000_000
@@ -45,6 +45,22 @@ def parse_text(text: str, source: str) -> Element:
         raise XmlError(f"{source}: not Unicode text") from error
 
 
+def file_bytes(path: Path, most: int, error_kind: Type[LabError] = XmlError) -> bytes:
+    """Return what is in a file of at most `most` bytes.
+
+    Raises:
+        error_kind: the file is missing, unreadable or too large.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(most + 1)
+    except OSError as error:
+        raise error_kind(f"{path}: {error.strerror}") from error
+    if len(data) > most:
+        raise error_kind(f"{path}: larger than {most} bytes")
+    return data
+
+
 def read_text(path: Path) -> str:
     """Return the text of a file.
 
@@ -52,13 +68,7 @@ def read_text(path: Path) -> str:
         XmlError: the file is missing, unreadable, too large or not UTF-8.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(MAXIMUM_BYTES + 1)
-        if len(data) > MAXIMUM_BYTES:
-            raise XmlError(f"{path}: larger than {MAXIMUM_BYTES} bytes")
-        return data.decode()
-    except OSError as error:
-        raise XmlError(f"{path}: {error.strerror}") from error
+        return file_bytes(path, MAXIMUM_BYTES).decode()
     except UnicodeDecodeError as error:
         raise XmlError(f"{path}: not UTF-8 text") from error
 
@@ -75,8 +85,8 @@ def numbers(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
     except ValueError:
         values = ()
     if len(values) != count or not all(map(math.isfinite, values)):
-        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise XmlError(f"{what}: '{' '.join(parts)[:80]}' is not {wanted}")
+        expected = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise XmlError(f"{what}: '{' '.join(parts)[:80]}' is not {expected}")
     for value in values:
         if abs(value) > LARGEST_NUMBER:
             raise XmlError(f"{what}: {value:g} is out of all proportion")
@@ -105,30 +115,6 @@ def direction(text: Optional[str], what: str) -> Tuple[float, float, float]:
     return tuple(value / length for value in values)
 
 
-def sizes(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
-    """Return the `count` positive numbers in a text; raises XmlError."""
-    values = numbers(text, count, what)
-    if min(values) <= 0.0:
-        raise XmlError(f"{what}: {min(values):g} is not positive")
-    return values
-
-
-def mesh_scale(text: Optional[str], what: str) -> Tuple[float, float, float]:
-    """Return the three factors in a text, negative ones mirror; raises XmlError for a zero."""
-    values = numbers(text, 3, what)
-    if 0.0 in values:
-        raise XmlError(f"{what}: a scale of 0 leaves nothing")
-    return values
-
-
-def friction(text: Optional[str], what: str) -> float:
-    """Return a coefficient of friction; raises XmlError for a negative one."""
-    value = number(text, what)
-    if value < 0.0:
-        raise XmlError(f"{what}: {value:g} is negative")
-    return value
-
-
 def child_text(element: Element, tag: str, default: str = "") -> str:
     """Return the stripped text of a child, or the default where it is missing or empty."""
     child = element.find(tag)
@@ -136,31 +122,84 @@ def child_text(element: Element, tag: str, default: str = "") -> str:
     return text or default
 
 
-def boolean(text: str, what: str) -> bool:
-    """Return the truth value of true, false, 1 or 0.
+class TagReader:
+    """What a tag says, by the names of what it holds; raises XmlError where that makes no sense."""
 
-    Raises:
-        XmlError: any other text.
+    def text(self, key: str, default: str = "") -> str:
+        """Return a text, or the default where there is none."""
+        raise NotImplementedError
+
+    def where(self, key: str) -> str:
+        """Name the place of a text in messages."""
+        raise NotImplementedError
+
+    def numbers(self, key: str, count: int, default: str = "") -> Tuple[float, ...]:
+        """Return `count` finite numbers."""
+        return numbers(self.text(key, default), count, self.where(key))
+
+    def number(self, key: str, default: float) -> float:
+        """Return a finite number."""
+        return self.numbers(key, 1, repr(default))[0]
+
+    def coefficient(self, key: str, default: float) -> float:
+        """Return a number that is not negative."""
+        value = self.number(key, default)
+        if value < 0.0:
+            raise XmlError(f"{self.where(key)}: {value:g} is negative")
+        return value
+
+    def sizes(self, key: str, count: int, default: str = "") -> Tuple[float, ...]:
+        """Return `count` positive numbers."""
+        values = self.numbers(key, count, default)
+        if min(values) <= 0.0:
+            raise XmlError(f"{self.where(key)}: {min(values):g} is not positive")
+        return values
+
+    def positive(self, key: str, default: float) -> float:
+        """Return a positive number."""
+        return self.sizes(key, 1, repr(default))[0]
+
+    def scale(self, key: str) -> Tuple[float, float, float]:
+        """Return three factors, all 1 by default; negative ones mirror."""
+        values = self.numbers(key, 3, "1 1 1")
+        if 0.0 in values:
+            raise XmlError(f"{self.where(key)}: a scale of 0 leaves nothing")
+        return values
+
+    def direction(self, key: str, default: str) -> Tuple[float, float, float]:
+        """Return a unit vector."""
+        return direction(self.text(key, default), self.where(key))
+
+    def boolean(self, key: str, default: bool) -> bool:
+        """Return the truth value of true, false, 1 or 0."""
+        text = self.text(key, repr(default))
+        lowered = text.strip().lower()
+        if lowered not in ("true", "1", "false", "0"):
+            raise XmlError(f"{self.where(key)}: '{text}' is not true or false")
+        return lowered in ("true", "1")
+
+
+class ElementReader(TagReader):
+    """What the elements below one say, by their paths, such as "ray/range/max".
+
+    Args:
+        element: that they are in.
+        source: names it in messages.
     """
-    lowered = text.strip().lower()
-    if lowered in ("true", "1"):
-        return True
-    if lowered in ("false", "0"):
-        return False
-    raise XmlError(f"{what}: '{text}' is not true or false")
 
+    def __init__(self, element: Element, source: str):
+        self.element = element
+        self.source = source
 
-def plugins_in(parent: Element, link: str = "") -> Iterator[Plugin]:
-    """Yield the plugins that stand in an element or in the sensors below it."""
-    for element in parent.findall("plugin"):
-        yield read_plugin(element, link)
-    for sensor in parent.findall("sensor"):
-        for element in sensor.findall("plugin"):
-            yield read_plugin(element, link, sensor)
+    def text(self, key: str, default: str = "") -> str:
+        """Return what an element says, or the default."""
+        return child_text(self.element, key, default)
 
+    def where(self, key: str) -> str:
+        """Name an element in messages."""
+        return f"{self.source}: <{key.rpartition('/')[2]}>"
 
-def read_plugin(element: Element, link: str = "", sensor: Optional[Element] = None) -> Plugin:
-    """Return a `<plugin>` element as data."""
-    tags = {child.tag: (child.text or "").strip() for child in element}
-    filename, name = element.get("filename", ""), element.get("name", "")
-    return Plugin(filename, name, tags, link, sensor, element)
+    def pose(self) -> Pose:
+        """Return the `<pose>` in it, in its own frame; raises XmlError."""
+        values = self.numbers("pose", 6, "0 0 0 0 0 0")
+        return Pose.from_rpy(values[:3], values[3:])

@@ -13,11 +13,11 @@ import numpy as np
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.floor_plan import footprints
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.plugins.samples import ImageSample
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Link, Model, World
+from bullet_lab.simulation.world.floor_plan import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
 from bullet_lab.simulation.world.urdf import read_urdf_file
@@ -250,7 +250,7 @@ class FreeCamera:
         model = camera_alone(read_urdf_file(ResourceFinder.anywhere().find(robot)))
         self._simulation = Simulation(world, seed)
         self._instance = self._simulation.add(model)
-        self._device: Camera = self._instance.devices[0]
+        self._device: Camera = self._instance.plugins[0]
         self._device.image.connect(self._keep)
         self._sample: Optional[ImageSample] = None
 

@@ -262,7 +262,7 @@ def _planar(robot: ModelInstance) -> PlanarPose:
 
 
 def _camera_of(robot: ModelInstance) -> Camera:
-    return next(device for device in robot.devices if isinstance(device, Camera))
+    return next(device for device in robot.plugins if isinstance(device, Camera))
 
 
 def _mount_of(robot: ModelInstance, camera: Camera) -> CameraMount:

@@ -11,7 +11,7 @@ import numpy as np
 
 from bullet_lab.core.parameters import check_parameters, choices, integer
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.floor_plan import Footprint, footprints
+from bullet_lab.simulation.world.floor_plan import Footprint, footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
 from bullet_lab.studies.dock_campaign.docking import (

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.entities import find_link, model_entity
 from bullet_lab.simulation.forces import Effort, ForceError, Period, Wrench
+from bullet_lab.simulation.models import find_link, model_entity
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import FrameState, Inertia, Joint, Link, Model, World
 
@@ -32,7 +32,7 @@ def ball(space):
 def push(space, name="ball::l", frame=ORIGIN, force=ZERO, torque=ZERO, point=None, period=FOR_EVER):
     link = find_link(space.models, name)
     point = link.frame.pose().position if point is None else point
-    wrench = Wrench.at_point(frame, link.instance, link.frame, force, torque, point, period)
+    wrench = Wrench.at_point(frame, link, force, torque, point, period)
     space.forces.add(wrench)
 
 

@@ -9,12 +9,8 @@ from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.messages.conversions import (
-    INPUT_CONVERTERS,
-    OUTPUT_CONVERTERS,
-    first_step_at,
-    time_of,
-)
+from bullet_lab.ros.messages.conversions import INPUT_CONVERTERS, OUTPUT_CONVERTERS
+from bullet_lab.ros.messages.poses import first_step_at, time_of
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
 from bullet_lab.simulation.plugins.samples import (
     JointSample,

@@ -19,7 +19,7 @@ from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUnc
 from bullet_lab.docking.types import DockingError
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.world_topics import TouchCounter
-from bullet_lab.ros.messages.camera_geometry import CameraGeometryError
+from bullet_lab.ros.messages.images import CameraGeometryError
 from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node.odometry import OdometryError
 from bullet_lab.ros.nodes import dock_inputs

@@ -566,7 +566,7 @@ def test_every_shape_carries_and_is_named(hall, cube, every):
         assert list(contacts) == ["bench"]
         assert contacts["bench"].force == pytest.approx(G, rel=1e-3)
         (point,) = ball.bodies["l"].near_points()
-        name = hall._touched_shapes.name(point[2], point[4], point[6])
+        name = hall._shape_name(point[2], point[4], point[6])
         assert name == f"bench::l::c{number}"
 
 

@@ -7,7 +7,7 @@ from sensor_worlds import box, record, thing
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.physics.contacts import distance_from_surface, nearest_shape
+from bullet_lab.simulation.physics.contacts import nearest_shape
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Collision, Cylinder, Plane, Sphere
 from bullet_lab.simulation.world.urdf import read_urdf
@@ -236,7 +236,7 @@ def test_refusals(model, message):
     ],
 )
 def test_distances_from_surfaces(geometry, point, distance):
-    assert distance_from_surface(geometry, point) == pytest.approx(distance)
+    assert geometry.distance(point) == pytest.approx(distance)
 
 
 def test_a_mesh_is_taken_for_the_box_around_it(block_model, package):
@@ -244,8 +244,8 @@ def test_a_mesh_is_taken_for_the_box_around_it(block_model, package):
         beacon = next(m for n, m in simulation.models.items() if "beacon" in n).model
     (shape,) = beacon.links[0].collisions
     near = shape.pose * Pose((0.0, 0.0, 0.0))
-    low = distance_from_surface(shape.geometry, near.position)
-    far = distance_from_surface(shape.geometry, (100.0, 0.0, 0.0))
+    low = shape.geometry.distance(near.position)
+    far = shape.geometry.distance((100.0, 0.0, 0.0))
     assert low < 1.0
     assert 99.0 < far < 100.0
 

@@ -46,7 +46,7 @@ def robot_text(tags="", rate=30, pose="", format="R8G8B8", more="", kind="camera
 def add(simulation, **changes):
     """Add the robot; return it and its camera."""
     robot = simulation.add(read_urdf(robot_text(**changes), "robot"))
-    (camera,) = [device for device in robot.devices if isinstance(device, Camera)]
+    (camera,) = [device for device in robot.plugins if isinstance(device, Camera)]
     return robot, camera
 
 

@@ -9,7 +9,7 @@ from picture_worlds import simulation_of, thing
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.plugins.depth_camera import DepthCamera
+from bullet_lab.simulation.plugins.camera import DepthCamera
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Sphere
 from bullet_lab.simulation.world.urdf import read_urdf
@@ -35,7 +35,7 @@ def robot_text(**changes):
 
 def add(simulation, **changes):
     robot = simulation.add(read_urdf(robot_text(**changes), "robot"))
-    (camera,) = (device for device in robot.devices if isinstance(device, DepthCamera))
+    (camera,) = (device for device in robot.plugins if isinstance(device, DepthCamera))
     return robot, camera
 
 

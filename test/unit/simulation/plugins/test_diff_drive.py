@@ -8,12 +8,11 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.engine import pybullet
 from bullet_lab.simulation.physics.physics import JointState
-from bullet_lab.simulation.plugins import DeviceError
-from bullet_lab.simulation.plugins.diff_drive import DeadReckoning
+from bullet_lab.simulation.plugins import PluginError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
-from bullet_lab.simulation.plugins.wheels import Wheel
+from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning, Wheel
 from bullet_lab.simulation.simulation import SimulationError
-from bullet_lab.simulation.world.description import Plugin
+from bullet_lab.simulation.world.description import PluginTag
 from bullet_lab.simulation.world.sdf import read_model_text
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
@@ -45,7 +44,7 @@ def spawn(world, model):
 
     def add(pose=Pose(), grip=None, name="", **tags):  # noqa: B008
         wanted = {**TAGS, **tags}
-        plugin = Plugin(FILENAME, "drive", {k: v for k, v in wanted.items() if v is not None})
+        plugin = PluginTag(FILENAME, "drive", {k: v for k, v in wanted.items() if v is not None})
         robot = replace(model, plugins=(plugin,))
         if grip is not None:
             robot = replace(robot, links=tuple(with_friction(k, grip) for k in robot.links))
@@ -146,7 +145,7 @@ def test_commands_act_at_the_next_update_and_are_latched(world, spawn):
 def test_the_defaults_are_gazebos(world, model):
     renamed = {"left_wheel_joint": "left_joint", "right_wheel_joint": "right_joint"}
     joints = tuple(replace(joint, name=renamed[joint.name]) for joint in model.joints)
-    robot = world.add(replace(model, joints=joints, plugins=(Plugin(FILENAME, "drive", {}),)))
+    robot = world.add(replace(model, joints=joints, plugins=(PluginTag(FILENAME, "drive", {}),)))
     samples, transforms = record(robot), record(robot, "/tf")
     robot.command("cmd_vel", PlanarCommand(vx=0.15, wz=0.5))
     world.run_until(11)
@@ -235,7 +234,7 @@ def test_odometry_of_the_world(world, spawn):
     world.run_for(2.0)
     last = samples[-1]
     assert last.pose == robot.pose()
-    assert robot.devices[0].origin == Pose()
+    assert robot.plugins[0].origin == Pose()
     assert last.pose.position[2] == pytest.approx(0.2, abs=1e-4)
     # Of the base frame's origin; the centre of mass, 5 cm ahead of it, moves sideways as well.
     assert (last.velocity.vx, last.velocity.vy) == pytest.approx((0.2, 0.0), abs=5e-4)
@@ -266,7 +265,7 @@ def test_odometry_comes_with_or_without_transforms(world, spawn, source, tags, c
     samples = record(robot)
     transforms = record(robot, "/tf") if count else []
     if not count:
-        assert "/tf" not in {output.topic for output in robot.devices[0].outputs}
+        assert "/tf" not in {output.topic for output in robot.plugins[0].outputs}
     robot.command("cmd_vel", PlanarCommand(vx=0.2))
     world.run_for(1.0)
     assert len(samples) == 20
@@ -301,12 +300,12 @@ def test_transforms_of_the_wheels(world, spawn):
     assert states[-1].positions == now
     # Without any, wheels included.
     quiet = spawn(name="quiet", publishTf="0", publishWheelTF="1")
-    assert [output.topic for output in quiet.devices[0].outputs] == ["odom"]
+    assert [output.topic for output in quiet.plugins[0].outputs] == ["odom"]
 
 
 def test_namespace(world, spawn):
     robot = spawn(robotNamespace="/lab/one/", publishWheelTF="1", publishWheelJointState="1")
-    (device,) = robot.devices
+    (device,) = robot.plugins
     assert [entry.topic for entry in device.inputs] == ["/lab/one/cmd_vel"]
     topics = ["/lab/one/odom", "/tf", "/tf", "/lab/one/joint_states"]
     assert [output.topic for output in device.outputs] == topics
@@ -323,7 +322,7 @@ def test_namespace(world, spawn):
 
 
 def test_a_tf_prefix_stands_before_frames_in_place_of_the_namespace(world, model):
-    plugin = Plugin(FILENAME, "drive", {**TAGS, "robotNamespace": "one"})
+    plugin = PluginTag(FILENAME, "drive", {**TAGS, "robotNamespace": "one"})
     robot = world.add(replace(model, plugins=(plugin,)), tf_prefix="/left/")
     samples = record(robot, "/one/odom")
     world.run_for(0.05)
@@ -333,13 +332,13 @@ def test_a_tf_prefix_stands_before_frames_in_place_of_the_namespace(world, model
 def test_every_tag_is_read(spawn):
     # Even those that others overrule.
     tags = {"publishTf": "0", "publishOdomTF": "1", "publishWheelTF": "1"}
-    (device,) = spawn(wheelAcceleration="1", **tags).devices
+    (device,) = spawn(wheelAcceleration="1", **tags).plugins
     assert device.mount.unread_tags() == ()
 
 
 def test_absolute_names_stay(world, spawn):
     robot = spawn(robotNamespace="one", commandTopic="/go", odometryFrame="/map")
-    (device,) = robot.devices
+    (device,) = robot.plugins
     assert device.inputs[0].topic == "/go"
     assert device.frame == "map"
 
@@ -355,7 +354,7 @@ def test_encoders_agree_with_the_world_where_nothing_slips(world, spawn):
         robot.command("cmd_vel", PlanarCommand(command[0], 0.0, command[1]))
         world.run_for(2.0)
         last = samples[-1]
-        driven = robot.devices[0].origin.inverse() * robot.pose()
+        driven = robot.plugins[0].origin.inverse() * robot.pose()
         assert last.pose.position[:2] == pytest.approx(driven.position[:2], abs=3e-3)
         assert last.pose.position[2] == 0.0
         assert last.pose.yaw == pytest.approx(driven.yaw, abs=4e-3)
@@ -500,7 +499,7 @@ def test_without_a_limit_the_speed_is_wanted_at_once():
 def test_commands_that_are_not_finite_are_refused_and_the_old_one_stays(world, spawn, field, bad):
     robot = spawn()
     robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    with pytest.raises(DeviceError, match="is not finite"):
+    with pytest.raises(PluginError, match="is not finite"):
         robot.command("cmd_vel", PlanarCommand(**{field: bad}))
     world.run_for(0.5)
     assert speeds(robot) == pytest.approx((0.2, 0.2), abs=1e-3)
@@ -534,12 +533,12 @@ def test_tags_that_make_no_drive_are_refused(world, spawn, tags, message):
 def test_a_sliding_joint_is_no_wheel(world, model):
     left, right = model.joints
     joints = (left, replace(right, kind="prismatic"))
-    robot = replace(model, joints=joints, plugins=(Plugin(FILENAME, "drive", TAGS),))
-    with pytest.raises(DeviceError, match="'right_wheel_joint' is prismatic: no wheel turns on it"):
+    robot = replace(model, joints=joints, plugins=(PluginTag(FILENAME, "drive", TAGS),))
+    with pytest.raises(PluginError, match="'right_wheel_joint' is prismatic: no wheel turns on it"):
         world.add(robot)
 
 
 def test_what_cannot_move_is_refused(world, model):
-    plugins = (Plugin(FILENAME, "drive", TAGS),)
-    with pytest.raises(DeviceError, match="model 'camera_robot': diff_drive on what cannot move"):
+    plugins = (PluginTag(FILENAME, "drive", TAGS),)
+    with pytest.raises(PluginError, match="model 'camera_robot': diff_drive on what cannot move"):
         world.add(replace(model, static=True, plugins=plugins))

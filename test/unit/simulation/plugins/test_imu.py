@@ -135,7 +135,7 @@ def test_a_spinning_sensor_off_the_centre_feels_its_own_turning():
     with empty() as simulation:
         robot = simulation.add(model)
         robot.bodies["base"].set_velocity((0, 0, 0), (0, 0, 2.0))
-        robot.devices[0].placed()
+        robot.plugins[0].placed()
         samples = record(robot, "imu")
         simulation.run_for(0.3)
     assert samples[-1].angular_velocity == pytest.approx((0, 0, 2.0), abs=1e-6)

@@ -220,7 +220,7 @@ def test_no_update_rate_means_every_step(world):
 
 def test_no_ray_is_cast_while_nobody_listens(world):
     robot = world.add(laser())
-    (device,) = robot.devices
+    (device,) = robot.plugins
     cast = []
     device._scanner.measure = lambda random: cast.append(1) or np.ones(360)
     world.run_for(0.2)

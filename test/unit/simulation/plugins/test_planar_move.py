@@ -7,7 +7,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
 from bullet_lab.reports.squares import analyse
-from bullet_lab.simulation.plugins import DeviceError
+from bullet_lab.simulation.plugins import PluginError
 from bullet_lab.simulation.plugins.planar_move import PUBLISHED_RADIUS
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import SimulationError
@@ -154,7 +154,7 @@ def test_a_time_out_counts_anew_after_a_reset(world):
 @pytest.mark.parametrize("field", ["vx", "vy", "wz"])
 def test_commands_that_are_not_finite_are_refused_and_the_old_one_stays(world, robot, field, bad):
     robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    with pytest.raises(DeviceError, match="is not finite"):
+    with pytest.raises(PluginError, match="is not finite"):
         robot.command("cmd_vel", PlanarCommand(**{field: bad}))
     world.run_for(0.1)
     assert robot.pose().position[0] == pytest.approx(0.019, abs=1e-3)

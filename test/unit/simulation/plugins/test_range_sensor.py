@@ -94,7 +94,7 @@ def test_defaults():
 
 def test_no_ray_is_cast_while_nobody_listens():
     with empty() as simulation:
-        (device,) = simulation.add(sonar()).devices
+        (device,) = simulation.add(sonar()).plugins
         device._scanner = None
         simulation.run_for(0.2)
 

@@ -6,7 +6,7 @@ from sensor_worlds import record
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.plugins import DeviceError
+from bullet_lab.simulation.plugins import PluginError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation, SimulationError
 from bullet_lab.simulation.world.urdf import read_urdf
@@ -123,7 +123,7 @@ def test_defaults():
     with Simulation.of(FLOOR) as simulation:
         robot = simulation.add(rover(""))
         samples = record(robot, "odom")
-        (device,) = robot.devices
+        (device,) = robot.plugins
         robot.command("cmd_vel", PlanarCommand(vx=0.15, wz=1.0))
         simulation.run_for(1.0)
         speeds = [robot.bodies["base"].joint_state(joint).velocity for joint in PLACES]
@@ -175,7 +175,7 @@ def test_commands_that_are_not_finite_are_refused(bad):
     with Simulation.of(FLOOR) as simulation:
         robot = simulation.add(rover())
         for command in (PlanarCommand(vx=bad), PlanarCommand(wz=bad)):
-            with pytest.raises(DeviceError, match="is not finite"):
+            with pytest.raises(PluginError, match="is not finite"):
                 robot.command("cmd_vel", command)
 
 

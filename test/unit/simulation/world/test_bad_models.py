@@ -10,7 +10,7 @@ from conftest import BLOCK_ROBOT
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
-from bullet_lab.simulation.world.reader import read_description
+from bullet_lab.simulation.world.sdf import read_description
 
 SDF = """<sdf version="1.6"><model name="m">
   <link name="a"><inertial><mass>1</mass>

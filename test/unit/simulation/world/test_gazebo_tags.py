@@ -7,7 +7,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.gazebo_materials import COLOURS, gazebo_colour
+from bullet_lab.simulation.world.gazebo_tags import COLOURS, gazebo_colour
 from bullet_lab.simulation.world.sdf import read_model_text
 from bullet_lab.simulation.world.urdf import read_urdf
 

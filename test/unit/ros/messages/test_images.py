@@ -8,7 +8,7 @@ pytest.importorskip("rospy")
 
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 
-from bullet_lab.ros.messages.camera_geometry import CameraGeometryError, camera_of  # noqa: E402
+from bullet_lab.ros.messages.images import CameraGeometryError, camera_of  # noqa: E402
 
 
 def info(**changes):

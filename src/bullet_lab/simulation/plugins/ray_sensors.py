@@ -1,4 +1,7 @@
-"""What a `<ray>` element says: a fan of rays, their limits and their noise."""
+"""Sensors that measure distances along rays: laser scanners, and sonars as fans of them.
+
+libgazebo_ros_laser.so, libgazebo_ros_gpu_laser.so and libgazebo_ros_range.so.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bullet_lab.simulation.plugins.device import DeviceError, Mount
-from bullet_lab.simulation.plugins.sensor_tag import SensorTag
+from bullet_lab.simulation.plugins.plugin import (
+    Mount,
+    Output,
+    Plugin,
+    PluginError,
+    SensorTag,
+    slower_of,
+)
+from bullet_lab.simulation.plugins.samples import LaserSample, RangeSample
 
 LOG = logging.getLogger(__name__)
 
@@ -55,11 +65,11 @@ class RayScan:
         self.horizontal = _angles(tag, "ray/scan/horizontal")
         vertical = _angles(tag, "ray/scan/vertical")
         if self.horizontal.number * vertical.number > MOST_RAYS:
-            raise DeviceError(f"{tag.where('samples')}: more than {MOST_RAYS} rays")
+            raise PluginError(f"{tag.where('samples')}: more than {MOST_RAYS} rays")
         self.least = tag.at_least("ray/range/min", 0.0)
         self.greatest = tag.at_least("ray/range/max", 0.0)
         if self.greatest <= self.least:
-            raise DeviceError(f"{tag.where('max')}: {self.greatest:g} is not beyond <min>")
+            raise PluginError(f"{tag.where('max')}: {self.greatest:g} is not beyond <min>")
         self.resolution = tag.at_least("ray/range/resolution", 0.0)
         self._mean, self._deviation = _noise(tag)
         yaw, pitch = np.meshgrid(self.horizontal.all(), vertical.all())
@@ -103,11 +113,11 @@ def _angles(tag: SensorTag, path: str) -> Angles:
     resolution = tag.number(f"{path}/resolution", 1.0)
     number = round(samples * resolution)
     if not 1 <= number <= MOST_RAYS:
-        raise DeviceError(f"{tag.where(f'{path}/resolution')}: {resolution:g} leaves {number} rays")
+        raise PluginError(f"{tag.where(f'{path}/resolution')}: {resolution:g} leaves {number} rays")
     least = tag.number(f"{path}/min_angle", 0.0)
     greatest = tag.number(f"{path}/max_angle", 0.0)
     if greatest < least:
-        raise DeviceError(f"{tag.where('max_angle')}: {greatest:g} is less than <min_angle>")
+        raise PluginError(f"{tag.where('max_angle')}: {greatest:g} is less than <min_angle>")
     return Angles(least, greatest, number)
 
 
@@ -118,3 +128,98 @@ def _noise(tag: SensorTag) -> tuple:
     if kind != "gaussian":
         return 0.0, 0.0
     return tag.number("ray/noise/mean", 0.0), tag.at_least("ray/noise/stddev", 0.0)
+
+
+class Laser(Plugin):
+    """Measures distances around itself, all at one moment.
+
+    No ray is cast while nobody listens. The intensities are 0, as those of Gazebo are on
+    surfaces without laser_retro.
+
+    Tags of the plugin: topicName, frameName and robotNamespace; of the sensor: pose,
+    update_rate (0: every step) and, within ray, scan/horizontal and scan/vertical (samples,
+    resolution, min_angle, max_angle), range (min, max, resolution) and noise (gaussian: mean,
+    stddev), as in Gazebo.
+    """
+
+    filenames = ("libgazebo_ros_laser.so", "libgazebo_ros_gpu_laser.so")
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        tag = SensorTag(mount, RAY_SENSORS)
+        self._frame = mount.frame(mount.text("frameName", "/world"))
+        self.scan = Output(mount.topic(mount.text("topicName", "/world")), LaserSample)
+        self.outputs = (self.scan,)
+        self._scanner = RayScan(mount, tag)
+        self._noise = mount.noise()
+        self.schedule = tag.schedule()
+
+    def produce(self, step: int) -> None:
+        """Send a scan."""
+        if not self.scan.wanted:
+            return
+        angles = self._scanner.horizontal
+        ranges = self._scanner.measure(self._noise.at(step))
+        self.scan.send(
+            LaserSample(
+                step,
+                self._frame,
+                angles.least,
+                angles.greatest,
+                angles.increment,
+                self.schedule.period,
+                self._scanner.least,
+                self._scanner.greatest,
+                ranges,
+                np.zeros(len(ranges)),
+            )
+        )
+
+
+class RangeSensor(Plugin):
+    """Measures the distance of the nearest thing in a fan of rays.
+
+    Where there is none, it reads the greatest range, without noise, as in Gazebo; something
+    nearer than the least range reads as that.
+
+    Tags of the plugin, with Gazebo's defaults: topicName (/range), frameName, radiation
+    (ultrasound; anything else is infrared), fov (rad; what the message says, the fan is that of
+    the sensor), gaussianNoise (m), updateRate (Hz, 0: as the sensor) and robotNamespace; those
+    of the sensor are the laser's.
+    """
+
+    filenames = ("libgazebo_ros_range.so",)
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        tag = SensorTag(mount, RAY_SENSORS)
+        self._frame = mount.frame(mount.text("frameName", "/world"))
+        self.range = Output(mount.topic(mount.text("topicName", "/range")), RangeSample)
+        self.outputs = (self.range,)
+        self._infrared = mount.text("radiation", "ultrasound") != "ultrasound"
+        self._fov = mount.number("fov", 0.05)
+        self._deviation = mount.coefficient("gaussianNoise", 0.0)
+        self._scanner = RayScan(mount, tag)
+        self._noise = mount.noise()
+        self.schedule = slower_of(mount.schedule("updateRate", 0.0), tag.schedule())
+
+    def produce(self, step: int) -> None:
+        """Send a reading."""
+        if not self.range.wanted:
+            return
+        scanner = self._scanner
+        noise = self._noise.at(step).normal(0.0, self._deviation)
+        # Infinity stays what it is, and ends as the greatest range.
+        reading = max(float(np.min(scanner.distances())), scanner.least) + noise
+        reading = min(max(reading, scanner.least), scanner.greatest)
+        self.range.send(
+            RangeSample(
+                step,
+                self._frame,
+                self._infrared,
+                self._fov,
+                scanner.least,
+                scanner.greatest,
+                reading,
+            )
+        )

@@ -7,7 +7,7 @@ import pytest
 from conftest import BLOCK_ROBOT
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.entities import (
+from bullet_lab.simulation.models import (
     EntityError,
     find_entity,
     find_joint,

@@ -1,16 +1,19 @@
-"""What the plugin of a robot is made of in this simulation.
+"""Plugins: what the `<plugin>` tags of a robot do in this simulation.
 
-A device belongs to one model and stands for one `<plugin>` tag. It may act before each physics
+A plugin belongs to one model and stands for one `<plugin>` tag. It may act before each physics
 step, and it produces samples at its own rate. It knows nothing of ROS: it names the topics it
 would use, takes commands through `inputs` and sends samples through `outputs`; whoever wants
-them (the bridge, a test, a script) connects to those. A new kind of device is one class with
-`@device("libgazebo_ros_….so")` above it, imported in `devices/__init__.py`.
+them (the bridge, a test, a script) connects to those. A new kind of plugin is a subclass of
+`Plugin` that names the files of Gazebo's in `filenames`, in a module that is imported: those of
+this package in `plugins/__init__.py`.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from typing import Any, Callable, ClassVar, Dict, List, Mapping, Optional, Set, Tuple, Type
+from xml.etree.ElementTree import Element
 from zlib import crc32
 
 import numpy as np
@@ -21,8 +24,8 @@ from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.attached_frame import ORIGIN, AttachedFrame
 from bullet_lab.simulation.physics.physics import Body
 from bullet_lab.simulation.rendering.renderer import Renderer
-from bullet_lab.simulation.world.description import Model, Plugin
-from bullet_lab.simulation.world.xml import boolean, number, numbers
+from bullet_lab.simulation.world.description import Model, PluginTag
+from bullet_lab.simulation.world.xml import ElementReader, TagReader
 
 
 class StepNoise:
@@ -54,30 +57,30 @@ class StepNoise:
 QUIET_TAGS = frozenset(("robotNamespace", "rosDebugLevel", "alwaysOn", "visualize"))
 
 
-class DeviceError(LabError):
-    """A plugin's tags make no device, or a command is refused."""
+class PluginError(LabError):
+    """A plugin's tags make no sense, or a command is refused."""
 
 
 def _nothing_to_see() -> Renderer:
-    raise DeviceError("there is no world to take pictures of")
+    raise PluginError("there is no world to take pictures of")
 
 
 def _nothing_to_touch(_body: int, _link: int, _place: Vector) -> str:
-    raise DeviceError("there is no world to touch")
+    raise PluginError("there is no world to touch")
 
 
 @dataclass(frozen=True)
-class Mount:
-    """What a device is fixed to: a model, its bodies by root link, and its plugin tag.
+class Mount(TagReader):
+    """What a plugin is fixed to: a model, its bodies by root link, and its tag.
 
     `gravity` is in m/s² and points down, `seed` is the simulation's, `tf_prefix` stands
     before the names of the robot's frames, `renderer` gives what draws its pictures, and
-    `name_shape` the full name of the shape at a place on a link (`TouchedShapes.name`).
+    `name_shape` the full name of the shape at a place on a link (`physics.contacts.shape_name`).
     """
 
     model: Model
     bodies: Mapping[str, Body]
-    plugin: Plugin
+    plugin: PluginTag
     gravity: float
     seed: int = 0
     tf_prefix: str = ""
@@ -90,24 +93,14 @@ class Mount:
         """The body of the model's first link."""
         return self.bodies[self.model.root_links()[0].name]
 
-    def text(self, tag: str, default: str = "") -> str:
+    def text(self, key: str, default: str = "") -> str:
         """Return what a tag of the plugin says, or the default."""
-        self._read.add(tag)
-        return self.plugin.tags.get(tag) or default
-
-    def number(self, tag: str, default: float) -> float:
-        """Return the finite number in a tag; raises XmlError."""
-        text = self.text(tag)
-        return default if not text else number(text, self.where(tag))
-
-    def boolean(self, tag: str, default: bool) -> bool:
-        """Return the truth value in a tag; raises XmlError."""
-        text = self.text(tag)
-        return default if not text else boolean(text, self.where(tag))
+        self._read.add(key)
+        return self.plugin.tags.get(key) or default
 
     def vector(self, tag: str) -> Vector:
         """Return the three finite numbers in a tag, zeros without it; raises XmlError."""
-        return numbers(self.text(tag, "0 0 0"), 3, self.where(tag))
+        return self.numbers(tag, 3, "0 0 0")
 
     def unread_tags(self) -> Tuple[str, ...]:
         """Return the tags of the plugin that nobody has asked for, but those that mean nothing."""
@@ -115,10 +108,7 @@ class Mount:
 
     def schedule(self, tag: str, default: float) -> Schedule:
         """Return the schedule for the rate (Hz) in a tag; raises LabError."""
-        try:
-            return Schedule(self.number(tag, default))
-        except ScheduleError as error:
-            raise DeviceError(f"{self.where(tag)}: {error}") from error
+        return _schedule(self, tag, default)
 
     def topic(self, name: str) -> str:
         """Return a topic's name within the plugin's robotNamespace."""
@@ -126,7 +116,7 @@ class Mount:
         return name if name.startswith("/") or not namespace else f"/{namespace}/{name}"
 
     def noise(self) -> StepNoise:
-        """Return the noise of this device.
+        """Return the noise of this plugin.
 
         It follows from the simulation's seed and the names of model and plugin, so that another
         robot in the world does not change it.
@@ -147,24 +137,94 @@ class Mount:
             offset: pose of the frame in the link's frame.
 
         Raises:
-            DeviceError: there is no such link.
+            PluginError: there is no such link.
         """
-        keeper, pose = self.model.frames.get(link, (link, ORIGIN))
-        for body in self.bodies.values():
-            if any(part.name == keeper for part in body.links):
-                return AttachedFrame(body, keeper, pose * offset)
-        raise DeviceError(
-            f"model '{self.model.name}': plugin '{self.plugin.name}': no link '{link}'"
-        )
+        try:
+            return AttachedFrame.of(self.model, self.bodies.values(), link, offset)
+        except KeyError:
+            where = f"model '{self.model.name}': plugin '{self.plugin.name}'"
+            raise PluginError(f"{where}: no link '{link}'") from None
 
-    def where(self, tag: str) -> str:
+    def where(self, key: str) -> str:
         """Name a tag in messages."""
-        return f"model '{self.model.name}': plugin '{self.plugin.name}': <{tag}>"
+        return f"model '{self.model.name}': plugin '{self.plugin.name}': <{key}>"
+
+
+def _schedule(tags: TagReader, key: str, default: float) -> Schedule:
+    try:
+        return Schedule(tags.number(key, default))
+    except ScheduleError as error:
+        raise PluginError(f"{tags.where(key)}: {error}") from error
+
+
+def slower_of(one: Schedule, other: Schedule) -> Schedule:
+    """Return the schedule with the longer period: it takes both sensor and plugin to send."""
+    return max(one, other, key=lambda schedule: schedule.period)
+
+
+class SensorTag(ElementReader):
+    """The `<sensor>` element around a plugin, which URDF and SDF share.
+
+    Args:
+        mount: of the plugin that stands in it.
+        kinds: types of sensors that it works with.
+
+    Raises:
+        PluginError: the plugin stands in no such sensor.
+    """
+
+    def __init__(self, mount: Mount, kinds: Tuple[str, ...]):
+        plugin = mount.plugin
+        where = f"model '{mount.model.name}': plugin '{plugin.name}'"
+        if plugin.sensor is None or plugin.sensor.get("type") not in kinds:
+            raise PluginError(f'{where} ({plugin.filename}) needs a <sensor type="{kinds[0]}">')
+        super().__init__(plugin.sensor, f"{where}: <sensor>")
+        self._mount = mount
+
+    def has(self, path: str) -> bool:
+        """Return whether there is such a tag."""
+        return self.element.find(path) is not None
+
+    def elements(self, path: str) -> Tuple[Element, ...]:
+        """Return all elements with a path."""
+        return tuple(self.element.findall(path))
+
+    def attribute(self, path: str, name: str) -> str:
+        """Return an attribute of a tag; empty without it."""
+        element = self.element.find(path)
+        return "" if element is None else element.get(name, "")
+
+    def at_least(self, path: str, default: float, least: float = 0.0) -> float:
+        """Return the number in a tag; raises LabError if it is less than `least`."""
+        value = self.number(path, default)
+        if value < least:
+            raise PluginError(f"{self.where(path)}: {value:g} is less than {least:g}")
+        return value
+
+    def count(self, path: str, default: int, most: int) -> int:
+        """Return the whole number from 1 to `most` in a tag; raises LabError."""
+        value = self.number(path, default)
+        if value != int(value) or not 1 <= value <= most:
+            raise PluginError(f"{self.where(path)}: {value:g} is no whole number in 1 … {most}")
+        return int(value)
+
+    def place(self, offset: Pose = ORIGIN) -> AttachedFrame:
+        """Return a frame that is fixed to the sensor's link; raises LabError.
+
+        Args:
+            offset: pose of the frame in the sensor's.
+        """
+        link = self._mount.plugin.link or self._mount.model.root_links()[0].name
+        return self._mount.attached(link, self.pose() * offset)
+
+    def schedule(self) -> Schedule:
+        """Return the schedule for the sensor's update_rate (Hz, 0: every step)."""
+        return _schedule(self, "update_rate", 0.0)
 
 
 @dataclass(frozen=True)
 class Input:
-    """A topic that a device listens to; `handle(command)` raises DeviceError to refuse one."""
+    """A topic that a plugin listens to; `handle(command)` raises PluginError to refuse one."""
 
     topic: str
     kind: type
@@ -172,7 +232,7 @@ class Input:
 
 
 class Output:
-    """A topic that a device speaks on; `kind` is the class of its samples."""
+    """A topic that a plugin speaks on; `kind` is the class of its samples."""
 
     def __init__(self, topic: str, kind: type):
         self.topic = topic
@@ -187,7 +247,7 @@ class Output:
 
         Args:
             listener: takes a sample.
-            wanted: says whether samples are of any use now; devices spare themselves those
+            wanted: says whether samples are of any use now; plugins spare themselves those
                 that nobody wants.
         """
         self._listeners.append(listener)
@@ -204,18 +264,24 @@ class Output:
             listener(sample)
 
 
-class Device:
-    """Base of all devices.
+class Plugin:
+    """Base of all plugins.
 
     Attributes:
+        filenames: the files of Gazebo's plugins that the class stands for.
+        acts: whether `before_step` does anything; the loop skips those that do not.
         inputs: topics with commands for it.
         outputs: topics with what it measures.
-        schedule: when `produce` is due; None for a device that measures nothing.
+        schedule: when `produce` is due; None for a plugin that measures nothing.
         gravity: in m/s², down; may be changed from outside.
-        acts: whether `before_step` does anything; the loop skips those that do not.
     """
 
+    filenames: ClassVar[Tuple[str, ...]] = ()
     acts: ClassVar[bool] = False
+
+    def __init_subclass__(cls, **arguments: Any):
+        super().__init_subclass__(**arguments)
+        _KINDS.update(dict.fromkeys(cls.__dict__.get("filenames", ()), cls))
 
     def __init__(self, mount: Mount):
         self.mount = mount
@@ -237,17 +303,7 @@ class Device:
         """Start anew after the model was put back; simulated time is now `step`."""
 
 
-_KINDS: Dict[str, Type[Device]] = {}
-
-
-def device(*filenames: str) -> Callable[[Type[Device]], Type[Device]]:
-    """Register a class as what the plugins with these file names do."""
-
-    def register(kind: Type[Device]) -> Type[Device]:
-        _KINDS.update(dict.fromkeys(filenames, kind))
-        return kind
-
-    return register
+_KINDS: Dict[str, Type[Plugin]] = {}
 
 
 def known_plugins() -> Tuple[str, ...]:
@@ -255,8 +311,8 @@ def known_plugins() -> Tuple[str, ...]:
     return tuple(sorted(_KINDS))
 
 
-def make_device(mount: Mount) -> Optional[Device]:
-    """Return the device for a plugin, or None where its kind is not simulated.
+def make_plugin(mount: Mount) -> Optional[Plugin]:
+    """Return the plugin for a tag, or None where its kind is not simulated.
 
     Raises:
         LabError: a tag of the plugin cannot be read.
@@ -265,3 +321,30 @@ def make_device(mount: Mount) -> Optional[Device]:
     filename = mount.plugin.filename
     kind = _KINDS.get(filename) or _KINDS.get(f"{filename}.so")
     return None if kind is None else kind(mount)
+
+
+def _device(*filenames: str) -> Callable[[Type[Plugin]], Type[Plugin]]:
+    """Register a class for files of plugins, as before there was `Plugin.filenames`."""
+
+    def register(kind: Type[Plugin]) -> Type[Plugin]:
+        _KINDS.update(dict.fromkeys(filenames, kind))
+        return kind
+
+    return register
+
+
+# Names of before 2.0, in plugins that users wrote.
+_OLD_NAMES: Dict[str, Tuple[str, Any]] = {
+    "Device": ("Plugin", Plugin),
+    "DeviceError": ("PluginError", PluginError),
+    "device": ("Plugin.filenames", _device),
+    "make_device": ("make_plugin", make_plugin),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _OLD_NAMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    new, value = _OLD_NAMES[name]
+    warnings.warn(f"{name} is now {new}", DeprecationWarning, stacklevel=2)
+    return value

@@ -1,4 +1,4 @@
-"""What stands on the floor of a world, seen from above."""
+"""The floor plan of a world: what stands on it, seen from above."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Iterator, Tuple
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.world.description import Box, Model, World
+from bullet_lab.simulation.world.description import Model, World
 
 Point = Tuple[float, float]
 
@@ -68,17 +68,13 @@ def footprints(world: World, below: float = math.inf) -> Tuple[Footprint, ...]:
 def _of_model(model: Model) -> Iterator[Footprint]:
     for link in model.links:
         for collision in link.collisions:
-            if isinstance(collision.geometry, Box):
-                pose = model.pose * link.pose * collision.pose
-                if _is_upright(pose):
-                    yield _footprint(model.name, collision.geometry, pose)
+            sides = collision.geometry.floor_sides()
+            pose = model.pose * link.pose * collision.pose
+            if sides is not None and _is_upright(pose):
+                x, y, z = pose.position
+                bottom, top = (z + collision.geometry.bounds()[:, 2]).tolist()
+                yield Footprint(model.name, (x, y), pose.yaw, sides, bottom, top)
 
 
 def _is_upright(pose: Pose) -> bool:
     return pose.rotate((0.0, 0.0, 1.0))[2] > math.cos(_UPRIGHT)
-
-
-def _footprint(name: str, box: Box, pose: Pose) -> Footprint:
-    x, y, z = pose.position
-    width, depth, height = box.size
-    return Footprint(name, (x, y), pose.yaw, (width, depth), z - 0.5 * height, z + 0.5 * height)

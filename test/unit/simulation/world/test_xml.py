@@ -4,17 +4,14 @@ import pytest
 
 from bullet_lab.simulation.world import xml as xml_input
 from bullet_lab.simulation.world.xml import (
+    ElementReader,
     XmlError,
-    boolean,
     child_text,
     direction,
-    friction,
-    mesh_scale,
     number,
     numbers,
     parse_text,
     read_text,
-    sizes,
 )
 
 LAUGHS = "".join(
@@ -97,27 +94,34 @@ def test_wrong_numbers_are_quoted(text):
         numbers(text, 3, "place")
 
 
+def said(text):
+    return ElementReader(parse_text(f"<a><x>{text}</x></a>", "a"), "a")
+
+
 def test_checked_numbers():
     assert direction("0 3 4", "x") == pytest.approx((0, 0.6, 0.8))
-    assert sizes("1 2", 2, "x") == (1, 2)
-    assert mesh_scale("1 -1 2", "x") == (1, -1, 2)
-    assert friction("0", "x") == 0.0
+    assert said("1 2").sizes("x", 2) == (1, 2)
+    assert said("1 -1 2").scale("x") == (1, -1, 2)
+    assert said("").scale("x") == (1, 1, 1)
+    assert said("0").coefficient("x", 1.0) == 0.0
+    assert said("").coefficient("x", 1.0) == 1.0
+    assert said("2").positive("x", 1.0) == 2.0
     for call in (
-        lambda: direction("0 0 0", "x"),
-        lambda: sizes("1 0", 2, "x"),
-        lambda: sizes("1 -1", 2, "x"),
-        lambda: mesh_scale("1 0 1", "x"),
-        lambda: friction("-0.1", "x"),
+        lambda: said("0 0 0").direction("x", ""),
+        lambda: said("1 0").sizes("x", 2),
+        lambda: said("1 -1").sizes("x", 2),
+        lambda: said("1 0 1").scale("x"),
+        lambda: said("-0.1").coefficient("x", 1.0),
+        lambda: said("0").positive("x", 1.0),
     ):
-        with pytest.raises(XmlError, match="^x: "):
+        with pytest.raises(XmlError, match="^a: <x>: "):
             call()
 
 
 def test_child_text_and_boolean():
     element = parse_text("<a><b> x </b><c/></a>", "here")
     assert [child_text(element, tag, "no") for tag in "bcd"] == ["x", "no", "no"]
-    assert [boolean(text, "x") for text in ("true", "1", " True ", "false", "0")] == [
-        True, True, True, False, False,
-    ]  # fmt: skip
-    with pytest.raises(XmlError, match="^x: 'yes' is not true or false$"):
-        boolean("yes", "x")
+    texts = ("true", "1", " True ", "false", "0", "")
+    assert [said(text).boolean("x", False) for text in texts] == [True] * 3 + [False] * 3
+    with pytest.raises(XmlError, match="^a: <x>: 'yes' is not true or false$"):
+        said("yes").boolean("x", True)

@@ -13,9 +13,8 @@ from conftest import BLOCK_ROBOT, EMPTY_WORLD
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.reader import read_description
-from bullet_lab.simulation.world.sdf import read_world_file
-from bullet_lab.simulation.world_writer import world_text
+from bullet_lab.simulation.world.sdf import read_description, read_world_file
+from bullet_lab.simulation.world.sdf_writer import world_text
 
 CAMERA_ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
 TOLERANCE = 1e-6

@@ -7,7 +7,7 @@ pytest.importorskip("rospy")
 from geometry_msgs.msg import Vector3
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.ros.gazebo.standing_models import StandingModels
+from bullet_lab.ros.gazebo.client import StandingModels
 from bullet_lab.ros.nodes.place_beacon import free_name
 
 

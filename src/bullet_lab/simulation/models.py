@@ -1,0 +1,351 @@
+"""Models in a running simulation: where their parts are, by name, and putting them elsewhere.
+
+Clients name models, and links as "model::link".
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
+
+from bullet_lab.core.pose import Pose, Vector, add, cross
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.physics.attached_frame import AttachedFrame
+from bullet_lab.simulation.physics.physics import Body
+from bullet_lab.simulation.plugins import Plugin
+from bullet_lab.simulation.world.description import FrameState, Model, ModelState
+from bullet_lab.simulation.world.inertia import FARTHEST, FASTEST
+
+# Names of the world's own frame.
+WORLD_FRAMES = ("", "world", "map", "/map")
+SEPARATOR = "::"
+# Of the length of a quaternion from outside, which may have been rounded.
+QUATERNION_TOLERANCE = 1e-3
+
+
+class SimulationError(LabError):
+    """Something is asked of the simulation that it cannot do."""
+
+
+class EntityError(LabError):
+    """There is no such model, link or joint."""
+
+
+class ModelInstance:
+    """A model in a running simulation.
+
+    Attributes:
+        model: its description.
+        bodies: of it, by the names of their root links.
+        plugins: what its `<plugin>` tags do.
+        moves: how often it was put somewhere: what is static moves in no other way.
+    """
+
+    def __init__(self, model: Model, bodies: Mapping[str, Body], plugins: Tuple[Plugin, ...]):
+        self.model = model
+        self.bodies = bodies
+        self.plugins = plugins
+        self.moves = 0
+        self._frames: Dict[str, AttachedFrame] = {}
+
+    @property
+    def devices(self) -> Tuple[Plugin, ...]:
+        """The plugins, by their name of before 2.0."""
+        warnings.warn("devices is now plugins", DeprecationWarning, stacklevel=2)
+        return self.plugins
+
+    @property
+    def name(self) -> str:
+        """The model's name in the world."""
+        return self.model.name
+
+    def pose(self) -> Pose:
+        """Return the pose of the model's frame in the world."""
+        root = self.model.root_links()[0]
+        return self.bodies[root.name].pose() * root.pose.inverse()
+
+    def place(self, pose: Pose) -> None:
+        """Put the model somewhere, at rest; raises SimulationError for an impossible pose."""
+        check_pose(pose, self.name)
+        for root in self.model.root_links():
+            self.bodies[root.name].place(pose * root.pose)
+        self._note_move()
+
+    def move(self, pose: Pose, linear: Vector, angular: Vector) -> None:
+        """Put the model somewhere in motion; its joints keep their positions and stand still.
+
+        Args:
+            pose: of the model's frame in the world.
+            linear: velocity in m/s of the frame's origin, in the world.
+            angular: velocity in rad/s, in the world.
+
+        Raises:
+            SimulationError: a number that is not finite, or an impossible pose.
+        """
+        check_pose(pose, self.name)
+        if not all(abs(value) <= FASTEST for value in linear + angular):
+            raise SimulationError(f"model '{self.name}': its velocity is out of all proportion")
+        before = self.pose().inverse()
+        for body in self.bodies.values():
+            offset = before * body.pose()
+            arm = pose.rotate(offset.position)
+            body.move(pose * offset, add(linear, cross(angular, arm)), angular)
+        self._note_move()
+
+    def configure(self, positions: Mapping[str, float]) -> None:
+        """Put joints somewhere (rad or m), at rest.
+
+        Raises:
+            SimulationError: an unknown joint or a position that is not finite; none is moved.
+        """
+        bodies = {name: self.body_of_joint(name) for name in positions}
+        for name, position in positions.items():
+            if not math.isfinite(position):
+                raise SimulationError(f"model '{self.name}': joint '{name}' at {position}")
+        for name, body in bodies.items():
+            body.set_joint(name, positions[name])
+        self.moves += 1
+
+    def state(self) -> ModelState:
+        """Return where all parts of the model are and how they move."""
+        frames = {link.name: self.frame(link.name) for link in self.model.links}
+        links = {name: FrameState(f.pose(), *f.velocity()) for name, f in frames.items()}
+        states = {
+            name: body.joint_state(name)
+            for body in self.bodies.values()
+            for name in body.joint_names
+        }
+        joints = {name: (state.position, state.velocity) for name, state in states.items()}
+        return ModelState(self.pose(), links, joints)
+
+    def restore(self, state: ModelState) -> None:
+        """Put all parts of the model where a state has them.
+
+        Raises:
+            SimulationError: an impossible pose or velocity, or a joint that is not there.
+        """
+        for root in self.model.root_links():
+            link = state.links.get(root.name, FrameState(state.pose * root.pose))
+            check_pose(link.pose, self.name)
+            self.bodies[root.name].move(link.pose, link.linear, link.angular)
+        for name, (position, velocity) in state.joints.items():
+            self.body_of_joint(name).set_joint(name, position, velocity)
+        self._note_move()
+
+    def body_of_joint(self, name: str) -> Body:
+        """Return the body that has a joint; raises SimulationError for an unknown one."""
+        for body in self.bodies.values():
+            if name in body.joint_names:
+                return body
+        raise SimulationError(f"model '{self.name}' has no movable joint '{name}'")
+
+    def keeper(self, link: str) -> Optional[str]:
+        """Return the link that a link's frame is fixed to: itself, if it was not merged.
+
+        Returns:
+            None where the model has no such link.
+        """
+        if link in self.model.frames:
+            return self.model.frames[link][0]
+        return link if link in self.model.links_by_name() else None
+
+    def frame(self, link: str = "") -> AttachedFrame:
+        """Return the frame of a link, merged or not, or of the model itself.
+
+        Raises:
+            KeyError: there is no such link.
+        """
+        if link not in self._frames:
+            root = self.model.root_links()[0]
+            place = (link,) if link else (root.name, root.pose.inverse())
+            self._frames[link] = AttachedFrame.of(self.model, self.bodies.values(), *place)
+        return self._frames[link]
+
+    def command(self, topic: str, command: Any) -> None:
+        """Give a command to the plugins that listen to a topic.
+
+        Raises:
+            SimulationError: no plugin does.
+            PluginError: the plugin refuses it.
+        """
+        listening = [i for plugin in self.plugins for i in plugin.inputs if i.topic == topic]
+        if not listening:
+            raise SimulationError(f"model '{self.name}' has no input '{topic}'")
+        for entry in listening:
+            entry.handle(command)
+
+    def listen(self, topic: str, listener: Callable[[Any], None]) -> None:
+        """Call `listener(sample)` with whatever the model's plugins send on a topic.
+
+        Raises:
+            SimulationError: none sends there.
+        """
+        sending = [o for plugin in self.plugins for o in plugin.outputs if o.topic == topic]
+        if not sending:
+            raise SimulationError(f"model '{self.name}' has no output '{topic}'")
+        for output in sending:
+            output.connect(listener)
+
+    def _note_move(self) -> None:
+        self.moves += 1
+        for plugin in self.plugins:
+            plugin.placed()
+
+
+def check_pose(pose: Pose, model: str) -> None:
+    """Refuse a pose that is not finite, absurdly far away or no rotation."""
+    if not all(map(math.isfinite, pose.position + pose.quaternion)):
+        raise SimulationError(f"model '{model}': its pose is not finite")
+    if max(map(abs, pose.position)) > FARTHEST:
+        raise SimulationError(f"model '{model}': its pose is out of all proportion")
+    length = math.sqrt(sum(value * value for value in pose.quaternion))
+    if abs(length - 1.0) > QUATERNION_TOLERANCE:
+        raise SimulationError(f"model '{model}': a quaternion of length {length:g}, not 1")
+
+
+@dataclass(frozen=True)
+class Entity:
+    """A frame of a model: that of the model itself, or of one of its links.
+
+    Attributes:
+        instance: the model.
+        frame: where it is and how it moves.
+        link: the link that carries the frame.
+    """
+
+    instance: ModelInstance
+    frame: AttachedFrame
+    link: str
+
+    @property
+    def body(self) -> Body:
+        """The body that carries the frame."""
+        return self.frame.body
+
+    def state(self) -> FrameState:
+        """Return pose and velocity in the world."""
+        return FrameState(self.frame.pose(), *self.frame.velocity())
+
+
+def find_model(models: Mapping[str, ModelInstance], name: str) -> ModelInstance:
+    """Return a model; raises EntityError."""
+    instance = models.get(name)
+    if instance is None:
+        raise EntityError(f"model [{name}] does not exist")
+    return instance
+
+
+def find_link(models: Mapping[str, ModelInstance], name: str) -> Entity:
+    """Return the link that "model::link" names, or "link" where only one model has it.
+
+    A link that was merged into another is found, too.
+
+    Raises:
+        EntityError: there is none, or there are several.
+    """
+    found = _links(models, name)
+    if not found:
+        raise EntityError(
+            f"link [{name}] does not exist; did you forget to scope the link by model name?"
+        )
+    if len(found) > 1:
+        owners = ", ".join(entity.instance.name for entity in found)
+        raise EntityError(f"link [{name}] is ambiguous: {owners} have it; say model::link")
+    return found[0]
+
+
+def find_entity(models: Mapping[str, ModelInstance], name: str) -> Entity:
+    """Return the model or link that a name means; raises EntityError."""
+    instance = models.get(name)
+    if instance is not None:
+        return model_entity(instance)
+    try:
+        return find_link(models, name)
+    except EntityError as error:
+        raise EntityError(f"entity [{name}] not found: {error}") from error
+
+
+def model_entity(instance: ModelInstance) -> Entity:
+    """Return a model's own frame."""
+    return Entity(instance, instance.frame(), instance.model.root_links()[0].name)
+
+
+def link_entities(instance: ModelInstance) -> List[Entity]:
+    """Return the links of a model."""
+    links = instance.model.links
+    return [Entity(instance, instance.frame(link.name), link.name) for link in links]
+
+
+def find_joint(models: Mapping[str, ModelInstance], name: str) -> Tuple[ModelInstance, str]:
+    """Return model and name of the joint that "joint" or "model::joint" names.
+
+    As in Gazebo, the first model that has it counts.
+
+    Raises:
+        EntityError: none has.
+    """
+    owner, _, own = name.rpartition(SEPARATOR)
+    for instance in models.values():
+        for joint in instance.model.joints:
+            if joint.name == name or (joint.name == own and instance.name == owner):
+                return instance, joint.name
+    raise EntityError(f"joint [{name}] not found")
+
+
+def frame_state(models: Mapping[str, ModelInstance], frame: str) -> FrameState:
+    """Return the state of a reference frame; raises EntityError for an unknown one."""
+    if frame in WORLD_FRAMES:
+        return FrameState(Pose())
+    return find_entity(models, frame).state()
+
+
+def relative_to(frame: FrameState, state: FrameState) -> FrameState:
+    """Return a state of the world as a frame has it.
+
+    As in Gazebo, the velocity is the difference of the two, in the axes of the frame: what the
+    frame's rotation adds at a distance is not taken off.
+    """
+    back = frame.pose.inverse()
+    linear = tuple(a - b for a, b in zip(state.linear, frame.linear))
+    angular = tuple(a - b for a, b in zip(state.angular, frame.angular))
+    turn = Pose(quaternion=back.quaternion)
+    return FrameState(back * state.pose, turn.rotate(linear), turn.rotate(angular))
+
+
+def in_world(frame: FrameState, state: FrameState) -> FrameState:
+    """Return the state in the world that is asked for in a frame.
+
+    As in Gazebo, the velocity is turned into the axes of the world and is no velocity relative
+    to that of the frame.
+    """
+    turn = Pose(quaternion=frame.pose.quaternion)
+    pose = frame.pose * state.pose
+    return FrameState(pose, turn.rotate(state.linear), turn.rotate(state.angular))
+
+
+def move_link(entity: Entity, state: FrameState) -> None:
+    """Put a link somewhere, and with it all that hangs on it; the joints keep their positions.
+
+    Raises:
+        SimulationError: an impossible pose.
+    """
+    instance = entity.instance
+    model = model_entity(instance)
+    in_link = entity.frame.pose().inverse() * model.frame.pose()
+    place = state.pose * in_link
+    arm = state.pose.rotate(in_link.position)
+    instance.move(place, add(state.linear, cross(state.angular, arm)), state.angular)
+
+
+def _links(models: Mapping[str, ModelInstance], name: str) -> List[Entity]:
+    owner, separator, own = name.rpartition(SEPARATOR)
+    if separator and owner in models:
+        return _links_of(models[owner], own)
+    return [entity for instance in models.values() for entity in _links_of(instance, name)]
+
+
+def _links_of(instance: ModelInstance, name: str) -> List[Entity]:
+    keeper = instance.keeper(name)
+    return [] if keeper is None else [Entity(instance, instance.frame(name), keeper)]

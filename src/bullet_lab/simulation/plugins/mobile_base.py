@@ -1,0 +1,77 @@
+"""What robots that take velocities and report where they are have in common."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar, Tuple
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.plugins.plugin import Input, Mount, Output, Plugin, PluginError
+from bullet_lab.simulation.plugins.samples import (
+    Diagonal,
+    OdometrySample,
+    PlanarCommand,
+    TransformSample,
+)
+
+STANDSTILL = PlanarCommand()
+# As in Gazebo: x and y are known, what the robot cannot do is not.
+UNKNOWN = 1e12
+POSE_VARIANCES = (1e-5, 1e-5, UNKNOWN, UNKNOWN, UNKNOWN, 1e-3)
+
+
+class MobileBase(Plugin):
+    """A robot that is told velocities and sends odometry and its transform.
+
+    Tags: commandTopic, odometryTopic, odometryFrame, robotBaseFrame and robotNamespace.
+
+    Attributes:
+        directions: the parts of a command that count.
+        frame: name of the odometry's frame.
+    """
+
+    directions: ClassVar[Tuple[str, ...]] = ("vx", "wz")
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        self._body = mount.body
+        self.frame = self._frame_name(mount.text("odometryFrame", "odom"))
+        self._base_frame = self._frame_name(mount.text("robotBaseFrame", "base_footprint"))
+        self.odometry = Output(mount.topic(mount.text("odometryTopic", "odom")), OdometrySample)
+        self.transform = Output("/tf", TransformSample)
+        topic = mount.topic(mount.text("commandTopic", "cmd_vel"))
+        self.inputs = (Input(topic, PlanarCommand, self.command),)
+
+    def command(self, command: PlanarCommand) -> None:
+        """Take over a velocity; it acts from the next update on.
+
+        Raises:
+            PluginError: NaN or infinite; the command before stays in force.
+        """
+        if not all(math.isfinite(getattr(command, name)) for name in self.directions):
+            raise PluginError(f"the velocity {command} is not finite")
+        self._command = command
+
+    def reset(self, step: int) -> None:
+        """Forget the command."""
+        self._command = STANDSTILL
+        self._last_step = step
+        self.placed()
+
+    def _frame_name(self, name: str) -> str:
+        return self.mount.frame(name)
+
+    def _send_odometry(
+        self, step: int, poses: Tuple[Pose, Pose], velocity: PlanarCommand, *variances: Diagonal
+    ) -> None:
+        """Send one pose as odometry and one as transform."""
+        frames = (self.frame, self._base_frame)
+        if self.odometry.wanted:
+            self.odometry.send(OdometrySample(step, *frames, poses[0], velocity, *variances))
+        if self.transform.wanted:
+            self.transform.send(TransformSample(step, *frames, poses[1]))
+
+    @staticmethod
+    def _flat(pose: Pose) -> Pose:
+        x, y, _ = pose.position
+        return Pose((x, y, 0.0), pose.quaternion)

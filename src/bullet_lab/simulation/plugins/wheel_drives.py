@@ -1,0 +1,383 @@
+"""Robots on driven wheels: two that are steered apart, or four that steer as a tank does.
+
+libgazebo_ros_diff_drive.so and libgazebo_ros_skid_steer_drive.so.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import Callable, ClassVar, Tuple
+
+from bullet_lab.core.pose import Pose, heading_of
+from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.simulation.physics.physics import Body, JointState, use_friction_pyramid
+from bullet_lab.simulation.plugins.mobile_base import (
+    POSE_VARIANCES,
+    STANDSTILL,
+    UNKNOWN,
+    MobileBase,
+)
+from bullet_lab.simulation.plugins.plugin import Mount, Output, PluginError
+from bullet_lab.simulation.plugins.samples import JointSample, PlanarCommand, TransformSample
+from bullet_lab.simulation.world.description import Joint
+
+LOG = logging.getLogger(__name__)
+
+# rad/s; below it a wheel counts as stopped. The solver's leftovers are some 3e-4 rad/s.
+STANDING = 0.01
+SOURCES = ("world", "encoder")
+WHEEL_JOINTS = ("continuous", "revolute")
+LEFT = (("leftFrontJoint", "left_front_joint"), ("leftRearJoint", "left_rear_joint"))
+RIGHT = (("rightFrontJoint", "right_front_joint"), ("rightRearJoint", "right_rear_joint"))
+
+
+class Wheel:
+    """A joint that is driven at a speed with limited torque and acceleration.
+
+    A wheel that is to stand and has come to rest is held at its angle and sticks to the floor,
+    as with a brake: a motor that only controls the speed lets the robot creep some 0.04 mm/s,
+    and bare friction some 0.02 mm/s, because the engine solves them to a tolerance. What pushes
+    harder than torque or friction moves the wheel all the same; it is held anew where it stops.
+
+    Args:
+        body: what the joint belongs to.
+        joint: its name.
+        torque: the most that the motor exerts, in N m.
+        acceleration: the most that the motor's speed changes by, in rad/s²; 0 for no limit.
+    """
+
+    def __init__(self, body: Body, joint: str, torque: float, acceleration: float = 0.0):
+        self.joint = joint
+        self._body = body
+        self._torque = torque
+        self._acceleration = acceleration
+        self.stop()
+
+    def state(self) -> JointState:
+        """Return angle, speed and torque."""
+        return self._body.joint_state(self.joint)
+
+    def stop(self) -> None:
+        """Aim at no speed, at once."""
+        self._speed = 0.0
+        self._release()
+
+    def follow(self, speed: float, seconds: float) -> None:
+        """Drive towards a speed in rad/s, `seconds` after the last call.
+
+        The speed that the motor is given changes by acceleration · seconds at most and ends at
+        exactly `speed`.
+        """
+        change = speed - self._speed
+        limit = self._acceleration * seconds
+        if self._acceleration and abs(change) > limit:
+            self._speed += limit if change > 0.0 else -limit
+        else:
+            self._speed = speed
+        if self._speed == 0.0:
+            self._come_to_rest()
+        else:
+            self._release()
+
+    def _release(self) -> None:
+        self._held = False
+        self._body.set_sticking(self.joint, False)
+        self._body.drive_joint(self.joint, self._speed, self._torque)
+
+    def _come_to_rest(self) -> None:
+        state = self.state()
+        if abs(state.velocity) > STANDING:
+            self._release()
+        elif not self._held:
+            self._held = True
+            self._body.set_sticking(self.joint, True)
+            self._body.hold_joint(self.joint, state.position, self._torque)
+
+
+class WheelDrive(MobileBase):
+    """What robots on driven wheels have in common.
+
+    At each update the odometry is sent, then the wheels' motors are given the speeds of the last
+    command, v ∓ ω·separation/2 at the rim. The physics does the rest: wheels roll, slip or stall
+    as torque and friction have it. Commands stay until the next one; there is no time-out, as in
+    Gazebo.
+
+    Args:
+        mount: what it is fixed to.
+        separation: of the wheels by default, in m.
+    """
+
+    name: ClassVar[str]
+    # Those on the left before those on the right, as many.
+    wheels: Tuple[Wheel, ...] = ()
+
+    def __init__(self, mount: Mount, separation: float):
+        if mount.model.static:
+            raise PluginError(f"model '{mount.model.name}': {self.name} on what cannot move")
+        super().__init__(mount)
+        self._separation = mount.positive("wheelSeparation", separation)
+        self._radius = 0.5 * mount.positive("wheelDiameter", 0.15)
+        self.schedule = mount.schedule("updateRate", 100.0)
+
+    def produce(self, step: int) -> None:
+        """Send the odometry, then give the motors their speeds."""
+        seconds = (step - self._last_step) / STEPS_PER_SECOND
+        self._last_step = step
+        self._report(step, seconds)
+        side = 0.5 * self._command.wz * self._separation
+        left, right = self._command.vx - side, self._command.vx + side
+        on_the_left = len(self.wheels) // 2
+        for number, wheel in enumerate(self.wheels):
+            wheel.follow((left if number < on_the_left else right) / self._radius, seconds)
+
+    def placed(self) -> None:
+        """Let the wheels start from rest; they did not roll to where the robot is now."""
+        for wheel in self.wheels:
+            wheel.stop()
+
+    def _report(self, step: int, seconds: float) -> None:
+        """Send what is measured, `seconds` after the last time."""
+        raise NotImplementedError
+
+
+def base_motion(body: Body) -> Tuple[Pose, PlanarCommand]:
+    """Return the pose in the world, and the velocity of its origin in its own heading."""
+    pose = body.pose()
+    (vx, vy, _), (_, _, wz) = body.origin_velocity()
+    cosine, sine = heading_of(pose.quaternion)
+    return pose, PlanarCommand(cosine * vx + sine * vy, cosine * vy - sine * vx, wz)
+
+
+def wheel_joint(mount: Mount, tag: str, default: str) -> Joint:
+    """Return the joint that a tag names; raises PluginError where no wheel can turn on it."""
+    name = mount.text(tag, default)
+    joints = {joint.name: joint for joint in mount.model.joints}
+    if name not in mount.body.joint_names:
+        raise PluginError(f"{mount.where(tag)}: no movable joint '{name}'")
+    if joints[name].kind not in WHEEL_JOINTS:
+        raise PluginError(
+            f"{mount.where(tag)}: joint '{name}' is {joints[name].kind}: no wheel turns on it"
+        )
+    return joints[name]
+
+
+class DeadReckoning:
+    """Integrates the rotation of two wheels to a planar pose, by exact arcs.
+
+    Between two readings both wheels are taken to turn evenly, so that the middle of the axle
+    moves on an arc of length s and angle φ; its chord is s·sin(φ/2)/(φ/2) long and points φ/2
+    away from the old heading. What the wheels slip is not noticed.
+
+    >>> reckoning = DeadReckoning(separation=0.5, radius=0.1)
+    >>> driven, turned = reckoning.advance(left=5.0, right=5.0)
+    >>> driven, turned, reckoning.pose
+    (0.5, 0.0, (0.5, 0.0, 0.0))
+
+    Args:
+        separation: of the wheels' contacts with the floor, in m.
+        radius: of the wheels, in m.
+    """
+
+    def __init__(self, separation: float, radius: float):
+        self._separation = separation
+        self._radius = radius
+        self.restart(0.0, 0.0)
+
+    def restart(self, left: float, right: float) -> None:
+        """Be at the origin again, with the wheels at these angles (rad)."""
+        self._x = self._y = self._yaw = 0.0
+        self.resume(left, right)
+
+    def resume(self, left: float, right: float) -> None:
+        """Take new angles (rad) of the wheels for the present pose: nothing was driven."""
+        self._left, self._right = left, right
+
+    @property
+    def pose(self) -> Tuple[float, float, float]:
+        """Position x, y in m and yaw in rad within [-pi, pi], from where it was last restarted."""
+        return self._x, self._y, self._yaw
+
+    def advance(self, left: float, right: float) -> Tuple[float, float]:
+        """Take the wheels' new angles (rad).
+
+        Returns:
+            The distance in m driven ahead and the angle in rad turned since the last angles.
+        """
+        left_way = (left - self._left) * self._radius
+        right_way = (right - self._right) * self._radius
+        self.resume(left, right)
+        driven, turned = 0.5 * (left_way + right_way), (right_way - left_way) / self._separation
+        half = 0.5 * turned
+        chord = driven * math.sin(half) / half if half else driven
+        self._x += chord * math.cos(self._yaw + half)
+        self._y += chord * math.sin(self._yaw + half)
+        self._yaw = math.remainder(self._yaw + turned, math.tau)
+        return driven, turned
+
+
+class DiffDrive(WheelDrive):
+    """Turns two wheels as commanded and reports where the robot is.
+
+    Odometry of the source `world` is the true pose, with z, and the velocity of the base
+    frame's origin. That of the source `encoder` is reckoned from the wheels' angles, starts at
+    zero where the robot starts, and drifts as the wheels slip.
+
+    Tags as in Gazebo, with its defaults: leftJoint, rightJoint, wheelSeparation, wheelDiameter,
+    wheelAcceleration (m/s² at the rim), wheelTorque, updateRate, commandTopic, odometryTopic,
+    odometryFrame, robotBaseFrame, odometrySource, publishTf, publishOdomTF, publishWheelTF,
+    publishWheelJointState and robotNamespace, which stands before topics and frames.
+    Unlike in Gazebo, publishTf only takes away transforms, never the odometry. legacyMode, with
+    which the plugins of ROS Jade to Lunar took the left wheel for the right one, is passed over,
+    as Noetic's plugin does: leftJoint is the wheel on the left.
+
+    Attributes:
+        origin: pose of the odometry's frame in the world, before any drift.
+    """
+
+    filenames = ("libgazebo_ros_diff_drive.so",)
+    name = "diff_drive"
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount, 0.34)
+        if mount.boolean("legacyMode", False):
+            LOG.warning(
+                "%s is passed over, as in ROS Noetic: <leftJoint> is the wheel on the left",
+                mount.where("legacyMode"),
+            )
+        self._from_wheels = _source(mount) == "encoder"
+        joints = _wheel_joints(mount)
+        self._hubs = tuple(_Hub(joint, self._frame_name) for joint in joints)
+        torque = mount.coefficient("wheelTorque", 5.0)
+        limit = mount.coefficient("wheelAcceleration", 0.0) / self._radius
+        self.wheels = tuple(Wheel(self._body, joint.name, torque, limit) for joint in joints)
+        self._reckoning = DeadReckoning(self._separation, self._radius)
+        self.wheel_transforms = Output("/tf", TransformSample)
+        self.wheel_states = Output(mount.topic("joint_states"), JointSample)
+        transforms = mount.boolean("publishTf", True)
+        switches = (
+            (True, self.odometry),
+            (mount.boolean("publishOdomTF", True) and transforms, self.transform),
+            (mount.boolean("publishWheelTF", False) and transforms, self.wheel_transforms),
+            (mount.boolean("publishWheelJointState", False), self.wheel_states),
+        )
+        self.outputs = tuple(output for switch, output in switches if switch)
+        self.reset(0)
+
+    def reset(self, step: int) -> None:
+        """Forget the command and what was driven."""
+        self._reckoning.restart(0.0, 0.0)
+        start = self._body.pose()
+        upright = Pose.from_rpy(start.position, (0.0, 0.0, start.yaw))
+        self.origin = upright if self._from_wheels else Pose()
+        super().reset(step)
+
+    def placed(self) -> None:
+        """Let the wheels start from rest, and do not count how they came to stand."""
+        super().placed()
+        self._reckoning.resume(*self._angles())
+
+    def _frame_name(self, name: str) -> str:
+        """Return a frame's name; robotNamespace stands in for a missing prefix, as in Gazebo."""
+        namespace = self.mount.text("robotNamespace").strip("/")
+        if self.mount.tf_prefix or name.startswith("/") or not namespace:
+            return self.mount.frame(name)
+        return f"{namespace}/{name}"
+
+    def _angles(self) -> Tuple[float, float]:
+        left, right = self.wheels
+        return left.state().position, right.state().position
+
+    def _report(self, step: int, seconds: float) -> None:
+        if self._from_wheels:
+            pose, velocity = self._reckoned(seconds)
+        else:
+            pose, velocity = base_motion(self._body)
+        self._send_odometry(step, (pose, pose), velocity, POSE_VARIANCES)
+        if self.wheel_transforms.wanted:
+            for hub, wheel in zip(self._hubs, self.wheels):
+                turned = hub.pose_at(wheel.state().position)
+                self.wheel_transforms.send(TransformSample(step, hub.parent, hub.child, turned))
+        if self.wheel_states.wanted:
+            names = tuple(wheel.joint for wheel in self.wheels)
+            states = [wheel.state() for wheel in self.wheels]
+            self.wheel_states.send(JointSample.of(step, names, states))
+
+    def _reckoned(self, seconds: float) -> Tuple[Pose, PlanarCommand]:
+        """Return the pose by the wheels, and the mean velocity since the last update."""
+        driven, turned = self._reckoning.advance(*self._angles())
+        x, y, yaw = self._reckoning.pose
+        pose = Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
+        if seconds <= 0.0:
+            return pose, STANDSTILL
+        return pose, PlanarCommand(vx=driven / seconds, wz=turned / seconds)
+
+
+class _Hub:
+    """Where a wheel's frame is in that of the link that carries it."""
+
+    def __init__(self, joint: Joint, frame_name: Callable[[str], str]):
+        self.parent = frame_name(joint.parent)
+        self.child = frame_name(joint.child)
+        self._joint = joint
+
+    def pose_at(self, angle: float) -> Pose:
+        """Return the pose of the wheel turned by an angle (rad) about its axis."""
+        sine = math.sin(0.5 * angle)
+        turn = tuple(sine * part for part in self._joint.axis)
+        return self._joint.pose * Pose(quaternion=(*turn, math.cos(0.5 * angle)))
+
+
+def _source(mount: Mount) -> str:
+    source = mount.text("odometrySource", SOURCES[0])
+    if source not in SOURCES:
+        raise PluginError(
+            f"{mount.where('odometrySource')}: '{source}' is not one of {', '.join(SOURCES)}"
+        )
+    return source
+
+
+def _wheel_joints(mount: Mount) -> Tuple[Joint, Joint]:
+    left = wheel_joint(mount, "leftJoint", "left_joint")
+    right = wheel_joint(mount, "rightJoint", "right_joint")
+    if left is right:
+        raise PluginError(f"{mount.where('rightJoint')}: '{right.name}' is the left one already")
+    return left, right
+
+
+class SkidSteer(WheelDrive):
+    """Turns the wheels of each side as commanded and reports where the robot is.
+
+    To turn, the wheels must slip sideways, so the robot turns less than commanded; how much less
+    is up to the friction, which is that of ODE's pyramid in a world with such a robot. The
+    odometry is the true pose (z is 0 in it, not in the transform).
+
+    Tags as in Gazebo, with its defaults: leftFrontJoint, rightFrontJoint, leftRearJoint,
+    rightRearJoint, wheelSeparation (0.4 m), wheelDiameter (0.15 m), torque (5 N m), updateRate
+    (100 Hz), commandTopic, odometryTopic, odometryFrame, robotBaseFrame, broadcastTF (false),
+    covariance_x, covariance_y (1e-4), covariance_yaw (1e-2) and robotNamespace.
+    """
+
+    filenames = ("libgazebo_ros_skid_steer_drive.so",)
+    name = "skid_steer_drive"
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount, 0.4)
+        use_friction_pyramid(self._body)
+        torque = mount.coefficient("torque", 5.0)
+        names = [wheel_joint(mount, *tag).name for tag in LEFT + RIGHT]
+        if len(set(names)) < len(names):
+            raise PluginError(f"{mount.where('rightRearJoint')}: a joint is named twice")
+        self.wheels = tuple(Wheel(self._body, name, torque) for name in names)
+        x, y = (mount.coefficient(f"covariance_{axis}", 1e-4) for axis in "xy")
+        yaw = mount.coefficient("covariance_yaw", 1e-2)
+        self._variances = (x, y, UNKNOWN, UNKNOWN, UNKNOWN, yaw)
+        transforms = (self.transform,) if mount.boolean("broadcastTF", False) else ()
+        self.outputs = (self.odometry, *transforms)
+        self.reset(0)
+
+    def _report(self, step: int, seconds: float) -> None:
+        pose, velocity = base_motion(self._body)
+        self._send_odometry(
+            step, (self._flat(pose), pose), velocity, self._variances, self._variances
+        )

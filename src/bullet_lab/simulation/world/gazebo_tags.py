@@ -1,0 +1,244 @@
+"""What Gazebo's own tags ask for, and which tags of its documents are not simulated.
+
+These are the names of its materials, `<plugin>` and `<gazebo>`. What is not simulated is said once
+each by name.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from typing import Any, Dict, Iterable, Iterator, Optional, Set
+from xml.etree.ElementTree import Element
+
+from bullet_lab.simulation.world.description import Colour, Link, PluginTag
+from bullet_lab.simulation.world.xml import TagReader, child_text
+
+LOG = logging.getLogger(__name__)
+
+# Diffuse colours of Gazebo's own materials that are drawn without a texture.
+_OPAQUE = {
+    "Black": (0.0, 0.0, 0.0),
+    "Blue": (0.0, 0.0, 1.0),
+    "DarkGrey": (0.175, 0.175, 0.175),
+    "FlatBlack": (0.1, 0.1, 0.1),
+    "Gold": (0.8, 0.64869, 0.120759),
+    "Green": (0.0, 1.0, 0.0),
+    "Grey": (0.7, 0.7, 0.7),
+    "Indigo": (0.33, 0.0, 0.5),
+    "LightOff": (1.0, 0.0, 0.0),
+    "LightOn": (0.0, 1.0, 0.0),
+    "Orange": (1.0, 0.5088, 0.0468),
+    "Purple": (1.0, 0.0, 1.0),
+    "Red": (1.0, 0.0, 0.0),
+    "RedBright": (0.87, 0.26, 0.07),
+    "SkyBlue": (0.0, 0.0, 1.0),
+    "Turquoise": (0.0, 1.0, 1.0),
+    "White": (1.0, 1.0, 1.0),
+    "Yellow": (1.0, 1.0, 0.0),
+    "ZincYellow": (0.9725, 0.9529, 0.2078),
+}
+_GLOWING = ("Blue", "Green", "Purple", "Red", "Turquoise", "White", "Yellow")
+_TRANSPARENT = {
+    "Blue": (0.0, 0.0, 1.0),
+    "Green": (0.0, 1.0, 0.0),
+    "Grey": (0.5, 0.5, 0.5),
+    "Orange": (1.0, 0.44, 0.0),
+    "Red": (1.0, 0.0, 0.0),
+    "Yellow": (1.0, 1.0, 0.0),
+}
+PREFIX = "Gazebo/"
+
+
+def _table() -> Dict[str, Colour]:
+    table: Dict[str, Colour] = {name: (*rgb, 1.0) for name, rgb in _OPAQUE.items()}
+    table.update({f"{name}Glow": table[name] for name in _GLOWING})
+    table.update({f"{name}Transparent": (*rgb, 0.5) for name, rgb in _TRANSPARENT.items()})
+    return table
+
+
+COLOURS = _table()
+
+
+def gazebo_colour(material: str) -> Optional[Colour]:
+    """Return the colour of a material such as "Gazebo/Red", or None for any other name."""
+    return COLOURS.get(material[len(PREFIX) :]) if material.startswith(PREFIX) else None
+
+
+def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
+    """Yield the plugins that stand in an element or in the sensors below it."""
+    for holder in (parent, *parent.findall("sensor")):
+        sensor = None if holder is parent else holder
+        for element in holder.findall("plugin"):
+            tags = {child.tag: (child.text or "").strip() for child in element}
+            filename, name = element.get("filename", ""), element.get("name", "")
+            yield PluginTag(filename, name, tags, link, sensor, element)
+
+
+class ReportOnce:
+    """Warnings that are given once each."""
+
+    def __init__(self) -> None:
+        self._given: Set[str] = set()
+
+    def __call__(self, message: str) -> None:
+        """Warn, unless this was said before."""
+        if message not in self._given:
+            self._given.add(message)
+            LOG.warning("%s", message)
+
+
+# Of a `<gazebo reference=…>`: Coulomb's coefficient, and N/m and N s/m of the link's contacts.
+COEFFICIENTS = {"mu1": "friction", "kp": "stiffness", "kd": "damping"}
+LINK_TAGS = frozenset((*COEFFICIENTS, "mu2", "material", "selfCollide"))
+# Read elsewhere, or for the eye alone.
+QUIET_TAGS = frozenset(("plugin", "sensor", "visualize", "visual"))
+
+
+class _LinkTag(TagReader):
+    """Reads both spellings of a tag's `value`, as Gazebo does: <mu1>1</mu1>, <mu1 value="1"/>."""
+
+    def __init__(self, element: Element, where: str):
+        self._element = element
+        self._where = where
+
+    def text(self, key: str, default: str = "") -> str:
+        return (self._element.get(key) or self._element.text or "").strip()
+
+    def where(self, key: str) -> str:
+        return self._where
+
+
+class GazeboTags:
+    """The `<gazebo>` elements of a URDF document: what Gazebo is told of its links.
+
+    References to nothing are reported, too.
+
+    Args:
+        elements: the `<gazebo>` elements.
+        references: names of the links and joints that may be referred to.
+        source: names the document in messages.
+
+    Raises:
+        XmlError: a tag that is simulated makes no sense.
+    """
+
+    def __init__(self, elements: Iterable[Element], references: Iterable[str], source: str):
+        self._source = source
+        self._report = ReportOnce()
+        # By link: fields of its collisions, and its `colour` and `self_collide`.
+        self._told: Dict[str, Dict[str, Any]] = {}
+        known = set(references)
+        for element in elements:
+            name = element.get("reference")
+            if name is None:
+                self._report_unknown(element, frozenset())
+                continue
+            if name not in known:
+                self._report(f"<gazebo reference='{name}'>: there is no such link or joint")
+            for child in element:
+                self._read(child, self._told.setdefault(name, {}), name)
+            self._report_unknown(element, LINK_TAGS)
+
+    def apply(self, link: Link) -> Link:
+        """Return a link as Gazebo would have it."""
+        told = dict(self._told.get(link.name, {}))
+        colour = told.pop("colour", None)
+        link = replace(link, self_collide=told.pop("self_collide", link.self_collide))
+        if colour is not None:
+            link = replace(link, visuals=tuple(replace(v, colour=colour) for v in link.visuals))
+        return replace(link, collisions=tuple(replace(c, **told) for c in link.collisions))
+
+    def _read(self, child: Element, told: Dict[str, Any], link: str) -> None:
+        where = f"{self._source}: <{child.tag}> of '{link}'"
+        tag = _LinkTag(child, where)
+        if child.tag in COEFFICIENTS:
+            told[COEFFICIENTS[child.tag]] = tag.coefficient("value", 0.0)
+        elif child.tag == "mu2":
+            # Bullet's friction is the same in all directions.
+            value = tag.coefficient("value", 0.0)
+            if value != told.setdefault("friction", value):
+                mu = told["friction"]
+                self._report(f"{where}: friction has one coefficient here, <mu1>: {mu:g}")
+        elif child.tag == "selfCollide":
+            told["self_collide"] = tag.boolean("value", False)
+        elif child.tag == "material":
+            name = tag.text("value")
+            colour = gazebo_colour(name)
+            if colour is None:
+                self._report(f"{where}: material '{name}' is not known and not drawn")
+            else:
+                told["colour"] = colour
+
+    def _report_unknown(self, element: Element, known: Iterable[str]) -> None:
+        for child in element:
+            is_as_it_is = (child.text or "").strip() in URDF_AS_IT_IS.get(child.tag, ())
+            if child.tag not in QUIET_TAGS and child.tag not in known and not is_as_it_is:
+                self._report(f"{self._source}: <gazebo>: <{child.tag}> is not simulated")
+
+
+# The elements that are looked into, and what is read of each.
+SDF_READ = {
+    "sdf": {"world", "model", "light", "include"},
+    "world": {"model", "light", "include", "gravity", "scene", "state", "physics"},
+    "model": {"link", "joint", "plugin", "pose", "static", "frame", "include", "model"},
+    "link": {"pose", "inertial", "visual", "collision", "sensor", "plugin", "self_collide"},
+    "visual": {"geometry", "pose", "material", "cast_shadows"},
+    "collision": {"geometry", "pose", "surface"},
+    "joint": {"parent", "child", "pose", "axis", "axis2"},
+    "surface": {"friction", "contact"},
+    "physics": set(),
+}
+# What Gazebo writes into every world that it saves, or what changes nothing that can be seen here.
+SDF_QUIET = {
+    "world": {"gui", "atmosphere", "wind", "magnetic_field", "spherical_coordinates", "audio"},
+    "model": {"allow_auto_disable"},
+    "link": {"must_be_base_link"},
+    "visual": {"meta", "laser_retro"},
+    "collision": {"max_contacts", "laser_retro"},
+    "joint": {"physics", "sensor"},
+    # How Gazebo's engines compute is their own business.
+    "physics": {"ode", "bullet", "simbody", "dart", "max_contacts", "real_time_factor"},
+}
+# Texts that ask for what happens anyway.
+URDF_AS_IT_IS = {
+    "gravity": ("1", "true"),
+    "turnGravityOff": ("0", "false"),
+    "static": ("0", "false"),
+}
+SDF_AS_IT_IS = {
+    "gravity": ("1", "true"),
+    "kinematic": ("0", "false"),
+    "enable_wind": ("0", "false"),
+    "self_collide": ("0", "false"),
+    "transparency": ("0", "0.0"),
+    "max_step_size": ("0.001", "1e-3", "1e-03"),
+    "real_time_update_rate": ("1000", "1000.0"),
+}
+
+
+def report_unknown(root: Element, source: str, report: ReportOnce) -> None:
+    """Warn of each kind of tag in an <sdf> that is not simulated; `source` names the document."""
+    for text in _unknown(root):
+        report(f"{source}: {text}")
+
+
+def _unknown(element: Element) -> Iterator[str]:
+    read, quiet = SDF_READ[element.tag], SDF_QUIET.get(element.tag, ())
+    for child in element:
+        if child.tag in SDF_READ and child.tag in read:
+            yield from _unknown(child)
+        elif child.tag not in read and child.tag not in quiet and _asks_for_something(child):
+            yield f"<{element.tag}>: {_name(child)} is not simulated"
+
+
+def _asks_for_something(element: Element) -> bool:
+    if element.tag == "bounce":
+        return child_text(element, "restitution_coefficient", "0") not in ("0", "0.0")
+    return (element.text or "").strip() not in SDF_AS_IT_IS.get(element.tag, ())
+
+
+def _name(element: Element) -> str:
+    if element.tag == "plugin":
+        return f"plugin '{element.get('name', '')}' ({element.get('filename', '')})"
+    return f"<{element.tag}>"

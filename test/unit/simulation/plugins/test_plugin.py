@@ -1,0 +1,92 @@
+import importlib
+
+import pytest
+
+from bullet_lab.simulation import plugins
+from bullet_lab.simulation.plugins import Output, Plugin, PluginError, known_plugins, make_plugin
+from bullet_lab.simulation.plugins.samples import RangeSample
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.urdf import read_urdf
+
+FLOOR = "package://bullet_lab/worlds/empty.world"
+ROBOT = """<robot name="r"><link name="base">
+  <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>
+  <gazebo><plugin name="{0}" filename="{0}"><updateRate>50</updateRate></plugin></gazebo></robot>"""
+
+
+@pytest.fixture
+def altimeter():
+    """The plugin of docs/design.md, as a user writes it."""
+
+    class Altimeter(Plugin):
+        filenames = ("libtest_altimeter.so", "libtest_altimeter_2.so")
+
+        def __init__(self, mount):
+            super().__init__(mount)
+            self.height = Output(mount.topic(mount.text("topicName", "height")), RangeSample)
+            self.outputs = (self.height,)
+            self.schedule = mount.schedule("updateRate", 10.0)
+
+        def produce(self, step):
+            if self.height.wanted:
+                z = self.mount.body.pose().position[2]
+                self.height.send(RangeSample(step, "world", False, 0.0, 0.0, 100.0, z))
+
+    return Altimeter
+
+
+def heights(filename):
+    samples = []
+    with Simulation.of(FLOOR) as simulation:
+        robot = simulation.add(read_urdf(ROBOT.format(filename), "here"))
+        robot.listen("height", samples.append)
+        simulation.run_for(0.2)
+    return [sample.range for sample in samples]
+
+
+@pytest.mark.parametrize("filename", ["libtest_altimeter.so", "libtest_altimeter_2"])
+def test_a_class_is_all_that_a_plugin_needs(altimeter, filename):
+    assert set(altimeter.filenames) <= set(known_plugins())
+    found = heights(filename)
+    assert len(found) == 10
+    assert found == sorted(found, reverse=True)
+
+
+def test_a_subclass_does_not_take_over_the_files_of_its_base(altimeter):
+    class Other(altimeter):
+        pass
+
+    with Simulation.of(FLOOR) as simulation:
+        robot = simulation.add(read_urdf(ROBOT.format("libtest_altimeter.so"), "here"))
+        assert type(robot.plugins[0]) is altimeter
+
+
+def test_plugins_of_before_still_work():
+    with pytest.warns(DeprecationWarning, match="device is now Plugin.filenames"):
+        from bullet_lab.simulation.plugins import device
+    with pytest.warns(DeprecationWarning, match="Device is now Plugin"):
+        from bullet_lab.simulation.plugins import Device
+
+    @device("libtest_of_before.so")
+    class Before(Device):
+        pass
+
+    with Simulation.of(FLOOR) as simulation:
+        robot = simulation.add(read_urdf(ROBOT.format("libtest_of_before.so"), "here"))
+        with pytest.warns(DeprecationWarning, match="devices is now plugins"):
+            (device,) = robot.devices
+        assert isinstance(device, Before)
+
+
+def test_the_other_old_names():
+    sys_name = "bullet_lab.simulation.plugins.plugin"
+    module = importlib.import_module(sys_name)
+    with pytest.warns(DeprecationWarning):
+        assert module.DeviceError is PluginError
+    with pytest.warns(DeprecationWarning):
+        assert plugins.make_device is make_plugin
+    with pytest.warns(DeprecationWarning):
+        from bullet_lab.simulation.devices import Device
+    assert Device is Plugin
+    with pytest.raises(AttributeError, match="nothing"):
+        module.nothing  # noqa: B018

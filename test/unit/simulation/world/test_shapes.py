@@ -1,0 +1,98 @@
+import doctest
+import importlib
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.simulation.physics.bodies import SHAPES as BODIES
+from bullet_lab.simulation.world.meshes import MeshError
+from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.shapes import SHAPES, Box, Cylinder, Mesh, Plane, Sphere
+
+WITH_EXAMPLES = (
+    "core.pose",
+    "simulation.plugins.planar_move",
+    "simulation.plugins.wheel_drives",
+    "simulation.world.inertia",
+    "simulation.world.shapes",
+)
+SOLIDS = [Box((0.4, 1.0, 2.0)), Cylinder(0.3, 1.2), Sphere(0.7)]
+CUBE = """v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\nv 0 0 2\nv 2 0 2\nv 2 2 2\nv 0 2 2
+f 1 4 3\nf 1 3 2\nf 5 6 7\nf 5 7 8\nf 1 2 6\nf 1 6 5\nf 3 4 8\nf 3 8 7\nf 2 3 7\nf 2 7 6
+f 4 1 5\nf 4 5 8
+"""
+
+
+@pytest.fixture
+def cube(tmp_path):
+    path = tmp_path / "cube.obj"
+    path.write_text(CUBE)
+    return Mesh(path, "cube.obj", (1.0, 0.5, 2.0))
+
+
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
+def test_the_examples_of_docstrings(name):
+    tested = doctest.testmod(importlib.import_module(f"bullet_lab.{name}"))
+    assert tested.attempted > 0
+    assert tested.failed == 0
+
+
+@pytest.mark.parametrize("shape", SOLIDS)
+def test_volume_and_inertia_are_those_of_many_points(shape):
+    low, high = shape.bounds()
+    points = np.random.default_rng(4).uniform(low, high, (40_000, 3))
+    inside = np.array([max(shape._gaps(point)) < 0.0 for point in points])
+    share = np.prod(high - low) * inside.mean()
+    assert shape.volume() == pytest.approx(share, rel=0.02)
+    chosen = points[inside]
+    squares = np.mean(chosen**2, axis=0)
+    assert shape.inertia(3.0).diagonal() == pytest.approx(3.0 * (squares.sum() - squares), rel=0.02)
+    assert (shape.inertia(3.0) == np.diag(shape.inertia(3.0).diagonal())).all()
+
+
+def test_a_closed_mesh_is_a_solid(cube):
+    assert cube.bounds().tolist() == [[0, 0, 0], [2, 1, 4]]
+    same = Box((2.0, 1.0, 4.0))
+    assert cube.volume() == pytest.approx(same.volume())
+    assert cube.inertia(5.0) == pytest.approx(same.inertia(5.0))
+
+
+def test_a_mesh_that_changes_has_other_bounds(cube):
+    assert cube.bounds()[1].tolist() == [2, 1, 4]
+    cube.path.write_text(CUBE.replace("2", "20"))
+    with pytest.raises(MeshError):
+        cube.bounds()
+    cube.path.write_text(CUBE.replace("v 2 2 2", "v 2 2 30"))
+    assert cube.bounds()[1].tolist() == [2, 1, 60]
+
+
+def test_a_plane_has_no_end():
+    assert Plane().bounds().tolist() == [[-math.inf] * 3, [math.inf] * 3]
+    assert Plane().volume() == 0.0
+
+
+@pytest.mark.parametrize("shape", SOLIDS + [Plane((0.0, 0.6, 0.8), (3.0, 4.0))])
+def test_a_shape_is_read_as_it_measures(shape):
+    measures = "".join(
+        f"<{name}>{' '.join(map(repr, values))}</{name}>"
+        for name, values in shape.measures().items()
+    )
+    geometry = f"<geometry><{shape.tag}>{measures}</{shape.tag}></geometry>"
+    text = f"<sdf version='1.6'><model name='m'><link name='l'><collision name='c'>{geometry}"
+    model = read_model_text(f"{text}</collision></link></model></sdf>", "here")
+    assert model.links[0].collisions[0].geometry == shape
+
+
+def test_only_what_stands_on_a_rectangle_has_one():
+    assert Box((1.0, 2.0, 3.0)).floor_sides() == (1.0, 2.0)
+    assert Sphere(1.0).floor_sides() is None
+
+
+def test_all_that_makes_something_of_shapes_knows_each():
+    pytest.importorskip("rospy")
+    from bullet_lab.ros.messages.world import MARKERS
+
+    assert set(MARKERS) == set(SHAPES.values())
+    # A mesh is made by its corners.
+    assert set(BODIES) == set(SHAPES.values()) - {Mesh}
