@@ -97,10 +97,9 @@ class GazeboStates:
                 take(message)
             except StepperError:
                 # A message that comes as the bridge ends has nothing left to move.
-                return
+                pass
             except LabError as error:
                 self._refusals.refuse(topic, str(error))
-            self._world.stepper.note_command(message._connection_header["callerid"])
 
         return rospy.Subscriber(topic, kind, receive, queue_size=QUEUE_SIZE, tcp_nodelay=True)
 
