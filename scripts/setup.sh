@@ -31,12 +31,12 @@ debian_packages() {
         python3-roslaunch python3-rosmaster python3-rospy \
         ros-message-generation ros-message-runtime \
         python3-actionlib python3-actionlib-msgs python3-cv-bridge python3-diagnostic-msgs \
-        python3-geometry-msgs python3-message-filters python3-nav-msgs python3-rosgraph-msgs python3-sensor-msgs \
-        python3-std-msgs python3-std-srvs python3-tf2-msgs python3-tf2-ros python3-visualization-msgs \
+        python3-geometry-msgs python3-message-filters python3-move-base-msgs python3-nav-msgs \
+        python3-rosgraph-msgs python3-sensor-msgs python3-std-msgs python3-std-srvs python3-tf2-msgs python3-tf2-ros python3-visualization-msgs \
         libactionlib-msgs-dev libdiagnostic-msgs-dev \
         libgeometry-msgs-dev libnav-msgs-dev libsensor-msgs-dev libstd-msgs-dev \
         libstd-srvs-dev libtf2-ros-dev libvisualization-msgs-dev libroscpp-dev \
-        ros-actionlib-msgs ros-diagnostic-msgs ros-geometry-msgs ros-nav-msgs \
+        ros-actionlib-msgs ros-diagnostic-msgs ros-geometry-msgs ros-move-base-msgs ros-nav-msgs \
         ros-rosgraph-msgs ros-sensor-msgs ros-std-msgs ros-std-srvs ros-tf2-msgs ros-visualization-msgs \
         ros-robot-state-publisher libegl1 libgl1-mesa-dri
       ;;
@@ -50,7 +50,7 @@ noetic_packages() {
   case $1 in
     base)
       names=(actionlib actionlib-msgs catkin cv-bridge diagnostic-msgs gazebo-msgs geometry-msgs
-        message-filters message-generation message-runtime nav-msgs robot-state-publisher rosbag rosbash
+        message-filters message-generation message-runtime move-base-msgs nav-msgs robot-state-publisher rosbag rosbash
         rosgraph-msgs roslaunch rosmaster rospy sensor-msgs std-msgs std-srvs tf2-msgs tf2-ros visualization-msgs)
       echo ca-certificates g++ make cmake python3 python3-venv libegl1 libgl1-mesa-dri
       ;;

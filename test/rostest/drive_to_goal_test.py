@@ -10,9 +10,11 @@ import unittest
 import rospy
 import rostest
 import tf2_ros
+from actionlib import SimpleActionClient
 from actionlib_msgs.msg import GoalID, GoalStatus
 from geometry_msgs.msg import PoseStamped, TransformStamped, Twist
 from lab_testing import Node, Topic, odometry, publisher, wait_for
+from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseGoal
 from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import Float64, Time
 from std_srvs.srv import Empty
@@ -211,6 +213,93 @@ class DriveToGoalTest(unittest.TestCase):
             self.cancels.publish(GoalID(id=active.goal_id.id) if by_id else GoalID())
             self.assertIn("request", self.wait_for_status(GoalStatus.PREEMPTED, number).text)
             self.assert_stands()
+
+    def client(self):
+        client = SimpleActionClient("move_base", MoveBaseAction)
+        self.addCleanup(client.stop_tracking_goal)
+        self.assertTrue(client.wait_for_server(rospy.Duration(20)), self.node.err)
+        return client
+
+    def assert_ends(self, client, status, words):
+        self.assertTrue(client.wait_for_result(rospy.Duration(30)), self.node.err)
+        self.assertEqual(status, client.get_state(), client.get_goal_status_text())
+        self.assertIn(words, client.get_goal_status_text())
+        self.assertNotIn("Traceback", self.node.err)
+
+    def test_a_client_of_move_base_drives_the_robot(self):
+        self.start()
+        client, feedback = self.client(), []
+        client.send_goal(MoveBaseGoal(goal(1.0, 0.5, 1.0)), feedback_cb=feedback.append)
+        self.assert_ends(client, GoalStatus.SUCCEEDED, "from the goal")
+        self.assert_at(1.0, 0.5, 1.0)
+        self.assert_stands()
+        base = feedback[-1].base_position
+        self.assertEqual("odom", base.header.frame_id)
+        self.assertLess(math.dist((1.0, 0.5), (base.pose.position.x, base.pose.position.y)), 0.05)
+        self.wait_for_status(GoalStatus.SUCCEEDED)
+        said = [message.status for message in self.statuses.messages]
+        self.assertEqual([GoalStatus.PENDING, GoalStatus.ACTIVE, GoalStatus.SUCCEEDED], said)
+
+    def test_a_client_of_move_base_cancels(self):
+        self.start()
+        client = self.client()
+        client.send_goal(MoveBaseGoal(goal(50.0, 0.0)))
+        self.wait_until_driving()
+        client.cancel_goal()
+        self.assert_ends(client, GoalStatus.PREEMPTED, "request")
+        self.assert_stands()
+
+    def test_goals_of_clients_and_of_rviz_take_each_others_places(self):
+        self.start()
+        first, second = self.client(), self.client()
+        first.send_goal(MoveBaseGoal(goal(50.0, 0.0)))
+        self.wait_until_driving()
+        self.goals.publish(goal(0.0, 50.0))
+        self.assert_ends(first, GoalStatus.PREEMPTED, "another goal")
+        second.send_goal(MoveBaseGoal(goal(0.3, 0.0)))
+        self.assert_ends(second, GoalStatus.SUCCEEDED, "from the goal")
+        self.assert_at(0.3, 0.0)
+        self.assertEqual(2, len([m for m in self.statuses.messages if m.status == 2]))
+
+    def test_a_client_whose_goal_cannot_be_reached_is_told_why(self):
+        self.start()
+        client = self.client()
+        bad = {
+            "no frame_id": goal(1.0, 0.0, frame=""),
+            "not finite": goal(math.nan, 0.0),
+            "no transform from 'mars' to 'odom'": goal(1.0, 0.0, frame="mars"),
+        }
+        for number, (why, message) in enumerate(bad.items(), 1):
+            client.send_goal(MoveBaseGoal(message))
+            self.assert_ends(client, GoalStatus.ABORTED, why)
+            self.assertIn(why, self.wait_for_status(GoalStatus.REJECTED, number).text)
+        self.assert_stands()
+        # The robot stands still as well if it was on its way to another goal.
+        self.goals.publish(goal(50.0, 0.0))
+        self.wait_until_driving()
+        client.send_goal(MoveBaseGoal(goal(1.0, 0.0, frame="mars")))
+        self.assert_stands()
+        self.assertEqual(GoalStatus.ACTIVE, client.get_state())
+        client.cancel_goal()
+        self.assert_ends(client, GoalStatus.PREEMPTED, "request")
+        self.wait_for_status(GoalStatus.RECALLED)
+
+    def test_a_client_without_odometry(self):
+        self.start(odom="nowhere")
+        client = self.client()
+        client.send_goal(MoveBaseGoal(goal(1.0, 0.0)))
+        self.assert_ends(client, GoalStatus.ABORTED, "no odometry on nowhere: nothing comes")
+
+    def test_the_goal_that_comes_last_counts_whatever_its_stamp(self):
+        self.start()
+        goals = publisher("move_base/goal", MoveBaseActionGoal)
+        self.addCleanup(goals.unregister)
+        self.goals.publish(goal(50.0, 0.0))
+        self.wait_until_driving()
+        late = MoveBaseActionGoal(goal=MoveBaseGoal(goal(0.2, 0.0)))
+        late.goal_id.id, late.goal_id.stamp = "late", rospy.Time(1)
+        goals.publish(late)
+        self.assertEqual("late", self.wait_for_status(GoalStatus.SUCCEEDED).goal_id.id)
 
     def test_without_heading_it_stays_as_it_came(self):
         self.start(heading=False)

@@ -1,1 +1,1 @@
-"""How a robot is driven: in squares, and to goals."""
+"""Drivers of robots: in squares, and to goals."""

@@ -1,4 +1,4 @@
-"""How a robot is driven to a goal: the P-controller of the course, for robots that steer.
+"""A driver to goals: the P-controller of the course, for robots that steer.
 
 The speed is proportional to the distance and the turning rate to the angle that are left, both
 within limits, as in the course's drive_to_goal. A robot with two wheels cannot go sideways:
@@ -35,7 +35,7 @@ class GoalDriverError(LabError):
 
 
 class DrivePhase(Enum):
-    """What is being done."""
+    """A part of the drive to a goal."""
 
     DRIVING = "driving"
     TURNING = "turning to the goal's heading"
@@ -77,7 +77,7 @@ class GoalLimits:
 
 
 class GoalDriver:
-    """Drives to one goal.
+    """Says how fast to drive to one goal, tick by tick.
 
     Args:
         goal: pose (m, m, rad) in the frame of the odometry.
@@ -90,6 +90,13 @@ class GoalDriver:
 
     Raises:
         GoalDriverError: the goal is not finite.
+
+    Example:
+        >>> driver = GoalDriver((1.0, 0.0, 0.0))
+        >>> driver.command((0.0, 0.0, 0.0), seconds=0.5)
+        (0.2, 0.0)
+        >>> driver.distance((0.0, 0.0, 0.0))
+        1.0
     """
 
     def __init__(
@@ -118,15 +125,15 @@ class GoalDriver:
             pose: m, m, rad.
             seconds: since the command before, for the accelerations.
         """
-        wanted = self._wanted(pose)
+        v_goal, w_goal = self._control(pose)
         if self.phase is DrivePhase.ARRIVED:
             # What is left to brake is a crawl.
             self.moving = STANDSTILL
             return STANDSTILL
         limits = self._limits
-        (v, w), (v_wanted, w_wanted) = self.moving, wanted
-        v += _clip(v_wanted - v, limits.acceleration * seconds)
-        w += _clip(w_wanted - w, limits.turn_acceleration * seconds)
+        v, w = self.moving
+        v += _clip(v_goal - v, limits.acceleration * seconds)
+        w += _clip(w_goal - w, limits.turn_acceleration * seconds)
         self.moving = (v, w)
         return self.moving
 
@@ -134,7 +141,8 @@ class GoalDriver:
         """Take note that the robot was stopped by somebody else: it starts from rest."""
         self.moving = STANDSTILL
 
-    def _wanted(self, pose: PlanarPose) -> Command:
+    def _control(self, pose: PlanarPose) -> Command:
+        """Return the velocity to come to, accelerations left out; move on to the next phase."""
         limits, left = self._limits, self.distance(pose)
         if self.phase is DrivePhase.DRIVING and left <= ARRIVAL * limits.tolerance:
             self.phase = DrivePhase.TURNING if limits.heading else DrivePhase.ARRIVED

@@ -7,10 +7,12 @@ from typing import Any, Tuple
 
 import genpy
 from geometry_msgs.msg import Pose as PoseMessage
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import PoseStamped, Twist
 
+from bullet_lab.core.angles import quaternion_from_yaw
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import FrameState
 
@@ -121,3 +123,13 @@ def set_state(message: Any, state: FrameState) -> None:
     """Write a state into a message with a pose and a twist."""
     set_pose(message.pose, state.pose)
     message.twist = twist_message(state)
+
+
+def stamped_pose(stamp: genpy.Time, frame: str, pose: PlanarPose) -> PoseStamped:
+    """Return x (m), y (m) and yaw (rad) in a frame as a message."""
+    message = PoseStamped()
+    message.header.stamp, message.header.frame_id = stamp, frame
+    message.pose.position.x, message.pose.position.y = pose[:2]
+    turn = message.pose.orientation
+    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(pose[2])
+    return message

@@ -7,16 +7,17 @@ from typing import Tuple
 
 import rospy
 import tf2_ros
-from geometry_msgs.msg import PoseStamped, TransformStamped
+from geometry_msgs.msg import PoseStamped
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.ros.messages.poses import pose_of
+from bullet_lab.ros.messages.poses import InputError, pose_of
 from bullet_lab.ros.node.lock_step import in_lock_step
 from bullet_lab.ros.node.node import TF_PREFIX
 
 # Wall seconds for a transform that nobody has sent yet.
 PATIENCE = 2.0
+# Likewise in lock step for the thread that drives: time stands meanwhile.
 LOCK_STEP_PATIENCE = 5.0
 POLL_SECONDS = 0.02
 
@@ -28,8 +29,8 @@ class FrameError(LabError):
 class FrameFinder:
     """Brings poses from one frame into another, by the newest transforms of TF.
 
-    Its methods, but for `newest`, may wait for a transform: they are not for the thread that
-    drives.
+    With `wait`, a transform that nobody has sent yet is waited for: that is not for the thread
+    that drives. It waits in lock step only, where time stands meanwhile.
     """
 
     def __init__(self):
@@ -40,66 +41,53 @@ class FrameFinder:
         """Forget what was known: time was set back."""
         self._buffer.clear()
 
-    def bring(self, pose: Pose, source: str, target: str) -> Pose:
+    def bring(self, pose: Pose, source: str, target: str, wait: bool = True) -> Pose:
         """Return a pose in another frame.
 
         Args:
             pose: in `source`.
             source: frame as a message names it; a leading slash, as of old, is passed over.
             target: likewise.
+            wait: for the transform.
 
         Raises:
-            FrameError: a frame without a name, or no transform between the two.
+            FrameError: no transform between the two.
+            InputError: a frame without a name.
         """
         source, target = source.lstrip("/"), target.lstrip("/")
         if not source:
-            raise FrameError("it has no frame_id")
+            raise InputError("it has no frame_id")
         if source == target:
             return pose
-        found = self._lookup(target, source).transform
-        return pose_of(found.translation, found.rotation) * pose
+        return self.pose_in(target, source, wait) * pose
 
-    def planar(self, message: PoseStamped, target: str) -> Tuple[float, float, float]:
+    def planar(
+        self, message: PoseStamped, target: str, wait: bool = True
+    ) -> Tuple[float, float, float]:
         """Return a message's pose in another frame as x (m), y (m) and yaw (rad).
 
         Raises:
             LabError: it is not finite or no rotation, or as of `bring`.
         """
         pose = pose_of(message.pose.position, message.pose.orientation)
-        placed = self.bring(pose, message.header.frame_id, target)
+        placed = self.bring(pose, message.header.frame_id, target, wait)
         return placed.position[0], placed.position[1], placed.yaw
 
-    def newest(self, target: str, source: str) -> TransformStamped:
-        """Return the newest transform to `target` from `source`; raises FrameError.
-
-        In lock step one that is on its way is waited for: time stands meanwhile.
-        """
-        try:
-            return self._wait(target, source, LOCK_STEP_PATIENCE if in_lock_step() else 0.0)
-        except tf2_ros.TransformException as error:
-            raise FrameError(f"no transform to {target}: {_line(error)}") from None
-
-    def _lookup(self, target: str, source: str) -> TransformStamped:
-        try:
-            return self._wait(target, source, PATIENCE)
-        except tf2_ros.TransformException as error:
-            line = f"no transform from '{source}' to '{target}': {_line(error)}"
-            raise FrameError(line) from None
-
-    def _wait(self, target: str, source: str, patience: float) -> TransformStamped:
-        """Return the newest transform; raises tf2_ros.TransformException."""
+    def pose_in(self, target: str, source: str, wait: bool = True) -> Pose:
+        """Return the pose of the frame `source` in another; errors as of `bring`."""
+        patience = PATIENCE if wait else LOCK_STEP_PATIENCE if in_lock_step() else 0.0
         deadline = time.monotonic() + patience
         while True:
             try:
-                return self._buffer.lookup_transform(target, source, rospy.Time(0))
-            except tf2_ros.TransformException:
+                found = self._buffer.lookup_transform(target, source, rospy.Time(0)).transform
+                return pose_of(found.translation, found.rotation)
+            except tf2_ros.TransformException as error:
                 if time.monotonic() >= deadline or rospy.is_shutdown():
-                    raise
+                    line = " ".join(str(error).split())
+                    raise FrameError(
+                        f"no transform from '{source}' to '{target}': {line}"
+                    ) from None
             time.sleep(POLL_SECONDS)
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 def own_tf_prefix() -> str:

@@ -23,10 +23,10 @@ class DepopulateParameters:
     prefix: str = parameters.text("beacon", "first part of the models' names: beacon_0, beacon_1 …")
 
 
-def depopulate(wanted: DepopulateParameters) -> int:
+def depopulate(parameters: DepopulateParameters) -> int:
     """Take the models away and return how many there were; raises LabError."""
     world = call("/gazebo/get_world_properties", srv.GetWorldProperties)
-    names = numbered(world.model_names, wanted.prefix)
+    names = numbered(world.model_names, parameters.prefix)
     for name in names:
         call("/gazebo/delete_model", srv.DeleteModel, name)
     return len(names)
@@ -36,7 +36,7 @@ def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        wanted = private_parameters(DepopulateParameters)
-        rospy.loginfo("%d models taken away", depopulate(wanted))
+        parameters = private_parameters(DepopulateParameters)
+        rospy.loginfo("%d models taken away", depopulate(parameters))
 
     run_node("depopulate", body)

@@ -1,4 +1,4 @@
-"""Drives a robot into a dock and out of it again, on request.
+"""The node that drives a robot into a dock and out of it again, on request.
 
 :ROS Parameters: see `DockParameters`.
 :ROS Actions:
@@ -19,14 +19,14 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass, replace
-from typing import Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import rospy
 import tf2_ros
-from actionlib import ActionServer, ServerGoalHandle
-from geometry_msgs.msg import PoseStamped, Twist
+from actionlib import ServerGoalHandle
+from actionlib_msgs.msg import GoalStatus
+from geometry_msgs.msg import PoseStamped, TransformStamped, Twist
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo
@@ -35,6 +35,7 @@ from std_msgs.msg import Time
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import Dock, read_docks
+from bullet_lab.docking.task import DockingTask, UndockingTask
 from bullet_lab.docking.types import (
     CameraMount,
     DockingError,
@@ -44,29 +45,39 @@ from bullet_lab.docking.types import (
     PlanarPose,
 )
 from bullet_lab.errors import LabError
-from bullet_lab.msg import DockAction, MarkerDetectionArray, UndockAction
-from bullet_lab.ros.messages.poses import InputError, pose_of
+from bullet_lab.msg import (
+    DockAction,
+    DockGoal,
+    MarkerDetectionArray,
+    UndockAction,
+    UndockFeedback,
+    UndockGoal,
+)
+from bullet_lab.ros.messages.poses import InputError, stamped_pose
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.commands import StoppableSender
+from bullet_lab.ros.node.goal_server import GoalServer
 from bullet_lab.ros.node.lock_step import rate
+from bullet_lab.ros.node.message_queue import MessageQueue
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.node.parameters import ParameterError
 from bullet_lab.ros.node.publishers import Publisher, publisher
 from bullet_lab.ros.node.transforms import FrameError, FrameFinder, own_frame
-from bullet_lab.ros.nodes.dock_errands import DockErrand, Errand, Surroundings, UndockErrand
-from bullet_lab.ros.nodes.dock_goals import (
+from bullet_lab.ros.nodes.dock_messages import (
     GoalError,
+    Lookup,
     NotYetError,
-    stamped_pose,
-    stamped_transform,
-    with_tolerances,
-)
-from bullet_lab.ros.nodes.dock_inputs import (
-    Inbox,
     camera_of,
+    check_dock_goal,
+    check_undock_goal,
+    dock_feedback,
+    dock_of,
+    dock_result,
     mount_of,
     odometry_of,
+    rough_pose,
     sightings_of,
+    undock_result,
 )
 from bullet_lab.simulation.world.resources import ResourceFinder
 
@@ -123,6 +134,42 @@ class DockParameters:
     )
     seed: int = parameters.integer(0, "of what is random in docking", minimum=0)
 
+    def settings(self) -> DockingSettings:
+        """Return the settings of docking."""
+        names = ("time_limit", "max_retries", "drive_speed", "approach_speed", "turn_speed")
+        return replace(USUAL, **{name: getattr(self, name) for name in names})
+
+    def database(self) -> Dict[str, Dock]:
+        """Return the docks, with their frames and tolerances for this node.
+
+        Raises:
+            ParameterError: they cannot be read, or ~dock is none of them.
+        """
+        try:
+            docks = read_docks(ResourceFinder.anywhere().find(self.docks))
+        except LabError as error:
+            raise ParameterError(f"~docks: {error}") from error
+        if self.dock not in docks:
+            known = ", ".join(sorted(docks))
+            raise ParameterError(f"~dock is '{self.dock}': the database has {known}")
+        tolerances = (self.tolerance_distance, self.tolerance_lateral, self.tolerance_yaw)
+        return {
+            name: with_tolerances(replace(dock, frame=own_frame(dock.frame)), *tolerances)
+            for name, dock in docks.items()
+        }
+
+
+def with_tolerances(dock: Dock, distance: float, lateral: float, yaw: float) -> Dock:
+    """Return a dock with other tolerances (m, m, rad) where they are not 0."""
+    own = dock.tolerance
+    tolerance = replace(
+        own,
+        distance=distance or own.distance,
+        lateral=lateral or own.lateral,
+        yaw=yaw or own.yaw,
+    )
+    return replace(dock, tolerance=tolerance)
+
 
 class DockTopics:
     """Publishes ~dock_pose, ~plan and, on /tf, the frame of the dock.
@@ -157,11 +204,18 @@ class DockTopics:
             message = stamped_pose(stamp, frame, pose)
             self._pose.publish(message)
             if self._tf is not None:
-                self._tf.sendTransform(stamped_transform(message, self._child))
+                self._tf.sendTransform(self._transform(message))
         plan = tuple(plan)
         if plan != self._shown:
             self._shown = plan
             self._plan.publish(_path(stamp, frame, plan))
+
+    def _transform(self, pose: PoseStamped) -> TransformStamped:
+        message = TransformStamped(header=pose.header, child_frame_id=self._child)
+        place = message.transform.translation
+        place.x, place.y = pose.pose.position.x, pose.pose.position.y
+        message.transform.rotation = pose.pose.orientation
+        return message
 
 
 def _path(stamp: rospy.Time, frame: str, points: Sequence[Tuple[float, float]]) -> Path:
@@ -171,69 +225,155 @@ def _path(stamp: rospy.Time, frame: str, points: Sequence[Tuple[float, float]]) 
     return path
 
 
-class DockServer:
-    """Pursues one goal at a time.
+@dataclass(frozen=True)
+class Surroundings:
+    """What is known when a task begins.
 
-    Goals and cancellations come in threads of actionlib, which hold its lock; they are noted
-    and stop the robot, and the loop does the rest.
+    Attributes:
+        docks: the database.
+        usual: name of the dock that one given by its pose is like.
+        settings: of docking.
+        seed: of what is random in it.
+        frame: of the odometry.
+        lookup: returns the pose of its second frame in its first, or raises LabError.
+        mount: where the camera is; None for unknown.
+        last_dock: where the robot has docked last, in the odometry frame; None for nowhere.
     """
 
-    def __init__(self, wanted: DockParameters):
-        self._wanted = wanted
-        self._docks = _read_docks(wanted.docks)
-        self._base_frame = own_frame(wanted.base_frame)
-        if wanted.dock not in self._docks:
-            known = ", ".join(sorted(self._docks))
-            raise ParameterError(f"~dock is '{wanted.dock}': the database has {known}")
-        self._settings = replace(
-            USUAL,
-            time_limit=wanted.time_limit,
-            max_retries=wanted.max_retries,
-            drive_speed=wanted.drive_speed,
-            approach_speed=wanted.approach_speed,
-            turn_speed=wanted.turn_speed,
+    docks: Mapping[str, Dock]
+    usual: str
+    settings: DockingSettings
+    seed: int
+    frame: str
+    lookup: Lookup
+    mount: Optional[CameraMount]
+    last_dock: Optional[PlanarPose]
+
+
+class DockServer(GoalServer):
+    """The action of driving into a dock."""
+
+    needs_camera = True
+
+    def __init__(self, on_goal: Callable[[ServerGoalHandle], None], on_cancel: Callable[[], None]):
+        super().__init__("dock", DockAction, on_goal, on_cancel)
+
+    def check(self, goal: DockGoal) -> None:
+        """Raise GoalError for a goal that makes no sense by itself."""
+        check_dock_goal(goal)
+
+    def make_task(self, goal: DockGoal, around: Surroundings) -> DockingTask:
+        """Return the task that pursues a goal; raises GoalError."""
+        dock = dock_of(goal, around.docks, around.usual)
+        return DockingTask(
+            dock,
+            rough_pose(goal, dock, around.frame, around.lookup),
+            around.mount,
+            around.settings,
+            search=goal.search,
+            max_retries=goal.max_retries,
+            seed=around.seed,
         )
-        self._odometry: Inbox = Inbox(
-            wanted.odom,
+
+    def tell(self, task: DockingTask) -> None:
+        """Tell the client how it goes."""
+        self.publish_feedback(dock_feedback(task.status))
+
+    def end_with(self, result: DockingResult) -> None:
+        """Tell the client how it ended."""
+        self.end(_status_of(result), dock_result(result), result.message)
+
+
+class UndockServer(GoalServer):
+    """The action of driving backwards out of a dock, on its axis where the camera shows it."""
+
+    needs_camera = False
+
+    def __init__(self, on_goal: Callable[[ServerGoalHandle], None], on_cancel: Callable[[], None]):
+        super().__init__("undock", UndockAction, on_goal, on_cancel)
+
+    def check(self, goal: UndockGoal) -> None:
+        """Raise GoalError for a goal that makes no sense by itself."""
+        check_undock_goal(goal)
+
+    def make_task(self, goal: UndockGoal, around: Surroundings) -> UndockingTask:
+        """Return the task that pursues a goal; raises GoalError."""
+        usual = DockGoal(dock_id=around.usual)
+        dock = dock_of(usual, around.docks, around.usual)
+        pose = around.last_dock
+        if pose is None:
+            pose = rough_pose(usual, dock, around.frame, around.lookup)
+        return UndockingTask(
+            goal.distance, dock=dock, dock_pose=pose, mount=around.mount, settings=around.settings
+        )
+
+    def tell(self, task: UndockingTask) -> None:
+        """Tell the client how it goes."""
+        self.publish_feedback(UndockFeedback(task.remaining))
+
+    def end_with(self, result: DockingResult) -> None:
+        """Tell the client how it ended."""
+        self.end(_status_of(result), undock_result(result), result.message)
+
+
+def _status_of(result: DockingResult) -> int:
+    if result.success:
+        return GoalStatus.SUCCEEDED
+    preempted = result.error == DockingError.PREEMPTED
+    return GoalStatus.PREEMPTED if preempted else GoalStatus.ABORTED
+
+
+class DockNode:
+    """Pursues one goal of the two actions at a time.
+
+    Goals and cancellations come in threads of actionlib, where they stop the robot; the loop
+    takes them up and ends them.
+    """
+
+    def __init__(self, parameters: DockParameters):
+        self._parameters = parameters
+        self._docks = parameters.database()
+        self._settings = parameters.settings()
+        self._base_frame = own_frame(parameters.base_frame)
+        self._odometry: MessageQueue = MessageQueue(
+            parameters.odom,
             OdometryMessage,
             lambda message: (message.header.frame_id, odometry_of(message)),
-            wanted.odom_rate,
+            parameters.odom_rate,
         )
-        self._camera_info: Inbox = Inbox(
-            wanted.camera_info,
+        self._camera_info: MessageQueue = MessageQueue(
+            parameters.camera_info,
             CameraInfo,
             lambda message: (message.header.frame_id, camera_of(message)),
-            wanted.image_rate,
+            parameters.image_rate,
         )
-        self._detections: Inbox = Inbox(
-            wanted.detections,
+        self._detections: MessageQueue = MessageQueue(
+            parameters.detections,
             MarkerDetectionArray,
             lambda message: (message.header.stamp.to_sec(), sightings_of(message)),
-            wanted.image_rate,
+            parameters.image_rate,
         )
-        self._inboxes = (self._odometry, self._camera_info, self._detections)
-        self._commands = publisher(wanted.cmd_vel, Twist)
+        self._queues = (self._odometry, self._camera_info, self._detections)
+        self._commands = publisher(parameters.cmd_vel, Twist)
         self._sender = StoppableSender(self._commands)
         rospy.on_shutdown(self._sender.end)
         self._finished = publisher("~finished", Time, latch=True)
-        self._topics = DockTopics(own_frame(wanted.dock_frame))
+        self._topics = DockTopics(own_frame(parameters.dock_frame))
         self._frames = FrameFinder()
-        self._noted = threading.Lock()
-        self._new: List[Errand] = []
-        self._cancelled: List[ServerGoalHandle] = []
-        self._errand: Optional[Errand] = None
         self._frame = ""
         self._camera: Optional[Tuple[str, PinholeCamera]] = None
-        self._last_dock = None
+        self._last_dock: Optional[PlanarPose] = None
+        # The action whose goal is pursued, the goal, and the task once all is there for it.
+        self._server: Any = None
+        self._goal: Any = None
+        self._task: Any = None
         self._begun = 0.0
-        self._servers = (
-            self._server("dock", DockAction, lambda handle: DockErrand(handle, self._refined)),
-            self._server("undock", UndockAction, UndockErrand),
-        )
+        callbacks = (self._stop_for_another, self._sender.stop)
+        self._servers = (DockServer(*callbacks), UndockServer(*callbacks))
 
     def run(self) -> None:
         """Serve until ROS shuts down."""
-        ticks = rate(self._wanted.rate, self._is_connected, "odometry, camera and the bridge")
+        ticks = rate(self._parameters.rate, self._is_connected, "odometry, camera and the bridge")
         for server in self._servers:
             server.start()
         last = ticks.now
@@ -245,44 +385,31 @@ class DockServer:
             self._tick(ticks.now)
 
     def _is_connected(self) -> bool:
-        return self._commands.has_connections() and all(box.is_connected() for box in self._inboxes)
+        return self._commands.has_connections() and all(queue.is_connected() for queue in self._queues)
 
-    # From the action servers' threads
-
-    def _server(
-        self, name: str, kind: type, make: Callable[[ServerGoalHandle], Errand]
-    ) -> ActionServer:
-        def accept(handle: ServerGoalHandle) -> None:
-            handle.set_accepted()
-            with self._noted:
-                self._new.append(make(handle))
-                moving = self._errand is not None
-            if moving:
-                self._sender.stop()
-
-        def cancel(handle: ServerGoalHandle) -> None:
-            with self._noted:
-                self._cancelled.append(handle)
+    def _stop_for_another(self, _: ServerGoalHandle) -> None:
+        if self._server is not None:
             self._sender.stop()
-
-        return ActionServer(name, kind, accept, cancel, auto_start=False)
 
     # The loop
 
     def _tick(self, now: rospy.Time) -> None:
         ticket = self._sender.ticket()
         self._look_at_requests(now)
-        for inbox in self._inboxes:
-            inbox.wait(now)
+        for queue in self._queues:
+            queue.wait(now)
         odometry = self._take_odometry(now)
         observations = self._take_observations(now)
-        errand = self._errand
-        if errand is None:
+        if self._server is None:
             return
         try:
-            if errand.task is None and not self._start(errand, now):
+            if self._task is None and not self._start(now):
                 return
-            command = errand.step(now.to_sec(), odometry, observations)
+            for message in odometry:
+                self._task.add_odometry(message)
+            for observation in observations:
+                self._task.add_observation(observation)
+            command = self._task.tick(now.to_sec())
         except GoalError as error:
             self._end(now, DockingResult(False, error.error, str(error)))
             return
@@ -290,35 +417,33 @@ class DockServer:
             self._end(now, DockingResult(False, DockingError.UNKNOWN, str(error)))
             return
         self._sender.send(command, ticket)
-        self._show(errand, now)
-        if errand.task.result is not None:
-            self._end(now, errand.task.result)
+        self._show(now)
+        if self._task.result is not None:
+            self._end(now, self._task.result)
 
     def _look_at_requests(self, now: rospy.Time) -> None:
-        """End what was cancelled, and take up what is new; of several, the newest."""
-        with self._noted:
-            new, self._new = self._new, []
-            cancelled, self._cancelled = self._cancelled, []
-        for errand in new:
+        """Take up what is new, of several the newest, and end what was cancelled."""
+        new = [server for server in self._servers if server.is_new_goal_available()]
+        for server in sorted(new, key=lambda server: server.next_goal.get_goal_id().stamp):
             self._give_up("another goal has taken its place", now)
-            self._take_up(errand, now)
-        if self._errand is not None and any(h == self._errand.handle for h in cancelled):
+            self._take_up(server, now)
+        if self._server is not None and self._server.is_cancelled:
             self._give_up("stopped on request", now)
 
-    def _take_up(self, errand: Errand, now: rospy.Time) -> None:
-        self._errand = errand
+    def _take_up(self, server: Any, now: rospy.Time) -> None:
+        self._server, self._goal, self._task = server, server.accept_new_goal(), None
         self._begun = now.to_sec()
         try:
-            errand.check()
+            server.check(self._goal)
         except GoalError as error:
             self._end(now, DockingResult(False, error.error, str(error)))
             return
-        opened = [inbox.open() for inbox in self._inboxes]
+        opened = [queue.open() for queue in self._queues]
         if any(opened):
             self._frame, self._camera = "", None
 
     def _give_up(self, why: str, now: rospy.Time) -> None:
-        if self._errand is not None:
+        if self._server is not None:
             self._end(now, DockingResult(False, DockingError.PREEMPTED, why))
 
     def _take_odometry(self, now: rospy.Time) -> list:
@@ -336,22 +461,20 @@ class DockServer:
             return []
         return [Observation(stamp, self._camera[1], seen) for stamp, seen in taken]
 
-    def _start(self, errand: Errand, now: rospy.Time) -> bool:
-        """Make the errand's task, if all is there; raises GoalError if it has not come in time."""
-        patient = now.to_sec() - self._begun < self._wanted.patience
+    def _start(self, now: rospy.Time) -> bool:
+        """Make the task, if all is there; raises GoalError if it has not come in time."""
+        patient = now.to_sec() - self._begun < self._parameters.patience
         try:
-            self._check_odometry()
-            errand.start(self._surroundings(self._mount(patient or errand.needs_camera)))
+            if not self._frame:
+                what = self._odometry.trouble or "nothing comes"
+                raise NotYetError(DockingError.ODOMETRY_LOST, f"{self._odometry.topic}: {what}")
+            mount = self._mount(patient or self._server.needs_camera)
+            self._task = self._server.make_task(self._goal, self._surroundings(mount))
         except NotYetError:
             if patient:
                 return False
             raise
         return True
-
-    def _check_odometry(self) -> None:
-        if not self._frame:
-            what = self._odometry.trouble or "nothing comes"
-            raise NotYetError(DockingError.ODOMETRY_LOST, f"{self._odometry.topic}: {what}")
 
     def _mount(self, needed: bool) -> Optional[CameraMount]:
         """Return where the camera is on the robot; None if it is not needed and not there."""
@@ -359,8 +482,8 @@ class DockServer:
             if self._camera is None:
                 what = self._camera_info.trouble or "nothing comes"
                 raise InputError(f"{self._camera_info.topic}: {what}")
-            return mount_of(self._transform(self._base_frame, self._camera[0]))
-        except InputError as error:
+            return mount_of(self._lookup(self._base_frame, self._camera[0]))
+        except (FrameError, InputError) as error:
             if needed:
                 raise NotYetError(DockingError.CAMERA_LOST, str(error)) from None
             return None
@@ -368,9 +491,9 @@ class DockServer:
     def _surroundings(self, mount: Optional[CameraMount]) -> Surroundings:
         return Surroundings(
             self._docks,
-            self._wanted.dock,
+            self._parameters.dock,
             self._settings,
-            self._wanted.seed,
+            self._parameters.seed,
             self._frame,
             self._lookup,
             mount,
@@ -378,60 +501,39 @@ class DockServer:
         )
 
     def _lookup(self, target: str, source: str) -> Pose:
-        transform = self._transform(target, source)
-        return pose_of(transform.translation, transform.rotation)
+        return self._frames.pose_in(target, source, wait=False)
 
-    def _transform(self, target: str, source: str):
-        """Return the newest transform; raises InputError if nobody knows one."""
-        try:
-            return self._frames.newest(target, source).transform
-        except FrameError as error:
-            raise InputError(str(error)) from error
-
-    def _show(self, errand: Errand, now: rospy.Time) -> None:
-        errand.publish_feedback()
-        if isinstance(errand, DockErrand):
-            status = errand.task.status
+    def _show(self, now: rospy.Time) -> None:
+        self._server.tell(self._task)
+        if isinstance(self._task, DockingTask):
+            status = self._task.status
             self._topics.publish(now, self._frame, status.dock_pose, status.plan)
             if status.dock_pose is not None:
                 self._last_dock = status.dock_pose
 
     def _end(self, now: rospy.Time, result: DockingResult) -> None:
         """Stop, and tell how it ended."""
-        errand, self._errand = self._errand, None
+        server, self._server = self._server, None
         self._sender.stop()
-        for inbox in self._inboxes:
-            inbox.close()
+        for queue in self._queues:
+            queue.close()
         say = rospy.loginfo if result.success else rospy.logwarn
-        say("%s: %s (%s)", type(errand).__name__, result.message, result.error.name)
-        errand.end(result)
+        say("%s: %s (%s)", server.name, result.message, result.error.name)
+        server.end_with(result)
         self._finished.publish(Time(now))
 
     def _time_was_set_back(self) -> None:
-        for inbox in self._inboxes:
-            inbox.clear()
+        for queue in self._queues:
+            queue.clear()
+        for server in self._servers:
+            server.forget_cancels()
         self._frames.clear()
         self._last_dock = None
-        if self._errand is not None:
+        if self._server is not None:
             message = "simulated time was set back"
             self._end(rospy.Time(0), DockingResult(False, DockingError.UNKNOWN, message))
-
-    def _refined(self, dock: Dock) -> Dock:
-        wanted = self._wanted
-        return with_tolerances(
-            dock, wanted.tolerance_distance, wanted.tolerance_lateral, wanted.tolerance_yaw
-        )
-
-
-def _read_docks(name: str) -> Dict[str, Dock]:
-    """Read the database; its frames take the node's tf_prefix."""
-    try:
-        docks = read_docks(ResourceFinder.anywhere().find(name))
-    except LabError as error:
-        raise ParameterError(f"~docks: {error}") from error
-    return {name: replace(dock, frame=own_frame(dock.frame)) for name, dock in docks.items()}
 
 
 def main() -> None:
     """Run the node."""
-    run_node("dock", lambda: DockServer(private_parameters(DockParameters)).run())
+    run_node("dock", lambda: DockNode(private_parameters(DockParameters)).run())

@@ -1,10 +1,12 @@
-"""Drives a robot to the goals that it is given, such as by RViz's "2D Nav Goal".
+"""The node that drives a robot to goals, as move_base does, such as RViz's "2D Nav Goal".
 
 :ROS Parameters: see `DriveToGoalParameters`.
+:ROS Actions:
+    - move_base (move_base_msgs/MoveBaseAction): drive to a goal. A new goal takes the place of
+      the one before; one that cannot be reached is aborted, and the text says why
 :ROS Subscribers:
-    - move_base_simple/goal (geometry_msgs/PoseStamped): where to; takes the place of the one before
-    - move_base/cancel (actionlib_msgs/GoalID): stop; an empty message, as actionlib has it, gives
-      up whatever goal there is
+    - move_base_simple/goal (geometry_msgs/PoseStamped): a goal as well; if it makes no sense, the
+      one before goes on
     - odom (nav_msgs/Odometry), or what ~odom says
 :ROS Publishers:
     - cmd_vel (geometry_msgs/Twist), or what ~cmd_vel says
@@ -20,12 +22,15 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass, fields
-from typing import List, Optional, Union
+from typing import Deque, List, Optional, Tuple
 
 import rospy
+from actionlib import GoalIDGenerator, ServerGoalHandle
 from actionlib_msgs.msg import GoalID, GoalStatus
 from geometry_msgs.msg import PoseStamped, Twist, Vector3
+from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedback, MoveBaseGoal
 from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import ColorRGBA, Float64, Header, Time
 from visualization_msgs.msg import Marker, MarkerArray
@@ -33,24 +38,43 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bullet_lab.drive.goal import (
     LEAST_TOLERANCE,
     STANDSTILL,
-    Command,
     DrivePhase,
     GoalDriver,
     GoalLimits,
     PlanarPose,
 )
 from bullet_lab.errors import LabError
+from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.node import parameters
 from bullet_lab.ros.node.commands import StoppableSender
+from bullet_lab.ros.node.goal_server import GoalServer
 from bullet_lab.ros.node.lock_step import rate
+from bullet_lab.ros.node.message_queue import MessageQueue
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.odometry import OdometryError, planar_pose
 from bullet_lab.ros.node.publishers import Publisher, publisher
-from bullet_lab.ros.node.transforms import FrameFinder
-from bullet_lab.ros.nodes.dock_goals import stamped_pose
-from bullet_lab.ros.nodes.dock_inputs import Inbox
+from bullet_lab.ros.node.transforms import FrameError, FrameFinder
 
 USUAL = GoalLimits()
+ACTION, SIMPLE_GOAL = "move_base", "move_base_simple/goal"
+# Wall seconds that a goal waits for the first odometry, which names the frame, and for TF.
+PATIENCE = 5.0
+POLL_SECONDS = 0.02
+# Of the path that was driven: m between two points, and how many are kept.
+PATH_STEP = 0.02
+MOST_POINTS = 5000
+# Messages for RViz per tick of the driver.
+SHOW_EVERY = 4
+COLOURS = {
+    GoalStatus.ACTIVE: ColorRGBA(0.0, 0.45, 0.7, 0.9),
+    GoalStatus.SUCCEEDED: ColorRGBA(0.0, 0.62, 0.45, 0.9),
+}
+GIVEN_UP = ColorRGBA(0.84, 0.37, 0.0, 0.9)
+# How ~status calls the end of a goal that was never driven to.
+NOT_BEGUN = {
+    GoalStatus.ABORTED: GoalStatus.REJECTED,
+    GoalStatus.PREEMPTED: GoalStatus.RECALLED,
+}
 
 
 @dataclass(frozen=True)
@@ -91,22 +115,15 @@ class DriveToGoalParameters:
         return GoalLimits(**{name: getattr(self, name) for name in names})
 
 
-# Of the path that was driven: m between two points, and how many are kept.
-PATH_STEP = 0.02
-MOST_POINTS = 5000
-# Messages for RViz per tick of the driver.
-SHOW_EVERY = 4
-COLOURS = {
-    GoalStatus.ACTIVE: ColorRGBA(0.0, 0.45, 0.7, 0.9),
-    GoalStatus.SUCCEEDED: ColorRGBA(0.0, 0.62, 0.45, 0.9),
-}
-GIVEN_UP = ColorRGBA(0.84, 0.37, 0.0, 0.9)
-
-
 class GoalTopics:
-    """Publishes what becomes of goals: for machines at once, for RViz some times a second."""
+    """Publishes what becomes of goals: for machines at once, for RViz some times a second.
 
-    def __init__(self):
+    Args:
+        tolerance: m from a goal to stop within.
+    """
+
+    def __init__(self, tolerance: float):
+        self._tolerance = tolerance
         self._status = publisher("~status", GoalStatus, latch=True)
         self._finished = publisher("~finished", Time, latch=True)
         self._goal = publisher("~current_goal", PoseStamped, latch=True)
@@ -114,46 +131,51 @@ class GoalTopics:
         self._markers = Publisher("~markers", MarkerArray, queue_size=1, latch=True)
         self._plan = Publisher("~plan", Path, queue_size=1, latch=True)
         self._path = Publisher("~path", Path, queue_size=1, latch=True)
+        self._saying = threading.Lock()
+        self._active: Optional[GoalStatus] = None
+        self._frame = ""
+        self._place: PlanarPose = (0.0, 0.0, 0.0)
         self._driven: List[PoseStamped] = []
         self._ticks = 0
 
     def say(self, goal_id: GoalID, status: int, text: str) -> None:
-        """Tell what has become of a goal; `status` is one of actionlib's."""
-        self._status.publish(GoalStatus(goal_id, status, text))
+        """Tell what has become of a goal; `status` is one of actionlib's. From any thread."""
+        message = GoalStatus(goal_id, status, text)
+        with self._saying:
+            self._status.publish(message)
+            if status == GoalStatus.ACTIVE:
+                self._active = message
+            elif self._active is not None and self._active.goal_id.id == goal_id.id:
+                self._active = None
+            elif self._active is not None and status == GoalStatus.REJECTED:
+                # What is latched is about the goal that is still driven to.
+                self._status.publish(self._active)
 
     def begin(self, stamp: rospy.Time, frame: str, goal: PlanarPose) -> None:
         """Tell which goal is driven to."""
+        self._frame, self._place = frame, goal
         self._goal.publish(stamped_pose(stamp, frame, goal))
         self._driven = []
         self._ticks = 0
 
-    def progress(
-        self, stamp: rospy.Time, frame: str, pose: PlanarPose, goal: PlanarPose, tolerance: float
-    ) -> None:
+    def progress(self, stamp: rospy.Time, pose: PlanarPose) -> None:
         """Tell how far it is, and show it now and then."""
-        left = math.hypot(goal[0] - pose[0], goal[1] - pose[1])
-        self._remaining.publish(Float64(left))
-        self._note(stamped_pose(stamp, frame, pose))
+        left = self._tell_remaining(pose)
+        self._note(stamped_pose(stamp, self._frame, pose))
         if self._ticks % SHOW_EVERY == 0:
-            self._show(stamp, frame, goal, tolerance, GoalStatus.ACTIVE, left, pose)
+            self._show(stamp, GoalStatus.ACTIVE, left, [pose, self._place])
         self._ticks += 1
 
-    def end(
-        self,
-        stamp: rospy.Time,
-        frame: str,
-        goal: PlanarPose,
-        tolerance: float,
-        status: int,
-        pose: Optional[PlanarPose],
-    ) -> None:
+    def end(self, stamp: rospy.Time, status: int, pose: Optional[PlanarPose]) -> None:
         """Show how it ended and tell when."""
-        left = math.nan
-        if pose is not None:
-            left = math.hypot(goal[0] - pose[0], goal[1] - pose[1])
-            self._remaining.publish(Float64(left))
-        self._show(stamp, frame, goal, tolerance, status, left, None)
+        left = math.nan if pose is None else self._tell_remaining(pose)
+        self._show(stamp, status, left, [])
         self._finished.publish(Time(stamp))
+
+    def _tell_remaining(self, pose: PlanarPose) -> float:
+        left = math.hypot(self._place[0] - pose[0], self._place[1] - pose[1])
+        self._remaining.publish(Float64(left))
+        return left
 
     def _note(self, place: PoseStamped) -> None:
         if self._driven:
@@ -163,23 +185,15 @@ class GoalTopics:
         self._driven.append(place)
         del self._driven[:-MOST_POINTS]
 
-    def _show(
-        self,
-        stamp: rospy.Time,
-        frame: str,
-        goal: PlanarPose,
-        tolerance: float,
-        status: int,
-        left: float,
-        pose: Optional[PlanarPose],
-    ) -> None:
-        header = Header(0, stamp, frame)
-        ahead = [] if pose is None else [stamped_pose(stamp, frame, p) for p in (pose, goal)]
-        self._plan.publish(Path(header, ahead))
+    def _show(self, stamp: rospy.Time, status: int, left: float, ahead: List[PlanarPose]) -> None:
+        header = Header(0, stamp, self._frame)
+        plan = [stamped_pose(stamp, self._frame, pose) for pose in ahead]
+        self._plan.publish(Path(header, plan))
         self._path.publish(Path(header, list(self._driven)))
         colour = COLOURS.get(status, GIVEN_UP)
+        markers = goal_markers(header, self._place, self._tolerance, colour, left)
         # Not frame_locked: odometry frames stand still.
-        self._markers.publish(MarkerArray(goal_markers(header, goal, tolerance, colour, left)))
+        self._markers.publish(MarkerArray(markers))
 
 
 def goal_markers(
@@ -211,56 +225,43 @@ def goal_markers(
     return [arrow, disc, label] if label.text else [arrow, disc]
 
 
-GOAL, CANCEL = "move_base_simple/goal", "move_base/cancel"
-# Wall seconds that a goal waits for the first odometry, which names the frame.
-ODOMETRY_PATIENCE = 5.0
-POLL_SECONDS = 0.02
-
-
-@dataclass(frozen=True)
-class _Request:
-    """A goal that is to be taken up, in the odometry's frame."""
-
-    goal_id: GoalID
-    frame: str
-    goal: PlanarPose
-
-
 class DriveToGoal:
-    """Pursues one goal at a time.
+    """Drives to one goal at a time.
 
-    Goals and cancellations come in threads of rospy; they are noted there, and the loop does
-    the rest. Only stopping is not left to the loop.
+    Goals and cancellations come in threads of rospy; the loop takes them up and ends them. Only
+    stopping is not left to the loop.
     """
 
-    def __init__(self, wanted: DriveToGoalParameters):
-        self._wanted = wanted
-        self._limits = wanted.limits()
-        self._commands = publisher(wanted.cmd_vel, Twist)
+    def __init__(self, parameters: DriveToGoalParameters):
+        self._parameters = parameters
+        self._commands = publisher(parameters.cmd_vel, Twist)
         self._sender = StoppableSender(self._commands)
         rospy.on_shutdown(self._sender.end)
-        self._topics = GoalTopics()
+        self._topics = GoalTopics(parameters.tolerance)
         self._refusals = Refusals()
         self._frames = FrameFinder()
         self._frame = ""
         self._pose: Optional[PlanarPose] = None
         self._seen = rospy.Time(0)
         self._waiting = False
-        self._noted = threading.Lock()
-        self._events: List[Union[_Request, GoalID]] = []
-        self._request: Optional[_Request] = None
+        self._target: Optional[PoseStamped] = None
+        self._deadline = 0.0
+        self._moving = STANDSTILL
         self._driver: Optional[GoalDriver] = None
-        self._numbers = 0
-        self._odometry: Inbox = Inbox(wanted.odom, Odometry, _read_odometry, wanted.odom_rate)
+        self._announced: Deque[GoalID] = deque()
+        self._odometry: MessageQueue = MessageQueue(
+            parameters.odom, Odometry, _read_odometry, parameters.odom_rate
+        )
         self._odometry.open()
-        self._subscribers = [
-            rospy.Subscriber(CANCEL, GoalID, self._receive_cancel),
-            rospy.Subscriber(GOAL, PoseStamped, self._receive_goal, queue_size=10),
-        ]
+        self._server = GoalServer(ACTION, MoveBaseAction, self._announce, self._sender.stop)
+        self._server.start()
+        self._goals = rospy.Subscriber(
+            SIMPLE_GOAL, PoseStamped, self._receive_simple_goal, queue_size=10
+        )
 
     def run(self) -> None:
         """Serve until ROS shuts down."""
-        ticks = rate(self._wanted.rate, self._is_connected, "odometry and the bridge")
+        ticks = rate(self._parameters.rate, self._is_connected, "odometry and the bridge")
         last = ticks.now
         while not rospy.is_shutdown():
             ticks.sleep()
@@ -275,93 +276,98 @@ class DriveToGoal:
 
     # From rospy's threads
 
-    def _receive_goal(self, message: PoseStamped) -> None:
-        try:
-            frame = self._await_frame()
-            goal = self._frames.planar(message, frame)
-        except LabError as error:
-            self._refuse(message, str(error))
-            return
-        with self._noted:
-            request = _Request(self._make_id(message), frame, goal)
-            self._topics.say(request.goal_id, GoalStatus.PENDING, "taken up at the next tick")
-            self._events.append(request)
+    def _announce(self, handle: ServerGoalHandle) -> None:
+        goal_id = handle.get_goal_id()
+        self._topics.say(goal_id, GoalStatus.PENDING, "taken up at the next tick")
+        self._announced.append(goal_id)
 
-    def _receive_cancel(self, message: GoalID) -> None:
-        with self._noted:
-            self._events.append(message)
-            concerned = self._request is not None and _concerns(message, self._request.goal_id)
-        if concerned:
-            self._sender.stop()
+    def _receive_simple_goal(self, message: PoseStamped) -> None:
+        try:
+            self._frames.planar(message, self._await_frame())
+        except LabError as error:
+            self._refusals.refuse(SIMPLE_GOAL, str(error))
+            goal_id = GoalIDGenerator().generate_ID()
+            self._topics.say(goal_id, GoalStatus.REJECTED, f"refused: {error}")
+            return
+        goal = MoveBaseActionGoal(header=message.header, goal=MoveBaseGoal(message))
+        self._server.action_server.internal_goal_callback(goal)
 
     def _await_frame(self) -> str:
         """Return the frame of the odometry; raises OdometryError if none comes."""
-        deadline = time.monotonic() + ODOMETRY_PATIENCE
-        while not self._frame:
-            if time.monotonic() > deadline or rospy.is_shutdown():
-                what = self._odometry.trouble or "nothing comes"
-                raise OdometryError(f"no odometry on {self._wanted.odom}: {what}")
+        deadline = time.monotonic() + PATIENCE
+        while not self._frame and time.monotonic() < deadline and not rospy.is_shutdown():
             time.sleep(POLL_SECONDS)
+        return self._known_frame()
+
+    def _known_frame(self) -> str:
+        if not self._frame:
+            what = self._odometry.trouble or "nothing comes"
+            raise OdometryError(f"no odometry on {self._parameters.odom}: {what}")
         return self._frame
-
-    def _refuse(self, message: PoseStamped, why: str) -> None:
-        self._refusals.refuse(GOAL, why)
-        with self._noted:
-            self._topics.say(self._make_id(message), GoalStatus.REJECTED, f"refused: {why}")
-            if self._request is not None:
-                # What is latched is about the goal that is still driven to.
-                self._topics.say(self._request.goal_id, GoalStatus.ACTIVE, "driving")
-
-    def _make_id(self, message: PoseStamped) -> GoalID:
-        self._numbers += 1
-        stamp = message.header.stamp
-        return GoalID(stamp, f"{rospy.get_name()}-{self._numbers}-{stamp.to_sec():.3f}")
 
     # The loop
 
     def _tick(self, now: rospy.Time, seconds: float) -> None:
         ticket = self._sender.ticket()
-        self._take_up_requests(now)
+        self._look_at_requests(now)
         self._odometry.wait(now)
         self._take_odometry(now)
+        if self._driver is None and self._server.is_active():
+            self._begin(now)
         if self._driver is None or not self._knows_where_it_is(now):
             return
-        command = self._driver.command(self._pose, seconds)
-        self._sender.send(command, ticket)
-        request = self._request
-        self._topics.progress(now, request.frame, self._pose, request.goal, self._limits.tolerance)
+        self._sender.send(self._driver.command(self._pose, seconds), ticket)
+        self._topics.progress(now, self._pose)
+        self._server.publish_feedback(MoveBaseFeedback(stamped_pose(now, self._frame, self._pose)))
         if self._driver.phase is DrivePhase.ARRIVED:
             left = self._driver.distance(self._pose)
             turn = math.degrees(self._driver.turn_left(self._pose))
             text = f"there, {left:.3f} m and {abs(turn):.1f} degrees from the goal"
             self._end(now, GoalStatus.SUCCEEDED, text)
 
-    def _take_up_requests(self, now: rospy.Time) -> None:
-        with self._noted:
-            events, self._events = self._events, []
-        for event in events:
-            if isinstance(event, _Request):
-                self._take_up(event, now)
-            elif self._request is not None and _concerns(event, self._request.goal_id):
-                self._end(now, GoalStatus.PREEMPTED, "given up on request")
+    def _look_at_requests(self, now: rospy.Time) -> None:
+        if self._server.is_new_goal_available():
+            self._take_up(now)
+        if self._server.is_cancelled:
+            self._end(now, GoalStatus.PREEMPTED, "given up on request")
 
-    def _take_up(self, request: _Request, now: rospy.Time) -> None:
-        moving = STANDSTILL if self._driver is None else self._driver.moving
-        if self._request is not None:
-            self._end(now, GoalStatus.PREEMPTED, "another goal has taken its place", stop=False)
-        self._begin(now, request, moving)
+    def _take_up(self, now: rospy.Time) -> None:
+        another = "another goal has taken its place"
+        self._moving = STANDSTILL if self._driver is None else self._driver.moving
+        if self._server.is_active():
+            self._end(now, GoalStatus.PREEMPTED, another, stop=False)
+        self._target = self._server.accept_new_goal().target_pose
+        accepted = self._server.current_goal.get_goal_id().id
+        while self._announced:
+            goal_id = self._announced.popleft()
+            if goal_id.id == accepted:
+                break
+            self._topics.say(goal_id, GoalStatus.RECALLED, another)
+        self._deadline = time.monotonic() + PATIENCE
 
-    def _begin(self, now: rospy.Time, request: _Request, moving: Command) -> None:
-        with self._noted:
-            self._request = request
-            self._topics.say(request.goal_id, GoalStatus.ACTIVE, "driving")
-        self._driver = GoalDriver(request.goal, self._limits, moving)
+    def _begin(self, now: rospy.Time) -> None:
+        """Begin to drive, as soon as it is known where the goal is in the odometry's frame."""
+        try:
+            frame = self._known_frame()
+            goal = self._frames.planar(self._target, frame, wait=False)
+        except LabError as error:
+            if self._moving != STANDSTILL:
+                # On its way to the goal before.
+                self._moving = STANDSTILL
+                self._sender.stop()
+            may_come = isinstance(error, (OdometryError, FrameError))
+            if not may_come or time.monotonic() > self._deadline:
+                self._end(now, GoalStatus.ABORTED, str(error))
+            return
+        self._driver = GoalDriver(goal, self._parameters.limits(), self._moving)
         # Odometry may have paused while nobody asked for it.
         self._seen = now
         self._waiting = False
-        x, y, yaw = request.goal
+        x, y, yaw = goal
         rospy.loginfo("driving to (%.2f, %.2f) m, %.0f degrees", x, y, math.degrees(yaw))
-        self._topics.begin(now, request.frame, request.goal)
+        goal_id = self._server.current_goal.get_goal_id()
+        self._topics.say(goal_id, GoalStatus.ACTIVE, "driving")
+        self._topics.begin(now, frame, goal)
 
     def _take_odometry(self, now: rospy.Time) -> None:
         taken = self._odometry.take(now)
@@ -374,54 +380,48 @@ class DriveToGoal:
 
     def _knows_where_it_is(self, now: rospy.Time) -> bool:
         """Return whether there is fresh odometry; stop the robot, or give up, where not."""
+        odom, patience = self._parameters.odom, self._parameters.patience
         silence = (now - self._seen).to_sec()
-        if self._pose is not None and silence <= self._wanted.stale:
+        if self._pose is not None and silence <= self._parameters.stale:
             return True
-        if silence > self._wanted.patience:
-            line = f"no odometry on {self._wanted.odom} for {self._wanted.patience:g} s"
-            self._end(now, GoalStatus.ABORTED, line)
-        elif not self._waiting and silence > self._wanted.stale:
+        if silence > patience:
+            self._end(now, GoalStatus.ABORTED, f"no odometry on {odom} for {patience:g} s")
+        elif not self._waiting and silence > self._parameters.stale:
             self._waiting = True
             self._sender.stop()
             self._driver.stopped()
-            rospy.logwarn("no odometry on %s: the robot is stopped", self._wanted.odom)
+            rospy.logwarn("no odometry on %s: the robot is stopped", odom)
         return False
 
     def _end(self, now: rospy.Time, status: int, text: str, stop: bool = True) -> None:
         """Stop, and tell how it ended."""
-        with self._noted:
-            request, self._request = self._request, None
-        self._driver = None
+        begun, self._driver = self._driver is not None, None
         if stop:
             self._sender.stop()
         say = rospy.loginfo if status == GoalStatus.SUCCEEDED else rospy.logwarn
         say("%s", text)
-        self._topics.say(request.goal_id, status, text)
-        tolerance = self._limits.tolerance
-        self._topics.end(now, request.frame, request.goal, tolerance, status, self._pose)
+        goal_id = self._server.current_goal.get_goal_id()
+        if begun:
+            self._topics.say(goal_id, status, text)
+            self._topics.end(now, status, self._pose)
+        else:
+            self._topics.say(goal_id, NOT_BEGUN[status], text)
+        self._server.end(status, text=text)
 
     def _time_was_set_back(self) -> None:
         self._odometry.clear()
         self._frames.clear()
+        self._server.forget_cancels()
         self._pose, self._seen = None, rospy.Time(0)
-        if self._request is not None:
+        if self._server.is_active():
             self._end(rospy.Time(0), GoalStatus.ABORTED, "simulated time was set back")
 
 
-def _read_odometry(message: Odometry) -> tuple:
+def _read_odometry(message: Odometry) -> Tuple[str, PlanarPose]:
     frame = message.header.frame_id.lstrip("/")
     if not frame:
         raise OdometryError("it has no frame_id")
     return frame, planar_pose(message)
-
-
-def _concerns(cancel: GoalID, goal_id: GoalID) -> bool:
-    """Return whether a cancellation is about a goal, by the rules of actionlib."""
-    if not cancel.id and cancel.stamp.is_zero():
-        return True
-    if cancel.id == goal_id.id:
-        return True
-    return not cancel.stamp.is_zero() and goal_id.stamp <= cancel.stamp
 
 
 def main() -> None:

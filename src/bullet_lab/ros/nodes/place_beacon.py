@@ -64,9 +64,9 @@ def free_name(prefix: str, taken: Collection[str]) -> str:
 class PlaceBeacon:
     """Places beacons, one for each click."""
 
-    def __init__(self, wanted: PlaceBeaconParameters):
-        self._wanted = wanted
-        self._text = description_of(wanted.model)
+    def __init__(self, parameters: PlaceBeaconParameters):
+        self._parameters = parameters
+        self._text = description_of(parameters.model)
         self._refusals = Refusals()
         self._frames = FrameFinder()
         self._standing = StandingModels()
@@ -90,13 +90,15 @@ class PlaceBeacon:
         point = (message.point.x, message.point.y, message.point.z)
         if not all(map(math.isfinite, point)):
             raise InputError("a point that is not finite")
-        placed = self._frames.bring(Pose(point), message.header.frame_id, self._wanted.world_frame)
+        placed = self._frames.bring(
+            Pose(point), message.header.frame_id, self._parameters.world_frame
+        )
         return placed.position[:2]
 
     def _spawn(self, x: float, y: float) -> str:
         names = call("/gazebo/get_world_properties", srv.GetWorldProperties).model_names
         self._check_free(x, y, names)
-        name = free_name(self._wanted.prefix, names)
+        name = free_name(self._parameters.prefix, names)
         pose = PoseMessage()
         pose.position.x, pose.position.y, pose.orientation.w = x, y, 1.0
         call(SERVICE, srv.SpawnModel, name, self._text, "", pose, "")
@@ -104,9 +106,9 @@ class PlaceBeacon:
 
     def _check_free(self, x: float, y: float, names: Collection[str]) -> None:
         nearest, distance = self._standing.nearest(x, y)
-        if distance < self._wanted.clearance:
+        if distance < self._parameters.clearance:
             raise OccupiedError(f"({x:.2f}, {y:.2f}) m is too near to {nearest}")
-        room = self._wanted.clearance + self._wanted.robot_radius
+        room = self._parameters.clearance + self._parameters.robot_radius
         # The robot is no part of what the bridge draws: RViz does, of its description.
         for name in set(names) - set(self._standing.names()):
             place = call("/gazebo/get_model_state", srv.GetModelState, name, "").pose.position

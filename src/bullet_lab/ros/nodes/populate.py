@@ -71,25 +71,25 @@ class PopulateParameters:
     )
 
 
-def places_of(wanted: PopulateParameters) -> List[patterns.Place]:
+def places_of(parameters: PopulateParameters) -> List[patterns.Place]:
     """Return where the models are to stand, before they are moved by the origin."""
-    if wanted.pattern == "line":
-        return patterns.line(wanted.count, wanted.spacing)
-    if wanted.pattern == "grid":
-        return patterns.grid(wanted.count, wanted.spacing)
-    if wanted.pattern == "circle":
-        return patterns.circle(wanted.count, wanted.radius)
-    return list(wanted.poses)
+    if parameters.pattern == "line":
+        return patterns.line(parameters.count, parameters.spacing)
+    if parameters.pattern == "grid":
+        return patterns.grid(parameters.count, parameters.spacing)
+    if parameters.pattern == "circle":
+        return patterns.circle(parameters.count, parameters.radius)
+    return list(parameters.poses)
 
 
-def names_of(wanted: PopulateParameters) -> List[str]:
+def names_of(parameters: PopulateParameters) -> List[str]:
     """Return what the models are called; raises ParameterError for one name for several."""
-    count = len(places_of(wanted))
-    if not wanted.name:
-        return [f"{wanted.prefix}_{index}" for index in range(count)]
+    count = len(places_of(parameters))
+    if not parameters.name:
+        return [f"{parameters.prefix}_{index}" for index in range(count)]
     if count != 1:
-        raise ParameterError(f"~name is '{wanted.name}': {count} models cannot share one name")
-    return [wanted.name]
+        raise ParameterError(f"~name is '{parameters.name}': {count} models cannot share one name")
+    return [parameters.name]
 
 
 def description_of(model: str) -> str:
@@ -106,22 +106,22 @@ def description_of(model: str) -> str:
     return read_text(path)
 
 
-def populate(wanted: PopulateParameters) -> int:
+def populate(parameters: PopulateParameters) -> int:
     """Place the models and return how many there are; raises LabError."""
-    names = names_of(wanted)
-    text = description_of(wanted.model)
-    namespace = wanted.namespace or rospy.get_namespace()
-    for name, place in zip(names, places_of(wanted)):
+    names = names_of(parameters)
+    text = description_of(parameters.model)
+    namespace = parameters.namespace or rospy.get_namespace()
+    for name, place in zip(names, places_of(parameters)):
         try:
-            call(SERVICE, srv.SpawnModel, name, text, namespace, _pose(place, wanted), "")
+            call(SERVICE, srv.SpawnModel, name, text, namespace, _pose(place, parameters), "")
         except NodeError as error:
             raise NodeError(f"cannot place '{name}': {error}") from error
     return len(names)
 
 
-def _pose(place: patterns.Place, wanted: PopulateParameters) -> PoseMessage:
+def _pose(place: patterns.Place, parameters: PopulateParameters) -> PoseMessage:
     x, y, yaw = place
-    dx, dy, dz = wanted.origin
+    dx, dy, dz = parameters.origin
     pose = PoseMessage()
     pose.position.x, pose.position.y, pose.position.z = x + dx, y + dy, dz
     turn = pose.orientation
@@ -133,8 +133,8 @@ def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        wanted = private_parameters(PopulateParameters)
-        number = populate(wanted)
-        rospy.loginfo("%d models placed: %s …", number, names_of(wanted)[0])
+        parameters = private_parameters(PopulateParameters)
+        number = populate(parameters)
+        rospy.loginfo("%d models placed: %s …", number, names_of(parameters)[0])
 
     run_node("populate", body)

@@ -31,19 +31,19 @@ class SaveWorldParameters:
     models: int = parameters.integer(0, "wait until there are so many models", minimum=0)
 
 
-def save_world(wanted: SaveWorldParameters, arguments: Sequence[str]) -> str:
+def save_world(parameters: SaveWorldParameters, arguments: Sequence[str]) -> str:
     """Save the world and return a line that says what was saved; raises LabError."""
-    names = [name for name in (wanted.path, *arguments) if name]
+    names = [name for name in (parameters.path, *arguments) if name]
     if len(names) != 1:
         raise NodeError("usage: save_world.py FILE")
     # Relative to where the user is, not to where the bridge runs.
     path = Path(names[0]).expanduser().absolute()
     make_folder(path.parent)
-    wait_until(lambda: _count() >= wanted.models, f"{wanted.models} models")
+    wait_until(lambda: _count() >= parameters.models, f"{parameters.models} models")
     saved = call("/bullet_lab/save_world", SaveWorld, str(path))
     if saved.status_message:
         rospy.logwarn("%s", saved.status_message)
-    if wanted.summary:
+    if parameters.summary:
         figures = {
             "path": saved.path,
             "models": saved.models,
@@ -51,7 +51,7 @@ def save_world(wanted: SaveWorldParameters, arguments: Sequence[str]) -> str:
             "saving_s": saved.seconds,
             "file_bytes": path.stat().st_size,
         }
-        write_json(Path(wanted.summary), figures)
+        write_json(Path(parameters.summary), figures)
     line = f"{saved.models} models at {saved.saved_at.to_sec():g} s saved to {saved.path}"
     return f"{line} in {saved.seconds:.3f} s"
 
@@ -64,7 +64,7 @@ def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        wanted = private_parameters(SaveWorldParameters)
-        rospy.loginfo("%s", save_world(wanted, rospy.myargv(sys.argv)[1:]))
+        parameters = private_parameters(SaveWorldParameters)
+        rospy.loginfo("%s", save_world(parameters, rospy.myargv(sys.argv)[1:]))
 
     run_node("save_world", body)

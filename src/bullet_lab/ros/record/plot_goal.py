@@ -23,9 +23,9 @@ from visualization_msgs.msg import MarkerArray
 from bullet_lab.core.parameters import boolean, number, number_list, text
 from bullet_lab.reports.goal import Beacon, GoalReport
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
+from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.ros.node.publishers import Publisher
-from bullet_lab.ros.nodes.dock_goals import stamped_pose
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.record.recorder import Errand, Recorder, RecordParameters, about

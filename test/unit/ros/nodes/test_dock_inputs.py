@@ -10,7 +10,7 @@ pytest.importorskip("rospy")
 
 import rospy
 from bullet_lab.msg import DockGoal, MarkerDetection, MarkerDetectionArray
-from geometry_msgs.msg import PoseStamped, Quaternion, Transform, Vector3
+from geometry_msgs.msg import PoseStamped, Quaternion
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
 
@@ -21,14 +21,17 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.world_topics import TouchCounter
 from bullet_lab.ros.messages.images import CameraGeometryError
 from bullet_lab.ros.messages.poses import InputError
+from bullet_lab.ros.node import message_queue
+from bullet_lab.ros.node.message_queue import MessageQueue
 from bullet_lab.ros.node.odometry import OdometryError
-from bullet_lab.ros.nodes import dock_inputs
-from bullet_lab.ros.nodes.dock_goals import GoalError, NotYetError, rough_pose, with_tolerances
-from bullet_lab.ros.nodes.dock_inputs import (
-    Inbox,
+from bullet_lab.ros.nodes.dock import with_tolerances
+from bullet_lab.ros.nodes.dock_messages import (
+    GoalError,
+    NotYetError,
     camera_of,
     mount_of,
     odometry_of,
+    rough_pose,
     sightings_of,
 )
 from bullet_lab.simulation.plugins.samples import PlanarCommand
@@ -76,8 +79,7 @@ def test_odometry_that_is_none_is_refused():
 
 def test_a_camera_on_the_robot():
     # The optical frame of a camera that looks ahead.
-    turn = Quaternion(-0.5, 0.5, -0.5, 0.5)
-    mount = mount_of(Transform(Vector3(0.16, 0.01, 0.44), turn))
+    mount = mount_of(Pose((0.16, 0.01, 0.44), (-0.5, 0.5, -0.5, 0.5)))
     assert (mount.x, mount.y, mount.z) == pytest.approx((0.16, 0.01, 0.44))
     assert (mount.roll, mount.pitch, mount.yaw) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
 
@@ -100,32 +102,32 @@ def test_markers_without_finite_corners_are_left_out():
     assert found.corners.tolist() == [[0, 1], [2, 3], [4, 5], [6, 7]]
 
 
-def inbox(rate=20.0, read=lambda message: message.header.stamp.to_sec()):
-    return Inbox("odom", Odometry, read, rate)
+def make_queue(rate=20.0, read=lambda message: message.header.stamp.to_sec()):
+    return MessageQueue("odom", Odometry, read, rate)
 
 
-def receive(box, *stamps):
+def receive(queue, *stamps):
     for stamp in stamps:
-        box._receive(odometry(stamp))
+        queue._receive(odometry(stamp))
 
 
-def test_an_inbox_gives_what_is_stamped_up_to_now():
-    box = inbox()
-    receive(box, 0.05, 0.1, 0.15)
-    assert box.take(rospy.Time.from_sec(0.1)) == [0.05, 0.1]
-    assert box.take(rospy.Time.from_sec(0.1)) == []
-    assert box.take(rospy.Time.from_sec(1.0)) == [0.15]
+def test_a_queue_gives_what_is_stamped_up_to_now():
+    queue = make_queue()
+    receive(queue, 0.05, 0.1, 0.15)
+    assert queue.take(rospy.Time.from_sec(0.1)) == [0.05, 0.1]
+    assert queue.take(rospy.Time.from_sec(0.1)) == []
+    assert queue.take(rospy.Time.from_sec(1.0)) == [0.15]
 
 
-def test_an_inbox_refuses_what_goes_back_and_says_why(monkeypatch):
+def test_a_queue_refuses_what_goes_back_and_says_why(monkeypatch):
     monkeypatch.setattr(rospy, "logwarn", lambda *_: None)
-    box = inbox()
-    receive(box, 0.1, 0.05)
-    assert "before" in box.trouble
-    assert box.take(rospy.Time(1)) == [0.1]
-    box.clear()
-    receive(box, 0.05)
-    assert (box.trouble, box.take(rospy.Time(1))) == ("", [0.05])
+    queue = make_queue()
+    receive(queue, 0.1, 0.05)
+    assert "before" in queue.trouble
+    assert queue.take(rospy.Time(1)) == [0.1]
+    queue.clear()
+    receive(queue, 0.05)
+    assert (queue.trouble, queue.take(rospy.Time(1))) == ("", [0.05])
 
 
 @pytest.mark.parametrize(
@@ -144,46 +146,46 @@ def test_an_inbox_refuses_what_goes_back_and_says_why(monkeypatch):
         (5.0, (0.2,), 0.35, False),
     ],
 )
-def test_an_inbox_waits_for_what_is_due(monkeypatch, rate, stamps, now, due):
+def test_a_queue_waits_for_what_is_due(monkeypatch, rate, stamps, now, due):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
-    monkeypatch.setattr(dock_inputs, "LATEST", 0.05)
-    box = inbox(rate)
-    monkeypatch.setattr(dock_inputs, "in_lock_step", lambda: True)
-    box.clear()
-    receive(box, *stamps)
+    monkeypatch.setattr(message_queue, "LATEST", 0.05)
+    queue = make_queue(rate)
+    monkeypatch.setattr(message_queue, "in_lock_step", lambda: True)
+    queue.clear()
+    receive(queue, *stamps)
     start = time.monotonic()
-    box.wait(rospy.Time.from_sec(now))
+    queue.wait(rospy.Time.from_sec(now))
     assert (time.monotonic() - start >= 0.05) == due
 
 
-def test_an_inbox_goes_on_as_soon_as_it_is_there(monkeypatch):
+def test_a_queue_goes_on_as_soon_as_it_is_there(monkeypatch):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
-    box = inbox()
-    monkeypatch.setattr(dock_inputs, "in_lock_step", lambda: True)
-    threading.Timer(0.05, receive, (box, 0.05)).start()
+    queue = make_queue()
+    monkeypatch.setattr(message_queue, "in_lock_step", lambda: True)
+    threading.Timer(0.05, receive, (queue, 0.05)).start()
     start = time.monotonic()
-    box.wait(rospy.Time.from_sec(0.05))
+    queue.wait(rospy.Time.from_sec(0.05))
     assert time.monotonic() - start < 5.0
-    assert box.take(rospy.Time.from_sec(0.05)) == [0.05]
+    assert queue.take(rospy.Time.from_sec(0.05)) == [0.05]
 
 
 def test_what_never_comes_is_waited_for_once(monkeypatch):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
-    monkeypatch.setattr(dock_inputs, "LATEST", 0.1)
-    box = inbox()
-    monkeypatch.setattr(dock_inputs, "in_lock_step", lambda: True)
-    box.clear()
+    monkeypatch.setattr(message_queue, "LATEST", 0.1)
+    queue = make_queue()
+    monkeypatch.setattr(message_queue, "in_lock_step", lambda: True)
+    queue.clear()
     for expected in (True, False, False):
         start = time.monotonic()
-        box.wait(rospy.Time(1))
+        queue.wait(rospy.Time(1))
         assert (time.monotonic() - start >= 0.1) == expected
 
 
 def test_out_of_lock_step_nothing_is_waited_for(monkeypatch):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
     start = time.monotonic()
-    inbox().wait(rospy.Time(1))
-    assert time.monotonic() - start < dock_inputs.LATEST
+    make_queue().wait(rospy.Time(1))
+    assert time.monotonic() - start < message_queue.LATEST
 
 
 def goal(frame="", x=0.0, y=0.0, yaw=0.0):

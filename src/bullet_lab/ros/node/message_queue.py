@@ -1,4 +1,4 @@
-"""What docking listens to: from messages to plain data, in step with time."""
+"""Messages of a topic that wait until time has come to their stamps."""
 
 from __future__ import annotations
 
@@ -8,28 +8,14 @@ import time
 from collections import deque
 from typing import Any, Callable, Deque, Generic, List, Optional, Tuple, TypeVar
 
-import numpy as np
 import rospy
-from geometry_msgs.msg import Transform
-from nav_msgs.msg import Odometry as OdometryMessage
-from sensor_msgs.msg import CameraInfo
 
-from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.pose import Pose
-from bullet_lab.docking.types import CameraMount, Odometry, Sighting
 from bullet_lab.errors import LabError
-from bullet_lab.msg import MarkerDetectionArray
-from bullet_lab.ros.messages import images
-from bullet_lab.ros.messages.poses import InputError, pose_of
+from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node.lock_step import in_lock_step
 from bullet_lab.ros.node.node import Refusals
-from bullet_lab.ros.node.odometry import planar_pose
 from bullet_lab.ros.node.publishers import subscriber
 
-# Where vx, vy and wz stand in the 6x6 covariances of ROS (REP 103).
-_PLANAR = (0, 1, 5)
-# Of the optical frame in the camera's own, x ahead and z up (REP 103).
-OPTICAL = Pose.from_rpy((0.0, 0.0, 0.0), (-math.pi / 2, 0.0, -math.pi / 2))
 MOST_WAITING = 1000
 # Wall seconds that a message may take which is due, in lock step.
 LATEST = 10.0
@@ -39,40 +25,7 @@ _MILLISECOND = 1_000_000
 T = TypeVar("T")
 
 
-def odometry_of(message: OdometryMessage) -> Odometry:
-    """Return a message of odometry as docking takes it; raises OdometryError."""
-    twist = message.twist.twist
-    covariance = np.asarray(message.twist.covariance, dtype=float).reshape(6, 6)
-    return Odometry(
-        message.header.stamp.to_sec(),
-        planar_pose(message),
-        (twist.linear.x, twist.angular.z),
-        covariance[np.ix_(_PLANAR, _PLANAR)],
-    )
-
-
-def camera_of(message: CameraInfo) -> PinholeCamera:
-    """Return the geometry of raw images; raises CameraGeometryError."""
-    return images.camera_of(message, message.width, message.height)
-
-
-def sightings_of(message: MarkerDetectionArray) -> Tuple[Sighting, ...]:
-    """Return the markers in an image; those with corners that are not finite are left out."""
-    found = []
-    for detection in message.detections:
-        corners = np.array(detection.corners, dtype=float).reshape(4, 2)
-        if np.isfinite(corners).all():
-            found.append(Sighting(detection.id, detection.dictionary, corners))
-    return tuple(found)
-
-
-def mount_of(transform: Transform) -> CameraMount:
-    """Return where the camera is, of the transform of its optical frame in the robot's base."""
-    mount = pose_of(transform.translation, transform.rotation) * OPTICAL.inverse()
-    return CameraMount(*mount.position, *mount.rpy())
-
-
-class Inbox(Generic[T]):
+class MessageQueue(Generic[T]):
     """The messages of one topic, to be taken in the order of their stamps as time goes on.
 
     In lock step it is open from the beginning to the end, since what is due is waited for.

@@ -1,26 +1,82 @@
-"""From the goals of the dock actions to tasks, and from their state to messages."""
+"""Conversions of the dock node: between messages of ROS and what bullet_lab.docking takes."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Callable, Mapping, Optional, Tuple
+from typing import Callable, Mapping, Tuple
 
-from geometry_msgs.msg import PoseStamped, TransformStamped
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import CameraInfo
 
-from bullet_lab.core.angles import quaternion_from_yaw
+from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import Dock, UnknownDockError, find_dock
-from bullet_lab.docking.types import DockingError, DockingResult, DockingStatus, PlanarPose
+from bullet_lab.docking.types import (
+    CameraMount,
+    DockingError,
+    DockingResult,
+    DockingStatus,
+    Odometry,
+    PlanarPose,
+    Sighting,
+)
 from bullet_lab.errors import LabError
-from bullet_lab.msg import DockFeedback, DockGoal, DockResult, UndockGoal, UndockResult
+from bullet_lab.msg import (
+    DockFeedback,
+    DockGoal,
+    DockResult,
+    MarkerDetectionArray,
+    UndockGoal,
+    UndockResult,
+)
+from bullet_lab.ros.messages import images
 from bullet_lab.ros.messages.poses import InputError, pose_of
+from bullet_lab.ros.node.odometry import planar_pose
 
+# Where vx, vy and wz stand in the 6x6 covariances of ROS (REP 103).
+_PLANAR = (0, 1, 5)
+# Of the optical frame in the camera's own, x ahead and z up (REP 103).
+OPTICAL = Pose.from_rpy((0.0, 0.0, 0.0), (-math.pi / 2, 0.0, -math.pi / 2))
 # A robot on a floor: a dock pose that leans by more than this (rad) is a mistake.
 LARGEST_LEAN = 0.2
 LONGEST_UNDOCK = 10.0
 
 Lookup = Callable[[str, str], Pose]
+
+
+def odometry_of(message: OdometryMessage) -> Odometry:
+    """Return a message of odometry as docking takes it; raises OdometryError."""
+    twist = message.twist.twist
+    covariance = np.asarray(message.twist.covariance, dtype=float).reshape(6, 6)
+    return Odometry(
+        message.header.stamp.to_sec(),
+        planar_pose(message),
+        (twist.linear.x, twist.angular.z),
+        covariance[np.ix_(_PLANAR, _PLANAR)],
+    )
+
+
+def camera_of(message: CameraInfo) -> PinholeCamera:
+    """Return the geometry of raw images; raises CameraGeometryError."""
+    return images.camera_of(message, message.width, message.height)
+
+
+def sightings_of(message: MarkerDetectionArray) -> Tuple[Sighting, ...]:
+    """Return the markers in an image; those with corners that are not finite are left out."""
+    found = []
+    for detection in message.detections:
+        corners = np.array(detection.corners, dtype=float).reshape(4, 2)
+        if np.isfinite(corners).all():
+            found.append(Sighting(detection.id, detection.dictionary, corners))
+    return tuple(found)
+
+
+def mount_of(optical: Pose) -> CameraMount:
+    """Return where the camera is, of the pose of its optical frame in the robot's base."""
+    mount = optical * OPTICAL.inverse()
+    return CameraMount(*mount.position, *mount.rpy())
 
 
 class GoalError(LabError):
@@ -99,18 +155,6 @@ def _given_pose(message: PoseStamped) -> Tuple[str, Pose]:
     return message.header.frame_id, pose
 
 
-def with_tolerances(dock: Dock, distance: float, lateral: float, yaw: float) -> Dock:
-    """Return a dock with other tolerances (m, m, rad) where they are not 0."""
-    own = dock.tolerance
-    wanted = replace(
-        own,
-        distance=distance or own.distance,
-        lateral=lateral or own.lateral,
-        yaw=yaw or own.yaw,
-    )
-    return replace(dock, tolerance=wanted)
-
-
 def dock_result(result: DockingResult) -> DockResult:
     """Return a result as the action sends it."""
     return DockResult(
@@ -134,22 +178,3 @@ def dock_feedback(status: DockingStatus) -> DockFeedback:
     return DockFeedback(
         int(status.state), status.distance, status.lateral, status.yaw, status.retries
     )
-
-
-def stamped_pose(stamp, frame: str, pose: PlanarPose) -> PoseStamped:
-    """Return a planar pose as a message."""
-    message = PoseStamped()
-    message.header.stamp, message.header.frame_id = stamp, frame
-    message.pose.position.x, message.pose.position.y = pose[:2]
-    turn = message.pose.orientation
-    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(pose[2])
-    return message
-
-
-def stamped_transform(pose: PoseStamped, child: Optional[str]) -> TransformStamped:
-    """Return where a frame is as TF sends it."""
-    message = TransformStamped(header=pose.header, child_frame_id=child)
-    place = message.transform.translation
-    place.x, place.y = pose.pose.position.x, pose.pose.position.y
-    message.transform.rotation = pose.pose.orientation
-    return message

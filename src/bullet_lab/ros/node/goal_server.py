@@ -1,0 +1,79 @@
+"""An actionlib server whose goals are taken up by the loop of a node."""
+
+from __future__ import annotations
+
+from typing import Any, Callable, Optional
+
+import rospy
+from actionlib import ServerGoalHandle, SimpleActionServer
+from actionlib_msgs.msg import GoalStatus
+
+
+class GoalServer(SimpleActionServer):
+    """A SimpleActionServer that is polled, and for which the goal that comes last counts.
+
+    actionlib's own drops goals that are stamped before the last one. That is all of them once
+    simulated time was set back, and those of machines whose clock is late.
+
+    Args:
+        name: of the action.
+        kind: its class, such as MoveBaseAction.
+        on_goal: called when a goal has come, with its handle, before the loop takes it up.
+        on_cancel: called when the goal that is pursued is cancelled.
+
+    Both are called from threads of rospy, which hold actionlib's lock.
+
+    Attributes:
+        name: of the action.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        kind: type,
+        on_goal: Callable[[ServerGoalHandle], None],
+        on_cancel: Callable[[], None],
+    ):
+        self.name = name
+        self._on_cancel = on_cancel
+        super().__init__(name, kind, auto_start=False)
+        self.register_goal_callback(lambda: on_goal(self.next_goal))
+        self.register_preempt_callback(self._preempt)
+
+    @property
+    def is_cancelled(self) -> bool:
+        """Whether the goal that is pursued was cancelled, and not for a new one."""
+        # In this order: a new goal is noted before the request to give up the old one.
+        return self.is_active() and self.is_preempt_requested() and not self.is_new_goal_available()
+
+    def end(self, status: int, result: Optional[Any] = None, text: str = "") -> None:
+        """End the goal that is pursued.
+
+        Args:
+            status: GoalStatus.SUCCEEDED, PREEMPTED or ABORTED.
+            result: of the action; its default if None.
+            text: for the client.
+        """
+        ends = {
+            GoalStatus.SUCCEEDED: self.set_succeeded,
+            GoalStatus.PREEMPTED: self.set_preempted,
+            GoalStatus.ABORTED: self.set_aborted,
+        }
+        ends[status](result, text)
+
+    def forget_cancels(self) -> None:
+        """Take goals from before the last cancellation as well: time was set back."""
+        self.action_server.last_cancel = rospy.Time()
+
+    def internal_goal_callback(self, goal: ServerGoalHandle) -> None:
+        """Take a goal, whatever its stamp; called by actionlib."""
+        with self.lock:
+            for earlier in (self.current_goal, self.next_goal):
+                if earlier.get_goal():
+                    goal_id = earlier.get_goal_id()
+                    goal_id.stamp = min(goal_id.stamp, goal.get_goal_id().stamp)
+        super().internal_goal_callback(goal)
+
+    def _preempt(self) -> None:
+        if not self.is_new_goal_available():
+            self._on_cancel()
