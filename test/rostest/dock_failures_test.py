@@ -244,6 +244,20 @@ class DockFailuresTest(unittest.TestCase):
         wait_for(lambda: self.is_over(other), "the second result")
         self.assertTrue(other.get_result().success, other.get_result().message)
 
+    def test_the_two_actions_exclude_each_other(self):
+        self.send()
+        self.wait_until_approaching()
+        self.undock.send_goal(UndockGoal(0.2))
+        result = self.result()
+        self.assertEqual(DockResult.PREEMPTED, result.error_code)
+        self.assertEqual(GoalStatus.PREEMPTED, self.dock.get_state())
+        self.assertIn("another goal", result.message)
+        wait_for(lambda: self.commands.messages[-1].linear.x < -0.02, "the way back")
+        self.send()
+        wait_for(lambda: self.is_over(self.undock), "the end of undocking")
+        self.assertEqual(DockResult.PREEMPTED, self.undock.get_result().error_code)
+        self.wait_until_approaching()
+
     # It works as well
 
     def test_docks_and_undocks(self):

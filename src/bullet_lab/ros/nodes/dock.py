@@ -20,7 +20,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import rospy
 import tf2_ros
@@ -254,13 +254,7 @@ class DockServer(GoalServer):
     """The action of driving into a dock."""
 
     needs_camera = True
-
-    def __init__(self, on_goal: Callable[[ServerGoalHandle], None], on_cancel: Callable[[], None]):
-        super().__init__("dock", DockAction, on_goal, on_cancel)
-
-    def check(self, goal: DockGoal) -> None:
-        """Raise GoalError for a goal that makes no sense by itself."""
-        check_dock_goal(goal)
+    check = staticmethod(check_dock_goal)
 
     def make_task(self, goal: DockGoal, around: Surroundings) -> DockingTask:
         """Return the task that pursues a goal; raises GoalError."""
@@ -288,13 +282,7 @@ class UndockServer(GoalServer):
     """The action of driving backwards out of a dock, on its axis where the camera shows it."""
 
     needs_camera = False
-
-    def __init__(self, on_goal: Callable[[ServerGoalHandle], None], on_cancel: Callable[[], None]):
-        super().__init__("undock", UndockAction, on_goal, on_cancel)
-
-    def check(self, goal: UndockGoal) -> None:
-        """Raise GoalError for a goal that makes no sense by itself."""
-        check_undock_goal(goal)
+    check = staticmethod(check_undock_goal)
 
     def make_task(self, goal: UndockGoal, around: Surroundings) -> UndockingTask:
         """Return the task that pursues a goal; raises GoalError."""
@@ -369,7 +357,10 @@ class DockNode:
         self._task: Any = None
         self._begun = 0.0
         callbacks = (self._stop_for_another, self._sender.stop)
-        self._servers = (DockServer(*callbacks), UndockServer(*callbacks))
+        self._servers = (
+            DockServer("dock", DockAction, *callbacks),
+            UndockServer("undock", UndockAction, *callbacks),
+        )
 
     def run(self) -> None:
         """Serve until ROS shuts down."""
