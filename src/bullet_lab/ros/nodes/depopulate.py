@@ -1,4 +1,4 @@
-"""Takes away what populate has put into the running world.
+"""The node that takes away what populate has put into the running world.
 
 :ROS Parameters: see `DepopulateParameters`.
 :ROS Service clients: /gazebo/get_world_properties, /gazebo/delete_model

@@ -376,7 +376,9 @@ class DockNode:
             self._tick(ticks.now)
 
     def _is_connected(self) -> bool:
-        return self._commands.has_connections() and all(queue.is_connected() for queue in self._queues)
+        return self._commands.has_connections() and all(
+            queue.is_connected() for queue in self._queues
+        )
 
     def _stop_for_another(self, _: ServerGoalHandle) -> None:
         if self._server is not None:

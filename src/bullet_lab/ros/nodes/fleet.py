@@ -1,4 +1,4 @@
-"""Puts several robots into the running world and drives all of them in squares at once.
+"""The node that puts several robots into the running world and drives all of them in squares.
 
 Robot k is the model robot<k> with the namespace robot<k> and, if none is set there, the
 tf_prefix robot<k>; k counts from 1.

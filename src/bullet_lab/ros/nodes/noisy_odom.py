@@ -1,4 +1,4 @@
-"""Makes perfect odometry noisy, as real odometry is.
+"""The node that makes perfect odometry noisy, as real odometry is.
 
 :ROS Parameters: see `NoisyOdomParameters`.
 :ROS Subscribers: odom (nav_msgs/Odometry)
@@ -70,20 +70,20 @@ class NoisyOdometry:
     """Puts noise on odom and publishes noisy_odom.
 
     Args:
-        wanted: parameters.
+        parameters: of this robot.
         namespace: of the robot, with a slash at its end; empty for the node's own.
     """
 
-    def __init__(self, wanted: NoisyOdomParameters, namespace: str = ""):
-        self.std = wanted.std
+    def __init__(self, parameters: NoisyOdomParameters, namespace: str = ""):
+        self.std = parameters.std
         self.msg: Optional[Odometry] = None
         self.last_odom: Optional[Odometry] = None
         self.pose = [0.0, 0.0, 0.0]
-        self._sampler = Sampler(wanted.rate) if wanted.as_published else None
-        self._published = PublishedNoise(wanted.std, wanted.seed)
-        self._model = wanted.model
-        self._noise = asdict(wanted)
-        self._path = NoisyPath(rule_of(self._model, self._noise), wanted.seed)
+        self._sampler = Sampler(parameters.rate) if parameters.as_published else None
+        self._published = PublishedNoise(parameters.std, parameters.seed)
+        self._model = parameters.model
+        self._noise = asdict(parameters)
+        self._path = NoisyPath(rule_of(self._model, self._noise), parameters.seed)
         self._frames = FrameGuard()
         self._refusals = Refusals()
         self.pub = publisher(f"{namespace}noisy_odom", Odometry, QUEUE_SIZE)
@@ -164,13 +164,13 @@ def _service_name(namespace: str) -> str:
     return f"{namespace}{node}/set_noise"
 
 
-def robots_of(wanted: NoisyOdomParameters) -> Dict[str, NoisyOdomParameters]:
+def robots_of(parameters: NoisyOdomParameters) -> Dict[str, NoisyOdomParameters]:
     """Return the parameters of each robot by its namespace, with a slash at its end."""
-    if not wanted.robots:
-        return {"": wanted}
+    if not parameters.robots:
+        return {"": parameters}
     return {
-        f"{name}/": replace(wanted, seed=derived_seed(wanted.seed, index))
-        for index, name in enumerate(robot_names(wanted.robots))
+        f"{name}/": replace(parameters, seed=derived_seed(parameters.seed, index))
+        for index, name in enumerate(robot_names(parameters.robots))
     }
 
 
@@ -239,8 +239,8 @@ def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        wanted = private_parameters(NoisyOdomParameters)
-        robots = [NoisyOdometry(its, name) for name, its in robots_of(wanted).items()]
+        parameters = private_parameters(NoisyOdomParameters)
+        robots = [NoisyOdometry(its, name) for name, its in robots_of(parameters).items()]
         join_when(
             lambda: all(robot.sub.get_num_connections() > 0 for robot in robots),
             "somebody to publish odom",

@@ -1,4 +1,4 @@
-"""Places a beacon where RViz's "Publish Point" says.
+"""The node that places a beacon where RViz's "Publish Point" says.
 
 :ROS Parameters: see `PlaceBeaconParameters`.
 :ROS Subscribers:

@@ -1,4 +1,4 @@
-"""Puts models into the running world in a pattern, by the spawn service, as the course does.
+"""The node that puts models into the running world in a pattern, by the spawn service.
 
 :ROS Parameters: see `PopulateParameters`.
 :ROS Service clients: /gazebo/spawn_sdf_model (gazebo_msgs/SpawnModel)

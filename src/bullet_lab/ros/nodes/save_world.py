@@ -1,4 +1,6 @@
-"""Has the bridge write the running world to an SDF file: rosrun bullet_lab save_world.py FILE.
+"""The node that has the bridge write the running world to an SDF file.
+
+Usage: rosrun bullet_lab save_world.py FILE
 
 :ROS Parameters: see `SaveWorldParameters`.
 :ROS Service clients: /bullet_lab/save_world (bullet_lab/SaveWorld),

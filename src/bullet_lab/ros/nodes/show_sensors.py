@@ -1,4 +1,4 @@
-"""Shows in RViz what it has no display for: contacts of a bumper, and an inertial unit.
+"""The node that shows in RViz what it has no display for: contacts of a bumper, inertial units.
 
 :ROS Parameters: see `ShowSensorsParameters`.
 :ROS Subscribers, while somebody listens to what comes of them:
@@ -75,12 +75,12 @@ class _Feed:
 class ShowSensors:
     """Turns messages into others that RViz shows."""
 
-    def __init__(self, wanted: ShowSensorsParameters):
-        self._scale = wanted.scale
-        bumper = _Feed(wanted.bumper, msg.ContactsState, self._show_contacts)
+    def __init__(self, parameters: ShowSensorsParameters):
+        self._scale = parameters.scale
+        bumper = _Feed(parameters.bumper, msg.ContactsState, self._show_contacts)
         self._contacts = bumper.demand.publisher("~contacts", MarkerArray)
         self._wrench = bumper.demand.publisher("~wrench", WrenchStamped)
-        imu = _Feed(wanted.imu, Imu, self._show_imu)
+        imu = _Feed(parameters.imu, Imu, self._show_imu)
         self._acceleration = imu.demand.publisher("~acceleration", AccelStamped)
         for feed in (bumper, imu):
             feed.demand.watch()

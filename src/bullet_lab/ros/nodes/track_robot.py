@@ -1,4 +1,4 @@
-"""Says how far the robot is from each beacon.
+"""The node that says how far the robot is from each beacon.
 
 :ROS Parameters: see `TrackRobotParameters`.
 :ROS Subscribers:
@@ -113,15 +113,15 @@ class _BeaconTopics:
 class TrackRobot:
     """Measures the distances whenever the robot says where it is."""
 
-    def __init__(self, wanted: TrackRobotParameters):
-        self._wanted = wanted
+    def __init__(self, parameters: TrackRobotParameters):
+        self._parameters = parameters
         self._lock = threading.Lock()
-        self._beacons = tuple(_BeaconTopics(one) for one in wanted.beacons)
+        self._beacons = tuple(_BeaconTopics(one) for one in parameters.beacons)
         self._markers = Publisher("beacon_markers", MarkerArray, queue_size=1)
         self._frames = FrameGuard()
         self._refusals = Refusals()
         self._standing = StandingModels()
-        if wanted.watch:
+        if parameters.watch:
             self._world = rospy.Subscriber(WORLD, MarkerArray, self._watch)
         self.sub = subscriber("odom", Odometry, self.callback)
 
@@ -150,15 +150,15 @@ class TrackRobot:
 
     def _follow_the_world(self) -> None:
         """Keep to the beacons that stand in the world, each where it stands now."""
-        names = set(numbered(self._standing.names(), self._wanted.prefix))
+        names = set(numbered(self._standing.names(), self._parameters.prefix))
         kept, gone = [], []
         for topics in self._beacons:
-            listed = topics.beacon in self._wanted.beacons
+            listed = topics.beacon in self._parameters.beacons
             (kept if listed or topics.beacon.name in names else gone).append(topics)
         for topics in kept:
             names.discard(topics.beacon.name)
             place = self._standing.origin(topics.beacon.name)
-            if place is not None and topics.beacon not in self._wanted.beacons:
+            if place is not None and topics.beacon not in self._parameters.beacons:
                 topics.beacon = Beacon(topics.beacon.name, *place[:2])
         for name in sorted(names):
             x, y, _ = self._standing.origin(name)
@@ -197,8 +197,8 @@ def main() -> None:
     """Run the node."""
 
     def body() -> None:
-        wanted = private_parameters(TrackRobotParameters)
-        tracker = TrackRobot(wanted)
+        parameters = private_parameters(TrackRobotParameters)
+        tracker = TrackRobot(parameters)
         join_when(lambda: tracker.sub.get_num_connections() > 0, "somebody to publish odom")
         rospy.spin()
 
