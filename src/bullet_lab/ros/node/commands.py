@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Tuple
+from typing import Optional, Tuple
 
 from geometry_msgs.msg import Twist
 
@@ -26,10 +26,10 @@ class StoppableSender:
         """Return what `send` wants to see, from before the command was thought of."""
         return self._stops
 
-    def send(self, command: Tuple[float, float], ticket: int) -> None:
-        """Send a command (m/s, rad/s), unless there was a stop after the ticket."""
+    def send(self, command: Tuple[float, float], ticket: Optional[int] = None) -> None:
+        """Send a command (m/s, rad/s), unless there was a stop after the ticket that is given."""
         with self._lock:
-            if ticket == self._stops and not self._ended:
+            if ticket in (None, self._stops) and not self._ended:
                 self._publish(command)
 
     def stop(self) -> None:

@@ -69,11 +69,11 @@ class _Robot:
         self.driver = driver
         self.done = False
         # Written out at once, so that the last command is on its way before the node ends.
-        self.commands = publisher(cmd_vel, Twist)
-        self._sender = StoppableSender(self.commands)
+        commands = publisher(cmd_vel, Twist)
+        self._sender = StoppableSender(commands)
         self._odometry = NewestOdometry(odom) if driver.needs_pose else None
         rospy.on_shutdown(self._sender.end)
-        wait_until(self.commands.has_connections, f"somebody to listen to {cmd_vel}")
+        wait_until(commands.has_connections, f"somebody to listen to {cmd_vel}")
 
     def tick(self, now: rospy.Time) -> None:
         """Send the next command; with the one to stand still, the robot is done."""
@@ -88,7 +88,7 @@ class _Robot:
             self.done = True
             self._sender.stop()
         else:
-            self._sender.send(command, self._sender.ticket())
+            self._sender.send(command)
 
 
 class DriveSquares:
