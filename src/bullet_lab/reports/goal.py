@@ -110,6 +110,8 @@ class GoalReport(Report):
             if not self._stay:
                 self.until = self._ends[0].stamp + REST
         elif reading.detail.rejected:
+            # Taken up perhaps, but never driven to.
+            self._answers.pop(reading.detail.id, None)
             self._refused.append(reading.detail.text)
         else:
             self._answers[reading.detail.id] = reading.detail

@@ -88,6 +88,19 @@ def test_a_goal_is_recorded_until_the_robot_stands(tmp_path, reached, stay):
     assert rows[-1].startswith("4.950000000 " if stay else "3.000000000 ")
 
 
+def test_a_goal_that_was_taken_up_but_never_driven_to_is_no_drive(tmp_path):
+    report = GoalReport(tmp_path, 0.05, True, list)
+    for name, text, rejected in (("a", "pending", False), ("a", "no way", True), ("b", "", False)):
+        answer = GoalAnswer(name, text, rejected, False)
+        report.take("drive_to_goal/status", Reading(0, (), answer))
+    report.take("drive_to_goal/current_goal", Reading(10**9, (1.0, 0.0, 0.0)))
+    report.take("drive_to_goal/finished", Reading(2 * 10**9))
+    report.take("drive_to_goal/status", Reading(0, (), GoalAnswer("b", "there", False, True)))
+    summary = report.summary(True, {})
+    assert summary["refused_goals"] == ["no way"]
+    assert [goal["reached"] for goal in summary["goals"]] == [True]
+
+
 def test_a_goal_that_is_refused_is_the_end(tmp_path):
     report = GoalReport(tmp_path, 0.05, False, list)
     report.take("drive_to_goal/status", Reading(0, (), GoalAnswer("a", "refused", True, False)))

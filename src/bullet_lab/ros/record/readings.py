@@ -74,7 +74,8 @@ def _goal(message: PoseStamped) -> Reading:
 def _goal_status(message: GoalStatus) -> Reading:
     """The detail is a GoalAnswer."""
     status, text = message.status, message.text
-    rejected, reached = status == GoalStatus.REJECTED, status == GoalStatus.SUCCEEDED
+    rejected = status in (GoalStatus.REJECTED, GoalStatus.RECALLED)
+    reached = status == GoalStatus.SUCCEEDED
     return Reading(0, (), GoalAnswer(message.goal_id.id, text, rejected, reached))
 
 
