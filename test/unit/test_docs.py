@@ -41,12 +41,10 @@ def test_each_plugin_has_a_page():
 def test_each_tag_that_a_plugin_reads_is_on_its_page():
     for page in plugin_pages():
         text = page.read_text()
-        files = re.findall(r"libgazebo_ros_\w+\.so", text.split("\n", 1)[0])
-        for module in PLUGINS.glob("*.py"):
-            source = module.read_text()
-            if any(f'"{name}"' in source for name in files):
-                missing = [tag for tag in tags_read(source) if tag not in text]
-                assert not missing, f"{page.name}: {missing}"
+        files = set(re.findall(r"libgazebo_ros_\w+\.so", text.split("\n", 1)[0]))
+        assert files <= set(known_plugins())
+        missing = [tag for name in files for tag in tags_read(name) if f"{tag}" not in text]
+        assert not missing, f"{page.name}: {missing}"
 
 
 def plugin_pages():
@@ -54,17 +52,23 @@ def plugin_pages():
     return [page for page in pages if page.name != "README.md"]
 
 
-def tags_read(source):
-    """Return what is asked of `mount`, or named where a mount is handed on."""
-    for node in ast.walk(ast.parse(source)):
-        if not isinstance(node, ast.Call):
-            continue
-        function = node.func
-        name = getattr(function, "attr", getattr(function, "id", ""))
-        asked = getattr(getattr(function, "value", None), "id", "mount")
-        if name in READERS and asked == "mount":
-            for argument in node.args[:2]:
-                if isinstance(argument, ast.Constant) and isinstance(argument.value, str):
-                    if TAG.fullmatch(argument.value):
-                        yield argument.value
-                    break
+def tags_read(filename):
+    """Return what the class for a file asks of `mount`, or names where a mount is handed on."""
+    for module in PLUGINS.glob("*.py"):
+        tree = ast.parse(module.read_text())
+        for kind in tree.body:
+            if isinstance(kind, ast.ClassDef) and filename in literals(kind):
+                for call in (node for node in ast.walk(kind) if isinstance(node, ast.Call)):
+                    yield from tag_of(call)
+
+
+def literals(tree):
+    return {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
+
+
+def tag_of(call):
+    name = getattr(call.func, "attr", getattr(call.func, "id", ""))
+    asked = getattr(getattr(call.func, "value", None), "id", "mount")
+    if name in READERS and asked == "mount":
+        texts = [a.value for a in call.args[:2] if isinstance(a, ast.Constant)]
+        yield from (t for t in texts[:1] if isinstance(t, str) and TAG.fullmatch(t))
