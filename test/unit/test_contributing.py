@@ -9,7 +9,6 @@ import pytest
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.odometry_noise import MODELS, rule_of
 from bullet_lab.reports import Reading
-from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.sdf import read_model_text
 from bullet_lab.studies.noise_study.study import StudySettings, run_study
 
