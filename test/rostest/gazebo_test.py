@@ -5,6 +5,7 @@ import math
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import unittest
 from pathlib import Path
@@ -393,6 +394,23 @@ class StatesTest(GazeboCase):
         wait_for(lambda: place_of("ball")[2] == 4.0, "the ball to move")
         models.publish(ModelState("nix", START, Twist(), ""))
         wait_for(lambda: "/gazebo/set_model_state: refused: model [nix]" in bridge.err, "a warning")
+
+    def test_messages_of_the_lock_step_are_awaited_on_gazebos_topics(self):
+        self.start()
+        spawn("ball", BALL)
+        models = publisher("/gazebo/set_model_state", ModelState)
+        self.addCleanup(models.unregister)
+        end_of_time = rospy.Time(2**31 - 1)
+        sent = (["/gazebo/set_model_state"], ["/pybullet_bridge"], [2])
+        words = ("/bullet_lab/advance", Advance, rospy.get_name(), 0, end_of_time, *sent)
+        waiting = threading.Thread(target=call, args=words, daemon=True)
+        models.publish(ModelState("ball", at(0.0, 0.0, 3.0), Twist(), ""))
+        waiting.start()
+        time.sleep(0.5)
+        self.assertTrue(waiting.is_alive())
+        models.publish(ModelState("ball", at(0.0, 0.0, 4.0), Twist(), ""))
+        waiting.join(60)
+        self.assertEqual(4.0, place_of("ball")[2])
 
     def test_topics_follow_with_gazebos_types_at_their_rate(self):
         self.start(robot=ROBOT, states_rate=50)

@@ -7,8 +7,7 @@ import math
 import threading
 import time
 import xmlrpc.client
-from dataclasses import dataclass
-from typing import Any, Dict, FrozenSet, List, Mapping, Sequence, Set, Tuple
+from typing import Any, Callable, Dict, FrozenSet, List, Mapping, Optional, Sequence, Set, Tuple
 
 import rosgraph
 import rosgraph.names
@@ -33,14 +32,6 @@ class TopicError(LabError):
     """A device names a topic that cannot be."""
 
 
-@dataclass
-class _Subscription:
-    """A topic that brings commands, to one device or several."""
-
-    subscriber: rospy.Subscriber
-    inputs: List[Input]
-
-
 class DeviceTopics:
     """Publishes the samples of models' devices and hands them commands.
 
@@ -61,8 +52,9 @@ class DeviceTopics:
         self._publishers: Dict[str, BatchPublisher] = {}
         self._users: Dict[str, int] = {}
         self._instances: Dict[str, ModelInstance] = {}
-        self._subscriptions: Dict[str, _Subscription] = {}
-        self._routes = _Routes(self._subscriptions)
+        self._inputs: Dict[str, List[Input]] = {}
+        self._subscribers: Dict[str, rospy.Subscriber] = {}
+        self._routes = _Routes(self._subscribers)
         self.commands = CommandCounter(self._routes.find)
 
     def publisher(self, topic: str, kind: type) -> BatchPublisher:
@@ -122,33 +114,54 @@ class DeviceTopics:
         convert, publish = converter.convert, publisher.publish
         output.connect(lambda sample: publish(convert(sample)), publisher.has_connections)
 
+    def subscribe(
+        self,
+        topic: str,
+        kind: type,
+        receive: Callable[[Any], None],
+        queue_size: Optional[int] = None,
+    ) -> None:
+        """Listen to a topic, once, whose messages the lock step counts as commands.
+
+        Args:
+            topic: its name.
+            kind: class of its messages.
+            receive: does what a message says; raises StepperError when the bridge ends.
+            queue_size: messages that wait before the oldest is dropped; None to drop nothing.
+        """
+        topic = rospy.resolve_name(topic)
+
+        def receive_and_count(message: Any) -> None:
+            header = message._connection_header
+            # What comes as the bridge ends has nothing left to move.
+            with contextlib.suppress(StepperError):
+                receive(message)
+                self.commands.note(Arrival(topic, header["callerid"]), header)
+
+        self._subscribers[topic] = rospy.Subscriber(
+            topic, kind, receive_and_count, queue_size=queue_size, tcp_nodelay=True
+        )
+
     def _connect_input(self, entry: Input) -> None:
         topic = rospy.resolve_name(entry.topic)
-        subscription = self._subscriptions.get(topic)
-        if subscription is not None:
-            subscription.inputs.append(entry)
+        if topic in self._inputs:
+            self._inputs[topic].append(entry)
             return
+        inputs = self._inputs[topic] = [entry]
         converter = INPUT_CONVERTERS[entry.kind]
-        inputs = [entry]
 
         def receive(message: Any) -> None:
             command = converter.convert(message)
-            header = message._connection_header
-            # A command that comes as the bridge ends has nothing left to move.
-            with contextlib.suppress(StepperError):
-                self._stepper.do_now(lambda: self._command(inputs, command))
-                self.commands.note(Arrival(topic, header["callerid"]), header)
+            self._stepper.do_now(lambda: self._command(inputs, command))
 
-        subscriber = rospy.Subscriber(topic, converter.message_kind, receive, tcp_nodelay=True)
-        self._subscriptions[topic] = _Subscription(subscriber, inputs)
+        self.subscribe(topic, converter.message_kind, receive)
 
     def _disconnect_input(self, entry: Input) -> None:
         topic = rospy.resolve_name(entry.topic)
-        subscription = self._subscriptions[topic]
-        subscription.inputs.remove(entry)
-        if not subscription.inputs:
-            del self._subscriptions[topic]
-            subscription.subscriber.unregister()
+        self._inputs[topic].remove(entry)
+        if not self._inputs[topic]:
+            del self._inputs[topic]
+            self._subscribers.pop(topic).unregister()
 
     def _command(self, inputs: Sequence[Input], command: Any) -> None:
         for entry in inputs:
@@ -165,11 +178,11 @@ class _Routes:
     hear: relays, multiplexers, limiters.
 
     Args:
-        subscriptions: by the topics that bring commands.
+        subscribers: to what brings commands, by topic.
     """
 
-    def __init__(self, subscriptions: Mapping[str, _Subscription]):
-        self._subscriptions = subscriptions
+    def __init__(self, subscribers: Mapping[str, rospy.Subscriber]):
+        self._subscribers = subscribers
         self._lock = threading.Lock()
         self._known: Dict[Tuple[str, str, str], FrozenSet[Arrival]] = {}
         self._known_for: FrozenSet[Arrival] = frozenset()
@@ -178,7 +191,7 @@ class _Routes:
     def find(self, member: str, topic: str, receiver: str) -> FrozenSet[Arrival]:
         """Return where arrives what a node sends to another on a topic."""
         if receiver == rospy.get_name():
-            return frozenset({Arrival(topic, member)} if topic in self._subscriptions else ())
+            return frozenset({Arrival(topic, member)} if topic in self._subscribers else ())
         inbound = self._inbound()
         with self._lock:
             if inbound != self._known_for:
@@ -196,9 +209,9 @@ class _Routes:
         """Return which nodes are connected to which topics of commands."""
         return frozenset(
             Arrival(topic, connection.callerid_pub)
-            for topic, subscription in list(self._subscriptions.items())
-            if subscription.subscriber.impl is not None
-            for connection in subscription.subscriber.impl.connections
+            for topic, subscriber in list(self._subscribers.items())
+            if subscriber.impl is not None
+            for connection in subscriber.impl.connections
         )
 
     def _search(self, member: str, topic: str, receiver: str) -> Set[Arrival]:

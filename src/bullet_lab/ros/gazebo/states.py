@@ -84,24 +84,21 @@ class GazeboStates:
                 "SetModelConfiguration: success",
             ),
         ]
-        self.subscribers = [
-            self._listen("set_model_state", msg.ModelState, set_model_state),
-            self._listen("set_link_state", msg.LinkState, set_link_state),
-        ]
+        self._listen("set_model_state", msg.ModelState, set_model_state)
+        self._listen("set_link_state", msg.LinkState, set_link_state)
 
-    def _listen(self, name: str, kind: type, take: Callable[[Any], Answer]) -> rospy.Subscriber:
+    def _listen(self, name: str, kind: type, take: Callable[[Any], Answer]) -> None:
         topic = f"/gazebo/{name}"
 
         def receive(message: Any) -> None:
             try:
                 take(message)
             except StepperError:
-                # A message that comes as the bridge ends has nothing left to move.
-                pass
+                raise
             except LabError as error:
                 self._refusals.refuse(topic, str(error))
 
-        return rospy.Subscriber(topic, kind, receive, queue_size=QUEUE_SIZE, tcp_nodelay=True)
+        self._world.topics.subscribe(topic, kind, receive, QUEUE_SIZE)
 
     def _get_model_state(self, request: Any) -> Answer:
         models = self._world.models
