@@ -8,6 +8,8 @@ import rospy
 from actionlib import ServerGoalHandle, SimpleActionServer
 from actionlib_msgs.msg import GoalStatus
 
+from bullet_lab.ros.node.lock_step import in_lock_step
+
 
 class GoalServer(SimpleActionServer):
     """A SimpleActionServer that is polled, and for which the goal that comes last counts.
@@ -73,6 +75,9 @@ class GoalServer(SimpleActionServer):
                     goal_id = earlier.get_goal_id()
                     goal_id.stamp = min(goal_id.stamp, goal.get_goal_id().stamp)
         super().internal_goal_callback(goal)
+        if in_lock_step():
+            # actionlib itself answers as ROS time passes, and that may stand meanwhile.
+            self.action_server.publish_status()
 
     def _preempt(self) -> None:
         if not self.is_new_goal_available():

@@ -16,9 +16,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Mapping, Optional, Tuple
+from typing import Any, List, Mapping, Optional, Tuple
 
-from actionlib import GoalStatus, SimpleActionClient
+from actionlib import ActionClient, ClientGoalHandle, CommState
 from geometry_msgs.msg import PoseStamped
 
 from bullet_lab.core.parameters import boolean, integer, number, number_list, text
@@ -69,27 +69,30 @@ def station_of(parameters: PlotDockingParameters) -> Station:
 
 def docking_errand(parameters: PlotDockingParameters, report: DockReport) -> Errand:
     """Return the call of the action, whose result goes to the report."""
-    client = SimpleActionClient("dock", DockAction)
+    client = ActionClient("dock", DockAction)
+    handles: List[ClientGoalHandle] = []
 
     def is_connected() -> bool:
-        inner = client.action_client
-        ends = (inner.pub_goal, inner.result_sub, inner.status_sub)
+        ends = (client.pub_goal, client.result_sub, client.status_sub)
         return all(end.get_num_connections() > 0 for end in ends)
 
-    def note(state: int, result: Optional[DockResult]) -> None:
-        if result is None:
-            return
-        error = DockingError(result.error_code)
-        report.result = DockingResult(result.success, error, result.message, result.retries)
+    def note(handle: ClientGoalHandle) -> None:
+        result: Optional[DockResult] = handle.get_result()
+        if handle.get_comm_state() == CommState.DONE and result is not None:
+            error = DockingError(result.error_code)
+            report.result = DockingResult(result.success, error, result.message, result.retries)
 
     def send() -> None:
         goal = DockGoal(
             parameters.dock_id, PoseStamped(), parameters.search, parameters.max_retries
         )
-        client.send_goal(goal, done_cb=note)
+        handles.append(client.send_goal(goal, note))
         report.sent = True
 
-    return Errand("dock", is_connected, send, lambda: client.get_state() != GoalStatus.PENDING)
+    def is_taken() -> bool:
+        return handles[0].get_comm_state() != CommState.WAITING_FOR_GOAL_ACK
+
+    return Errand("dock", is_connected, send, is_taken)
 
 
 def main() -> None:
