@@ -1,4 +1,4 @@
-"""The process that expands one xacro file; see `xacro`. Not to be imported."""
+"""The process that expands one xacro file, see `xacro`, and where xacro looks for packages."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def main() -> int:
         import xacro
     except ImportError:
         return _fail("the Python package xacro is not installed")
-    _find_packages_of_ros1()
+    find_packages_of_ros1()
     _limit(order)
     try:
         text = _expand(xacro, order)
@@ -32,7 +32,7 @@ def main() -> int:
     return 0
 
 
-def _find_packages_of_ros1() -> None:
+def find_packages_of_ros1() -> None:
     """Have xacro's $(find package) look where package:// does: PyPI's xacro would ask ROS 2."""
     from bullet_lab.simulation.world.resources import ros_package_folder
 
