@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import re
 import sys
 import types
 import warnings
@@ -15,247 +14,85 @@ from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from typing import Any, Callable, Dict, Optional
 
-# By name below bullet_lab.
-MOVED: Dict[str, str] = {
-    "docking.approach": "docking.state_machine",
-    "docking.candidate": "docking.marker_track",
-    "docking.cloud": "docking.prior",
-    "docking.corner_filter": "docking.filter",
-    "docking.decision": "docking.state_machine",
-    "docking.drive": "docking.control",
-    "docking.estimates": "docking.filter",
-    "docking.floor_map": "docking.costmap",
-    "docking.knowledge": "docking.belief",
-    "docking.lane": "docking.control",
-    "docking.marker_model": "docking.filter",
-    "docking.motion": "docking.odometry",
-    "docking.phases": "docking.state_machine",
-    "docking.pilot": "docking.planner",
-    "docking.settings": "docking.types",
-    "docking.size_test": "docking.marker_track",
-    "docking.undocking": "docking.task",
-    "docking.viewpoints": "docking.next_best_view",
-    "docking.watch": "docking.odometry",
-    "experiments.dask_workers": "studies.workers",
-    "experiments.detection_range": "studies.detection_range.study",
-    "experiments.detection_scenes": "studies.detection_range.scenes",
-    "experiments.detection_tasks": "studies.detection_range.study",
-    "experiments.detection_trial": "studies.detection_range.trial",
-    "experiments.dock_campaign": "studies.dock_campaign.study",
-    "experiments.dock_progress": "studies.study",
-    "experiments.dock_scenarios": "studies.dock_campaign.trial",
-    "experiments.dock_trial": "studies.dock_campaign.trial",
-    "experiments.docking": "studies.dock_campaign.docking",
-    "experiments.free_camera": "studies.detection_range.scenes",
-    "experiments.interruption": "studies.study",
-    "experiments.noise_study": "studies.noise_study.study",
-    "experiments.own_thread": "studies.workers",
-    "experiments.published_noise": "studies.published_noise.study",
-    "experiments.square_drive": "studies.squares",
-    "experiments.squares": "studies.squares",
-    "markers.dots": "markers.images",
-    "markers.plates": "markers.models",
-    "numerics.angles": "core.angles",
-    "numerics.binomial": "studies.dock_campaign.results",
-    "numerics.ellipse": "core.ellipse",
-    "numerics.exact_moments": "noise.exact_moments",
-    "numerics.goal_driver": "drive.goal",
-    "numerics.likeness": "studies.published_noise.results",
-    "numerics.metrics": "core.trajectory",
-    "numerics.noisy_paths": "noise.noisy_paths",
-    "numerics.odometry_noise": "noise.odometry_noise",
-    "numerics.path_metrics": "studies.noise_study.statistics",
-    "numerics.patterns": "core.patterns",
-    "numerics.pinhole": "core.pinhole",
-    "numerics.published_defects": "studies.published_noise.defects",
-    "numerics.published_noise": "noise.published_noise",
-    "numerics.resampling": "studies.noise_study.paths",
-    "numerics.se2": "core.se2",
-    "numerics.seeds": "core.seeds",
-    "numerics.side_deviation": "studies.published_noise.side_deviation",
-    "numerics.square_course": "drive.square",
-    "numerics.square_driver": "drive.square",
-    "numerics.square_path": "reports.squares",
-    "numerics.study_statistics": "studies.noise_study.statistics",
-    "numerics.trajectory": "core.trajectory",
-    "plotting.beacons_figure": "reports.beacons",
-    "plotting.campaign_figure": "studies.dock_campaign.results",
-    "plotting.detection_figures": "studies.detection_range.figures",
-    "plotting.docking_figure": "reports.dock",
-    "plotting.fleet_figure": "reports.fleet",
-    "plotting.floor_plan": "core.figures",
-    "plotting.goal_figure": "reports.goal",
-    "plotting.noise_figure": "reports.squares",
-    "plotting.published_figures": "studies.published_noise.figures",
-    "plotting.sensors_figure": "reports.sensors",
-    "plotting.study_figures": "studies.noise_study.figures",
-    "plotting.style": "core.figures",
-    "plotting.vision_figure": "reports.vision",
-    "recording.detection_summary": "studies.detection_range.study",
-    "recording.distances": "reports.beacons",
-    "recording.dock_log": "studies.dock_campaign.results",
-    "recording.dock_summary": "studies.dock_campaign.results",
-    "recording.docking_run": "reports.dock",
-    "recording.files": "core.files",
-    "recording.fleet_summary": "reports.fleet",
-    "recording.goal_summary": "reports.goal",
-    "recording.paths": "reports.squares",
-    "recording.published_figure": "studies.published_noise.side_deviation",
-    "recording.published_summary": "studies.published_noise.results",
-    "recording.sensors": "reports.sensors",
-    "recording.series": "core.series",
-    "recording.squares_summary": "reports.squares",
-    "recording.study_files": "studies.noise_study.paths",
-    "ros.aruco": "ros.nodes.aruco",
-    "ros.camera_geometry": "ros.messages.images",
-    "ros.canny_edges": "ros.nodes.canny_edges",
-    "ros.connections": "ros.node.lock_step",
-    "ros.conversions": "ros.messages.conversions",
-    "ros.demand": "ros.node.publishers",
-    "ros.depopulate": "ros.nodes.depopulate",
-    "ros.diagnostics": "ros.node.diagnostics",
-    "ros.dock": "ros.nodes.dock",
-    "ros.dock_errands": "ros.nodes.dock",
-    "ros.dock_goals": "ros.nodes.dock_messages",
-    "ros.dock_inputs": "ros.nodes.dock_messages",
-    "ros.dock_parameters": "ros.nodes.dock",
-    "ros.dock_sender": "ros.node.commands",
-    "ros.dock_topics": "ros.nodes.dock",
-    "ros.drive_squares": "ros.nodes.drive_squares",
-    "ros.drive_to_goal": "ros.nodes.drive_to_goal",
-    "ros.errand_recorder": "ros.record.recorder",
-    "ros.exported_paths": "ros.nodes.gzserver",
-    "ros.fleet": "ros.nodes.fleet",
-    "ros.fleet_markers": "ros.record.rviz",
-    "ros.fleet_names": "ros.nodes.fleet",
-    "ros.frame_finder": "ros.node.transforms",
-    "ros.free_rate": "ros.node.lock_step",
-    "ros.gazebo_client": "ros.gazebo.client",
-    "ros.gazebo_forces": "ros.gazebo.forces",
-    "ros.gazebo_messages": "ros.messages.poses",
-    "ros.gazebo_models": "ros.gazebo.models",
-    "ros.gazebo_physics": "ros.gazebo.interface",
-    "ros.gazebo_server": "ros.nodes.gzserver",
-    "ros.gazebo_server_arguments": "ros.nodes.gzserver",
-    "ros.gazebo_services": "ros.gazebo.services",
-    "ros.gazebo_states": "ros.gazebo.states",
-    "ros.gazebo_topics": "ros.gazebo.states",
-    "ros.gazebo_types": "ros.messages.gazebo_types",
-    "ros.gazebo_window": "ros.nodes.gzclient",
-    "ros.goal_parameters": "ros.nodes.drive_to_goal",
-    "ros.goal_topics": "ros.nodes.drive_to_goal",
-    "ros.good_features": "ros.nodes.good_features",
-    "ros.harris_corners": "ros.nodes.harris_corners",
-    "ros.image_conversions": "ros.messages.conversions",
-    "ros.image_messages": "ros.messages.images",
-    "ros.image_node": "ros.nodes.image_node",
-    "ros.launcher.signals": "ros.launcher.command",
-    "ros.launcher.verdict": "ros.launcher.supervision",
-    "ros.lock_step": "ros.node.lock_step",
-    "ros.loop_watch": "ros.bridge.speed",
-    "ros.marker_messages": "ros.messages.markers",
-    "ros.newest_odometry": "ros.node.odometry",
-    "ros.noisy_odom": "ros.nodes.noisy_odom",
-    "ros.odometry": "ros.node.odometry",
-    "ros.odometry_frames": "ros.bridge.world_topics",
-    "ros.odometry_recorder": "reports.squares",
-    "ros.pace": "ros.bridge.speed",
-    "ros.parameters": "core.parameters",
-    "ros.place_beacon": "ros.nodes.place_beacon",
-    "ros.plot_beacons": "ros.record.plot_beacons",
-    "ros.plot_docking": "ros.record.plot_docking",
-    "ros.plot_fleet": "ros.record.plot_fleet",
-    "ros.plot_goal": "ros.record.plot_goal",
-    "ros.plot_noise": "ros.record.plot_noise",
-    "ros.plot_sensors": "ros.record.plot_sensors",
-    "ros.plot_vision": "ros.record.plot_vision",
-    "ros.populate": "ros.nodes.populate",
-    "ros.publishers": "ros.node.publishers",
-    "ros.recorder": "ros.record.recorder",
-    "ros.save_world": "ros.nodes.save_world",
-    "ros.sensor_conversions": "ros.messages.conversions",
-    "ros.show_sensors": "ros.nodes.show_sensors",
-    "ros.simulators": "ros.bridge.simulators",
-    "ros.spawn_arguments": "ros.nodes.spawn_model",
-    "ros.spawn_model": "ros.nodes.spawn_model",
-    "ros.stamps": "ros.messages.poses",
-    "ros.standing_models": "ros.gazebo.client",
-    "ros.stepper": "ros.bridge.stepper",
-    "ros.tf_prefix": "ros.node.transforms",
-    "ros.time_gate": "ros.bridge.lock_step",
-    "ros.touches": "ros.bridge.world_topics",
-    "ros.track_robot": "ros.nodes.track_robot",
-    "ros.view_camera": "ros.nodes.view_camera",
-    "ros.wiring": "ros.bridge.device_topics",
-    "ros.world_feed": "ros.bridge.world_topics",
-    "ros.world_markers": "ros.messages.world",
-    "ros.world_saver": "ros.gazebo.interface",
-    "simulation.attached_frame": "simulation.physics.attached_frame",
-    "simulation.bodies": "simulation.physics.bodies",
-    "simulation.contact_points": "simulation.physics.contacts",
-    "simulation.contacts": "simulation.physics.contacts",
-    "simulation.dead_reckoning": "simulation.plugins.wheel_drives",
-    "simulation.description": "simulation.world.description",
-    "simulation.devices.bumper": "simulation.plugins.bumper",
-    "simulation.devices.camera": "simulation.plugins.camera",
-    "simulation.devices.depth_camera": "simulation.plugins.camera",
-    "simulation.devices.device": "simulation.plugins.plugin",
-    "simulation.devices.diff_drive": "simulation.plugins.wheel_drives",
-    "simulation.devices.imu": "simulation.plugins.imu",
-    "simulation.devices.joint_states": "simulation.plugins.joint_states",
-    "simulation.devices.laser": "simulation.plugins.ray_sensors",
-    "simulation.devices.noise": "simulation.plugins.plugin",
-    "simulation.devices.p3d": "simulation.plugins.p3d",
-    "simulation.devices.planar_move": "simulation.plugins.planar_move",
-    "simulation.devices.range_sensor": "simulation.plugins.ray_sensors",
-    "simulation.devices.ray_scan": "simulation.plugins.ray_sensors",
-    "simulation.devices.sensor_tag": "simulation.plugins.plugin",
-    "simulation.devices.skid_steer": "simulation.plugins.wheel_drives",
-    "simulation.devices.wheels": "simulation.plugins.wheel_drives",
-    "simulation.engine": "simulation.physics.engine",
-    "simulation.entities": "simulation.models",
-    "simulation.floor_plan": "simulation.world.floor_plan",
-    "simulation.gazebo_materials": "simulation.world.gazebo_tags",
-    "simulation.gazebo_tags": "simulation.world.gazebo_tags",
-    "simulation.inertia": "simulation.world.inertia",
-    "simulation.joint_dynamics": "simulation.physics.bodies",
-    "simulation.link_contacts": "simulation.physics.physics",
-    "simulation.lumping": "simulation.world.tree",
-    "simulation.meshes": "simulation.world.meshes",
-    "simulation.model_instance": "simulation.models",
-    "simulation.model_reader": "simulation.world.sdf",
-    "simulation.model_writer": "simulation.world.sdf_writer",
-    "simulation.native_output": "core.native_output",
-    "simulation.plugin_tags": "simulation.world.gazebo_tags",
-    "simulation.pose": "core.pose",
-    "simulation.proportions": "simulation.world.inertia",
-    "simulation.rendering.choice": "simulation.rendering.graphics",
-    "simulation.rendering.textures": "simulation.rendering.surfaces",
-    "simulation.resources": "simulation.world.resources",
-    "simulation.samples": "simulation.plugins.samples",
-    "simulation.schedule": "core.schedule",
-    "simulation.sdf_elements": "simulation.world.sdf_writer",
-    "simulation.sdf_reader": "simulation.world.sdf",
-    "simulation.sdf_state": "simulation.world.sdf",
-    "simulation.sdf_unknown": "simulation.world.gazebo_tags",
-    "simulation.support_patch": "simulation.plugins.planar_move",
-    "simulation.touched_shapes": "simulation.physics.contacts",
-    "simulation.tree": "simulation.world.tree",
-    "simulation.urdf_reader": "simulation.world.urdf",
-    "simulation.wheel": "simulation.plugins.wheel_drives",
-    "simulation.world_writer": "simulation.world.sdf_writer",
-    "simulation.xacro_child": "simulation.world.xacro_child",
-    "simulation.xacro_files": "simulation.world.xacro",
-    "simulation.xacro_packages": "simulation.world.xacro_child",
-    "simulation.xml_input": "simulation.world.xml",
-    "vision.edge_fit": "vision.quads",
-    "vision.errors": "vision.images",
-    "vision.explanation": "vision.marker_detector",
-    "vision.nested": "vision.quads",
-    "vision.pose_memory": "vision.marker_observer",
-    "vision.sampling": "vision.images",
-    "vision.small_algebra": "vision.algebra",
-}
+# Old and new folder, and the modules that went from one to the other: as `old=new` if renamed.
+_TABLE = """
+docking > docking: approach=state_machine candidate=marker_track cloud=prior corner_filter=filter
+    decision=state_machine drive=control estimates=filter floor_map=costmap knowledge=belief
+    lane=control marker_model=filter motion=odometry phases=state_machine pilot=planner
+    settings=types size_test=marker_track undocking=task viewpoints=next_best_view watch=odometry
+experiments > studies: dask_workers=workers dock_progress=study interruption=study
+    own_thread=workers square_drive=squares squares
+experiments > studies.detection_range: detection_range=study detection_scenes=scenes
+    detection_tasks=study detection_trial=trial free_camera=scenes
+experiments > studies.dock_campaign: dock_campaign=study dock_scenarios=trial dock_trial=trial
+    docking
+experiments > studies.noise_study: noise_study=study
+experiments > studies.published_noise: published_noise=study
+markers > markers: dots=images plates=models
+numerics > core: angles ellipse metrics=trajectory patterns pinhole se2 seeds trajectory
+numerics > drive: goal_driver=goal square_course=square square_driver=square
+numerics > noise: exact_moments noisy_paths odometry_noise published_noise
+numerics > reports: square_path=squares
+numerics > studies.dock_campaign: binomial=results
+numerics > studies.noise_study: path_metrics=statistics resampling=paths
+    study_statistics=statistics
+numerics > studies.published_noise: likeness=results published_defects=defects side_deviation
+plotting > core: floor_plan=figures style=figures
+plotting > reports: beacons_figure=beacons docking_figure=dock fleet_figure=fleet goal_figure=goal
+    noise_figure=squares sensors_figure=sensors vision_figure=vision
+plotting > studies.detection_range: detection_figures=figures
+plotting > studies.dock_campaign: campaign_figure=results
+plotting > studies.noise_study: study_figures=figures
+plotting > studies.published_noise: published_figures=figures
+recording > core: files series
+recording > reports: distances=beacons docking_run=dock fleet_summary=fleet goal_summary=goal
+    paths=squares sensors squares_summary=squares
+recording > studies.detection_range: detection_summary=study
+recording > studies.dock_campaign: dock_log=results dock_summary=results
+recording > studies.noise_study: study_files=paths
+recording > studies.published_noise: published_figure=side_deviation published_summary=results
+ros > core: parameters
+ros > reports: odometry_recorder=squares
+ros > ros.bridge: loop_watch=speed odometry_frames=world_topics pace=speed simulators stepper
+    time_gate=lock_step touches=world_topics wiring=device_topics world_feed=world_topics
+ros > ros.gazebo: gazebo_client=client gazebo_forces=forces gazebo_models=models
+    gazebo_physics=interface gazebo_services=services gazebo_states=states gazebo_topics=states
+    standing_models=client world_saver=interface
+ros > ros.messages: camera_geometry=images conversions gazebo_messages=poses gazebo_types
+    image_conversions=conversions image_messages=images marker_messages=markers
+    sensor_conversions=conversions stamps=poses world_markers=world
+ros > ros.node: connections=lock_step demand=publishers diagnostics dock_sender=commands
+    frame_finder=transforms free_rate=lock_step lock_step newest_odometry=odometry odometry
+    publishers tf_prefix=transforms
+ros > ros.nodes: aruco canny_edges depopulate dock dock_errands=dock dock_goals=dock_messages
+    dock_inputs=dock_messages dock_parameters=dock dock_topics=dock drive_squares drive_to_goal
+    exported_paths=gzserver fleet fleet_names=fleet gazebo_server=gzserver
+    gazebo_server_arguments=gzserver gazebo_window=gzclient goal_parameters=drive_to_goal
+    goal_topics=drive_to_goal good_features harris_corners image_node noisy_odom place_beacon
+    populate save_world show_sensors spawn_arguments=spawn_model spawn_model track_robot
+    view_camera
+ros > ros.record: errand_recorder=recorder fleet_markers=rviz plot_beacons plot_docking plot_fleet
+    plot_goal plot_noise plot_sensors plot_vision recorder
+ros.launcher > ros.launcher: signals=command verdict=supervision
+simulation > core: native_output pose schedule
+simulation > simulation: entities=models model_instance=models
+simulation > simulation.physics: attached_frame bodies contact_points=contacts contacts engine
+    joint_dynamics=bodies link_contacts=physics touched_shapes=contacts
+simulation > simulation.plugins: dead_reckoning=wheel_drives samples support_patch=planar_move
+    wheel=wheel_drives
+simulation > simulation.world: description floor_plan gazebo_materials=gazebo_tags gazebo_tags
+    inertia lumping=tree meshes model_reader=sdf model_writer=sdf_writer plugin_tags=gazebo_tags
+    proportions=inertia resources sdf_elements=sdf_writer sdf_reader=sdf sdf_state=sdf
+    sdf_unknown=gazebo_tags tree urdf_reader=urdf world_writer=sdf_writer xacro_child
+    xacro_files=xacro xacro_packages=xacro_child xml_input=xml
+simulation.devices > simulation.plugins: bumper camera depth_camera=camera device=plugin
+    diff_drive=wheel_drives imu joint_states laser=ray_sensors noise=plugin p3d planar_move
+    range_sensor=ray_sensors ray_scan=ray_sensors sensor_tag=plugin skid_steer=wheel_drives
+    wheels=wheel_drives
+simulation.rendering > simulation.rendering: choice=graphics textures=surfaces
+vision > vision: edge_fit=quads errors=images explanation=marker_detector nested=quads
+    pose_memory=marker_observer sampling=images small_algebra=algebra
+"""
 # Folders that are gone, and where to look for names that one itself gave.
 PACKAGES = {
     "experiments": "",
@@ -265,6 +102,22 @@ PACKAGES = {
     "simulation.devices": "simulation.plugins",
 }
 _ROOT = "bullet_lab."
+
+
+def _read(table: str) -> Dict[str, str]:
+    found: Dict[str, str] = {}
+    for line in table.strip().splitlines():
+        folders, colon, words = line.rpartition(":")
+        if colon:
+            old_folder, new_folder = folders.split(" > ")
+        for word in words.split():
+            old, _, new = word.partition("=")
+            found[f"{old_folder}.{old}"] = f"{new_folder}.{new or old}"
+    return found
+
+
+MOVED = _read(_TABLE)
+"""New names by the old ones, below bullet_lab."""
 
 
 class _Alias(Loader):
@@ -285,10 +138,9 @@ class _Alias(Loader):
         module.__spec__ = self._spec
 
     def get_code(self, fullname: str) -> Any:
-        """Return the new module's code, or its folder's, for `python -m` with the old name."""
-        name = re.sub(r"\.study$", ".__main__", self._name)
-        loader: Any = importlib.util.find_spec(name).loader
-        return loader.get_code(name)
+        """Return the new module's code, for `python -m` with the old name."""
+        loader: Any = importlib.util.find_spec(self._name).loader
+        return loader.get_code(self._name)
 
 
 class _Folder(Loader):
@@ -307,9 +159,7 @@ class _Finder(MetaPathFinder):
     """Finds modules by their old names, after all others have failed to."""
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> Optional[ModuleSpec]:
-        if not fullname.startswith(_ROOT):
-            return None
-        name = fullname[len(_ROOT) :]
+        name = fullname[len(_ROOT) :] if fullname.startswith(_ROOT) else ""
         if name in MOVED:
             return ModuleSpec(fullname, _Alias(_ROOT + MOVED[name]), origin=fullname)
         if name in PACKAGES:

@@ -6,95 +6,109 @@ Example:
 
 from __future__ import annotations
 
-import argparse
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, List, NoReturn, Optional, Sequence, Tuple
+
+import numpy as np
 
 from bullet_lab.core.angles import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import write_json
+from bullet_lab.core.parameters import boolean, choice, integer, number
 from bullet_lab.core.pose import Pose
 from bullet_lab.drive.square import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
-from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, make_rule
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.reports.squares import PathsRecording, noise_figure, squares_summary
-from bullet_lab.simulation.plugins.samples import PlanarCommand
+from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.studies.study import MOST_SEED, SUMMARY, Tell, run_from
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 SECONDS_PER_STEP = 1e-3
+NANOSECONDS_PER_STEP = 1_000_000
+NO_SIDE = -1
+"""The side of poses before the first one."""
+
+DEFAULT_ALPHAS = (0.01, 0.001, 0.01, 0.001)
 
 
-def drive_square(
-    square: Square,
-    on_odometry: Callable[[int, PlanarPose], None],
-    mode: str = OPEN_LOOP,
-    rest: float = 0.5,
-    on_corner: Callable[[PlanarPose], None] = lambda pose: None,
-) -> float:
-    """Simulate the block robot along a square, with a rest before and after it.
+@dataclass(frozen=True, eq=False)
+class SquareDrive:
+    """The perfect odometry of a square, message by message.
 
-    Args:
-        square: what to drive.
-        on_odometry: gets the step in ms and the pose (m, m, rad) of each odometry message.
-        mode: one of `MODES`, what ends a side.
-        rest: s.
-        on_corner: gets the pose at the start of each side and at the end.
+    Attributes:
+        steps: ms, shape (n,).
+        poses: x (m), y (m), yaw (rad), shape (n, 3).
+        sides: from 0, the turn after each included; `NO_SIDE` before the first; (n,).
+        corners: where the sides start and the last one ends (m), shape (sides + 1, 2).
+        seconds: how long it took, in s of simulated time.
+    """
 
-    Returns:
-        How long it took, in s of simulated time.
+    steps: np.ndarray
+    poses: np.ndarray
+    sides: np.ndarray
+    corners: np.ndarray
+    seconds: float
+
+    @property
+    def stamps(self) -> np.ndarray:
+        """Stamps of the messages in s, shape (n,)."""
+        return self.steps * SECONDS_PER_STEP
+
+
+def drive_square(square: Square, mode: str = OPEN_LOOP, rest: float = 0.5) -> SquareDrive:
+    """Simulate the block robot along a square, with a rest (s) before and after it.
 
     Raises:
         LabError: the mode is unknown, or the simulation's files are missing.
     """
     driver = SquareDriver(square, mode)
+    rows: List[Tuple[int, PlanarPose, int]] = []
+    corners: List[Tuple[float, float]] = []
+
+    def record(sample: OdometrySample) -> None:
+        rows.append((sample.step, _planar(sample.pose), NO_SIDE + len(corners)))
+
     with Simulation.of(WORLD) as simulation:
         robot = simulation.spawn(ROBOT)
-        robot.listen("odom", lambda sample: on_odometry(sample.step, planar(sample.pose)))
+        robot.listen("odom", record)
 
         def send(command: Command, seconds: float) -> None:
             robot.command("cmd_vel", PlanarCommand(vx=command[0], wz=command[1]))
             simulation.run_for(seconds)
 
         simulation.run_for(rest)
-        corners = 0
         while True:
-            pose = planar(robot.pose())
+            pose = _planar(robot.pose())
             command = driver.command(pose)
             if command is None:
                 break
-            if driver.sides_done == corners:
-                corners += 1
-                on_corner(pose)
+            if driver.sides_done == len(corners):
+                corners.append(pose[:2])
             send(command, 1.0 / driver.rate)
         send((0.0, 0.0), rest)
-        on_corner(planar(robot.pose()))
-        return simulation.seconds
+        corners.append(_planar(robot.pose())[:2])
+        return SquareDrive(*map(np.array, (*zip(*rows), corners)), simulation.seconds)
 
 
-def planar(pose: Pose) -> PlanarPose:
+def _planar(pose: Pose) -> PlanarPose:
     """Return x, y (m) and yaw (rad), to the bit as nodes read them from a message."""
     x, y, _ = pose.position
     return x, y, yaw_from_quaternion(*pose.quaternion)
-
-
-NANOSECONDS_PER_STEP = 1_000_000
-DEFAULT_ALPHAS = (0.01, 0.001, 0.01, 0.001)
 
 
 @dataclass(frozen=True)
 class SquaresSettings:
     """Settings of a run; the names are those of the job's arguments."""
 
-    std: float = 0.1
-    seed: int = 1
-    model: str = "report"
-    mode: str = OPEN_LOOP
-    as_published: bool = False
+    std: float = number(0.1, "parameter of the noise", 0.0)
+    seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
+    model: str = choice("report", "rule of the noise", MODELS)
+    mode: str = choice(OPEN_LOOP, "what ends a side", MODES)
+    as_published: bool = boolean(False, "put on the report's noise, defects and all")
 
 
 def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
@@ -112,16 +126,15 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
     Raises:
         LabError: a setting that makes no sense, or a folder that cannot be written to.
     """
-    noise = _Noise(settings)
+    noisy = _noise(settings)
     recording = PathsRecording(folder)
-
-    def record(step: int, pose: PlanarPose) -> None:
-        stamp = step * NANOSECONDS_PER_STEP
-        recording.add_perfect(stamp, pose)
-        for noisy in noise.add(step, pose):
-            recording.add_noisy(stamp, _through_message(noisy))
-
-    seconds = drive_square(Square(), record, settings.mode)
+    drive = drive_square(Square(), settings.mode)
+    for step, pose in zip(drive.steps.tolist(), drive.poses.tolist()):
+        recording.add_perfect(step * NANOSECONDS_PER_STEP, pose)
+        for x, y, yaw in noisy(step, pose):
+            # Through the quaternion of a message.
+            there = x, y, yaw_from_quaternion(*quaternion_from_yaw(yaw))
+            recording.add_noisy(step * NANOSECONDS_PER_STEP, there)
     recording.finish()
     perfect, pairs = recording.perfect(), recording.pairs()
     summary = {
@@ -129,53 +142,33 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
         **asdict(settings),
         "finished": True,
         **squares_summary(perfect, pairs),
-        "sim_time_s": seconds,
+        "sim_time_s": drive.seconds,
     }
-    write_json(folder / "summary.json", summary)
+    write_json(folder / SUMMARY, summary)
     save(noise_figure(perfect, pairs), folder / "paths.png")
     return summary
 
 
-class _Noise:
-    """The noise of the settings, as noisy_odom puts it on."""
-
-    def __init__(self, settings: SquaresSettings):
-        rule = make_rule(settings.model, settings.std, DEFAULT_ALPHAS)
-        self._path = NoisyPath(rule, settings.seed)
-        self._published = PublishedNoise(settings.std, settings.seed)
-        self._sampler = Sampler(PUBLISHED_RATE) if settings.as_published else None
-
-    def add(self, step: int, pose: PlanarPose) -> List[PlanarPose]:
-        """Return the noisy pose for a perfect one, or nothing where none is published."""
-        if self._sampler is None:
-            return [self._path.update(*pose).pose]
-        return [self._published.update(*pose)] if self._sampler.due(step * SECONDS_PER_STEP) else []
+def _noise(settings: SquaresSettings) -> Callable[[int, Sequence[float]], List[PlanarPose]]:
+    """Return what gives the noisy poses that noisy_odom publishes for a perfect one: 0 or 1."""
+    rule = make_rule(settings.model, settings.std, DEFAULT_ALPHAS)
+    if not settings.as_published:
+        path = NoisyPath(rule, settings.seed)
+        return lambda step, pose: [path.update(*pose).pose]
+    published, sampler = PublishedNoise(settings.std, settings.seed), Sampler(PUBLISHED_RATE)
+    return lambda step, pose: (
+        [published.update(*pose)] if sampler.due(step * SECONDS_PER_STEP) else []
+    )
 
 
-def _through_message(pose: PlanarPose) -> PlanarPose:
-    """Return a pose as it is after its yaw has gone through the quaternion of a message."""
-    x, y, yaw = pose
-    return x, y, yaw_from_quaternion(*quaternion_from_yaw(yaw))
+def _run(folder: Path, settings: SquaresSettings, _tell: Tell) -> None:
+    run_squares(folder, settings)
 
 
-def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run the experiment from the command line; return the exit status."""
-    parser = argparse.ArgumentParser(description="Drive the square without ROS.")
-    parser.add_argument("out", type=Path, help="folder for the results")
-    parser.add_argument("--std", type=float, default=SquaresSettings.std)
-    parser.add_argument("--seed", type=int, default=SquaresSettings.seed)
-    parser.add_argument("--model", choices=MODELS, default=SquaresSettings.model)
-    parser.add_argument("--mode", choices=MODES, default=SquaresSettings.mode)
-    parser.add_argument("--as-published", action="store_true")
-    values = vars(parser.parse_args(arguments))
-    folder = values.pop("out")
-    try:
-        run_squares(folder, SquaresSettings(**values))
-    except LabError as error:
-        print(f"squares: {error}", file=sys.stderr)
-        return 2
-    return 0
+def main(words: Optional[Sequence[str]] = None) -> NoReturn:
+    """Run the experiment from the command line; see `run_from`."""
+    run_from("squares", __doc__, (SquaresSettings,), _run, words)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

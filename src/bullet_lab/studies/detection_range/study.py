@@ -1,8 +1,8 @@
 """From where the marker is found: closest, farthest, and how well, by distance, bearing, light.
 
 Example:
-    python3 -m bullet_lab.studies.detection_range results/detection_range
-    python3 -m bullet_lab.studies.detection_range results/panel --worlds marker_panel --frames 100
+    python3 -m bullet_lab.studies.detection_range.study results/detection_range
+    python3 -m bullet_lab.studies.detection_range.study results/panel --worlds marker_panel
 """
 
 from __future__ import annotations
@@ -339,3 +339,7 @@ def _run(folder: Path, settings: RangeSettings, who: WorkerSettings, tell: Tell)
 def main(words: Optional[Sequence[str]] = None) -> NoReturn:
     """Run from the command line; see `run_from`."""
     run_from("detection_range", __doc__, (RangeSettings, WorkerSettings), _run, words)
+
+
+if __name__ == "__main__":
+    main()

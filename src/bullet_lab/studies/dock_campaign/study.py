@@ -1,8 +1,8 @@
 """Hundreds of dockings from random starts, on all cores, without ROS.
 
 Example:
-    python3 -m bullet_lab.studies.dock_campaign results/dock_campaign -n 200 --seed 1
-    python3 -m bullet_lab.studies.dock_campaign results/far --scheduler tcp://host:8786
+    python3 -m bullet_lab.studies.dock_campaign.study results/dock_campaign -n 200 --seed 1
+    python3 -m bullet_lab.studies.dock_campaign.study results/far --scheduler tcp://host:8786
 """
 
 from __future__ import annotations
@@ -207,3 +207,7 @@ def main(words: Optional[Sequence[str]] = None) -> NoReturn:
     """Run the campaign from the command line; see `run_from`."""
     settings = (CampaignSettings, ClusterSettings)
     run_from("dock_campaign", __doc__, settings, _run, words, short=[("-n", "dockings")])
+
+
+if __name__ == "__main__":
+    main()

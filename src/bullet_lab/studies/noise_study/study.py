@@ -1,8 +1,8 @@
 """Thousands of noisy versions of one path, at every level of noise, without ROS.
 
 Example:
-    python3 -m bullet_lab.studies.noise_study results/noise_study --paths 10000
-    python3 -m bullet_lab.studies.noise_study results/mine --path odom.tum --levels 0.05 0.1
+    python3 -m bullet_lab.studies.noise_study.study results/noise_study --paths 10000
+    python3 -m bullet_lab.studies.noise_study.study results/mine --path odom.tum --levels 0.05 0.1
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import numpy as np
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
 from bullet_lab.core.parameters import check_parameters, choices, integer, number, numbers, text
-from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.drive.square import Square
 from bullet_lab.noise.noisy_paths import study_generator
@@ -30,7 +29,7 @@ from bullet_lab.studies.noise_study.figures import (
 )
 from bullet_lab.studies.noise_study.paths import check_path, read_path, resample, write_tum
 from bullet_lab.studies.noise_study.statistics import Case, study_case
-from bullet_lab.studies.squares import SECONDS_PER_STEP, drive_square
+from bullet_lab.studies.squares import drive_square
 from bullet_lab.studies.study import (
     MOST_SEED,
     SUMMARY,
@@ -85,15 +84,8 @@ class PathSettings:
 
 def simulated_square(laps: int = 1) -> Trajectory:
     """Return the odometry of the square that the report drives, from the simulation, at 20 Hz."""
-    stamps: List[float] = []
-    poses: List[PlanarPose] = []
-
-    def record(step: int, pose: PlanarPose) -> None:
-        stamps.append(step * SECONDS_PER_STEP)
-        poses.append(pose)
-
-    drive_square(Square(sides=SIDES_PER_LAP * laps), record, rest=0.0)
-    return Trajectory(stamps, poses)
+    drive = drive_square(Square(sides=SIDES_PER_LAP * laps), rest=0.0)
+    return Trajectory(drive.stamps, drive.poses)
 
 
 def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = silent) -> List[Case]:
@@ -277,3 +269,7 @@ def _run(folder: Path, settings: StudySettings, perfect: PathSettings, tell: Tel
 def main(words: Optional[Sequence[str]] = None) -> NoReturn:
     """Run the study from the command line; see `run_from`."""
     run_from("noise_study", __doc__, (StudySettings, PathSettings), _run, words)
+
+
+if __name__ == "__main__":
+    main()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import astuple, dataclass, fields
-from typing import Callable, Tuple
+from typing import Any, Tuple
 
 import numpy as np
 
@@ -64,28 +64,7 @@ def combinations() -> Tuple[Defects, ...]:
     return tuple(sorted((Defects(*s) for s in switches), key=lambda d: len(d.names)))
 
 
-@dataclass(frozen=True)
-class Functions:
-    """The functions of angles that the algorithm uses, for arrays."""
-
-    sin: Callable
-    cos: Callable
-    atan2: Callable
-    hypot: Callable
-
-
-NUMPY = Functions(np.sin, np.cos, np.arctan2, np.hypot)
-"""As fast as they come; the last bit is up to the processor."""
-
-PYTHON = Functions(
-    *(np.vectorize(f, otypes=[float]) for f in (math.sin, math.cos, math.atan2, math.hypot))
-)
-"""Those of the module math, a hundred times slower: to the last bit what `PublishedNoise` uses."""
-
-
-def noisy_paths(
-    poses, draws, std: float, defects: Defects, functions: Functions = NUMPY
-) -> np.ndarray:
+def noisy_paths(poses, draws, std: float, defects: Defects, functions: Any = np) -> np.ndarray:
     """Put noise on the poses that the algorithm sees.
 
     `Defects.sampled` is not looked at here: it says which poses these are, see `sampled`.
@@ -97,7 +76,8 @@ def noisy_paths(
             k is that of a live algorithm whose generator draws `draws[:, k]`.
         std: standard deviation per metre and per radian, for each step, >= 0.
         defects: which are in.
-        functions: to compute with.
+        functions: what has sin, cos, arctan2 and hypot for arrays. Numpy's are as fast as they
+            come, and their last bit is up to the processor.
 
     Returns:
         Noisy poses, shape (n, m, 3), yaw in [-pi, pi].
@@ -141,7 +121,7 @@ class _Algorithm:
 
     std: float
     defects: Defects
-    functions: Functions
+    functions: Any
 
     def step(self, pose, noisy_yaw, before, now, draws):
         """Return the summed pose (x, y and a yaw that is never wrapped) after one more step.
@@ -158,7 +138,7 @@ class _Algorithm:
         dx, dy = now[0] - remembered[0], now[1] - remembered[1]
         turn = now[2] - remembered[2]
         trans = self.functions.hypot(dx, dy)
-        rot1 = self.functions.atan2(dy, dx) - remembered[2]
+        rot1 = self.functions.arctan2(dy, dx) - remembered[2]
         rot2 = turn - rot1
         if not self.defects.unwrapped:
             rot1, rot2, turn = wrap(rot1), wrap(rot2), wrap(turn)
@@ -180,7 +160,7 @@ class _Algorithm:
     def through_message(self, yaw: np.ndarray) -> np.ndarray:
         """Return a yaw (rad) as it is read back from the quaternion of a message."""
         z, w = self.functions.sin(0.5 * yaw), self.functions.cos(0.5 * yaw)
-        return self.functions.atan2(2.0 * (w * z + 0.0), w * w - z * z)
+        return self.functions.arctan2(2.0 * (w * z + 0.0), w * w - z * z)
 
 
 def sampled(stamps, rate: float, phases) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Mapping, Optional, Sequence, Tuple
 
 import numpy as np
@@ -14,7 +13,14 @@ from matplotlib.patches import Patch
 from bullet_lab.core.angles import wrap
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
-from bullet_lab.studies.published_noise.results import RESOLUTION, SIGNIFICANCE
+from bullet_lab.studies.published_noise.results import (
+    RESOLUTION,
+    SIGNIFICANCE,
+    Result,
+    groups_of_same,
+    log10_to_best,
+)
+from bullet_lab.studies.published_noise.side_deviation import PublishedFigure
 
 PLAIN_NAMES = {
     "aliasing": "aliasing",
@@ -30,90 +36,59 @@ _WINDOW = ((-0.55, 2.35), (-2.4, 0.5))  # m, of all small paths
 _PERFECT = {"color": ORANGE, "linewidth": 3.2, "zorder": 3}
 _NOISY = {"color": BLUE, "linewidth": 1.2, "zorder": 4}
 _OTHERS = {"color": BLUE, "linewidth": 0.5, "alpha": 0.3, "zorder": 2}
+_PERFECT_MARKS = {"color": ORANGE, "marker": "s", "linestyle": "", "markersize": 4}
 _SMALLEST_DRAWN = 1e-4  # m; below, the deviations are all the same on paper
 
 
-@dataclass(frozen=True, eq=False)
-class Sheet:
-    """What the figures of paths have in common.
-
-    Attributes:
-        corners: of the simulated square (m), shape (5, 2).
-        published: points of the noisy path of figure 1b (m), shape (n, 2).
-        published_corners: of its square (m), shape (5, 2).
-        std: of the noise.
-    """
-
-    corners: np.ndarray
-    published: np.ndarray
-    published_corners: np.ndarray
-    std: float
+Shown = Mapping[Defects, Tuple[np.ndarray, float]]
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
-    """A line of the figure of sides.
-
-    Attributes:
-        switches: for each of `DEFECTS` whether it is in; None: the same with and without.
-        quantiles: 5, 25, 50, 75 and 95 % of the deviations (m) on four sides and at the end, shape
-            (5, 5).
-        log10_ratio: logarithm of the likelihood over that of the best.
-        p_value: of figure 1b.
-    """
-
-    switches: Sequence[Optional[bool]]
-    quantiles: np.ndarray
-    log10_ratio: float
-    p_value: float
-
-
-def compare_figure(sheet: Sheet, published: np.ndarray, mended: np.ndarray, seed: int) -> Figure:
+def compare_figure(
+    figure_1b: PublishedFigure, corners: np.ndarray, replays: Sequence[np.ndarray], seed: int
+) -> Figure:
     """Draw figure 1b, the report's algorithm replayed, and the mended one.
 
     Args:
-        sheet: what they have in common.
-        published: points of the replay (m), shape (n, 2).
-        mended: points of the mended algorithm with the same seed (m), shape (n, 2).
-        seed: that seed.
+        figure_1b: what is digitised of it.
+        corners: of the simulated square (m), shape (5, 2).
+        replays: points of the two algorithms (m), shape (n, 2).
+        seed: of both.
     """
     figure = new_figure(11.0, 4.3)
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
     figure.subplots_adjust(left=0.06, right=0.99, top=0.91, bottom=0.2, wspace=0.06)
     contents = (
-        ("Figure 1b as published", sheet.published, sheet.published_corners),
-        (f"The report's algorithm, seed {seed}", published, sheet.corners),
-        (f"The mended algorithm, seed {seed}", mended, sheet.corners),
+        ("Figure 1b as published", figure_1b.points, figure_1b.corners),
+        (f"The report's algorithm, seed {seed}", replays[0], corners),
+        (f"The mended algorithm, seed {seed}", replays[1], corners),
     )
-    for axes, (title, noisy, corners) in zip(panels, contents):
+    for axes, (title, noisy, square) in zip(panels, contents):
         _frame(axes)
         axes.set_title(title, fontsize=11)
         axes.set_xlabel("x (m)")
         axes.plot(*noisy.T, **_NOISY)
-        axes.plot(*corners.T, **_PERFECT)
+        axes.plot(*square.T, **_PERFECT)
     panels[0].set_ylabel("y (m)")
-    figure.legend(
-        handles=[
-            Line2D([], [], label="noisy odometry", **_NOISY),
-            Line2D([], [], label="perfect odometry", **_PERFECT),
-        ],
-        loc="lower center",
-        ncol=2,
-        frameon=False,
-    )
+    handles = [
+        Line2D([], [], label="noisy odometry", **_NOISY),
+        Line2D([], [], label="perfect odometry", **_PERFECT),
+    ]
+    figure.legend(handles=handles, loc="lower center", ncol=2, frameon=False)
     return figure
 
 
 def defects_figure(
-    sheet: Sheet, shown: Mapping[Defects, Tuple[np.ndarray, float]], best: Defects
+    figure_1b: PublishedFigure, corners: np.ndarray, shown: Shown, best: Defects, std: float
 ) -> Figure:
     """Draw a sheet of small paths: figure 1b, all defects, the best, none, each, all but each.
 
     Args:
-        sheet: what they have in common.
+        figure_1b: what is digitised of it.
+        corners: of the simulated square (m), shape (5, 2).
         shown: some noisy paths (m), shape (n, m, 2), and the p-value of figure 1b for each
             combination that is drawn; the first path is drawn in bold.
         best: the combination that explains figure 1b best.
+        std: of the noise.
     """
     figure = new_figure(11.5, 7.9)
     panels = figure.subplots(3, 5, sharex=True, sharey=True)
@@ -122,17 +97,22 @@ def defects_figure(
         _frame(axes)
         axes.tick_params(labelsize=8)
     first, alone, all_but = panels
-    _draw_published(first[0], sheet)
-    _draw_paths(first[1], "all five: as published", ALL, sheet, shown)
-    title = "the best: " + " + ".join(PLAIN_NAMES[name] for name in best.names)
-    _draw_paths(first[2], title if best.names else "the best: none", best, sheet, shown)
-    _draw_paths(first[3], "none: mended", NONE, sheet, shown)
-    _draw_legend(first[4], sheet)
-    for axes, name in zip(alone, DEFECTS):
-        _draw_paths(axes, f"only {PLAIN_NAMES[name]}", Defects(**{name: True}), sheet, shown)
-    for axes, name in zip(all_but, DEFECTS):
+    first[0].set_title("figure 1b, as published", fontsize=9, fontweight="bold")
+    first[0].plot(*figure_1b.points.T, **_NOISY)
+    first[0].plot(*figure_1b.corners.T, **_PERFECT)
+    found = "the best: " + (" + ".join(PLAIN_NAMES[name] for name in best.names) or "none")
+    drawn = [
+        (first[1], "all five: as published", ALL),
+        (first[2], found, best),
+        (first[3], "none: mended", NONE),
+    ]
+    for one, other, name in zip(alone, all_but, DEFECTS):
         others = Defects(**{other: other != name for other in DEFECTS})
-        _draw_paths(axes, f"all but {PLAIN_NAMES[name]}", others, sheet, shown)
+        drawn.append((one, f"only {PLAIN_NAMES[name]}", Defects(**{name: True})))
+        drawn.append((other, f"all but {PLAIN_NAMES[name]}", others))
+    for axes, title, defects in drawn:
+        _draw_paths(axes, title, corners, *shown[defects])
+    _draw_legend(first[4], std)
     return figure
 
 
@@ -142,28 +122,18 @@ def _frame(axes: Axes) -> None:
     axes.grid(alpha=0.3)
 
 
-def _draw_published(axes: Axes, sheet: Sheet) -> None:
-    axes.set_title("figure 1b, as published", fontsize=9, fontweight="bold")
-    axes.plot(*sheet.published.T, **_NOISY)
-    axes.plot(*sheet.published_corners.T, **_PERFECT)
-
-
 def _draw_paths(
-    axes: Axes,
-    title: str,
-    defects: Defects,
-    sheet: Sheet,
-    shown: Mapping[Defects, Tuple[np.ndarray, float]],
+    axes: Axes, title: str, corners: np.ndarray, paths: np.ndarray, p_value: float
 ) -> None:
-    paths, p_value = shown[defects]
     axes.set_title(_in_two_lines(title), fontsize=9)
     axes.plot(paths[:, 1:, 0], paths[:, 1:, 1], **_OTHERS)
     axes.plot(*paths[:, 0].T, **_NOISY)
-    axes.plot(*sheet.corners.T, **_PERFECT)
+    axes.plot(*corners.T, **_PERFECT)
     explains = p_value >= SIGNIFICANCE
+    p_text = f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"
     axes.text(
-        *sheet.corners[:4].mean(axis=0),
-        f"{_p_text(p_value)}\n{'explains 1b' if explains else 'does not'}",
+        *corners[:4].mean(axis=0),
+        f"{p_text}\n{'explains 1b' if explains else 'does not'}",
         ha="center",
         va="center",
         fontsize=9,
@@ -176,48 +146,32 @@ def _draw_paths(
 def _in_two_lines(title: str) -> str:
     if len(title) <= 28:
         return title
-    middle = min(
-        (k for k, letter in enumerate(title) if letter == " "),
-        key=lambda k: abs(k - len(title) / 2),
-    )
+    spaces = (k for k, letter in enumerate(title) if letter == " ")
+    middle = min(spaces, key=lambda k: abs(k - len(title) / 2))
     return f"{title[:middle]}\n{title[middle + 1 :]}"
 
 
-def _p_text(p_value: float) -> str:
-    return f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"
-
-
-def _draw_legend(axes: Axes, sheet: Sheet) -> None:
+def _draw_legend(axes: Axes, std: float) -> None:
     axes.axis("off")
-    axes.legend(
-        handles=[
-            Line2D([], [], label="perfect path", **_PERFECT),
-            Line2D([], [], label="noisy path, first seed", **_NOISY),
-            Line2D([], [], label="other seeds", **_OTHERS),
-        ],
-        loc="upper center",
-        fontsize=9,
-        frameon=False,
-    )
-    axes.text(
-        0.5,
-        0.5,
-        f"std = {sheet.std:g}; axes in m.\n\n"
-        "p: how usual figure 1b\nwould be, were these\nthe defects",
-        ha="center",
-        va="top",
-        fontsize=9,
-        transform=axes.transAxes,
-    )
+    handles = [
+        Line2D([], [], label="perfect path", **_PERFECT),
+        Line2D([], [], label="noisy path, first seed", **_NOISY),
+        Line2D([], [], label="other seeds", **_OTHERS),
+    ]
+    axes.legend(handles=handles, loc="upper center", fontsize=9, frameon=False)
+    text = f"std = {std:g}; axes in m.\n\np: how usual figure 1b\nwould be, were these\nthe defects"
+    axes.text(0.5, 0.5, text, ha="center", va="top", fontsize=9, transform=axes.transAxes)
 
 
-def sides_figure(rows: Sequence[Row], measured: np.ndarray) -> Figure:
+def sides_figure(results: Sequence[Result], measured: np.ndarray) -> Figure:
     """Draw the deviations on the sides and at the end for all combinations, and figure 1b's.
 
     Args:
-        rows: the combinations, best first.
+        results: of the combinations, best first; those that do the same share a line.
         measured: deviations of figure 1b (m), shape (5,).
     """
+    ratios = dict(zip((result.defects for result in results), log10_to_best(results)))
+    rows = groups_of_same(results)
     figure = new_figure(12.5, 1.45 + 0.26 * len(rows))
     head = 0.48 / figure.get_figheight()
     grid = figure.add_gridspec(
@@ -232,37 +186,35 @@ def sides_figure(rows: Sequence[Row], measured: np.ndarray) -> Figure:
     )
     left, *sides, right = [figure.add_subplot(cell) for cell in grid]
     _draw_switches(left, rows)
+    quantiles = np.array([group[0].quantiles() for group in rows])
     for side, axes in enumerate(sides):
-        _draw_side(axes, rows, side, measured[side])
-    _draw_scores(right, rows)
+        axes.set_title("end of the drive" if side == 4 else f"side {side + 1}", fontsize=10)
+        _draw_side(axes, quantiles[:, :, side], measured[side])
+    _draw_scores(right, [(ratios[group[0].defects], group[0].likeness.p_value) for group in rows])
     for axes in (left, *sides, right):
         axes.set_ylim(len(rows) - 0.5, -0.5)
         for y in range(0, len(rows), 2):
             axes.axhspan(y - 0.5, y + 0.5, color="0.94", zorder=0, linewidth=0)
-    figure.legend(
-        handles=[
-            Line2D([], [], label="defect: in", **_mark(True)),
-            Line2D([], [], label="mended", **_mark(False)),
-            Line2D([], [], label="in or mended: the same", **_mark(None)),
-            Line2D([], [], color=VERMILION, linewidth=1.5, label="figure 1b"),
-            Patch(facecolor=VERMILION, alpha=0.25, label="as far as it can be read"),
-            Line2D([], [], color=BLUE, linewidth=1.0, label="5 to 95 % of the seeds"),
-            Line2D([], [], color=BLUE, linewidth=4.0, label="25 to 75 %"),
-            Line2D([], [], color="white", marker="o", markeredgecolor=BLACK, label="median"),
-        ],
-        loc="lower center",
-        ncol=4,
-        fontsize=8.5,
-        frameon=False,
-    )
+    handles = [
+        Line2D([], [], label="defect: in", **_mark(True)),
+        Line2D([], [], label="mended", **_mark(False)),
+        Line2D([], [], label="in or mended: the same", **_mark(None)),
+        Line2D([], [], color=VERMILION, linewidth=1.5, label="figure 1b"),
+        Patch(facecolor=VERMILION, alpha=0.25, label="as far as it can be read"),
+        Line2D([], [], color=BLUE, linewidth=1.0, label="5 to 95 % of the seeds"),
+        Line2D([], [], color=BLUE, linewidth=4.0, label="25 to 75 %"),
+        Line2D([], [], color="white", marker="o", markeredgecolor=BLACK, label="median"),
+    ]
+    figure.legend(handles=handles, loc="lower center", ncol=4, fontsize=8.5, frameon=False)
     return figure
 
 
-def _draw_switches(axes: Axes, rows: Sequence[Row]) -> None:
+def _draw_switches(axes: Axes, rows: Sequence[Sequence[Result]]) -> None:
     axes.set_xlim(-0.7, len(DEFECTS) - 0.3)
-    for y, row in enumerate(rows):
-        for x, switch in enumerate(row.switches):
-            axes.plot(x, y, zorder=3, **_mark(switch))
+    for y, group in enumerate(rows):
+        for x, name in enumerate(DEFECTS):
+            values = {getattr(result.defects, name) for result in group}
+            axes.plot(x, y, zorder=3, **_mark(values.pop() if len(values) == 1 else None))
     axes.set_xticks(range(len(DEFECTS)))
     axes.xaxis.tick_top()
     axes.set_xticklabels(
@@ -282,12 +234,10 @@ def _mark(switch: Optional[bool]) -> dict:
     return {"linestyle": "", "markersize": 6.5, **look}
 
 
-def _draw_side(axes: Axes, rows: Sequence[Row], side: int, measured: float) -> None:
-    axes.set_title("end of the drive" if side == 4 else f"side {side + 1}", fontsize=10)
-    low, lower, middle, upper, high = (
-        np.maximum([row.quantiles[k, side] for row in rows], _SMALLEST_DRAWN) for k in range(5)
-    )
-    y = np.arange(len(rows))
+def _draw_side(axes: Axes, quantiles: np.ndarray, measured: float) -> None:
+    """Draw quantiles (m), a row of five for each line, and what was measured."""
+    low, lower, middle, upper, high = np.maximum(quantiles, _SMALLEST_DRAWN).T
+    y = np.arange(len(quantiles))
     axes.hlines(y, low, high, color=BLUE, linewidth=1.0, zorder=2)
     axes.hlines(y, lower, upper, color=BLUE, linewidth=4.0, zorder=2)
     axes.plot(middle, y, "o", color="white", markeredgecolor=BLACK, markersize=4.5, zorder=4)
@@ -304,15 +254,15 @@ def _draw_side(axes: Axes, rows: Sequence[Row], side: int, measured: float) -> N
     axes.grid(axis="x", alpha=0.3)
 
 
-def _draw_scores(axes: Axes, rows: Sequence[Row]) -> None:
+def _draw_scores(axes: Axes, scores: Sequence[Tuple[float, float]]) -> None:
     axes.set_xlim(0.0, 1.0)
     axes.axis("off")
     for x, text in ((0.28, "likelihood\n(best: 1)"), (0.78, "p of\nfigure 1b")):
         axes.text(x, -0.75, text, ha="center", va="bottom", fontsize=8)
-    for y, row in enumerate(rows):
-        weight = "bold" if row.p_value >= SIGNIFICANCE else "normal"
-        p_text = f"{row.p_value:.2f}" if row.p_value >= 0.01 else "< 0.01"
-        for x, text in ((0.28, _ratio_text(row.log10_ratio)), (0.78, p_text)):
+    for y, (log10_ratio, p_value) in enumerate(scores):
+        weight = "bold" if p_value >= SIGNIFICANCE else "normal"
+        p_text = f"{p_value:.2f}" if p_value >= 0.01 else "< 0.01"
+        for x, text in ((0.28, _ratio_text(log10_ratio)), (0.78, p_text)):
             axes.text(x, y, text, ha="center", va="center", fontsize=9, fontweight=weight)
 
 
@@ -339,7 +289,7 @@ def first_turns_figure(
     rows = figure.subplots(3, len(runs), sharex=True, sharey="row", squeeze=False)
     figure.subplots_adjust(left=0.1, right=0.985, top=0.94, bottom=0.15, wspace=0.06, hspace=0.14)
     for column, (defects, run) in zip(rows.T, runs.items()):
-        _draw_turns(column, defects, *run)
+        _draw_turns(column, defects.unwrapped, *run)
         for axes in column:
             axes.axvspan(*third_side, color="0.88", zorder=0, linewidth=0)
             axes.grid(alpha=0.3)
@@ -349,34 +299,23 @@ def first_turns_figure(
     rows[0, 0].set(ylim=(-200, 200), yticks=(-180, -90, 0, 90, 180))
     rows[1, 0].set(ylim=(-400, 400), yticks=(-360, -180, 0, 180, 360))
     rows[2, 0].set_ylim(bottom=0.0)
-    figure.legend(
-        handles=[
-            Line2D([], [], label="noisy odometry", marker="o", **{**_NOISY, "markersize": 3}),
-            Line2D([], [], label="perfect odometry", **_PERFECT_MARKS),
-            Patch(facecolor="0.88", label="third side"),
-        ],
-        loc="lower center",
-        ncol=3,
-        frameon=False,
-    )
+    handles = [
+        Line2D([], [], label="noisy odometry", marker="o", **{**_NOISY, "markersize": 3}),
+        Line2D([], [], label="perfect odometry", **_PERFECT_MARKS),
+        Patch(facecolor="0.88", label="third side"),
+    ]
+    figure.legend(handles=handles, loc="lower center", ncol=3, frameon=False)
     return figure
 
 
-_PERFECT_MARKS = {"color": ORANGE, "marker": "s", "linestyle": "", "markersize": 4}
-
-
 def _draw_turns(
-    column: Sequence[Axes],
-    defects: Defects,
-    stamps: np.ndarray,
-    perfect: np.ndarray,
-    noisy: np.ndarray,
+    column: Sequence[Axes], unwrapped: bool, stamps: np.ndarray, perfect: np.ndarray, noisy
 ) -> None:
     heading, turn, error = column
-    heading.set_title("as published" if defects.unwrapped else "the same, but wrapped")
+    heading.set_title("as published" if unwrapped else "the same, but wrapped")
     steps = perfect[1:, :2] - noisy[:-1, :2]
     rot1 = np.arctan2(steps[:, 1], steps[:, 0]) - noisy[:-1, 2]
-    rot1 = rot1 if defects.unwrapped else wrap(rot1)
+    rot1 = rot1 if unwrapped else wrap(rot1)
     heading.plot(stamps, np.degrees(perfect[:, 2]), **_PERFECT_MARKS)
     heading.plot(stamps, np.degrees(noisy[:, 2]), "o-", markersize=3, **_NOISY)
     turn.plot(stamps[1:], np.degrees(rot1), "o-", markersize=3, **_NOISY)

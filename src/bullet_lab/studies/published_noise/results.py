@@ -11,8 +11,8 @@ at 0, since what is read from a picture is the size of a deviation, never less t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, Dict, List, Mapping, Sequence, Set
+from dataclasses import astuple, dataclass, replace
+from typing import Any, Dict, List, Mapping, Sequence
 
 import numpy as np
 from scipy.special import logsumexp, ndtr
@@ -63,17 +63,7 @@ class Likeness:
 def log_likelihood(
     measured, runs, resolution: float = RESOLUTION, tolerance: float = TOLERANCE
 ) -> float:
-    """Return the natural logarithm of the likelihood of a measurement, for some runs.
-
-    Args:
-        measured: k lengths (m), shape (k,).
-        runs: the same of m simulated runs, shape (m, k).
-        resolution: m; in place of `RESOLUTION`.
-        tolerance: as a share; in place of `TOLERANCE`.
-
-    Raises:
-        LikenessError: the shapes do not go together or a length is not finite and >= 0.
-    """
+    """Return that of `compare`, for another resolution (m) and tolerance (as a share)."""
     measured, runs = _checked(measured, runs)
     point, cloud = (_scale(lengths, resolution, tolerance) for lengths in (measured, runs))
     return float(_log_mean(_exponents(point[np.newaxis], cloud, tolerance))[0])
@@ -98,7 +88,10 @@ def compare(measured, runs, seed: int) -> Likeness:
     return Likeness(
         log_likelihood=logarithm,
         log_likelihood_error=float(np.std(weights) / np.mean(weights) / math.sqrt(len(runs))),
-        percentiles=_share_below(point, cloud),
+        # Shares of the folded Gaussians.
+        percentiles=(ndtr((point - cloud) / TOLERANCE) - ndtr(-(point + cloud) / TOLERANCE)).mean(
+            axis=0
+        ),
         p_value=_p_value(logarithm, cloud, seed),
         nearest=int(np.argmax(exponents)),
     )
@@ -151,13 +144,8 @@ def _p_value(log_likelihood: float, cloud: np.ndarray, seed: int) -> float:
     return (as_unlikely + 1) / (count + 1)
 
 
-def _share_below(point: np.ndarray, cloud: np.ndarray) -> np.ndarray:
-    """Return the share of the folded Gaussians below a point, shape (k,)."""
-    low, high = (point - cloud) / TOLERANCE, (point + cloud) / TOLERANCE
-    return (ndtr(low) - ndtr(-high)).mean(axis=0)
-
-
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+_SHARES = ("q05", "q25", "q50", "q75", "q95")
 
 PLACES = (*(f"side{side}" for side in range(1, SIDES + 1)), "end")
 """Where a path deviates: across each side at most, and at the end of the drive."""
@@ -202,12 +190,11 @@ def groups_of_same(results: Sequence[Result]) -> List[List[Result]]:
     """Put results together that are the same to `SAME`, in the order given."""
     groups: List[List[Result]] = []
     for result in results:
-        for group in groups:
-            if group[0].does_the_same_as(result):
-                group.append(result)
-                break
-        else:
+        home = next((group for group in groups if group[0].does_the_same_as(result)), None)
+        if home is None:
             groups.append([result])
+        else:
+            home.append(result)
     return groups
 
 
@@ -231,7 +218,9 @@ def published_summary(
         measured: its deviations (m), at each of `PLACES`.
         results: of all combinations, ranked.
     """
-    weights = _weights(results)
+    # The share that each has in the likelihood of all, all held equally likely before.
+    shares = np.power(10.0, log10_to_best(results))
+    weights = shares / shares.sum()
     findings = {name: _finding(name, results, weights) for name in DEFECTS}
     needed = [name for name in DEFECTS if findings[name]["verdict"] == "needed"]
     return {
@@ -244,7 +233,12 @@ def published_summary(
         "cannot_be_told": [
             name for name in DEFECTS if findings[name]["verdict"] == "cannot be told"
         ],
-        "robustness": _robustness(measured, results, needed),
+        # Were lengths read half or twice as well.
+        "robustness": [
+            _judge_anew(measured, results, needed, resolution * RESOLUTION, tolerance * TOLERANCE)
+            for resolution in (0.5, 1.0, 2.0)
+            for tolerance in (0.5, 1.0, 2.0)
+        ],
         "defects": findings,
         "combinations": [
             {"rank": rank, **_describe(result, ratio, weight, results)}
@@ -255,12 +249,6 @@ def published_summary(
     }
 
 
-def _weights(results: Sequence[Result]) -> np.ndarray:
-    """Return the share that each has in the likelihood of all, all held equally likely before."""
-    shares = np.power(10.0, log10_to_best(results))
-    return shares / shares.sum()
-
-
 def _finding(name: str, results: Sequence[Result], weights: np.ndarray) -> Dict[str, Any]:
     """Say what the figure says about one defect."""
     weight = float(sum(w for r, w in zip(results, weights) if getattr(r.defects, name)))
@@ -268,7 +256,7 @@ def _finding(name: str, results: Sequence[Result], weights: np.ndarray) -> Dict[
         next(r for r in results if getattr(r.defects, name) == is_in) for is_in in (True, False)
     )
     best = results[0]
-    twin = next(r for r in results if _differ_in(r.defects, best.defects) == {name})
+    twin = replace(best.defects, **{name: not getattr(best.defects, name)})
     verdict = "needed" if weight > 1.0 - DOUBT else "ruled out" if weight < DOUBT else None
     with_over_without = log10_to_best([best_without, best_with])[1]
     return {
@@ -276,20 +264,10 @@ def _finding(name: str, results: Sequence[Result], weights: np.ndarray) -> Dict[
         "weight": round(weight, 6),
         "log10_likelihood_with_over_without": round(with_over_without, 3),
         "best_without": str(best_without.defects),
-        "changes_nothing_in_the_best": best.does_the_same_as(twin),
+        "changes_nothing_in_the_best": best.does_the_same_as(
+            next(result for result in results if result.defects == twin)
+        ),
     }
-
-
-def _robustness(
-    measured: np.ndarray, results: Sequence[Result], needed: Sequence[str]
-) -> List[Dict[str, Any]]:
-    """Say which would be best if lengths were read half or twice as well."""
-    steps = (0.5, 1.0, 2.0)
-    return [
-        _judge_anew(measured, results, needed, resolution * RESOLUTION, tolerance * TOLERANCE)
-        for resolution in steps
-        for tolerance in steps
-    ]
 
 
 def _judge_anew(
@@ -315,14 +293,10 @@ def _judge_anew(
     }
 
 
-def _differ_in(one: Defects, other: Defects) -> Set[str]:
-    return {name for name in DEFECTS if getattr(one, name) != getattr(other, name)}
-
-
 def _describe(
     result: Result, ratio: float, weight: float, results: Sequence[Result]
 ) -> Dict[str, Any]:
-    likeness = result.likeness
+    likeness, quantiles = result.likeness, result.quantiles()
     return {
         "name": str(result.defects),
         "defects": list(result.defects.names),
@@ -331,21 +305,15 @@ def _describe(
         "weight": float(f"{weight:.3g}"),
         "p_value": round(likeness.p_value, 4),
         "side_percentile_of_figure_1b": rounded(100.0 * likeness.percentiles[:SIDES], 1),
-        "side_deviation_m": {
-            share: rounded(row[:SIDES]) for share, row in zip(_shares(), result.quantiles())
-        },
+        "side_deviation_m": {share: rounded(row[:SIDES]) for share, row in zip(_SHARES, quantiles)},
         "end_percentile_of_figure_1b": round(100.0 * float(likeness.percentiles[SIDES]), 1),
-        "end_deviation_m": dict(zip(_shares(), rounded(result.quantiles()[:, SIDES]))),
+        "end_deviation_m": dict(zip(_SHARES, rounded(quantiles[:, SIDES]))),
         "same_as": [
             str(other.defects)
             for other in results
             if other is not result and result.does_the_same_as(other)
         ],
     }
-
-
-def _shares() -> List[str]:
-    return [f"q{100.0 * share:02.0f}" for share in QUANTILES]
 
 
 def rounded(values: Sequence[float], digits: int = 5) -> List[float]:
@@ -357,11 +325,11 @@ def combination_rows(results: Sequence[Result]) -> List[List[Any]]:
     """Return combinations.csv: a header, and a row for each combination, ranked; m and %."""
     header = ["rank", *DEFECTS, "log10_likelihood_to_best", "p_value"]
     for place in PLACES:
-        header += [f"{place}_{share}_m" for share in _shares()] + [f"{place}_percentile"]
+        header += [f"{place}_{share}_m" for share in _SHARES] + [f"{place}_percentile"]
     rows: List[List[Any]] = [header]
     for rank, (result, ratio) in enumerate(zip(results, log10_to_best(results)), start=1):
-        row = [rank, *_switches(result.defects), round(ratio, 3)]
-        row.append(round(result.likeness.p_value, 4))
+        switches = map(int, astuple(result.defects))
+        row = [rank, *switches, round(ratio, 3), round(result.likeness.p_value, 4)]
         for quantiles, percentile in zip(result.quantiles().T, result.likeness.percentiles):
             row += rounded(quantiles) + [round(100.0 * float(percentile), 1)]
         rows.append(row)
@@ -373,14 +341,10 @@ def deviation_rows(results: Sequence[Result], first_seed: int) -> List[List[Any]
     header = ["seed", *DEFECTS, *(f"{place}_m" for place in PLACES)]
     rows: List[List[Any]] = [header]
     for result in results:
-        switches = _switches(result.defects)
+        switches = list(map(int, astuple(result.defects)))
         for seed, deviations in enumerate(result.deviations, start=first_seed):
             rows.append([seed, *switches, *rounded(deviations, 6)])
     return rows
-
-
-def _switches(defects: Defects) -> List[int]:
-    return [int(getattr(defects, name)) for name in DEFECTS]
 
 
 def verdict_lines(summary: Mapping[str, Any]) -> List[str]:

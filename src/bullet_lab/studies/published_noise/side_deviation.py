@@ -11,12 +11,19 @@ import numpy as np
 from bullet_lab.errors import LabError
 
 SIDES = 4
-NO_SIDE = -1
-"""The label of points that belong to no side, such as those before the start."""
+# At the end of figure 1b no blue shows beside the orange, and at the corners no more than a
+# pixel; so the corners of its noisy path are those of its perfect path as well.
+SEEN_AT_END = 0.0
+_CORNER_REACH = 0.1  # m; the corners of figure 1b are within 0.06 m of the simulated ones
+_LEAST_STEP = 0.1  # m; shorter steps of the drawn path are at the corners
 
 
 class SideError(LabError):
     """The sides of a path cannot be told."""
+
+
+class PublishedFigureError(LabError):
+    """The digitised figure cannot be read."""
 
 
 def side_deviations(points, sides, corners) -> np.ndarray:
@@ -26,7 +33,7 @@ def side_deviations(points, sides, corners) -> np.ndarray:
 
     Args:
         points: x and y (m), shape (n, m, 2).
-        sides: 0 to 3, or `NO_SIDE`, for each point, shape (n, m) or (n, 1).
+        sides: 0 to 3, or another number for no side, for each point, shape (n, m) or (n, 1).
         corners: where the perfect sides start, and where the last one ends (m), shape (5, 2).
 
     Returns:
@@ -41,13 +48,12 @@ def side_deviations(points, sides, corners) -> np.ndarray:
     if corners.shape != (SIDES + 1, 2) or not (lengths > 0.0).all():
         raise SideError("five corners, each at another place than the one before, are needed")
     deviations = np.empty((points.shape[1], SIDES))
-    for side, (corner, (ahead_x, ahead_y)) in enumerate(
-        zip(corners, along / lengths[:, np.newaxis])
-    ):
+    for side in range(SIDES):
+        (corner_x, corner_y), (ahead_x, ahead_y) = corners[side], along[side] / lengths[side]
         is_on = np.asarray(sides) == side
         if not is_on.any(axis=0).all():
             raise SideError(f"there is no point on side {side + 1}")
-        x, y = points[..., 0] - corner[0], points[..., 1] - corner[1]
+        x, y = points[..., 0] - corner_x, points[..., 1] - corner_y
         across = np.abs(y * ahead_x - x * ahead_y)
         deviations[:, side] = np.where(is_on, across, 0.0).max(axis=0)
     return deviations
@@ -83,29 +89,11 @@ def corner_points(points, near, reach: float) -> np.ndarray:
 
 
 def sides_between(corners, count: int) -> np.ndarray:
-    """Return the side that each point of a drawn path belongs to.
+    """Return the side, 0 to 3, of each of the points of a drawn path, from its `corner_points`.
 
     As in a run, the corner and all that happens there belong to the side that ends there.
-
-    Args:
-        corners: of `corner_points`.
-        count: of the points of the path.
-
-    Returns:
-        0 to 3, shape (count,).
     """
     return np.clip(np.searchsorted(corners, np.arange(count)) - 1, 0, SIDES - 1)
-
-
-_CORNER_REACH = 0.1  # m; the corners of figure 1b are within 0.06 m of the simulated ones
-# At the end of figure 1b no blue shows beside the orange, and at the corners no more than a
-# pixel; so the corners of its noisy path are those of its perfect path as well.
-SEEN_AT_END = 0.0
-_LEAST_STEP = 0.1  # m; shorter steps of the drawn path are at the corners
-
-
-class PublishedFigureError(LabError):
-    """The digitised figure cannot be read."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,21 +1,20 @@
 """Which of the report's defects make its figure 1b? All 32 combinations, over many seeds.
 
 Example:
-    python3 -m bullet_lab.studies.published_noise results/published --std 0.1 --seeds 1000
+    python3 -m bullet_lab.studies.published_noise.study results/published --std 0.1 --seeds 1000
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Dict, List, NoReturn, Optional, Sequence, Tuple
+from typing import Any, Dict, List, NoReturn, Optional, Sequence
 
 import numpy as np
 
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
 from bullet_lab.core.parameters import check_parameters, integer, number
-from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.drive.square import OPEN_LOOP_RATE, Square
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION, make_generator
 from bullet_lab.noise.published_noise import PUBLISHED_RATE
@@ -30,8 +29,6 @@ from bullet_lab.studies.published_noise.defects import (
     sampled,
 )
 from bullet_lab.studies.published_noise.figures import (
-    Row,
-    Sheet,
     compare_figure,
     defects_figure,
     first_turns_figure,
@@ -42,30 +39,20 @@ from bullet_lab.studies.published_noise.results import (
     combination_rows,
     compare,
     deviation_rows,
-    groups_of_same,
-    log10_to_best,
     published_summary,
     ranked,
     rounded,
     verdict_lines,
 )
 from bullet_lab.studies.published_noise.side_deviation import (
-    NO_SIDE,
     SEEN_AT_END,
     SIDES,
     PublishedFigure,
     read_published_figure,
     side_deviations,
 )
-from bullet_lab.studies.squares import SECONDS_PER_STEP, drive_square
-from bullet_lab.studies.study import (
-    MOST_SEED,
-    SUMMARY,
-    Tell,
-    run_from,
-    whole_results,
-    write_table,
-)
+from bullet_lab.studies.squares import SquareDrive, drive_square
+from bullet_lab.studies.study import MOST_SEED, SUMMARY, Tell, run_from, whole_results, write_table
 
 FIGURE_DATA = "data/fig1_paths.csv"
 # Long enough for the sampling node to look before and after the drive, whatever its phase.
@@ -94,46 +81,9 @@ class PublishedNoiseSettings:
         check_parameters(self)
 
 
-@dataclass(frozen=True, eq=False)
-class SquareDrive:
-    """The perfect odometry of the square, driven as in listing 9.
-
-    Attributes:
-        stamps: s, shape (n,).
-        poses: x (m), y (m), yaw (rad), shape (n, 3).
-        sides: 0 to 3 for each message, the turn after it included; `NO_SIDE` before; (n,).
-        corners: where the sides start and the last one ends (m), shape (5, 2).
-    """
-
-    stamps: np.ndarray
-    poses: np.ndarray
-    sides: np.ndarray
-    corners: np.ndarray
-
-
 def replay_drive() -> SquareDrive:
-    """Simulate the drive of figure 1a, with a rest before and after it.
-
-    Raises:
-        LabError: the simulation cannot be run.
-    """
-    stamps: List[float] = []
-    poses: List[PlanarPose] = []
-    sides: List[int] = []
-    corners: List[Tuple[float, float]] = []
-
-    def record(step: int, pose: PlanarPose) -> None:
-        stamps.append(step * SECONDS_PER_STEP)
-        poses.append(pose)
-        sides.append(len(corners) - 1 if corners else NO_SIDE)
-
-    drive_square(
-        Square(sides=SIDES),
-        record,
-        rest=REST_SECONDS,
-        on_corner=lambda pose: corners.append(pose[:2]),
-    )
-    return SquareDrive(np.array(stamps), np.array(poses), np.array(sides), np.array(corners))
+    """Simulate the drive of figure 1a, with a rest before and after it; raises LabError."""
+    return drive_square(Square(sides=SIDES), rest=REST_SECONDS)
 
 
 class Replay:
@@ -156,33 +106,32 @@ class Replay:
 
         They are the largest on each of the four sides, and the distance at the end.
         """
-        draws = self._draws(paths)
-        return {defects: self._deviations(defects, paths, draws) for defects in combinations()}
-
-    def _deviations(self, defects: Defects, paths: Sequence[int], draws: np.ndarray) -> np.ndarray:
-        drive, messages = self.drive, self.messages(defects, paths)
-        noisy = self._noisy(defects, messages, draws)[..., :2]
-        at_end = np.hypot(*(noisy[-1] - drive.poses[messages[-1], :2]).T)
-        sides = side_deviations(noisy, drive.sides[messages], drive.corners)
-        return np.column_stack([sides, at_end])
+        drive, draws = self.drive, self._draws(paths)
+        found = {}
+        for defects in combinations():
+            messages = self.messages(defects, paths)
+            noisy = self._noisy(defects, messages, draws)[..., :2]
+            at_end = np.hypot(*(noisy[-1] - drive.poses[messages[-1], :2]).T)
+            sides = side_deviations(noisy, drive.sides[messages], drive.corners)
+            found[defects] = np.column_stack([sides, at_end])
+        return found
 
     def noisy(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
         """Return noisy poses, shape (n, m, 3), of the m paths with these numbers."""
-        messages = self.messages(defects, paths)
-        return self._noisy(defects, messages, self._draws(paths))
+        return self._noisy(defects, self.messages(defects, paths), self._draws(paths))
 
     def messages(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
         """Return the indices of the perfect poses that the algorithm sees, (n, m) or (n, 1)."""
         if defects.sampled:
             return self._messages[:, paths]
-        return np.arange(len(self.drive.stamps))[:, np.newaxis]
+        return np.arange(len(self.drive.steps))[:, np.newaxis]
 
     def _noisy(self, defects: Defects, messages: np.ndarray, draws: np.ndarray) -> np.ndarray:
         poses = self.drive.poses[messages]
         return noisy_paths(poses, draws[: len(poses) - 1], self._settings.std, defects)
 
     def _draws(self, paths: Sequence[int]) -> np.ndarray:
-        steps = len(self.drive.stamps) - 1
+        steps = len(self.drive.steps) - 1
         generators = [make_generator(self._settings.seed + int(path)) for path in paths]
         return np.stack([g.standard_normal((steps, 3)) for g in generators], axis=1)
 
@@ -254,59 +203,31 @@ def _pictures(
     results: List[Result],
     settings: PublishedNoiseSettings,
 ) -> Dict[str, Any]:
-    by_defects = {result.defects: result for result in results}
-    nearest = [by_defects[ALL].likeness.nearest]
-    sheet = Sheet(replay.drive.corners, figure.points, figure.corners, settings.std)
-    examples = range(min(_EXAMPLES, settings.seeds))
-    shown = {
-        defects: (replay.noisy(defects, examples)[..., :2], by_defects[defects].likeness.p_value)
-        for defects in _telling(results[0].defects)
-    }
-    ways = np.hypot(*np.diff(replay.drive.poses[:, :2], axis=0, prepend=np.nan).T)
-    third = replay.drive.stamps[(replay.drive.sides == 2) & (ways > MIN_TRANSLATION)]
-    turns = {
-        defects: (
-            replay.drive.stamps[replay.messages(defects, nearest)[:, 0]],
-            replay.drive.poses[replay.messages(defects, nearest)[:, 0]],
-            replay.noisy(defects, nearest)[:, 0],
-        )
-        for defects in (ALL, Defects(**{n: n != "unwrapped" for n in DEFECTS}))
-    }
-    return {
-        "compare.png": compare_figure(
-            sheet,
-            replay.noisy(ALL, nearest)[:, 0, :2],
-            replay.noisy(NONE, nearest)[:, 0, :2],
-            settings.seed + nearest[0],
-        ),
-        "defects.png": defects_figure(sheet, shown, results[0].defects),
-        "first_turns.png": first_turns_figure(turns, (third[0], third[-1])),
-        "sides.png": sides_figure(_rows(results), figure.deviations),
-    }
-
-
-def _telling(best: Defects) -> List[Defects]:
-    """Return the combinations for the sheet: all, the best, none, each alone, all but each."""
+    drive = replay.drive
+    likeness = {result.defects: result.likeness for result in results}
+    nearest = [likeness[ALL].nearest]
+    best = results[0].defects
+    # All, the best, none, each alone, all but each.
     alone = [Defects(**{name: True}) for name in DEFECTS]
     all_but = [Defects(**{n: n != name for n in DEFECTS}) for name in DEFECTS]
-    return list(dict.fromkeys([ALL, best, NONE, *alone, *all_but]))
-
-
-def _rows(results: List[Result]) -> List[Row]:
-    ratios = dict(zip((result.defects for result in results), log10_to_best(results)))
-    return [
-        Row(
-            [_switch([getattr(r.defects, name) for r in group]) for name in DEFECTS],
-            group[0].quantiles(),
-            ratios[group[0].defects],
-            group[0].likeness.p_value,
-        )
-        for group in groups_of_same(results)
-    ]
-
-
-def _switch(values: List[bool]) -> Optional[bool]:
-    return values[0] if len(set(values)) == 1 else None
+    examples = range(min(_EXAMPLES, settings.seeds))
+    shown = {
+        defects: (replay.noisy(defects, examples)[..., :2], likeness[defects].p_value)
+        for defects in dict.fromkeys([ALL, best, NONE, *alone, *all_but])
+    }
+    ways = np.hypot(*np.diff(drive.poses[:, :2], axis=0, prepend=np.nan).T)
+    third = drive.stamps[(drive.sides == 2) & (ways > MIN_TRANSLATION)]
+    turns = {}
+    for defects in (ALL, Defects(**{n: n != "unwrapped" for n in DEFECTS})):
+        seen = replay.messages(defects, nearest)[:, 0]
+        turns[defects] = drive.stamps[seen], drive.poses[seen], replay.noisy(defects, nearest)[:, 0]
+    replays = [replay.noisy(defects, nearest)[:, 0, :2] for defects in (ALL, NONE)]
+    return {
+        "compare.png": compare_figure(figure, drive.corners, replays, settings.seed + nearest[0]),
+        "defects.png": defects_figure(figure, drive.corners, shown, best, settings.std),
+        "first_turns.png": first_turns_figure(turns, (third[0], third[-1])),
+        "sides.png": sides_figure(results, figure.deviations),
+    }
 
 
 def _run(folder: Path, settings: PublishedNoiseSettings, _tell: Tell) -> None:
@@ -316,3 +237,7 @@ def _run(folder: Path, settings: PublishedNoiseSettings, _tell: Tell) -> None:
 def main(words: Optional[Sequence[str]] = None) -> NoReturn:
     """Run the experiment from the command line; see `run_from`."""
     run_from("published_noise", __doc__, (PublishedNoiseSettings,), _run, words)
+
+
+if __name__ == "__main__":
+    main()

@@ -208,9 +208,7 @@ def test_a_heat_map_tells_hidden_cells_from_those_where_nothing_is_found():
 
 # ---- The job ----
 
-SMALL = RangeSettings(
-    ("marker_panel", "docking"), ("default",), (0.5, 4.0), (0.0, 30.0), 2, 3, 5
-)
+SMALL = RangeSettings(("marker_panel", "docking"), ("default",), (0.5, 4.0), (0.0, 30.0), 2, 3, 5)
 
 
 @pytest.mark.parametrize(

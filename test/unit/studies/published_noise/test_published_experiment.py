@@ -10,7 +10,6 @@ from bullet_lab.errors import LabError
 from bullet_lab.noise.published_noise import PublishedNoise
 from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, combinations
 from bullet_lab.studies.published_noise.side_deviation import (
-    NO_SIDE,
     SideError,
     read_published_figure,
 )
@@ -21,6 +20,7 @@ from bullet_lab.studies.published_noise.study import (
     replay_drive,
     run_published_noise,
 )
+from bullet_lab.studies.squares import NO_SIDE
 
 SEEDS = 100
 FILES = {

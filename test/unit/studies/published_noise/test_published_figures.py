@@ -4,16 +4,16 @@ import pytest
 from bullet_lab.core.figures import save
 from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
 from bullet_lab.studies.published_noise.figures import (
-    Row,
-    Sheet,
     compare_figure,
     defects_figure,
     first_turns_figure,
     sides_figure,
 )
+from bullet_lab.studies.published_noise.results import QUANTILES, Likeness, Result
+from bullet_lab.studies.published_noise.side_deviation import PublishedFigure
 
 CORNERS = np.array([(0, 0), (2, 0), (2, -2), (0, -2), (0, 0)], dtype=float)
-SHEET = Sheet(CORNERS, CORNERS + 0.01, CORNERS, 0.1)
+FIGURE_1B = PublishedFigure(CORNERS + 0.01, CORNERS, np.zeros(5), 9)
 
 
 def saved(figure, path):
@@ -26,7 +26,7 @@ def texts(axes):
 
 
 def test_compare(tmp_path):
-    figure = compare_figure(SHEET, CORNERS + 0.1, CORNERS + 0.2, 7)
+    figure = compare_figure(FIGURE_1B, CORNERS, (CORNERS + 0.1, CORNERS + 0.2), 7)
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[0] == "Figure 1b as published"
     assert all("seed 7" in title for title in titles[1:])
@@ -42,7 +42,7 @@ def test_sheet_shows_the_published_figure_first_then_each_combination(tmp_path, 
     paths = np.stack([CORNERS, CORNERS + 0.1, CORNERS + 0.2], axis=1)
     every = [ALL, best, NONE, *alone, *all_but]
     shown = {d: (paths, 0.5 if d in (ALL, best) else 0.001) for d in every}
-    figure = defects_figure(SHEET, shown, best)
+    figure = defects_figure(FIGURE_1B, CORNERS, shown, best, 0.1)
     first, *others = figure.axes
     assert "1b" in first.get_title()
     assert first.lines[0].get_xdata()[0] == 0.01
@@ -55,16 +55,25 @@ def test_sheet_shows_the_published_figure_first_then_each_combination(tmp_path, 
     saved(figure, tmp_path / "a.png")
 
 
+def result_of(defects, quantiles, log10_ratio, p_value):
+    # Runs whose quantiles these are.
+    runs = np.array([np.interp(np.linspace(0, 1, 21), QUANTILES, q) for q in quantiles.T]).T
+    logarithm = log10_ratio * np.log(10.0)
+    return Result(defects, runs, Likeness(logarithm, 0.0, np.zeros(5), p_value, 0))
+
+
 def test_sides(tmp_path):
     quantiles = np.outer([1e-5, 1e-4, 1e-3, 1e-2, 0.1], [1, 1, 2, 1, 1])
-    rows = [
-        Row((True, None, False, True, False), quantiles, 0.0, 0.4),
-        Row((False,) * 5, 0.0 * quantiles, -2.0, 0.002),
-        Row((True,) * 5, 10 * quantiles, -40.0, 0.001),
+    alike = [Defects(aliasing=True, unwrapped=is_in, sampled=True) for is_in in (True, False)]
+    results = [
+        *(result_of(defects, quantiles, 0.0, 0.4) for defects in alike),
+        result_of(NONE, 0.0 * quantiles, -2.0, 0.002),
+        result_of(ALL, 10 * quantiles, -40.0, 0.001),
     ]
-    figure = sides_figure(rows, np.array([0.001, 0.0, 0.2, 0.003, 0.0]))
+    figure = sides_figure(results, np.array([0.001, 0.0, 0.2, 0.003, 0.0]))
     switches, *sides, scores = figure.axes
     assert len(switches.lines) == 15
+    assert [line.get_marker() for line in switches.lines[:5]] == ["o", "_", "o", "o", "o"]
     assert [axes.get_title() for axes in sides] == [
         *(f"side {k}" for k in (1, 2, 3, 4)),
         "end of the drive",

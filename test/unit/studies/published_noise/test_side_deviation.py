@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 
 from bullet_lab.studies.published_noise.side_deviation import (
-    NO_SIDE,
     SideError,
     corner_points,
     side_deviations,
     sides_between,
 )
+from bullet_lab.studies.squares import NO_SIDE
 
 CORNERS = np.array([(0, 0), (2, 0), (2, -2), (0, -2), (0, 0)], dtype=float)
 # Beside each side by 1, 2, 3 and 4 cm, and ahead of itself where that must not count.

@@ -1,6 +1,0 @@
-"""The study as a program: `python3 -m bullet_lab.studies.detection_range`."""
-
-from bullet_lab.entry import run
-
-if __name__ == "__main__":
-    run("bullet_lab.studies.detection_range.study")
