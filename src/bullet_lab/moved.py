@@ -90,6 +90,10 @@ simulation.devices > simulation.plugins: bumper camera depth_camera=camera devic
     range_sensor=ray_sensors ray_scan=ray_sensors sensor_tag=plugin skid_steer=wheel_drives
     wheels=wheel_drives
 simulation.rendering > simulation.rendering: choice=graphics textures=surfaces
+studies.detection_range > studies.detection_range: __main__=study
+studies.dock_campaign > studies.dock_campaign: __main__=study
+studies.noise_study > studies.noise_study: __main__=study
+studies.published_noise > studies.published_noise: __main__=study
 vision > vision: edge_fit=quads errors=images explanation=marker_detector nested=quads
     pose_memory=marker_observer sampling=images small_algebra=algebra
 """
