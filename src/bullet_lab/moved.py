@@ -16,7 +16,7 @@ from typing import Any, Callable, Dict, Optional
 
 # Old and new folder, and the modules that went from one to the other: as `old=new` if renamed.
 _TABLE = """
-docking > docking: approach=state_machine candidate=marker_track cloud=prior corner_filter=filter
+docking > docking: approach=state_machine candidate=marker_track cloud=belief corner_filter=filter
     decision=state_machine drive=control estimates=filter floor_map=costmap knowledge=belief
     lane=control marker_model=filter motion=odometry phases=state_machine pilot=planner
     settings=types size_test=marker_track undocking=task viewpoints=next_best_view watch=odometry

@@ -1,4 +1,9 @@
-"""Belief about the dock: particles before its marker was seen, tracks of what shows it since."""
+"""Belief about the dock: particles before its marker was seen, tracks of what shows it since.
+
+The particles live in the robot's frame, so that errors of the odometry spread them as the robot
+moves. They start from the database, and learn from what was free to stand on and from looks
+that did not find the marker.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +13,21 @@ from typing import Dict, List, Optional, Tuple
 import numpy as np
 
 from bullet_lab.core import se2
+from bullet_lab.core.angles import wrap
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose, Viewpoint, extent_of
-from bullet_lab.docking.geometry import MarkerVisibility
+from bullet_lab.docking.geometry import MarkerVisibility, clearance, wall_boxes
 from bullet_lab.docking.marker_track import MarkerTrack
-from bullet_lab.docking.odometry import OdometryBuffer, motion_step
-from bullet_lab.docking.prior import DockParticles
-from bullet_lab.docking.types import (
-    CameraMount,
-    DockingSettings,
-    Observation,
-    Odometry,
-    Sighting,
-)
+from bullet_lab.docking.odometry import MotionStep, OdometryBuffer, motion_step
+from bullet_lab.docking.types import CameraMount, DockingSettings, Observation, Odometry, Sighting
+from bullet_lab.vision.dictionaries import simple_name
 
+PARTICLES = 600
+# The database may lie somewhat more than it says.
+_MARGIN = 1.1
+_SIZE_PLAY = 0.05
 # Of what is taken for a marker: px, size in the image and distance from the edge at the least.
 _SMALLEST, _BORDER = 6.0, 3.0
 _MOST_TRACKS = 8
@@ -35,15 +39,103 @@ _SURE_OF_SIZE, _HARDLY_REAL = 0.8, 0.01
 _SAME_WALL = 0.015
 
 
+class DockParticles:
+    """Weighted poses of a dock in the robot's frame, drawn about the rough pose given there."""
+
+    def __init__(self, dock: Dock, rough: PlanarPose, rng: np.random.Generator):
+        self._rng = rng
+        self._boxes = wall_boxes(dock)
+        # The uncertainty is along the axes of the frame that the pose is given in, which may be
+        # any; drawn on a disc and a square it makes little difference.
+        position = _MARGIN * dock.uncertainty.position + 0.01
+        yaw = _MARGIN * dock.uncertainty.yaw + 0.005
+        off = rng.uniform(-1.0, 1.0, (PARTICLES, 3)) * (position, position, yaw)
+        self.poses = np.asarray(rough, dtype=float) + off
+        self.poses[:, 2] = wrap(self.poses[:, 2])
+        self.weights = np.full(PARTICLES, 1.0 / PARTICLES)
+        self.mass = 1.0
+
+    def move(self, motion: MotionStep) -> None:
+        """Follow a step of the robot."""
+        roots = _root(motion.covariance)
+        steps = np.asarray(motion.step) + self._rng.standard_normal((len(self.poses), 3)) @ roots.T
+        self.poses = se2.between(steps, self.poses)
+
+    def stands_free(self, radius: float) -> bool:
+        """Drop what would have the robot touch a wall (it fills a circle); say if any is left."""
+        free = clearance(se2.inverse(self.poses)[:, :2], self._boxes) > radius
+        if not np.all(free):
+            self._learn(np.where(free, 1.0, 1e-6), counts=False)
+        return bool(np.any(free))
+
+    def add_miss(self, expected: np.ndarray, missed: float, counts: bool = True) -> None:
+        """Learn from a look that found nothing, but misses what it should find with `missed`.
+
+        `expected` (n,) is the probability of finding the marker for each pose. What `counts`
+        lessens `mass`, the share of the prior that is left.
+        """
+        self._learn(1.0 - (1.0 - missed) * expected, counts)
+
+    def concentrate(self, estimate: GaussianPose, play: float) -> None:
+        """Move the particles to a pose, with so much more play to either side in m."""
+        count = len(self.poses)
+        # How large the copy is, and so how far, is known to some per cent only.
+        covariance = estimate.covariance + np.diag([0.02, 0.01, 0.012]) ** 2
+        covariance[:2, :2] += np.outer(estimate.mean[:2], estimate.mean[:2]) * _SIZE_PLAY**2
+        drawn = estimate.mean + self._rng.standard_normal((count, 3)) @ _root(covariance).T
+        beside = np.zeros((count, 3))
+        beside[:, 1] = self._rng.uniform(-play, play, count)
+        self.poses = se2.compose(drawn, beside)
+        self.weights = np.full(count, 1.0 / count)
+
+    def mix_in(self, poses: np.ndarray, share: float) -> None:
+        """Replace a share of the particles by other poses (n, 3)."""
+        count = int(share * len(self.poses))
+        keep = self._rng.choice(len(self.poses), len(self.poses) - count, p=self.weights)
+        drawn = poses[self._rng.integers(len(poses), size=count)]
+        self.poses = np.concatenate([self.poses[keep], drawn])
+        self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
+
+    def gaussian(self) -> GaussianPose:
+        """Return mean and covariance, widened a little."""
+        mean = self.weights @ self.poses
+        turn = np.exp(1j * self.poses[:, 2])
+        mean[2] = np.angle(self.weights @ turn)
+        off = self.poses - mean
+        off[:, 2] = wrap(off[:, 2])
+        covariance = (self.weights[:, None] * off).T @ off
+        return GaussianPose(mean, 1.2 * covariance + np.diag([0.05, 0.05, 0.03]) ** 2)
+
+    def samples(self, count: int) -> np.ndarray:
+        """Draw (count, 3) poses."""
+        return self.poses[self._rng.choice(len(self.poses), count, p=self.weights)]
+
+    def _learn(self, likelihood: np.ndarray, counts: bool) -> None:
+        weights = self.weights * likelihood
+        total = float(np.sum(weights))
+        if total <= 0.0:
+            return
+        if counts:
+            self.mass *= total
+        self.weights = weights / total
+        count = len(self.poses)
+        if 1.0 / np.sum(self.weights**2) >= 0.4 * count:
+            return
+        places = (np.arange(count) + self._rng.uniform()) / count
+        chosen = np.minimum(np.searchsorted(np.cumsum(self.weights), places), count - 1)
+        jitter = self._rng.standard_normal((count, 3)) * (0.02, 0.02, 0.008)
+        self.poses = self.poses[chosen] + jitter
+        self.weights = np.full(count, 1.0 / count)
+
+
+def _root(covariance: np.ndarray) -> np.ndarray:
+    """Return a matrix whose product with its transpose is a covariance, which may be singular."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
 class DockBelief:
     """Follows the robot's odometry and takes in what the camera sees.
-
-    Args:
-        dock: what the database says.
-        dock_pose: its rough pose in the odometry frame.
-        mount: of the camera on the robot.
-        settings: see `DockingSettings`.
-        rng: for the particles.
 
     Attributes:
         odometry: the last messages.
@@ -74,8 +166,6 @@ class DockBelief:
         self.last_image = -math.inf
         self.images = 0
 
-    # What is believed -------------------------------------------------------------------------
-
     @property
     def pose(self) -> PlanarPose:
         """Of the robot in the odometry frame."""
@@ -91,9 +181,8 @@ class DockBelief:
 
         A small marker tells little of its yaw; a larger copy on the same wall tells more.
         """
-        best = self.best()
+        best, copy = self.best(), self.copy_on_the_wall()
         estimate = None if best is None else best.estimate()
-        copy = self.copy_on_the_wall()
         if estimate is None or copy is None:
             return estimate
         return estimate.turned_to(*_wall_yaw(copy))
@@ -121,8 +210,7 @@ class DockBelief:
             if track.real > 0.5 or track.frames < 3:
                 continue
             places, sizes, weights = track.copies()
-            flat = np.column_stack([places, np.zeros(len(places))])
-            world = se2.compose(self.pose, flat)
+            world = se2.compose(self.pose, np.column_stack([places, np.zeros(len(places))]))
             rows.append(np.column_stack([world[:, :2], 0.65 * sizes, weights]))
         return np.concatenate(rows)
 
@@ -138,8 +226,6 @@ class DockBelief:
             if self._database.excess(track.likeliest().mean[None].copy())[0] <= 0.0:
                 return track
         return None
-
-    # What it is told --------------------------------------------------------------------------
 
     def add_odometry(self, odometry: Odometry) -> None:
         """Follow the odometry."""
@@ -168,10 +254,9 @@ class DockBelief:
             self.visibility = MarkerVisibility(dock, camera, self._mount.z, farthest)
         self.last_image = max(self.last_image, observation.stamp)
         self.images += 1
-        moved = tuple(se2.between(self.pose, then).tolist())
-        view = Viewpoint(camera, self._mount, moved)
-        sightings = [s for s in observation.sightings if self._shows_marker(s)]
-        corners = [np.asarray(s.corners, dtype=float) for s in sightings]
+        view = Viewpoint(camera, self._mount, tuple(se2.between(self.pose, then).tolist()))
+        shown = filter(self._shows_marker, observation.sightings)
+        corners = [np.asarray(sighting.corners, dtype=float) for sighting in shown]
         self._associate(corners, view, observation.stamp)
         copy = self.copy_on_the_wall()
         for track in self.tracks if copy is not None else ():
@@ -193,8 +278,8 @@ class DockBelief:
 
     def _shows_marker(self, sighting: Sighting) -> bool:
         marker, camera = self._dock.marker, self._camera
-        dictionary = plain_name(marker.dictionary)
-        if sighting.id != marker.id or plain_name(sighting.dictionary) != dictionary:
+        names = simple_name(sighting.dictionary), simple_name(marker.dictionary)
+        if sighting.id != marker.id or names[0] != names[1]:
             return False
         corners = np.asarray(sighting.corners, dtype=float)
         if corners.shape != (4, 2) or not np.isfinite(corners).all():
@@ -215,40 +300,25 @@ class DockBelief:
         for _, number, track in sorted(pairs, key=lambda pair: pair[0]):
             if number not in owners and track not in owners.values():
                 owners[number] = track
-        self._drop_twins(pairs, owners)
-        for number, track in owners.items():
-            track.see(sightings[number], view)
-            track.last_seen = stamp
-        for number, corners in enumerate(sightings):
-            if number not in owners:
-                self._begin(corners, view, stamp)
-
-    def _drop_twins(self, pairs, owners: Dict[int, MarkerTrack]) -> None:
-        """Drop younger tracks of what belongs to an older one: it is one thing."""
+        # Younger tracks of what belongs to an older one go: it is one thing.
         for _, number, track in pairs:
             owner = owners.get(number)
             if owner is None or track in owners.values() or track not in self.tracks:
                 continue
             if track.frames < owner.frames:
                 self.tracks.remove(track)
-
-    def _begin(self, corners: np.ndarray, view: Viewpoint, stamp: float) -> None:
+        for number, track in owners.items():
+            track.see(sightings[number], view)
+            track.last_seen = stamp
         marker, noise = self._dock.marker, self._settings.noise
-        track = MarkerTrack(corners, view, marker.size, marker.height, self._prior, noise)
-        track.last_seen = stamp
-        self.tracks.append(track)
-        if len(self.tracks) > _MOST_TRACKS:
-            self.tracks.remove(min(self.tracks, key=lambda t: (t.frames >= 3, t.last_seen)))
-
-
-def plain_name(dictionary: str) -> str:
-    """Return the name of a dictionary without what differs between spellings.
-
-    >>> plain_name("DICT_APRILTAG_36h10")
-    'apriltag_36h10'
-    """
-    name = dictionary.strip().lower()
-    return name[len("dict_") :] if name.startswith("dict_") else name
+        for number, corners in enumerate(sightings):
+            if number in owners:
+                continue
+            track = MarkerTrack(corners, view, marker.size, marker.height, self._prior, noise)
+            track.last_seen = stamp
+            self.tracks.append(track)
+            if len(self.tracks) > _MOST_TRACKS:
+                self.tracks.remove(min(self.tracks, key=lambda t: (t.frames >= 3, t.last_seen)))
 
 
 def _wall_yaw(copy: MarkerTrack) -> Tuple[float, float]:

@@ -14,13 +14,7 @@ import numpy as np
 from bullet_lab.core.angles import wrap
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.types import (
-    STANDSTILL,
-    Command,
-    DockingSettings,
-    Point,
-    RobotShape,
-)
+from bullet_lab.docking.types import STANDSTILL, Command, DockingSettings, Point, RobotShape
 
 _TURN_GAIN = 2.5
 _SLOWEST_TURN = 0.06
@@ -50,14 +44,13 @@ class CommandRamp:
     """Keeps accelerations within limits."""
 
     def __init__(self, settings: DockingSettings):
-        self._acceleration = settings.acceleration
-        self._turn_acceleration = settings.turn_acceleration
+        self._limits = settings.acceleration, settings.turn_acceleration
         self.command: Command = STANDSTILL
 
     def towards(self, target: Command, seconds: float) -> Command:
         """Return the command after so many seconds on the way to a target, both m/s, rad/s."""
-        v = self.command[0] + clip(target[0] - self.command[0], self._acceleration * seconds)
-        w = self.command[1] + clip(target[1] - self.command[1], self._turn_acceleration * seconds)
+        parts = zip(self.command, target, self._limits)
+        v, w = (now + clip(aim - now, limit * seconds) for now, aim, limit in parts)
         self.command = (v, w)
         return self.command
 
@@ -82,9 +75,7 @@ def turn_command(left: float, fastest: float, tolerance: float = _TURNED) -> Com
 class PathFollower:
     """Drives along straight lines, turning on the spot between them.
 
-    Args:
-        way: points (m, m) in the odometry frame, the first where the robot stands.
-        settings: for the speeds.
+    `way` are points (m, m) in the odometry frame, the first where the robot stands.
     """
 
     def __init__(self, way: Sequence[Point], settings: DockingSettings):
@@ -125,25 +116,18 @@ class PathFollower:
 
 @dataclass(frozen=True)
 class AxisTracker:
-    """Drives along a dock's axis, forwards or backwards, with the marker kept in sight.
-
-    Attributes:
-        settings: for the speeds.
-        camera_ahead: m, of the camera before the robot's middle.
-    """
+    """Drives along a dock's axis, forwards or backwards, with the marker kept in sight."""
 
     settings: DockingSettings
-    camera_ahead: float
+    camera_ahead: float  #: m, of the camera before the robot's middle
 
     def forwards(self, robot: np.ndarray, left: float) -> Command:
-        """Return the command of an approach.
-
-        Args:
-            robot: (3,) its pose in the dock's frame.
-            left: m to go along the axis.
-        """
-        target = self.heading(robot, left)
-        off = wrap(target - float(robot[2]))
+        """Return the command of an approach at (3,) in the dock's frame, with m left to go."""
+        length = min(max(0.3 * left, 0.10), 0.6)
+        most = math.radians(25.0 if left > 0.5 else 5.0 + 40.0 * max(left - 0.1, 0.0))
+        target = -clip(math.atan(float(robot[1]) / length), most)
+        target *= min(1.0, max(left, 0.0) / 0.04)
+        off = wrap(self._in_sight(robot, target) - float(robot[2]))
         braking = math.sqrt(2.0 * 0.08 * max(left, 0.0))
         speed = min(self.settings.approach_speed, braking, 0.8 * left + 0.008)
         speed *= max(0.0, 1.0 - abs(off) / 0.35)
@@ -158,14 +142,6 @@ class AxisTracker:
         speed *= max(0.0, 1.0 - abs(off) / 0.35)
         return -speed, clip(2.0 * off, 0.5)
 
-    def heading(self, robot: np.ndarray, left: float) -> float:
-        """Return the heading (rad, against the axis) to have on an approach."""
-        length = min(max(0.3 * left, 0.10), 0.6)
-        most = math.radians(25.0 if left > 0.5 else 5.0 + 40.0 * max(left - 0.1, 0.0))
-        target = -clip(math.atan(float(robot[1]) / length), most)
-        target *= min(1.0, max(left, 0.0) / 0.04)
-        return self._in_sight(robot, target)
-
     def _in_sight(self, robot: np.ndarray, target: float) -> float:
         """Return the heading nearest a target that keeps the marker in the image."""
         x = float(robot[0]) + self.camera_ahead * math.cos(robot[2])
@@ -176,19 +152,12 @@ class AxisTracker:
 
 @dataclass(frozen=True)
 class Lane:
-    """The lane into a dock, which narrows towards it.
-
-    Attributes:
-        dock: what the database says.
-        shape: of the robot.
-        margin: kept between robot and walls, m.
-        ahead: of the camera before the robot's middle, m.
-    """
+    """The lane into a dock, which narrows towards it."""
 
     dock: Dock
     shape: RobotShape
-    margin: float
-    ahead: float
+    margin: float  #: kept between robot and walls, m
+    ahead: float  #: of the camera before the robot's middle, m
 
     @property
     def depth(self) -> float:
@@ -219,11 +188,9 @@ class Lane:
         return min(lane, self.corridor + _WIDENING_OUTSIDE * max(left - entrance, 0.0))
 
     def leads_at_an_edge(self, robot: np.ndarray, deviation: float) -> bool:
-        """Say whether going on would lead at a wall's front edge, as far as is known.
+        """Say whether going on from a pose (3,) would lead at a wall's front edge.
 
-        Args:
-            robot: (3,) pose.
-            deviation: standard deviation of its distance from the axis, m.
+        `deviation` is the standard deviation of its distance from the axis, m.
         """
         walls, before = self.dock.walls, -float(robot[0])
         if walls is None or not walls.depth < before < walls.depth + _BEFORE_ENTRANCE:

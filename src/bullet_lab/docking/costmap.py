@@ -71,23 +71,22 @@ class Costmap:
     def _risks(self, docks, boxes, obstacles, radius: float):
         """Return the shares of docks that a robot in a cell would touch, and come near to."""
         touch, near = np.zeros(self._shape), np.zeros(self._shape)
-        share = 1.0 / len(docks)
         flat = np.zeros((*self._shape, 3))
         flat[..., :2] = self.points
+
+        def add(away: np.ndarray, weight: float) -> None:
+            touch[away < radius] += weight
+            near[away < radius + _NEAR] += weight
+
         for dock in docks if len(boxes) else ():
-            away = clearance(se2.between(dock, flat)[..., :2], boxes)
-            touch += share * (away < radius)
-            near += share * (away < radius + _NEAR)
+            add(clearance(se2.between(dock, flat)[..., :2], boxes), 1.0 / len(docks))
         for x, y, size, weight in obstacles:
-            away = np.hypot(self.points[..., 0] - x, self.points[..., 1] - y) - size
-            touch += weight * (away < radius)
-            near += weight * (away < radius + _NEAR)
+            add(np.hypot(self.points[..., 0] - x, self.points[..., 1] - y) - size, weight)
         return touch, near
 
     def _dijkstra(self) -> np.ndarray:
         rows, columns = self._shape
-        cells = np.arange(rows * columns).reshape(self._shape)
-        edges = []
+        cells, edges = np.arange(rows * columns).reshape(self._shape), []
         for down, right, length in _NEIGHBOURS:
             first = cells[: rows - down, max(-right, 0) : columns - max(right, 0)].ravel()
             second = first + down * columns + right
@@ -102,21 +101,17 @@ class Costmap:
         return 0.5 * length * (self.cell * self._rate[first] + self.cell * self._rate[second])
 
     def _predecessor(self, cell: int) -> int:
-        """Return the neighbour that the cheapest way to a cell comes over; -1 for the first cell.
-
-        Of several, the one with the least cost, then with the least index: ties are frequent on
-        free floor, and this makes no two ways of one.
-        """
+        """Return the neighbour that the cheapest way to a cell comes over; -1 for the first."""
         rows, columns = self._shape
         row, column = divmod(cell, columns)
-        costs = self.costs.ravel()
-        found = []
+        costs, found = self.costs.ravel(), []
         for down, right, length in _NEIGHBOURS:
             for i, j in ((down, right), (-down, -right)):
                 if 0 <= row + i < rows and 0 <= column + j < columns:
                     other = cell + i * columns + j
                     if costs[other] + self._edge_cost(other, cell, length) == costs[cell]:
                         found.append((costs[other], other))
+        # Ties are frequent on free floor; cost and index make no two ways of one.
         return min(found, default=(0.0, -1))[1]
 
     def _index(self, points) -> np.ndarray:
@@ -152,11 +147,9 @@ class Costmap:
         kept, here = [way[0]], 0
         while here < len(way) - 1:
             there = len(way) - 1
-            while there > here + 1:
-                if self._straight_cost(way[here], way[there]) <= (
-                    1.02 * (costs[there] - costs[here]) + 1e-6
-                ):
-                    break
+            while there > here + 1 and self._straight_cost(way[here], way[there]) > (
+                1.02 * (costs[there] - costs[here]) + 1e-6
+            ):
                 there -= 1
             kept.append(way[there])
             here = there
@@ -179,10 +172,3 @@ def along(first: Point, second: Point, spacing: float) -> np.ndarray:
     count = max(2, math.ceil(math.dist(first, second) / spacing) + 1)
     part = np.linspace(0.0, 1.0, count)[:, None]
     return (1.0 - part) * np.asarray(first) + part * np.asarray(second)
-
-
-def sample_way(way: Sequence[Point], spacing: float) -> np.ndarray:
-    """Return (n, 2) points along way points, see `along`."""
-    if len(way) == 1:
-        return np.asarray(way, dtype=float)
-    return np.concatenate([along(a, b, spacing) for a, b in zip(way, way[1:])])

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from numbers import Real
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
 
 import yaml
 
+from bullet_lab.core import parameters
+from bullet_lab.core.parameters import ParameterError, declarations
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.errors import LabError
 
@@ -24,58 +26,95 @@ class UnknownDockError(DatabaseError):
     """There is no dock of that name."""
 
 
+def _text(doc: str) -> Any:
+    def accept(value: Any) -> str:
+        if not isinstance(value, str) or not value.strip():
+            raise ValueError
+        return value
+
+    return parameters.checked(MISSING, doc, "some text", accept)
+
+
+def _number(doc: str, low: float, high: float, convert: Callable = float) -> Any:
+    def accept(value: Any) -> float:
+        if not _is_number(value) or not low <= value <= high:
+            raise ValueError
+        return convert(value)
+
+    return parameters.checked(MISSING, doc, f"a number from {low:g} to {high:g}", accept)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _accept_pose(value: Any) -> PlanarPose:
+    if not isinstance(value, list) or len(value) != 3 or not all(map(_is_number, value)):
+        raise ValueError
+    return float(value[0]), float(value[1]), math.radians(value[2])
+
+
 @dataclass(frozen=True)
 class DockMarker:
-    """The marker: dictionary as in OpenCV, edge of its black square, height of its middle (m)."""
+    """The marker of a dock."""
 
-    dictionary: str
-    id: int
-    size: float
-    height: float
+    dictionary: str = _text("as in OpenCV")
+    id: int = parameters.integer(MISSING, "of the marker in it", 0)
+    size: float = _number("edge of its black square, m", 0.01, 5.0)
+    height: float = _number("of its middle, m", 0.0, 5.0)
 
 
 @dataclass(frozen=True)
 class DockWalls:
-    """Walls that form a U: inner width, inner depth before the marker, thickness, in m."""
+    """Walls that form a U."""
 
-    opening: float
-    depth: float
-    thickness: float
+    opening: float = _number("inner width, m", 0.1, 20.0)
+    depth: float = _number("inner depth before the marker, m", 0.01, 20.0)
+    thickness: float = _number("m", 0.01, 5.0)
 
 
 @dataclass(frozen=True)
 class DockTolerance:
-    """Limits within which a robot is docked: m along the axis, m across it, rad."""
+    """Limits within which a robot is docked."""
 
-    distance: float
-    lateral: float
-    yaw: float
+    distance: float = _number("along the axis, m", 1e-4, 1.0)
+    lateral: float = _number("across it, m", 1e-4, 1.0)
+    yaw: float = _number("rad; degrees in the file", 0.01, 45.0, math.radians)
 
 
 @dataclass(frozen=True)
 class DockUncertainty:
-    """How wrong the pose may be: m in each of x and y, rad."""
+    """How wrong the pose may be."""
 
-    position: float
-    yaw: float
+    position: float = _number("in each of x and y, m", 0.0, 5.0)
+    yaw: float = _number("rad; degrees in the file", 0.0, 180.0, math.radians)
 
 
 @dataclass(frozen=True)
 class Dock:
-    """A dock; `staging_distance` (robot to marker) and `docked_distance` (camera to marker) in m.
-
-    `pose` is rough, in the frame named `frame`. `walls` is None for a marker on a wall or panel.
-    """
+    """A dock; `pose` is rough, and `walls` is None for a marker on a wall or panel."""
 
     name: str
-    frame: str
-    pose: PlanarPose
+    frame: str = _text("that the pose is given in")
+    pose: PlanarPose = parameters.checked(
+        MISSING, "m, m, rad", "a list of x and y in m and yaw in degrees", _accept_pose
+    )
     marker: DockMarker
     walls: Optional[DockWalls]
-    staging_distance: float
-    docked_distance: float
+    staging_distance: float = _number("from the robot to the marker, m", 0.5, 20.0)
+    docked_distance: float = _number("from the camera to the marker, m", 0.1, 5.0)
     tolerance: DockTolerance
     uncertainty: DockUncertainty
+
+
+# Sections of a dock, and what they are called in the file that is not called as its field.
+_SECTIONS = {
+    "marker": DockMarker,
+    "walls": DockWalls,
+    "tolerance": DockTolerance,
+    "uncertainty": DockUncertainty,
+}
+_KEYS = {"yaw": "yaw_deg"}
 
 
 def read_docks(path: Union[str, Path]) -> Dict[str, Dock]:
@@ -96,12 +135,10 @@ def parse_docks(text: str, where: str = "dock database") -> Dict[str, Dock]:
         content = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise DatabaseError(f"{where}: no YAML: {error}") from None
-    root = _Section(content, where)
-    docks = root.section("docks")
-    root.finish()
-    if not docks.names():
-        raise DatabaseError(f"{where}: no docks")
-    return {name: _dock(name, docks.section(name)) for name in docks.names()}
+    (docks,) = _entries(content, where, ["docks"])
+    if not isinstance(docks, dict) or not docks or not all(isinstance(key, str) for key in docks):
+        raise DatabaseError(f"{where}: docks is no mapping from names to docks")
+    return {name: _dock(name, docks[name], f"{where}: docks: {name}") for name in docks}
 
 
 def find_dock(docks: Mapping[str, Dock], name: str) -> Dock:
@@ -111,116 +148,40 @@ def find_dock(docks: Mapping[str, Dock], name: str) -> Dock:
     return docks[name]
 
 
-class _Section:
-    """A mapping of the file that knows where it is and which keys were asked for."""
-
-    def __init__(self, content: Any, where: str):
-        if not isinstance(content, dict):
-            raise DatabaseError(f"{where}: not a mapping")
-        bad = [key for key in content if not isinstance(key, str)]
-        if bad:
-            raise DatabaseError(f"{where}: the key {bad[0]!r} is no text")
-        self._content, self._where = dict(content), where
-        self._asked = set()
-
-    def names(self) -> Tuple[str, ...]:
-        return tuple(self._content)
-
-    def take(self, key: str) -> Any:
-        self._asked.add(key)
-        if key not in self._content:
-            raise DatabaseError(f"{self._where}: {key} is missing")
-        return self._content[key]
-
-    def section(self, key: str) -> _Section:
-        return _Section(self.take(key), f"{self._where}: {key}")
-
-    def optional(self, key: str) -> Optional[_Section]:
-        self._asked.add(key)
-        return None if self._content.get(key) is None else self.section(key)
-
-    def text(self, key: str) -> str:
-        value = self.take(key)
-        if not isinstance(value, str) or not value.strip():
-            self.refuse(key, value, "some text")
-        return value
-
-    def whole(self, key: str) -> int:
-        value = self.take(key)
-        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-            self.refuse(key, value, "a whole number from 0 on")
-        return value
-
-    def number(self, key: str, low: float, high: float) -> float:
-        value = self.take(key)
-        if not _is_number(value) or not low <= value <= high:
-            self.refuse(key, value, f"a number from {low:g} to {high:g}")
-        return float(value)
-
-    def pose(self, key: str) -> PlanarPose:
-        value = self.take(key)
-        if not isinstance(value, list) or len(value) != 3 or not all(map(_is_number, value)):
-            self.refuse(key, value, "a list of x and y in m and yaw in degrees")
-        return float(value[0]), float(value[1]), math.radians(value[2])
-
-    def refuse(self, key: str, value: Any, required: str) -> None:
-        raise DatabaseError(f"{self._where}: {key} is {value!r}, not {required}")
-
-    def numbers(self, **limits: Tuple[float, float]) -> List[float]:
-        """Return the numbers that are left to read, each within its limits."""
-        values = [self.number(key, low, high) for key, (low, high) in limits.items()]
-        self.finish()
-        return values
-
-    def finish(self) -> None:
-        """Raise DatabaseError for a key that nobody asked for."""
-        unknown = [key for key in self._content if key not in self._asked]
-        if unknown:
-            raise DatabaseError(f"{self._where}: unknown key {unknown[0]}")
+def _entries(content: Any, where: str, keys: Sequence[str]) -> List[Any]:
+    """Return the entries of a mapping that has these keys and no others; `walls` may be missing."""
+    if not isinstance(content, dict):
+        raise DatabaseError(f"{where}: not a mapping")
+    for key in keys:
+        if key not in content and key != "walls":
+            raise DatabaseError(f"{where}: {key} is missing")
+    for key in content:
+        if key not in keys:
+            raise DatabaseError(f"{where}: unknown key {key}")
+    return [content.get(key) for key in keys]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+def _read(kind: type, content: Any, where: str, **values: Any) -> Any:
+    """Make a dataclass of a mapping and of the values of its fields that are known already."""
+    names = [entry.name for entry in fields(kind) if entry.name != "name"]
+    declared = declarations(kind)
+    for name, value in zip(names, _entries(content, where, [_KEYS.get(n, n) for n in names])):
+        if name in declared:
+            try:
+                values[name] = declared[name].read(value, _KEYS.get(name, name))
+            except ParameterError as error:
+                raise DatabaseError(f"{where}: {error}") from None
+        else:
+            absent = name == "walls" and value is None
+            values[name] = None if absent else _read(_SECTIONS[name], value, f"{where}: {name}")
+    return kind(**values)
 
 
-def _dock(name: str, entry: _Section) -> Dock:
-    dock = Dock(
-        name,
-        entry.text("frame"),
-        entry.pose("pose"),
-        _marker(entry.section("marker")),
-        _walls(entry.optional("walls")),
-        entry.number("staging_distance", 0.5, 20.0),
-        entry.number("docked_distance", 0.1, 5.0),
-        _tolerance(entry.section("tolerance")),
-        _uncertainty(entry.section("uncertainty")),
-    )
-    entry.finish()
+def _dock(name: str, content: Any, where: str) -> Dock:
+    dock = _read(Dock, content, where, name=name)
+    staging = f"{where}: staging_distance is {dock.staging_distance!r}, not"
     if dock.staging_distance <= dock.docked_distance:
-        entry.refuse("staging_distance", dock.staging_distance, "beyond docked_distance")
+        raise DatabaseError(f"{staging} beyond docked_distance")
     if dock.walls is not None and dock.staging_distance <= dock.walls.depth:
-        entry.refuse("staging_distance", dock.staging_distance, "outside the walls")
+        raise DatabaseError(f"{staging} outside the walls")
     return dock
-
-
-def _marker(entry: _Section) -> DockMarker:
-    dictionary, marker = entry.text("dictionary"), entry.whole("id")
-    return DockMarker(dictionary, marker, *entry.numbers(size=(0.01, 5.0), height=(0.0, 5.0)))
-
-
-def _walls(entry: Optional[_Section]) -> Optional[DockWalls]:
-    if entry is None:
-        return None
-    limits = {"opening": (0.1, 20.0), "depth": (0.01, 20.0), "thickness": (0.01, 5.0)}
-    return DockWalls(*entry.numbers(**limits))
-
-
-def _tolerance(entry: _Section) -> DockTolerance:
-    limits = {"distance": (1e-4, 1.0), "lateral": (1e-4, 1.0), "yaw_deg": (0.01, 45.0)}
-    distance, lateral, degrees = entry.numbers(**limits)
-    return DockTolerance(distance, lateral, math.radians(degrees))
-
-
-def _uncertainty(entry: _Section) -> DockUncertainty:
-    position, degrees = entry.numbers(position=(0.0, 5.0), yaw_deg=(0.0, 180.0))
-    return DockUncertainty(position, math.radians(degrees))

@@ -28,8 +28,6 @@ _TILT = 1e-4
 # Pixels off below which the first linearisation will do.
 _LINEAR = 4.0
 
-# Gaussians ------------------------------------------------------------------------------------
-
 
 @dataclass(frozen=True, eq=False)
 class GaussianPose:
@@ -89,10 +87,9 @@ class GaussianPose:
 
 
 def step_derivatives(poses: np.ndarray, turn: float) -> Tuple[np.ndarray, np.ndarray]:
-    """Return what a step of the robot does to errors of (..., 3) poses, given after the step.
+    """Return what a step does to (..., 3) poses after it: derivatives by pose and by step.
 
-    Returns:
-        Derivatives by the pose before, (3, 3), and by the step, (..., 3, 3).
+    The first are (3, 3), the second (..., 3, 3).
     """
     cos, sin = math.cos(turn), math.sin(turn)
     by_pose = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -103,22 +100,13 @@ def step_derivatives(poses: np.ndarray, turn: float) -> Tuple[np.ndarray, np.nda
     return by_pose, by_step
 
 
-# Measurement model ----------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """A camera as it was when it took an image, seen from the robot as it is now.
-
-    Attributes:
-        camera: its geometry.
-        mount: where it is on the robot.
-        moved: pose of the robot at the time of the image, in its present frame.
-    """
+    """A camera as it was when it took an image, seen from the robot as it is now."""
 
     camera: PinholeCamera
     mount: CameraMount
-    moved: PlanarPose = (0.0, 0.0, 0.0)
+    moved: PlanarPose = (0.0, 0.0, 0.0)  #: the robot then, in its present frame
 
     def optical(self, points: np.ndarray) -> np.ndarray:
         """Turn (..., 3) points of the robot's present frame into the optical frame, m."""
@@ -144,15 +132,9 @@ class Viewpoint:
 
         The direction is scaled to unit length on the floor. A slanted marker is narrower than it
         is tall, so the range comes from its height.
-
-        Args:
-            corners: (4, 2) px.
-            size: of the marker, m.
         """
-        camera = self.camera
-        centre = np.mean(corners, axis=0)
-        across = (camera.cx - centre[0]) / camera.fx
-        ahead = np.array([1.0, across, (camera.cy - centre[1]) / camera.fy])
+        camera, (u, v) = self.camera, np.mean(corners, axis=0)
+        ahead = np.array([1.0, (camera.cx - u) / camera.fx, (camera.cy - v) / camera.fy])
         ray = self.mount.rotation() @ ahead
         cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
         ray = np.array([cos * ray[0] - sin * ray[1], sin * ray[0] + cos * ray[1], ray[2]])
@@ -165,12 +147,8 @@ class Viewpoint:
 def corner_points(states: np.ndarray, sizes) -> np.ndarray:
     """Return the corners of markers in the robot's frame, m.
 
-    Args:
-        states: (..., 5).
-        sizes: m, edge of the black square, of the shape (...).
-
-    Returns:
-        (..., 4, 3): top left, top right, bottom right and bottom left, as one looks at it.
+    For states (..., 5) and edges of the black square (...), m, they are (..., 4, 3): top left, top
+    right, bottom right and bottom left, as one looks at it.
 
     >>> corner_points(np.array([2.0, 0.0, 0.0, 0.5, 0.0]), 0.2)
     array([[ 2. ,  0.1,  0.6],
@@ -191,12 +169,7 @@ def corner_points(states: np.ndarray, sizes) -> np.ndarray:
 def predict(
     states: np.ndarray, sizes: np.ndarray, view: Viewpoint
 ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return where corners are seen, and the derivatives of that.
-
-    Args:
-        states: (n, 5) marker states.
-        sizes: (n,) m.
-        view: the camera.
+    """Return where corners of (n, 5) states with sizes (n,) are seen, and the derivatives of that.
 
     Returns:
         Pixels (n, 8) as u, v of each corner in turn; derivatives by the state (n, 8, 5); and by
@@ -207,16 +180,10 @@ def predict(
     nudged = np.concatenate([states[:, None], states[:, None] + _NUDGES], axis=1)
     points = view.optical(corner_points(nudged, np.repeat(sizes[:, None], STATES + 1, axis=1)))
     here = points[:, 0]
-    x, y, z = here[..., 0], here[..., 1], here[..., 2]
+    x, y, z = np.moveaxis(here, -1, 0)
     zero = np.zeros_like(x)
-    tilted = here[:, None] + _TILT * np.stack(
-        [
-            np.stack([zero, -z, y], axis=-1),
-            np.stack([-y, x, zero], axis=-1),
-            np.stack([z, zero, -x], axis=-1),
-        ],
-        axis=1,
-    )
+    turned = [(zero, -z, y), (-y, x, zero), (z, zero, -x)]
+    tilted = here[:, None] + _TILT * np.stack([np.stack(t, axis=-1) for t in turned], axis=1)
     pixels = view.pixels(np.concatenate([points, tilted], axis=1)).reshape(count, -1, 8)
     seen = pixels[:, 0]
     changes = (pixels[:, 1:] - pixels[:, :1]).transpose(0, 2, 1)
@@ -224,12 +191,9 @@ def predict(
 
 
 def noise_covariance(noise: PixelNoise, extent: float, tilts: np.ndarray) -> np.ndarray:
-    """Return the (n, 8, 8) covariance of the corners of one image, px².
+    """Return the (n, 8, 8) covariance of the corners of a marker as large as `extent`, px².
 
-    Args:
-        noise: how uncertain they are.
-        extent: px, size of the marker in the image.
-        tilts: (n, 8, 3) derivatives by pitch, roll and yaw.
+    `tilts` are the (n, 8, 3) derivatives by pitch, roll and yaw.
     """
     own = noise.corner**2 + (noise.relative * extent) ** 2 + (noise.small / extent) ** 2
     spread = tilts * np.array([noise.tilt, noise.tilt, noise.turn])
@@ -244,9 +208,6 @@ def extent_of(corners: np.ndarray) -> float:
     """
     diagonals = np.hypot(*(corners[2] - corners[0])), np.hypot(*(corners[3] - corners[1]))
     return float(np.mean(diagonals)) / math.sqrt(2.0)
-
-
-# Update ---------------------------------------------------------------------------------------
 
 
 def innovations(start, x, p, sizes, corners, view: Viewpoint, noise: PixelNoise):
@@ -290,9 +251,9 @@ def iterated_update(start, p, sizes, corners, view: Viewpoint, noise: PixelNoise
         start: (n, 5) states.
         p: (n, 5, 5) their covariances.
         sizes: (n,) m.
-        corners: as seen.
-        view: by which camera.
-        noise: of the corners.
+        corners: as seen by the camera of `view`, with `noise`.
+        view: that camera.
+        noise: theirs.
         rounds: linearisations, at most.
 
     Returns:

@@ -13,6 +13,9 @@ import numpy as np
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.docking.database import Dock
 
+# Largest angle between the line of sight and the dock's axis, and px that the marker should be
+# away from the image's edges.
+_SLANT, _BORDER = math.radians(55.0), 40.0
 QUIET_ZONE = 0.125
 """Width of a marker's white border, as part of its edge: the whole of it has to be seen."""
 
@@ -34,17 +37,14 @@ def wall_boxes(dock: Dock) -> np.ndarray:
 
 
 def clearance(points, boxes: np.ndarray) -> np.ndarray:
-    """Return the distance of (..., 2) points from the nearest of (n, 4) boxes, m.
-
-    It is 0 inside a box, and inf without boxes.
+    """Return the distance of (..., 2) points from the nearest of (n, 4) boxes, m; inf without any.
 
     >>> clearance([[-1.0, 0.0], [3.0, 4.0]], np.array([[-1.0, 0.0, -1.0, 0.0]]))
     array([0., 5.])
     """
-    points = np.asarray(points, dtype=float)
-    nearest = np.full(points.shape[:-1], np.inf)
+    x, y = np.moveaxis(np.asarray(points, dtype=float), -1, 0)
+    nearest = np.full(x.shape, np.inf)
     for x_min, x_max, y_min, y_max in boxes:
-        x, y = points[..., 0], points[..., 1]
         dx = np.maximum(np.maximum(x_min - x, x - x_max), 0.0)
         dy = np.maximum(np.maximum(y_min - y, y - y_max), 0.0)
         nearest = np.minimum(nearest, np.hypot(dx, dy))
@@ -52,31 +52,17 @@ def clearance(points, boxes: np.ndarray) -> np.ndarray:
 
 
 class MarkerVisibility:
-    """From where a camera should be able to find the marker of a dock.
+    """From where a camera, at a height above the floor, should be able to find a dock's marker.
 
-    Args:
-        dock: the dock.
-        camera: its geometry.
-        height: of the camera above the floor, m.
-        farthest: range, m.
-        slant: largest angle between the line of sight and the dock's axis, rad.
-        border: px that the marker should be away from the image's edges.
+    `height` and the range, `farthest`, are in m.
     """
 
-    def __init__(
-        self,
-        dock: Dock,
-        camera: PinholeCamera,
-        height: float,
-        farthest: float = 4.5,
-        slant: float = math.radians(55.0),
-        border: float = 40.0,
-    ):
+    def __init__(self, dock: Dock, camera: PinholeCamera, height: float, farthest: float = 4.5):
         self._half = dock.marker.size * (0.5 + QUIET_ZONE)
         self._walls = dock.walls
-        self.farthest, self._slant = farthest, slant
-        beside = min(camera.cx, camera.width - 1.0 - camera.cx) - border
-        above = min(camera.cy, camera.height - 1.0 - camera.cy) - 0.25 * border
+        self.farthest = farthest
+        beside = min(camera.cx, camera.width - 1.0 - camera.cx) - _BORDER
+        above = min(camera.cy, camera.height - 1.0 - camera.cy) - 0.25 * _BORDER
         self._half_angle = math.atan(beside / camera.fx)
         rise = abs(dock.marker.height - height) + self._half
         self._nearest = max(rise * camera.fy / above, 2.0 * self._half)
@@ -95,7 +81,7 @@ class MarkerVisibility:
         x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
         before = -x
         good = (before > self._nearest) & (np.hypot(x, y) < self.farthest)
-        good &= np.abs(y) < before * math.tan(self._slant)
+        good &= np.abs(y) < before * math.tan(_SLANT)
         if self._walls is None:
             return good
         inner, depth = 0.5 * self._walls.opening, self._walls.depth
@@ -112,10 +98,7 @@ class MarkerVisibility:
         return self.unobstructed(x, y) & (off < self.half_angle(np.hypot(x, y)))
 
     def detection_rate(self, distance) -> np.ndarray:
-        """Return the probability of finding a visible marker at distances in m.
-
-        Low light and noise cost range.
-        """
+        """Return the probability of finding a visible marker at distances in m, in poor light."""
         share = np.asarray(distance) / self.farthest
         return np.clip((1.15 - share) / 0.45, 0.2, 1.0)
 

@@ -61,16 +61,12 @@ _CLEAR, _CONTRADICTION = 60.0, 9.0
 
 
 class SizeTest:
-    """Log-likelihoods of the sizes.
+    """Log-likelihoods of the sizes, from the seeming range `reach` and its `deviation`, m.
 
     Taken for the real one, a copy twice as large seems half as far away; but then the robot has
     to go two metres to come one metre nearer. This compares changes of the seeming range with
     what was travelled towards the marker, over ways long enough for the noise of both to matter
     little.
-
-    Args:
-        reach: seeming range at the start, m.
-        deviation: standard deviation of it.
     """
 
     def __init__(self, reach: float, deviation: float):
@@ -146,8 +142,6 @@ class MarkerTrack:
         self._extent = extent_of(corners)
         self._start(np.asarray(corners, dtype=float), view, height, prior)
 
-    # What it is -----------------------------------------------------------------------------
-
     @property
     def real(self) -> float:
         """Probability that it is the marker itself and no copy of another size."""
@@ -183,8 +177,7 @@ class MarkerTrack:
         poses, covariances, weights = self.components()
         chosen = rng.choice(len(weights), size=count, p=weights)
         roots = np.linalg.cholesky(covariances + 1e-12 * np.eye(3))
-        drawn = poses[chosen]
-        drawn += applied(roots[chosen], rng.standard_normal((count, 3)))
+        drawn = poses[chosen] + applied(roots[chosen], rng.standard_normal((count, 3)))
         drawn[:, 2] = wrap(drawn[:, 2])
         return drawn
 
@@ -211,12 +204,18 @@ class MarkerTrack:
     def _actual_sizes(self) -> np.ndarray:
         return self._sizes * np.exp(self._x[:, 4])
 
-    # How it changes ---------------------------------------------------------------------------
-
     def move(self, motion: MotionStep) -> None:
         """Follow a step of the robot."""
         dx, dy, turn = motion.step
-        self._travel(motion)
+        # The test of sizes is told how the camera moves, as seen from the marker.
+        cos, sin = math.cos(turn), math.sin(turn)
+        ex, ey = self._eye
+        moved = np.array([dx + cos * ex - sin * ey - ex, dy + sin * ex + cos * ey - ey])
+        ray = self._x[np.argmax(self._weights), :2] - self._eye
+        ray = ray / max(float(np.hypot(*ray)), 1e-6)
+        variance = float(ray @ motion.covariance[:2, :2] @ ray)
+        beside = float(ray[0] * moved[1] - ray[1] * moved[0])
+        self._sizing.travel(-float(ray @ moved), abs(beside), variance)
         self._x[:, :3] = se2.between(motion.step, self._x[:, :3])
         by_pose, by_step = step_derivatives(self._x[:, :3], turn)
         by_state = np.eye(STATES)
@@ -226,24 +225,10 @@ class MarkerTrack:
         if self._spot is not None:
             self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
 
-    def _travel(self, motion: MotionStep) -> None:
-        """Tell the test of sizes how the camera moves, as seen from the marker."""
-        dx, dy, turn = motion.step
-        cos, sin = math.cos(turn), math.sin(turn)
-        ex, ey = self._eye
-        moved = np.array([dx + cos * ex - sin * ey - ex, dy + sin * ex + cos * ey - ey])
-        ray = self._x[np.argmax(self._weights), :2] - self._eye
-        ray = ray / max(float(np.hypot(*ray)), 1e-6)
-        variance = float(ray @ motion.covariance[:2, :2] @ ray)
-        beside = float(ray[0] * moved[1] - ray[1] * moved[0])
-        self._sizing.travel(-float(ray @ moved), abs(beside), variance)
-
     def nearest(self, corners: np.ndarray, view: Viewpoint) -> Tuple[float, np.ndarray]:
-        """Return how badly corners fit it, and where it predicts them.
+        """Return the least squared Mahalanobis distance (of 8 values) to one of its Gaussians.
 
-        Returns:
-            The least squared Mahalanobis distance (of 8 values) of its Gaussians, and the (4, 2)
-            corners as that one predicts them; NaN if behind the camera.
+        And the (4, 2) corners as that one predicts them; NaN if behind the camera.
         """
         rest, _, covariance = innovations(
             self._x, self._x, self._p, self._sizes, corners, view, self._noise
@@ -325,8 +310,6 @@ class MarkerTrack:
             else:
                 self._within[of_size] = 1.0 / np.count_nonzero(of_size)
         self._weights = self._within * shares[self._scale] / np.sum(shares)
-
-    # How it starts and is kept small --------------------------------------------------------
 
     def _start(self, corners, view: Viewpoint, height: float, prior: GaussianPose) -> None:
         ray, reach = view.line_of_sight(corners, self._size)

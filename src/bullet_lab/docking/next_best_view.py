@@ -29,17 +29,11 @@ _EDGE = math.radians(2.0)
 
 @dataclass(frozen=True)
 class NextView:
-    """A place to look from, in the odometry frame.
+    """A place to look from, in the odometry frame."""
 
-    Attributes:
-        way: points (m, m) to drive along; a single one for a turn on the spot.
-        heading: rad, to look at.
-        probability: that the marker is found from there.
-    """
-
-    way: List[Point]
-    heading: float
-    probability: float
+    way: List[Point]  #: points (m, m) to drive along; a single one for a turn on the spot
+    heading: float  #: rad, to look at
+    probability: float  #: that the marker is found from there
 
 
 def detection_probabilities(
@@ -47,16 +41,12 @@ def detection_probabilities(
 ) -> np.ndarray:
     """Return the probability of finding the marker, (n, 36) for each point and heading.
 
-    Args:
-        points: (n, 2) of the robot in the odometry frame.
-        ahead: m, how far the camera is ahead of the robot's middle.
-        docks: (m, 3) in the same frame.
-        visibility: of the marker.
+    The robot is at `points` (n, 2), its camera `ahead` of its middle, m; `docks` are (m, 3).
     """
     to_dock = docks[None, :, :2] - points[:, None]
     distance = np.hypot(to_dock[..., 0], to_dock[..., 1])
     eyes = points[:, None] + to_dock * (ahead / np.maximum(distance, ahead))[..., None]
-    flat = np.concatenate([eyes, np.zeros((*eyes.shape[:2], 1))], axis=-1)
+    flat = np.pad(eyes, ((0, 0), (0, 0), (0, 1)))
     x, y, _ = np.moveaxis(se2.between(docks[None], flat), -1, 0)
     found = visibility.unobstructed(x, y) * visibility.detection_rate(np.hypot(x, y))
     bearing = np.arctan2(to_dock[..., 1], to_dock[..., 0])
@@ -82,21 +72,17 @@ def next_best_view(
         robot: its pose in the odometry frame.
         costmap: of the floor about it.
         docks: (m, 3) thinkable poses of the dock in the odometry frame.
-        visibility: of the marker.
+        visibility: of the marker; None is returned if no safe place has any.
         ahead: m, how far the camera is ahead of the robot's middle.
         speed: m/s.
         turn_speed: rad/s.
-
-    Returns:
-        None if the marker cannot be seen from any place that is safe to go to.
     """
     for stride in _STRIDES:
         points = costmap.points[::stride, ::stride].reshape(-1, 2)
         costs = costmap.costs[::stride, ::stride].ravel()
         safe = costmap.touch[::stride, ::stride].ravel() < _SAFE
         if stride == 1:
-            away = np.hypot(*(points - docks[:, :2].mean(axis=0)).T)
-            safe &= away < _NEAR_DOCK
+            safe &= np.hypot(*(points - docks[:, :2].mean(axis=0)).T) < _NEAR_DOCK
         points = np.concatenate([[robot[:2]], points[safe]])
         costs = np.concatenate([[0.0], costs[safe]])[:, None]
         turns = np.abs(wrap(_HEADINGS - robot[2]))

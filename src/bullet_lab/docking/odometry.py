@@ -47,9 +47,9 @@ def motion_step(before: Odometry, after: Odometry) -> MotionStep:
 
 
 def jump(step: MotionStep, seconds: float, speed: float, turn_speed: float) -> Optional[str]:
-    """Say what is wrong with a step in so many seconds; None if nothing is.
+    """Say what no robot of these speeds (m/s, rad/s) does in a step of so many seconds, or None.
 
-    No robot of these speeds (m/s, rad/s) makes it, with six standard deviations allowed for.
+    Six standard deviations are allowed for.
     """
     way, turn = math.hypot(step.step[0], step.step[1]), abs(step.step[2])
     spread = 6.0 * np.sqrt(np.maximum(np.diag(step.covariance), 0.0))
@@ -79,10 +79,7 @@ class OdometryBuffer:
             self._past.popleft()
 
     def pose_at(self, stamp: float) -> Optional[PlanarPose]:
-        """Return the pose at a time (s), interpolated; after the newest message, its own.
-
-        None before the oldest message that is kept.
-        """
+        """Return the pose at a time (s), interpolated; the newest after it, None before all."""
         if not self._past or stamp < self._past[0].stamp - 1e-6:
             return None
         after = self._past[-1]
@@ -112,18 +109,15 @@ class StuckWatch:
 
     def moved(self, step: Tuple[float, float, float], seconds: float) -> None:
         """Take note of a step of the odometry (m, m, rad) in so many seconds."""
-        v, w = self._command
-        self._past.append((seconds, abs(v) * seconds, abs(w) * seconds, step[0], step[2]))
+        v, w = (abs(part) * seconds for part in self._command)
+        self._past.append((seconds, v, w, abs(step[0]), abs(step[2])))
         while sum(entry[0] for entry in self._past) > _SECONDS:
             self._past.popleft()
 
     @property
     def stuck(self) -> bool:
         """Whether it was told to move, and did not."""
-        way = sum(entry[1] for entry in self._past)
-        turn = sum(entry[2] for entry in self._past)
-        went = sum(math.fabs(entry[3]) for entry in self._past)
-        turned = sum(math.fabs(entry[4]) for entry in self._past)
+        _, way, turn, went, turned = map(sum, zip(*self._past or [(0.0,) * 5]))
         if way > _LEAST_WAY and went < _DONE * way:
             return True
         return turn > _LEAST_TURN and turned < _DONE * turn

@@ -11,7 +11,7 @@ from bullet_lab.core import se2
 from bullet_lab.core.angles import wrap
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.control import AxisTracker, Lane
-from bullet_lab.docking.costmap import Costmap, sample_way
+from bullet_lab.docking.costmap import Costmap, along
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import MarkerVisibility, clearance, wall_boxes
@@ -57,16 +57,9 @@ class DockingFailureError(LabError):
 class DockingPlanner:
     """Knows the dock as far as it is known, and which ways are safe; the states share it.
 
-    Args:
-        dock: what the database says.
-        belief: what was seen.
-        mount: of the camera.
-        shape: of the robot.
-        settings: see `DockingSettings`.
+    Attributes:
         search: whether to look for the marker where it is not seen at once.
         max_retries: retreats before it gives up.
-
-    Attributes:
         now: stamp of the tick, s.
         retries: how often it retreated to try again.
         stagings: how often it went for a better start.
@@ -98,8 +91,6 @@ class DockingPlanner:
         self._far_visibility: Optional[MarkerVisibility] = None
         self._cue: Tuple[Optional[MarkerTrack], int] = (None, 0)
 
-    # Where the robot is -----------------------------------------------------------------------
-
     def commanded(self, command: Command) -> None:
         """Take note of the command (m/s, rad/s) that is in force now."""
         if command != STANDSTILL:
@@ -120,16 +111,10 @@ class DockingPlanner:
         """Return how far a robot at (3,) in the dock's frame has to go along the axis, in m."""
         return -float(robot[0]) - self.dock.docked_distance - self.ahead
 
-    def bearing(self, estimate: GaussianPose) -> float:
-        """Return the direction of the marker as the camera sees it, in rad."""
-        return math.atan2(float(estimate.mean[1]), float(estimate.mean[0]) - self.ahead)
-
     def marker_in_view(self, estimate: GaussianPose) -> bool:
         """Say whether the marker should be found in an image taken now."""
-        visibility = self.belief.visibility
-        if visibility is None:
-            return True
-        return bool(visibility.visible(se2.between(estimate.mean, self._camera)))
+        seen = self.belief.visibility
+        return seen is None or bool(seen.visible(se2.between(estimate.mean, self._camera)))
 
     def in_reach(self, robot: np.ndarray) -> bool:
         """Say whether the marker is near enough to be found."""
@@ -139,50 +124,34 @@ class DockingPlanner:
 
     def result(self, success: bool, error: DockingError, message: str) -> DockingResult:
         """Return the result with the present estimates."""
-        estimate = self.estimate()
-        if estimate is None:
-            return DockingResult(success, error, message, self.retries)
-        robot = estimate.robot
-        distance = self.left(robot) + self.dock.docked_distance
-        lateral, yaw = float(robot[1]), wrap(float(robot[2]))
-        return DockingResult(success, error, message, self.retries, distance, lateral, yaw)
+        estimate, pose = self.estimate(), ()
+        if estimate is not None:
+            robot = estimate.robot
+            distance = self.left(robot) + self.dock.docked_distance
+            pose = distance, float(robot[1]), wrap(float(robot[2]))
+        return DockingResult(success, error, message, self.retries, *pose)
 
     def estimate(self) -> Optional[GaussianPose]:
         """Return the dock's pose in the robot's frame; None before the marker was seen."""
         return None if self.belief.odometry.last is None else self.belief.estimate()
 
-    # What is allowed --------------------------------------------------------------------------
-
-    def in_lane(self, estimate: GaussianPose) -> bool:
-        """Say whether the robot can approach from where it is."""
-        robot = estimate.robot
-        return self.lane.holds(robot, self.left(robot), estimate.lateral_deviation)
-
     def sure(self, track: MarkerTrack) -> bool:
         """Say whether a track may be driven at between the walls; asked for, it counts."""
         if track.real >= self.settings.sure or (self._doubts >= 3 and track.real > 0.2):
             return True
-        if track.real > 0.5 and self._on_the_copys_wall(track):
-            return True
+        copy, walls = self.belief.copy_on_the_wall(), self.dock.walls
+        if track.real > 0.5 and copy is not None and walls is not None:
+            # Is it, if real, where a larger copy says that the dock's back wall is?
+            off = np.abs(se2.between(copy.likeliest().mean, track.likeliest().mean))
+            if off[0] < _SAME_PLANE and off[1] < 0.5 * walls.opening:
+                return True
         self._doubts += 1
         return False
 
-    def _on_the_copys_wall(self, track: MarkerTrack) -> bool:
-        """Say whether it is, if real, where a larger copy says that the dock's back wall is."""
-        copy, walls = self.belief.copy_on_the_wall(), self.dock.walls
-        if copy is None or walls is None:
-            return False
-        off = se2.between(copy.likeliest().mean, track.likeliest().mean)
-        return abs(float(off[0])) < _SAME_PLANE and abs(float(off[1])) < 0.5 * walls.opening
-
     def in_sight(self, left: float) -> float:
         """Return so much left to go (m), or less where the marker would not be found there."""
-        visibility = self.belief.visibility
-        if visibility is None:
-            return left
-        return min(left, 0.9 * visibility.farthest - self.dock.docked_distance)
-
-    # Ways -------------------------------------------------------------------------------------
+        seen = self.belief.visibility
+        return left if seen is None else min(left, 0.9 * seen.farthest - self.dock.docked_distance)
 
     def costmap(self) -> Costmap:
         """Return the costmap of the floor as it is believed to be now."""
@@ -199,18 +168,16 @@ class DockingPlanner:
         points = self._ahead_of_robot([self.belief.pose[:2], *way])
         if not len(points):
             return True
-        docks = self.belief.samples(_SAMPLES)
-        radius = self.shape.turning_radius
+        docks, radius = self.belief.samples(_SAMPLES), self.shape.turning_radius
         flat = np.column_stack([points, np.zeros(len(points))])
         there = se2.between(docks[:, None], flat[None])[..., :2]
         touched = clearance(there, self._boxes) < radius
         if float(np.max(np.mean(touched, axis=0), initial=0.0)) > 2.0 * _RISKY:
             return False
-        for x, y, size, weight in self._obstacles():
-            near = np.hypot(points[:, 0] - x, points[:, 1] - y) < size + radius
-            if weight > 0.3 and np.any(near):
-                return False
-        return True
+        return not any(
+            weight > 0.3 and np.any(np.hypot(*(points - (x, y)).T) < size + radius)
+            for x, y, size, weight in self._obstacles()
+        )
 
     def _obstacles(self) -> np.ndarray:
         """Return (n, 4) what bears copies, without what cannot be: where the robot stands is free.
@@ -223,7 +190,8 @@ class DockingPlanner:
 
     def _ahead_of_robot(self, way) -> np.ndarray:
         """Return points of a way without its first decimetres, where the robot stands anyway."""
-        points = sample_way(way, 0.05)
+        pieces = [along(first, second, 0.05) for first, second in zip(way, way[1:])]
+        points = np.concatenate(pieces or [np.asarray(way, dtype=float)])
         travelled = np.cumsum(np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)]))
         return points[(travelled > 0.15) & (travelled < 1.6)]
 
@@ -261,8 +229,6 @@ class DockingPlanner:
                 return way
         return 0.0
 
-    # Looking for the marker -------------------------------------------------------------------
-
     def chance_to_see(self) -> float:
         """Return the probability that an image taken now would show the marker, or its copy."""
         particles = self.belief.particles
@@ -272,14 +238,13 @@ class DockingPlanner:
 
     def add_miss(self) -> None:
         """Learn from a look that found nothing."""
-        self._add_miss(self.belief.visibility, self.settings.missed, counts=True)
+        looks = [(self.belief.visibility, self.settings.missed, True)]
         if self._far_visibility is not None and not self.belief.copies_seen():
-            self._add_miss(self._far_visibility, _FAR_MISSED, counts=False)
-
-    def _add_miss(self, visibility: MarkerVisibility, missed: float, counts: bool) -> None:
+            looks.append((self._far_visibility, _FAR_MISSED, False))
         particles = self.belief.particles
-        expected = visibility.detection_probability(se2.between(particles.poses, self._camera))
-        particles.add_miss(expected, missed, counts)
+        for visibility, missed, counts in looks:
+            cameras = se2.between(particles.poses, self._camera)
+            particles.add_miss(visibility.detection_probability(cameras), missed, counts)
 
     def use_cue(self) -> bool:
         """Narrow the belief by a copy that can only be on the dock's back wall; say if there is.

@@ -115,11 +115,7 @@ class Drive(State):
             if not planner.still_safe(self._way.left):
                 return Outcome("not safe")
         command = self._way.command(planner.belief.pose)
-        return self._arrived(planner) if command == STANDSTILL else command
-
-    def _arrived(self, planner: DockingPlanner) -> Step:
-        """Return what to do at the end of the way."""
-        return Outcome("arrived")
+        return Outcome("arrived") if command == STANDSTILL else command
 
 
 class Travel(Drive):
@@ -135,9 +131,11 @@ class Travel(Drive):
         return planner.chance_to_see() > 0.05
 
     def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
-        return Outcome("seen") if planner.belief.best() is not None else super().step(planner)
-
-    def _arrived(self, planner: DockingPlanner) -> Step:
+        if planner.belief.best() is not None:
+            return Outcome("seen")
+        result = super().step(planner)
+        if result != Outcome("arrived"):
+            return result
         left = wrap(self._heading - planner.belief.pose[2])
         command = turn_command(left, planner.settings.turn_speed)
         return Outcome("arrived") if command == STANDSTILL else command
@@ -200,7 +198,8 @@ class Measure(State):
         track, estimate = planner.belief.best(), planner.estimate()
         if track is None or estimate is None:
             return Outcome("lost")
-        off = planner.bearing(estimate)
+        x, y, _ = estimate.mean
+        off = math.atan2(y, x - planner.ahead)
         if not self._turned and abs(off) > _FACING:
             return turn_command(off, planner.settings.turn_speed, 0.0)
         self._turned = True
@@ -225,25 +224,19 @@ def decide(planner: DockingPlanner) -> Outcome:
     estimate, track = planner.estimate(), planner.belief.best()
     robot = estimate.robot
     within = planner.lane.within_walls(robot)
+    left = planner.left(robot)
     if within and not planner.sure(track):
-        return _back_out(planner, planner.left(robot), 0.35)
-    if planner.in_lane(estimate):
+        return _back_out(planner, left, 0.35)
+    if planner.lane.holds(robot, left, estimate.lateral_deviation):
         return Outcome("in the lane")
     if within:
-        return _back_out(planner, planner.left(robot), 0.30)
-    return _to_staging(planner, estimate)
-
-
-def _to_staging(planner: DockingPlanner, estimate) -> Outcome:
-    """Return the drive to the staging point; fails after too many, or without a way.
-
-    What shows the marker and is of unknown size may be anywhere on the line of sight, and so in
-    the way; a little drive tells where it is.
-    """
+        return _back_out(planner, left, 0.30)
     _count_staging(planner, "the point before the dock is not reached")
     way = planner.way_to_staging(estimate)
     if way is not None:
         return Outcome("off the lane", (PathFollower(way, planner.settings),))
+    # What shows the marker and is of unknown size may be anywhere on the line of sight, and so in
+    # the way; a little drive tells where it is.
     probe = planner.probing_way()
     if not probe:
         message = "no safe way to the point before the dock"
@@ -252,10 +245,9 @@ def _to_staging(planner: DockingPlanner, estimate) -> Outcome:
 
 
 def _back_out(planner: DockingPlanner, left: float, further: float) -> Outcome:
-    """Return the way back on the axis for a better start.
+    """Return the way back on the axis for a better start; it costs one drive to the staging point.
 
     It goes out of sight of a small marker where it must: what a larger copy tells needs the way.
-    It costs one of the drives to the staging point, so that it does not go on for ever.
     """
     _count_staging(planner, "no way into the dock is found")
     target = left + further
@@ -292,8 +284,11 @@ class Approach(State):
             return Outcome("lost")
         robot = estimate.robot
         left = planner.left(robot)
-        if planner.unseen(track) > planner.settings.unseen_timeout and planner.in_reach(robot):
-            return self._hold(planner)
+        patience = planner.settings.unseen_timeout
+        if planner.unseen(track) > patience and planner.in_reach(robot):
+            # Wait at rest for it to be seen again, then look at what is the matter.
+            self._held = planner.now if self._held is None else self._held
+            return Outcome("lost") if planner.now - self._held > patience else STANDSTILL
         self._held = None
         if left <= _THERE:
             return Outcome("arrived")
@@ -308,22 +303,9 @@ class Approach(State):
                 return _back_out(planner, left, 0.35)
         return planner.tracker.forwards(robot, left)
 
-    def _hold(self, planner: DockingPlanner) -> Step:
-        """Wait at rest for the marker to be seen again, then look at what is the matter."""
-        if self._held is None:
-            self._held = planner.now
-        waited = planner.now - self._held > planner.settings.unseen_timeout
-        return Outcome("lost") if waited else STANDSTILL
-
 
 def gate(planner: DockingPlanner, robot: np.ndarray, left: float) -> str:
-    """Say why an approach has to be given up; empty if it goes well.
-
-    Args:
-        planner: for the limits.
-        robot: (3,) its pose in the dock's frame.
-        left: m to go along the axis.
-    """
+    """Say why an approach has to be given up with m left to go; empty if it goes well."""
     settings = planner.settings
     beside, turned = abs(float(robot[1])), abs(wrap(float(robot[2])))
     if left < settings.gate_distance and beside > settings.gate_lateral:

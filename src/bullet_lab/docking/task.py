@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Deque, Optional, Tuple
+from typing import Deque, Optional
 
 import numpy as np
 
@@ -46,14 +46,7 @@ class UndockingTaskError(LabError):
 
 
 class _Task:
-    """The part that both tasks share: the watch over time, odometry and wheels, and the ramp.
-
-    Args:
-        done: what has been done in the end, in a word.
-        odometry: the last messages.
-        settings: see `DockingSettings`.
-        time_limit: s.
-    """
+    """The part that both tasks share: the watch over time, odometry and wheels, and the ramp."""
 
     def __init__(
         self, done: str, odometry: OdometryBuffer, settings: DockingSettings, time_limit: float
@@ -73,10 +66,9 @@ class _Task:
         """Return the command (m/s, rad/s) for now."""
         if self.result is not None:
             return self._ramp.stop()
-        seconds = 0.05 if self._last_tick is None else stamp - self._last_tick
-        self._last_tick = stamp
         if self._started is None:
-            self._started = stamp
+            self._started, self._last_tick = stamp, stamp - 0.05
+        seconds, self._last_tick = stamp - self._last_tick, stamp
         try:
             self._check(stamp)
             target = self._advance(stamp)
@@ -187,15 +179,15 @@ class DockingTask(_Task):
         self._waiting: Deque[Observation] = deque(maxlen=_MOST_WAITING)
         self._wanted_since: Optional[float] = None
 
-    # What it is fed with ----------------------------------------------------------------------
-
     def add_odometry(self, odometry: Odometry) -> None:
         """Take the next message of odometry; what cannot be ends the docking."""
         first = self._odometry.last is None
         if self.result is not None or not self._accept(odometry):
             return
         self._belief.add_odometry(odometry)
-        free = self._belief.particles.stands_free(self._planner.shape.inner_radius)
+        shape = self._planner.shape
+        filled = min(shape.front, shape.rear, shape.half_width)
+        free = self._belief.particles.stands_free(filled)
         if first and not free:
             self._end(DockingError.NOT_VALID, "the robot stands where the dock's walls must be")
             return
@@ -212,8 +204,6 @@ class DockingTask(_Task):
         else:
             self._waiting.append(observation)
 
-    # What it gives ----------------------------------------------------------------------------
-
     @property
     def status(self) -> DockingStatus:
         """How it goes."""
@@ -223,16 +213,9 @@ class DockingTask(_Task):
         pose = None
         if estimate is not None:
             pose = tuple(se2.compose(self._belief.pose, estimate.mean).tolist())
+        seen = rough.distance, rough.lateral, rough.yaw, planner.retries
         return DockingStatus(
-            state.state,
-            rough.distance,
-            rough.lateral,
-            rough.yaw,
-            planner.retries,
-            self.wants_images,
-            pose,
-            state.plan(),
-            state.detail,
+            state.state, *seen, self.wants_images, pose, state.plan(), state.detail
         )
 
     @property
@@ -243,18 +226,9 @@ class DockingTask(_Task):
     @property
     def wants_images(self) -> bool:
         """Whether an image would be used now."""
-        if self.result is not None:
-            return False
-        if self._belief.visibility is None:
-            return True
+        if self.result is not None or self._belief.visibility is None:
+            return self.result is None
         return self._machine.state.wants_images(self._planner)
-
-    def estimated_robot(self) -> Optional[Tuple[float, float, float]]:
-        """Return the robot's pose in the dock's frame, None before the marker was seen."""
-        estimate = self._planner.estimate()
-        return None if estimate is None else tuple(estimate.robot.tolist())
-
-    # Inside -----------------------------------------------------------------------------------
 
     def tick(self, stamp: float) -> Command:
         """Return the command (m/s, rad/s) for now."""

@@ -56,14 +56,10 @@ class DockingError(IntEnum):
 
 @dataclass(frozen=True)
 class Odometry:
-    """One message of odometry.
+    """One message of odometry: stamp in s, pose in the odometry frame, m/s ahead and rad/s.
 
-    Attributes:
-        stamp: s.
-        pose: of the robot in the odometry frame.
-        velocity: m/s ahead and rad/s counter-clockwise.
-        twist_covariance: (3, 3) of (vx, vy, wz) over the time since the message before; zeros or
-            None where nobody knows.
+    `twist_covariance` is (3, 3) of (vx, vy, wz) over the time since the message before; zeros or
+    None where nobody knows.
     """
 
     stamp: float
@@ -99,12 +95,9 @@ class CameraMount:
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """A marker in an image.
+    """A marker in an image: its id, its dictionary as OpenCV names it, and its corners.
 
-    Attributes:
-        id: of the marker.
-        dictionary: its name as in OpenCV.
-        corners: (4, 2) px of the raw image: top left, top right, bottom right, bottom left.
+    These are (4, 2) px of the raw image: top left, top right, bottom right, bottom left.
     """
 
     id: int
@@ -123,79 +116,45 @@ class Observation:
 
 @dataclass(frozen=True)
 class PixelNoise:
-    """Uncertainty of the corners in one image.
+    """Uncertainty of the corners in one image, as standard deviations."""
 
-    Attributes:
-        corner: px, standard deviation of each corner, on its own.
-        relative: as part of the marker's size in the image, added to it.
-        small: px², divided by the size in the image and added too: corners of a marker of few
-            pixels per cell are off together with the pattern and the blur.
-        tilt: rad, pitch and roll of the robot, for all corners together.
-        turn: rad, of its yaw at the moment of the image.
-    """
-
-    corner: float = 0.35
-    relative: float = 0.0015
+    corner: float = 0.35  #: px, of each corner, on its own
+    relative: float = 0.0015  #: as part of the marker's size in the image, added to it
+    #: px², divided by the size in the image and added too: corners of a marker of few pixels per
+    #: cell are off together with the pattern and the blur
     small: float = 16.0
-    tilt: float = math.radians(0.15)
-    turn: float = math.radians(0.03)
+    tilt: float = math.radians(0.15)  #: rad, pitch and roll of the robot, for all corners together
+    turn: float = math.radians(0.03)  #: rad, of its yaw at the moment of the image
 
 
 @dataclass(frozen=True)
 class DockingSettings:
-    """Speeds, patience and limits; lengths in m, angles in rad, times in s.
+    """Speeds, patience and limits; lengths in m, angles in rad, times in s."""
 
-    Attributes:
-        drive_speed: in the open.
-        approach_speed: on the dock's axis.
-        turn_speed: on the spot.
-        acceleration: of the wheels' mean, m/s².
-        turn_acceleration: rad/s².
-        settle_time: from standstill to the first image that counts.
-        look_frames: images that a look takes.
-        measure_frames: images at rest before a decision.
-        final_frames: images at rest that say "docked".
-        max_retries: retreats from the last metre before it gives up.
-        max_stagings: drives to the staging point.
-        time_limit: of all.
-        image_timeout: without any image while they are wanted.
-        unseen_timeout: without the marker while driving at it.
-        odometry_timeout: without odometry.
-        gate_distance: way left from which on the gate counts.
-        gate_lateral: beside the axis, aborts.
-        gate_yaw: against the axis, aborts.
-        wall_margin: kept between robot and walls.
-        smallest_marker: px in the image at which the marker should be found.
-        missed: probability that a look misses a marker that it should find.
-        give_up_mass: share of the prior below which the marker is held to be missing.
-        sure: probability of being the real marker, asked for before driving in.
-        noise: of the marker's corners in the image.
-    """
-
-    drive_speed: float = 0.4
-    approach_speed: float = 0.25
-    turn_speed: float = 0.8
-    acceleration: float = 0.5
-    turn_acceleration: float = 2.0
-    settle_time: float = 0.3
-    look_frames: int = 3
-    measure_frames: int = 4
-    final_frames: int = 5
-    max_retries: int = 5
-    max_stagings: int = 10
-    time_limit: float = 300.0
-    image_timeout: float = 3.0
-    unseen_timeout: float = 1.2
-    odometry_timeout: float = 1.0
-    gate_distance: float = 0.40
-    gate_lateral: float = 0.025
-    gate_yaw: float = math.radians(6.0)
-    wall_margin: float = 0.04
-    smallest_marker: float = 18.0
-    missed: float = 0.25
-    give_up_mass: float = 0.004
-    sure: float = 0.9
-    noise: PixelNoise = field(default_factory=PixelNoise)
+    drive_speed: float = 0.4  #: in the open
+    approach_speed: float = 0.25  #: on the dock's axis
+    turn_speed: float = 0.8  #: on the spot
+    acceleration: float = 0.5  #: of the wheels' mean, m/s²
+    turn_acceleration: float = 2.0  #: rad/s²
+    settle_time: float = 0.3  #: from standstill to the first image that counts
+    look_frames: int = 3  #: images that a look takes
+    measure_frames: int = 4  #: images at rest before a decision
+    final_frames: int = 5  #: images at rest that say "docked"
+    max_retries: int = 5  #: retreats from the last metre before it gives up
+    max_stagings: int = 10  #: drives to the staging point
+    time_limit: float = 300.0  #: of all
+    image_timeout: float = 3.0  #: without any image while they are wanted
+    unseen_timeout: float = 1.2  #: without the marker while driving at it
+    odometry_timeout: float = 1.0  #: without odometry
+    gate_distance: float = 0.40  #: way left from which on the gate counts
+    gate_lateral: float = 0.025  #: beside the axis, aborts
+    gate_yaw: float = math.radians(6.0)  #: against the axis, aborts
+    wall_margin: float = 0.04  #: kept between robot and walls
+    smallest_marker: float = 18.0  #: px in the image at which the marker should be found
+    missed: float = 0.25  #: probability that a look misses a marker that it should find
+    give_up_mass: float = 0.004  #: share of the prior below which the marker is held to be missing
+    sure: float = 0.9  #: probability of being the real marker, asked for before driving in
+    noise: PixelNoise = field(default_factory=PixelNoise)  #: of the marker's corners in the image
 
 
 @dataclass(frozen=True)
@@ -211,52 +170,30 @@ class RobotShape:
         """Radius of the circle that the robot needs to turn on the spot."""
         return float(np.hypot(max(self.front, self.rear), self.half_width))
 
-    @property
-    def inner_radius(self) -> float:
-        """Radius of the circle that the robot fills whatever its heading."""
-        return min(self.front, self.rear, self.half_width)
-
 
 @dataclass(frozen=True)
 class DockingResult:
-    """How it ended.
-
-    Attributes:
-        success: docked.
-        error: NONE after a success.
-        message: one line for the user.
-        retries: how often it retreated to try again.
-        distance: m, camera to marker along the dock's axis, as estimated; NaN if not known.
-        lateral: m, of the robot from the axis, left positive.
-        yaw: rad, of the robot against the axis.
-    """
+    """How it ended, with the estimates at the end; NaN if they are not known."""
 
     success: bool
-    error: DockingError
-    message: str
-    retries: int = 0
-    distance: float = float("nan")
-    lateral: float = float("nan")
-    yaw: float = float("nan")
+    error: DockingError  #: NONE after a success
+    message: str  #: one line for the user
+    retries: int = 0  #: how often it retreated to try again
+    distance: float = math.nan  #: m, camera to marker along the dock's axis
+    lateral: float = math.nan  #: m, of the robot from the axis, left positive
+    yaw: float = math.nan  #: rad, of the robot against the axis
 
 
 @dataclass(frozen=True)
 class DockingStatus:
-    """How it goes; distance, lateral and yaw as in DockingResult.
-
-    Attributes:
-        wants_images: an image would be used now.
-        dock_pose: best estimate in the odometry frame, None before the marker was seen.
-        plan: points (m, m) still to be driven to, in the odometry frame.
-        detail: one line for humans.
-    """
+    """How it goes; distance, lateral and yaw as in DockingResult."""
 
     state: DockingState
     distance: float
     lateral: float
     yaw: float
     retries: int
-    wants_images: bool
-    dock_pose: Optional[PlanarPose]
-    plan: Tuple[Point, ...]
-    detail: str
+    wants_images: bool  #: an image would be used now
+    dock_pose: Optional[PlanarPose]  #: in the odometry frame, None before the marker was seen
+    plan: Tuple[Point, ...]  #: points (m, m) still to be driven to, in the odometry frame
+    detail: str  #: one line for humans
