@@ -94,8 +94,9 @@ studies.detection_range > studies.detection_range: __main__=study
 studies.dock_campaign > studies.dock_campaign: __main__=study
 studies.noise_study > studies.noise_study: __main__=study
 studies.published_noise > studies.published_noise: __main__=study
-vision > vision: edge_fit=quads errors=images explanation=marker_detector nested=quads
-    pose_memory=marker_observer sampling=images small_algebra=algebra
+vision > vision: decoding=dictionaries edge_fit=quads errors=images explanation=marker_detector
+    marker_observer=marker_pose nested=quads pose_memory=marker_pose sampling=images
+    small_algebra=algebra
 """
 # Folders that are gone, and where to look for names that one itself gave.
 PACKAGES = {

@@ -26,7 +26,7 @@ from bullet_lab.ros.messages.images import image_message, pixels_of
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.vision.marker_detector import DetectorSettings
-from bullet_lab.vision.marker_observer import MarkerObserver
+from bullet_lab.vision.marker_pose import MarkerObserver
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 HEIGHT, MARKER_X = 0.44, 4.0

@@ -26,17 +26,6 @@ def invert_symmetric(matrix: np.ndarray) -> np.ndarray:
     return 0.5 * (inverse + inverse.T) if solved else np.full(matrix.shape, np.nan)
 
 
-def least_squares(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return x (n,) of the least |matrix · x - right|, by the normal equations."""
-    return solve_symmetric(matrix.T @ matrix, matrix.T @ right)
-
-
-def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """Return the rotation nearest a (3, 3) matrix that is nearly one."""
-    _, left, right = cv2.SVDecomp(matrix)
-    return left @ right
-
-
 def largest_singular_value(matrix: np.ndarray) -> float:
     """Return it for a (2, 2) matrix.
 

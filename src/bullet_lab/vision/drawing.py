@@ -13,9 +13,7 @@ from bullet_lab.vision.marker_pose import MarkerPose
 from bullet_lab.vision.quads import mean_side
 
 # As OpenCV has colours: blue, green, red.
-BLUE = (255, 0, 0)
-OUTLINE = (60, 200, 60)
-FIRST_CORNER = (40, 40, 230)
+BLUE, OUTLINE, FIRST_CORNER = (255, 0, 0), (60, 200, 60), (40, 40, 230)
 AXES = ((40, 40, 230), (60, 200, 60), (255, 80, 0))
 _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -56,13 +54,7 @@ def draw_outline(image: np.ndarray, corners: np.ndarray) -> None:
 
 
 def enlarged(image: np.ndarray, corners: np.ndarray, size: int) -> np.ndarray:
-    """Return what is around a marker, (size, size, 3), its pixels enlarged and its outline drawn.
-
-    Args:
-        image: (h, w, 3) BGR.
-        corners: (4, 2) of the marker, px.
-        size: of the result, px.
-    """
+    """Return what is around a marker (4, 2) of a BGR image, its outline drawn: (size, size, 3)."""
     half = int(np.ceil(0.8 * mean_side(corners)))
     u, v = (int(round(value)) for value in corners.mean(axis=0))
     padded = cv2.copyMakeBorder(image, half, half, half, half, cv2.BORDER_REPLICATE)

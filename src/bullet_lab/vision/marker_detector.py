@@ -11,8 +11,14 @@ import numpy as np
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision import images
-from bullet_lab.vision.decoding import Match, interpret, match, may_be_marker, read_cells
-from bullet_lab.vision.dictionaries import dictionary_named
+from bullet_lab.vision.dictionaries import (
+    Match,
+    dictionary_named,
+    interpret,
+    match,
+    may_be_marker,
+    read_cells,
+)
 from bullet_lab.vision.images import Lens, VisionError
 from bullet_lab.vision.quads import (
     find_quads,
@@ -45,52 +51,39 @@ _ONE_MARKER, _BESIDE = 1.5, 0.25
 _FLAT = 12.0
 _DARK = 12.0
 _BRIGHT = 243.0
+# Limits of the settings.
+_ALLOWED = {
+    "border": (0.0, 1000.0),
+    "min_side": (5.0, 1e4),
+    "contrast": (0.0, 255.0),
+    "correction": (0.0, 1.0),
+    "border_rate": (0.0, 0.5),
+    "likeness": (0.0, 1.0),
+    "max_quads": (1, 10000),
+}
 # A marker and its corners, (4, 2) ideal px from its top left on.
 Decoded = Tuple[Match, np.ndarray]
 
 
 @dataclass(frozen=True)
 class DetectorSettings:
-    """Settings of a detector: what to look for, and how.
+    """Settings of a detector: what to look for, and how."""
 
-    Attributes:
-        dictionary: a name of `dictionaries.DICTIONARY_NAMES`, as `dictionary_named` takes it.
-        ids: markers to report; empty: all of the dictionary.
-        border: px; a marker with a corner nearer to the edge of the image is cropped: dropped.
-        min_side: px; mean side of the smallest marker that is looked for.
-        windows: px, odd; neighbourhoods of the adaptive threshold.
-        contrast: grey levels by which black is darker than its neighbourhood.
-        correction: part of the bits that the dictionary could correct which is corrected.
-        border_rate: part of the border's cells that may be misread.
-        likeness: least correlation of grey levels and pattern.
-        max_quads: at most so many quadrilaterals are tried, the largest first.
-        second_pass: look again, twice as large and with less contrast, where nothing was found.
-    """
-
-    dictionary: str = "apriltag_36h10"
-    ids: Tuple[int, ...] = ()
-    border: float = 3.0
-    min_side: float = 10.0
-    windows: Tuple[int, ...] = (3, 7, 21)
-    contrast: float = 7.0
-    correction: float = 0.5
-    border_rate: float = 0.1
-    likeness: float = 0.6
-    max_quads: int = 60
-    second_pass: bool = True
+    dictionary: str = "apriltag_36h10"  #: as `dictionary_named` takes it
+    ids: Tuple[int, ...] = ()  #: markers to report; empty: all of the dictionary
+    border: float = 3.0  #: px; what has a corner nearer to the edge of the image is dropped
+    min_side: float = 10.0  #: px; mean side of the smallest marker that is looked for
+    windows: Tuple[int, ...] = (3, 7, 21)  #: px, odd; neighbourhoods of the adaptive threshold
+    contrast: float = 7.0  #: grey levels by which black is darker than its neighbourhood
+    correction: float = 0.5  #: part of the bits that could be corrected which is corrected
+    border_rate: float = 0.1  #: part of the border's cells that may be misread
+    likeness: float = 0.6  #: least correlation of grey levels and pattern
+    max_quads: int = 60  #: at most so many quadrilaterals are tried, the largest first
+    second_pass: bool = True  #: look twice as large and with less contrast where nothing was found
 
     def __post_init__(self) -> None:
         """Raise VisionError where a setting is not allowed."""
-        allowed = {
-            "border": (0.0, 1000.0),
-            "min_side": (5.0, 1e4),
-            "contrast": (0.0, 255.0),
-            "correction": (0.0, 1.0),
-            "border_rate": (0.0, 0.5),
-            "likeness": (0.0, 1.0),
-            "max_quads": (1, 10000),
-        }
-        for name, (low, high) in allowed.items():
+        for name, (low, high) in _ALLOWED.items():
             value = getattr(self, name)
             if not math.isfinite(value) or not low <= value <= high:
                 raise VisionError(f"{name} is {value}: it must be from {low:g} to {high:g}")
@@ -106,18 +99,14 @@ class DetectorSettings:
 class DetectedMarker:
     """A marker in an image.
 
-    Attributes:
-        id: which of the dictionary.
-        corners: (4, 2) u, v in px of the image as it is, with its distortion: top left, top
-            right, bottom right, bottom left of the black square, as one looks at the marker.
-        bit_errors: bits that were corrected.
-        likeness: correlation of the grey levels with its pattern.
+    Its corners are (4, 2) u, v in px of the image as it is, with its distortion: top left, top
+    right, bottom right, bottom left of the black square, as one looks at the marker.
     """
 
-    id: int
+    id: int  #: which of the dictionary
     corners: np.ndarray
-    bit_errors: int
-    likeness: float
+    bit_errors: int  #: bits that were corrected
+    likeness: float  #: correlation of the grey levels with its pattern
 
     @property
     def side(self) -> float:
@@ -127,27 +116,16 @@ class DetectedMarker:
 
 @dataclass
 class DetectionReport:
-    """What happened on the way, to say why nothing was found.
+    """What happened on the way, to say why nothing was found."""
 
-    Attributes:
-        quads: dark quadrilaterals that were tried.
-        undecoded: of them, those that are no marker.
-        cropped: ids of markers that were dropped at the edge of the image.
-        other_ids: ids of markers that were seen and not asked for.
-        mean: of the grey levels.
-        contrast: grey levels between its darkest and its brightest pixel.
-        noise: standard deviation of the grey levels' noise.
-        second_pass: whether the image was looked at twice.
-    """
-
-    quads: int = 0
-    undecoded: int = 0
-    cropped: List[int] = field(default_factory=list)
-    other_ids: List[int] = field(default_factory=list)
-    mean: float = 0.0
-    contrast: float = 0.0
-    noise: float = 0.0
-    second_pass: bool = False
+    quads: int = 0  #: dark quadrilaterals that were tried
+    undecoded: int = 0  #: of them, those that are no marker
+    cropped: List[int] = field(default_factory=list)  #: ids dropped at the edge of the image
+    other_ids: List[int] = field(default_factory=list)  #: ids seen and not asked for
+    mean: float = 0.0  #: of the grey levels
+    contrast: float = 0.0  #: grey levels between its darkest and its brightest pixel
+    noise: float = 0.0  #: standard deviation of the grey levels' noise
+    second_pass: bool = False  #: whether the image was looked at twice
 
 
 @dataclass(frozen=True)
@@ -159,14 +137,7 @@ class Detections:
 
 
 class MarkerDetector:
-    """Finds markers.
-
-    Args:
-        settings: what to look for.
-
-    Raises:
-        VisionError: there is no such dictionary.
-    """
+    """Finds markers."""
 
     def __init__(self, settings: Optional[DetectorSettings] = None):
         self.settings = settings or DetectorSettings()
@@ -175,14 +146,10 @@ class MarkerDetector:
         self._border_errors = int(self.settings.border_rate * 4 * (self.dictionary.cells + 1))
 
     def detect(self, image: np.ndarray, camera: Optional[PinholeCamera] = None) -> Detections:
-        """Return the markers in an image.
+        """Return the markers in an image, (h, w) grey levels or (h, w, 3) BGR, uint8.
 
-        Args:
-            image: (h, w) grey levels or (h, w, 3) BGR, uint8.
-            camera: its geometry; only its distortion is used, to have straight edges straight.
-
-        Raises:
-            VisionError: it is no such image.
+        Of the camera only the distortion is used, to have straight edges straight. Raises
+        VisionError for what is no such image.
         """
         grey = images.grey(image)
         lens = Lens(camera)
@@ -191,8 +158,7 @@ class MarkerDetector:
         report.mean, report.contrast = float(cv2.mean(grey)[0]), high - low
         report.noise = noise_level(grey)
         smooth, least = _prepare(grey, low, high, report.noise)
-        contrast = max(least, self.settings.contrast)
-        markers = self._look(grey, smooth, contrast, lens, report)
+        markers = self._look(grey, smooth, max(least, self.settings.contrast), lens, report)
         if not markers and self.settings.second_pass:
             report.second_pass = True
             markers = self._look(grey, smooth, least, lens, report)
@@ -226,20 +192,16 @@ class MarkerDetector:
                 report.undecoded += 1
             else:
                 add_decoded(decoded, found)
-        self._look_into_cells(image, found, lens)
-        return self._choose(found, grey.shape, lens, report)
-
-    def _look_into_cells(self, image: np.ndarray, found: List[Decoded], lens: Lens) -> None:
-        """Add the markers in the white cells of those that were found."""
+        # Other markers may be in their white cells.
         for read, corners in found[:]:
             pattern = self.dictionary.pattern(read.marker)
-            quads = quads_in_cells(image, corners, pattern, lens, self.settings.min_side)
-            for quad in quads:
+            for quad in quads_in_cells(image, corners, pattern, lens, self.settings.min_side):
                 if any(same_quads(quad, other[None])[0] for _, other in found):
                     continue
                 decoded = self._decode(image, quad, lens)
                 if decoded is not None:
                     add_decoded(decoded, found)
+        return self._choose(found, grey.shape, lens, report)
 
     def _quads(self, grey: np.ndarray, contrast: float, scale: int) -> np.ndarray:
         """Return (n, 4, 2) quadrilaterals in px of the image, the largest first."""
@@ -280,15 +242,13 @@ class MarkerDetector:
         report: DetectionReport,
     ) -> List[DetectedMarker]:
         """Return what was asked for and is whole."""
-        height, width = shape[:2]
-        border = self.settings.border
-        chosen = []
+        border, chosen = self.settings.border, []
+        largest = np.array(shape[1::-1]) - 1 - border
         for read, ideal in found:
             corners = lens.seen(ideal)
-            inside = (corners >= border) & (corners <= (width - 1 - border, height - 1 - border))
             if self.settings.ids and read.marker not in self.settings.ids:
                 report.other_ids.append(read.marker)
-            elif not inside.all():
+            elif not ((corners >= border) & (corners <= largest)).all():
                 report.cropped.append(read.marker)
             else:
                 chosen.append(DetectedMarker(read.marker, corners, read.errors, read.likeness))

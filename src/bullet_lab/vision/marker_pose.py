@@ -1,9 +1,10 @@
-"""Where a marker is: both poses that its corners allow, and how well they are known."""
+"""Poses of markers: both that the corners allow, and the choice from one image to the next."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import List, Optional, Tuple
+from typing import List, Mapping, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -13,11 +14,15 @@ from bullet_lab.vision.algebra import (
     homography,
     invert_symmetric,
     largest_singular_value,
-    least_squares,
-    nearest_rotation,
     solve_symmetric,
 )
 from bullet_lab.vision.images import VisionError
+from bullet_lab.vision.marker_detector import (
+    DetectedMarker,
+    DetectionReport,
+    DetectorSettings,
+    MarkerDetector,
+)
 
 # Two poses are told apart if the worse one fits so much worse, and by more than the corners'
 # own error.
@@ -28,25 +33,30 @@ _ITERATIONS = 10
 _LEAST_AREA = 1.0
 # px²; a step that gains less changes nothing any more.
 _CONVERGED = 1e-6
+# Top left, top right, bottom right, bottom left corner in the marker's frame, by half its edge.
+_SQUARE = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
+# Seconds after which a pose says nothing about the next one.
+_PATIENCE = 1.0
+# A marker moves by less than this part of its distance from one image to the next.
+_NEAR = 0.2
+# One pose is clearly more upright than the other from this cosine of the tilt on: 3 degrees.
+_CLEARLY_UPRIGHT = 0.0014
+# Up, in the optical frame of a level camera.
+_UP = np.array([0.0, -1.0, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
 class MarkerPose:
     """Pose of a marker in the optical frame of a camera.
 
-    The marker's frame has x to its right as one looks at it, y up, z out of its face.
-
-    Attributes:
-        rotation: (3, 3), from the marker's frame to the optical frame.
-        translation: (3,) m, the marker's middle.
-        error: root mean square of the corners' distances from where the pose puts them, px.
-        covariance: (6, 6) of x, y, z and small rotations about the x, y, z of the optical
-            frame, as in geometry_msgs/PoseWithCovariance; m² and rad².
+    The marker's frame has x to its right as one looks at it, y up, z out of its face. The
+    covariance (6, 6) is of x, y, z and small rotations about the x, y, z of the optical frame, as
+    in geometry_msgs/PoseWithCovariance; m² and rad².
     """
 
-    rotation: np.ndarray
-    translation: np.ndarray
-    error: float
+    rotation: np.ndarray  #: (3, 3), from the marker's frame to the optical frame
+    translation: np.ndarray  #: (3,) m, the marker's middle
+    error: float  #: root mean square of the corners' distances from where the pose puts them, px
     covariance: np.ndarray
 
     @property
@@ -66,17 +76,11 @@ class MarkerPose:
 
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
-    """The two poses of a flat marker that its corners allow.
+    """The two poses of a flat marker that its corners allow."""
 
-    Attributes:
-        best: the one that fits better.
-        alternative: the other one; the same as `best` where there is but one.
-        ambiguous: the corners do not tell which is right.
-    """
-
-    best: MarkerPose
-    alternative: MarkerPose
-    ambiguous: bool
+    best: MarkerPose  #: the one that fits better
+    alternative: MarkerPose  #: the other one; the same as `best` where there is but one
+    ambiguous: bool  #: the corners do not tell which is right
 
     def nearest_to(self, rotation: np.ndarray) -> MarkerPose:
         """Return the pose that is turned least against a (3, 3) rotation, such as the last."""
@@ -115,9 +119,11 @@ def estimate_pose(
         raise VisionError("a marker has four finite corners")
     if not (np.isfinite(size) and size > 0.0 and np.isfinite(pixel_sigma) and pixel_sigma > 0.0):
         raise VisionError(f"a marker of {size} m with corners to {pixel_sigma} px")
-    if abs(_area(corners)) < _LEAST_AREA:
+    # The area of a quadrilateral, from its diagonals.
+    (ax, ay), (bx, by) = corners[2] - corners[0], corners[3] - corners[1]
+    if 0.5 * abs(float(ax * by - ay * bx)) < _LEAST_AREA:
         raise VisionError("the corners of a marker are not four")
-    points = square_corners(size)
+    points = 0.5 * size * _SQUARE
     rays = _undistorted(corners, camera)
     starts = _both_poses(points, rays)
     poses = [_refined(r, t, points, corners, camera, pixel_sigma) for r, t in starts]
@@ -125,19 +131,10 @@ def estimate_pose(
     if not poses:
         raise VisionError("no pose fits the corners")
     best, other = poses[0], poses[-1]
-    return PoseEstimate(best, other, _is_ambiguous(best, other, pixel_sigma))
-
-
-def square_corners(size: float) -> np.ndarray:
-    """Return the (4, 3) corners of a marker in its frame: top left, right, bottom right, left."""
-    half = 0.5 * size
-    return half * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
-
-
-def _area(corners: np.ndarray) -> float:
-    """Return the area of a quadrilateral, from its diagonals, px²."""
-    (ax, ay), (bx, by) = corners[2] - corners[0], corners[3] - corners[1]
-    return 0.5 * float(ax * by - ay * bx)
+    same = other is best or np.sum(best.rotation * other.rotation) > 3.0 - 1e-4
+    clear = other.error > _CLEAR_RATIO * best.error
+    clear = clear and other.error - best.error > 0.5 * _CLEAR_SIGMAS * pixel_sigma
+    return PoseEstimate(best, other, not (same or clear))
 
 
 def _undistorted(corners: np.ndarray, camera: PinholeCamera) -> np.ndarray:
@@ -176,7 +173,9 @@ def _both_poses(points: np.ndarray, rays: np.ndarray) -> List[Tuple[np.ndarray, 
     for sign in (1.0, -1.0):
         columns = np.vstack((upper, sign * lower))
         local = np.column_stack((columns, np.cross(columns[:, 0], columns[:, 1])))
-        rotation = nearest_rotation(to_middle @ local)
+        # The nearest one to what is nearly one already.
+        _, left, right = cv2.SVDecomp(to_middle @ local)
+        rotation = left @ right
         poses.append((rotation, _translation(points @ rotation.T, rays)))
     return poses
 
@@ -198,8 +197,7 @@ def _translation(turned: np.ndarray, rays: np.ndarray) -> np.ndarray:
     a = np.zeros((8, 3))
     a[0::2, 0] = a[1::2, 1] = 1.0
     a[:, 2] = -rays.ravel()
-    b = (rays * turned[:, 2:] - turned[:, :2]).ravel()
-    return least_squares(a, b)
+    return solve_symmetric(a.T @ a, a.T @ (rays * turned[:, 2:] - turned[:, :2]).ravel())
 
 
 def _refined(
@@ -271,8 +269,110 @@ def _projected(seen: np.ndarray, camera: PinholeCamera) -> Tuple[np.ndarray, np.
     return pixels[:, 0], by_point
 
 
-def _is_ambiguous(best: MarkerPose, other: MarkerPose, sigma: float) -> bool:
-    if other is best or np.sum(best.rotation * other.rotation) > 3.0 - 1e-4:
-        return False
-    clear = other.error > _CLEAR_RATIO * best.error
-    return not (clear and other.error - best.error > 0.5 * _CLEAR_SIGMAS * sigma)
+@dataclass(frozen=True, eq=False)
+class ObservedMarker:
+    """A marker that was found, with both poses that it may have."""
+
+    id: int  #: which of the dictionary
+    size: float  #: edge of its black square, m
+    corners: np.ndarray  #: (4, 2) px; top left, top right, bottom right, bottom left
+    bit_errors: int  #: bits that were corrected
+    side: float  #: mean length of its sides, px
+    pose: PoseEstimate
+
+
+@dataclass(frozen=True)
+class Observation:
+    """All markers of an image, the largest first, and what happened on the way."""
+
+    markers: List[ObservedMarker]
+    report: DetectionReport
+
+
+class MarkerObserver:
+    """Finds markers and where they are.
+
+    Args:
+        settings: what to look for.
+        size: edge of the markers' black square, m.
+        sizes: of those ids that have another.
+        pixel_sigma: standard deviation of a corner's coordinates, px; scales the covariance.
+
+    Raises:
+        VisionError: a setting is not allowed.
+    """
+
+    def __init__(
+        self,
+        settings: Optional[DetectorSettings] = None,
+        size: float = 0.2,
+        sizes: Optional[Mapping[int, float]] = None,
+        pixel_sigma: float = 0.1,
+    ):
+        self.detector = MarkerDetector(settings)
+        self._size = size
+        self._sizes = dict(sizes or {})
+        self._sigma = pixel_sigma
+        for value in (size, pixel_sigma, *self._sizes.values()):
+            if not math.isfinite(value) or value <= 0.0:
+                raise VisionError(f"a size of {value}: it must be above 0")
+
+    def observe(self, image: np.ndarray, camera: PinholeCamera) -> Observation:
+        """Return the markers in an image, (h, w) grey levels or (h, w, 3) BGR, uint8.
+
+        Raises:
+            VisionError: the image is none, or not of the camera's size.
+        """
+        if image.shape[:2] != (camera.height, camera.width):
+            size = f"{image.shape[1]} x {image.shape[0]} px"
+            raise VisionError(f"an image of {size} of a camera of {camera.width} x {camera.height}")
+        detections = self.detector.detect(image, camera)
+        return Observation([self.locate(m, camera) for m in detections.markers], detections.report)
+
+    def locate(self, marker: DetectedMarker, camera: PinholeCamera) -> ObservedMarker:
+        """Return a detected marker with its poses."""
+        size = self._sizes.get(marker.id, self._size)
+        pose = estimate_pose(marker.corners, size, camera, self._sigma)
+        return ObservedMarker(marker.id, size, marker.corners, marker.bit_errors, marker.side, pose)
+
+
+class PoseMemory:
+    """Chooses between the two poses of each marker, from one image to the next.
+
+    Where the image tells them apart, it decides. Where it does not: the one nearest the last
+    pose of that marker; else the more upright one, where that is clear; else the one that fits
+    better.
+
+    Args:
+        upright: whether markers hang upright before a level camera.
+    """
+
+    def __init__(self, upright: bool = True):
+        self._upright = upright
+        self._last: List[Tuple[int, MarkerPose]] = []
+        self._stamp = -np.inf
+
+    def forget(self) -> None:
+        """Forget what was seen."""
+        self._last = []
+
+    def choose(self, markers: Sequence[ObservedMarker], stamp: float) -> List[MarkerPose]:
+        """Return a pose for each marker of an image of a stamp in s."""
+        if not 0.0 <= stamp - self._stamp <= _PATIENCE:
+            self._last = []
+        poses = [self._choose(marker) for marker in markers]
+        if poses:
+            self._last = [(m.id, pose) for m, pose in zip(markers, poses)]
+            self._stamp = stamp
+        return poses
+
+    def _choose(self, marker: ObservedMarker) -> MarkerPose:
+        estimate, best = marker.pose, marker.pose.best
+        if not estimate.ambiguous:
+            return best
+        # The last pose of this very marker; others may bear the same id.
+        same = [pose for number, pose in self._last if number == marker.id]
+        distances = [float(np.linalg.norm(pose.translation - best.translation)) for pose in same]
+        if same and min(distances) <= _NEAR * best.distance:
+            return estimate.nearest_to(same[int(np.argmin(distances))].rotation)
+        return estimate.upright(_UP, _CLEARLY_UPRIGHT) if self._upright else best

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from itertools import islice
 from typing import List, Optional, Sequence, Tuple
 
 import cv2
@@ -63,14 +64,8 @@ def _outlines(dark: np.ndarray, min_side: float, most: int) -> List[np.ndarray]:
     # A diagonal step counts as one pixel.
     long = [contour for contour in contours if len(contour) >= 2.8 * min_side]
     long.sort(key=len, reverse=True)
-    quads: List[np.ndarray] = []
-    for contour in long:
-        quad = _quad_of(contour, min_side)
-        if quad is not None:
-            quads.append(quad)
-        if len(quads) == most:
-            break
-    return quads
+    quads = (_quad_of(contour, min_side) for contour in long)
+    return list(islice((quad for quad in quads if quad is not None), most))
 
 
 def same_quads(first: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -131,8 +126,6 @@ def _fit_sides(contour: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return intersections(points, normals)
 
 
-# Corners to sub-pixels -------------------------------------------------------------------------
-
 # How far from the line to look for the edge and how close to sample, px; first roughly, then
 # centred on what was found.
 _LOOKS = ((2.5, 0.5), (2.0, 0.25), (2.0, 0.25))
@@ -150,7 +143,7 @@ _LEAST_RISE = 4.0
 
 
 def refine_corners(
-    image: np.ndarray, quad: np.ndarray, cells: int, lens: Optional[Lens] = None
+    image: np.ndarray, quad: np.ndarray, cells: int, lens: Lens
 ) -> Optional[np.ndarray]:
     """Return the corners of a dark quadrilateral where the lines along its sides meet.
 
@@ -162,12 +155,11 @@ def refine_corners(
         image: (h, w) grey levels.
         quad: (4, 2) corners in px, clockwise, to about two pixels.
         cells: number of cells of the marker along an edge, with its border.
-        lens: straightens edges; None for a camera without distortion.
+        lens: straightens edges.
 
     Returns:
         (4, 2) corners u, v in ideal px; None if there are no four edges.
     """
-    lens = lens or Lens()
     corners = lens.ideal(quad)
     for reach, step in _LOOKS:
         corners = _refine_once(image, corners, cells, lens, reach, step)
@@ -202,9 +194,7 @@ def _refine_once(
     seen = weights > np.maximum(_LEAST_RISE, 0.25 * weights.mean(axis=1, keepdims=True))
     if seen.mean(axis=1).min() < _LEAST_SEEN:
         return None
-    weights = np.where(seen, weights, 0.0)
-    heights = np.where(seen, heights, 0.0)
-    level, slope = _robust_lines(places, heights, weights)
+    level, slope = _robust_lines(places, np.where(seen, heights, 0.0), np.where(seen, weights, 0.0))
     # The lines at the old corners, and the new ones where they meet.
     first = corners + outward * level[:, None]
     second = corners + edges + outward * (level + slope)[:, None]
@@ -228,8 +218,6 @@ def _robust_lines(places: np.ndarray, heights: np.ndarray, weights: np.ndarray):
     return level, slope
 
 
-# In the white cells of a marker ------------------------------------------------------------------
-
 # Places at which a cell is looked at, along each edge, and the part of the edge that they cover.
 _PLACES = 10
 _COVERED = 0.8
@@ -243,6 +231,7 @@ _ENLARGED, _LARGEST_SCALE = 160.0, 6
 # Parts of the contrast up to which a pixel is dark.
 _LEVELS = (0.4, 0.55, 0.7, 0.82)
 _SMOOTHING = 0.8
+_UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 def quads_in_cells(
@@ -283,11 +272,11 @@ def quads_in_cells(
     low[pattern == 0] = 0.0
     rows, columns = np.nonzero(low > _DARKER)
     fullest = np.argsort(-low[rows, columns], kind="stable")[:_MOST_CELLS]
-    found: List[np.ndarray] = []
+    found = [np.empty((0, 4, 2))]
     for row, column in zip(rows[fullest], columns[fullest]):
-        outline = lens.seen(_mapped(_cell_outline(row, column, cells), to_image))
+        outline = lens.seen(_mapped((_UNIT_SQUARE + (column, row)) / cells, to_image))
         found.append(_quads_within(image, outline, (black, white), min_side))
-    return np.concatenate(found) if found else np.empty((0, 4, 2))
+    return np.concatenate(found)
 
 
 def _quads_within(
@@ -330,8 +319,3 @@ def _cell_samples(cells: int) -> np.ndarray:
         np.arange(cells), np.arange(cells), within, within, indexing="ij"
     )
     return np.column_stack(((column + u).ravel(), (row + v).ravel())) / cells
-
-
-def _cell_outline(row: int, column: int, cells: int) -> np.ndarray:
-    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
-    return (corners + (column, row)) / cells

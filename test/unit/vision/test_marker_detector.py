@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from marker_images import CAMERA, Layer, View, corner_error, image_of, marker, true_corners
 
-from bullet_lab.vision.decoding import Match
-from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
+from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, Match, dictionary_named
 from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_detector import (
     DetectorSettings,

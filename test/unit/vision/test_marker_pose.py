@@ -10,8 +10,7 @@ from marker_images import CAMERA, View, angle_between, image_of, marker, true_co
 
 from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_detector import DetectorSettings
-from bullet_lab.vision.marker_observer import MarkerObserver, ObservedMarker, PoseMemory
-from bullet_lab.vision.marker_pose import estimate_pose
+from bullet_lab.vision.marker_pose import MarkerObserver, ObservedMarker, PoseMemory, estimate_pose
 
 SIZE = 0.2
 BENT = dataclasses.replace(CAMERA, distortion=(-0.3, 0.1, 0.001, -0.002, 0.02))

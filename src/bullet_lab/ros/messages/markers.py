@@ -9,8 +9,7 @@ from std_msgs.msg import Header
 
 from bullet_lab.msg import MarkerDetection
 from bullet_lab.vision.marker_detector import DetectedMarker
-from bullet_lab.vision.marker_observer import ObservedMarker
-from bullet_lab.vision.marker_pose import MarkerPose
+from bullet_lab.vision.marker_pose import MarkerPose, ObservedMarker
 
 
 def marker_pose_message(pose: MarkerPose) -> PoseMessage:

@@ -56,8 +56,7 @@ from bullet_lab.vision.marker_detector import (
     DetectorSettings,
     why_nothing,
 )
-from bullet_lab.vision.marker_observer import MarkerObserver, ObservedMarker, PoseMemory
-from bullet_lab.vision.marker_pose import MarkerPose
+from bullet_lab.vision.marker_pose import MarkerObserver, MarkerPose, ObservedMarker, PoseMemory
 
 DEFAULTS = DetectorSettings()
 

@@ -27,7 +27,7 @@ from bullet_lab.studies.detection_range.scenes import (
     strewn_shots,
 )
 from bullet_lab.vision.marker_detector import DetectorSettings
-from bullet_lab.vision.marker_observer import MarkerObserver, ObservedMarker
+from bullet_lab.vision.marker_pose import MarkerObserver, ObservedMarker
 
 LARGEST_OFFSET = 0.15
 """Share of a marker's side by which the corners of a detection may be off, beside a pixel."""

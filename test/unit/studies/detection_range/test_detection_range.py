@@ -33,8 +33,7 @@ from bullet_lab.studies.detection_range.study import (
 )
 from bullet_lab.studies.detection_range.trial import CellResult, Frame, Snapshot, judge
 from bullet_lab.studies.workers import TaskLostError
-from bullet_lab.vision.marker_observer import ObservedMarker
-from bullet_lab.vision.marker_pose import estimate_pose
+from bullet_lab.vision.marker_pose import ObservedMarker, estimate_pose
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 WANTED = WORLDS["docking"].wanted
