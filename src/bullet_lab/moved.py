@@ -28,7 +28,7 @@ experiments > studies.dock_campaign: dock_campaign=study dock_scenarios=trial do
     docking
 experiments > studies.noise_study: noise_study=study
 experiments > studies.published_noise: published_noise=study
-markers > markers: dots=images plates=models
+markers > markers: dots=faces images=faces plates=models
 numerics > core: angles ellipse metrics=trajectory patterns pinhole se2 seeds trajectory
 numerics > drive: goal_driver=goal square_course=square square_driver=square
 numerics > noise: exact_moments noisy_paths odometry_noise published_noise

@@ -12,12 +12,19 @@ import argparse
 import re
 import sys
 from pathlib import Path
-from typing import NoReturn, Optional, Sequence
+from typing import Any, NoReturn, Optional, Sequence
 
 from bullet_lab.core.arguments import ArgumentParser
 from bullet_lab.errors import LabError
-from bullet_lab.markers.faces import Face, Print, dots_face, nested_face, plate_face, wall_face
-from bullet_lab.markers.images import MarkerError, dictionary_names
+from bullet_lab.markers.faces import (
+    MarkerError,
+    Print,
+    dictionary_names,
+    dots_face,
+    nested_face,
+    plate_face,
+    wall_face,
+)
 from bullet_lab.markers.models import PLATE_THICKNESS, write_dock, write_panel, write_plate
 
 STATUS_BAD_INPUT = 2
@@ -39,7 +46,10 @@ def make(values: argparse.Namespace) -> str:
     if values.on != "dock":
         if values.dots or values.around is not None:
             raise MarkerError("--dots and --around are for the back wall: add --on dock")
-        _write_plate(plate_face(marker), values, said)
+        if values.on == "panel":
+            write_panel(plate_face(marker), values.height, folder, f"{said}, on a panel.")
+        else:
+            write_plate(plate_face(marker), PLATE_THICKNESS, folder, folder.absolute().name)
         return said
     if values.dots and values.around is not None:
         raise MarkerError("a back wall has either --dots or a marker --around, not both")
@@ -57,47 +67,33 @@ def make(values: argparse.Namespace) -> str:
     return said
 
 
-def _write_plate(face: Face, values: argparse.Namespace, said: str) -> None:
-    if values.on == "panel":
-        write_panel(face, values.height, values.out, f"{said}, on a panel.")
-    else:
-        write_plate(face, PLATE_THICKNESS, values.out, values.out.absolute().name)
-
-
 def parser() -> ArgumentParser:
     """Return the parser of the command line."""
-    default = Print()
     names = argparse.RawDescriptionHelpFormatter
     made = ArgumentParser(prog="make_marker.py", description=__doc__, formatter_class=names)
     made.add_argument("out", type=Path, help="folder that is written to; its name is the model's")
-    made.add_argument(
-        "--dictionary",
-        default=default.dictionary,
-        help=f"of OpenCV: {', '.join(dictionary_names())} [%(default)s]",
-    )
-    made.add_argument("--id", type=int, default=default.identifier, help="[%(default)s]")
-    made.add_argument(
-        "--size", type=float, default=default.size, help="edge of the black square, m [%(default)s]"
-    )
-    made.add_argument(
-        "--quiet", type=int, default=default.quiet, help="white cells around it [%(default)s]"
-    )
-    made.add_argument(
+
+    def option(name: str, default: Any, about: str, **more: Any) -> None:
+        if default is not None:
+            about += " [%(default)s]"
+        made.add_argument(name, default=default, help=about.strip(), **more)
+
+    option("--dictionary", Print.dictionary, f"of OpenCV: {', '.join(dictionary_names())}")
+    option("--id", Print.identifier, "", type=int)
+    option("--size", Print.size, "edge of the black square, m", type=float)
+    option("--quiet", Print.quiet, "white cells around it", type=int)
+    option(
         "--on",
+        "plate",
+        "plate: image and mesh only; panel: a model that stands on a post; dock: the model "
+        "of a docking station with the marker on its back wall",
         choices=("plate", "panel", "dock"),
-        default="plate",
-        help="plate: image and mesh only; panel: a model that stands on a post; dock: the model "
-        "of a docking station with the marker on its back wall [%(default)s]",
     )
-    made.add_argument(
-        "--height", type=float, default=0.5, help="of a panel's middle, m [%(default)s]"
-    )
+    option("--height", 0.5, "of a panel's middle, m", type=float)
     made.add_argument("--dots", action="store_true", help="strew the back wall with dots")
-    made.add_argument("--seed", type=int, default=1, help="of the dots [%(default)s]")
-    made.add_argument(
-        "--around", type=float, help="size of a larger marker that has this one as a cell, m"
-    )
-    made.add_argument("--around-id", type=int, help="its number [that of the marker]")
+    option("--seed", 1, "of the dots", type=int)
+    option("--around", None, "size of a larger marker that has this one as a cell, m", type=float)
+    option("--around-id", None, "its number [that of the marker]", type=int)
     return made
 
 

@@ -15,8 +15,7 @@ import numpy as np
 from PIL import Image
 
 from bullet_lab.core.files import make_folder, replace_file
-from bullet_lab.markers.faces import WALL_GREY, WALL_SIZE, Face
-from bullet_lab.markers.images import MarkerError
+from bullet_lab.markers.faces import WALL_GREY, WALL_SIZE, Face, MarkerError
 
 DOCK_DEPTH = 2.0
 WALL_THICKNESS = 0.2
@@ -69,6 +68,7 @@ _GREY = """
           <ambient>{0} {0} {0} 1</ambient>
           <diffuse>{0} {0} {0} 1</diffuse>
         </material>"""
+_MTL = "newmtl face\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd {name}.png\n"
 _CONFIG = """<?xml version="1.0"?>
 <model>
   <name>{name}</name>
@@ -90,13 +90,9 @@ class _Part:
 
 
 def write_panel(face: Face, height: float, folder: Path, about: str) -> None:
-    """Write a model of a plate on a post; its name is that of the folder.
+    """Write a model of a plate on a post; its name is that of the folder, made if need be.
 
-    Args:
-        face: what the plate shows.
-        height: of the middle of the plate above the floor, m.
-        folder: of the model; made if need be.
-        about: a sentence for model.config.
+    The middle of the plate is at `height` above the floor, m.
 
     Raises:
         MarkerError: the plate would reach into the floor.
@@ -151,7 +147,7 @@ def write_plate(face: Face, thickness: float, folder: Path, name: str) -> Tuple[
     make_folder(folder)
     obj, mtl, png = (folder / f"{name}.{kind}" for kind in ("obj", "mtl", "png"))
     replace_file(obj, lambda part: part.write_text(_obj(face, thickness, name)))
-    replace_file(mtl, lambda part: part.write_text(_mtl(name)))
+    replace_file(mtl, lambda part: part.write_text(_MTL.format(name=name)))
     image = Image.fromarray(np.ascontiguousarray(face.image))
     replace_file(png, lambda part: image.save(part, optimize=True))
     return obj, mtl, png
@@ -159,9 +155,9 @@ def write_plate(face: Face, thickness: float, folder: Path, name: str) -> Tuple[
 
 def _obj(face: Face, thickness: float, name: str) -> str:
     lines = [f"mtllib {name}.mtl", f"o {name}", "usemtl face"]
-    lines += [_vertex(corner, face.size, thickness) for corner in _CORNERS]
-    for _, corners in _SIDES:
-        lines += [_vertex(corner, face.size, thickness) for corner in corners]
+    scale, sides = np.array([thickness, 0.5 * face.size, 0.5 * face.size]), [c for _, c in _SIDES]
+    for corners in (_CORNERS, *sides):
+        lines += [f"v {_numbers(scale * corner)}" for corner in corners]
     # The picture's corners, and the middle of its corner pixel for all other sides.
     lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1"]
     lines.append(f"vt {0.5 / len(face.image):.9g} {0.5 / len(face.image):.9g}")
@@ -173,31 +169,18 @@ def _obj(face: Face, thickness: float, name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _vertex(corner: Tuple[int, int, int], size: float, thickness: float) -> str:
-    x, y, z = corner[0] * thickness, 0.5 * size * corner[1], 0.5 * size * corner[2]
-    return f"v {x:.9g} {y:.9g} {z:.9g}"
-
-
 def _quad(first: int, texture: Tuple[int, int, int, int], normal: int) -> List[str]:
     corners = [f"{first + k}/{texture[k]}/{normal}" for k in range(4)]
     return [f"f {corners[0]} {corners[b]} {corners[c]}" for b, c in ((1, 2), (2, 3))]
 
 
-def _mtl(name: str) -> str:
-    lines = ("newmtl face", "Ka 1 1 1", "Kd 1 1 1", "Ks 0 0 0", f"map_Kd {name}.png")
-    return "\n".join(lines) + "\n"
-
-
 def _write_model(folder: Path, parts: Sequence[_Part], about: str) -> None:
     make_folder(folder)
     name = folder.absolute().name
-    shapes = "".join(_shapes(part, name) for part in parts)
-    files = {
-        "model.sdf": _SDF.format(name=name, shapes=shapes),
-        "model.config": _CONFIG.format(name=name, about=escape(about)),
-    }
-    for file, text in files.items():
-        replace_file(folder / file, lambda path, text=text: path.write_text(text))
+    sdf = _SDF.format(name=name, shapes="".join(_shapes(part, name) for part in parts))
+    config = _CONFIG.format(name=name, about=escape(about))
+    replace_file(folder / "model.sdf", lambda path: path.write_text(sdf))
+    replace_file(folder / "model.config", lambda path: path.write_text(config))
 
 
 def _shapes(part: _Part, model: str) -> str:

@@ -6,25 +6,23 @@ import pytest
 from PIL import Image
 
 from bullet_lab.markers.faces import (
-    WALL_GREY,
-    WALL_PIXELS,
-    Print,
-    dots_face,
-    nested_face,
-    plate_face,
-    wall_face,
-)
-from bullet_lab.markers.images import (
     CLOSEST,
     DOT_RADIUS,
     DOTS_PER_SQUARE_METRE,
+    WALL_GREY,
+    WALL_PIXELS,
     MarkerError,
+    Print,
     dictionary_names,
+    dots_face,
     draw_dots,
     marker_cells,
     marker_image,
+    nested_face,
     paste,
+    plate_face,
     scatter_dots,
+    wall_face,
 )
 from bullet_lab.markers.models import write_plate
 
@@ -144,8 +142,8 @@ def test_the_ink_of_a_dot_is_that_of_its_disc():
 
 
 def test_too_many_dots_are_refused_rather_than_searched_for_ever(monkeypatch):
-    monkeypatch.setattr("bullet_lab.markers.images.DOTS_PER_SQUARE_METRE", 20000.0)
-    monkeypatch.setattr("bullet_lab.markers.images.TRIES_PER_DOT", 3)
+    monkeypatch.setattr("bullet_lab.markers.faces.DOTS_PER_SQUARE_METRE", 20000.0)
+    monkeypatch.setattr("bullet_lab.markers.faces.TRIES_PER_DOT", 3)
     with pytest.raises(MarkerError, match="no room for 200 dots"):
         scatter_dots(0.1, 0.1, (0.0, 0.0, 0.0, 0.0), np.random.default_rng(1))
 
