@@ -161,8 +161,9 @@ def test_panels_that_come_and_go_leave_no_memory_behind(tmp_path):
         come_and_go(30)
         before = resident_megabytes()
         come_and_go(60)
-        # One texture with its smaller copies has 0.85 MB.
-        assert resident_megabytes() - before < 5.0
+        # Of 51 MB: a texture with its smaller copies has 0.85 MB. The allocator of a process that
+        # has run other tests moves by several.
+        assert resident_megabytes() - before < 15.0
 
 
 def test_any_thread_draws():
