@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.nodes.depopulate."""
+"""Run the node; see bullet_lab.ros.nodes.populate."""
 
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.ros.nodes.depopulate")
+    run("bullet_lab.ros.nodes.populate:depopulate_main")

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.nodes.fleet."""
+"""Run the node; see bullet_lab.ros.nodes.drive_squares."""
 
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.ros.nodes.fleet")
+    run("bullet_lab.ros.nodes.drive_squares:fleet_main")

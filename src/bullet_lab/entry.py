@@ -12,13 +12,17 @@ STATUS_CANNOT_START = 1
 STATUS_INTERRUPTED = 130
 
 
-def run(module: str) -> None:
-    """Import a module and call its `main`; end with one line where a library is missing."""
+def run(target: str) -> None:
+    """Import "module" or "module:function" and call its `main` or function.
+
+    Where a library is missing, that ends with one line.
+    """
+    module, _, function = target.partition(":")
     name = os.path.basename(sys.argv[0])
     # With several, the last bit of a sum depends on how many cores there are.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        main = importlib.import_module(module).main
+        main = getattr(importlib.import_module(module), function or "main")
     except KeyboardInterrupt:
         sys.exit(STATUS_INTERRUPTED)
     except LabError as error:

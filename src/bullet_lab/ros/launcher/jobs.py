@@ -37,7 +37,7 @@ _BOUNDS = {">=": "minimum", "<=": "maximum", ">": "above"}
 _WORDS = re.compile(r"true|false|[\w.-]+(\|[\w.-]+)+")
 _ARGUMENT = re.compile(r"\$\(arg (\w+)\)")
 _OPTION = re.compile(r"--?([\w-]+)[= ]'?\$\(arg (\w+)\)")
-_MODULE = re.compile(r"""\brun\(["']([\w.]+)["']\)""")
+_MODULE = re.compile(r"""\brun\(["']([\w.]+)(?::\w+)?["']\)""")
 
 
 class UsageError(LabError):

@@ -52,7 +52,7 @@ from bullet_lab.ros.messages.poses import (
     set_time,
     time_of,
 )
-from bullet_lab.ros.node import parameters
+from bullet_lab.core import parameters
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice

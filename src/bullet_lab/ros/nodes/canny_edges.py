@@ -17,12 +17,7 @@ from sensor_msgs.msg import Image
 
 from bullet_lab.core import parameters
 from bullet_lab.ros.messages.images import image_message
-from bullet_lab.ros.nodes.image_node import (
-    CameraImage,
-    ImageNode,
-    ImageParameters,
-    run_image_node,
-)
+from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
 from bullet_lab.vision.drawing import draw_area
 from bullet_lab.vision.features import canny_edges
 

@@ -1,31 +1,49 @@
-"""The node that drives a robot in squares, by the clock or by its odometry; also for fleets.
+"""The nodes that drive robots in squares, by the clock or by their odometry.
+
+drive_squares drives the robot that is there.
 
 :ROS Parameters: see `DriveSquaresParameters`.
 :ROS Publishers:
     - cmd_vel (geometry_msgs/Twist), or what ~cmd_vel says
     - drive_squares/finished (std_msgs/Time), latched: when the square was finished
 :ROS Subscribers: odom (nav_msgs/Odometry), or what ~odom says; in closed loop only
+
+fleet puts several robots into the running world first, and drives all of them. Robot k is the
+model robot<k> with the namespace robot<k> and, if none is set there, the tf_prefix robot<k>; k
+counts from 1.
+
+:ROS Parameters: see `FleetParameters`.
+:ROS Publishers: robot<k>/cmd_vel and fleet/finished, as above
+:ROS Subscribers: robot<k>/odom
+:ROS Service clients: /gazebo/spawn_urdf_model (gazebo_msgs/SpawnModel)
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Sequence, Tuple
+from typing import Any, List, Sequence, Tuple
 
 import rospy
 from geometry_msgs.msg import Twist
 from std_msgs.msg import Time
 from tqdm import tqdm
 
+from bullet_lab.core import parameters, patterns
+from bullet_lab.core.pose import Pose
 from bullet_lab.drive.square import MODES, OPEN_LOOP, Square, SquareDriver
-from bullet_lab.ros.node import parameters
+from bullet_lab.ros.gazebo.client import call
+from bullet_lab.ros.messages.gazebo_types import srv
+from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.ros.node.commands import StoppableSender
 from bullet_lab.ros.node.lock_step import rate
-from bullet_lab.ros.node.node import private_parameters, run_node, wait_until
+from bullet_lab.ros.node.node import TF_PREFIX, private_parameters, run_node, wait_until
 from bullet_lab.ros.node.odometry import NewestOdometry
 from bullet_lab.ros.node.publishers import publisher
+from bullet_lab.ros.nodes.populate import description_of
 
+SPAWN_SERVICE = "/gazebo/spawn_urdf_model"
+MOST_ROBOTS = 100
 # At rest before and after, so that a recording shows where the robots stood.
 REST_SECONDS = 0.5
 PROGRESS_FORMAT = "{desc} {percentage:3.0f}%|{bar:30}| {n:.1f} of {total:.1f} m, {elapsed}"
@@ -38,14 +56,20 @@ def _accept_turn_speed(value: Any) -> float:
 
 
 @dataclass(frozen=True)
-class DriveSquaresParameters:
+class SquareParameters:
+    """Private parameters of both nodes."""
+
+    mode: str = parameters.choice(OPEN_LOOP, "what ends a side", MODES)
+    sides: int = parameters.integer(4, "number of sides", minimum=1)
+    side: float = parameters.number(2.0, "length of a side in m", above=0.0)
+
+
+@dataclass(frozen=True)
+class DriveSquaresParameters(SquareParameters):
     """Private parameters of drive_squares."""
 
     cmd_vel: str = parameters.text("cmd_vel", "topic of the commands")
     odom: str = parameters.text("odom", "topic of the odometry that closes the loop")
-    mode: str = parameters.choice(OPEN_LOOP, "what ends a side", MODES)
-    sides: int = parameters.integer(4, "number of sides", minimum=1)
-    side: float = parameters.number(2.0, "length of a side in m", above=0.0)
     speed: float = parameters.number(0.2, "on the sides, m/s", above=0.0)
     turn_speed: float = parameters.checked(
         -0.5236,
@@ -56,14 +80,19 @@ class DriveSquaresParameters:
     turn_commands: int = parameters.integer(34, "open loop: commands of a turn at 10 Hz", minimum=0)
 
 
-class _Robot:
-    """One of the robots that are driven.
+@dataclass(frozen=True)
+class FleetParameters(SquareParameters):
+    """Private parameters of fleet."""
 
-    Args:
-        driver: of its squares.
-        cmd_vel: topic of its commands.
-        odom: topic of its odometry.
-    """
+    robots: int = parameters.integer(8, "how many there are", 1, MOST_ROBOTS)
+    robot: str = parameters.text(
+        "package://bullet_lab/urdf/block_robot.urdf", "URDF of each: a path or package://"
+    )
+    spacing: float = parameters.number(2.5, "m from one start to the next, in a grid", above=0.0)
+
+
+class _Robot:
+    """One of the robots that are driven, by its topics of commands and of odometry."""
 
     def __init__(self, driver: SquareDriver, cmd_vel: str, odom: str):
         self.driver = driver
@@ -144,19 +173,43 @@ class DriveSquares:
             self._rate.sleep()
 
 
+def robot_names(count: int) -> List[str]:
+    """Return the names of so many robots, which are their namespaces as well; from robot1 on."""
+    return [f"robot{number}" for number in range(1, count + 1)]
+
+
+def drive_fleet(parameters: FleetParameters) -> None:
+    """Put the robots into the world and drive them; raises LabError."""
+    text = description_of(parameters.robot)
+    names = robot_names(parameters.robots)
+    for name, (x, y, _) in zip(names, patterns.grid(parameters.robots, parameters.spacing)):
+        space = rospy.resolve_name(name)
+        if not rospy.has_param(f"{space}/{TF_PREFIX}"):
+            rospy.set_param(f"{space}/{TF_PREFIX}", name)
+        pose = pose_message(Pose((x, y, 0.0)))
+        call(SPAWN_SERVICE, srv.SpawnModel, name, text, space, pose, "")
+    square = Square(parameters.sides, parameters.side)
+    topics = [(f"{name}/cmd_vel", f"{name}/odom") for name in names]
+    DriveSquares(square, parameters.mode, topics).drive()
+
+
+def drive_robot(parameters: DriveSquaresParameters) -> None:
+    """Drive one robot."""
+    square = Square(
+        parameters.sides,
+        parameters.side,
+        parameters.speed,
+        parameters.turn_speed,
+        parameters.turn_commands,
+    )
+    DriveSquares(square, parameters.mode, [(parameters.cmd_vel, parameters.odom)]).drive()
+
+
+def fleet_main() -> None:
+    """Run the node fleet."""
+    run_node("fleet", lambda: drive_fleet(private_parameters(FleetParameters)))
+
+
 def main() -> None:
-    """Run the node."""
-
-    def body() -> None:
-        parameters = private_parameters(DriveSquaresParameters)
-        square = Square(
-            parameters.sides,
-            parameters.side,
-            parameters.speed,
-            parameters.turn_speed,
-            parameters.turn_commands,
-        )
-        topics = (parameters.cmd_vel, parameters.odom)
-        DriveSquares(square, parameters.mode, [topics]).drive()
-
-    run_node("drive_squares", body)
+    """Run the node drive_squares."""
+    run_node("drive_squares", lambda: drive_robot(private_parameters(DriveSquaresParameters)))

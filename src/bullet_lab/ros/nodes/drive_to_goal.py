@@ -45,7 +45,7 @@ from bullet_lab.drive.goal import (
 )
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import stamped_pose
-from bullet_lab.ros.node import parameters
+from bullet_lab.core import parameters
 from bullet_lab.ros.node.commands import StoppableSender
 from bullet_lab.ros.node.goal_server import GoalServer
 from bullet_lab.ros.node.lock_step import rate

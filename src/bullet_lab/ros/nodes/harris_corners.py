@@ -16,12 +16,7 @@ from typing import Any, Mapping
 from bullet_lab.core import parameters
 from bullet_lab.msg import ImagePoints
 from bullet_lab.ros.messages.images import points_message
-from bullet_lab.ros.nodes.image_node import (
-    CameraImage,
-    ImageNode,
-    ImageParameters,
-    run_image_node,
-)
+from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
 from bullet_lab.vision.drawing import draw_area
 from bullet_lab.vision.features import harris_corners
 

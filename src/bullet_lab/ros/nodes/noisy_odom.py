@@ -35,12 +35,12 @@ from bullet_lab.noise.odometry_noise import (
     rule_of,
 )
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
-from bullet_lab.ros.node import parameters
+from bullet_lab.core import parameters
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
 from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
-from bullet_lab.ros.nodes.fleet import MOST_ROBOTS, robot_names
+from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
 
 # Where x, y and yaw stand in the 6x6 covariances of ROS (REP 103).

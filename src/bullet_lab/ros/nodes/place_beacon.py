@@ -25,7 +25,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import InputError
-from bullet_lab.ros.node import parameters
+from bullet_lab.core import parameters
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node, wait_until
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.node.transforms import FrameFinder

@@ -1,7 +1,8 @@
-"""The node that puts models into the running world in a pattern, by the spawn service.
+"""The nodes that put models into the running world in a pattern, and take them away again.
 
-:ROS Parameters: see `PopulateParameters`.
-:ROS Service clients: /gazebo/spawn_sdf_model (gazebo_msgs/SpawnModel)
+:ROS Parameters: see `PopulateParameters` and, for depopulate, `DepopulateParameters`.
+:ROS Service clients: /gazebo/spawn_sdf_model (gazebo_msgs/SpawnModel); depopulate:
+    /gazebo/get_world_properties, /gazebo/delete_model
 """
 
 from __future__ import annotations
@@ -12,15 +13,15 @@ from typing import Any, List, Tuple
 from xml.sax.saxutils import escape
 
 import rospy
-from geometry_msgs.msg import Pose as PoseMessage
 
-from bullet_lab.core import patterns
+from bullet_lab.core import parameters, patterns
 from bullet_lab.core.angles import quaternion_from_yaw
-from bullet_lab.ros.gazebo.client import call
+from bullet_lab.core.parameters import ParameterError
+from bullet_lab.core.pose import Pose
+from bullet_lab.ros.gazebo.client import call, numbered
 from bullet_lab.ros.messages.gazebo_types import srv
-from bullet_lab.ros.node import parameters
+from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.ros.node.node import NodeError, private_parameters, run_node
-from bullet_lab.ros.node.parameters import ParameterError
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.xml import read_text
 
@@ -43,13 +44,19 @@ def accept_poses(value: Any) -> Tuple[patterns.Place, ...]:
 
 
 @dataclass(frozen=True)
-class PopulateParameters:
+class DepopulateParameters:
+    """Private parameters of depopulate."""
+
+    prefix: str = parameters.text("beacon", "first part of the models' names: beacon_0, beacon_1 …")
+
+
+@dataclass(frozen=True)
+class PopulateParameters(DepopulateParameters):
     """Private parameters of populate."""
 
     model: str = parameters.text(
         "model://beacon", "what to place: model://…, or an SDF or URDF file, a path or package://"
     )
-    prefix: str = parameters.text("beacon", "first part of the models' names: beacon_0, beacon_1 …")
     pattern: str = parameters.choice(
         "poses", "how they are set out", ("poses", "line", "grid", "circle")
     )
@@ -98,43 +105,45 @@ def description_of(model: str) -> str:
     A model:// or a folder stays a reference, which the simulator follows.
     """
     if model.startswith("model://"):
-        return f'<sdf version="1.6"><include><uri>{escape(model)}</uri></include></sdf>'
+        return inclusion_of(model)
     path = ResourceFinder.anywhere().find(model)
-    if path.is_dir():
-        uri = escape(path.as_uri())
-        return f'<sdf version="1.6"><include><uri>{uri}</uri></include></sdf>'
-    return read_text(path)
+    return inclusion_of(path.as_uri()) if path.is_dir() else read_text(path)
 
 
-def populate(parameters: PopulateParameters) -> int:
-    """Place the models and return how many there are; raises LabError."""
+def inclusion_of(uri: str) -> str:
+    """Return SDF that includes a model."""
+    return f'<sdf version="1.6"><include><uri>{escape(uri)}</uri></include></sdf>'
+
+
+def populate(parameters: PopulateParameters) -> None:
+    """Place the models; raises LabError."""
     names = names_of(parameters)
     text = description_of(parameters.model)
     namespace = parameters.namespace or rospy.get_namespace()
-    for name, place in zip(names, places_of(parameters)):
+    dx, dy, dz = parameters.origin
+    for name, (x, y, yaw) in zip(names, places_of(parameters)):
+        pose = pose_message(Pose((x + dx, y + dy, dz), quaternion_from_yaw(yaw)))
         try:
-            call(SERVICE, srv.SpawnModel, name, text, namespace, _pose(place, parameters), "")
+            call(SERVICE, srv.SpawnModel, name, text, namespace, pose, "")
         except NodeError as error:
             raise NodeError(f"cannot place '{name}': {error}") from error
-    return len(names)
+    rospy.loginfo("%d models placed: %s …", len(names), "".join(names[:1]))
 
 
-def _pose(place: patterns.Place, parameters: PopulateParameters) -> PoseMessage:
-    x, y, yaw = place
-    dx, dy, dz = parameters.origin
-    pose = PoseMessage()
-    pose.position.x, pose.position.y, pose.position.z = x + dx, y + dy, dz
-    turn = pose.orientation
-    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(yaw)
-    return pose
+def depopulate(parameters: DepopulateParameters) -> None:
+    """Take the models away; raises LabError."""
+    world = call("/gazebo/get_world_properties", srv.GetWorldProperties)
+    names = numbered(world.model_names, parameters.prefix)
+    for name in names:
+        call("/gazebo/delete_model", srv.DeleteModel, name)
+    rospy.loginfo("%d models taken away", len(names))
+
+
+def depopulate_main() -> None:
+    """Run the node depopulate."""
+    run_node("depopulate", lambda: depopulate(private_parameters(DepopulateParameters)))
 
 
 def main() -> None:
-    """Run the node."""
-
-    def body() -> None:
-        parameters = private_parameters(PopulateParameters)
-        number = populate(parameters)
-        rospy.loginfo("%d models placed: %s …", number, names_of(parameters)[0])
-
-    run_node("populate", body)
+    """Run the node populate."""
+    run_node("populate", lambda: populate(private_parameters(PopulateParameters)))

@@ -18,10 +18,8 @@ import contextlib
 import math
 import re
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, List, Mapping, Sequence
-from xml.sax.saxutils import escape
+from typing import Any, List, Sequence
 
 import rospy
 from std_srvs.srv import Empty
@@ -32,83 +30,45 @@ from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import msg, srv
 from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.ros.node.node import NodeError, run_node, wait_until
+from bullet_lab.ros.nodes.populate import inclusion_of
 from bullet_lab.simulation.world.xml import read_text
 
-GAZEBO = "/gazebo"
-NUMBERS = ("-x", "-y", "-z", "-R", "-P", "-Y")
-DATABASE = '<sdf version="1.6"><include><uri>model://{}</uri></include></sdf>'
+NUMBERS = ("x", "y", "z", "R", "P", "Y")
 PACKAGE_MESH = re.compile(r"""(<\s*mesh\b[^>]*\bfilename\s*=\s*["'])package://""")
 USAGE_STATUS = 2
 
 
-@dataclass(frozen=True)
-class SpawnArguments:
-    """The command line of spawn_model.
-
-    Attributes:
-        urdf: whether the description is URDF; else it is SDF.
-        source: where it comes from: "file", "param", "database" or "stdin".
-        source_name: name of the file, parameter or model.
-        model: name of the model in the world.
-        pose: where it is put, in the reference frame.
-        reference_frame: a model or link; empty for the world.
-        robot_namespace: robotNamespace of plugins that have none.
-        gazebo_namespace: of the services.
-        wait: model that is waited for first; empty for none.
-        unpause: whether time is let go on afterwards.
-        joints: positions of joints to begin with, in rad or m.
-        package_to_model: whether meshes in package:// are looked up in model://.
-        bond: whether the model is deleted when this process ends.
-    """
-
-    urdf: bool
-    source: str
-    source_name: str
-    model: str
-    pose: Pose
-    reference_frame: str
-    robot_namespace: str
-    gazebo_namespace: str
-    wait: str
-    unpause: bool
-    joints: Mapping[str, float]
-    package_to_model: bool
-    bond: bool
-
-
-def parse_spawn_arguments(words: Sequence[str], namespace: str = "/") -> SpawnArguments:
+def parse_spawn_arguments(words: Sequence[str], namespace: str = "/") -> argparse.Namespace:
     """Read spawn_model's arguments, those of gazebo_ros for Noetic, less those of ROS.
 
     Args:
         words: the arguments.
         namespace: of the node; the robot's, if nothing else is said.
 
+    Returns:
+        What was said under the options' names, and besides
+            source, source_name: where the description is, such as "file" and the file's name.
+            pose: in the reference frame.
+            joints: positions to begin with by name, in rad or m.
+            bond: whether the model is deleted when this process ends.
+
     Raises:
         ArgumentsError: something is unknown, missing, said twice or no number.
     """
-    found = _parser(namespace).parse_args(_with_numbers_joined(words))
-    source = next(key for key in ("file", "param", "database", "stdin") if getattr(found, key))
-    name = "" if source == "stdin" else getattr(found, source)
-    x, y, z, roll, pitch, yaw = (getattr(found, option[1:]) for option in NUMBERS)
-    return SpawnArguments(
-        found.urdf,
-        source,
-        name,
-        found.model,
-        Pose.from_rpy((x, y, z), (roll, pitch, yaw)),
-        found.reference_frame,
-        found.robot_namespace,
-        found.gazebo_namespace.rstrip("/"),
-        found.wait,
-        found.unpause,
-        {joint: _finite(position) for joint, position in found.J},
-        found.package_to_model,
-        found.b,
-    )
+    told = _parser(namespace).parse_args(words)
+    told.source = next(key for key in ("file", "param", "database", "stdin") if vars(told)[key])
+    told.source_name = "" if told.stdin else vars(told)[told.source]
+    x, y, z, roll, pitch, yaw = (vars(told)[name] for name in NUMBERS)
+    told.pose = Pose.from_rpy((x, y, z), (roll, pitch, yaw))
+    told.gazebo_namespace = told.gazebo_namespace.rstrip("/")
+    told.joints = {joint: _finite(position) for joint, position in told.J}
+    return told
 
 
 def _parser(namespace: str) -> ArgumentParser:
     parser = ArgumentParser(prog="spawn_model", add_help=False, allow_abbrev=False)
+    # argparse's own takes -1e-3 for an option.
+    parser._negative_number_matcher = re.compile(r"-(\d|\.|inf|nan)", re.IGNORECASE)
     kind = parser.add_mutually_exclusive_group(required=True)
     kind.add_argument("-urdf", action="store_true")
     kind.add_argument("-sdf", "-gazebo", action="store_true")
@@ -118,42 +78,23 @@ def _parser(namespace: str) -> ArgumentParser:
     source.add_argument("-stdin", action="store_true")
     parser.add_argument("-model", type=_filled, required=True)
     parser.add_argument("-reference_frame", default="")
-    parser.add_argument("-gazebo_namespace", default=GAZEBO)
+    parser.add_argument("-gazebo_namespace", default="/gazebo")
     parser.add_argument("-robot_namespace", "-namespace", default=namespace)
     parser.add_argument("-wait", default="")
-    for flag in ("-unpause", "-package_to_model", "-b"):
-        parser.add_argument(flag, action="store_true")
-    for number in NUMBERS:
-        parser.add_argument(number, type=_finite, default=0.0)
+    parser.add_argument("-unpause", action="store_true")
+    parser.add_argument("-package_to_model", action="store_true")
+    parser.add_argument("-b", dest="bond", action="store_true")
+    for name in NUMBERS:
+        parser.add_argument(f"-{name}", type=_finite, default=0.0)
     parser.add_argument("-J", action="append", nargs=2, default=[])
     return parser
 
 
-def _with_numbers_joined(words: Sequence[str]) -> List[str]:
-    """Return the arguments with numbers such as -1e-3, which look like options, after a "="."""
-    joined: List[str] = []
-    for word in words:
-        if joined and joined[-1] in NUMBERS:
-            joined[-1] += f"={word}"
-        elif len(joined) > 1 and joined[-2] == "-J" and _is_number(word):
-            # argparse knows -1 for a number, and not -1e-3.
-            joined.append(f"{float(word):.17f}")
-        else:
-            joined.append(word)
-    return joined
-
-
-def _is_number(word: str) -> bool:
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False
-
-
 def _finite(text: str) -> float:
-    if not _is_number(text):
-        raise ArgumentsError(f"'{text}' is not a finite number")
-    return float(text)
+    with contextlib.suppress(ValueError):
+        if math.isfinite(float(text)):
+            return float(text)
+    raise ArgumentsError(f"'{text}' is not a finite number")
 
 
 def _filled(text: str) -> str:
@@ -162,7 +103,7 @@ def _filled(text: str) -> str:
     return text
 
 
-def spawn(arguments: SpawnArguments) -> str:
+def spawn(arguments: argparse.Namespace) -> str:
     """Put the model into the world and return what was answered; raises LabError."""
     gazebo = arguments.gazebo_namespace
     if arguments.wait:
@@ -186,24 +127,19 @@ def spawn(arguments: SpawnArguments) -> str:
     return answer.status_message
 
 
-def description_of(arguments: SpawnArguments) -> str:
+def description_of(arguments: argparse.Namespace) -> str:
     """Return the text that describes the model; raises LabError where there is none."""
     if arguments.source == "file":
         text = read_text(Path(arguments.source_name))
     elif arguments.source == "param":
         text = str(rospy.get_param(arguments.source_name, ""))
     elif arguments.source == "database":
-        text = database_text(arguments.source_name)
+        text = inclusion_of(f"model://{arguments.source_name}")
     else:
         text = sys.stdin.read()
     if not text.strip():
         raise NodeError(f"-{arguments.source} {arguments.source_name}: there is nothing in it")
     return packages_to_models(text) if arguments.package_to_model else text
-
-
-def database_text(model: str) -> str:
-    """Return the description that stands for a model of the model folders."""
-    return DATABASE.format(escape(model))
 
 
 def packages_to_models(text: str) -> str:
@@ -232,7 +168,7 @@ def _wait_for(model: str, topic: str) -> None:
     subscriber.unregister()
 
 
-def _delete_at_the_end(arguments: SpawnArguments) -> None:
+def _delete_at_the_end(arguments: argparse.Namespace) -> None:
     """Wait until ROS shuts down, then take the model out again."""
 
     def delete() -> None:

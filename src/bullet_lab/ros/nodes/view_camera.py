@@ -9,12 +9,7 @@ from __future__ import annotations
 
 from typing import Any, Mapping
 
-from bullet_lab.ros.nodes.image_node import (
-    CameraImage,
-    ImageNode,
-    ImageParameters,
-    run_image_node,
-)
+from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
 from bullet_lab.vision.drawing import draw_text
 
 

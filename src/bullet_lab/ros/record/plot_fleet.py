@@ -18,7 +18,7 @@ from bullet_lab.core.parameters import integer, text
 from bullet_lab.core.seeds import derived_seed
 from bullet_lab.reports.fleet import FleetReport
 from bullet_lab.ros.node.node import private_parameters, run_node
-from bullet_lab.ros.nodes.fleet import MOST_ROBOTS, robot_names
+from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.record.recorder import Recorder, TimedParameters, about
 from bullet_lab.ros.record.rviz import FleetMarkers

@@ -14,7 +14,7 @@ from bullet_lab.reports.fleet import (
     fleet_summary,
 )
 from bullet_lab.reports.squares import squares_summary
-from bullet_lab.ros.nodes.fleet import robot_names
+from bullet_lab.ros.nodes.drive_squares import robot_names
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters, robots_of
 
 FIGURES = {"final_error_m": 0.3, "final_heading_error_deg": -2.0, "ape_rmse_m": 0.1}

@@ -2,11 +2,7 @@ import pytest
 
 from bullet_lab.core.arguments import ArgumentsError
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.nodes.spawn_model import (
-    database_text,
-    packages_to_models,
-    parse_spawn_arguments,
-)
+from bullet_lab.ros.nodes.spawn_model import packages_to_models, parse_spawn_arguments
 
 
 def parse(line, namespace="/"):
@@ -65,6 +61,8 @@ def test_sources():
         ("-urdf -file f", "required: -model"),
         ("-urdf -file f -model m -x one", "'one' is not a finite number"),
         ("-urdf -file f -model m -z nan", "'nan' is not a finite number"),
+        ("-urdf -file f -model m -z -inf", "'-inf' is not a finite number"),
+        ("-urdf -file f -model m -z -1x", "'-1x' is not a finite number"),
         ("-urdf -file f -model m -Y", "-Y: expected one argument"),
         ("-urdf -file f -model m -J j", "-J: expected 2 arguments"),
         ("-urdf -file f -model m -J j far", "'far' is not a finite number"),
@@ -82,10 +80,6 @@ def test_refusals(line, said):
 def test_empty_names():
     with pytest.raises(ArgumentsError, match="-model: it is empty"):
         parse_spawn_arguments(["-urdf", "-stdin", "-model", ""])
-
-
-def test_a_model_of_the_database_is_included():
-    assert "<uri>model://a&amp;b</uri>" in database_text("a&b")
 
 
 def test_meshes_of_packages_as_models():
