@@ -18,12 +18,13 @@ Stamps and frames are those of the images.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from bullet_lab.core import parameters
@@ -54,6 +55,8 @@ from bullet_lab.vision.marker_detector import (
 from bullet_lab.vision.marker_pose import MarkerObserver, MarkerPose, ObservedMarker, PoseMemory
 
 DEFAULTS = DetectorSettings()
+# The markers of an image with their poses, the largest first.
+Located = List[Tuple[ObservedMarker, MarkerPose]]
 
 
 def accept_tags(value: Any) -> str:
@@ -78,17 +81,12 @@ def accept_ids(value: Any) -> Tuple[int, ...]:
 
 def accept_sizes(value: Any) -> Mapping[int, float]:
     """Turn "7=0.1 9=0.05" or a dictionary into sizes by id; raises ValueError or TypeError."""
-    pairs = value.items() if isinstance(value, dict) else _pairs(value)
-    sizes = {int(number): float(size) for number, size in pairs}
+    if not isinstance(value, dict):
+        value = dict(part.split("=", 1) for part in str(value).split())
+    sizes = {int(number): float(size) for number, size in value.items()}
     if any(not math.isfinite(size) or size <= 0.0 for size in sizes.values()):
         raise ValueError
     return sizes
-
-
-def _pairs(value: Any) -> List[Sequence[str]]:
-    if not isinstance(value, str):
-        raise ValueError
-    return [part.split("=", 1) for part in value.split()]
 
 
 @dataclass(frozen=True)
@@ -137,16 +135,10 @@ class ArucoParameters(ImageParameters):
 
     def settings(self) -> DetectorSettings:
         """Return the detector's settings; raises ParameterError."""
+        names = {field.name for field in fields(DetectorSettings)} & set(vars(self))
+        given = {name: getattr(self, name) for name in names}
         try:
-            return DetectorSettings(
-                dictionary=self.tags,
-                ids=self.ids,
-                border=self.border,
-                min_side=self.min_side,
-                contrast=self.contrast,
-                correction=self.correction,
-                second_pass=self.second_pass,
-            )
+            return DetectorSettings(dictionary=self.tags, **given)
         except VisionError as error:
             raise ParameterError(f"~ids: {error}") from error
 
@@ -176,7 +168,7 @@ class Aruco(ImageNode):
         camera, trouble = self._camera(image)
         detections = self._observer.detector.detect(image.grey, camera)
         located = self._locate(detections, camera, image)
-        self._publish_markers(image, detections, located)
+        self._publish_markers(image.header, detections.markers, located)
         self.annotate(image, lambda canvas: self._draw(canvas, detections, located, camera))
         self._health = self._judge(detections, located, trouble)
         return _figures(detections)
@@ -207,7 +199,7 @@ class Aruco(ImageNode):
 
     def _locate(
         self, detections: Detections, camera: Optional[PinholeCamera], image: CameraImage
-    ) -> List[Tuple[ObservedMarker, MarkerPose]]:
+    ) -> Located:
         if camera is None:
             return []
         observed = [self._observer.locate(marker, camera) for marker in detections.markers]
@@ -215,20 +207,13 @@ class Aruco(ImageNode):
         return list(zip(observed, poses))
 
     def _publish_markers(
-        self,
-        image: CameraImage,
-        detections: Detections,
-        located: List[Tuple[ObservedMarker, MarkerPose]],
+        self, header: Header, markers: Sequence[DetectedMarker], located: Located
     ) -> None:
-        header, tags = image.header, self.parameters.tags
+        tags = self.parameters.tags
         message = MarkerDetectionArray(header=header)
-        if located:
-            message.detections = [
-                located_message(marker, tags, observed, pose)
-                for marker, (observed, pose) in zip(detections.markers, located)
-            ]
-        else:
-            message.detections = [detection_message(m, tags) for m in detections.markers]
+        message.detections = [
+            located_message(marker, tags, *found) for marker, found in zip(markers, located)
+        ] or [detection_message(marker, tags) for marker in markers]
         self.publish("detections", message)
         if not located:
             return
@@ -249,7 +234,7 @@ class Aruco(ImageNode):
         self,
         canvas: np.ndarray,
         detections: Detections,
-        located: List[Tuple[ObservedMarker, MarkerPose]],
+        located: Located,
         camera: Optional[PinholeCamera],
     ) -> None:
         labels = [f"id {marker.id}" for marker in detections.markers]
@@ -261,12 +246,7 @@ class Aruco(ImageNode):
         if not detections.markers:
             draw_text(canvas, why_nothing(detections.report, self.parameters.tags), (8, 16))
 
-    def _judge(
-        self,
-        detections: Detections,
-        located: List[Tuple[ObservedMarker, MarkerPose]],
-        trouble: str,
-    ) -> Health:
+    def _judge(self, detections: Detections, located: Located, trouble: str) -> Health:
         if trouble:
             missing = trouble.startswith("no ")
             return Health(DiagnosticStatus.WARN if missing else DiagnosticStatus.ERROR, trouble)
@@ -279,6 +259,7 @@ class Aruco(ImageNode):
 
 def _figures(detections: Detections) -> Dict[str, Any]:
     report = detections.report
+    sides = [marker.side for marker in detections.markers]
     return {
         "detections": len(detections.markers),
         "ids": _words(marker.id for marker in detections.markers),
@@ -290,16 +271,12 @@ def _figures(detections: Detections) -> Dict[str, Any]:
         "mean grey level": f"{report.mean:.0f}",
         "grey levels in use": f"{report.contrast:.0f}",
         "noise": f"{report.noise:.1f}",
-        "smallest side (px)": _smallest(detections.markers),
+        "smallest side (px)": f"{min(sides):.1f}" if sides else "",
     }
 
 
 def _words(ids: Any) -> str:
     return " ".join(str(number) for number in sorted(set(ids)))
-
-
-def _smallest(markers: Sequence[DetectedMarker]) -> str:
-    return f"{min(marker.side for marker in markers):.1f}" if markers else ""
 
 
 def main() -> None:

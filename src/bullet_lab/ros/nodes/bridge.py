@@ -35,6 +35,7 @@ import rospy.rostime
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty, EmptyResponse
 
+from bullet_lab.core import parameters
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
@@ -52,7 +53,6 @@ from bullet_lab.ros.messages.poses import (
     set_time,
     time_of,
 )
-from bullet_lab.core import parameters
 from bullet_lab.ros.node.node import private_parameters, run_node
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
@@ -125,18 +125,18 @@ class BridgeParameters:
 class PyBulletBridge:
     """Wires a simulation to ROS."""
 
-    def __init__(self, wanted: BridgeParameters):
-        self._wanted = wanted
-        check_choice(wanted.renderer)
-        self.simulation = Simulation.of(wanted.world, wanted.seed)
+    def __init__(self, parameters: BridgeParameters):
+        self._parameters = parameters
+        check_choice(parameters.renderer)
+        self.simulation = Simulation.of(parameters.world, parameters.seed)
         self._failures: Set[Tuple[str, str]] = set()
         self.simulation.go_on_after(self._report_failure)
         self.stepper = Stepper(
             self.simulation,
-            Pace(wanted.rtf),
-            TimeGate(map(rospy.resolve_name, wanted.lock_step)),
-            tick=max(1, round(STEPS_PER_SECOND / wanted.clock_rate)),
-            paused=wanted.paused,
+            Pace(parameters.rtf),
+            TimeGate(map(rospy.resolve_name, parameters.lock_step)),
+            tick=max(1, round(STEPS_PER_SECOND / parameters.clock_rate)),
+            paused=parameters.paused,
             is_over=rospy.is_shutdown,
             report_stall=self._report_stall,
             after_steps=lambda: self._topics.flush(),
@@ -147,16 +147,18 @@ class PyBulletBridge:
         _stop_listening_to_the_clock()
         self._clock = Clock()
         self._clock_publisher = self._topics.publisher("/clock", Clock)
-        self.simulation.every(wanted.clock_rate, self._publish_clock)
+        self.simulation.every(parameters.clock_rate, self._publish_clock)
         self.simulation.every(LOG_TIME_RATE, _set_log_time)
         for instance in self.simulation.models.values():
             self._topics.connect(instance)
         robot = self._add_robot()
         world = RunningWorld(self.stepper, self._topics)
         hidden = "" if robot is None else robot.name
-        self._gazebo = Gazebo(world, wanted.world_frame, hidden, wanted.states_rate)
+        self._gazebo = Gazebo(world, parameters.world_frame, hidden, parameters.states_rate)
         self._touches = TouchCounter(world)
-        self._frames = OdometryFrames(world, wanted.world_frame if wanted.publish_world_tf else "")
+        self._frames = OdometryFrames(
+            world, parameters.world_frame if parameters.publish_world_tf else ""
+        )
         self._services = self._offer_services()
 
     def spin(self) -> None:
@@ -186,21 +188,21 @@ class PyBulletBridge:
         model = self._read_robot()
         if model is None:
             return None
-        x, y, z, roll, pitch, yaw = self._wanted.robot_pose
+        x, y, z, roll, pitch, yaw = self._parameters.robot_pose
         pose = Pose.from_rpy((x, y, z), (roll, pitch, yaw))
-        namespace = self._wanted.robot_namespace
+        namespace = self._parameters.robot_namespace
         robot = self.simulation.add(
-            model, self._wanted.robot_name, pose, namespace, tf_prefixes(model, namespace)
+            model, self._parameters.robot_name, pose, namespace, tf_prefixes(model, namespace)
         )
         self._topics.connect(robot)
-        if self._wanted.camera_rate:
-            _set_camera_rate(robot, self._wanted.camera_rate)
+        if self._parameters.camera_rate:
+            _set_camera_rate(robot, self._parameters.camera_rate)
         return robot
 
     def _read_robot(self) -> Optional[Model]:
-        if self._wanted.robot:
-            return read_urdf_file(ResourceFinder.anywhere().find(self._wanted.robot))
-        name = self._wanted.robot_description
+        if self._parameters.robot:
+            return read_urdf_file(ResourceFinder.anywhere().find(self._parameters.robot))
+        name = self._parameters.robot_description
         text = rospy.get_param(name, "") if name else ""
         return read_urdf(str(text), name) if text else None
 
@@ -213,10 +215,7 @@ class PyBulletBridge:
             "reset_world": self._reset_world,
             "reset_simulation": self._reset_simulation,
         }
-        services = [
-            _service(f"/gazebo/{name}", Empty, _empty_handler(action))
-            for name, action in actions.items()
-        ]
+        services = [_service(f"/gazebo/{name}", Empty, actions[name]) for name in actions]
         services.append(_service("/bullet_lab/step", Step, self._handle_step))
         services.append(_service("/bullet_lab/advance", Advance, self._handle_advance))
         return services
@@ -273,24 +272,19 @@ class PyBulletBridge:
                 rospy.loginfo("simulated time waits for %s", member)
 
 
-def _service(name: str, kind: type, handle: Callable[[Any], Any]) -> rospy.Service:
+def _service(name: str, kind: type, handle: Callable[..., Any]) -> rospy.Service:
     """Offer a service that answers an error made for the user with its line."""
 
     def answer(request: Any) -> Any:
         try:
-            return handle(request)
+            if kind is not Empty:
+                return handle(request)
+            handle()
+            return EmptyResponse()
         except LabError as error:
             raise rospy.ServiceException(str(error)) from error
 
     return rospy.Service(name, kind, answer)
-
-
-def _empty_handler(action: Callable[[], None]) -> Callable[[Any], EmptyResponse]:
-    def handle(_request: Any) -> EmptyResponse:
-        action()
-        return EmptyResponse()
-
-    return handle
 
 
 def _set_camera_rate(robot: ModelInstance, rate: float) -> None:

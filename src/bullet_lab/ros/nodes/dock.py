@@ -19,28 +19,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from dataclasses import dataclass, fields, replace
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
 import rospy
 import tf2_ros
 from actionlib import ServerGoalHandle
 from actionlib_msgs.msg import GoalStatus
-from geometry_msgs.msg import PoseStamped, TransformStamped, Twist
+from geometry_msgs.msg import PoseStamped, Transform, TransformStamped, Twist, Vector3
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo
-from std_msgs.msg import Time
+from std_msgs.msg import Header, Time
 
+from bullet_lab.core import parameters
+from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
-from bullet_lab.docking.database import Dock, read_docks
+from bullet_lab.docking.database import (
+    Dock,
+    DockTolerance,
+    UnknownDockError,
+    find_dock,
+    read_docks,
+)
 from bullet_lab.docking.task import DockingTask, UndockingTask
 from bullet_lab.docking.types import (
     CameraMount,
     DockingError,
     DockingResult,
     DockingSettings,
+    DockingStatus,
     Observation,
     PlanarPose,
 )
@@ -50,33 +59,29 @@ from bullet_lab.msg import (
     DockGoal,
     MarkerDetectionArray,
     UndockAction,
-    UndockFeedback,
     UndockGoal,
 )
 from bullet_lab.ros.messages.poses import InputError, stamped_pose
-from bullet_lab.core import parameters
 from bullet_lab.ros.node.commands import StoppableSender
 from bullet_lab.ros.node.goal_server import GoalServer
 from bullet_lab.ros.node.lock_step import rate
 from bullet_lab.ros.node.message_queue import MessageQueue
 from bullet_lab.ros.node.node import private_parameters, run_node
-from bullet_lab.core.parameters import ParameterError
 from bullet_lab.ros.node.publishers import Publisher, publisher
 from bullet_lab.ros.node.transforms import FrameError, FrameFinder, own_frame
 from bullet_lab.ros.nodes.dock_messages import (
     GoalError,
-    Lookup,
     NotYetError,
     camera_of,
     check_dock_goal,
     check_undock_goal,
     dock_feedback,
-    dock_of,
     dock_result,
     mount_of,
     odometry_of,
     rough_pose,
     sightings_of,
+    undock_feedback,
     undock_result,
 )
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -159,16 +164,11 @@ class DockParameters:
         }
 
 
-def with_tolerances(dock: Dock, distance: float, lateral: float, yaw: float) -> Dock:
-    """Return a dock with other tolerances (m, m, rad) where they are not 0."""
-    own = dock.tolerance
-    tolerance = replace(
-        own,
-        distance=distance or own.distance,
-        lateral=lateral or own.lateral,
-        yaw=yaw or own.yaw,
-    )
-    return replace(dock, tolerance=tolerance)
+def with_tolerances(dock: Dock, *tolerances: float) -> Dock:
+    """Return a dock with other tolerances (m along it, m across it, rad) where they are not 0."""
+    names = (field.name for field in fields(DockTolerance))
+    given = {name: value for name, value in zip(names, tolerances) if value}
+    return replace(dock, tolerance=replace(dock.tolerance, **given))
 
 
 class DockTopics:
@@ -185,123 +185,42 @@ class DockTopics:
         self._tf = tf2_ros.TransformBroadcaster() if child else None
         self._shown: Optional[Tuple[Tuple[float, float], ...]] = None
 
-    def publish(
-        self,
-        stamp: rospy.Time,
-        frame: str,
-        pose: Optional[PlanarPose],
-        plan: Sequence[Tuple[float, float]],
-    ) -> None:
-        """Show the filtered pose of the dock, if there is one, and the way that is planned.
-
-        Args:
-            stamp: the present time.
-            frame: of the odometry, in which the others are given.
-            pose: of the dock, m and rad.
-            plan: points in m.
-        """
-        if pose is not None:
-            message = stamped_pose(stamp, frame, pose)
+    def publish(self, stamp: rospy.Time, frame: str, status: DockingStatus) -> None:
+        """Show the dock, if it was seen, and the way that is planned, in the odometry's frame."""
+        if status.dock_pose is not None:
+            message = stamped_pose(stamp, frame, status.dock_pose)
             self._pose.publish(message)
             if self._tf is not None:
                 self._tf.sendTransform(self._transform(message))
-        plan = tuple(plan)
-        if plan != self._shown:
-            self._shown = plan
-            self._plan.publish(_path(stamp, frame, plan))
+        if status.plan != self._shown:
+            self._shown = status.plan
+            poses = [stamped_pose(stamp, frame, (x, y, 0.0)) for x, y in status.plan]
+            self._plan.publish(Path(Header(0, stamp, frame), poses))
 
     def _transform(self, pose: PoseStamped) -> TransformStamped:
-        message = TransformStamped(header=pose.header, child_frame_id=self._child)
-        place = message.transform.translation
-        place.x, place.y = pose.pose.position.x, pose.pose.position.y
-        message.transform.rotation = pose.pose.orientation
-        return message
+        place = Vector3(pose.pose.position.x, pose.pose.position.y, 0.0)
+        transform = Transform(place, pose.pose.orientation)
+        return TransformStamped(pose.header, self._child, transform)
 
 
-def _path(stamp: rospy.Time, frame: str, points: Sequence[Tuple[float, float]]) -> Path:
-    path = Path()
-    path.header.stamp, path.header.frame_id = stamp, frame
-    path.poses = [stamped_pose(stamp, frame, (x, y, 0.0)) for x, y in points]
-    return path
-
-
-@dataclass(frozen=True)
-class Surroundings:
-    """What is known when a task begins.
+class Action(NamedTuple):
+    """What the node does with the goals of one of its two actions.
 
     Attributes:
-        docks: the database.
-        usual: name of the dock that one given by its pose is like.
-        settings: of docking.
-        seed: of what is random in it.
-        frame: of the odometry.
-        lookup: returns the pose of its second frame in its first, or raises LabError.
-        mount: where the camera is; None for unknown.
-        last_dock: where the robot has docked last, in the odometry frame; None for nowhere.
+        server: of the action.
+        needs_camera: whether there is no task without a camera.
+        check: raises GoalError for a goal that makes no sense by itself.
+        make_task: returns the task of a goal and where the camera is, or raises GoalError.
+        feedback: of a task, as the action sends it.
+        result: likewise.
     """
 
-    docks: Mapping[str, Dock]
-    usual: str
-    settings: DockingSettings
-    seed: int
-    frame: str
-    lookup: Lookup
-    mount: Optional[CameraMount]
-    last_dock: Optional[PlanarPose]
-
-
-class DockServer(GoalServer):
-    """The action of driving into a dock."""
-
-    needs_camera = True
-    check = staticmethod(check_dock_goal)
-
-    def make_task(self, goal: DockGoal, around: Surroundings) -> DockingTask:
-        """Return the task that pursues a goal; raises GoalError."""
-        dock = dock_of(goal, around.docks, around.usual)
-        return DockingTask(
-            dock,
-            rough_pose(goal, dock, around.frame, around.lookup),
-            around.mount,
-            around.settings,
-            search=goal.search,
-            max_retries=goal.max_retries,
-            seed=around.seed,
-        )
-
-    def tell(self, task: DockingTask) -> None:
-        """Tell the client how it goes."""
-        self.publish_feedback(dock_feedback(task.status))
-
-    def end_with(self, result: DockingResult) -> None:
-        """Tell the client how it ended."""
-        self.end(_status_of(result), dock_result(result), result.message)
-
-
-class UndockServer(GoalServer):
-    """The action of driving backwards out of a dock, on its axis where the camera shows it."""
-
-    needs_camera = False
-    check = staticmethod(check_undock_goal)
-
-    def make_task(self, goal: UndockGoal, around: Surroundings) -> UndockingTask:
-        """Return the task that pursues a goal; raises GoalError."""
-        usual = DockGoal(dock_id=around.usual)
-        dock = dock_of(usual, around.docks, around.usual)
-        pose = around.last_dock
-        if pose is None:
-            pose = rough_pose(usual, dock, around.frame, around.lookup)
-        return UndockingTask(
-            goal.distance, dock=dock, dock_pose=pose, mount=around.mount, settings=around.settings
-        )
-
-    def tell(self, task: UndockingTask) -> None:
-        """Tell the client how it goes."""
-        self.publish_feedback(UndockFeedback(task.remaining))
-
-    def end_with(self, result: DockingResult) -> None:
-        """Tell the client how it ended."""
-        self.end(_status_of(result), undock_result(result), result.message)
+    server: GoalServer
+    needs_camera: bool
+    check: Callable[[Any], None]
+    make_task: Callable[[Any, Optional[CameraMount]], Union[DockingTask, UndockingTask]]
+    feedback: Callable[[Any], Any]
+    result: Callable[[DockingResult], Any]
 
 
 def _status_of(result: DockingResult) -> int:
@@ -309,6 +228,11 @@ def _status_of(result: DockingResult) -> int:
         return GoalStatus.SUCCEEDED
     preempted = result.error == DockingError.PREEMPTED
     return GoalStatus.PREEMPTED if preempted else GoalStatus.ABORTED
+
+
+def _queue(topic: str, kind: type, read: Callable[[Any], Any], rate: float) -> MessageQueue:
+    """Return the messages of a topic, each as its header and what is read of it."""
+    return MessageQueue(topic, kind, lambda message: (message.header, read(message)), rate)
 
 
 class DockNode:
@@ -323,23 +247,12 @@ class DockNode:
         self._docks = parameters.database()
         self._settings = parameters.settings()
         self._base_frame = own_frame(parameters.base_frame)
-        self._odometry: MessageQueue = MessageQueue(
-            parameters.odom,
-            OdometryMessage,
-            lambda message: (message.header.frame_id, odometry_of(message)),
-            parameters.odom_rate,
+        self._odometry = _queue(parameters.odom, OdometryMessage, odometry_of, parameters.odom_rate)
+        self._camera_info = _queue(
+            parameters.camera_info, CameraInfo, camera_of, parameters.image_rate
         )
-        self._camera_info: MessageQueue = MessageQueue(
-            parameters.camera_info,
-            CameraInfo,
-            lambda message: (message.header.frame_id, camera_of(message)),
-            parameters.image_rate,
-        )
-        self._detections: MessageQueue = MessageQueue(
-            parameters.detections,
-            MarkerDetectionArray,
-            lambda message: (message.header.stamp.to_sec(), sightings_of(message)),
-            parameters.image_rate,
+        self._detections = _queue(
+            parameters.detections, MarkerDetectionArray, sightings_of, parameters.image_rate
         )
         self._queues = (self._odometry, self._camera_info, self._detections)
         self._commands = publisher(parameters.cmd_vel, Twist)
@@ -352,21 +265,25 @@ class DockNode:
         self._camera: Optional[Tuple[str, PinholeCamera]] = None
         self._last_dock: Optional[PlanarPose] = None
         # The action whose goal is pursued, the goal, and the task once all is there for it.
-        self._server: Any = None
+        self._action: Optional[Action] = None
         self._goal: Any = None
         self._task: Any = None
         self._begun = 0.0
         callbacks = (self._stop_for_another, self._sender.stop)
-        self._servers = (
-            DockServer("dock", DockAction, *callbacks),
-            UndockServer("undock", UndockAction, *callbacks),
+        docking = GoalServer("dock", DockAction, *callbacks)
+        undocking = GoalServer("undock", UndockAction, *callbacks)
+        self._actions = (
+            Action(docking, True, check_dock_goal, self._docking, dock_feedback, dock_result),
+            Action(
+                undocking, False, check_undock_goal, self._undocking, undock_feedback, undock_result
+            ),
         )
 
     def run(self) -> None:
         """Serve until ROS shuts down."""
         ticks = rate(self._parameters.rate, self._is_connected, "odometry, camera and the bridge")
-        for server in self._servers:
-            server.start()
+        for action in self._actions:
+            action.server.start()
         last = ticks.now
         while not rospy.is_shutdown():
             ticks.sleep()
@@ -381,7 +298,7 @@ class DockNode:
         )
 
     def _stop_for_another(self, _: ServerGoalHandle) -> None:
-        if self._server is not None:
+        if self._action is not None:
             self._sender.stop()
 
     # The loop
@@ -393,7 +310,7 @@ class DockNode:
             queue.wait(now)
         odometry = self._take_odometry(now)
         observations = self._take_observations(now)
-        if self._server is None:
+        if self._action is None:
             return
         try:
             if self._task is None and not self._start(now):
@@ -416,18 +333,18 @@ class DockNode:
 
     def _look_at_requests(self, now: rospy.Time) -> None:
         """Take up what is new, of several the newest, and end what was cancelled."""
-        new = [server for server in self._servers if server.is_new_goal_available()]
-        for server in sorted(new, key=lambda server: server.next_goal.get_goal_id().stamp):
+        new = [one for one in self._actions if one.server.is_new_goal_available()]
+        for action in sorted(new, key=lambda one: one.server.next_goal.get_goal_id().stamp):
             self._give_up("another goal has taken its place", now)
-            self._take_up(server, now)
-        if self._server is not None and self._server.is_cancelled:
+            self._take_up(action, now)
+        if self._action is not None and self._action.server.is_cancelled:
             self._give_up("stopped on request", now)
 
-    def _take_up(self, server: Any, now: rospy.Time) -> None:
-        self._server, self._goal, self._task = server, server.accept_new_goal(), None
+    def _take_up(self, action: Action, now: rospy.Time) -> None:
+        self._action, self._goal, self._task = action, action.server.accept_new_goal(), None
         self._begun = now.to_sec()
         try:
-            server.check(self._goal)
+            action.check(self._goal)
         except GoalError as error:
             self._end(now, DockingResult(False, error.error, str(error)))
             return
@@ -436,23 +353,25 @@ class DockNode:
             self._frame, self._camera = "", None
 
     def _give_up(self, why: str, now: rospy.Time) -> None:
-        if self._server is not None:
+        if self._action is not None:
             self._end(now, DockingResult(False, DockingError.PREEMPTED, why))
 
     def _take_odometry(self, now: rospy.Time) -> list:
         taken = self._odometry.take(now)
         if taken:
-            self._frame = taken[-1][0]
+            self._frame = taken[-1][0].frame_id
         return [message for _, message in taken]
 
     def _take_observations(self, now: rospy.Time) -> List[Observation]:
         cameras = self._camera_info.take(now)
         if cameras:
-            self._camera = cameras[-1]
+            header, camera = cameras[-1]
+            self._camera = (header.frame_id, camera)
         taken = self._detections.take(now)
         if self._camera is None:
             return []
-        return [Observation(stamp, self._camera[1], seen) for stamp, seen in taken]
+        camera = self._camera[1]
+        return [Observation(header.stamp.to_sec(), camera, seen) for header, seen in taken]
 
     def _start(self, now: rospy.Time) -> bool:
         """Make the task, if all is there; raises GoalError if it has not come in time."""
@@ -461,8 +380,8 @@ class DockNode:
             if not self._frame:
                 what = self._odometry.trouble or "nothing comes"
                 raise NotYetError(DockingError.ODOMETRY_LOST, f"{self._odometry.topic}: {what}")
-            mount = self._mount(patient or self._server.needs_camera)
-            self._task = self._server.make_task(self._goal, self._surroundings(mount))
+            mount = self._mount(patient or self._action.needs_camera)
+            self._task = self._action.make_task(self._goal, mount)
         except NotYetError:
             if patient:
                 return False
@@ -481,48 +400,59 @@ class DockNode:
                 raise NotYetError(DockingError.CAMERA_LOST, str(error)) from None
             return None
 
-    def _surroundings(self, mount: Optional[CameraMount]) -> Surroundings:
-        return Surroundings(
-            self._docks,
-            self._parameters.dock,
-            self._settings,
-            self._parameters.seed,
-            self._frame,
-            self._lookup,
+    def _docking(self, goal: DockGoal, mount: Optional[CameraMount]) -> DockingTask:
+        """Return the task that drives into a dock; raises GoalError."""
+        try:
+            dock = find_dock(self._docks, goal.dock_id or self._parameters.dock)
+        except UnknownDockError as error:
+            raise GoalError(DockingError.NOT_IN_DATABASE, str(error)) from None
+        return DockingTask(
+            dock,
+            rough_pose(goal, dock, self._frame, self._lookup),
             mount,
-            self._last_dock,
+            self._settings,
+            search=goal.search,
+            max_retries=goal.max_retries,
+            seed=self._parameters.seed,
+        )
+
+    def _undocking(self, goal: UndockGoal, mount: Optional[CameraMount]) -> UndockingTask:
+        """Return the task that drives backwards out of a dock, on its axis where it is seen."""
+        dock = self._docks[self._parameters.dock]
+        pose = self._last_dock or rough_pose(DockGoal(), dock, self._frame, self._lookup)
+        return UndockingTask(
+            goal.distance, dock=dock, dock_pose=pose, mount=mount, settings=self._settings
         )
 
     def _lookup(self, target: str, source: str) -> Pose:
         return self._frames.pose_in(target, source, wait=False)
 
     def _show(self, now: rospy.Time) -> None:
-        self._server.tell(self._task)
+        self._action.server.publish_feedback(self._action.feedback(self._task))
         if isinstance(self._task, DockingTask):
             status = self._task.status
-            self._topics.publish(now, self._frame, status.dock_pose, status.plan)
-            if status.dock_pose is not None:
-                self._last_dock = status.dock_pose
+            self._topics.publish(now, self._frame, status)
+            self._last_dock = status.dock_pose or self._last_dock
 
     def _end(self, now: rospy.Time, result: DockingResult) -> None:
         """Stop, and tell how it ended."""
-        server, self._server = self._server, None
+        action, self._action = self._action, None
         self._sender.stop()
         for queue in self._queues:
             queue.close()
         say = rospy.loginfo if result.success else rospy.logwarn
-        say("%s: %s (%s)", server.name, result.message, result.error.name)
-        server.end_with(result)
+        say("%s: %s (%s)", action.server.name, result.message, result.error.name)
+        action.server.end(_status_of(result), action.result(result), result.message)
         self._finished.publish(Time(now))
 
     def _time_was_set_back(self) -> None:
         for queue in self._queues:
             queue.clear()
-        for server in self._servers:
-            server.forget_cancels()
+        for action in self._actions:
+            action.server.forget_cancels()
         self._frames.clear()
         self._last_dock = None
-        if self._server is not None:
+        if self._action is not None:
             message = "simulated time was set back"
             self._end(rospy.Time(0), DockingResult(False, DockingError.UNKNOWN, message))
 

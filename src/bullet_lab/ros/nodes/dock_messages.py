@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Callable, Mapping, Tuple
+from dataclasses import astuple
+from typing import Callable, Tuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -12,12 +13,12 @@ from sensor_msgs.msg import CameraInfo
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
-from bullet_lab.docking.database import Dock, UnknownDockError, find_dock
+from bullet_lab.docking.database import Dock
+from bullet_lab.docking.task import DockingTask, UndockingTask
 from bullet_lab.docking.types import (
     CameraMount,
     DockingError,
     DockingResult,
-    DockingStatus,
     Odometry,
     PlanarPose,
     Sighting,
@@ -28,6 +29,7 @@ from bullet_lab.msg import (
     DockGoal,
     DockResult,
     MarkerDetectionArray,
+    UndockFeedback,
     UndockGoal,
     UndockResult,
 )
@@ -108,18 +110,6 @@ def check_undock_goal(goal: UndockGoal) -> None:
         raise GoalError(DockingError.NOT_VALID, what)
 
 
-def dock_of(goal: DockGoal, docks: Mapping[str, Dock], usual: str) -> Dock:
-    """Return the dock that is meant, of the database; `usual` says what one given by pose is like.
-
-    Raises:
-        GoalError: there is none of that name.
-    """
-    try:
-        return find_dock(docks, goal.dock_id or usual)
-    except UnknownDockError as error:
-        raise GoalError(DockingError.NOT_IN_DATABASE, str(error)) from None
-
-
 def rough_pose(goal: DockGoal, dock: Dock, frame: str, lookup: Lookup) -> PlanarPose:
     """Return the rough pose of the dock in the odometry frame.
 
@@ -157,15 +147,8 @@ def _given_pose(message: PoseStamped) -> Tuple[str, Pose]:
 
 def dock_result(result: DockingResult) -> DockResult:
     """Return a result as the action sends it."""
-    return DockResult(
-        result.success,
-        int(result.error),
-        result.message,
-        result.retries,
-        result.distance,
-        result.lateral,
-        result.yaw,
-    )
+    success, error, *rest = astuple(result)
+    return DockResult(success, int(error), *rest)
 
 
 def undock_result(result: DockingResult) -> UndockResult:
@@ -173,8 +156,14 @@ def undock_result(result: DockingResult) -> UndockResult:
     return UndockResult(result.success, int(result.error), result.message)
 
 
-def dock_feedback(status: DockingStatus) -> DockFeedback:
+def dock_feedback(task: DockingTask) -> DockFeedback:
     """Return how it goes as the action sends it."""
+    status = task.status
     return DockFeedback(
         int(status.state), status.distance, status.lateral, status.yaw, status.retries
     )
+
+
+def undock_feedback(task: UndockingTask) -> UndockFeedback:
+    """Return how it goes as the action sends it."""
+    return UndockFeedback(task.remaining)

@@ -29,12 +29,13 @@ from typing import Deque, List, Optional, Tuple
 import rospy
 from actionlib import GoalIDGenerator, ServerGoalHandle
 from actionlib_msgs.msg import GoalID, GoalStatus
-from geometry_msgs.msg import PoseStamped, Twist, Vector3
+from geometry_msgs.msg import Point, Pose, PoseStamped, Twist, Vector3
 from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedback, MoveBaseGoal
 from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import ColorRGBA, Float64, Header, Time
 from visualization_msgs.msg import Marker, MarkerArray
 
+from bullet_lab.core import parameters
 from bullet_lab.drive.goal import (
     LEAST_TOLERANCE,
     STANDSTILL,
@@ -45,7 +46,6 @@ from bullet_lab.drive.goal import (
 )
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import stamped_pose
-from bullet_lab.core import parameters
 from bullet_lab.ros.node.commands import StoppableSender
 from bullet_lab.ros.node.goal_server import GoalServer
 from bullet_lab.ros.node.lock_step import rate
@@ -116,11 +116,7 @@ class DriveToGoalParameters:
 
 
 class GoalTopics:
-    """Publishes what becomes of goals: for machines at once, for RViz some times a second.
-
-    Args:
-        tolerance: m from a goal to stop within.
-    """
+    """Publishes what becomes of goals: for machines at once, for RViz some times a second."""
 
     def __init__(self, tolerance: float):
         self._tolerance = tolerance
@@ -135,7 +131,7 @@ class GoalTopics:
         self._active: Optional[GoalStatus] = None
         self._frame = ""
         self._place: PlanarPose = (0.0, 0.0, 0.0)
-        self._driven: List[PoseStamped] = []
+        self._driven: Deque[PoseStamped] = deque(maxlen=MOST_POINTS)
         self._ticks = 0
 
     def say(self, goal_id: GoalID, status: int, text: str) -> None:
@@ -155,7 +151,7 @@ class GoalTopics:
         """Tell which goal is driven to."""
         self._frame, self._place = frame, goal
         self._goal.publish(stamped_pose(stamp, frame, goal))
-        self._driven = []
+        self._driven.clear()
         self._ticks = 0
 
     def progress(self, stamp: rospy.Time, pose: PlanarPose) -> None:
@@ -173,7 +169,7 @@ class GoalTopics:
         self._finished.publish(Time(stamp))
 
     def _tell_remaining(self, pose: PlanarPose) -> float:
-        left = math.hypot(self._place[0] - pose[0], self._place[1] - pose[1])
+        left = math.dist(self._place[:2], pose[:2])
         self._remaining.publish(Float64(left))
         return left
 
@@ -183,46 +179,30 @@ class GoalTopics:
             if math.hypot(new.x - last.x, new.y - last.y) < PATH_STEP:
                 return
         self._driven.append(place)
-        del self._driven[:-MOST_POINTS]
 
     def _show(self, stamp: rospy.Time, status: int, left: float, ahead: List[PlanarPose]) -> None:
         header = Header(0, stamp, self._frame)
         plan = [stamped_pose(stamp, self._frame, pose) for pose in ahead]
         self._plan.publish(Path(header, plan))
         self._path.publish(Path(header, list(self._driven)))
-        colour = COLOURS.get(status, GIVEN_UP)
-        markers = goal_markers(header, self._place, self._tolerance, colour, left)
         # Not frame_locked: odometry frames stand still.
-        self._markers.publish(MarkerArray(markers))
+        self._markers.publish(MarkerArray(self._draw(header, COLOURS.get(status, GIVEN_UP), left)))
 
-
-def goal_markers(
-    header: Header, goal: PlanarPose, tolerance: float, colour: ColorRGBA, left: float
-) -> List[Marker]:
-    """Return an arrow at the goal, its tolerance as a disc and what is left as a label.
-
-    Args:
-        header: stamp and frame.
-        goal: m, m, rad.
-        tolerance: m.
-        colour: of arrow and disc.
-        left: m to the goal; NaN for unknown.
-    """
-    pose = stamped_pose(header.stamp, header.frame_id, goal).pose
-    arrow = Marker(header=header, ns="goal", id=0, type=Marker.ARROW, color=colour)
-    arrow.scale = Vector3(0.4, 0.05, 0.05)
-    disc = Marker(header=header, ns="goal", id=1, type=Marker.CYLINDER, color=colour)
-    disc.scale = Vector3(2.0 * tolerance, 2.0 * tolerance, 0.01)
-    label = Marker(header=header, ns="goal", id=2, type=Marker.TEXT_VIEW_FACING)
-    label.color = ColorRGBA(1.0, 1.0, 1.0, 1.0)
-    label.scale.z = 0.2
-    label.text = "" if math.isnan(left) else f"{left:.2f} m"
-    for marker in (arrow, disc, label):
-        marker.pose.position.x, marker.pose.position.y = goal[:2]
-        marker.pose.orientation = pose.orientation
-    arrow.pose.position.z, label.pose.position.z = 0.1, 0.4
-    # RViz complains of a label without text.
-    return [arrow, disc, label] if label.text else [arrow, disc]
+    def _draw(self, header: Header, colour: ColorRGBA, left: float) -> List[Marker]:
+        """Return an arrow at the goal, its tolerance as a disc and the m left as a label."""
+        pose = stamped_pose(header.stamp, header.frame_id, self._place).pose
+        arrow = Marker(header=header, ns="goal", id=0, type=Marker.ARROW, color=colour)
+        arrow.scale = Vector3(0.4, 0.05, 0.05)
+        disc = Marker(header=header, ns="goal", id=1, type=Marker.CYLINDER, color=colour)
+        disc.scale = Vector3(2.0 * self._tolerance, 2.0 * self._tolerance, 0.01)
+        label = Marker(header=header, ns="goal", id=2, type=Marker.TEXT_VIEW_FACING)
+        label.color = ColorRGBA(1.0, 1.0, 1.0, 1.0)
+        label.scale.z = 0.2
+        label.text = "" if math.isnan(left) else f"{left:.2f} m"
+        for marker, height in ((arrow, 0.1), (disc, 0.0), (label, 0.4)):
+            marker.pose = Pose(Point(pose.position.x, pose.position.y, height), pose.orientation)
+        # RViz complains of a label without text.
+        return [arrow, disc, label] if label.text else [arrow, disc]
 
 
 class DriveToGoal:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Mapping, Optional
+from typing import Any, Callable, Dict, List, Mapping, Optional
 
 import cv2
 import numpy as np
@@ -35,8 +35,6 @@ from bullet_lab.ros.node.publishers import Demand, Publisher, subscriber
 
 # Larger than an image, so that old ones do not pile up in the socket.
 _BUFFER_BYTES = 2**24
-# An old image is of no use; of anything else, 10 may wait.
-_QUEUE_SIZES = {Image: 1, CameraInfo: 1}
 # Wall seconds that the first image waits for its camera_info.
 _INFO_PATIENCE = 1.0
 # Wall seconds without an image after which that is a warning.
@@ -61,14 +59,7 @@ class ImageParameters:
 
 
 class CameraImage:
-    """An image that has come, decoded when it is asked for.
-
-    Attributes:
-        header: its stamp and frame.
-        info: the newest camera_info, if any came.
-        width: px.
-        height: px.
-    """
+    """An image that has come, decoded when it is asked for; `info` is the newest camera_info."""
 
     def __init__(self, message: Image, info: Optional[CameraInfo]):
         self.header = message.header
@@ -113,8 +104,8 @@ class ImageNode:
         self._info: Optional[CameraInfo] = None
         self._waits_for_info = True
         self._last_stamp: Optional[rospy.Time] = None
-        self._image_subscriber: Optional[rospy.Subscriber] = None
-        self._info_subscriber: Optional[rospy.Subscriber] = None
+        # To camera_info and to images, while there is work.
+        self._subscribers: List[rospy.Subscriber] = []
         self._demand = Demand(self._start, self._stop, always)
         self._traffic = Traffic()
         self._refusals = Refusals()
@@ -122,7 +113,10 @@ class ImageNode:
         self._figures: Mapping[str, Any] = {}
         topics = {"image_annotated": Image, "camera_info": CameraInfo, **self.outputs}
         self._publishers: Dict[str, Publisher] = {
-            topic: self._demand.publisher(f"~{topic}", kind, _QUEUE_SIZES.get(kind, 10))
+            # An old image is of no use; of anything else, 10 may wait.
+            topic: self._demand.publisher(
+                f"~{topic}", kind, 1 if kind in (Image, CameraInfo) else 10
+            )
             for topic, kind in topics.items()
         }
         self._diagnostics = Diagnostics(self.task, self._diagnose)
@@ -152,12 +146,7 @@ class ImageNode:
         self._publishers[topic].publish(message)
 
     def annotate(self, image: CameraImage, draw: Callable[[np.ndarray], None]) -> None:
-        """Publish the image with something drawn into it, if somebody listens.
-
-        Args:
-            image: what came.
-            draw: draws into a (height, width, 3) uint8 BGR array.
-        """
+        """Publish the image, if somebody listens; `draw` gets (height, width, 3) uint8 BGR."""
         if self.has_listeners("image_annotated"):
             canvas = image.colour()
             draw(canvas)
@@ -180,31 +169,24 @@ class ImageNode:
 
     def _is_connected(self) -> bool:
         with self._lock:
-            subscribers = (self._image_subscriber, self._info_subscriber)
-        return all(s is not None and s.get_num_connections() > 0 for s in subscribers)
+            counts = [one.get_num_connections() for one in self._subscribers]
+        return bool(counts) and all(counts)
 
     def _start(self) -> None:
         with self._lock:
             self._info, self._waits_for_info, self._last_stamp = None, True, None
             self.reset()
-            self._info_subscriber = subscriber(
-                self.parameters.info_topic, CameraInfo, self._receive_info
+            info = subscriber(self.parameters.info_topic, CameraInfo, self._receive_info)
+            images = subscriber(
+                self.parameters.image, Image, self._receive_image, 1, buffer_bytes=_BUFFER_BYTES
             )
-            self._image_subscriber = subscriber(
-                self.parameters.image,
-                Image,
-                self._receive_image,
-                queue_size=1,
-                buffer_bytes=_BUFFER_BYTES,
-            )
+            self._subscribers = [info, images]
 
     def _stop(self) -> None:
         with self._lock:
-            subscribers = (self._image_subscriber, self._info_subscriber)
-            self._image_subscriber = self._info_subscriber = None
+            subscribers, self._subscribers = self._subscribers, []
         for one in subscribers:
-            if one is not None:
-                one.unregister()
+            one.unregister()
 
     def _receive_info(self, message: CameraInfo) -> None:
         with self._lock:
@@ -253,32 +235,25 @@ class ImageNode:
         figures: Dict[str, str] = self._traffic.figures()
         figures.update({key: str(value) for key, value in dict(self._figures).items()})
         figures["refused"] = str(self._refusals.total)
-        level, message = self._verdict()
-        return Health(level, message, figures)
+        health = self._verdict()
+        return Health(health.level, health.message, figures)
 
-    def _verdict(self):
+    def _verdict(self) -> Health:
         if not self._demand.is_there:
-            return DiagnosticStatus.OK, "idle: nobody listens"
+            return Health(DiagnosticStatus.OK, "idle: nobody listens")
         if self._traffic.silence > _SILENCE:
             with self._lock:
-                subscriber = self._image_subscriber
-            known = subscriber is not None and subscriber.get_num_connections() > 0
+                known = any(one.get_num_connections() for one in self._subscribers[1:])
             reason = "nothing comes" if known else "nobody publishes it"
-            return DiagnosticStatus.WARN, f"no image on {self.parameters.image}: {reason}"
+            topic = self.parameters.image
+            return Health(DiagnosticStatus.WARN, f"no image on {topic}: {reason}")
         if self._trouble:
-            return DiagnosticStatus.ERROR, self._trouble
-        health = self.health()
-        return health.level, health.message
+            return Health(DiagnosticStatus.ERROR, self._trouble)
+        return self.health()
 
 
 def run_image_node(name: str, kind: type, node: Callable[[Any], ImageNode]) -> None:
-    """Run a node that processes images.
-
-    Args:
-        name: of the node.
-        kind: the dataclass of its parameters.
-        node: makes it from them.
-    """
+    """Run a node that processes images, made by `node` of parameters of a kind."""
 
     def body() -> None:
         node(private_parameters(kind)).start()

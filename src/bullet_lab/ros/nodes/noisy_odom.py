@@ -22,6 +22,7 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
+from bullet_lab.core import parameters
 from bullet_lab.core.angles import quaternion_from_yaw
 from bullet_lab.core.ellipse import ellipse_points
 from bullet_lab.core.seeds import derived_seed
@@ -35,7 +36,6 @@ from bullet_lab.noise.odometry_noise import (
     rule_of,
 )
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
-from bullet_lab.core import parameters
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose

@@ -20,12 +20,12 @@ from geometry_msgs.msg import Pose as PoseMessage
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+from bullet_lab.core import parameters
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import InputError
-from bullet_lab.core import parameters
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node, wait_until
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.node.transforms import FrameFinder

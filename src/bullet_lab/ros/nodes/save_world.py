@@ -16,10 +16,10 @@ from typing import Sequence
 
 import rospy
 
+from bullet_lab.core import parameters
 from bullet_lab.core.files import make_folder, write_json
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
-from bullet_lab.core import parameters
 from bullet_lab.ros.node.node import NodeError, private_parameters, run_node, wait_until
 from bullet_lab.srv import SaveWorld
 

@@ -22,9 +22,9 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from bullet_lab.core import parameters
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.gazebo_types import msg
-from bullet_lab.core import parameters
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.publishers import Demand
 

@@ -25,8 +25,8 @@ from sensor_msgs.msg import Range
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.core import parameters
+from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
