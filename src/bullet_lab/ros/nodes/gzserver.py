@@ -27,29 +27,17 @@ from bullet_lab.ros.nodes.bridge import BridgeParameters, serve
 from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.simulation.world.xml import parse_text, read_text
 
-DEFAULT_WORLD = "worlds/empty.world"
 CLOCK_RATE = "/gazebo/pub_clock_frequency"
 # They give Gazebo its ROS interface, which the bridge has.
 ROS_PLUGINS = "libgazebo_ros_"
 
-# Options without a meaning here that are followed by a value.
+# Options without a meaning here: those that are followed by a value, and those that are not.
 IDLE_VALUES = (
-    ("-e", "--physics"),
-    ("-g", "--gui-plugin"),
-    ("-o", "--profile"),
-    ("--record_encoding",),
-    ("--record_path",),
-    ("--record_period",),
-    ("--record_filter",),
-    ("--gui-client-plugin",),
-)
+    "-e --physics -g --gui-plugin -o --profile --gui-client-plugin "
+    "--record_encoding --record_path --record_period --record_filter"
+).split()
 IDLE_FLAGS = (
-    ("-r", "--record"),
-    ("--record_resources",),
-    ("-q", "--quiet"),
-    ("--verbose",),
-    ("--minimal_comms",),
-    ("--lockstep",),
+    "-r --record --record_resources -q --quiet --verbose --minimal_comms --lockstep".split()
 )
 # What others do with these would be missed.
 REFUSED = (("-p", "--play"), ("--iters",), ("--initial_sim_time",))
@@ -73,7 +61,7 @@ class ServerArguments:
         plugins: server plugins that are not simulated, by the names of their files.
     """
 
-    world: str = DEFAULT_WORLD
+    world: str = "worlds/empty.world"
     paused: bool = False
     seed: int = 0
     plugins: Tuple[str, ...] = ()
@@ -89,14 +77,14 @@ def parse_server_arguments(words: Sequence[str]) -> ServerArguments:
         ArgumentsError: an option that is unknown, or one whose effect would be missed.
     """
     parser = ArgumentParser(prog="gzserver", add_help=False, allow_abbrev=False)
-    parser.add_argument("world", nargs="?", default=DEFAULT_WORLD)
+    parser.add_argument("world", nargs="?", default=ServerArguments.world)
     parser.add_argument("-u", "--pause", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-s", "--server-plugin", action="append", default=[])
-    for names in IDLE_FLAGS:
-        parser.add_argument(*names, action="store_true")
-    for names in IDLE_VALUES:
-        parser.add_argument(*names, action="append")
+    for name in IDLE_FLAGS:
+        parser.add_argument(name, action="store_true")
+    for name in IDLE_VALUES:
+        parser.add_argument(name, action="append")
     for names in REFUSED:
         parser.add_argument(*names, dest=names[-1].lstrip("-"))
     # Launch files leave empty words where an argument of theirs is empty.

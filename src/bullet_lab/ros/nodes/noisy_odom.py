@@ -17,7 +17,7 @@ from typing import Any, Dict, List, Optional, Tuple
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point
+from geometry_msgs.msg import Point, Vector3
 from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
@@ -179,17 +179,14 @@ def _copy(msg: Odometry) -> Odometry:
 
     (The published node overwrote the message that it also kept as the last perfect one.)
     """
-    copy = Odometry(header=Header(0, msg.header.stamp, msg.header.frame_id))
-    copy.child_frame_id = msg.child_frame_id
+    header = Header(0, msg.header.stamp, msg.header.frame_id)
+    copy = Odometry(header=header, child_frame_id=msg.child_frame_id)
     copy.pose.pose.position.z = msg.pose.pose.position.z
     copy.pose.covariance = list(msg.pose.covariance)
     copy.twist.covariance = list(msg.twist.covariance)
-    copy.twist.twist.linear.x = msg.twist.twist.linear.x
-    copy.twist.twist.linear.y = msg.twist.twist.linear.y
-    copy.twist.twist.linear.z = msg.twist.twist.linear.z
-    copy.twist.twist.angular.x = msg.twist.twist.angular.x
-    copy.twist.twist.angular.y = msg.twist.twist.angular.y
-    copy.twist.twist.angular.z = msg.twist.twist.angular.z
+    linear, angular = msg.twist.twist.linear, msg.twist.twist.angular
+    copy.twist.twist.linear = Vector3(linear.x, linear.y, linear.z)
+    copy.twist.twist.angular = Vector3(angular.x, angular.y, angular.z)
     return copy
 
 
@@ -220,12 +217,7 @@ def _add_covariance(entries: List[float], covariance, factor: float) -> None:
 
 
 def ellipse_marker(noisy: Odometry, covariance: np.ndarray) -> Marker:
-    """Return the outline of the 95 % ellipse around a noisy pose, in its frame.
-
-    Args:
-        noisy: the message with the noisy pose.
-        covariance: 3x3 of x, y and yaw in the frame of the message (m, m, rad).
-    """
+    """Return the 95 % ellipse around a noisy pose, by its 3x3 covariance (m, m, rad)."""
     marker = Marker(header=noisy.header, ns="noisy_odom", type=Marker.LINE_STRIP)
     marker.pose.position = noisy.pose.pose.position
     marker.pose.orientation.w = 1.0

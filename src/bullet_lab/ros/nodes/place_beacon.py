@@ -16,16 +16,15 @@ from typing import Collection
 
 import rospy
 from geometry_msgs.msg import PointStamped
-from geometry_msgs.msg import Pose as PoseMessage
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.core import parameters
-from bullet_lab.core.pose import Pose
+from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call
 from bullet_lab.ros.messages.gazebo_types import srv
-from bullet_lab.ros.messages.poses import InputError
+from bullet_lab.ros.messages.poses import InputError, pose_message
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node, wait_until
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.node.transforms import FrameFinder
@@ -78,7 +77,7 @@ class PlaceBeacon:
 
     def _receive(self, message: PointStamped) -> None:
         try:
-            x, y = self._place_of(message)
+            x, y, _ = self._place_of(message)
             name = self._spawn(x, y)
         except LabError as error:
             self._refusals.refuse(CLICKED, str(error))
@@ -86,21 +85,18 @@ class PlaceBeacon:
         rospy.loginfo("%s placed at (%.2f, %.2f) m", name, x, y)
         self._placed.publish(String(name))
 
-    def _place_of(self, message: PointStamped) -> tuple:
+    def _place_of(self, message: PointStamped) -> Vector:
         point = (message.point.x, message.point.y, message.point.z)
         if not all(map(math.isfinite, point)):
             raise InputError("a point that is not finite")
-        placed = self._frames.bring(
-            Pose(point), message.header.frame_id, self._parameters.world_frame
-        )
-        return placed.position[:2]
+        frames = (message.header.frame_id, self._parameters.world_frame)
+        return self._frames.bring(Pose(point), *frames).position
 
     def _spawn(self, x: float, y: float) -> str:
         names = call("/gazebo/get_world_properties", srv.GetWorldProperties).model_names
         self._check_free(x, y, names)
         name = free_name(self._parameters.prefix, names)
-        pose = PoseMessage()
-        pose.position.x, pose.position.y, pose.orientation.w = x, y, 1.0
+        pose = pose_message(Pose((x, y, 0.0)))
         call(SERVICE, srv.SpawnModel, name, self._text, "", pose, "")
         return name
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Sequence
 
 import rospy
 
@@ -33,9 +32,9 @@ class SaveWorldParameters:
     models: int = parameters.integer(0, "wait until there are so many models", minimum=0)
 
 
-def save_world(parameters: SaveWorldParameters, arguments: Sequence[str]) -> str:
-    """Save the world and return a line that says what was saved; raises LabError."""
-    names = [name for name in (parameters.path, *arguments) if name]
+def save_world(parameters: SaveWorldParameters) -> None:
+    """Save the world; raises LabError."""
+    names = [name for name in (parameters.path, *rospy.myargv(sys.argv)[1:]) if name]
     if len(names) != 1:
         raise NodeError("usage: save_world.py FILE")
     # Relative to where the user is, not to where the bridge runs.
@@ -55,7 +54,7 @@ def save_world(parameters: SaveWorldParameters, arguments: Sequence[str]) -> str
         }
         write_json(Path(parameters.summary), figures)
     line = f"{saved.models} models at {saved.saved_at.to_sec():g} s saved to {saved.path}"
-    return f"{line} in {saved.seconds:.3f} s"
+    rospy.loginfo("%s in %.3f s", line, saved.seconds)
 
 
 def _count() -> int:
@@ -64,9 +63,4 @@ def _count() -> int:
 
 def main() -> None:
     """Run the node."""
-
-    def body() -> None:
-        parameters = private_parameters(SaveWorldParameters)
-        rospy.loginfo("%s", save_world(parameters, rospy.myargv(sys.argv)[1:]))
-
-    run_node("save_world", body)
+    run_node("save_world", lambda: save_world(private_parameters(SaveWorldParameters)))

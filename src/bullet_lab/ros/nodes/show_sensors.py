@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Callable, Iterator, Optional, Sequence
+from typing import Any, Callable, Iterable, Iterator, Optional
 
+import numpy as np
 import rospy
 from geometry_msgs.msg import AccelStamped, Point, Vector3, Wrench, WrenchStamped
 from sensor_msgs.msg import Imu
@@ -23,8 +24,9 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core import parameters
-from bullet_lab.errors import LabError
+from bullet_lab.core.pose import Vector
 from bullet_lab.ros.messages.gazebo_types import msg
+from bullet_lab.ros.messages.poses import InputError, vector_of
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.publishers import Demand
 
@@ -33,10 +35,6 @@ NORMAL = ColorRGBA(0.1, 0.3, 0.9, 1.0)
 NORMAL_LENGTH = 0.1
 # Forces of less (N) are not drawn as arrows: RViz refuses one without a length.
 LEAST_FORCE = 0.01
-
-
-class SensorError(LabError):
-    """A message that cannot be shown."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ class _Feed:
     def _receive(self, message: Any) -> None:
         try:
             self._show(message)
-        except SensorError as error:
+        except InputError as error:
             self._refusals.refuse(self._topic, str(error))
 
 
@@ -91,22 +89,17 @@ class ShowSensors:
         self._wrench.publish(WrenchStamped(message.header, total))
 
     def _show_imu(self, message: Imu) -> None:
-        force = message.linear_acceleration
-        if not all(map(math.isfinite, _numbers(force))):
-            raise SensorError("an acceleration that is not finite")
+        vector_of(message.linear_acceleration, "an acceleration")
         shown = AccelStamped(header=message.header)
-        shown.accel.linear = force
+        shown.accel.linear = message.linear_acceleration
         self._acceleration.publish(shown)
 
 
 def total_wrench(message: msg.ContactsState) -> Wrench:
-    """Return force and torque of all contacts together; raises SensorError."""
-    forces = [state.total_wrench.force for state in message.states]
-    torques = [state.total_wrench.torque for state in message.states]
-    total = Wrench(_sum(forces), _sum(torques))
-    if not all(map(math.isfinite, (*_numbers(total.force), *_numbers(total.torque)))):
-        raise SensorError("a force that is not finite")
-    return total
+    """Return force and torque of all contacts together; raises InputError."""
+    totals = [state.total_wrench for state in message.states]
+    force = _sum(vector_of(total.force, "a force") for total in totals)
+    return Wrench(force, _sum(vector_of(total.torque, "a torque") for total in totals))
 
 
 def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker]:
@@ -117,58 +110,54 @@ def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker
         scale: m of an arrow for each N.
 
     Raises:
-        SensorError: a number is not finite, or a point has no normal or force.
+        InputError: a number is not finite, or a point has no normal or force.
     """
     yield Marker(header=message.header, action=Marker.DELETEALL)
     number = 0
     for state in message.states:
         count = len(state.contact_positions)
         if count != len(state.contact_normals) or count != len(state.wrenches):
-            raise SensorError("points of contact without a normal or a force")
+            raise InputError("points of contact without a normal or a force")
         for place, normal, wrench in zip(
             state.contact_positions, state.contact_normals, state.wrenches
         ):
-            values = (*_numbers(place), *_numbers(normal), *_numbers(wrench.force))
-            if not all(map(math.isfinite, values)):
-                raise SensorError("a contact that is not finite")
-            yield _sphere(message, number, place)
-            yield _arrow(message, "normal", number, place, normal, NORMAL_LENGTH, NORMAL)
-            if math.hypot(*_numbers(wrench.force)) > LEAST_FORCE:
-                yield _arrow(message, "force", number, place, wrench.force, scale, FORCE)
+            start = vector_of(place, "a point of contact")
+            normal = vector_of(normal, "a normal")
+            force = vector_of(wrench.force, "a force")
+            point = _marker(message, "point", number, Marker.SPHERE, POINT)
+            point.pose.position = Point(*start)
+            point.scale = Vector3(0.03, 0.03, 0.03)
+            yield point
+            yield _arrow(message, "normal", number, start, normal, NORMAL_LENGTH, NORMAL)
+            if math.hypot(*force) > LEAST_FORCE:
+                yield _arrow(message, "force", number, start, force, scale, FORCE)
             number += 1
 
 
-def _sphere(message: msg.ContactsState, number: int, place: Vector3) -> Marker:
-    marker = Marker(header=message.header, ns="point", id=number, type=Marker.SPHERE, color=POINT)
-    marker.pose.position = Point(*_numbers(place))
+def _marker(message: Any, name: str, number: int, kind: int, colour: ColorRGBA) -> Marker:
+    marker = Marker(header=message.header, ns=name, id=number, type=kind, color=colour)
     marker.pose.orientation.w = 1.0
-    marker.scale = Vector3(0.03, 0.03, 0.03)
     return marker
 
 
 def _arrow(
-    message: msg.ContactsState,
+    message: Any,
     name: str,
     number: int,
-    place: Vector3,
-    along: Vector3,
+    start: Vector,
+    along: Vector,
     scale: float,
     colour: ColorRGBA,
 ) -> Marker:
-    marker = Marker(header=message.header, ns=name, id=number, type=Marker.ARROW, color=colour)
-    marker.pose.orientation.w = 1.0
-    end = [start + scale * part for start, part in zip(_numbers(place), _numbers(along))]
-    marker.points = [Point(*_numbers(place)), Point(*end)]
+    marker = _marker(message, name, number, Marker.ARROW, colour)
+    end = (first + scale * part for first, part in zip(start, along))
+    marker.points = [Point(*start), Point(*end)]
     marker.scale = Vector3(0.01, 0.02, 0.0)
     return marker
 
 
-def _numbers(vector: Vector3) -> tuple:
-    return (vector.x, vector.y, vector.z)
-
-
-def _sum(vectors: Sequence[Vector3]) -> Vector3:
-    return Vector3(*(sum(getattr(vector, axis) for vector in vectors) for axis in "xyz"))
+def _sum(vectors: Iterable[Vector]) -> Vector3:
+    return Vector3(*np.sum([(0.0, 0.0, 0.0), *vectors], axis=0).tolist())
 
 
 def main() -> None:

@@ -54,9 +54,7 @@ def accept_beacons(value: Any) -> Tuple[Beacon, ...]:
     for beacon in beacons:
         if not rosgraph.names.is_legal_name(beacon.name) or not beacon.name:
             raise ValueError(beacon.name)
-        if isinstance(beacon.x, (bool, str)) or isinstance(beacon.y, (bool, str)):
-            raise ValueError(beacon.name)
-        if not math.isfinite(beacon.x) or not math.isfinite(beacon.y):
+        if any(isinstance(v, (bool, str)) or not math.isfinite(v) for v in (beacon.x, beacon.y)):
             raise ValueError(beacon.name)
     if len({beacon.name for beacon in beacons}) != len(beacons):
         raise ValueError("a name twice")
@@ -77,11 +75,6 @@ class TrackRobotParameters:
         False, "take up beacons that are placed in the world, and drop those taken away"
     )
     prefix: str = parameters.text("beacon", "first part of those beacons' names: beacon_0 …")
-
-
-def distance(x1: float, y1: float, x2: float, y2: float) -> float:
-    """Return the distance between two points."""
-    return math.hypot(x1 - x2, y1 - y2)
 
 
 def report_line(beacon: Beacon, dist: float) -> str:
@@ -137,7 +130,7 @@ class TrackRobot:
             self._measure(msg, x, y)
 
     def _measure(self, msg: Odometry, x: float, y: float) -> None:
-        distances = [distance(x, y, t.beacon.x, t.beacon.y) for t in self._beacons]
+        distances = [math.hypot(x - t.beacon.x, y - t.beacon.y) for t in self._beacons]
         for topics, dist in zip(self._beacons, distances):
             topics.publish(Header(0, msg.header.stamp, msg.child_frame_id), dist)
         if self._markers.get_num_connections() > 0:

@@ -8,7 +8,8 @@ from geometry_msgs.msg import Vector3, Wrench
 from visualization_msgs.msg import Marker
 
 from bullet_lab.ros.messages.gazebo_types import msg
-from bullet_lab.ros.nodes.show_sensors import SensorError, contact_markers, total_wrench
+from bullet_lab.ros.messages.poses import InputError
+from bullet_lab.ros.nodes.show_sensors import contact_markers, total_wrench
 
 
 def touching(force=2.0):
@@ -51,11 +52,11 @@ def test_nothing_touched_takes_the_markers_away():
 
 
 def test_what_is_refused():
-    with pytest.raises(SensorError, match="not finite"):
+    with pytest.raises(InputError, match="not finite"):
         total_wrench(touching(math.nan))
-    with pytest.raises(SensorError, match="not finite"):
+    with pytest.raises(InputError, match="not finite"):
         list(contact_markers(touching(math.inf), 0.1))
     bad = touching()
     bad.states[0].contact_normals.pop()
-    with pytest.raises(SensorError, match="without a normal"):
+    with pytest.raises(InputError, match="without a normal"):
         list(contact_markers(bad, 0.1))
