@@ -31,13 +31,24 @@ CLOCK_RATE = "/gazebo/pub_clock_frequency"
 # They give Gazebo its ROS interface, which the bridge has.
 ROS_PLUGINS = "libgazebo_ros_"
 
-# Options without a meaning here: those that are followed by a value, and those that are not.
+# Options without a meaning here that are followed by a value.
 IDLE_VALUES = (
-    "-e --physics -g --gui-plugin -o --profile --gui-client-plugin "
-    "--record_encoding --record_path --record_period --record_filter"
-).split()
+    ("-e", "--physics"),
+    ("-g", "--gui-plugin"),
+    ("-o", "--profile"),
+    ("--record_encoding",),
+    ("--record_path",),
+    ("--record_period",),
+    ("--record_filter",),
+    ("--gui-client-plugin",),
+)
 IDLE_FLAGS = (
-    "-r --record --record_resources -q --quiet --verbose --minimal_comms --lockstep".split()
+    ("-r", "--record"),
+    ("--record_resources",),
+    ("-q", "--quiet"),
+    ("--verbose",),
+    ("--minimal_comms",),
+    ("--lockstep",),
 )
 # What others do with these would be missed.
 REFUSED = (("-p", "--play"), ("--iters",), ("--initial_sim_time",))
@@ -81,10 +92,10 @@ def parse_server_arguments(words: Sequence[str]) -> ServerArguments:
     parser.add_argument("-u", "--pause", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-s", "--server-plugin", action="append", default=[])
-    for name in IDLE_FLAGS:
-        parser.add_argument(name, action="store_true")
-    for name in IDLE_VALUES:
-        parser.add_argument(name, action="append")
+    for names in IDLE_FLAGS:
+        parser.add_argument(*names, action="store_true")
+    for names in IDLE_VALUES:
+        parser.add_argument(*names, action="append")
     for names in REFUSED:
         parser.add_argument(*names, dest=names[-1].lstrip("-"))
     # Launch files leave empty words where an argument of theirs is empty.

@@ -234,6 +234,9 @@ def test_every_shipped_job_has_the_common_arguments_and_sound_defaults():
                 assert argument.declarations(), f"{job.name}: nobody declares {argument.name}"
             elif "$(" not in argument.default:
                 argument.check(argument.default)
+    # Its executable runs a function of a module that has another node's main.
+    of_fleet = Target("bullet_lab.ros.nodes.drive_squares", "robots")
+    assert of_fleet in jobs["fleet"].arguments["n"].targets
 
 
 def test_listing_jobs_imports_no_node():
