@@ -25,7 +25,6 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 import rospy
 import tf2_ros
 from actionlib import ServerGoalHandle
-from actionlib_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped, Transform, TransformStamped, Twist, Vector3
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
@@ -81,6 +80,7 @@ from bullet_lab.ros.nodes.dock_messages import (
     odometry_of,
     rough_pose,
     sightings_of,
+    status_of,
     undock_feedback,
     undock_result,
 )
@@ -223,13 +223,6 @@ class Action(NamedTuple):
     result: Callable[[DockingResult], Any]
 
 
-def _status_of(result: DockingResult) -> int:
-    if result.success:
-        return GoalStatus.SUCCEEDED
-    preempted = result.error == DockingError.PREEMPTED
-    return GoalStatus.PREEMPTED if preempted else GoalStatus.ABORTED
-
-
 def _queue(topic: str, kind: type, read: Callable[[Any], Any], rate: float) -> MessageQueue:
     """Return the messages of a topic, each as its header and what is read of it."""
     return MessageQueue(topic, kind, lambda message: (message.header, read(message)), rate)
@@ -320,11 +313,9 @@ class DockNode:
             for observation in observations:
                 self._task.add_observation(observation)
             command = self._task.tick(now.to_sec())
-        except GoalError as error:
-            self._end(now, DockingResult(False, error.error, str(error)))
-            return
         except LabError as error:
-            self._end(now, DockingResult(False, DockingError.UNKNOWN, str(error)))
+            reason = error.error if isinstance(error, GoalError) else DockingError.UNKNOWN
+            self._end(now, DockingResult(False, reason, str(error)))
             return
         self._sender.send(command, ticket)
         self._show(now)
@@ -442,7 +433,7 @@ class DockNode:
             queue.close()
         say = rospy.loginfo if result.success else rospy.logwarn
         say("%s: %s (%s)", action.server.name, result.message, result.error.name)
-        action.server.end(_status_of(result), action.result(result), result.message)
+        action.server.end(status_of(result), action.result(result), result.message)
         self._finished.publish(Time(now))
 
     def _time_was_set_back(self) -> None:

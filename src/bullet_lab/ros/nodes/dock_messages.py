@@ -7,6 +7,7 @@ from dataclasses import astuple
 from typing import Callable, Tuple
 
 import numpy as np
+from actionlib_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import CameraInfo
@@ -154,6 +155,14 @@ def dock_result(result: DockingResult) -> DockResult:
 def undock_result(result: DockingResult) -> UndockResult:
     """Return a result as the action sends it."""
     return UndockResult(result.success, int(result.error), result.message)
+
+
+def status_of(result: DockingResult) -> int:
+    """Return what a result is as a GoalStatus of actionlib."""
+    if result.success:
+        return GoalStatus.SUCCEEDED
+    preempted = result.error == DockingError.PREEMPTED
+    return GoalStatus.PREEMPTED if preempted else GoalStatus.ABORTED
 
 
 def dock_feedback(task: DockingTask) -> DockFeedback:
