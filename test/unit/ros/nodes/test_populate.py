@@ -2,9 +2,9 @@ import pytest
 
 pytest.importorskip("rospy")
 
+from bullet_lab.core.parameters import ParameterError, read_parameters
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import numbered
-from bullet_lab.ros.node.parameters import ParameterError, read_parameters
 from bullet_lab.ros.nodes.populate import PopulateParameters, description_of, names_of, places_of
 from bullet_lab.simulation.world.sdf import read_description
 
