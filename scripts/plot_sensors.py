@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.record.plot_sensors."""
+"""Run the node; see bullet_lab.ros.record.plots."""
 
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.ros.record.plot_sensors")
+    run("bullet_lab.ros.record.plots:plot_sensors")

@@ -38,14 +38,14 @@ numerics > studies.noise_study: path_metrics=statistics resampling=paths
     study_statistics=statistics
 numerics > studies.published_noise: likeness=results published_defects=defects side_deviation
 plotting > core: floor_plan=figures style=figures
-plotting > reports: beacons_figure=beacons docking_figure=dock fleet_figure=fleet goal_figure=goal
+plotting > reports: beacons_figure=sensors docking_figure=dock fleet_figure=fleet goal_figure=goal
     noise_figure=squares sensors_figure=sensors vision_figure=vision
 plotting > studies.detection_range: detection_figures=figures
 plotting > studies.dock_campaign: campaign_figure=results
 plotting > studies.noise_study: study_figures=figures
 plotting > studies.published_noise: published_figures=figures
 recording > core: files series
-recording > reports: distances=beacons docking_run=dock fleet_summary=fleet goal_summary=goal
+recording > reports: distances=sensors docking_run=dock fleet_summary=fleet goal_summary=goal
     paths=squares sensors squares_summary=squares
 recording > studies.detection_range: detection_summary=study
 recording > studies.dock_campaign: dock_log=results dock_summary=results
@@ -71,9 +71,10 @@ ros > ros.nodes: aruco canny_edges depopulate=populate dock dock_errands=dock
     gazebo_window=gzclient goal_parameters=drive_to_goal goal_topics=drive_to_goal good_features
     harris_corners image_node noisy_odom place_beacon populate save_world show_sensors
     spawn_arguments=spawn_model spawn_model track_robot view_camera
-ros > ros.record: errand_recorder=recorder fleet_markers=rviz plot_beacons plot_docking plot_fleet
-    plot_goal plot_noise plot_sensors plot_vision recorder
-ros.launcher > ros.launcher: signals=command verdict=supervision
+ros > ros.record: errand_recorder=recorder fleet_markers=rviz plot_beacons=plots
+    plot_docking=plots plot_fleet=plots plot_goal=plots plot_noise=plots plot_sensors=plots
+    plot_vision recorder
+ros.launcher > ros.launcher: screen=output signals=command verdict=supervision
 simulation > core: native_output pose schedule
 simulation > simulation: entities=models model_instance=models
 simulation > simulation.physics: attached_frame bodies contact_points=contacts contacts engine

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Iterable, Sequence, Tuple
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -38,6 +39,14 @@ def plan_axes(axes: Axes, **more: str) -> None:
     axes.set(**{"xlabel": "x (m)", "ylabel": "y (m)", **more})
     axes.set_aspect("equal", adjustable="datalim")
     axes.grid(alpha=0.3)
+
+
+def show_around(axes: Axes, points: Sequence[Sequence[Sequence[float]]], margin: float) -> None:
+    """Limit axes to some arrays of points (m), with shape (n, 2), and a margin (m) around them."""
+    if len(points):
+        every = np.concatenate(points)
+        (left, bottom), (right, top) = every.min(axis=0) - margin, every.max(axis=0) + margin
+        axes.set(xlim=(left, right), ylim=(bottom, top))
 
 
 Outline = Sequence[Tuple[float, float]]

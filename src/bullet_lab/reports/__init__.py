@@ -1,34 +1,27 @@
 """What each job leaves behind: what is recorded, its summary and its figures, without ROS.
 
 A report names the topics that it wants; `bullet_lab.ros.record` runs any of them. A new job's
-report is one module here.
+report is one class here.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, Mapping, Optional, Sequence
+from typing import Any, Callable, Dict, Iterable, Mapping, NamedTuple, Optional, Sequence
 
 from matplotlib.figure import Figure
 
 from bullet_lab.core.files import make_folder
-from bullet_lab.core.series import NANOSECONDS, Series
-
-# ns: where a robot is sent somewhere, what comes before is not recorded, for somebody may not
-# have been connected yet.
-BEGINNING = 500_000_000
+from bullet_lab.core.series import NANOSECONDS, PathSeries, Series
 
 
-@dataclass(frozen=True)
-class Reading:
+class Reading(NamedTuple):
     """What a message says.
 
     Attributes:
         stamp: ns of simulated time.
         values: numbers for a row; x (m), y (m) and yaw (rad) of a pose.
-        detail: what else it says; which type of message gives what stands in
-            `bullet_lab.ros.record.readings`.
+        detail: what else it says, see the readers in `bullet_lab.ros.record.recorder`.
     """
 
     stamp: int
@@ -50,7 +43,7 @@ class Report:
     Attributes:
         about: what else summary.json says.
         topics: what is recorded: the type of each topic's messages, such as sensor_msgs/Imu, of
-            those that `bullet_lab.ros.record.readings` knows.
+            those that `bullet_lab.ros.record.recorder` knows.
         series: where rows go, by topic.
         until: the time in ns that is recorded up to; None while that is not known.
         begins_anew: called with the namespace of a robot for whom time was set back, and the
@@ -72,11 +65,7 @@ class Report:
         self.begins_anew: Callable[[str, Path], None] = lambda namespace, old: None
 
     def take(self, topic: str, reading: Reading) -> bool:
-        """Record what came on a topic; return whether a row was.
-
-        Raises:
-            LabError: it cannot be used.
-        """
+        """Record what came on a topic, or raise LabError; return whether a row was recorded."""
         self.series[topic].add(reading.stamp, reading.values)
         return True
 
@@ -114,11 +103,29 @@ class Report:
 
     def line(self, summary: Mapping[str, Any]) -> str:
         """Return in a line for people what came of it."""
-        raise NotImplementedError
+        return f"all of it is in {self.folder}"
 
     def has_failed(self, summary: Mapping[str, Any]) -> bool:
         """Return whether the line says that the job came to an end, but not to its goal."""
         return False
+
+
+class DriveReport(Report):
+    """The true path of a robot that is sent somewhere, in truth.tum.
+
+    What comes before it is sent, at 0.5 s, is not recorded: somebody may not be connected yet.
+    """
+
+    BEGINNING = NANOSECONDS // 2
+
+    def __init__(self, folder: Path):
+        super().__init__(folder)
+        self.truth = PathSeries(self.folder / "truth.tum")
+        self.series = {"odom": self.truth}
+        self.topics = {"odom": "nav_msgs/Odometry"}
+
+    def take(self, topic: str, reading: Reading) -> bool:
+        return reading.stamp >= self.BEGINNING and super().take(topic, reading)
 
 
 def earliest(stamps: Iterable[Optional[int]]) -> Optional[int]:

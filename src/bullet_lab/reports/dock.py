@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -14,34 +13,37 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from bullet_lab.core import se2
-from bullet_lab.core.figures import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    VERMILION,
-    Outline,
-    draw_plan,
-    new_figure,
-)
+from bullet_lab.core import figures, se2
+from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, Outline
 from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.core.series import NANOSECONDS, PathSeries
+from bullet_lab.core.series import NANOSECONDS
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.docking.types import DockingError, DockingResult
-from bullet_lab.reports import BEGINNING, Reading, Report
+from bullet_lab.reports import DriveReport, Reading, earliest
 
 # ns that are recorded after the end: a robot that should stand, stands.
 REST = NANOSECONDS // 2
 PICTURE_WIDTH = 320
-UNFINISHED = "the docking was not finished"
+UNFINISHED = DockingResult(False, DockingError.UNKNOWN, "the docking was not finished")
 ERRORS = ("distance_error_m", "lateral_error_m", "yaw_error_deg")
+STATES = {
+    "searching": PURPLE,
+    "staging": BLUE,
+    "measuring": GREEN,
+    "approaching": ORANGE,
+    "retreating": VERMILION,
+    "docked": BLACK,
+}
+"""Colours of what the robot is doing."""
+
+# m: of the robot, and around all that is drawn.
+HALF_LENGTH, HALF_WIDTH, MARGIN = 0.20, 0.20, 0.6
+
+StateChange = Tuple[float, str]
+"""From which second on the robot did what."""
 
 
-@dataclass(frozen=True)
-class Station:
+class Station(NamedTuple):
     """Where a robot docks.
 
     Attributes:
@@ -57,7 +59,7 @@ class Station:
     docked_distance: float
 
 
-class DockReport(Report):
+class DockReport(DriveReport):
     """The true path, in truth.tum, pictures of the camera, and how it ended.
 
     What an earlier docking has left in the folder is removed.
@@ -78,30 +80,28 @@ class DockReport(Report):
             with contextlib.suppress(FileNotFoundError):
                 (folder / name).unlink()
         self._station = station
-        self._truth = PathSeries(folder / "truth.tum")
-        self.series = {"odom": self._truth}
-        self.topics = {
-            "odom": "nav_msgs/Odometry",
-            "bullet_lab/touched": "bullet_lab/TouchedModels",
-            "aruco/image_annotated": "sensor_msgs/Image",
-            "dock/feedback": "bullet_lab/DockActionFeedback",
-            "dock/plan": "nav_msgs/Path",
-            "dock/finished": "std_msgs/Time",
-        }
+        self.topics.update(
+            {
+                "bullet_lab/touched": "bullet_lab/TouchedModels",
+                "aruco/image_annotated": "sensor_msgs/Image",
+                "dock/feedback": "bullet_lab/DockActionFeedback",
+                "dock/plan": "nav_msgs/Path",
+                "dock/finished": "std_msgs/Time",
+            }
+        )
         self.sent = False
         self.result: Optional[DockingResult] = None
         self._frames = Sampler(pictures)
-        self._states: List[Tuple[float, str]] = []
+        self._states: List[StateChange] = []
         self._plan: Sequence[Tuple[float, float]] = ()
         self._touched: Optional[Reading] = None
 
     def take(self, topic: str, reading: Reading) -> bool:
-        """Record a pose, or what else there is to know; see `Report`."""
         if topic == "odom":
-            return reading.stamp >= BEGINNING and super().take(topic, reading)
+            return super().take(topic, reading)
         if topic == "aruco/image_annotated":
             # Whether one of before the goal comes before it is sent is a matter of luck.
-            if self.sent and reading.stamp > BEGINNING and self.until is None:
+            if self.sent and reading.stamp > self.BEGINNING and self.until is None:
                 self._frames.add((reading.seconds, _small(reading.detail)))
         elif topic == "bullet_lab/touched":
             # What is touched after the end is no part of the docking.
@@ -117,24 +117,17 @@ class DockReport(Report):
         return False
 
     def newest(self) -> Optional[int]:
-        """Return the stamp in ns that path and touches have come to; None before that."""
-        if self._truth.last is None or self._touched is None:
-            return None
-        return min(self._truth.last, self._touched.stamp)
+        return earliest((self.truth.last, self._touched and self._touched.stamp))
 
     def is_complete(self) -> bool:
-        """Return whether all has come up to the end, the result as well."""
         return self.result is not None and super().is_complete()
 
     def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
-        """Return the figures for summary.json."""
-        station, truth = self._station, self._truth.path()
-        result = self.result or DockingResult(False, DockingError.UNKNOWN, UNFINISHED)
+        truth, result = self.truth.path(), self.result or UNFINISHED
         touches: Mapping[str, int] = self._touched.detail if self._touched else {}
         errors: Dict[str, Any] = dict.fromkeys(ERRORS)
         if truth is not None:
-            camera = (station.camera_ahead, station.docked_distance)
-            errors = docking_errors(truth.poses[-1], station.dock, *camera)
+            errors = docking_errors(truth.poses[-1], *self._station[1:])
         return {
             "finished": self.until is not None,
             "docked": result.success,
@@ -150,15 +143,14 @@ class DockReport(Report):
         }
 
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
-        """Return the path, and the camera's pictures if there are any, by their files' names."""
-        truth, station, title = self._truth.path(), self._station, self.line(summary)
-        outlines, dock = station.outlines, station.dock
-        path = docking_figure(truth, self._states, self._plan, outlines, dock, title)
+        station, title = self._station, self.line(summary)
+        path = docking_figure(
+            self.truth.path(), self._states, self._plan, station.outlines, station.dock, title
+        )
         frames = [(at, self._state_at(at), picture) for at, picture in self._frames.chosen()]
         return {"path.png": path, **({"camera.png": strip_figure(frames)} if frames else {})}
 
     def line(self, summary: Mapping[str, Any]) -> str:
-        """Return how it ended."""
         if not summary["docked"]:
             return f"not docked: {summary['message']} ({summary['error_name']})"
         return (
@@ -170,7 +162,6 @@ class DockReport(Report):
         )
 
     def has_failed(self, summary: Mapping[str, Any]) -> bool:
-        """Return whether the docking came to an end, but not to the dock."""
         return summary["finished"] and not summary["docked"]
 
     def _state_at(self, seconds: float) -> str:
@@ -192,9 +183,9 @@ def docking_errors(
 
     Args:
         robot: its true pose, m and rad.
-        dock: true pose of the floor below the marker's face, in the same frame.
-        camera_ahead: m, of the camera from the robot's middle.
-        docked_distance: m, from the camera to the marker's face in a docked robot.
+        dock: as of `Station`, in the same frame; so are the others.
+        camera_ahead: m.
+        docked_distance: m.
 
     Returns:
         distance_error_m, positive for too far away; lateral_error_m of the robot, to the left;
@@ -202,11 +193,7 @@ def docking_errors(
     """
     x, y, yaw = se2.between(np.asarray(dock, dtype=float), np.asarray(robot, dtype=float))
     camera = x + camera_ahead * math.cos(yaw)
-    return {
-        "distance_error_m": float(-camera - docked_distance),
-        "lateral_error_m": float(y),
-        "yaw_error_deg": math.degrees(yaw),
-    }
+    return dict(zip(ERRORS, (float(-camera - docked_distance), float(y), math.degrees(yaw))))
 
 
 class Sampler:
@@ -248,23 +235,6 @@ class Sampler:
         return [things[index] for index in picked]
 
 
-STATES = {
-    "searching": PURPLE,
-    "staging": BLUE,
-    "measuring": GREEN,
-    "approaching": ORANGE,
-    "retreating": VERMILION,
-    "docked": BLACK,
-}
-"""Colours of what the robot is doing."""
-
-HALF_LENGTH, HALF_WIDTH = 0.20, 0.20
-MARGIN = 0.6
-
-StateChange = Tuple[float, str]
-Frame = Tuple[float, str, np.ndarray]
-
-
 def docking_figure(
     truth: Optional[Trajectory],
     states: Sequence[StateChange],
@@ -277,66 +247,41 @@ def docking_figure(
 
     Args:
         truth: the robot's true path; None for nothing yet.
-        states: from which second on it did what, by the names in `STATES`.
+        states: what was done, by the names in `STATES`.
         plan: points (m) of the last plan; may be empty.
-        outlines: of all that stands in the world, in m.
-        dock: x, y (m) and yaw (rad) of the floor below the marker's face.
+        outlines: as of `Station`.
+        dock: as of `Station`.
         title: above all.
     """
-    figure = new_figure(9.0, 6.6)
+    figure = figures.new_figure(9.0, 6.6)
     axes = figure.add_axes((0.08, 0.09, 0.89, 0.81))
     figure.suptitle(title)
     outlines = [np.asarray(outline, dtype=float) for outline in outlines]
-    draw_plan(axes, outlines, dock)
+    figures.draw_plan(axes, outlines, dock)
     if plan:
         axes.plot(*np.transpose(plan), color=GREY, linewidth=2.4, alpha=0.6, label="plan")
     if truth is not None:
         _draw_path(axes, truth, states)
         _draw_robot(axes, truth.poses[0], GREEN, "start")
         _draw_robot(axes, truth.poses[-1], VERMILION, "end")
-    _set_limits(axes, truth, outlines)
+    way = [] if truth is None else [truth.poses[:, :2]]
+    figures.show_around(axes, [*outlines, *way], MARGIN)
+    axes.set_aspect("equal", adjustable="datalim")
     axes.legend(loc="best", fontsize="small")
-    return figure
-
-
-def strip_figure(frames: Sequence[Frame]) -> Figure:
-    """Draw pictures of the camera in a row or two, each with its time and what was done.
-
-    Args:
-        frames: time in s, state, and picture as (h, w, 3) uint8 RGB; one at least.
-    """
-    columns = min(4, len(frames))
-    rows = -(-len(frames) // columns)
-    figure = new_figure(3.2 * columns, 2.72 * rows)
-    frame = {"left": 0.005, "right": 0.995, "bottom": 0.005, "top": 1.0 - 0.3 / (2.72 * rows)}
-    grid = figure.add_gridspec(rows, columns, **frame, wspace=0.02, hspace=0.14)
-    for cell, (seconds, state, picture) in zip(grid, frames):
-        axes = figure.add_subplot(cell)
-        axes.imshow(picture)
-        axes.set_axis_off()
-        axes.set_title(f"{seconds:.1f} s, {state}", fontsize="small", pad=3.0)
     return figure
 
 
 def _draw_path(axes: Axes, truth: Trajectory, states: Sequence[StateChange]) -> None:
     """Draw each stretch in the colour of what was done on it."""
+    begins = np.searchsorted(truth.stamps, [seconds for seconds, _ in states])
+    edges = [0, *begins, len(truth) - 1]
     shown = set()
-    for begin, end, name in _stretches(truth, states):
-        label = None if name in shown else name
-        shown.add(name)
-        x, y = truth.poses[begin : end + 1, :2].T
-        axes.plot(x, y, color=STATES.get(name, GREY), linewidth=1.8, label=label)
-
-
-def _stretches(truth: Trajectory, states: Sequence[StateChange]) -> List[Tuple[int, int, str]]:
-    """Return first and last index of each stretch, and its state."""
-    changes = [(int(np.searchsorted(truth.stamps, seconds)), name) for seconds, name in states]
-    changes = [(0, "at rest"), *changes, (len(truth) - 1, "")]
-    return [
-        (min(begin, len(truth) - 1), min(end, len(truth) - 1), name)
-        for (begin, name), (end, _) in zip(changes, changes[1:])
-        if end > begin
-    ]
+    for begin, end, name in zip(edges, edges[1:], ["at rest", *(name for _, name in states)]):
+        if end > begin:
+            label = None if name in shown else name
+            shown.add(name)
+            x, y = truth.poses[begin : end + 1, :2].T
+            axes.plot(x, y, color=STATES.get(name, GREY), linewidth=1.8, label=label)
 
 
 def _draw_robot(axes: Axes, pose: Sequence[float], colour: str, label: str) -> None:
@@ -352,13 +297,20 @@ def _draw_robot(axes: Axes, pose: Sequence[float], colour: str, label: str) -> N
     axes.plot((x, ahead[0]), (y, ahead[1]), color=colour, linewidth=1.6, zorder=3)
 
 
-def _set_limits(axes: Axes, truth: Optional[Trajectory], outlines: Sequence[np.ndarray]) -> None:
-    points = [*outlines]
-    if truth is not None:
-        points.append(truth.poses[:, :2])
-    if not points:
-        return
-    every = np.concatenate(points)
-    low, high = every.min(axis=0) - MARGIN, every.max(axis=0) + MARGIN
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    axes.set_aspect("equal", adjustable="datalim")
+def strip_figure(frames: Sequence[Tuple[float, str, np.ndarray]]) -> Figure:
+    """Draw pictures of the camera in a row or two, each with its time and what was done.
+
+    Args:
+        frames: time in s, state, and picture as (h, w, 3) uint8 RGB; one at least.
+    """
+    columns = min(4, len(frames))
+    rows = -(-len(frames) // columns)
+    figure = figures.new_figure(3.2 * columns, 2.72 * rows)
+    frame = {"left": 0.005, "right": 0.995, "bottom": 0.005, "top": 1.0 - 0.3 / (2.72 * rows)}
+    grid = figure.add_gridspec(rows, columns, **frame, wspace=0.02, hspace=0.14)
+    for cell, (seconds, state, picture) in zip(grid, frames):
+        axes = figure.add_subplot(cell)
+        axes.imshow(picture)
+        axes.set_axis_off()
+        axes.set_title(f"{seconds:.1f} s, {state}", fontsize="small", pad=3.0)
+    return figure

@@ -50,26 +50,19 @@ class FleetReport(OdometryReport):
         self._seeds = dict(seeds)
 
     def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
-        """Return the figures for summary.json; see `fleet_summary`."""
         robots = [
-            {
-                "name": name,
-                "seed": self._seeds[name],
-                **squares_summary(paths.perfect(), paths.pairs()),
-            }
-            for name, paths in self.robots.items()
+            {"name": name, "seed": seed, **squares_summary(paths.perfect(), paths.pairs())}
+            for (name, paths), seed in zip(self.robots.items(), self._seeds.values())
         ]
         return {"finished": finished, **run, **fleet_summary(robots)}
 
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
-        """Return the picture by the name of its file."""
         paths = {name: (its.perfect(), its.pairs()) for name, its in self.robots.items()}
         drawn = {name: (perfect, pairs and pairs[1]) for name, (perfect, pairs) in paths.items()}
         title = f"{len(drawn)} robots with noisy odometry{settings_line(self.about)}"
         return {"fleet.png": fleet_figure(drawn, title)}
 
     def line(self, summary: Mapping[str, Any]) -> str:
-        """Return the main figures."""
         robots = summary["robots"]
         squares = sum(len(robot["side_lengths_m"]) for robot in robots)
         parts = [f"{len(robots)} robots, {squares} sides"]
@@ -78,9 +71,8 @@ class FleetReport(OdometryReport):
                 f"noisy paths end {summary['final_error_m_rms']:.3f} m rms off, "
                 f"{summary['final_error_m_largest']:.3f} m at most"
             )
-        factor: Optional[float] = summary["real_time_factor"]
-        if factor is not None:
-            parts.append(f"{factor:.1f} times real time")
+        if summary["real_time_factor"] is not None:
+            parts.append(f"{summary['real_time_factor']:.1f} times real time")
         return "; ".join(parts)
 
 
@@ -120,20 +112,25 @@ def fleet_figure(robots: Mapping[str, Paths], title: str) -> Figure:
     drawn = [path.poses[:, :2] for paths in robots.values() for path in paths if path is not None]
     places = np.concatenate(drawn) if drawn else np.zeros((1, 2))
     low, high = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
-    width, height = _size(high - low)
-    figure = new_figure(width, height)
-    figure.suptitle(title)
+    # To one scale in both directions, in inches.
     left, right, below, above = FRAME
-    place = (left, below, width - left - right, height - below - above)
-    axes = figure.add_axes(np.divide(place, (width, height, width, height)))
+    across, along = high - low
+    scale = (WIDTH - left - right) / across
+    height = float(np.clip(scale * along + below + above, *HEIGHTS))
+    figure = new_figure(WIDTH, height)
+    figure.suptitle(title)
+    place = (left, below, WIDTH - left - right, height - below - above)
+    axes = figure.add_axes(np.divide(place, (WIDTH, height, WIDTH, height)))
     axes.set(xlabel="x Distance (m)", ylabel="y Distance (m)")
     axes.set_aspect("equal")
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.grid(alpha=0.3)
     for (name, paths), colour in zip(robots.items(), itertools.cycle(COLOURS)):
         _draw(axes, name, paths, colour)
-    _explain(axes)
+    # What is what, in no robot's colour.
+    axes.plot([], [], color=BLACK, linewidth=0.8, label="Perfect odom")
+    axes.plot([], [], color=GREY, linewidth=1.8, label="Noisy odom, a colour for each robot")
+    axes.plot([], [], "s", color=GREY, markeredgecolor=BLACK, markersize=5, label="its end")
     figure.legend(loc="lower center", ncol=3, frameon=False)
     return figure
 
@@ -148,17 +145,3 @@ def _draw(axes: Axes, name: str, paths: Paths, colour: str) -> None:
         axes.plot(*perfect.poses[:, :2].T, color=BLACK, linewidth=0.8)
         x, y = perfect.poses[:, :2].min(axis=0) + perfect.poses[:, :2].max(axis=0)
         axes.text(0.5 * x, 0.5 * y, name, color=colour, ha="center", va="center")
-
-
-def _explain(axes: Axes) -> None:
-    """Say in a legend what is what, in no robot's colour."""
-    axes.plot([], [], color=BLACK, linewidth=0.8, label="Perfect odom")
-    axes.plot([], [], color=GREY, linewidth=1.8, label="Noisy odom, a colour for each robot")
-    axes.plot([], [], "s", color=GREY, markeredgecolor=BLACK, markersize=5, label="its end")
-
-
-def _size(extent: np.ndarray) -> Tuple[float, float]:
-    """Return width and height in inches for so many metres, to one scale in both directions."""
-    left, right, below, above = FRAME
-    scale = (WIDTH - left - right) / extent[0]
-    return WIDTH, float(np.clip(scale * extent[1] + below + above, *HEIGHTS))

@@ -5,41 +5,34 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from bullet_lab.core import figures
 from bullet_lab.core.angles import wrap
-from bullet_lab.core.figures import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    VERMILION,
-    new_figure,
-    plan_axes,
-)
+from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.core.series import NANOSECONDS, PathSeries
+from bullet_lab.core.series import NANOSECONDS
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.reports import BEGINNING, Reading, Report
+from bullet_lab.reports import DriveReport, Reading
 
 # ns that are recorded after the end: a robot that should stand, stands.
 REST = NANOSECONDS
+# m: of an arrow, of a beacon, and around the way that the picture shows.
+ARROW, BEACON_RADIUS, MARGIN = 0.25, 0.25, 0.6
 Beacon = Tuple[str, float, float]
 """Name, x and y (m)."""
 
 
 @dataclass
 class GoalRecord:
-    """One goal and what became of it.
+    """One goal (m, m, rad) and what became of it.
 
     Attributes:
-        goal: m, m, rad.
         begun: s.
         ended: s; None while it is driven to.
         reached: whether the driver says so.
@@ -53,16 +46,8 @@ class GoalRecord:
     text: str = ""
 
 
-@dataclass(frozen=True)
-class GoalAnswer:
-    """What the driver says of a goal.
-
-    Attributes:
-        id: of the goal.
-        text: what it says.
-        rejected: whether it does not drive there.
-        reached: whether it is there.
-    """
+class GoalAnswer(NamedTuple):
+    """What the driver says of the goal `id`; if it is rejected, the driver does not drive there."""
 
     id: str
     text: str
@@ -70,7 +55,7 @@ class GoalAnswer:
     reached: bool
 
 
-class GoalReport(Report):
+class GoalReport(DriveReport):
     """The true path, in truth.tum, and the goals, whoever gave them.
 
     Args:
@@ -85,14 +70,13 @@ class GoalReport(Report):
     ):
         super().__init__(folder)
         self._tolerance, self._stay, self._beacons = tolerance, stay, beacons
-        self._truth = PathSeries(folder / "truth.tum")
-        self.series = {"odom": self._truth}
-        self.topics = {
-            "odom": "nav_msgs/Odometry",
-            "drive_to_goal/current_goal": "geometry_msgs/PoseStamped",
-            "drive_to_goal/status": "actionlib_msgs/GoalStatus",
-            "drive_to_goal/finished": "std_msgs/Time",
-        }
+        self.topics.update(
+            {
+                "drive_to_goal/current_goal": "geometry_msgs/PoseStamped",
+                "drive_to_goal/status": "actionlib_msgs/GoalStatus",
+                "drive_to_goal/finished": "std_msgs/Time",
+            }
+        )
         # What the driver says of its goals, in their order.
         self._poses: List[Reading] = []
         self._ends: List[Reading] = []
@@ -100,9 +84,8 @@ class GoalReport(Report):
         self._refused: List[str] = []
 
     def take(self, topic: str, reading: Reading) -> bool:
-        """Record a pose, or what the driver says; see `Report`."""
         if topic == "odom":
-            return reading.stamp >= BEGINNING and super().take(topic, reading)
+            return super().take(topic, reading)
         if topic == "drive_to_goal/current_goal":
             self._poses.append(reading)
         elif topic == "drive_to_goal/finished":
@@ -122,12 +105,11 @@ class GoalReport(Report):
         return bool(self._answers or self._refused)
 
     def is_complete(self) -> bool:
-        """Return whether the robot has come to rest after the first goal, or will not drive."""
+        # The robot has come to rest after the first goal, or will not drive.
         return not self._stay and (bool(self._refused) or super().is_complete())
 
     def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
-        """Return the figures for summary.json."""
-        truth = self._truth.path()
+        truth = self.truth.path()
         goals = [goal_figures(record, truth) for record in self._records()]
         return {
             "finished": bool(goals) and all(one["seconds"] is not None for one in goals),
@@ -137,10 +119,29 @@ class GoalReport(Report):
             **run,
         }
 
+    def line(self, summary: Mapping[str, Any]) -> str:
+        goals = summary["goals"]
+        return self._refused[0] if self._refused and not goals else title_of(goals)
+
+    def has_failed(self, summary: Mapping[str, Any]) -> bool:
+        # A goal was refused or not reached, where it was to be the only one.
+        missed = any(one.ended is not None and not one.reached for one in self._records())
+        return not self._stay and (missed or bool(self._refused))
+
+    def _records(self) -> List[GoalRecord]:
+        """Return the goals: the k-th id, pose and end belong together, one goal at a time."""
+        records = []
+        for index, (pose, answer) in enumerate(zip(self._poses, self._answers.values())):
+            record = GoalRecord(tuple(pose.values), pose.seconds)
+            if index < len(self._ends):
+                record.ended, record.text = self._ends[index].seconds, answer.text
+                record.reached = answer.reached
+            records.append(record)
+        return records
+
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
-        """Return the picture by the name of its file."""
-        truth, goals = self._truth.path(), self._records()
-        figure = new_figure(10.5, 5.6)
+        truth, goals = self.truth.path(), self._records()
+        figure = figures.new_figure(10.5, 5.6)
         figure.suptitle(self.line(summary))
         grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0))
         figure.subplots_adjust(left=0.07, right=0.98, top=0.9, bottom=0.1, hspace=0.28, wspace=0.2)
@@ -156,20 +157,10 @@ class GoalReport(Report):
             speed.set_ylim(bottom=0.0)
         return {"path.png": figure}
 
-    def line(self, summary: Mapping[str, Any]) -> str:
-        """Return how the drives ended."""
-        goals = summary["goals"]
-        return self._refused[0] if self._refused and not goals else title_of(goals)
-
-    def has_failed(self, summary: Mapping[str, Any]) -> bool:
-        """Return whether a goal was refused or not reached, where it was to be the only one."""
-        missed = any(one.ended is not None and not one.reached for one in self._records())
-        return not self._stay and (missed or bool(self._refused))
-
     def _draw_way(
         self, axes: Axes, truth: Optional[Trajectory], goals: Sequence[GoalRecord]
     ) -> None:
-        plan_axes(axes)
+        figures.plan_axes(axes)
         for name, x, y in self._beacons():
             axes.add_patch(Circle((x, y), BEACON_RADIUS, facecolor="#d5d5d5", edgecolor=GREY))
             axes.annotate(name, (x, y), ha="center", va="center", fontsize=7, annotation_clip=True)
@@ -182,7 +173,9 @@ class GoalReport(Report):
             colour = GREEN if record.reached else VERMILION
             axes.add_patch(Circle(record.goal[:2], self._tolerance, fill=False, edgecolor=colour))
             _arrow(axes, record.goal, colour, f"goal {number + 1}" if len(goals) > 1 else "goal")
-        _set_limits(axes, [] if truth is None else truth.poses, [one.goal for one in goals])
+        way = [] if truth is None else [truth.poses[:, :2]]
+        # What stands far from the way is left out.
+        figures.show_around(axes, [*way, *([one.goal[:2]] for one in goals)], MARGIN)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="best")
 
@@ -197,16 +190,13 @@ class GoalReport(Report):
         axes.set_ylim(bottom=0.0)
         axes.legend(loc="upper right")
 
-    def _records(self) -> List[GoalRecord]:
-        """Return the goals: the k-th id, pose and end belong together, one goal at a time."""
-        records = []
-        for index, (pose, answer) in enumerate(zip(self._poses, self._answers.values())):
-            record = GoalRecord(tuple(pose.values), pose.seconds)
-            if index < len(self._ends):
-                record.ended, record.text = self._ends[index].seconds, answer.text
-                record.reached = answer.reached
-            records.append(record)
-        return records
+
+def _arrow(axes: Axes, pose: Sequence[float], colour: str, label: str) -> None:
+    x, y, yaw = pose
+    along, across = [ARROW * math.cos(yaw)], [ARROW * math.sin(yaw)]
+    units = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
+    axes.quiver([x], [y], along, across, **units, width=0.006, color=colour, zorder=3)
+    axes.plot(x, y, "s", color=colour, markersize=4, label=label)
 
 
 def goal_figures(record: GoalRecord, truth: Optional[Trajectory]) -> Dict[str, Any]:
@@ -218,81 +208,48 @@ def goal_figures(record: GoalRecord, truth: Optional[Trajectory]) -> Dict[str, A
             last pose before the next second is over, when it has come to rest.
     """
     x, y, yaw = record.goal
-    figures: Dict[str, Any] = {
+    found: Dict[str, Any] = {
         "x_m": x,
         "y_m": y,
         "yaw_deg": math.degrees(yaw),
         "reached": record.reached,
         "message": record.text or "not finished",
-        "distance_m": None,
-        "yaw_error_deg": None,
-        "seconds": None,
-        "driven_m": None,
+        **dict.fromkeys(("distance_m", "yaw_error_deg", "seconds", "driven_m")),
     }
     if truth is None or record.ended is None:
-        return figures
-    last = _index_at(truth, record.ended)
-    rest = _index_at(truth, record.ended + 1.0)
-    first = _index_at(truth, record.begun)
-    driven = truth.travelled()
-    stood = truth.poses[rest]
-    figures.update(
+        return found
+    times = np.array([record.begun, record.ended, record.ended + 1.0])
+    # The last pose up to each time, the first one if there is none.
+    first, last, rest = np.maximum(0, np.searchsorted(truth.stamps, times + 1e-9) - 1)
+    driven, stood = truth.travelled(), truth.poses[rest]
+    found.update(
         distance_m=float(math.hypot(x - stood[0], y - stood[1])),
         yaw_error_deg=math.degrees(wrap(float(stood[2]) - yaw)),
         seconds=record.ended - record.begun,
         driven_m=float(driven[last] - driven[first]),
     )
-    return figures
+    return found
 
 
 def greatest_speed(truth: Trajectory) -> float:
     """Return the greatest speed (m/s) between two poses of a path; 0 for a single one."""
-    if len(truth) < 2:
-        return 0.0
-    return float(np.max(_speeds(truth)))
+    return float(np.max(_speeds(truth), initial=0.0))
 
 
 def _speeds(truth: Trajectory) -> np.ndarray:
     return np.hypot(*np.diff(truth.poses[:, :2], axis=0).T) / np.diff(truth.stamps)
 
 
-def _index_at(truth: Trajectory, seconds: float) -> int:
-    """Return the last pose up to a time, the first one if there is none."""
-    return max(0, int(np.searchsorted(truth.stamps, seconds + 1e-9)) - 1)
-
-
-def title_of(figures: Sequence[Dict[str, Any]]) -> str:
-    """Return in a line how the drives ended."""
-    if not figures:
+def title_of(goals: Sequence[Dict[str, Any]]) -> str:
+    """Return in a line how the drives ended, by `goal_figures` of each."""
+    if not goals:
         return "no goal was given"
-    last, count = figures[-1], sum(one["reached"] for one in figures)
-    if len(figures) > 1:
-        return f"{count} of {len(figures)} goals reached"
+    last, count = goals[-1], sum(one["reached"] for one in goals)
+    if len(goals) > 1:
+        return f"{count} of {len(goals)} goals reached"
     if not last["reached"] or last["distance_m"] is None:
         return f"the goal was not reached: {last['message']}"
     return (
         f"at the goal after {last['seconds']:.1f} s and {last['driven_m']:.2f} m: "
         f"{100.0 * last['distance_m']:.1f} cm and {last['yaw_error_deg']:+.1f} degrees off"
     )
-
-
-ARROW = 0.25
-BEACON_RADIUS = 0.25
-# m around the way that the picture shows.
-MARGIN = 0.6
-
-
-def _set_limits(axes: Axes, *paths: Sequence[Sequence[float]]) -> None:
-    """Leave out what stands far from the way."""
-    points = np.array([point[:2] for path in paths for point in path])
-    if len(points):
-        (left, bottom), (right, top) = points.min(axis=0), points.max(axis=0)
-        axes.set(xlim=(left - MARGIN, right + MARGIN), ylim=(bottom - MARGIN, top + MARGIN))
-
-
-def _arrow(axes: Axes, pose: Sequence[float], colour: str, label: str) -> None:
-    x, y, yaw = pose
-    along, across = [ARROW * math.cos(yaw)], [ARROW * math.sin(yaw)]
-    units = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
-    axes.quiver([x], [y], along, across, **units, width=0.006, color=colour, zorder=3)
-    axes.plot(x, y, "s", color=colour, markersize=4, label=label)

@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,6 +31,14 @@ from bullet_lab.reports import Reading, Report, earliest
 
 # How many ellipses are drawn along the noisy path.
 ELLIPSES = 12
+# Of `path_error`, in summary.json.
+ERRORS = (
+    "final_error_m",
+    "final_heading_error_deg",
+    "ape_rmse_m",
+    "ape_max_m",
+    "heading_rmse_deg",
+)
 
 TURNING_RADIUS = 0.1
 """m; a message is part of a drive if the curve it lies on is at least this wide."""
@@ -35,8 +53,7 @@ MIN_STRAIGHTNESS = 0.9
 """Distance between the ends of a side over the way driven; below, the path is a curve."""
 
 
-@dataclass(frozen=True)
-class SquarePath:
+class SquarePath(NamedTuple):
     """What a path of straight drives and turns on the spot is made of.
 
     Attributes:
@@ -46,8 +63,8 @@ class SquarePath:
         closure_error_m: distance from the start of the path to its end.
     """
 
-    side_lengths_m: list[float]
-    turns_deg: list[float]
+    side_lengths_m: List[float]
+    turns_deg: List[float]
     closure_error_m: float
 
 
@@ -125,20 +142,14 @@ def squares_summary(
         perfect: the whole perfect path.
         pairs: the perfect and the noisy path at common stamps.
     """
-    square = None if perfect is None else analyse(perfect)
-    error = None if pairs is None else path_error(*pairs)
-    return {
-        "side_lengths_m": [] if square is None else square.side_lengths_m,
-        "turns_deg": [] if square is None else square.turns_deg,
-        "closure_error_m": None if square is None else square.closure_error_m,
-        "path_length_m": None if perfect is None else perfect.length(),
-        "final_error_m": None if error is None else error.final_error_m,
-        "final_heading_error_deg": None if error is None else error.final_heading_error_deg,
-        "ape_rmse_m": None if error is None else error.ape_rmse_m,
-        "ape_max_m": None if error is None else error.ape_max_m,
-        "heading_rmse_deg": None if error is None else error.heading_rmse_deg,
-        "pairs": 0 if pairs is None else len(pairs[0]),
-    }
+    summary: Dict[str, Any] = {"side_lengths_m": [], "turns_deg": []}
+    summary.update(dict.fromkeys(("closure_error_m", "path_length_m", *ERRORS)), pairs=0)
+    if perfect is not None:
+        summary.update(analyse(perfect)._asdict(), path_length_m=perfect.length())
+    if pairs is not None:
+        error = path_error(*pairs)
+        summary.update({name: getattr(error, name) for name in ERRORS}, pairs=len(pairs[0]))
+    return summary
 
 
 class PathsRecording:
@@ -175,20 +186,13 @@ class PathsRecording:
         """
         if not self._belongs_to_this_run(name, stamp):
             return False
-        self._add(name, stamp, pose)
+        self.add(name, stamp, pose)
         return True
 
-    def add_perfect(self, stamp: int, pose: Sequence[float]) -> None:
-        """Record a perfect pose (m, m, rad) at a stamp in ns.
-
-        Raises:
-            SeriesError: not finite, or not later than the one before.
-        """
-        self._add(self.PERFECT, stamp, pose)
-
-    def add_noisy(self, stamp: int, pose: Sequence[float]) -> None:
-        """Record a noisy pose; see `add_perfect`."""
-        self._add(self.NOISY, stamp, pose)
+    def add(self, name: str, stamp: int, pose: Sequence[float]) -> None:
+        """Record a pose as `take` does, or raise SeriesError where time was set back."""
+        self._series[name].add(stamp, pose)
+        self._join.add(name, stamp, pose)
 
     def last(self, name: str) -> Optional[int]:
         """Return the last stamp in ns of PERFECT or NOISY, or None."""
@@ -217,10 +221,6 @@ class PathsRecording:
         self._pairs = Series(pairs, CSV_HEADER.split(",")[1:])
         self._join = Join(self._series, self._add_pair)
 
-    def _add(self, name: str, stamp: int, pose: Sequence[float]) -> None:
-        self._series[name].add(stamp, pose)
-        self._join.add(name, stamp, pose)
-
     def _add_pair(self, stamp: int, poses: Dict[str, Values]) -> None:
         self._pairs.add(stamp, (*poses[self.PERFECT], *poses[self.NOISY]))
 
@@ -235,17 +235,14 @@ class PathsRecording:
             other = self.NOISY if name == self.PERFECT else self.PERFECT
             # Its messages of the old run may come yet, all of them later than its last one.
             self._left_behind, self._left_at = other, self.last(other)
-            self._begin_new_run()
+            self.finish()
+            self._runs += 1
+            old = make_folder(self.folder / f"run_{self._runs}")
+            for file in self.FILES:
+                move_file(self.folder / file, old)
+            self._open()
+            self._begins_anew(old)
         return True
-
-    def _begin_new_run(self) -> None:
-        self.finish()
-        self._runs += 1
-        old = make_folder(self.folder / f"run_{self._runs}")
-        for name in self.FILES:
-            move_file(self.folder / name, old)
-        self._open()
-        self._begins_anew(old)
 
 
 class OdometryReport(Report):
@@ -253,30 +250,24 @@ class OdometryReport(Report):
 
     def __init__(self, folder: Path, namespaces: Iterable[str]):
         super().__init__(folder)
-        self.robots = {
-            name: PathsRecording(folder / name, partial(self._begin_anew, name))
-            for name in namespaces
-        }
-        for name in self.robots:
+        self.robots: Dict[str, PathsRecording] = {}
+        for name in namespaces:
+            self.robots[name] = PathsRecording(folder / name, partial(self._begin_anew, name))
             for path in (PathsRecording.NOISY, PathsRecording.PERFECT):
                 self.topics[f"{name}/{path}".lstrip("/")] = "nav_msgs/Odometry"
 
     def take(self, topic: str, reading: Reading) -> bool:
-        """Record a pose; see `Report`."""
         namespace, _, name = topic.rpartition("/")
         return self.robots[namespace].take(name, reading.stamp, reading.values)
 
     def newest(self) -> Optional[int]:
-        """Return the stamp in ns that all paths have come to; None before that."""
         return earliest(paths.newest() for paths in self.robots.values())
 
     def finish(self, until: Optional[int] = None) -> None:
-        """Write the files once more; see `Report`."""
         for paths in self.robots.values():
             paths.finish(until)
 
     def seconds(self) -> float:
-        """Return the simulated time of the longest of the perfect paths."""
         found = [paths.perfect() for paths in self.robots.values()]
         return max((p.stamps[-1] - p.stamps[0] for p in found if p is not None), default=0.0)
 
@@ -285,7 +276,7 @@ class OdometryReport(Report):
 
 
 class SquaresReport(OdometryReport):
-    """The perfect and the noisy path of one robot."""
+    """The perfect and the noisy path of one robot, with ellipses along the noisy one."""
 
     def __init__(self, folder: Path):
         super().__init__(folder, [""])
@@ -294,26 +285,22 @@ class SquaresReport(OdometryReport):
         self._covariances: Dict[int, Any] = {}
 
     def take(self, topic: str, reading: Reading) -> bool:
-        """Record a pose; see `Report`."""
         recorded = super().take(topic, reading)
         if recorded and topic == PathsRecording.NOISY:
             self._covariances[reading.stamp] = reading.detail
         return recorded
 
     def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
-        """Return the figures for summary.json; see `squares_summary`."""
         figures = squares_summary(self._paths.perfect(), self._paths.pairs())
         return {"finished": finished, **figures, **run}
 
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
-        """Return the picture by the name of its file, with ellipses along the noisy path."""
         perfect, pairs = self._paths.perfect(), self._paths.pairs()
         title = f"Noise generated by /noisy_odom{settings_line(self.about)}"
         ellipses = [] if pairs is None else self._ellipses(pairs[1])
         return {"paths.png": noise_figure(perfect, pairs, title, ellipses)}
 
     def line(self, summary: Mapping[str, Any]) -> str:
-        """Return the main figures."""
         sides = " ".join(f"{side:.3f}" for side in summary["side_lengths_m"])
         turns = " ".join(f"{turn:.2f}" for turn in summary["turns_deg"])
         parts = [f"sides {sides} m"] if sides else ["no sides"]
@@ -373,45 +360,42 @@ def noise_figure(
         1, 2, width_ratios=(1.25, 1.0), wspace=0.2, left=0.07, right=0.98, top=0.91, bottom=0.08
     )
     above, below = right.subgridspec(2, 1, height_ratios=(3.4, 1.0), hspace=0.24)
-    noisy = None if pairs is None else pairs[1]
     axes = figure.add_subplot(left)
-    _draw_ellipses(axes, ellipses)
-    _draw_paths(axes, perfect, noisy)
+    for number, outline in enumerate(ellipses):
+        label = None if number else "95 % ellipses"
+        axes.plot(*outline.T, color=BLUE, linewidth=0.8, alpha=0.7, label=label)
+    drawn = [(pairs and pairs[1], BLUE, "Noisy odom"), (perfect, ORANGE, "Perfect odom")]
+    drawn = [(path, colour, name) for path, colour, name in drawn if path is not None]
+    _draw_paths(axes, drawn)
     rows = above.subgridspec(3, 1, hspace=0.12)
-    _draw_coordinates([figure.add_subplot(row) for row in rows], perfect, noisy)
-    _draw_error(figure.add_subplot(below), pairs)
+    _draw_coordinates([figure.add_subplot(row) for row in rows], drawn)
+    axes = figure.add_subplot(below)
+    axes.set(xlabel="distance travelled (m)", ylabel="error (m)")
+    axes.grid(alpha=0.3)
+    if pairs is not None:
+        error = path_error(*pairs)
+        axes.plot(error.travelled, error.error, color=VERMILION, linewidth=1.4)
+        axes.set_ylim(bottom=0.0)
     return figure
 
 
-def _draw_paths(axes: Axes, perfect: Optional[Trajectory], noisy: Optional[Trajectory]) -> None:
+def _draw_paths(axes: Axes, drawn: Sequence[Tuple[Trajectory, str, str]]) -> None:
     plan_axes(axes, xlabel="x Distance (m)", ylabel="y Distance (m)")
-    for path, colour, name in ((noisy, BLUE, "Noisy odom"), (perfect, ORANGE, "Perfect odom")):
-        if path is None:
-            continue
+    for path, colour, name in drawn:
         x, y = path.poses[:, 0], path.poses[:, 1]
         axes.plot(x, y, color=colour, linewidth=1.6, label=name)
         axes.plot(x[-1], y[-1], "s", color=colour, markeredgecolor=BLACK, markersize=7)
-    if perfect is not None:
-        start = perfect.poses[0]
-        axes.plot(start[0], start[1], "o", color=GREEN, markeredgecolor=BLACK, label="start")
+    if drawn:
+        x, y, _ = drawn[-1][0].poses[0]
+        axes.plot(x, y, "o", color=GREEN, markeredgecolor=BLACK, label="start")
         axes.plot([], [], "s", color="white", markeredgecolor=BLACK, label="ends")
         axes.legend(loc="center")
 
 
-def _draw_ellipses(axes: Axes, ellipses: Sequence[np.ndarray]) -> None:
-    for number, outline in enumerate(ellipses):
-        label = None if number else "95 % ellipses"
-        axes.plot(*outline.T, color=BLUE, linewidth=0.8, alpha=0.7, label=label)
-
-
-def _draw_coordinates(
-    rows: list, perfect: Optional[Trajectory], noisy: Optional[Trajectory]
-) -> None:
-    for path, colour in ((noisy, BLUE), (perfect, ORANGE)):
-        if path is None:
-            continue
-        heading = np.degrees(np.unwrap(path.poses[:, 2]))
-        for axes, values in zip(rows, (path.poses[:, 0], path.poses[:, 1], heading)):
+def _draw_coordinates(rows: List[Axes], drawn: Sequence[Tuple[Trajectory, str, str]]) -> None:
+    for path, colour, _ in drawn:
+        x, y, yaw = path.poses.T
+        for axes, values in zip(rows, (x, y, np.degrees(np.unwrap(yaw)))):
             axes.plot(path.stamps, values, color=colour, linewidth=1.2)
     for axes, label in zip(rows, ("x (m)", "y (m)", "heading (°)")):
         axes.set_ylabel(label)
@@ -419,13 +403,3 @@ def _draw_coordinates(
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
     rows[-1].set_xlabel("simulated time (s)")
-
-
-def _draw_error(axes: Axes, pairs: Optional[Tuple[Trajectory, Trajectory]]) -> None:
-    axes.set(xlabel="distance travelled (m)", ylabel="error (m)")
-    axes.grid(alpha=0.3)
-    if pairs is None:
-        return
-    error = path_error(*pairs)
-    axes.plot(error.travelled, error.error, color=VERMILION, linewidth=1.4)
-    axes.set_ylim(bottom=0.0)

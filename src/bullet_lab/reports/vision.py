@@ -50,16 +50,13 @@ class VisionReport(Report):
         self._pictures: Dict[str, np.ndarray] = {}
 
     def take(self, topic: str, reading: Reading) -> bool:
-        """Take the answer of a detector to the image."""
         self._answers[topic] = reading
         return False
 
     def is_complete(self) -> bool:
-        """Return whether there is an answer on each topic."""
         return len(self._answers) == len(self.topics)
 
     def finish(self, until: Any = None) -> None:
-        """Write the pictures."""
         self._pictures = {name: self._answers[topic].detail for name, topic in PICTURES.items()}
         self.found = self._found()
         if self._markers():
@@ -70,12 +67,10 @@ class VisionReport(Report):
             replace_file(self.folder / f"{name}.png", lambda path, p=picture: _write(path, p))
 
     def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
-        """Return what was found, for summary.json."""
         markers = [marker_figures(marker) for marker in self._markers()]
         return {"stamp_s": self._stamp().seconds, "found": self.found, "markers": markers}
 
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
-        """Return all pictures in one, by the name of its file."""
         figure = new_figure(14.0, 8.6)
         figure.suptitle(f"What the detectors make of one image ({self._stamp().seconds:.3f} s)")
         rows = -(-len(self._pictures) // _COLUMNS)
@@ -93,7 +88,6 @@ class VisionReport(Report):
         return {"side_by_side.png": figure}
 
     def line(self, summary: Mapping[str, Any]) -> str:
-        """Return where all is."""
         return f"pictures in {self.folder}"
 
     def _stamp(self) -> Reading:

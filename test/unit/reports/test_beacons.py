@@ -7,7 +7,7 @@ import pytest
 from bullet_lab.core.files import FileError, RowFile
 from bullet_lab.core.series import SeriesError
 from bullet_lab.reports import Reading
-from bullet_lab.reports.beacons import FILE, BeaconsReport
+from bullet_lab.reports.sensors import DISTANCES, BeaconsReport
 
 BEACONS = {"a": (3.0, 4.0), "b": (-1.0, 0.0)}
 
@@ -21,7 +21,7 @@ def recorded(folder):
 
 
 def rows(folder):
-    return [line.split(",") for line in (folder / FILE).read_text().splitlines()]
+    return [line.split(",") for line in (folder / DISTANCES).read_text().splitlines()]
 
 
 def test_a_row_is_there_once_all_of_it_is(tmp_path):

@@ -25,9 +25,9 @@ def lines(recording, name):
 
 def fill(recording, perfect=20, noisy=15):
     for index in range(perfect):
-        recording.add_perfect((index + 1) * TICK, POSES[index])
+        recording.add("odom", (index + 1) * TICK, POSES[index])
         if index < noisy:
-            recording.add_noisy((index + 1) * TICK, POSES[-index - 1])
+            recording.add("noisy_odom", (index + 1) * TICK, POSES[-index - 1])
 
 
 def test_rows_are_on_disk_at_once(recording):
@@ -63,11 +63,11 @@ def test_what_was_recorded_is_read_back_bit_for_bit(recording, finish):
 
 
 def test_only_equal_stamps_make_a_pair_whatever_comes_first(recording):
-    recording.add_noisy(TICK, POSES[0])
-    recording.add_noisy(2 * TICK + 1, POSES[1])
-    recording.add_noisy(3 * TICK, POSES[2])
+    recording.add("noisy_odom", TICK, POSES[0])
+    recording.add("noisy_odom", 2 * TICK + 1, POSES[1])
+    recording.add("noisy_odom", 3 * TICK, POSES[2])
     for index in (1, 2, 3, 4):
-        recording.add_perfect(index * TICK, POSES[10 + index])
+        recording.add("odom", index * TICK, POSES[10 + index])
     perfect, noisy = recording.pairs()
     assert perfect.stamps.tolist() == [0.05, 0.15]
     assert perfect.poses.tolist() == [list(POSES[11]), list(POSES[13])]
@@ -78,17 +78,17 @@ def test_only_equal_stamps_make_a_pair_whatever_comes_first(recording):
 
 @pytest.mark.parametrize("stamp", [0, TICK - 1, TICK])
 def test_time_does_not_go_back(recording, stamp):
-    recording.add_perfect(TICK, POSES[0])
+    recording.add("odom", TICK, POSES[0])
     with pytest.raises(SeriesError, match="^time goes back from 0.050000000 s to "):
-        recording.add_perfect(stamp, POSES[1])
-    recording.add_noisy(stamp, POSES[2])
+        recording.add("odom", stamp, POSES[1])
+    recording.add("noisy_odom", stamp, POSES[2])
     assert len(lines(recording, "odom.tum")) == 1
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_poses_are_finite(recording, bad):
     with pytest.raises(SeriesError, match="not finite"):
-        recording.add_noisy(TICK, (0.0, bad, 0.0))
+        recording.add("noisy_odom", TICK, (0.0, bad, 0.0))
     assert lines(recording, "noisy_odom.tum") == []
     assert recording.last(recording.NOISY) is None
 
@@ -160,8 +160,8 @@ def test_the_summary_of_a_square(recording):
                 cosine, sine = math.cos(pose[2]), math.sin(pose[2])
                 pose = pose + (cosine * step[0], sine * step[0], step[2])
                 stamp += TICK
-                recording.add_perfect(stamp, tuple(pose))
-                recording.add_noisy(stamp, tuple(pose + (0.3, 0.4, 0.1)))
+                recording.add("odom", stamp, tuple(pose))
+                recording.add("noisy_odom", stamp, tuple(pose + (0.3, 0.4, 0.1)))
     summary = squares_summary(recording.perfect(), recording.pairs())
     assert summary["side_lengths_m"] == pytest.approx([0.95, 1, 1, 1])
     assert summary["turns_deg"] == pytest.approx([90] * 4)

@@ -25,8 +25,7 @@ from bullet_lab.ros.launcher.jobs import (
     list_of_jobs,
     read_assignments,
 )
-from bullet_lab.ros.launcher.output import OutputFolder, shown, words_to
-from bullet_lab.ros.launcher.screen import VirtualScreen
+from bullet_lab.ros.launcher.output import OutputFolder, VirtualScreen, shown, words_to
 
 _HELP = ("-h", "--help")
 STATUS_FAILED = 1

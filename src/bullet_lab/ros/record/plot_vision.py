@@ -27,10 +27,10 @@ from bullet_lab.reports.vision import VisionReport
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import NodeError, private_parameters, run_node
 from bullet_lab.ros.node.publishers import subscriber
-from bullet_lab.ros.record.readings import reader_of
 from bullet_lab.ros.record.recorder import (
     POLL_SECONDS,
     RecordParameters,
+    reader_of,
     save_figures,
     save_summary,
 )

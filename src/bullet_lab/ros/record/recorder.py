@@ -11,22 +11,43 @@ import threading
 import time
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, Optional, Protocol, Tuple
+from pathlib import Path as FilePath
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Tuple,
+)
 
 import rospy
+from actionlib_msgs.msg import GoalStatus
+from geometry_msgs.msg import PoseStamped
 from matplotlib.figure import Figure
+from nav_msgs.msg import Odometry, Path
+from sensor_msgs.msg import Image, Imu, LaserScan, Range
 from std_msgs.msg import Time
 
+from bullet_lab.core.angles import yaw_from_quaternion
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import FileError, write_json
 from bullet_lab.core.parameters import mapping, number, text
+from bullet_lab.docking.types import DockingState
 from bullet_lab.errors import LabError
-from bullet_lab.reports import Report
+from bullet_lab.msg import DockActionFeedback, ImagePoints, MarkerDetectionArray, TouchedModels
+from bullet_lab.reports import Reading, Report
+from bullet_lab.reports.goal import GoalAnswer
+from bullet_lab.ros.messages.gazebo_types import msg
+from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.node.lock_step import join_when, time_held_at
 from bullet_lab.ros.node.node import NodeError, Refusals, wait_until
+from bullet_lab.ros.node.odometry import FrameGuard, planar_pose
 from bullet_lab.ros.node.publishers import subscriber
-from bullet_lab.ros.record.readings import Reader, reader_of
 
 # Wall seconds that messages may take after the end has been announced.
 PATIENCE = 5.0
@@ -59,26 +80,6 @@ class TimedParameters(RecordParameters):
     plot_period: float = number(10.0, "wall seconds between two versions of the picture", above=0.0)
 
 
-class Stopwatch:
-    """How long a recording took in wall time, from its first message to its last."""
-
-    def __init__(self):
-        self._first: Optional[float] = None
-        self._last = 0.0
-
-    def note(self) -> None:
-        """Note that a message came."""
-        self._last = time.monotonic()
-        if self._first is None:
-            self._first = self._last
-
-    def figures(self, sim_seconds: float) -> Mapping[str, Any]:
-        """Return the times for summary.json; the factor is null where no time has passed."""
-        wall = 0.0 if self._first is None else self._last - self._first
-        factor = sim_seconds / wall if wall > 0.0 else None
-        return {"sim_time_s": sim_seconds, "wall_time_s": wall, "real_time_factor": factor}
-
-
 class View(Protocol):
     """What shows in RViz what is recorded."""
 
@@ -89,8 +90,7 @@ class View(Protocol):
         """Begin anew with the topics of a namespace."""
 
 
-@dataclass(frozen=True)
-class Errand:
+class Errand(NamedTuple):
     """Where a robot is sent before its way is recorded.
 
     Attributes:
@@ -125,16 +125,16 @@ class Recorder:
         view: Optional[View] = None,
         errand: Optional[Errand] = None,
     ):
-        self._report, self._parameters, self._topics = report, parameters, topics
+        self._report, self._topics = report, topics
         self._view, self._errand = view, errand
         self._lock = threading.Lock()
         self._refusals = Refusals()
-        self._stopwatch = Stopwatch()
+        # Wall seconds of the first and the last message.
+        self._first, self._last = math.inf, 0.0
         self._failure: Optional[FileError] = None
         self._finished = False
         report.about = parameters.about
         report.begins_anew = self._begin_anew
-        self._end: Optional[rospy.Subscriber] = None
         self._period = math.inf
         if isinstance(parameters, TimedParameters):
             self._period = parameters.plot_period
@@ -153,7 +153,10 @@ class Recorder:
         """
         complete = False
         try:
-            self._begin()
+            if self._errand is None:
+                join_when(self._is_connected, self._topics)
+            else:
+                self._run_errand(self._errand)
             complete = self._wait()
         finally:
             summary = self._finish(complete)
@@ -162,14 +165,6 @@ class Recorder:
                 rospy.loginfo("%s", line)
         if failed:
             raise NodeError(line)
-
-    # Beginning and end
-
-    def _begin(self) -> None:
-        if self._errand is not None:
-            self._run_errand(self._errand)
-        else:
-            join_when(self._is_connected, self._topics)
 
     def _run_errand(self, errand: Errand) -> None:
         wait_until(lambda: self._is_connected() and errand.is_connected(), self._topics)
@@ -228,7 +223,7 @@ class Recorder:
         message_type, read = reader_of(kind)
         return subscriber(topic, message_type, partial(self._receive, topic, read))
 
-    def _receive(self, topic: str, read: Reader, message: Any) -> None:
+    def _receive(self, topic: str, read: Callable[[Any], Reading], message: Any) -> None:
         with self._lock:
             if self._finished or self._failure is not None:
                 return
@@ -240,7 +235,8 @@ class Recorder:
                 self._refusals.refuse(topic, str(error))
             else:
                 if recorded:
-                    self._stopwatch.note()
+                    self._last = time.monotonic()
+                    self._first = min(self._first, self._last)
                     if self._view is not None:
                         self._view.append(topic, message)
 
@@ -248,9 +244,9 @@ class Recorder:
         with self._lock:
             self._report.until = message.data.to_nsec()
 
-    def _begin_anew(self, namespace: str, old: Path) -> None:
+    def _begin_anew(self, namespace: str, old: FilePath) -> None:
         rospy.loginfo("time was set back: what was recorded before is in %s", old)
-        self._stopwatch = Stopwatch()
+        self._first = math.inf
         if self._view is not None:
             self._view.forget(namespace)
 
@@ -268,8 +264,13 @@ class Recorder:
 
     def _contents(self, finished: bool) -> Tuple[Dict[str, Any], Dict[str, Figure]]:
         """Return summary and figures, which are drawn later, without the lock: it takes long."""
-        times = self._stopwatch.figures(self._report.seconds())
-        run = {**times, "refused_messages": self._refusals.total}
+        seconds, wall = self._report.seconds(), max(0.0, self._last - self._first)
+        run = {
+            "sim_time_s": seconds,
+            "wall_time_s": wall,
+            "real_time_factor": seconds / wall if wall > 0.0 else None,
+            "refused_messages": self._refusals.total,
+        }
         summary = self._report.summary(finished, run)
         return summary, self._report.figures(summary)
 
@@ -283,3 +284,84 @@ def save_figures(report: Report, figures: Mapping[str, Figure]) -> None:
     """Write the pictures; raises FileError."""
     for name, figure in figures.items():
         save(figure, report.folder / name)
+
+
+Contents = Callable[[Any], Tuple]
+
+
+def reader_of(kind: str) -> Tuple[type, Callable[[Any], Reading]]:
+    """Return the class of a type of messages, and what reads those of one topic."""
+    message_type, contents = READERS[kind]
+    if message_type is Odometry:
+        contents = partial(_odometry, FrameGuard())
+    return message_type, lambda message: Reading(_stamp(message), *contents(message))
+
+
+def _stamp(message: Any) -> int:
+    if isinstance(message, GoalStatus):
+        return 0
+    return (message.data if isinstance(message, Time) else message.header.stamp).to_nsec()
+
+
+def _odometry(guard: FrameGuard, message: Odometry) -> Tuple:
+    """The pose, in the frames of the first one; the detail is the covariance of x and y, m²."""
+    pose = planar_pose(message)
+    guard.check(message)
+    entries = message.pose.covariance
+    return pose, ((entries[0], entries[1]), (entries[6], entries[7]))
+
+
+def _inertial(message: Imu) -> Tuple:
+    force, rate = message.linear_acceleration, message.angular_velocity
+    return ((force.x, force.y, force.z, rate.x, rate.y, rate.z),)
+
+
+def _contacts(message: msg.ContactsState) -> Tuple:
+    """Number of points and the sum of the forces; the detail is who was touched."""
+    points = sum(len(state.contact_positions) for state in message.states)
+    forces = [state.total_wrench.force for state in message.states]
+    sums = (sum(getattr(force, axis) for force in forces) for axis in "xyz")
+    return (points, *sums), [state.collision2_name.split("::")[0] for state in message.states]
+
+
+def _goal(message: PoseStamped) -> Tuple:
+    place, turn = message.pose.position, message.pose.orientation
+    return ((place.x, place.y, yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)),)
+
+
+def _goal_status(message: GoalStatus) -> Tuple:
+    rejected = message.status in (GoalStatus.REJECTED, GoalStatus.RECALLED)
+    reached = message.status == GoalStatus.SUCCEEDED
+    return (), GoalAnswer(message.goal_id.id, message.text, rejected, reached)
+
+
+def _places(things: Iterable[Any]) -> Tuple:
+    return (), [(place.x, place.y) for place in things]
+
+
+# The class of each type of messages, and what its readings hold after the stamp: numbers, detail.
+READERS: Dict[str, Tuple[type, Contents]] = {
+    "nav_msgs/Odometry": (Odometry, planar_pose),
+    "sensor_msgs/Range": (Range, lambda m: ((m.range,),)),
+    # The angle of the first ray and the step to the next, rad.
+    "sensor_msgs/LaserScan": (LaserScan, lambda m: (m.ranges, (m.angle_min, m.angle_increment))),
+    "sensor_msgs/Imu": (Imu, _inertial),
+    "gazebo_msgs/ContactsState": (msg.ContactsState, _contacts),
+    "geometry_msgs/PoseStamped": (PoseStamped, _goal),
+    "actionlib_msgs/GoalStatus": (GoalStatus, _goal_status),
+    "std_msgs/Time": (Time, lambda m: ()),
+    # How often each model was touched.
+    "bullet_lab/TouchedModels": (TouchedModels, lambda m: ((), dict(zip(m.models, m.touches)))),
+    # The picture, (h, w, 3) uint8, blue green red.
+    "sensor_msgs/Image": (Image, lambda m: ((), pixels_of(m, "bgr8"))),
+    # What the robot is doing.
+    "bullet_lab/DockActionFeedback": (
+        DockActionFeedback,
+        lambda m: ((), DockingState(m.feedback.state).label),
+    ),
+    # x and y of each pose (m), and of each point (px).
+    "nav_msgs/Path": (Path, lambda m: _places(stamped.pose.position for stamped in m.poses)),
+    "bullet_lab/ImagePoints": (ImagePoints, lambda m: _places(m.points)),
+    # The detections as they are.
+    "bullet_lab/MarkerDetectionArray": (MarkerDetectionArray, lambda m: ((), m.detections)),
+}

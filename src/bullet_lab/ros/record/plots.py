@@ -1,0 +1,321 @@
+"""The nodes that record a job and plot it, but for plot_vision; each runs one report.
+
+:ROS Parameters: see the dataclass of each.
+
+What each leaves behind is written row by row, its pictures and summary.json are renewed while it
+runs, if it goes on for long.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Callable, Dict, List, Mapping, Tuple, Type, TypeVar
+
+import rospy
+from actionlib import ActionClient, ClientGoalHandle, CommState
+from geometry_msgs.msg import PoseStamped
+from visualization_msgs.msg import MarkerArray
+
+from bullet_lab.core.parameters import boolean, integer, name_list, number, number_list, text
+from bullet_lab.core.seeds import derived_seed
+from bullet_lab.docking.types import DockingError, DockingResult
+from bullet_lab.msg import DockAction, DockGoal
+from bullet_lab.reports.dock import DockReport, Station
+from bullet_lab.reports.fleet import FleetReport
+from bullet_lab.reports.goal import Beacon, GoalReport
+from bullet_lab.reports.sensors import BeaconsReport, SensorsReport
+from bullet_lab.reports.squares import SquaresReport
+from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
+from bullet_lab.ros.messages.poses import stamped_pose
+from bullet_lab.ros.node.node import NodeError, private_parameters, run_node
+from bullet_lab.ros.node.publishers import Publisher
+from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, DriveSquaresParameters, robot_names
+from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
+from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
+from bullet_lab.ros.record.recorder import (
+    Errand,
+    Recorder,
+    RecordParameters,
+    TimedParameters,
+    about,
+)
+from bullet_lab.ros.record.rviz import FleetMarkers, PathTopics
+from bullet_lab.simulation.world.floor_plan import footprints
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.sdf import read_world_file
+
+WORLD_TIMEOUT_SECONDS = 60.0
+BEACONS = ("beacon_0", "beacon_1", "beacon_2")
+ROBOT_HEIGHT = 0.55
+T = TypeVar("T")
+
+
+def _run(name: str, kind: Type[T], record: Callable[[T], None]) -> None:
+    run_node(name, lambda: record(private_parameters(kind)))
+
+
+@dataclass(frozen=True)
+class PlotNoiseParameters(TimedParameters):
+    """Private parameters of plot_noise."""
+
+    about: Mapping[str, Any] = about(NoisyOdomParameters, DriveSquaresParameters)
+    out: str = text("results/squares", "folder for the files")
+    show: bool = boolean(False, "open a window at the end, where there is a screen")
+
+
+def plot_noise() -> None:
+    """Record and plot the perfect and the noisy odometry.
+
+    :ROS Subscribers: odom, noisy_odom (nav_msgs/Odometry)
+    :ROS Publishers: odom_path, noisy_odom_path (nav_msgs/Path), latched
+
+    Leaves odom.tum, noisy_odom.tum, paths.csv, paths.png and summary.json.
+    """
+
+    def record(parameters: PlotNoiseParameters) -> None:
+        folder = Path(parameters.out)
+        view = PathTopics({"odom": "odom_path", "noisy_odom": "noisy_odom_path"})
+        Recorder(SquaresReport(folder), parameters, "odom and noisy_odom", view).run()
+        if parameters.show:
+            show(folder / "paths.png")
+
+    _run("plot_noise", PlotNoiseParameters, record)
+
+
+def show(path: Path) -> None:
+    """Show a picture in a window and wait until it is closed."""
+    if not os.environ.get("DISPLAY"):
+        rospy.logwarn("~show: there is no screen (DISPLAY is not set); see %s", path.name)
+        return
+    try:
+        from matplotlib import pyplot
+
+        picture = pyplot.imread(str(path))
+        pyplot.figure("bullet_lab", figsize=(11.0, 6.6))
+        pyplot.axes([0.0, 0.0, 1.0, 1.0]).imshow(picture)
+        pyplot.axis("off")
+        pyplot.show()
+    except ImportError as error:
+        rospy.logwarn("~show: matplotlib has no window toolkit here: %s", error)
+
+
+@dataclass(frozen=True)
+class PlotFleetParameters(TimedParameters):
+    """Private parameters of plot_fleet."""
+
+    about: Mapping[str, Any] = about(NoisyOdomParameters)
+    out: str = text("results/fleet", "folder for the files")
+    robots: int = integer(8, "how many there are: robot1 and so on", 1, MOST_ROBOTS)
+    seed: int = integer(0, "of noisy_odom, which derives one for each robot", minimum=0)
+
+
+def plot_fleet() -> None:
+    """Record and plot the perfect and the noisy odometry of several robots.
+
+    :ROS Subscribers, for each robot: <robot>/odom, <robot>/noisy_odom (nav_msgs/Odometry)
+    :ROS Publishers: fleet_paths (visualization_msgs/MarkerArray), latched
+
+    Leaves the files of plot_noise in a folder for each robot, fleet.png and summary.json.
+    """
+
+    def record(parameters: PlotFleetParameters) -> None:
+        names = robot_names(parameters.robots)
+        seeds = {name: derived_seed(parameters.seed, index) for index, name in enumerate(names)}
+        report = FleetReport(Path(parameters.out), seeds)
+        Recorder(report, parameters, "the robots' odometry", FleetMarkers()).run()
+
+    _run("plot_fleet", PlotFleetParameters, record)
+
+
+@dataclass(frozen=True)
+class PlotSensorsParameters(TimedParameters):
+    """Private parameters of plot_sensors."""
+
+    about: Mapping[str, Any] = about(DriveSquaresParameters)
+    out: str = text("results/sensors", "folder for the files")
+    rays: int = integer(360, "of the laser scanner", minimum=1, maximum=100_000)
+
+
+def plot_sensors() -> None:
+    """Record and plot what a robot's sensors measure.
+
+    :ROS Subscribers:
+        - odom (nav_msgs/Odometry)
+        - scan (sensor_msgs/LaserScan), sonar (sensor_msgs/Range), imu (sensor_msgs/Imu)
+        - bumper (gazebo_msgs/ContactsState)
+
+    Leaves odom.csv, scan.csv, range.csv, imu.csv, bumper.csv, sensors.png and summary.json.
+    """
+
+    def record(parameters: PlotSensorsParameters) -> None:
+        report = SensorsReport(Path(parameters.out), parameters.rays)
+        Recorder(report, parameters, "the sensors").run()
+
+    _run("plot_sensors", PlotSensorsParameters, record)
+
+
+@dataclass(frozen=True)
+class PlotBeaconsParameters(TimedParameters):
+    """Private parameters of plot_beacons."""
+
+    out: str = text("results/beacons", "folder for the files")
+    beacons: Tuple[str, ...] = name_list("models of the world that are beacons")
+
+
+def plot_beacons() -> None:
+    """Record and plot the distances that track_robot measures, over the true ones.
+
+    :ROS Subscribers:
+        - odom (nav_msgs/Odometry)
+        - beacon_0/range … (sensor_msgs/Range)
+        - /bullet_lab/world (visualization_msgs/MarkerArray): where the beacons really stand
+
+    Leaves distances.csv, distances.png and summary.json.
+    """
+
+    def record(parameters: PlotBeaconsParameters) -> None:
+        report = BeaconsReport(Path(parameters.out), true_beacons(parameters.beacons or BEACONS))
+        Recorder(report, parameters, "odom and the distances").run()
+
+    _run("plot_beacons", PlotBeaconsParameters, record)
+
+
+def true_beacons(names: Tuple[str, ...]) -> Dict[str, Tuple[float, float]]:
+    """Return where models of the world stand (m, m), from the bridge's markers.
+
+    Raises:
+        NodeError: no markers come, or a name is not among them.
+    """
+    try:
+        world = rospy.wait_for_message(WORLD, MarkerArray, WORLD_TIMEOUT_SECONDS)
+    except rospy.ROSException as error:
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException("shutdown") from error
+        raise NodeError(f"nobody publishes {WORLD}: is the bridge running?") from error
+    places = {m.ns: (m.pose.position.x, m.pose.position.y) for m in reversed(world.markers)}
+    missing = [name for name in names if name not in places]
+    if missing:
+        raise NodeError(f"the world has no model '{missing[0]}', only {', '.join(sorted(places))}")
+    return {name: places[name] for name in names}
+
+
+@dataclass(frozen=True)
+class PlotGoalParameters(RecordParameters):
+    """Private parameters of plot_goal."""
+
+    about: Mapping[str, Any] = about(DriveToGoalParameters, NoisyOdomParameters)
+    out: str = text("results/goal", "folder for the files")
+    goal: Tuple[float, ...] = number_list((1.0, 1.0, 0.0), "where to: x y in m, yaw in rad")
+    frame: str = text("world", "frame of the goal")
+    tolerance: float = number(0.05, "m, for the picture", above=0.0)
+    stay: bool = boolean(False, "wait for more goals, such as RViz's, until Ctrl-C")
+
+
+def plot_goal() -> None:
+    """Send a robot to a goal, record how it goes, and leave what came of it.
+
+    :ROS Publishers: move_base_simple/goal (geometry_msgs/PoseStamped): the first goal
+    :ROS Subscribers:
+        - odom (nav_msgs/Odometry): the true pose, as the simulation sends it
+        - drive_to_goal/current_goal, status, finished: what is driven to, whoever wants it
+        - /bullet_lab/world (visualization_msgs/MarkerArray): the beacons
+
+    Leaves truth.tum, path.png and summary.json.
+    """
+
+    def record(parameters: PlotGoalParameters) -> None:
+        standing = StandingModels()
+
+        def beacons() -> List[Beacon]:
+            names = numbered(standing.names(), "beacon")
+            return [(name, *standing.origin(name)[:2]) for name in names]
+
+        report = GoalReport(Path(parameters.out), parameters.tolerance, parameters.stay, beacons)
+        rospy.Subscriber(WORLD, MarkerArray, standing.take)
+        first = Publisher("move_base_simple/goal", PoseStamped, queue_size=10)
+
+        def send() -> None:
+            first.publish(stamped_pose(rospy.Time.now(), parameters.frame, parameters.goal))
+
+        errand = Errand("drive_to_goal", first.has_connections, send, report.is_answered)
+        Recorder(report, parameters, "the bridge and drive_to_goal", errand=errand).run()
+
+    _run("plot_goal", PlotGoalParameters, record)
+
+
+@dataclass(frozen=True)
+class PlotDockingParameters(RecordParameters):
+    """Private parameters of plot_docking."""
+
+    about: Mapping[str, Any] = about(NoisyOdomParameters)
+    out: str = text("results/dock", "folder for the files")
+    dock_id: str = text("dock", "name of the dock in the database of dock.py")
+    search: bool = boolean(True, "look for the marker where it is not seen at once")
+    max_retries: int = integer(-1, "-1: as dock.py is configured", minimum=-1)
+    world: str = text(
+        "package://bullet_lab/worlds/docking.world", "world for the plan: a path or package://"
+    )
+    true_dock: Tuple[float, ...] = number_list(
+        (4.0, 0.0, 0.0), "true pose of the floor below the marker: x y in m, yaw in rad"
+    )
+    camera_ahead: float = number(0.16, "m, of the camera from the robot's middle")
+    docked_distance: float = number(
+        0.4, "m from the camera to the marker in a docked robot", above=0.0
+    )
+    pictures: int = integer(8, "of the camera along the way", minimum=2, maximum=40)
+
+
+def plot_docking() -> None:
+    """Send a robot to its dock, record how it goes, and leave what came of it.
+
+    :ROS Actions: calls dock (bullet_lab/DockAction)
+    :ROS Subscribers:
+        - odom (nav_msgs/Odometry): the true pose, as the simulation sends it
+        - bullet_lab/touched (bullet_lab/TouchedModels): what the robot has run into
+        - aruco/image_annotated (sensor_msgs/Image): what the camera saw
+        - dock/feedback, dock/plan, dock/finished
+    :ROS Publishers: ~path (nav_msgs/Path), latched: the true path
+
+    Leaves truth.tum, path.png, camera.png and summary.json.
+    """
+
+    def record(parameters: PlotDockingParameters) -> None:
+        world = read_world_file(ResourceFinder.anywhere().find(parameters.world))
+        outlines = [one.corners() for one in footprints(world, below=ROBOT_HEIGHT)]
+        camera = (parameters.camera_ahead, parameters.docked_distance)
+        station = Station(outlines, parameters.true_dock, *camera)
+        report = DockReport(Path(parameters.out), station, parameters.pictures)
+        view, errand = PathTopics({"odom": "~path"}), _docking_errand(parameters, report)
+        Recorder(report, parameters, "the bridge and dock", view, errand).run()
+
+    _run("plot_docking", PlotDockingParameters, record)
+
+
+def _docking_errand(parameters: PlotDockingParameters, report: DockReport) -> Errand:
+    """Return the call of the action, whose result goes to the report."""
+    client = ActionClient("dock", DockAction)
+    handles: List[ClientGoalHandle] = []
+
+    def is_connected() -> bool:
+        ends = (client.pub_goal, client.result_sub, client.status_sub)
+        return all(end.get_num_connections() > 0 for end in ends)
+
+    def note(handle: ClientGoalHandle) -> None:
+        result = handle.get_result()
+        if handle.get_comm_state() == CommState.DONE and result is not None:
+            error = DockingError(result.error_code)
+            report.result = DockingResult(result.success, error, result.message, result.retries)
+
+    def send() -> None:
+        goal = DockGoal(
+            parameters.dock_id, PoseStamped(), parameters.search, parameters.max_retries
+        )
+        handles.append(client.send_goal(goal, note))
+        report.sent = True
+
+    def is_taken() -> bool:
+        return handles[0].get_comm_state() != CommState.WAITING_FOR_GOAL_ACK
+
+    return Errand("dock", is_connected, send, is_taken)
