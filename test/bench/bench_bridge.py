@@ -21,7 +21,7 @@ from typing import Any, Dict, List
 
 import psutil
 import rospy
-from bullet_lab.ros.launcher.master import prepare_master
+from bullet_lab.ros.launcher.supervision import prepare_master
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 

@@ -28,7 +28,7 @@ import numpy as np
 import psutil
 import rospy
 from bullet_lab.msg import MarkerDetectionArray
-from bullet_lab.ros.launcher.master import prepare_master
+from bullet_lab.ros.launcher.supervision import prepare_master
 from sensor_msgs.msg import CameraInfo
 
 from bullet_lab.core.pose import Pose

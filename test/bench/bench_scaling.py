@@ -19,7 +19,7 @@ from typing import Any, Dict, List, Sequence
 
 import rospkg
 import rospy
-from bullet_lab.ros.launcher.master import prepare_master
+from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.srv import Step
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 

@@ -18,7 +18,7 @@ from typing import Any, Dict, List
 
 import psutil
 import rospy
-from bullet_lab.ros.launcher.master import prepare_master
+from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.srv import SaveWorld, Step
 from geometry_msgs.msg import Point, Pose, Quaternion
 from sensor_msgs.msg import Image

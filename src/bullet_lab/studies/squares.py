@@ -130,11 +130,11 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
     recording = PathsRecording(folder)
     drive = drive_square(Square(), settings.mode)
     for step, pose in zip(drive.steps.tolist(), drive.poses.tolist()):
-        recording.add_perfect(step * NANOSECONDS_PER_STEP, pose)
+        recording.add(PathsRecording.PERFECT, step * NANOSECONDS_PER_STEP, pose)
         for x, y, yaw in noisy(step, pose):
             # Through the quaternion of a message.
             there = x, y, yaw_from_quaternion(*quaternion_from_yaw(yaw))
-            recording.add_noisy(step * NANOSECONDS_PER_STEP, there)
+            recording.add(PathsRecording.NOISY, step * NANOSECONDS_PER_STEP, there)
     recording.finish()
     perfect, pairs = recording.perfect(), recording.pairs()
     summary = {
