@@ -21,10 +21,10 @@ from typing import Any, Dict, List
 
 import psutil
 import rospy
-from bullet_lab.ros.launcher.supervision import prepare_master
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 
+from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.nodes.bridge import BridgeParameters, PyBulletBridge
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 

@@ -28,10 +28,10 @@ import numpy as np
 import psutil
 import rospy
 from bullet_lab.msg import MarkerDetectionArray
-from bullet_lab.ros.launcher.supervision import prepare_master
 from sensor_msgs.msg import CameraInfo
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.nodes.bridge import BridgeParameters, PyBulletBridge
 from bullet_lab.simulation.physics.engine import pybullet
 from bullet_lab.simulation.plugins.camera import Camera

@@ -19,11 +19,11 @@ from typing import Any, Dict, List, Sequence
 
 import rospkg
 import rospy
-from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.srv import Step
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save
+from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.messages.gazebo_types import srv
 
 BLOCK = Path(rospkg.RosPack().get_path("bullet_lab")) / "urdf" / "block_robot.urdf"

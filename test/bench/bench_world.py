@@ -18,11 +18,11 @@ from typing import Any, Dict, List
 
 import psutil
 import rospy
-from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.srv import SaveWorld, Step
 from geometry_msgs.msg import Point, Pose, Quaternion
 from sensor_msgs.msg import Image
 
+from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.sdf import read_world_file
