@@ -16,9 +16,11 @@ import numpy as np
 import rostest
 from scipy import stats
 
-from bullet_lab.core.trajectory import read_paths_csv
-from bullet_lab.noise.odometry_noise import ReportRule, recover_noise
+from bullet_lab.noise.odometry_noise import ReportRule
 from bullet_lab.studies.squares import SquaresSettings, run_squares
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "unit"))
+from recorded_paths import read_paths_csv, recover_noise  # noqa: E402
 
 TIMEOUT = 200
 FOLDER = tempfile.TemporaryDirectory()

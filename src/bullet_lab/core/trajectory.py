@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from os import PathLike
-from typing import Sequence
+from typing import Any, Iterable, List, Sequence
 
 import numpy as np
 
@@ -99,77 +99,47 @@ def read_tum(path: str | PathLike) -> Trajectory:
     Raises:
         TrajectoryError: the file cannot be read or is not as said; the message names the line.
     """
-    stamps, poses = [], []
-    for number, line in _lines(path):
-        if line.startswith("#"):
-            continue
-        stamp, x, y, _, *quaternion = _numbers(path, number, line.split(), _TUM_COLUMNS)
-        if not any(quaternion):
-            raise TrajectoryError(f"{path}, line {number}: the quaternion is zero")
-        stamps.append(stamp)
-        poses.append((x, y, yaw_from_quaternion(*quaternion)))
-    return _from_file(path, stamps, poses)
-
-
-def csv_row(stamp: float, pose: Sequence[float], noisy_pose: Sequence[float]) -> str:
-    """Return a line under `CSV_HEADER`, with the digits of `tum_row`. No line end.
-
-    Args:
-        stamp: s.
-        pose: perfect x, y, yaw (m, m, rad).
-        noisy_pose: noisy x, y, yaw.
-    """
-    values = [repr(float(value)) for value in (*pose, *noisy_pose)]
-    return ",".join([f"{stamp:.9f}", *values])
-
-
-def read_paths_csv(path: str | PathLike) -> tuple[Trajectory, Trajectory]:
-    """Read the perfect and the noisy path from a CSV file with the header `CSV_HEADER`.
-
-    Raises:
-        TrajectoryError: the file cannot be read or is not as said; the message names the line.
-    """
-    lines = _lines(path)
-    if next(lines, (0, ""))[1] != CSV_HEADER:
-        raise TrajectoryError(f"{path}: the first line must be {CSV_HEADER}")
-    columns = CSV_HEADER.count(",") + 1
-    rows = [_numbers(path, number, line.split(","), columns) for number, line in lines]
-    stamps = [row[0] for row in rows]
-    return (
-        _from_file(path, stamps, [row[1:4] for row in rows]),
-        _from_file(path, stamps, [row[4:7] for row in rows]),
-    )
-
-
-def _lines(path):
-    """Yield the number and text of each line that is not empty."""
     try:
         with open(path, encoding="utf-8") as file:
-            for number, line in enumerate(file, start=1):
-                text = line.strip()
-                if text:
-                    yield number, text
+            lines = [(number, line.split()) for number, line in enumerate(file, start=1)]
     except OSError as error:
         raise TrajectoryError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise TrajectoryError(f"cannot read {path}: it is not a text file") from None
+    rows = []
+    for number, words in lines:
+        if not words or words[0].startswith("#"):
+            continue
+        where = f"{path}, line {number}"
+        if len(words) != _TUM_COLUMNS:
+            raise TrajectoryError(f"{where}: {_TUM_COLUMNS} values needed, not {len(words)}")
+        stamp, x, y, _, *quaternion = finite_numbers(words, where)
+        if not any(quaternion):
+            raise TrajectoryError(f"{where}: the quaternion is zero")
+        rows.append((stamp, x, y, yaw_from_quaternion(*quaternion)))
+    return trajectory_of(rows, path)
 
 
-def _numbers(path, number: int, words: list[str], count: int) -> list[float]:
-    if len(words) != count:
-        raise TrajectoryError(f"{path}, line {number}: {count} values needed, not {len(words)}")
+def finite_numbers(words: Iterable[Any], where: str) -> List[float]:
+    """Return what a line of a file says; raises TrajectoryError, with the place, if not numbers."""
     try:
         values = [float(word) for word in words]
-    except ValueError:
-        raise TrajectoryError(f"{path}, line {number}: a value is not a number") from None
+    except (TypeError, ValueError):
+        raise TrajectoryError(f"{where}: a value is not a number") from None
     if not all(map(math.isfinite, values)):
-        raise TrajectoryError(f"{path}, line {number}: a value is not finite")
+        raise TrajectoryError(f"{where}: a value is not finite")
     return values
 
 
-def _from_file(path, stamps, poses) -> Trajectory:
+def trajectory_of(rows: Sequence[Sequence[float]], path: str | PathLike) -> Trajectory:
+    """Return the trajectory of rows of stamp (s), x, y (m) and yaw (rad).
+
+    Raises:
+        TrajectoryError: they make none; the message names the file that they are from.
+    """
+    table = np.array(rows, dtype=float).reshape(-1, 4)
     try:
-        return Trajectory(stamps, poses)
+        return Trajectory(table[:, 0], table[:, 1:])
     except TrajectoryError as error:
         raise TrajectoryError(f"{path}: {error}") from None
 

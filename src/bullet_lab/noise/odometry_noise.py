@@ -15,16 +15,12 @@ from typing import Any, ClassVar, Dict, List, Mapping, Sequence, Tuple, Type
 
 import numpy as np
 
-from bullet_lab.core import se2
 from bullet_lab.core.angles import wrap
 from bullet_lab.core.parameters import ParameterError, check_parameters, declarations, number
 from bullet_lab.errors import LabError
 
 MIN_TRANSLATION = 1e-4
 """m; a shorter step has no direction (at 20 Hz that is a crawl of 2 mm/s)."""
-
-RESOLUTION = 1e-9
-"""m or rad; smaller standard deviations drown in the rounding of the poses."""
 
 _LARGEST_PARAMETER = 1e6  # far beyond any robot; keeps squares and sums finite
 _NO_COVARIANCE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -59,10 +55,11 @@ def decompose(dx: float, dy: float, dyaw: float) -> tuple[float, float, float]:
 
 def decompose_steps(steps) -> np.ndarray:
     """Do what `decompose` does for an array of (dx, dy, dyaw), shape (..., 3)."""
-    steps = np.asarray(steps, dtype=float)
-    direction, trans = _directions(steps[..., 0], steps[..., 1])
+    dx, dy, dyaw = np.moveaxis(np.asarray(steps, dtype=float), -1, 0)
+    sign = np.where(dx < 0.0, -1.0, 1.0)
+    direction, trans = np.arctan2(sign * dy, np.abs(dx)), sign * np.hypot(dx, dy)
     rot1 = np.where(np.abs(trans) >= MIN_TRANSLATION, direction, 0.0)
-    return np.stack([rot1, trans, wrap(steps[..., 2] - rot1)], axis=-1)
+    return np.stack([rot1, trans, wrap(dyaw - rot1)], axis=-1)
 
 
 def _direction(dx: float, dy: float) -> tuple[float, float]:
@@ -71,12 +68,6 @@ def _direction(dx: float, dy: float) -> tuple[float, float]:
     if dx < 0.0:
         return math.atan2(-dy, -dx), -length
     return math.atan2(dy, dx + 0.0), length  # + 0.0 turns -0.0, whose arc tangent is pi, into 0.0
-
-
-def _directions(dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Do what `_direction` does for arrays."""
-    sign = np.where(dx < 0.0, -1.0, 1.0)
-    return np.arctan2(sign * dy, np.abs(dx)), sign * np.hypot(dx, dy)
 
 
 @dataclass(frozen=True)
@@ -478,67 +469,3 @@ def _matrix(covariance) -> np.ndarray:
     matrix = np.array(((xx, xy, xt), (xy, yy, yt), (xt, yt, tt)))
     matrix.setflags(write=False)
     return matrix
-
-
-@dataclass(frozen=True, eq=False)
-class RecoveredNoise:
-    """The noise of each step of a noisy path, and what it was added to.
-
-    Attributes:
-        components: (n-1, 3), rot1 (rad), trans (m, signed) and rot2 (rad) of the true steps.
-        noise: (n-1, 3), what was added to each. Where the true step has no direction (see
-            `MIN_TRANSLATION`), rot1 is NaN and rot2 is the sum of the noise of both rotations,
-            all that can be told then.
-    """
-
-    components: np.ndarray
-    noise: np.ndarray
-
-    def standardised(self, rule: NoiseRule) -> np.ndarray:
-        """Return the noise over its standard deviation by a rule, shape (n-1, 3).
-
-        If the rule is the one that the noise was made with, these are standard normal. NaN
-        where the noise is NaN or its standard deviation is below `RESOLUTION`.
-        """
-        variances = np.stack(rule.variances(*self.components.T), axis=-1)
-        undirected = np.isnan(self.noise[:, 0])
-        variances[undirected, 2] += variances[undirected, 0]
-        std = np.sqrt(variances)
-        return self.noise / np.where(std >= RESOLUTION, std, np.nan)
-
-
-def recover_noise(true_poses, noisy_poses) -> RecoveredNoise:
-    """Find the noise that `NoisyPath` added at each step, from the two paths alone.
-
-    The noise of rot1 is taken to be less than a quarter turn; a noisy step in the opposite
-    direction is one whose translation changed its sign.
-
-    Args:
-        true_poses: perfect poses, shape (n, 3).
-        noisy_poses: the noisy ones of the same messages, shape (n, 3).
-
-    Raises:
-        NoiseError: the shapes differ or are not (n, 3).
-
-    >>> recover_noise([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], [(0.0, 0.0, 0.0), (1.5, 0.0, 0.1)]).noise
-    array([[0. , 0.5, 0.1]])
-    """
-    true_poses = np.asarray(true_poses, dtype=float)
-    noisy_poses = np.asarray(noisy_poses, dtype=float)
-    if true_poses.shape != noisy_poses.shape or true_poses.shape[1:] != (3,):
-        raise NoiseError(
-            f"two paths of shape (n, 3) are needed, not {true_poses.shape}, {noisy_poses.shape}"
-        )
-    true_steps, noisy_steps = se2.steps(true_poses), se2.steps(noisy_poses)
-    direction, trans = _directions(true_steps[:, 0], true_steps[:, 1])
-
-    # Seen along the true direction, the noisy step points at the noise of rot1.
-    cos, sin = np.cos(direction), np.sin(direction)
-    sign = np.where(trans < 0.0, -1.0, 1.0)
-    ahead = sign * (cos * noisy_steps[:, 0] + sin * noisy_steps[:, 1])
-    aside = sign * (cos * noisy_steps[:, 1] - sin * noisy_steps[:, 0])
-    noise1, length = _directions(ahead, aside)
-    noise1 = np.where(np.abs(trans) >= MIN_TRANSLATION, noise1, np.nan)
-    noise2 = wrap(noisy_steps[:, 2] - true_steps[:, 2] - np.nan_to_num(noise1))
-    noise = np.stack([noise1, sign * length - trans, noise2], axis=-1)
-    return RecoveredNoise(decompose_steps(true_steps), noise)

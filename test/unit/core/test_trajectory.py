@@ -5,11 +5,8 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.trajectory import (
-    CSV_HEADER,
     Trajectory,
     TrajectoryError,
-    csv_row,
-    read_paths_csv,
     read_tum,
     tum_row,
 )
@@ -88,17 +85,6 @@ def test_tum_round_trip(write):
 def test_tum_from_numpy_numbers_is_text_all_the_same():
     row = tum_row(np.float64(1.0), *np.array([0.5, 0.25, 0.0]))
     assert row == "1.000000000 0.5 0.25 0 0 0 0.0 1.0"
-    assert csv_row(np.float64(1.0), np.zeros(3), np.ones(3)).endswith("0.0,0.0,0.0,1.0,1.0,1.0")
-
-
-def test_csv_round_trip_is_bit_for_bit(write):
-    noisy = [[value + 0.1 for value in pose] for pose in POSES]
-    rows = [csv_row(*each) for each in zip(STAMPS, POSES, noisy)]
-    true_path, noisy_path = read_paths_csv(write(CSV_HEADER, *rows))
-    np.testing.assert_array_equal(true_path.stamps, STAMPS)
-    np.testing.assert_array_equal(noisy_path.stamps, STAMPS)
-    np.testing.assert_array_equal(true_path.poses, POSES)
-    np.testing.assert_array_equal(noisy_path.poses, noisy)
 
 
 @pytest.mark.parametrize(
@@ -119,23 +105,11 @@ def test_bad_tum_files_are_refused(write, line, message):
     assert "\n" not in str(caught.value)
 
 
-def test_bad_csv_files_are_refused(write):
-    with pytest.raises(TrajectoryError, match="first line"):
-        read_paths_csv(write("0,0,0,0,0,0,0"))
-    with pytest.raises(TrajectoryError, match="first line"):
-        read_paths_csv(write())
-    with pytest.raises(TrajectoryError, match="no poses"):
-        read_paths_csv(write(CSV_HEADER))
-    with pytest.raises(TrajectoryError, match="line 3: 7 values needed, not 2"):
-        read_paths_csv(write(CSV_HEADER, "0,0,0,0,0,0,0", "1,0"))
-
-
 def test_files_that_cannot_be_read(tmp_path):
-    for read in (read_tum, read_paths_csv):
-        with pytest.raises(TrajectoryError, match="cannot read .*missing"):
-            read(tmp_path / "missing")
-        with pytest.raises(TrajectoryError, match="cannot read"):
-            read(tmp_path)
+    with pytest.raises(TrajectoryError, match="cannot read .*missing"):
+        read_tum(tmp_path / "missing")
+    with pytest.raises(TrajectoryError, match="cannot read"):
+        read_tum(tmp_path)
     binary = tmp_path / "binary"
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(TrajectoryError, match="not a text file"):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from recorded_paths import recover_noise
 
 from bullet_lab.core.parameters import declarations, number
 from bullet_lab.core.trajectory import Trajectory
@@ -18,7 +19,6 @@ from bullet_lab.noise.odometry_noise import (
     ReportRule,
     make_rule,
     noise_fields,
-    recover_noise,
     register,
     rule_of,
 )

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from recorded_paths import recover_noise
 from scipy import stats
 
 from bullet_lab.core import se2
@@ -12,7 +13,6 @@ from bullet_lab.noise.odometry_noise import (
     ProbabilisticRule,
     RateInvariantRule,
     ReportRule,
-    recover_noise,
 )
 
 TAIL = 0.0005

@@ -5,13 +5,19 @@ from __future__ import annotations
 import csv
 import math
 from pathlib import Path
-from typing import Any, Dict, List, Sequence
+from typing import List
 
 import numpy as np
 
 from bullet_lab.core.angles import wrap, yaw_from_quaternion
-from bullet_lab.core.trajectory import Trajectory, TrajectoryError, read_tum, tum_row
-from bullet_lab.errors import LabError
+from bullet_lab.core.trajectory import (
+    Trajectory,
+    TrajectoryError,
+    finite_numbers,
+    read_tum,
+    trajectory_of,
+    tum_row,
+)
 
 LONGEST_PATH = 1e7
 """m; a path that is longer is not one of a robot on this planet."""
@@ -20,7 +26,7 @@ CSV_COLUMNS = ("stamp", "x", "y", "yaw")
 ODOMETRY_KIND = "nav_msgs/Odometry"
 
 
-class PathFileError(LabError):
+class PathFileError(TrajectoryError):
     """A path cannot be read, or no noise can be studied on it."""
 
 
@@ -67,22 +73,13 @@ def _read_csv(path: Path) -> Trajectory:
                     f"{path}: the first line has to name the columns {', '.join(CSV_COLUMNS)}"
                 )
             for row in reader:
-                rows.append(_csv_values(row, f"{path}, line {reader.line_num}"))
+                values = [row[name] for name in CSV_COLUMNS]
+                rows.append(finite_numbers(values, f"{path}, line {reader.line_num}"))
     except OSError as error:
         raise PathFileError(f"cannot read {path}: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error):
         raise PathFileError(f"cannot read {path}: it is not a table") from None
-    return _trajectory(path, rows)
-
-
-def _csv_values(row: Dict[str, Any], where: str) -> List[float]:
-    try:
-        values = [float(row[name]) for name in CSV_COLUMNS]
-    except (TypeError, ValueError):
-        raise PathFileError(f"{where}: a value is not a number") from None
-    if not all(map(math.isfinite, values)):
-        raise PathFileError(f"{where}: a value is not finite")
-    return values
+    return trajectory_of(rows, path)
 
 
 def _read_bag(path: Path, topic: str) -> Trajectory:
@@ -108,21 +105,13 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
         raise PathFileError(f"{path}: nothing on the topic {topic}; {there}")
     if messages[0]._type != ODOMETRY_KIND:
         raise PathFileError(f"{path}: {topic} is of {messages[0]._type}, not {ODOMETRY_KIND}")
-    return _trajectory(path, [_odometry_values(message) for message in messages])
+    return trajectory_of([_odometry_values(message) for message in messages], path)
 
 
 def _odometry_values(message) -> List[float]:
     place, turn = message.pose.pose.position, message.pose.pose.orientation
     yaw = yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
     return [message.header.stamp.to_sec(), place.x, place.y, yaw]
-
-
-def _trajectory(path: Path, rows: Sequence[Sequence[float]]) -> Trajectory:
-    table = np.array(rows, dtype=float).reshape(-1, 4)
-    try:
-        return Trajectory(table[:, 0], table[:, 1:])
-    except TrajectoryError as error:
-        raise PathFileError(f"{path}: {error}") from None
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
@@ -137,7 +126,7 @@ MOST_POSES = 2_000_000
 _SAME_STAMP = 1e-6  # s; closer than messages ever are
 
 
-class ResamplingError(LabError):
+class ResamplingError(TrajectoryError):
     """A path cannot be resampled at a rate."""
 
 

@@ -212,7 +212,7 @@ def test_a_bag_with_something_else_or_a_repeated_stamp(tmp_path):
     with pytest.raises(PathFileError, match="not nav_msgs/Odometry"):
         read_path(tmp_path / "a.bag")
     bag_with(tmp_path / "b.bag", odometry, (1.0, 1.0))
-    with pytest.raises(PathFileError, match="stamps must increase"):
+    with pytest.raises(LabError, match="stamps must increase"):
         read_path(tmp_path / "b.bag")
 
 
