@@ -29,9 +29,9 @@ experiments > studies.dock_campaign: dock_campaign=study dock_scenarios=trial do
 experiments > studies.noise_study: noise_study=study
 experiments > studies.published_noise: published_noise=study
 markers > markers: dots=faces images=faces plates=models
-numerics > core: angles ellipse metrics=trajectory patterns pinhole se2 seeds trajectory
+numerics > core: angles=se2 ellipse=se2 metrics=trajectory patterns=se2 pinhole se2 trajectory
 numerics > drive: goal_driver=goal square_course=square square_driver=square
-numerics > noise: exact_moments noisy_paths odometry_noise published_noise
+numerics > noise: exact_moments noisy_paths odometry_noise published_noise seeds=odometry_noise
 numerics > reports: square_path=squares
 numerics > studies.dock_campaign: binomial=results
 numerics > studies.noise_study: path_metrics=statistics resampling=paths
@@ -44,7 +44,7 @@ plotting > studies.detection_range: detection_figures=figures
 plotting > studies.dock_campaign: campaign_figure=results
 plotting > studies.noise_study: study_figures=figures
 plotting > studies.published_noise: published_figures=figures
-recording > core: files series
+recording > core: files series=files
 recording > reports: distances=sensors docking_run=dock fleet_summary=fleet goal_summary=goal
     paths=squares sensors squares_summary=squares
 recording > studies.detection_range: detection_summary=study

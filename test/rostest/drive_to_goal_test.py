@@ -20,7 +20,7 @@ from std_msgs.msg import Float64, Time
 from std_srvs.srv import Empty
 from visualization_msgs.msg import MarkerArray
 
-from bullet_lab.core.angles import quaternion_from_yaw
+from bullet_lab.core.se2 import quaternion_from_yaw
 from bullet_lab.ros.node.odometry import planar_pose
 
 PERIOD = 0.02

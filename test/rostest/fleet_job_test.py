@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import rostest
 
-from bullet_lab.core.seeds import derived_seed
 from bullet_lab.core.trajectory import read_tum
+from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.studies.squares import SquaresSettings, run_squares
 
 ROBOTS = 3

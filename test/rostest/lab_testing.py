@@ -16,7 +16,7 @@ import rospkg
 import rospy
 from nav_msgs.msg import Odometry
 
-from bullet_lab.core.angles import quaternion_from_yaw
+from bullet_lab.core.se2 import quaternion_from_yaw
 
 # Wall seconds after which something is not going to happen any more.
 PATIENCE = 60.0

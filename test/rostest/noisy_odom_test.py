@@ -13,8 +13,7 @@ from lab_testing import Node, Topic, odometry, publisher, wait_for
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker
 
-from bullet_lab.core.angles import quaternion_from_yaw
-from bullet_lab.core.ellipse import SQUARE_RADIUS
+from bullet_lab.core.se2 import SQUARE_RADIUS, quaternion_from_yaw
 from bullet_lab.noise.odometry_noise import NoisyPath, make_rule
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdometry, NoisyOdomParameters
 

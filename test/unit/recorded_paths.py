@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.angles import wrap
+from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION, NoiseRule, decompose_steps
 

@@ -22,7 +22,19 @@ import argparse
 import math
 import re
 from dataclasses import MISSING, Field, dataclass, field, fields
-from typing import Any, Callable, Dict, Iterable, Mapping, Optional, Sequence, Tuple, Type, TypeVar
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    Mapping,
+    NoReturn,
+    Optional,
+    Sequence,
+    Tuple,
+    Type,
+    TypeVar,
+)
 
 from bullet_lab.errors import LabError
 
@@ -91,7 +103,9 @@ def declarations(kind: type) -> Dict[str, Declaration]:
 
 def declared(name: str, entry: Field) -> Declaration:
     """Return a parameter that stands in no dataclass, from what the functions below return."""
-    return Declaration(name, _default(entry), entry.metadata[_CHECK])
+    factory: Any = entry.default_factory  # type: ignore[misc]
+    default = entry.default if factory is MISSING else factory()
+    return Declaration(name, default, entry.metadata[_CHECK])
 
 
 def number(
@@ -102,14 +116,8 @@ def number(
     maximum: float = math.inf,
 ) -> Any:
     """Declare a finite number within [minimum, maximum] and greater than `above`."""
-
-    def accept(value: Any) -> float:
-        value = _float(value)
-        if not (minimum <= value <= maximum and value > above):
-            raise ValueError
-        return value
-
-    return _declare(default, doc, "a number" + _limits(minimum, above, maximum), accept)
+    accept, limits = _within(minimum, above, maximum)
+    return _declare(default, doc, f"a number{limits}", accept)
 
 
 def integer(default: int, doc: str, minimum: int = -(2**31), maximum: int = 2**31 - 1) -> Any:
@@ -117,9 +125,7 @@ def integer(default: int, doc: str, minimum: int = -(2**31), maximum: int = 2**3
 
     def accept(value: Any) -> int:
         value = _integer(value)
-        if not minimum <= value <= maximum:
-            raise ValueError
-        return value
+        return _require(minimum <= value <= maximum, value)
 
     return _declare(default, doc, f"a whole number from {minimum} to {maximum}", accept)
 
@@ -129,9 +135,7 @@ def odd(default: int, doc: str, minimum: int, maximum: int) -> Any:
 
     def accept(value: Any) -> int:
         value = _integer(value)
-        if value % 2 == 0 or not minimum <= value <= maximum:
-            raise ValueError
-        return value
+        return _require(value % 2 == 1 and minimum <= value <= maximum, value)
 
     return _declare(default, doc, f"an odd number from {minimum} to {maximum}", accept)
 
@@ -140,32 +144,22 @@ def boolean(default: bool, doc: str) -> Any:
     """Declare true or false."""
 
     def accept(value: Any) -> bool:
-        if isinstance(value, bool):
-            return value
-        return _TRUTH[_text(value).strip().lower()]
+        return value if isinstance(value, bool) else _TRUTH[_text(value).strip().lower()]
 
     return _declare(default, doc, "true or false", accept)
 
 
 def choice(default: str, doc: str, options: Sequence[str]) -> Any:
     """Declare one word of several."""
-
-    def accept(value: Any) -> str:
-        if value not in options:
-            raise ValueError
-        return value
-
-    return _declare(default, doc, "one of " + ", ".join(options), accept)
+    allowed = "one of " + ", ".join(options)
+    return _declare(default, doc, allowed, lambda value: _require(value in options, value))
 
 
 def choices(default: Sequence[str], doc: str, options: Sequence[str]) -> Any:
     """Declare one or more words of several, none of them twice."""
 
     def accept(value: Any) -> Tuple[str, ...]:
-        words = tuple(_words(value))
-        if not set(words) <= set(options):
-            raise ValueError
-        return _distinct(words)
+        return _distinct(tuple(_require(word in options, word) for word in _words(value)))
 
     allowed = "different words of " + ", ".join(options)
     return _declare(tuple(default), doc, allowed, accept)
@@ -175,9 +169,7 @@ def text(default: str, doc: str) -> Any:
     """Declare any text."""
 
     def accept(value: Any) -> str:
-        if isinstance(value, (dict, list)):
-            raise ValueError
-        return str(value)
+        return str(_require(not isinstance(value, (dict, list)), value))
 
     return _declare(default, doc, "text", accept)
 
@@ -186,9 +178,7 @@ def name_list(doc: str) -> Any:
     """Declare names with spaces between them; none by default."""
 
     def accept(value: Any) -> Tuple[str, ...]:
-        if isinstance(value, tuple):
-            return value
-        return tuple(_text(value).split())
+        return value if isinstance(value, tuple) else tuple(_text(value).split())
 
     return _declare((), doc, "names with spaces between them", accept)
 
@@ -198,9 +188,7 @@ def number_list(default: Sequence[float], doc: str) -> Any:
 
     def accept(value: Any) -> Tuple[float, ...]:
         values = tuple(_float(part) for part in _words(value))
-        if len(values) != len(default):
-            raise ValueError
-        return values
+        return _require(len(values) == len(default), values)
 
     return _declare(tuple(default), doc, f"{len(default)} finite numbers", accept)
 
@@ -213,15 +201,12 @@ def numbers(
     maximum: float = math.inf,
 ) -> Any:
     """Declare one or more finite numbers within limits as of `number`, none of them twice."""
+    accept, limits = _within(minimum, above, maximum)
 
-    def accept(value: Any) -> Tuple[float, ...]:
-        values = tuple(_float(part) for part in _words(value))
-        if not all(minimum <= number <= maximum and number > above for number in values):
-            raise ValueError
-        return _distinct(values)
+    def accept_all(value: Any) -> Tuple[float, ...]:
+        return _distinct(tuple(map(accept, _words(value))))
 
-    allowed = "different numbers" + _limits(minimum, above, maximum)
-    return _declare(tuple(default), doc, allowed, accept)
+    return _declare(tuple(default), doc, f"different numbers{limits}", accept_all)
 
 
 def mapping(doc: str, *kinds: type) -> Any:
@@ -234,12 +219,11 @@ def mapping(doc: str, *kinds: type) -> Any:
     """
 
     def accept(value: Any) -> Mapping[str, Any]:
-        if not isinstance(value, dict):
-            raise ValueError
         known = {name: entry for kind in kinds[::-1] for name, entry in declarations(kind).items()}
-        return {key: _entry(known.get(key), entry) for key, entry in value.items()}
+        entries = _require(isinstance(value, dict), value).items()
+        return {key: _entry(known.get(key), entry) for key, entry in entries}
 
-    return _declare(None, doc, "a dictionary", accept, factory=dict)
+    return field(default_factory=dict, metadata={_CHECK: Check(doc, "a dictionary", accept)})
 
 
 def checked(default: Any, doc: str, allowed: str, accept: Callable[[Any], Any]) -> Any:
@@ -323,16 +307,19 @@ def read_options(kind: Type[T], values: Mapping[str, Any]) -> T:
     return kind(**read)
 
 
-def _declare(default: Any, doc: str, allowed: str, accept: Callable, factory: Any = None) -> Any:
-    metadata = {_CHECK: Check(doc, allowed, accept)}
-    if factory is not None:
-        return field(default_factory=factory, metadata=metadata)
-    return field(default=default, metadata=metadata)
+class ArgumentsError(LabError):
+    """A command line that cannot be followed."""
 
 
-def _default(entry: Field) -> Any:
-    factory: Any = entry.default_factory  # type: ignore[misc]
-    return entry.default if factory is MISSING else factory()
+class ArgumentParser(argparse.ArgumentParser):
+    """Raises ArgumentsError, where argparse's own would print its usage and exit."""
+
+    def error(self, message: str) -> NoReturn:  # noqa: D102 - inherited
+        raise ArgumentsError(message)
+
+
+def _declare(default: Any, doc: str, allowed: str, accept: Callable) -> Any:
+    return field(default=default, metadata={_CHECK: Check(doc, allowed, accept)})
 
 
 def _entry(declaration: Optional[Declaration], value: Any) -> Any:
@@ -355,30 +342,30 @@ def _as_text(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
+def _require(holds: bool, value: T) -> T:
+    if not holds:
         raise ValueError
     return value
 
 
+def _text(value: Any) -> str:
+    return _require(isinstance(value, str), value)
+
+
 def _float(value: Any) -> float:
     """Return a finite number, which a text spells in plain digits."""
-    if isinstance(value, str) and not _NUMBER.fullmatch(value):
-        raise ValueError
-    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise ValueError
+    if isinstance(value, str):
+        _require(_NUMBER.fullmatch(value) is not None, value)
+    else:
+        _require(isinstance(value, (int, float)) and not isinstance(value, bool), value)
     found = float(value)
-    if not math.isfinite(found):
-        raise ValueError
-    return found
+    return _require(math.isfinite(found), found)
 
 
 def _integer(value: Any) -> int:
     if isinstance(value, str) and _WHOLE.fullmatch(value):
         return int(value)
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise ValueError
-    return value
+    return _require(isinstance(value, int) and not isinstance(value, bool), value)
 
 
 def _words(value: Any) -> Iterable[Any]:
@@ -386,17 +373,16 @@ def _words(value: Any) -> Iterable[Any]:
 
 
 def _distinct(values: Tuple[Any, ...]) -> Tuple[Any, ...]:
-    if not values or len(set(values)) < len(values):
-        raise ValueError
-    return values
+    return _require(bool(values) and len(set(values)) == len(values), values)
 
 
-def _limits(minimum: float, above: float, maximum: float) -> str:
-    limits = []
-    if minimum > -math.inf:
-        limits.append(f">= {minimum:g}")
-    if above > -math.inf:
-        limits.append(f"> {above:g}")
-    if maximum < math.inf:
-        limits.append(f"<= {maximum:g}")
-    return " " + " and ".join(limits) if limits else ""
+def _within(minimum: float, above: float, maximum: float) -> Tuple[Callable[[Any], float], str]:
+    """Return what takes a number within limits, and the limits in words."""
+
+    def accept(value: Any) -> float:
+        value = _float(value)
+        return _require(minimum <= value <= maximum and value > above, value)
+
+    said = ((">=", minimum), (">", above), ("<=", maximum))
+    limits = [f"{sign} {limit:g}" for sign, limit in said if math.isfinite(limit)]
+    return accept, " " + " and ".join(limits) if limits else ""

@@ -1,18 +1,66 @@
-"""Planar poses: float arrays of shape (..., 3) holding x (m), y (m) and yaw (rad).
+"""The plane: angles, poses, where things stand in a pattern, and confidence ellipses.
 
-Leading axes broadcast as everywhere in numpy. Every yaw that is returned lies in [-pi, pi).
+Planar poses are float arrays of shape (..., 3) that hold x (m), y (m) and yaw (rad). Leading axes
+broadcast as everywhere in numpy. Every yaw that is returned lies in [-pi, pi).
 """
 
 from __future__ import annotations
 
-from typing import Tuple
+import math
+from typing import List, Tuple
 
 import numpy as np
 
-from bullet_lab.core.angles import wrap
-
 PlanarPose = Tuple[float, float, float]
 """One of them as numbers, for those who hold one at a time: x (m), y (m) and yaw (rad)."""
+
+
+def wrap(angle):
+    """Wrap angles into [-pi, pi): pi itself becomes -pi.
+
+    Angles that are already inside come back bit for bit, so wrapping never makes a pose drift.
+
+    Args:
+        angle: rad, a float or an array of any shape.
+
+    Returns:
+        A float for a float or an int, otherwise an array of the same shape.
+
+    Raises:
+        ValueError: a float is infinite (an array gets NaN there, as usual in numpy).
+
+    >>> wrap(math.pi), wrap(7.0)
+    (-3.141592653589793, 0.7168146928204138)
+    >>> wrap(np.array([0.5, -4.0]))
+    array([0.5       , 2.28318531])
+    """
+    if isinstance(angle, (float, int)):
+        wrapped = math.remainder(angle, math.tau)
+        return wrapped if wrapped < math.pi or wrapped != wrapped else -math.pi
+    # fmod is exact, and so is the one subtraction that may follow.
+    wrapped = np.fmod(angle, math.tau)
+    return wrapped - math.tau * ((wrapped >= math.pi) * 1.0 - (wrapped < -math.pi) * 1.0)
+
+
+def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
+    """Return the heading (rad, in [-pi, pi]) of a rotation.
+
+    This is the first angle of the intrinsic z-y-x sequence. The quaternion need not have unit
+    length; an all-zero one, as in a message that nobody filled in, gives 0.
+
+    >>> yaw_from_quaternion(0.0, 0.0, 1.0, 1.0) == math.pi / 2.0
+    True
+    """
+    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def quaternion_from_yaw(yaw: float) -> tuple[float, float, float, float]:
+    """Return the unit quaternion (x, y, z, w) of a heading (rad).
+
+    >>> quaternion_from_yaw(math.pi)[:3]
+    (0.0, 0.0, 1.0)
+    """
+    return 0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)
 
 
 def compose(a, b) -> np.ndarray:
@@ -81,3 +129,52 @@ def steps(poses) -> np.ndarray:
     """
     poses = np.asarray(poses, dtype=float)
     return between(poses[..., :-1, :], poses[..., 1:, :])
+
+
+def line(count: int, spacing: float) -> List[PlanarPose]:
+    """Return places along x from the origin on, `spacing` m apart, all with yaw 0."""
+    return [(spacing * index, 0.0, 0.0) for index in range(count)]
+
+
+def grid(count: int, spacing: float) -> List[PlanarPose]:
+    """Return places row by row in a square grid that starts at the origin.
+
+    The grid is as many places wide as the root of their number, rounded up; rows run along x
+    and follow each other along y.
+    """
+    width = math.ceil(math.sqrt(count))
+    return [(spacing * (index % width), spacing * (index // width), 0.0) for index in range(count)]
+
+
+def circle(count: int, radius: float) -> List[PlanarPose]:
+    """Return places evenly on a circle about the origin, from (radius, 0) on, facing outwards."""
+    angles = [math.tau * index / count for index in range(count)]
+    return [
+        (radius * math.cos(a), radius * math.sin(a), math.remainder(a, math.tau)) for a in angles
+    ]
+
+
+LEVEL = 0.95
+"""Probability that a Gaussian position lies within the ellipse."""
+
+SQUARE_RADIUS = -2.0 * math.log(1.0 - LEVEL)
+"""Of the ellipse in units of the standard deviation: chi-square with two degrees of freedom."""
+
+
+def ellipse_points(covariance, count: int = 73) -> np.ndarray:
+    """Return points of the 95 % ellipse around the origin, the first and the last the same.
+
+    Args:
+        covariance: 2x2 or larger (m²), of which the first two rows and columns are looked at.
+        count: how many points.
+
+    Returns:
+        (count, 2) array of x and y in m.
+
+    >>> ellipse_points(np.diag([0.04, 0.01]), 5).round(3).max(axis=0)
+    array([0.49 , 0.245])
+    """
+    values, vectors = np.linalg.eigh(np.asarray(covariance, dtype=float)[:2, :2])
+    radii = np.sqrt(SQUARE_RADIUS * np.maximum(values, 0.0))
+    angles = np.linspace(0.0, math.tau, count)
+    return (radii * np.column_stack((np.cos(angles), np.sin(angles)))) @ vectors.T

@@ -9,7 +9,7 @@ from typing import Any, Iterable, List, Sequence
 
 import numpy as np
 
-from bullet_lab.core.angles import quaternion_from_yaw, wrap, yaw_from_quaternion
+from bullet_lab.core.se2 import quaternion_from_yaw, wrap, yaw_from_quaternion
 from bullet_lab.errors import LabError
 
 CSV_HEADER = "stamp,x,y,yaw,noisy_x,noisy_y,noisy_yaw"

@@ -13,9 +13,8 @@ from typing import Dict, List, Optional, Tuple
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.angles import wrap
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose, Viewpoint, extent_of
 from bullet_lab.docking.geometry import MarkerVisibility, clearance, wall_boxes

@@ -11,8 +11,7 @@ from typing import List, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.core.angles import wrap
-from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.types import STANDSTILL, Command, DockingSettings, Point, RobotShape
 

@@ -15,9 +15,8 @@ from typing import Tuple
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.angles import wrap
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.odometry import MotionStep
 from bullet_lab.docking.types import CameraMount, PixelNoise
 

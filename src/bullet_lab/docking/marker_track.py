@@ -16,7 +16,7 @@ from typing import Optional, Tuple
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.angles import wrap
+from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.filter import (
     STATES,
     GaussianPose,

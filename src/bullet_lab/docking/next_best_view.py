@@ -9,8 +9,7 @@ from typing import List, Optional
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.angles import wrap
-from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.costmap import Costmap
 from bullet_lab.docking.geometry import MarkerVisibility
 from bullet_lab.docking.types import Point

@@ -8,7 +8,7 @@ from typing import List, Optional, Tuple
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.angles import wrap
+from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.control import AxisTracker, Lane
 from bullet_lab.docking.costmap import Costmap, along

@@ -11,7 +11,7 @@ from typing import Dict, NamedTuple, Optional, Tuple, Type, Union
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.angles import wrap
+from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.control import PathFollower, clip, turn_command
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.planner import DockingFailureError, DockingPlanner

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Tuple
 
-from bullet_lab.core.angles import wrap
-from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.drive.square import SLOWEST_DRIVE, SLOWEST_TURN, approach
 from bullet_lab.errors import LabError
 

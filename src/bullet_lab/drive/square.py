@@ -9,8 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Generator, Iterator, Optional, Tuple
 
-from bullet_lab.core.angles import wrap
-from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.errors import LabError
 
 Command = Tuple[float, float]

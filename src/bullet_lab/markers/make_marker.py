@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 from typing import Any, NoReturn, Optional, Sequence
 
-from bullet_lab.core.arguments import ArgumentParser
+from bullet_lab.core.parameters import ArgumentParser
 from bullet_lab.errors import LabError
 from bullet_lab.markers.faces import (
     MarkerError,

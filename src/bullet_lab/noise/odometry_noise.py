@@ -15,8 +15,8 @@ from typing import Any, ClassVar, Dict, List, Mapping, Sequence, Tuple, Type
 
 import numpy as np
 
-from bullet_lab.core.angles import wrap
 from bullet_lab.core.parameters import ParameterError, check_parameters, declarations, number
+from bullet_lab.core.se2 import wrap
 from bullet_lab.errors import LabError
 
 MIN_TRANSLATION = 1e-4
@@ -310,6 +310,21 @@ def make_generator(seed: int | None) -> np.random.Generator:
         return np.random.default_rng(seed)
     except (TypeError, ValueError):
         raise NoiseError(f"seed must be an integer >= 0, not {seed!r}") from None
+
+
+def derived_seed(seed: int, index: int) -> int:
+    """Return the seed, within 31 bits, of one of several sources that share nothing.
+
+    Unlike seed + index, those of neighbouring seeds have none in common.
+
+    Args:
+        seed: of all sources, >= 0.
+        index: which one, >= 0.
+
+    >>> derived_seed(1, 0), derived_seed(1, 1)
+    (917752063, 594516694)
+    """
+    return int(np.random.SeedSequence([seed, index]).generate_state(1)[0]) >> 1
 
 
 def check_pose(x: float, y: float, yaw: float) -> None:

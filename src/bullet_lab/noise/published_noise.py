@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from numbers import Real
 
-from bullet_lab.core.angles import quaternion_from_yaw, yaw_from_quaternion
+from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.noise.odometry_noise import NoiseError, ReportRule, check_pose, make_generator
 
 PUBLISHED_RATE = 0.9

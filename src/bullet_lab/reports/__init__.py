@@ -11,8 +11,7 @@ from typing import Any, Callable, Dict, Iterable, Mapping, NamedTuple, Optional,
 
 from matplotlib.figure import Figure
 
-from bullet_lab.core.files import make_folder
-from bullet_lab.core.series import NANOSECONDS, PathSeries, Series
+from bullet_lab.core.files import NANOSECONDS, PathSeries, Series, make_folder
 
 
 class Reading(NamedTuple):

@@ -15,8 +15,8 @@ from matplotlib.patches import Polygon
 
 from bullet_lab.core import figures, se2
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, Outline
+from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.core.series import NANOSECONDS
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.reports import DriveReport, Reading, earliest

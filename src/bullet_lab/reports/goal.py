@@ -13,10 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from bullet_lab.core import figures
-from bullet_lab.core.angles import wrap
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
-from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.core.series import NANOSECONDS
+from bullet_lab.core.files import NANOSECONDS
+from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.reports import DriveReport, Reading
 

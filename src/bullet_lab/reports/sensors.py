@@ -21,7 +21,7 @@ from bullet_lab.core.figures import (
     new_figure,
     plan_axes,
 )
-from bullet_lab.core.series import Join, Series, SeriesError, Values
+from bullet_lab.core.files import Join, Series, SeriesError, Values
 from bullet_lab.reports import Reading, Report
 
 # A push below this (N) is a touch that has just ended.

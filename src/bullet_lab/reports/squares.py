@@ -22,10 +22,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bullet_lab.core.ellipse import ellipse_points
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, ORANGE, VERMILION, new_figure, plan_axes
-from bullet_lab.core.files import make_folder, move_file
-from bullet_lab.core.series import Join, PathSeries, Series, Values
+from bullet_lab.core.files import Join, PathSeries, Series, Values, make_folder, move_file
+from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, closure_error, path_error
 from bullet_lab.reports import Reading, Report, earliest
 

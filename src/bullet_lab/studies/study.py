@@ -17,9 +17,8 @@ from typing import Any, Callable, Iterable, Iterator, NoReturn, Optional, Sequen
 
 from tqdm import tqdm
 
-from bullet_lab.core.arguments import ArgumentParser
 from bullet_lab.core.files import FileError, make_folder
-from bullet_lab.core.parameters import add_options, read_options
+from bullet_lab.core.parameters import ArgumentParser, add_options, read_options
 from bullet_lab.entry import STATUS_INTERRUPTED
 from bullet_lab.errors import LabError
 

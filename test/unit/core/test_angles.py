@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.core.angles import quaternion_from_yaw, wrap, yaw_from_quaternion
+from bullet_lab.core.se2 import quaternion_from_yaw, wrap, yaw_from_quaternion
 
 BELOW_PI = float(np.nextafter(math.pi, 0.0))
 CASES = [

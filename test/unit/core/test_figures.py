@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from bullet_lab.core.angles import wrap
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import FileError
+from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.reports.squares import noise_figure
 

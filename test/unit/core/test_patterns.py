@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from bullet_lab.core.patterns import circle, grid, line
+from bullet_lab.core.se2 import circle, grid, line
 
 
 def test_a_line():

@@ -1,4 +1,4 @@
-from bullet_lab.core.seeds import derived_seed
+from bullet_lab.noise.odometry_noise import derived_seed
 
 
 def test_derived_seeds_are_the_same_each_time_and_differ_from_each_other():

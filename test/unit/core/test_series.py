@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from bullet_lab.core.series import Join, PathSeries, Series, SeriesError
+from bullet_lab.core.files import Join, PathSeries, Series, SeriesError
 from bullet_lab.core.trajectory import read_tum
 
 STEP = 50_000_000

@@ -3,8 +3,8 @@ from dataclasses import replace
 
 import pytest
 
-from bullet_lab.core.angles import wrap
 from bullet_lab.core.pose import Pose
+from bullet_lab.core.se2 import wrap
 from bullet_lab.drive.goal import STANDSTILL, DrivePhase, GoalDriver, GoalDriverError, GoalLimits
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation

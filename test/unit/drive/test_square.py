@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from bullet_lab.core.angles import wrap
+from bullet_lab.core.se2 import wrap
 from bullet_lab.drive.square import (
     ClosedLoopSide,
     DriverError,

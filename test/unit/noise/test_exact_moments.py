@@ -13,7 +13,7 @@ import pytest
 from scipy import stats
 
 from bullet_lab.core import se2
-from bullet_lab.core.ellipse import SQUARE_RADIUS, ellipse_points
+from bullet_lab.core.se2 import SQUARE_RADIUS, ellipse_points
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import exact_moments, first_order_moments
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
-from bullet_lab.core.angles import wrap
+from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import first_order_moments, published_covariances
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator

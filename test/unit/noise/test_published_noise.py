@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
-from bullet_lab.core.angles import wrap
+from bullet_lab.core.se2 import wrap
 from bullet_lab.noise.odometry_noise import NoiseError, NoisyPath, RateInvariantRule, ReportRule
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 

@@ -4,8 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.core.files import FileError, RowFile
-from bullet_lab.core.series import SeriesError
+from bullet_lab.core.files import FileError, RowFile, SeriesError
 from bullet_lab.reports import Reading
 from bullet_lab.reports.sensors import DISTANCES, BeaconsReport
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.figures import save
-from bullet_lab.core.series import PathSeries
+from bullet_lab.core.files import PathSeries
 from bullet_lab.core.trajectory import read_tum
 from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.reports import Reading

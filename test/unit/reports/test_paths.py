@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from recorded_paths import read_paths_csv
 
-from bullet_lab.core.files import FileError
-from bullet_lab.core.series import SeriesError
+from bullet_lab.core.files import FileError, SeriesError
 from bullet_lab.core.trajectory import CSV_HEADER, read_tum
 from bullet_lab.reports import Reading
 from bullet_lab.reports.squares import PathsRecording, SquaresReport, squares_summary

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.core.series import Series, SeriesError
+from bullet_lab.core.files import Series, SeriesError
 from bullet_lab.reports import Reading
 from bullet_lab.reports.sensors import (
     SensorsReport,

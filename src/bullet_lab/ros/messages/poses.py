@@ -9,10 +9,9 @@ import genpy
 from geometry_msgs.msg import Pose as PoseMessage
 from geometry_msgs.msg import PoseStamped, Twist
 
-from bullet_lab.core.angles import quaternion_from_yaw
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.se2 import PlanarPose, quaternion_from_yaw
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import FrameState
 

@@ -10,7 +10,7 @@ from typing import Optional, Tuple
 import rospy
 from nav_msgs.msg import Odometry
 
-from bullet_lab.core.angles import yaw_from_quaternion
+from bullet_lab.core.se2 import yaw_from_quaternion
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import NORM_TOLERANCE
 from bullet_lab.ros.node.lock_step import in_lock_step

@@ -29,7 +29,7 @@ from geometry_msgs.msg import Twist
 from std_msgs.msg import Time
 from tqdm import tqdm
 
-from bullet_lab.core import parameters, patterns
+from bullet_lab.core import parameters, se2
 from bullet_lab.core.pose import Pose
 from bullet_lab.drive.square import MODES, OPEN_LOOP, Square, SquareDriver
 from bullet_lab.ros.gazebo.client import call
@@ -182,7 +182,7 @@ def drive_fleet(parameters: FleetParameters) -> None:
     """Put the robots into the world and drive them; raises LabError."""
     text = description_of(parameters.robot)
     names = robot_names(parameters.robots)
-    for name, (x, y, _) in zip(names, patterns.grid(parameters.robots, parameters.spacing)):
+    for name, (x, y, _) in zip(names, se2.grid(parameters.robots, parameters.spacing)):
         space = rospy.resolve_name(name)
         if not rospy.has_param(f"{space}/{TF_PREFIX}"):
             rospy.set_param(f"{space}/{TF_PREFIX}", name)

@@ -20,8 +20,12 @@ from xml.etree.ElementTree import Element
 import rospkg
 import rospy
 
-from bullet_lab.core.arguments import ArgumentParser, ArgumentsError
-from bullet_lab.core.parameters import ParameterError, read_parameters
+from bullet_lab.core.parameters import (
+    ArgumentParser,
+    ArgumentsError,
+    ParameterError,
+    read_parameters,
+)
 from bullet_lab.errors import LabError
 from bullet_lab.ros.nodes.bridge import BridgeParameters, serve
 from bullet_lab.simulation.world.resources import package_share

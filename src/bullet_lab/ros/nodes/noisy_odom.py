@@ -23,14 +23,13 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
 from bullet_lab.core import parameters
-from bullet_lab.core.angles import quaternion_from_yaw
-from bullet_lab.core.ellipse import ellipse_points
-from bullet_lab.core.seeds import derived_seed
+from bullet_lab.core.se2 import ellipse_points, quaternion_from_yaw
 from bullet_lab.noise.odometry_noise import (
     MODELS,
     NoiseError,
     NoisyPath,
     NoisyStep,
+    derived_seed,
     named_alphas,
     noise_fields,
     rule_of,

@@ -14,10 +14,10 @@ from xml.sax.saxutils import escape
 
 import rospy
 
-from bullet_lab.core import parameters, patterns
-from bullet_lab.core.angles import quaternion_from_yaw
+from bullet_lab.core import parameters, se2
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pose import Pose
+from bullet_lab.core.se2 import quaternion_from_yaw
 from bullet_lab.ros.gazebo.client import call, numbered
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_message
@@ -27,10 +27,10 @@ from bullet_lab.simulation.world.xml import read_text
 
 SERVICE = "/gazebo/spawn_sdf_model"
 # The three beacons of the report.
-BEACONS: Tuple[patterns.Place, ...] = ((1.0, 1.0, 0.0), (5.0, 1.0, 0.0), (-5.0, 1.0, 0.0))
+BEACONS: Tuple[se2.PlanarPose, ...] = ((1.0, 1.0, 0.0), (5.0, 1.0, 0.0), (-5.0, 1.0, 0.0))
 
 
-def accept_poses(value: Any) -> Tuple[patterns.Place, ...]:
+def accept_poses(value: Any) -> Tuple[se2.PlanarPose, ...]:
     """Turn a list of [x, y] or [x, y, yaw] into places; raises ValueError or TypeError."""
     places = []
     for entry in value:
@@ -60,7 +60,7 @@ class PopulateParameters(DepopulateParameters):
     pattern: str = parameters.choice(
         "poses", "how they are set out", ("poses", "line", "grid", "circle")
     )
-    poses: Tuple[patterns.Place, ...] = parameters.checked(
+    poses: Tuple[se2.PlanarPose, ...] = parameters.checked(
         BEACONS,
         "where they stand, for the pattern poses",
         "a list of [x, y] or [x, y, yaw] with finite numbers in m and rad",
@@ -78,14 +78,14 @@ class PopulateParameters(DepopulateParameters):
     )
 
 
-def places_of(parameters: PopulateParameters) -> List[patterns.Place]:
+def places_of(parameters: PopulateParameters) -> List[se2.PlanarPose]:
     """Return where the models are to stand, before they are moved by the origin."""
     if parameters.pattern == "line":
-        return patterns.line(parameters.count, parameters.spacing)
+        return se2.line(parameters.count, parameters.spacing)
     if parameters.pattern == "grid":
-        return patterns.grid(parameters.count, parameters.spacing)
+        return se2.grid(parameters.count, parameters.spacing)
     if parameters.pattern == "circle":
-        return patterns.circle(parameters.count, parameters.radius)
+        return se2.circle(parameters.count, parameters.radius)
     return list(parameters.poses)
 
 

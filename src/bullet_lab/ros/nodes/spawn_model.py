@@ -24,7 +24,7 @@ from typing import Any, List, Sequence
 import rospy
 from std_srvs.srv import Empty
 
-from bullet_lab.core.arguments import ArgumentParser, ArgumentsError
+from bullet_lab.core.parameters import ArgumentParser, ArgumentsError
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import msg, srv

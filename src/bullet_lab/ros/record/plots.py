@@ -19,9 +19,9 @@ from geometry_msgs.msg import PoseStamped
 from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.core.parameters import boolean, integer, name_list, number, number_list, text
-from bullet_lab.core.seeds import derived_seed
 from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.msg import DockAction, DockGoal
+from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.reports.dock import DockReport, Station
 from bullet_lab.reports.fleet import FleetReport
 from bullet_lab.reports.goal import Beacon, GoalReport

@@ -33,10 +33,10 @@ from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import Image, Imu, LaserScan, Range
 from std_msgs.msg import Time
 
-from bullet_lab.core.angles import yaw_from_quaternion
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import FileError, write_json
 from bullet_lab.core.parameters import mapping, number, text
+from bullet_lab.core.se2 import yaw_from_quaternion
 from bullet_lab.docking.types import DockingState
 from bullet_lab.errors import LabError
 from bullet_lab.msg import DockActionFeedback, ImagePoints, MarkerDetectionArray, TouchedModels

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Optional
 
 from bullet_lab.core import se2
-from bullet_lab.core.angles import wrap
 from bullet_lab.core.pose import Pose
+from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.database import Dock, find_dock, read_docks
 from bullet_lab.docking.task import DockingTask
 from bullet_lab.docking.types import (

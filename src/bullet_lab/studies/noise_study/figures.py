@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogFormatter, NullLocator
 
-from bullet_lab.core.ellipse import LEVEL, ellipse_points
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
+from bullet_lab.core.se2 import LEVEL, ellipse_points
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import Moments
 from bullet_lab.noise.noisy_paths import noisy_steps

@@ -9,7 +9,7 @@ from typing import List
 
 import numpy as np
 
-from bullet_lab.core.angles import wrap, yaw_from_quaternion
+from bullet_lab.core.se2 import wrap, yaw_from_quaternion
 from bullet_lab.core.trajectory import (
     Trajectory,
     TrajectoryError,

@@ -14,7 +14,7 @@ from typing import Any, Dict, List
 import numpy as np
 from scipy.special import chdtri
 
-from bullet_lab.core.ellipse import LEVEL, SQUARE_RADIUS
+from bullet_lab.core.se2 import LEVEL, SQUARE_RADIUS
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
 from bullet_lab.noise.exact_moments import (

@@ -14,7 +14,7 @@ from typing import Any, Tuple
 
 import numpy as np
 
-from bullet_lab.core.angles import wrap
+from bullet_lab.core.se2 import wrap
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION, NoiseError, ReportRule
 
 _STAMP_TOLERANCE = 1e-6  # s; a double cannot tell stamps of today much closer

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from bullet_lab.core.angles import wrap
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
+from bullet_lab.core.se2 import wrap
 from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
 from bullet_lab.studies.published_noise.results import (
     RESOLUTION,

@@ -4,8 +4,8 @@ import pytest
 pytest.importorskip("rospy")
 
 from bullet_lab.core.parameters import read_parameters
-from bullet_lab.core.seeds import derived_seed
 from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.reports import Reading
 from bullet_lab.reports.fleet import (
     FleetReport,

@@ -2,7 +2,7 @@ import os
 
 import pytest
 
-from bullet_lab.core.arguments import ArgumentsError
+from bullet_lab.core.parameters import ArgumentsError
 from bullet_lab.ros.nodes.gzserver import (
     ServerArguments,
     find_world,

@@ -1,6 +1,6 @@
 import pytest
 
-from bullet_lab.core.arguments import ArgumentsError
+from bullet_lab.core.parameters import ArgumentsError
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.nodes.spawn_model import packages_to_models, parse_spawn_arguments
 

@@ -10,7 +10,7 @@ import rospy
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.figures import new_figure
-from bullet_lab.core.series import PathSeries
+from bullet_lab.core.files import PathSeries
 from bullet_lab.reports import Report
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import recorder

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
-from bullet_lab.core.angles import wrap
+from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory, path_error, read_tum
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
 from bullet_lab.studies.noise_study.paths import resample, write_tum
