@@ -55,11 +55,12 @@ ros > core: parameters
 ros > reports: odometry_recorder=squares
 ros > ros.bridge: loop_watch=speed odometry_frames=world_topics pace=speed simulators stepper
     time_gate=lock_step touches=world_topics wiring=device_topics world_feed=world_topics
-ros > ros.gazebo: gazebo_client=client gazebo_forces=forces gazebo_models=models
-    gazebo_physics=interface gazebo_services=services gazebo_states=states gazebo_topics=states
+ros > ros.gazebo: gazebo_client=client gazebo_forces=services gazebo_models=services
+    gazebo_physics=interface gazebo_services=services gazebo_states=services
+    gazebo_topics=interface
     standing_models=client world_saver=interface
 ros > ros.messages: camera_geometry=images conversions gazebo_messages=poses gazebo_types
-    image_conversions=conversions image_messages=images marker_messages=markers
+    image_conversions=conversions image_messages=images marker_messages=images
     sensor_conversions=conversions stamps=poses world_markers=world
 ros > ros.node: connections=lock_step demand=publishers diagnostics dock_sender=commands
     frame_finder=transforms free_rate=lock_step lock_step newest_odometry=odometry odometry

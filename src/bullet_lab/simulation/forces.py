@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, Tuple, Union
+from typing import Any, List, Tuple, Union
 
 from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -45,12 +45,17 @@ class Period:
 
 @dataclass(frozen=True)
 class Wrench:
-    """A force in N at the origin of a link's frame, a torque in N m, in the world's axes."""
+    """A force in N at the origin of a link's frame, a torque in N m, in the world's axes.
+
+    `target` is the model and the link that it acts on, `numbers` how strong it is.
+    """
 
     link: Entity
     force: Vector
     torque: Vector
     period: Period
+    target = property(lambda self: (self.link.instance, self.link.frame.link))
+    numbers = property(lambda self: self.force + self.torque)
 
     @classmethod
     def at_point(
@@ -72,15 +77,6 @@ class Wrench:
         arm = subtract(at, link.frame.pose().position)
         return cls(link, push, add(twist, cross(arm, push)), period)
 
-    @property
-    def target(self) -> Tuple[ModelInstance, str]:
-        """The model and the link that it acts on."""
-        return self.link.instance, self.link.frame.link
-
-    def numbers(self) -> Tuple[float, ...]:
-        """Return how strong it is, in N and N m."""
-        return self.force + self.torque
-
     def apply(self) -> None:
         """Push and turn in the coming step."""
         frame = self.link.frame
@@ -89,21 +85,14 @@ class Wrench:
 
 @dataclass(frozen=True)
 class Effort:
-    """A torque in N m or a force in N of a joint."""
+    """A torque in N m or a force in N of a joint; `target` and `numbers` as those of `Wrench`."""
 
     instance: ModelInstance
     joint: str
     effort: float
     period: Period
-
-    @property
-    def target(self) -> Tuple[ModelInstance, str]:
-        """The model and the joint that it acts on."""
-        return self.instance, self.joint
-
-    def numbers(self) -> Tuple[float, ...]:
-        """Return how strong it is, in N m or N."""
-        return (self.effort,)
+    target = property(lambda self: (self.instance, self.joint))
+    numbers = property(lambda self: (self.effort,))
 
     def apply(self) -> None:
         """Turn or push in the coming step."""
@@ -127,7 +116,7 @@ class Forces:
         Raises:
             ForceError: a number that is not finite or absurd, or the model never moves.
         """
-        for number in force.numbers():
+        for number in force.numbers:
             if not abs(number) <= STRONGEST:
                 raise ForceError(f"a force of {number:g} is not within {STRONGEST:g} N or N m")
         model = force.target[0].model
@@ -146,25 +135,10 @@ class Forces:
         if ended:
             self._forces = [force for force in self._forces if force.period.end > step]
 
-    def clear_link(self, instance: ModelInstance, link: str) -> None:
-        """End all wrenches on a link."""
-        self._clear(Wrench, (instance, link))
-
-    def clear_joint(self, instance: ModelInstance, joint: str) -> None:
-        """End all efforts on a joint."""
-        self._clear(Effort, (instance, joint))
-
-    def forget(self, instance: ModelInstance) -> None:
-        """End all forces on a model, which is taken away."""
-        self._forces = [force for force in self._forces if force.target[0] is not instance]
-
-    def clear(self) -> None:
-        """End all forces."""
-        self._forces = []
-
-    def _clear(self, kind: type, target: Tuple[ModelInstance, str]) -> None:
+    def clear(self, kind: type = object, target: Tuple[Any, ...] = ()) -> None:
+        """End all forces of a kind on a model's link or joint, on a model, or anywhere."""
         self._forces = [
             force
             for force in self._forces
-            if not (isinstance(force, kind) and force.target == target)
+            if not (isinstance(force, kind) and force.target[: len(target)] == target)
         ]

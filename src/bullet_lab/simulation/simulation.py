@@ -199,7 +199,7 @@ class Simulation:
         if instance is None:
             raise SimulationError(f"there is no model '{name}'")
         self._physics.remove(instance.bodies)
-        self.forces.forget(instance)
+        self.forces.clear(target=(instance,))
         for plugin in instance.plugins:
             self._spent.pop(plugin, None)
         for body in instance.bodies.values():

@@ -1,17 +1,18 @@
-"""All that the bridge offers under /gazebo, with the services on the world as a whole.
+"""All that the bridge offers under /gazebo, with the services and topics on the whole world.
 
 The latter are /gazebo/get_physics_properties and set_physics_properties, /bullet_lab/set_rtf,
 which changes the speed and nothing else, and /bullet_lab/save_world: the running world as an SDF
-file.
+file; and the topics /gazebo/model_states and link_states.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Callable, Dict
 
 import rospy
 from geometry_msgs.msg import Vector3
@@ -20,13 +21,18 @@ from bullet_lab.core.files import replace_file
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
+from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.bridge.world_topics import WorldMarkers
-from bullet_lab.ros.gazebo.forces import GazeboForces
-from bullet_lab.ros.gazebo.models import GazeboModels
-from bullet_lab.ros.gazebo.services import Answer, offer
-from bullet_lab.ros.gazebo.states import GazeboStates, GazeboTopics
+from bullet_lab.ros.gazebo.services import Answer, GazeboServices, offer
 from bullet_lab.ros.messages.gazebo_types import msg, srv
-from bullet_lab.ros.messages.poses import InputError, time_of, vector_of
+from bullet_lab.ros.messages.poses import (
+    InputError,
+    pose_message,
+    time_of,
+    twist_message,
+    vector_of,
+)
+from bullet_lab.simulation.models import Entity, ModelInstance, link_entities, model_entity
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.srv import SaveWorld, SaveWorldResponse, SetRtf, SetRtfResponse
@@ -43,26 +49,16 @@ ODE_DEFAULTS = {
 
 
 class GazeboPhysics:
-    """Offers the services."""
+    """Offers the services on the engine and on the speed."""
 
     def __init__(self, world: RunningWorld):
         self._world = world
-        self._ode = msg.ODEPhysics()
-        for name, value in ODE_DEFAULTS.items():
-            setattr(self._ode, name, value)
-        self.services = [
-            offer(
-                "get_physics_properties",
-                srv.GetPhysicsProperties,
-                self._get,
-                "GetPhysicsProperties: got properties",
-            ),
-            offer(
-                "set_physics_properties",
-                srv.SetPhysicsProperties,
-                self._set,
-                "physics engine updated",
-            ),
+        self._ode = msg.ODEPhysics(**ODE_DEFAULTS)
+        read = "GetPhysicsProperties: got properties"
+        written = "physics engine updated"
+        self._services = [
+            offer("get_physics_properties", srv.GetPhysicsProperties, self._get, read),
+            offer("set_physics_properties", srv.SetPhysicsProperties, self._set, written),
             rospy.Service("/bullet_lab/set_rtf", SetRtf, self._set_rtf),
         ]
 
@@ -156,6 +152,67 @@ def _target(name: str) -> Path:
     return path
 
 
+class _States(rospy.SubscribeListener):
+    """A topic that says where things are.
+
+    Its messages are made while somebody listens, `rate` times per simulated second. In between,
+    whoever subscribes is told at once how things are, and everybody when something was added,
+    taken away or put elsewhere: so it is of use while time stands still, too.
+    """
+
+    def __init__(
+        self,
+        world: RunningWorld,
+        topic: str,
+        kind: type,
+        entities: Callable[[ModelInstance], Dict[str, Entity]],
+        rate: float,
+    ):
+        super().__init__()
+        self._world = world
+        self._kind = kind
+        self._entities = entities
+        self._publisher = world.topics.publisher(topic, kind)
+        self._publisher.impl.add_subscriber_listener(self)
+        world.changed.append(self._changed)
+        world.simulation.every(rate, self._publish)
+
+    def peer_subscribe(
+        self, _topic: str, _publish: Callable[[Any], None], peer_publish: Callable[[Any], None]
+    ) -> None:
+        """Tell a new subscriber how things are."""
+        # What a bridge that ends can no longer tell, nobody needs. In the thread of the others
+        # that write to this subscriber, or messages would mix.
+        with contextlib.suppress(StepperError, rospy.ROSException):
+            self._world.do(lambda: peer_publish(self._message()))
+
+    def _publish(self, _step: int = 0) -> None:
+        if self._publisher.has_connections():
+            self._publisher.publish(self._message())
+
+    def _changed(self, _name: str) -> None:
+        self._publish()
+        self._publisher.flush()
+
+    def _message(self) -> Any:
+        message = self._kind()
+        for instance in self._world.models.values():
+            for name, entity in self._entities(instance).items():
+                state = entity.state()
+                message.name.append(name)
+                message.pose.append(pose_message(state.pose))
+                message.twist.append(twist_message(state))
+        return message
+
+
+def _model(instance: ModelInstance) -> Dict[str, Entity]:
+    return {instance.name: model_entity(instance)}
+
+
+def _links(instance: ModelInstance) -> Dict[str, Entity]:
+    return {f"{instance.name}::{link.link}": link for link in link_entities(instance)}
+
+
 class Gazebo:
     """Gazebo's services and topics on a running world.
 
@@ -168,12 +225,11 @@ class Gazebo:
 
     def __init__(self, world: RunningWorld, frame: str, hidden: str, states_rate: float):
         self._world = world
-        self._markers = WorldMarkers(world, frame, hidden)
-        self._topics = GazeboTopics(world, states_rate)
-        self._services = [
-            GazeboModels(world),
-            GazeboStates(world),
-            GazeboForces(world),
+        self._parts = [
+            WorldMarkers(world, frame, hidden),
+            _States(world, "/gazebo/model_states", msg.ModelStates, _model, states_rate),
+            _States(world, "/gazebo/link_states", msg.LinkStates, _links, states_rate),
+            GazeboServices(world),
             GazeboPhysics(world),
             WorldSaver(world),
         ]

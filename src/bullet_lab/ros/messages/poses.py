@@ -7,9 +7,9 @@ from typing import Any, Tuple
 
 import genpy
 from geometry_msgs.msg import Pose as PoseMessage
-from geometry_msgs.msg import PoseStamped, Twist
+from geometry_msgs.msg import PoseStamped, Twist, Vector3
 
-from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.pose import Pose, Quaternion, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.core.se2 import PlanarPose, quaternion_from_yaw
 from bullet_lab.errors import LabError
@@ -42,18 +42,27 @@ def first_step_at(stamp: genpy.Time) -> int:
     return stamp.secs * STEPS_PER_SECOND - (-stamp.nsecs // NANOSECONDS_PER_STEP)
 
 
+def set_vector(message: Any, vector: Vector) -> None:
+    """Write x, y and z into a message."""
+    message.x, message.y, message.z = vector
+
+
+def set_quaternion(message: Any, quaternion: Quaternion) -> None:
+    """Write x, y, z and w into a message."""
+    message.x, message.y, message.z, message.w = quaternion
+
+
+def set_pose(message: PoseMessage, pose: Pose) -> None:
+    """Write a pose into a message."""
+    set_vector(message.position, pose.position)
+    set_quaternion(message.orientation, pose.quaternion)
+
+
 def pose_message(pose: Pose) -> PoseMessage:
     """Return a pose as a message."""
     message = PoseMessage()
     set_pose(message, pose)
     return message
-
-
-def set_pose(message: PoseMessage, pose: Pose) -> None:
-    """Write a pose into a message."""
-    message.position.x, message.position.y, message.position.z = pose.position
-    turn = message.orientation
-    turn.x, turn.y, turn.z, turn.w = pose.quaternion
 
 
 def pose_of(place: Any, turn: Any) -> Pose:
@@ -105,23 +114,9 @@ def twist_of(message: Twist) -> Tuple[Vector, Vector]:
     return linear, vector_of(message.angular, "the angular velocity")
 
 
-def state_of(message: Any) -> FrameState:
-    """Return pose and velocity of a ModelState or LinkState message; raises InputError."""
-    return FrameState(normalised_pose(message.pose), *twist_of(message.twist))
-
-
 def twist_message(state: FrameState) -> Twist:
     """Return a velocity as a message."""
-    twist = Twist()
-    twist.linear.x, twist.linear.y, twist.linear.z = state.linear
-    twist.angular.x, twist.angular.y, twist.angular.z = state.angular
-    return twist
-
-
-def set_state(message: Any, state: FrameState) -> None:
-    """Write a state into a message with a pose and a twist."""
-    set_pose(message.pose, state.pose)
-    message.twist = twist_message(state)
+    return Twist(Vector3(*state.linear), Vector3(*state.angular))
 
 
 def stamped_pose(stamp: genpy.Time, frame: str, pose: PlanarPose) -> PoseStamped:
@@ -129,6 +124,5 @@ def stamped_pose(stamp: genpy.Time, frame: str, pose: PlanarPose) -> PoseStamped
     message = PoseStamped()
     message.header.stamp, message.header.frame_id = stamp, frame
     message.pose.position.x, message.pose.position.y = pose[:2]
-    turn = message.pose.orientation
-    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(pose[2])
+    set_quaternion(message.pose.orientation, quaternion_from_yaw(pose[2]))
     return message

@@ -31,8 +31,9 @@ from bullet_lab.core import parameters
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.msg import MarkerDetectionArray
-from bullet_lab.ros.messages.images import CameraGeometryError, camera_of
-from bullet_lab.ros.messages.markers import (
+from bullet_lab.ros.messages.images import (
+    CameraGeometryError,
+    camera_of,
     covariance_message,
     detection_message,
     located_message,

@@ -13,7 +13,7 @@
 :ROS Subscribers: whatever the plugins of the robots name, such as cmd_vel (geometry_msgs/Twist)
 :ROS Services:
     - /gazebo/pause_physics, unpause_physics, reset_world, reset_simulation (std_srvs/Empty)
-    - the other services of /gazebo: see the modules `bullet_lab.ros.gazebo_…`
+    - the other services of /gazebo: see `bullet_lab.ros.gazebo`
     - /bullet_lab/save_world (bullet_lab/SaveWorld): write the running world to a file
     - /bullet_lab/set_rtf (bullet_lab/SetRtf): change the speed of simulated time
     - /bullet_lab/step (bullet_lab/Step): advance by exactly n steps of 1 ms, paused or not

@@ -59,6 +59,12 @@ class Inertia:
     centre: Vector
     matrix: np.ndarray
 
+    def elements(self) -> Dict[str, float]:
+        """Return the elements of the matrix by their names, ixx to izz."""
+        rows, columns = np.triu_indices(3)
+        values = self.matrix[rows, columns].tolist()
+        return {f"i{'xyz'[r]}{'xyz'[c]}": value for r, c, value in zip(rows, columns, values)}
+
 
 @dataclass(frozen=True)
 class Link:

@@ -68,7 +68,7 @@ def test_forces_add_up_and_are_cleared_together(space, ball):
     for force in ((1.0, 0.0, 0.0), (0.0, 2.0, 0.0)):
         push(space, force=force)
     space.run_for(1.0)
-    space.forces.clear_link(ball, "l")
+    space.forces.clear(Wrench, (ball, "l"))
     space.run_for(1.0)
     assert velocity(ball) == pytest.approx((0.5, 1.0, 0.0), abs=1e-6)
 
@@ -112,7 +112,7 @@ def test_an_effort_turns_a_joint_until_it_is_cleared(space):
     space.forces.add(Effort(model, "j", 0.25, FOR_EVER))
     space.run_for(1.0)
     assert model.state().joints["j"][1] == pytest.approx(0.5, rel=1e-3)
-    space.forces.clear_joint(model, "j")
+    space.forces.clear(Effort, (model, "j"))
     space.run_for(1.0)
     assert model.state().joints["j"][1] == pytest.approx(0.5, rel=1e-3)
     assert not space.forces.active
@@ -123,7 +123,7 @@ def test_clearing_a_link_leaves_joints_and_other_models_alone(space, ball):
     push(space, force=(1.0, 0.0, 0.0))
     space.forces.add(Effort(model, "j", 0.25, FOR_EVER))
     push(space, "hinge::arm", torque=(0.0, 0.0, 1.0))
-    space.forces.clear_link(model, "arm")
+    space.forces.clear(Wrench, (model, "arm"))
     space.run_for(1.0)
     assert velocity(ball) == pytest.approx((0.5, 0.0, 0.0), abs=1e-6)
     assert model.state().joints["j"][1] == pytest.approx(0.5, rel=1e-3)

@@ -140,6 +140,6 @@ def test_a_message_is_made_anew_for_each_sample():
 
 
 def test_types_are_gazebos():
-    kind = OUTPUT_CONVERTERS[ContactsSample].message_kind
+    kind = OUTPUT_CONVERTERS[ContactsSample]().message_kind
     assert kind._type == "gazebo_msgs/ContactsState"
     assert kind._md5sum == "acbcb1601a8e525bf72509f18e6f668d"
