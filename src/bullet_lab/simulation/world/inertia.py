@@ -12,6 +12,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import Inertia, Model
 from bullet_lab.simulation.world.xml import XmlError
 
+INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # Rounded figures in a file miss the limits of what is physical by this much at most.
 RELATIVE_TOLERANCE = 1e-3
 # In m, m/s and rad/s: no robot of a lab is so far away, or so fast.

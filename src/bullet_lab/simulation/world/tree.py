@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Dict, Iterable, List, Tuple
+from typing import Dict, Iterable, List, Tuple, Type
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import Collision, Joint, Link, Model
@@ -37,9 +37,9 @@ def check_forest(
     """
     if not links:
         raise TreeError(f"{source}: there is no link")
-    _refuse_repeats((link.name for link in links), "link", source)
-    _refuse_repeats((joint.name for joint in joints), "joint", source)
-    _refuse_repeats((joint.child for joint in joints), "child link", source)
+    refuse_repeats((link.name for link in links), "link", source)
+    refuse_repeats((joint.name for joint in joints), "joint", source)
+    refuse_repeats((joint.child for joint in joints), "child link", source)
     names = {link.name for link in links}
     for joint in joints:
         for end in (joint.parent, joint.child):
@@ -75,11 +75,14 @@ def place_links(links: Tuple[Link, ...], joints: Tuple[Joint, ...]) -> Tuple[Lin
     return tuple(replace(link, pose=poses[link.name]) for link in links)
 
 
-def _refuse_repeats(names: Iterable[str], what: str, source: str) -> None:
+def refuse_repeats(
+    names: Iterable[str], what: str, source: str, error: Type[XmlError] = TreeError
+) -> None:
+    """Refuse a name that comes twice; `what` says of what it is, `source` where."""
     seen = set()
     for name in names:
         if name in seen:
-            raise TreeError(f"{source}: {what} '{name}' appears twice")
+            raise error(f"{source}: {what} '{name}' appears twice")
         seen.add(name)
 
 

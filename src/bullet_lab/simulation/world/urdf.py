@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
-from typing import Dict, Optional
+from typing import Iterator, Mapping, Optional
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Pose
@@ -19,22 +20,17 @@ from bullet_lab.simulation.world.description import (
     Visual,
 )
 from bullet_lab.simulation.world.gazebo_tags import GazeboTags, plugins_in
-from bullet_lab.simulation.world.inertia import inertia_at
+from bullet_lab.simulation.world.inertia import INERTIA_KEYS, inertia_at
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import SHAPES, Shape, ShapeTag
 from bullet_lab.simulation.world.tree import check_tree, lump_fixed_joints, place_links
 from bullet_lab.simulation.world.xacro import expand_xacro, is_xacro
 from bullet_lab.simulation.world.xml import (
-    TagReader,
     XmlError,
-    direction,
-    number,
-    numbers,
     parse_text,
     read_text,
 )
 
-INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SIMULATED_JOINTS = ("fixed", "revolute", "continuous", "prismatic")
 
 
@@ -66,159 +62,136 @@ def read_urdf(text: str, source: str, finder: Optional[ResourceFinder] = None) -
     root = parse_text(text, source)
     if root.tag != "robot":
         raise UrdfError(f"{source}: the root element is <{root.tag}>, not <robot>")
-    reader = _Reader(root, source, finder or ResourceFinder())
-    return _with_shapes_named(lump_fixed_joints(reader.model(), rename=True))
+    model = _model(_Tag(root, source, finder or ResourceFinder()))
+    return _with_shapes_named(lump_fixed_joints(model, rename=True))
 
 
-class _Reader:
-    def __init__(self, root: Element, source: str, finder: ResourceFinder):
-        self._root = root
-        self._source = source
-        self._finder = finder
-        self._colours: Dict[str, Colour] = {}
-        for material in root.iter("material"):
-            colour = material.find("color")
-            if colour is not None:
-                self._colours[material.get("name", "")] = self._colour(colour)
+class _Tag(ShapeTag):
+    """A tag, read by its attributes; `source` names what it stands in in messages."""
 
-    def model(self) -> Model:
-        links = tuple(self._link(element) for element in self._root.findall("link"))
-        joints = tuple(self._joint(element) for element in self._root.findall("joint"))
-        check_tree(links, joints, self._source)
-        references = [part.name for part in (*links, *joints)]
-        tags = GazeboTags(self._root.findall("gazebo"), references, self._source)
-        links = tuple(map(tags.apply, links))
-        name = self._root.get("name") or "robot"
-        plugins = tuple(
-            plugin
-            for element in self._root.findall("gazebo")
-            for plugin in plugins_in(element, element.get("reference", ""))
-        )
-        return Model(name, place_links(links, joints), joints, plugins)
-
-    def _link(self, element: Element) -> Link:
-        name = self._name(element, "link")
-        return Link(
-            name,
-            inertia=self._inertia(element.find("inertial"), name),
-            visuals=tuple(self._visual(e, name) for e in element.findall("visual")),
-            collisions=tuple(
-                Collision(
-                    self._geometry(e, name), self._origin(e, name), name=e.get("name") or name
-                )
-                for e in element.findall("collision")
-            ),
-        )
-
-    def _visual(self, element: Element, link: str) -> Visual:
-        colour = WHITE
-        material = element.find("material")
-        if material is not None:
-            colour = self._colours.get(material.get("name", ""), WHITE)
-            own = material.find("color")
-            colour = colour if own is None else self._colour(own)
-        geometry, origin = self._geometry(element, link), self._origin(element, link)
-        return Visual(geometry, origin, colour, element.get("name", ""))
-
-    def _inertia(self, element: Optional[Element], link: str) -> Optional[Inertia]:
-        if element is None:
-            return None
-        where = f"{self._source}: link '{link}'"
-        mass_element, tensor = element.find("mass"), element.find("inertia")
-        if mass_element is None or tensor is None:
-            raise UrdfError(f"{where}: <inertial> needs <mass> and <inertia>")
-        mass = number(mass_element.get("value"), f"{where}: mass")
-        moments = _Attributes(tensor, where)
-        elements = [moments.number(key, 0.0) for key in INERTIA_KEYS]
-        return inertia_at(self._origin(element, link), mass, elements, where)
-
-    def _geometry(self, element: Element, link: str) -> Shape:
-        where = f"{self._source}: link '{link}'"
-        holder = element.find("geometry")
-        shape = holder[0] if holder is not None and len(holder) else None
-        if shape is None:
-            raise UrdfError(f"{where}: <{element.tag}> without a geometry")
-        kind = SHAPES.get(shape.tag)
-        if kind is None or not kind.in_urdf:
-            raise UrdfError(f"{where}: no geometry is called <{shape.tag}>")
-        return kind.read(_ShapeAttributes(shape, where, self._finder))
-
-    def _joint(self, element: Element) -> Joint:
-        name = self._name(element, "joint")
-        where = f"{self._source}: joint '{name}'"
-        kind = element.get("type", "")
-        if kind not in SIMULATED_JOINTS:
-            raise UrdfError(f"{where}: type '{kind}' is not one of {', '.join(SIMULATED_JOINTS)}")
-        axis, limit = element.find("axis"), element.find("limit")
-        along = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
-        dynamics = _Attributes(element.find("dynamics"), where)
-        return Joint(
-            name,
-            kind,
-            self._end(element, "parent", where),
-            self._end(element, "child", where),
-            self._origin(element, name),
-            direction(along, f"{where}: axis"),
-            {} if limit is None else {k: number(v, f"{where}: {k}") for k, v in limit.items()},
-            dynamics.number("damping", 0.0),
-            dynamics.number("friction", 0.0),
-        )
-
-    def _end(self, element: Element, tag: str, where: str) -> str:
-        end = element.find(tag)
-        link = None if end is None else end.get("link")
-        if not link:
-            raise UrdfError(f"{where}: no <{tag} link=…>")
-        return link
-
-    def _origin(self, element: Element, what: str) -> Pose:
-        origin = element.find("origin")
-        if origin is None:
-            return Pose()
-        where = f"{self._source}: origin in '{what}'"
-        xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, where) for key in ("xyz", "rpy"))
-        return Pose.from_rpy(xyz, rpy)
-
-    def _colour(self, element: Element) -> Colour:
-        return numbers(element.get("rgba"), 4, f"{self._source}: colour")
-
-    def _name(self, element: Element, kind: str) -> str:
-        name = element.get("name")
-        if not name:
-            raise UrdfError(f"{self._source}: a <{kind}> without a name")
-        return name
-
-
-class _Attributes(TagReader):
-    """The attributes of a tag, which may be missing."""
-
-    def __init__(self, element: Optional[Element], where: str):
-        self._element = Element("") if element is None else element
-        self._where = where
+    def __init__(self, element: Element, source: str, finder: ResourceFinder):
+        self.element = element
+        self.source = source
+        self.finder = finder
 
     def text(self, key: str, default: str = "") -> str:
-        return self._element.get(key, default)
+        return self.element.get(key, default)
 
     def where(self, key: str) -> str:
-        return f"{self._where}: {key}"
+        return f"{self.source}: {self.element.tag} {key}"
 
+    def within(self, tag: str) -> _Tag:
+        """Return a tag in it; an empty one if there is none."""
+        found = self.element.find(tag)
+        return _Tag(Element(tag) if found is None else found, self.source, self.finder)
 
-class _ShapeAttributes(_Attributes, ShapeTag):
-    def __init__(self, element: Element, where: str, finder: ResourceFinder):
-        super().__init__(element, f"{where}: {element.tag}")
-        self._finder = finder
+    def all(self, tag: str) -> Iterator[_Tag]:
+        for element in self.element.findall(tag):
+            yield _Tag(element, self.source, self.finder)
 
-    def where(self, key: str) -> str:
-        return f"{self._where} {key}"
+    def named(self) -> _Tag:
+        """Return it with its name in messages."""
+        kind, name = self.element.tag, self.text("name")
+        if not name:
+            raise UrdfError(f"{self.source}: a <{kind}> without a name")
+        return _Tag(self.element, f"{self.source}: {kind} '{name}'", self.finder)
+
+    def origin(self) -> Pose:
+        tag = self.within("origin")
+        return Pose.from_rpy(tag.numbers("xyz", 3, "0 0 0"), tag.numbers("rpy", 3, "0 0 0"))
 
     def uri(self) -> str:
         return self.text("filename")
 
     def find(self, uri: str) -> Path:
         try:
-            return self._finder.find(uri)
+            return self.finder.find(uri)
         except ResourceError as error:
-            raise ResourceError(f"{self._where}: {error}") from error
+            raise ResourceError(f"{self.source}: {self.element.tag}: {error}") from error
+
+
+def _model(root: _Tag) -> Model:
+    materials = (_Tag(e, root.source, root.finder) for e in root.element.iter("material"))
+    colours = {m.text("name"): _colour(m) for m in materials if m.element.find("color") is not None}
+    links = tuple(_link(tag.named(), colours) for tag in root.all("link"))
+    joints = tuple(_joint(tag.named()) for tag in root.all("joint"))
+    check_tree(links, joints, root.source)
+    gazebo = root.element.findall("gazebo")
+    tags = GazeboTags(gazebo, [part.name for part in (*links, *joints)], root.source)
+    links = place_links(tuple(map(tags.apply, links)), joints)
+    found = (plugins_in(element, element.get("reference", "")) for element in gazebo)
+    plugins = tuple(itertools.chain.from_iterable(found))
+    return Model(root.text("name") or "robot", links, joints, plugins)
+
+
+def _link(tag: _Tag, colours: Mapping[str, Colour]) -> Link:
+    name = tag.text("name")
+    return Link(
+        name,
+        inertia=_inertia(tag),
+        visuals=tuple(_visual(visual, colours) for visual in tag.all("visual")),
+        collisions=tuple(
+            Collision(_geometry(c), c.origin(), name=c.text("name") or name)
+            for c in tag.all("collision")
+        ),
+    )
+
+
+def _visual(tag: _Tag, colours: Mapping[str, Colour]) -> Visual:
+    material = tag.within("material")
+    if material.element.find("color") is None:
+        colour = colours.get(material.text("name"), WHITE)
+    else:
+        colour = _colour(material)
+    return Visual(_geometry(tag), tag.origin(), colour, tag.text("name"))
+
+
+def _inertia(link: _Tag) -> Optional[Inertia]:
+    tag = link.within("inertial")
+    if link.element.find("inertial") is None:
+        return None
+    if tag.element.find("mass") is None or tag.element.find("inertia") is None:
+        raise UrdfError(f"{link.source}: <inertial> needs <mass> and <inertia>")
+    (mass,), moments = tag.within("mass").numbers("value", 1), tag.within("inertia")
+    elements = [moments.number(key, 0.0) for key in INERTIA_KEYS]
+    return inertia_at(tag.origin(), mass, elements, link.source)
+
+
+def _geometry(tag: _Tag) -> Shape:
+    holder = tag.element.find("geometry")
+    if holder is None or not len(holder):
+        raise UrdfError(f"{tag.source}: <{tag.element.tag}> without a geometry")
+    shape = holder[0]
+    kind = SHAPES.get(shape.tag)
+    if kind is None or not kind.in_urdf:
+        raise UrdfError(f"{tag.source}: no geometry is called <{shape.tag}>")
+    return kind.read(_Tag(shape, tag.source, tag.finder))
+
+
+def _joint(tag: _Tag) -> Joint:
+    kind = tag.text("type")
+    if kind not in SIMULATED_JOINTS:
+        known = ", ".join(SIMULATED_JOINTS)
+        raise UrdfError(f"{tag.source}: type '{kind}' is not one of {known}")
+    limit, dynamics = tag.within("limit"), tag.within("dynamics")
+    for end in ("parent", "child"):
+        if not tag.within(end).text("link"):
+            raise UrdfError(f"{tag.source}: no <{end} link=…>")
+    return Joint(
+        tag.text("name"),
+        kind,
+        tag.within("parent").text("link"),
+        tag.within("child").text("link"),
+        tag.origin(),
+        tag.within("axis").direction("xyz", "1 0 0"),
+        {key: limit.number(key, 0.0) for key in limit.element.attrib},
+        dynamics.number("damping", 0.0),
+        dynamics.number("friction", 0.0),
+    )
+
+
+def _colour(material: _Tag) -> Colour:
+    return material.within("color").numbers("rgba", 4)
 
 
 def _with_shapes_named(model: Model) -> Model:

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, ParseError
 import defusedxml.ElementTree
 from defusedxml.common import DefusedXmlException
 
-from bullet_lab.core.pose import Pose
+from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
 
 # A description of a robot or a world is text for people; meshes are files of their own.
@@ -94,25 +94,8 @@ def numbers(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
 
 
 def number(text: Optional[str], what: str) -> float:
-    """Return the one finite number in a text.
-
-    Raises:
-        XmlError: no finite number; `what` names the place.
-    """
+    """Return the one finite number in a text; raises XmlError."""
     return numbers(text, 1, what)[0]
-
-
-def direction(text: Optional[str], what: str) -> Tuple[float, float, float]:
-    """Return the unit vector along the three numbers in a text.
-
-    Raises:
-        XmlError: other than three finite numbers, or a zero vector.
-    """
-    values = numbers(text, 3, what)
-    length = math.sqrt(sum(value * value for value in values))
-    if length == 0.0:
-        raise XmlError(f"{what}: a zero vector has no direction")
-    return tuple(value / length for value in values)
 
 
 def child_text(element: Element, tag: str, default: str = "") -> str:
@@ -159,16 +142,20 @@ class TagReader:
         """Return a positive number."""
         return self.sizes(key, 1, repr(default))[0]
 
-    def scale(self, key: str) -> Tuple[float, float, float]:
+    def scale(self, key: str) -> Vector:
         """Return three factors, all 1 by default; negative ones mirror."""
         values = self.numbers(key, 3, "1 1 1")
         if 0.0 in values:
             raise XmlError(f"{self.where(key)}: a scale of 0 leaves nothing")
         return values
 
-    def direction(self, key: str, default: str) -> Tuple[float, float, float]:
+    def direction(self, key: str, default: str) -> Vector:
         """Return a unit vector."""
-        return direction(self.text(key, default), self.where(key))
+        values = self.numbers(key, 3, default)
+        length = math.sqrt(sum(value * value for value in values))
+        if length == 0.0:
+            raise XmlError(f"{self.where(key)}: a zero vector has no direction")
+        return tuple(value / length for value in values)
 
     def boolean(self, key: str, default: bool) -> bool:
         """Return the truth value of true, false, 1 or 0."""
@@ -180,7 +167,7 @@ class TagReader:
 
 
 class ElementReader(TagReader):
-    """What the elements below one say, by their paths, such as "ray/range/max".
+    """What the elements below one say, by their paths such as "ray/range/max".
 
     Args:
         element: that they are in.
@@ -191,12 +178,10 @@ class ElementReader(TagReader):
         self.element = element
         self.source = source
 
-    def text(self, key: str, default: str = "") -> str:
-        """Return what an element says, or the default."""
+    def text(self, key: str, default: str = "") -> str:  # noqa: D102
         return child_text(self.element, key, default)
 
-    def where(self, key: str) -> str:
-        """Name an element in messages."""
+    def where(self, key: str) -> str:  # noqa: D102
         return f"{self.source}: <{key.rpartition('/')[2]}>"
 
     def pose(self) -> Pose:

@@ -187,8 +187,8 @@ BAD = {
         "link 'a': mesh scale: a scale of 0 leaves nothing",
     ),
     "negative mass": (with_inertia("-1"), "link 'a': the mass -1 kg is negative"),
-    "bad mass": (with_inertia("heavy"), "link 'a': mass: 'heavy' is not a finite number"),
-    "bad moment": (with_inertia(ixy="x"), "link 'a': ixy: 'x' is not a finite number"),
+    "bad mass": (with_inertia("heavy"), "link 'a': mass value: 'heavy' is not a finite number"),
+    "bad moment": (with_inertia(ixy="x"), "link 'a': inertia ixy: 'x' is not a finite number"),
     "unphysical": (with_inertia(izz="3"), "link 'a': no body has the principal moments 1, 1, 3"),
     "half an inertial": (
         robot('<link name="a"><inertial><mass value="1"/></inertial></link>'),
@@ -197,11 +197,11 @@ BAD = {
     "origin": (
         robot('<link name="a"><visual><origin xyz="0 0"/><geometry><sphere radius="1"/>'
               "</geometry></visual></link>"),
-        "origin in 'a': '0 0' is not 3 finite numbers",
+        "link 'a': origin xyz: '0 0' is not 3 finite numbers",
     ),
     "colour": (
         robot('<material name="m"><color rgba="1 1 1"/></material><link name="a"/>'),
-        "colour: '1 1 1' is not 4 finite numbers",
+        "color rgba: '1 1 1' is not 4 finite numbers",
     ),
     "joint type": (
         robot(ARM + JOINT.format("floating", "")),
@@ -210,15 +210,15 @@ BAD = {
     "no joint type": (robot(ARM + JOINT.format("", "")), "joint 'j': type '' is not one of"),
     "axis": (
         robot(ARM + JOINT.format("revolute", '<axis xyz="0 0 0"/>')),
-        "joint 'j': axis: a zero vector has no direction",
+        "joint 'j': axis xyz: a zero vector has no direction",
     ),
     "limit": (
         robot(ARM + JOINT.format("revolute", '<limit lower="low"/>')),
-        "joint 'j': lower: 'low' is not a finite number",
+        "joint 'j': limit lower: 'low' is not a finite number",
     ),
     "damping": (
         robot(ARM + JOINT.format("revolute", '<dynamics damping=""/>')),
-        "joint 'j': damping: '' is not a finite number",
+        "joint 'j': dynamics damping: '' is not a finite number",
     ),
     "no child": (
         robot(ARM + '<joint name="j" type="fixed"><parent link="a"/></joint>'),

@@ -7,7 +7,6 @@ from bullet_lab.simulation.world.xml import (
     ElementReader,
     XmlError,
     child_text,
-    direction,
     number,
     numbers,
     parse_text,
@@ -99,7 +98,7 @@ def said(text):
 
 
 def test_checked_numbers():
-    assert direction("0 3 4", "x") == pytest.approx((0, 0.6, 0.8))
+    assert said("0 3 4").direction("x", "") == pytest.approx((0, 0.6, 0.8))
     assert said("1 2").sizes("x", 2) == (1, 2)
     assert said("1 -1 2").scale("x") == (1, -1, 2)
     assert said("").scale("x") == (1, 1, 1)
