@@ -88,9 +88,9 @@ simulation > simulation.world: description floor_plan gazebo_materials=gazebo_ta
     sdf_unknown=gazebo_tags tree urdf_reader=urdf world_writer=sdf_writer xacro_child
     xacro_files=xacro xacro_packages=xacro_child xml_input=xml
 simulation.devices > simulation.plugins: bumper camera depth_camera=camera device=plugin
-    diff_drive=wheel_drives imu joint_states laser=ray_sensors noise=plugin p3d planar_move
-    range_sensor=ray_sensors ray_scan=ray_sensors sensor_tag=plugin skid_steer=wheel_drives
-    wheels=wheel_drives
+    diff_drive=wheel_drives imu joint_states=true_states laser=ray_sensors noise=plugin
+    p3d=true_states planar_move range_sensor=ray_sensors ray_scan=ray_sensors sensor_tag=plugin
+    skid_steer=wheel_drives wheels=wheel_drives
 simulation.rendering > simulation.rendering: choice=graphics textures=surfaces
 studies.detection_range > studies.detection_range: __main__=study
 studies.dock_campaign > studies.dock_campaign: __main__=study

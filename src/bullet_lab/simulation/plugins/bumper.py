@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from typing import Dict, List, Optional, Tuple
+from typing import Dict, List, Tuple
 
 from bullet_lab.core.pose import Pose, Vector, cross, subtract
-from bullet_lab.simulation.physics.attached_frame import AttachedFrame
 from bullet_lab.simulation.physics.contacts import ContactPoint, contact_points
 from bullet_lab.simulation.plugins.plugin import Mount, Output, Plugin, PluginError, SensorTag
 from bullet_lab.simulation.plugins.samples import ContactsSample, ShapeContact
@@ -20,12 +19,8 @@ class Bumper(Plugin):
     """Reports which shapes touch those of its link, where, and how hard.
 
     A message is sent at the sensor's rate, without contacts if there are none. Forces are those
-    of the last step.
-
-    Tags of the plugin, with Gazebo's defaults: bumperTopicName (bumper_states), frameName
-    (world) and robotNamespace; of the sensor: update_rate and contact/collision, the shapes to
-    watch; all of the link's without it. Vectors are given in frameName if that is a link of the
-    model, else in the world. (In Gazebo they are the world's, whatever frameName says.)
+    of the last step. Vectors are given in frameName if that is a link of the model, else in the
+    world. (In Gazebo they are the world's, whatever frameName says.)
     """
 
     filenames = ("libgazebo_ros_bumper.so",)
@@ -37,16 +32,14 @@ class Bumper(Plugin):
         self._watched = _watched(mount, tag, self._place.link)
         frame = mount.text("frameName", "/world")
         self._frame = mount.frame(frame)
-        self._reference: Optional[AttachedFrame] = None
-        if frame in mount.model.frames or frame in mount.model.links_by_name():
-            self._reference = mount.attached(frame)
+        is_link = frame in mount.model.frames or frame in mount.model.links_by_name()
+        self._reference = mount.attached(frame) if is_link else None
         topic = mount.topic(mount.text("bumperTopicName", "bumper_states"))
         self.bumper = Output(topic, ContactsSample)
         self.outputs = (self.bumper,)
         self.schedule = tag.schedule()
 
     def produce(self, step: int) -> None:
-        """Send what is touched."""
         if not self.bumper.wanted:
             return
         frame = Pose() if self._reference is None else self._reference.pose()
@@ -74,12 +67,7 @@ def _contact(
 ) -> ShapeContact:
     """Return two shapes' points of contact in a frame.
 
-    Args:
-        first: the sensor's shape.
-        second: the other one.
-        points: in the world.
-        into: pose of the world in the wanted frame.
-        middle: what torques are taken about, in the world.
+    `into` is the pose of the world in it, `middle` what torques are taken about, in the world.
     """
     turn = into.rotate
     torques = [cross(subtract(point.place, middle), point.force) for point in points]
@@ -97,19 +85,17 @@ def _contact(
 def _watched(mount: Mount, tag: SensorTag, link: str) -> Tuple[str, ...]:
     """Return the full names of the shapes that the sensor watches; raises PluginError."""
     known = [shape.name for shape in mount.model.links_by_name()[link].collisions]
-    wanted = [(element.text or "").strip() for element in tag.elements("contact/collision")]
+    wanted = [(element.text or "").strip() for element in tag.element.findall("contact/collision")]
     chosen: List[str] = []
     for name in wanted:
         # How Gazebo's versions have called a shape of a URDF differs in what they add.
-        found = [name] if name in known else [k for k in known if _core(k) == _core(name)]
+        found = (
+            [name]
+            if name in known
+            else [k for k in known if ADDED.sub("", k) == ADDED.sub("", name)]
+        )
         if not found:
-            shapes = ", ".join(known) or "none"
-            raise PluginError(
-                f"{tag.where('collision')}: link '{link}' has no shape '{name}' but {shapes}"
-            )
+            where, shapes = tag.where("collision"), ", ".join(known) or "none"
+            raise PluginError(f"{where}: link '{link}' has no shape '{name}' but {shapes}")
         chosen += found
     return tuple(f"{mount.model.name}::{link}::{name}" for name in chosen or known)
-
-
-def _core(name: str) -> str:
-    return ADDED.sub("", name)

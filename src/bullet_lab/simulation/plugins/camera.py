@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import replace
 from typing import ClassVar, Optional, Tuple
 
 import cv2
@@ -49,12 +48,6 @@ class Camera(Plugin):
     The picture is drawn only while somebody wants it; camera_info tells the geometry that it
     really has, with the principal point in the middle and the lens's distortion, which is
     simulated. `settings` may be changed at any time, the rate by `set_rate`.
-
-    Tags: as in Gazebo cameraName, imageTopicName, cameraInfoTopicName, frameName, updateRate,
-    hackBaseline, distortionK1 … T2 and robotNamespace of the plugin; update_rate, pose and
-    <camera> with horizontal_fov, image (anti_aliasing: the greatest number of samples that there
-    is up to it), clip, noise and distortion of the sensor. Of this
-    simulation, in the plugin: samples, exposure and blur, see `CameraSettings`.
     """
 
     filenames = ("libgazebo_ros_camera.so",)
@@ -67,18 +60,26 @@ class Camera(Plugin):
         self.lens = Lens(_geometry(mount, tag))
         self.near = tag.number("camera/clip/near", 0.1)
         self.far = tag.number("camera/clip/far", 100.0)
-        self.encoding = _encoding(tag)
+        self.encoding = ENCODINGS[tag.choice("camera/image/format", tuple(ENCODINGS))]
         self.settings = _settings(mount, tag)
         self._shot()
         self._baseline = mount.number("hackBaseline", 0.0)
         self.frame = mount.frame(mount.text("frameName", mount.plugin.link))
         self._noise = mount.noise()
         self._table: Optional[Tuple[tuple, SensorNoise]] = None
-        self._name = mount.text("cameraName", tag.attribute("camera", "name") or "camera")
+        own = tag.element.find("camera")
+        own_name = "" if own is None else own.get("name", "")
+        self._name = mount.text("cameraName", own_name or "camera")
         self.image = self.output("imageTopicName", "image_raw", ImageSample)
         self.info = self.output("cameraInfoTopicName", "camera_info", CameraInfoSample)
         self.outputs = (self.image, self.info)
-        self.schedule = _schedule(mount, tag)
+        rates = (tag.number("update_rate", 0.0), mount.number("updateRate", 0.0))
+        given = [rate for rate in rates if rate != 0.0]
+        try:
+            # The slower of the two; 0 means the other.
+            self.schedule = Schedule(min(given, default=DEFAULT_RATE))
+        except ScheduleError as error:
+            raise PluginError(f"{mount.where('updateRate')}: {error}") from error
 
     @property
     def camera(self) -> PinholeCamera:
@@ -101,7 +102,6 @@ class Camera(Plugin):
         )
 
     def produce(self, step: int) -> None:
-        """Send a picture and its geometry."""
         if self.image.wanted:
             self.send_picture(step, self.take(step))
         self.send_geometry(step, self.info)
@@ -165,53 +165,26 @@ def _distortion(mount: Mount, tag: SensorTag) -> Tuple[float, ...]:
     told = tuple(mount.number(f"distortion{key}", 0.0) for key in DISTORTION_TAGS)
     bent = tuple(tag.number(f"camera/distortion/{key}", 0.0) for key in DISTORTION_TAGS.values())
     if any(told) and any(bent) and told != bent:
-        raise PluginError(
-            f"{mount.where('distortionK1')}: other coefficients than those of the sensor"
-        )
+        where = mount.where("distortionK1")
+        raise PluginError(f"{where}: other coefficients than those of the sensor")
     return told if any(told) else bent
 
 
 def _settings(mount: Mount, tag: SensorTag) -> CameraSettings:
-    settings = CameraSettings()
+    told = {key: mount.number(key, getattr(CameraSettings, key)) for key in ("exposure", "blur")}
     kind = tag.text("camera/noise/type", "gaussian")
     if tag.has("camera/noise") and kind == "gaussian":
-        settings = replace(
-            settings,
-            noise_mean=tag.number("camera/noise/mean", 0.0),
-            noise_stddev=tag.number("camera/noise/stddev", 0.0),
-        )
+        for key in ("mean", "stddev"):
+            told[f"noise_{key}"] = tag.number(f"camera/noise/{key}", 0.0)
     elif tag.has("camera/noise") and kind != "none":
         raise PluginError(f"{tag.where('camera/noise/type')}: '{kind}' is not gaussian or none")
-    own = ("exposure", "blur")
-    settings = replace(settings, **{k: mount.number(k, getattr(settings, k)) for k in own})
-    return replace(settings, samples=_samples(mount, tag))
-
-
-def _samples(mount: Mount, tag: SensorTag) -> int:
-    """Return how many samples a pixel gets: the plugin's own tag, or SDF's `<anti_aliasing>`."""
+    # How many samples a pixel gets: the plugin's own tag, or SDF's `<anti_aliasing>`.
     asked = tag.number("camera/image/anti_aliasing", CameraSettings.samples)
     default = max(number for number in SAMPLES if number <= max(asked, SAMPLES[0]))
     samples = mount.number("samples", default)
     # What is no whole number is refused as what is not among SAMPLES.
-    return int(samples) if samples == round(samples) else samples
-
-
-def _encoding(tag: SensorTag) -> str:
-    said = tag.text("camera/image/format", "R8G8B8")
-    if said not in ENCODINGS:
-        known = ", ".join(ENCODINGS)
-        raise PluginError(f"{tag.where('camera/image/format')}: '{said}' is not one of {known}")
-    return ENCODINGS[said]
-
-
-def _schedule(mount: Mount, tag: SensorTag) -> Schedule:
-    """Return the slower of the two rates that can be given; 0 means the other."""
-    rates = [tag.number("update_rate", 0.0), mount.number("updateRate", 0.0)]
-    given = [rate for rate in rates if rate != 0.0]
-    try:
-        return Schedule(min(given, default=DEFAULT_RATE))
-    except ScheduleError as error:
-        raise PluginError(f"{mount.where('updateRate')}: {error}") from error
+    told["samples"] = int(samples) if samples == round(samples) else samples
+    return CameraSettings(**told)
 
 
 class DepthCamera(Camera):
@@ -221,12 +194,6 @@ class DepthCamera(Camera):
     (NaN) where nothing is within pointCloudCutoff … pointCloudCutoffMax or where something
     nearer hides it. Picture, depth and points are of one moment and one geometry; each is
     worked out only while somebody wants it.
-
-    Tags as in Gazebo, besides the camera's: depthImageTopicName (depth/image_raw),
-    depthImageCameraInfoTopicName (depth/camera_info), pointCloudTopicName (points),
-    pointCloudCutoff (0.4 m), pointCloudCutoffMax (5 m for openni_kinect, for depth_camera as far
-    as the sensor sees) and useDepth16UC1Format (false). Normals and reflectance are not
-    simulated.
     """
 
     filenames = ("libgazebo_ros_openni_kinect.so", "libgazebo_ros_depth_camera.so")
@@ -247,7 +214,6 @@ class DepthCamera(Camera):
         self._slopes: Optional[np.ndarray] = None
 
     def produce(self, step: int) -> None:
-        """Send what is wanted of picture, depth, points and geometry."""
         image, depth, points = (o.wanted for o in (self.image, self.depth, self.points))
         picture = self.take(step) if image or points else None
         depths = self.measure() if depth or points else None
@@ -299,8 +265,6 @@ class DepthCamera(Camera):
         default = KINECTS_CUTOFF if is_kinect else self.far
         farthest = min(self.far, mount.number("pointCloudCutoffMax", default))
         if not closest < farthest:
-            raise PluginError(
-                f"{mount.where('pointCloudCutoff')}: nothing is between {closest:g} m and "
-                f"{farthest:g} m"
-            )
+            where = mount.where("pointCloudCutoff")
+            raise PluginError(f"{where}: nothing is between {closest:g} m and {farthest:g} m")
         return closest, farthest

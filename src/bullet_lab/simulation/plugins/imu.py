@@ -11,15 +11,7 @@ import numpy as np
 from bullet_lab.core.pose import Pose, Quaternion, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
-from bullet_lab.simulation.plugins.plugin import (
-    Mount,
-    Output,
-    Plugin,
-    PluginError,
-    SensorTag,
-    StepNoise,
-    slower_of,
-)
+from bullet_lab.simulation.plugins.plugin import Mount, Output, Plugin, SensorTag, slower_of
 from bullet_lab.simulation.plugins.samples import ImuSample
 
 # Steps over which accelerations are averaged at least.
@@ -61,16 +53,13 @@ class Accelerometer:
 class AxisNoise:
     """Noise of three axes as SDF's `<imu>` has it: gaussian with a mean, and a constant bias.
 
-    Args:
-        tag: the sensor.
-        quantity: "angular_velocity" or "linear_acceleration".
-        biases: where the biases are drawn from.
+    `quantity` is "angular_velocity" or "linear_acceleration".
     """
 
-    def __init__(self, tag: SensorTag, quantity: str, biases: StepNoise):
+    def __init__(self, mount: Mount, tag: SensorTag, quantity: str):
         paths = [f"imu/{quantity}/{axis}/noise" for axis in AXES]
-        self.deviations = np.array([tag.at_least(f"{path}/stddev", 0.0) for path in paths])
-        random = biases.at(0)
+        self.deviations = np.array([tag.coefficient(f"{path}/stddev", 0.0) for path in paths])
+        random = mount.noise(f"/{quantity}").at(0)
         self._offsets = np.array([self._offset(tag, path, random) for path in paths])
 
     def draw(self, random: np.random.Generator) -> np.ndarray:
@@ -79,7 +68,7 @@ class AxisNoise:
 
     @staticmethod
     def _offset(tag: SensorTag, path: str, random: np.random.Generator) -> float:
-        deviation = tag.at_least(f"{path}/bias_stddev", 0.0)
+        deviation = tag.coefficient(f"{path}/bias_stddev", 0.0)
         bias = random.normal(tag.number(f"{path}/bias_mean", 0.0), deviation)
         # As in Gazebo, a bias is as likely to be negative.
         sign = 1.0 if random.random() < 0.5 else -1.0
@@ -110,7 +99,6 @@ class InertialUnit(Plugin):
         self._step = 0
 
     def produce(self, step: int) -> None:
-        """Send a reading."""
         self._step = step
         linear, angular = self.place.velocity()
         ax, ay, az = self._accelerometer.advance(step, linear)
@@ -124,12 +112,10 @@ class InertialUnit(Plugin):
         self.imu.send(self._reading(step, orientation, rate, force))
 
     def reset(self, step: int) -> None:
-        """Start anew."""
         self._step = step
         self.placed()
 
     def placed(self) -> None:
-        """Forget the velocity before: nothing has accelerated."""
         self._accelerometer.restart(self._step, self.place.velocity()[0])
 
     def _reading(
@@ -139,8 +125,7 @@ class InertialUnit(Plugin):
         rate_variance = force_variance = variance
         random = self._noise.at(step)
         if self._deviation:
-            turn = random.normal(0.0, self._deviation, 3)
-            orientation = _turned(orientation, turn)
+            orientation = _turned(orientation, random.normal(0.0, self._deviation, 3))
             rate = rate + random.normal(0.0, self._deviation, 3)
             force = force + random.normal(0.0, self._deviation, 3)
         if self._rate_noise is not None:
@@ -149,73 +134,45 @@ class InertialUnit(Plugin):
         if self._force_noise is not None:
             force = force + self._force_noise.draw(random)
             force_variance += float(self._force_noise.deviations.max()) ** 2
-        return ImuSample(
-            step,
-            self._frame,
-            orientation,
-            tuple(map(float, rate)),
-            tuple(map(float, force)),
-            variance,
-            rate_variance,
-            force_variance,
-        )
+        measured = (orientation, tuple(rate.tolist()), tuple(force.tolist()))
+        variances = (variance, rate_variance, force_variance)
+        return ImuSample(step, self._frame, *measured, *variances)
 
 
 class Imu(InertialUnit):
     """The plugin of a model, which names the link that it sits on.
 
-    Tags as in Gazebo, with its defaults: bodyName (needed), topicName (/default_imu), frameName
-    (bodyName), updateRate (Hz, 0: every step), gaussianNoise, xyzOffset, rpyOffset and
-    robotNamespace. The offsets place the sensor in the link. serviceName is read and nothing is
-    offered there: in Gazebo the service does nothing.
+    serviceName is read and nothing is offered there: in Gazebo the service does nothing.
     """
 
     filenames = ("libgazebo_ros_imu.so",)
 
     def __init__(self, mount: Mount):
-        body = mount.text("bodyName")
-        if not body:
-            raise PluginError(f"{mount.where('bodyName')}: is missing")
+        body = mount.required("bodyName")
         frame = mount.frame(mount.text("frameName", body))
         super().__init__(mount, frame, mount.text("topicName", "/default_imu"))
         mount.text("serviceName")
-        self.place = mount.attached(body, _offset(mount))
+        self.place = mount.attached(body, mount.offset())
         self.schedule = mount.schedule("updateRate", 0.0)
 
 
 class ImuSensor(InertialUnit):
-    """The plugin of an `<sensor type="imu">`.
-
-    Tags of the plugin, with Gazebo's defaults: frameName (needed), topicName (imu_data),
-    updateRateHZ (1 Hz), gaussianNoise, xyzOffset, rpyOffset, initialOrientationAsReference
-    (false) and robotNamespace; of the sensor: pose, update_rate and, within imu,
-    angular_velocity and linear_acceleration, x, y and z each with noise (mean, stddev,
-    bias_mean, bias_stddev).
-    """
+    """The plugin of an `<sensor type="imu">`."""
 
     filenames = ("libgazebo_ros_imu_sensor.so",)
 
     def __init__(self, mount: Mount):
         tag = SensorTag(mount, ("imu",))
-        frame = mount.text("frameName")
-        if not frame:
-            raise PluginError(f"{mount.where('frameName')}: is missing")
-        super().__init__(mount, mount.frame(frame), mount.text("topicName", "imu_data"))
-        self.place = tag.place(_offset(mount))
+        frame = mount.frame(mount.required("frameName"))
+        super().__init__(mount, frame, mount.text("topicName", "imu_data"))
+        self.place = tag.place(mount.offset())
         if mount.boolean("initialOrientationAsReference", False):
             self.reference = self.place.pose().inverse().quaternion
         self.schedule = slower_of(mount.schedule("updateRateHZ", 1.0), tag.schedule())
-        name = f"{mount.model.name}/{mount.plugin.name}"
         if tag.has("imu/angular_velocity"):
-            biases = StepNoise(mount.seed, f"{name}/angular_velocity")
-            self._rate_noise = AxisNoise(tag, "angular_velocity", biases)
+            self._rate_noise = AxisNoise(mount, tag, "angular_velocity")
         if tag.has("imu/linear_acceleration"):
-            biases = StepNoise(mount.seed, f"{name}/linear_acceleration")
-            self._force_noise = AxisNoise(tag, "linear_acceleration", biases)
-
-
-def _offset(mount: Mount) -> Pose:
-    return Pose.from_rpy(mount.vector("xyzOffset"), mount.vector("rpyOffset"))
+            self._force_noise = AxisNoise(mount, tag, "linear_acceleration")
 
 
 def _turned(quaternion: Quaternion, turn: np.ndarray) -> Quaternion:

@@ -23,8 +23,6 @@ POSE_VARIANCES = (1e-5, 1e-5, UNKNOWN, UNKNOWN, UNKNOWN, 1e-3)
 class MobileBase(Plugin):
     """A robot that is told velocities and sends odometry and its transform.
 
-    Tags: commandTopic, odometryTopic, odometryFrame, robotBaseFrame and robotNamespace.
-
     Attributes:
         directions: the parts of a command that count.
         frame: name of the odometry's frame.
@@ -53,7 +51,6 @@ class MobileBase(Plugin):
         self._command = command
 
     def reset(self, step: int) -> None:
-        """Forget the command."""
         self._command = STANDSTILL
         self._last_step = step
         self.placed()

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Optional, Tuple
+from typing import Tuple
 
 from bullet_lab.core.pose import Pose, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -91,10 +91,6 @@ class PlanarMove(MobileBase):
     Since that starts each step without vertical velocity, a robot in the air does not fall but
     sinks at g·dt, 1 cm/s, as in Gazebo; without a floor under it, no friction slows it down.
     The command stays until the next one, or until `cmdTimeout` seconds have passed.
-
-    Tags: commandTopic, odometryTopic, odometryFrame, robotBaseFrame, odometryRate, cmdTimeout
-    and robotNamespace as in Gazebo; of this simulation: supportRadius, the effective radius in
-    metres of the patch that the robot stands on.
     """
 
     filenames = ("libgazebo_ros_planar_move.so",)
@@ -103,7 +99,8 @@ class PlanarMove(MobileBase):
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
-        self._timeout = _timeout_steps(mount.number("cmdTimeout", -1.0))
+        timeout = mount.number("cmdTimeout", -1.0)
+        self._timeout = math.inf if timeout < 0.0 else round(timeout * STEPS_PER_SECOND)
         self._patch = _support_patch(mount)
         self._slow_down = self._patch.slow_down
         self._set_velocity = self._body.set_velocity
@@ -115,19 +112,14 @@ class PlanarMove(MobileBase):
         self.reset(0)
 
     def command(self, command: PlanarCommand) -> None:
-        """Take over a velocity; it acts from the next step on, until the time-out.
-
-        Raises:
-            PluginError: NaN or infinite; the command before stays in force.
-        """
+        """Take over a velocity; it acts from the next step on, until the time-out."""
         super().command(command)
-        self._expires = None if self._timeout is None else self._now + self._timeout
+        self._expires = self._now + self._timeout
 
     def before_step(self, step: int) -> None:
-        """Set the velocity for the coming step."""
         self._now = step + 1
         command = self._command
-        if self._expires is not None and step >= self._expires:
+        if step >= self._expires:
             command = STANDSTILL
         (_, _, height), quaternion = self._body.com_place()
         # The floor has carried what the step before did not turn into a fall: the body was sent
@@ -142,20 +134,16 @@ class PlanarMove(MobileBase):
         self._set_velocity((cosine * vx - sine * vy, sine * vx + cosine * vy, 0.0), (0.0, 0.0, wz))
 
     def produce(self, step: int) -> None:
-        """Send the odometry and its transform."""
         pose = self._body.pose()
         velocity = self._velocity_since(step, pose)
         self._last_step, self._last_pose = step, pose
         self._send_odometry(step, (self._flat(pose), pose), velocity, POSE_VARIANCES)
 
     def reset(self, step: int) -> None:
-        """Forget the command and where the robot was."""
-        self._now = step
-        self._expires: Optional[int] = None
+        self._now, self._expires = step, math.inf
         super().reset(step)
 
     def placed(self) -> None:
-        """Forget where the robot was: it neither drove nor fell from there."""
         self._last_pose = self._body.pose()
         self._height = self._body.com_pose().position[2]
         self._load = self._mass * self.gravity
@@ -174,17 +162,11 @@ class PlanarMove(MobileBase):
         )
 
 
-def _timeout_steps(seconds: float) -> Optional[int]:
-    return None if seconds < 0.0 else round(seconds * STEPS_PER_SECOND)
-
-
 def _support_patch(mount: Mount) -> SupportPatch:
     """Return the patch of the robot's root link, with the least friction of its shapes."""
     root = mount.model.root_links()[0]
     masses = [link.inertia.mass for link in mount.model.links if link.inertia is not None]
-    radius = mount.number("supportRadius", PUBLISHED_RADIUS)
-    if radius < 0.0:
-        raise PluginError(f"{mount.where('supportRadius')}: {radius:g} m is negative")
+    radius = mount.coefficient("supportRadius", PUBLISHED_RADIUS)
     if root.inertia is None or mount.model.static:
         raise PluginError(f"model '{mount.model.name}': planar_move on what cannot move")
     friction = min((c.friction for c in root.collisions), default=1.0)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, field
 from typing import Any, Callable, ClassVar, Dict, List, Mapping, Optional, Set, Tuple, Type
-from xml.etree.ElementTree import Element
 from zlib import crc32
 
 import numpy as np
@@ -61,14 +60,6 @@ class PluginError(LabError):
     """A plugin's tags make no sense, or a command is refused."""
 
 
-def _nothing_to_see() -> Renderer:
-    raise PluginError("there is no world to take pictures of")
-
-
-def _nothing_to_touch(_body: int, _link: int, _place: Vector) -> str:
-    raise PluginError("there is no world to touch")
-
-
 @dataclass(frozen=True)
 class Mount(TagReader):
     """What a plugin is fixed to: a model, its bodies by root link, and its tag.
@@ -84,8 +75,8 @@ class Mount(TagReader):
     gravity: float
     seed: int = 0
     tf_prefix: str = ""
-    renderer: Callable[[], Renderer] = field(default=_nothing_to_see, repr=False)
-    name_shape: Callable[[int, int, Vector], str] = field(default=_nothing_to_touch, repr=False)
+    renderer: Optional[Callable[[], Renderer]] = field(default=None, repr=False)
+    name_shape: Optional[Callable[[int, int, Vector], str]] = field(default=None, repr=False)
     _read: Set[str] = field(default_factory=set, repr=False)
 
     @property
@@ -94,20 +85,30 @@ class Mount(TagReader):
         return self.bodies[self.model.root_links()[0].name]
 
     def text(self, key: str, default: str = "") -> str:
-        """Return what a tag of the plugin says, or the default."""
         self._read.add(key)
         return self.plugin.tags.get(key) or default
+
+    def required(self, tag: str) -> str:
+        """Return what a tag says; raises PluginError without it."""
+        text = self.text(tag)
+        if not text:
+            raise PluginError(f"{self.where(tag)}: is missing")
+        return text
 
     def vector(self, tag: str) -> Vector:
         """Return the three finite numbers in a tag, zeros without it; raises XmlError."""
         return self.numbers(tag, 3, "0 0 0")
+
+    def offset(self) -> Pose:
+        """Return the pose in the tags xyzOffset (m) and rpyOffset (rad); raises XmlError."""
+        return Pose.from_rpy(self.vector("xyzOffset"), self.vector("rpyOffset"))
 
     def unread_tags(self) -> Tuple[str, ...]:
         """Return the tags of the plugin that nobody has asked for, but those that mean nothing."""
         return tuple(tag for tag in self.plugin.tags if tag not in self._read | QUIET_TAGS)
 
     def schedule(self, tag: str, default: float) -> Schedule:
-        """Return the schedule for the rate (Hz) in a tag; raises LabError."""
+        """Return the schedule for the rate (Hz, 0: every step) in a tag; raises LabError."""
         return _schedule(self, tag, default)
 
     def topic(self, name: str) -> str:
@@ -115,13 +116,13 @@ class Mount(TagReader):
         namespace = self.text("robotNamespace").strip("/")
         return name if name.startswith("/") or not namespace else f"/{namespace}/{name}"
 
-    def noise(self) -> StepNoise:
-        """Return the noise of this plugin.
+    def noise(self, part: str = "") -> StepNoise:
+        """Return the noise of this plugin, or of a part of it.
 
         It follows from the simulation's seed and the names of model and plugin, so that another
         robot in the world does not change it.
         """
-        return StepNoise(self.seed, f"{self.model.name}/{self.plugin.name}")
+        return StepNoise(self.seed, f"{self.model.name}/{self.plugin.name}{part}")
 
     def frame(self, name: str) -> str:
         """Return a frame's name on TF: with the robot's prefix, as tf::resolve has it."""
@@ -130,15 +131,7 @@ class Mount(TagReader):
         return f"{self.tf_prefix.strip('/')}/{name}"
 
     def attached(self, link: str, offset: Pose = ORIGIN) -> AttachedFrame:
-        """Return a frame that is fixed to a link, which may have been merged into another.
-
-        Args:
-            link: the link's name in the description.
-            offset: pose of the frame in the link's frame.
-
-        Raises:
-            PluginError: there is no such link.
-        """
+        """Return a frame that is fixed to a link; as `AttachedFrame.of`, but with PluginError."""
         try:
             return AttachedFrame.of(self.model, self.bodies.values(), link, offset)
         except KeyError:
@@ -146,7 +139,6 @@ class Mount(TagReader):
             raise PluginError(f"{where}: no link '{link}'") from None
 
     def where(self, key: str) -> str:
-        """Name a tag in messages."""
         return f"model '{self.model.name}': plugin '{self.plugin.name}': <{key}>"
 
 
@@ -185,22 +177,6 @@ class SensorTag(ElementReader):
         """Return whether there is such a tag."""
         return self.element.find(path) is not None
 
-    def elements(self, path: str) -> Tuple[Element, ...]:
-        """Return all elements with a path."""
-        return tuple(self.element.findall(path))
-
-    def attribute(self, path: str, name: str) -> str:
-        """Return an attribute of a tag; empty without it."""
-        element = self.element.find(path)
-        return "" if element is None else element.get(name, "")
-
-    def at_least(self, path: str, default: float, least: float = 0.0) -> float:
-        """Return the number in a tag; raises LabError if it is less than `least`."""
-        value = self.number(path, default)
-        if value < least:
-            raise PluginError(f"{self.where(path)}: {value:g} is less than {least:g}")
-        return value
-
     def count(self, path: str, default: int, most: int) -> int:
         """Return the whole number from 1 to `most` in a tag; raises LabError."""
         value = self.number(path, default)
@@ -209,11 +185,7 @@ class SensorTag(ElementReader):
         return int(value)
 
     def place(self, offset: Pose = ORIGIN) -> AttachedFrame:
-        """Return a frame that is fixed to the sensor's link; raises LabError.
-
-        Args:
-            offset: pose of the frame in the sensor's.
-        """
+        """Return a frame at an offset from the sensor, fixed to its link; raises LabError."""
         link = self._mount.plugin.link or self._mount.model.root_links()[0].name
         return self._mount.attached(link, self.pose() * offset)
 
@@ -243,13 +215,7 @@ class Output:
     def connect(
         self, listener: Callable[[Any], None], wanted: Callable[[], bool] = lambda: True
     ) -> None:
-        """Call `listener(sample)` with samples from now on.
-
-        Args:
-            listener: takes a sample.
-            wanted: says whether samples are of any use now; plugins spare themselves those
-                that nobody wants.
-        """
+        """Call `listener(sample)` with samples from now on; those that nobody wants are spared."""
         self._listeners.append(listener)
         self._wanted.append(wanted)
 

@@ -66,11 +66,11 @@ class RayScan:
         vertical = _angles(tag, "ray/scan/vertical")
         if self.horizontal.number * vertical.number > MOST_RAYS:
             raise PluginError(f"{tag.where('samples')}: more than {MOST_RAYS} rays")
-        self.least = tag.at_least("ray/range/min", 0.0)
-        self.greatest = tag.at_least("ray/range/max", 0.0)
+        self.least = tag.coefficient("ray/range/min", 0.0)
+        self.greatest = tag.coefficient("ray/range/max", 0.0)
         if self.greatest <= self.least:
             raise PluginError(f"{tag.where('max')}: {self.greatest:g} is not beyond <min>")
-        self.resolution = tag.at_least("ray/range/resolution", 0.0)
+        self.resolution = tag.coefficient("ray/range/resolution", 0.0)
         self._mean, self._deviation = _noise(tag)
         yaw, pitch = np.meshgrid(self.horizontal.all(), vertical.all())
         level = np.cos(pitch)
@@ -127,7 +127,7 @@ def _noise(tag: SensorTag) -> tuple:
         LOG.warning("%s: noise '%s' is not simulated and skipped", tag.where("type"), kind)
     if kind != "gaussian":
         return 0.0, 0.0
-    return tag.number("ray/noise/mean", 0.0), tag.at_least("ray/noise/stddev", 0.0)
+    return tag.number("ray/noise/mean", 0.0), tag.coefficient("ray/noise/stddev", 0.0)
 
 
 class Laser(Plugin):
@@ -135,11 +135,6 @@ class Laser(Plugin):
 
     No ray is cast while nobody listens. The intensities are 0, as those of Gazebo are on
     surfaces without laser_retro.
-
-    Tags of the plugin: topicName, frameName and robotNamespace; of the sensor: pose,
-    update_rate (0: every step) and, within ray, scan/horizontal and scan/vertical (samples,
-    resolution, min_angle, max_angle), range (min, max, resolution) and noise (gaussian: mean,
-    stddev), as in Gazebo.
     """
 
     filenames = ("libgazebo_ros_laser.so", "libgazebo_ros_gpu_laser.so")
@@ -155,25 +150,14 @@ class Laser(Plugin):
         self.schedule = tag.schedule()
 
     def produce(self, step: int) -> None:
-        """Send a scan."""
         if not self.scan.wanted:
             return
-        angles = self._scanner.horizontal
-        ranges = self._scanner.measure(self._noise.at(step))
-        self.scan.send(
-            LaserSample(
-                step,
-                self._frame,
-                angles.least,
-                angles.greatest,
-                angles.increment,
-                self.schedule.period,
-                self._scanner.least,
-                self._scanner.greatest,
-                ranges,
-                np.zeros(len(ranges)),
-            )
-        )
+        scanner, angles = self._scanner, self._scanner.horizontal
+        ranges = scanner.measure(self._noise.at(step))
+        seen = (angles.least, angles.greatest, angles.increment, self.schedule.period)
+        reach = (scanner.least, scanner.greatest)
+        zeros = np.zeros(len(ranges))
+        self.scan.send(LaserSample(step, self._frame, *seen, *reach, ranges, zeros))
 
 
 class RangeSensor(Plugin):
@@ -181,11 +165,6 @@ class RangeSensor(Plugin):
 
     Where there is none, it reads the greatest range, without noise, as in Gazebo; something
     nearer than the least range reads as that.
-
-    Tags of the plugin, with Gazebo's defaults: topicName (/range), frameName, radiation
-    (ultrasound; anything else is infrared), fov (rad; what the message says, the fan is that of
-    the sensor), gaussianNoise (m), updateRate (Hz, 0: as the sensor) and robotNamespace; those
-    of the sensor are the laser's.
     """
 
     filenames = ("libgazebo_ros_range.so",)
@@ -204,7 +183,6 @@ class RangeSensor(Plugin):
         self.schedule = slower_of(mount.schedule("updateRate", 0.0), tag.schedule())
 
     def produce(self, step: int) -> None:
-        """Send a reading."""
         if not self.range.wanted:
             return
         scanner = self._scanner
@@ -212,14 +190,6 @@ class RangeSensor(Plugin):
         # Infinity stays what it is, and ends as the greatest range.
         reading = max(float(np.min(scanner.distances())), scanner.least) + noise
         reading = min(max(reading, scanner.least), scanner.greatest)
-        self.range.send(
-            RangeSample(
-                step,
-                self._frame,
-                self._infrared,
-                self._fov,
-                scanner.least,
-                scanner.greatest,
-                reading,
-            )
-        )
+        reach = (scanner.least, scanner.greatest)
+        sent = RangeSample(step, self._frame, self._infrared, self._fov, *reach, reading)
+        self.range.send(sent)

@@ -1,7 +1,7 @@
 """What plugins measure and what they are told, as plain data.
 
 Every sample carries the simulated time `step` in whole milliseconds. The ROS side turns each
-kind into its message in `bullet_lab.ros.messages.samples`.
+kind into its message in `bullet_lab.ros.messages.conversions`.
 """
 
 from __future__ import annotations
@@ -20,6 +20,14 @@ Diagonal = Tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
+class Sample:
+    """What was measured at the simulated time `step`, in `frame`."""
+
+    step: int
+    frame: str
+
+
+@dataclass(frozen=True)
 class PlanarCommand:
     """The velocity that a robot shall have: m/s ahead and to the left, rad/s counter-clockwise."""
 
@@ -29,15 +37,13 @@ class PlanarCommand:
 
 
 @dataclass(frozen=True)
-class OdometrySample:
+class OdometrySample(Sample):
     """Pose of `child_frame` in `frame`, and its velocity in its own frame.
 
     The covariances are diagonal (m² and rad², per s² for the twist's, which is zero for most, as
     Gazebo sends it).
     """
 
-    step: int
-    frame: str
     child_frame: str
     pose: Pose
     velocity: PlanarCommand
@@ -46,11 +52,9 @@ class OdometrySample:
 
 
 @dataclass(frozen=True)
-class TransformSample:
+class TransformSample(Sample):
     """Pose of `child_frame` in `frame`, for TF."""
 
-    step: int
-    frame: str
     child_frame: str
     pose: Pose
 
@@ -74,7 +78,7 @@ class JointSample:
 
 
 @dataclass(frozen=True)
-class ImageSample:
+class ImageSample(Sample):
     """An image as `frame`, an optical frame, sees it.
 
     `encoding` is one of sensor_msgs/image_encodings; `pixels` has the shape (height, width, 3)
@@ -82,38 +86,32 @@ class ImageSample:
     along the optical axis, NaN where nothing was measured; in 16UC1 it is mm and 0.
     """
 
-    step: int
-    frame: str
     encoding: str
     pixels: np.ndarray
 
 
 @dataclass(frozen=True)
-class CameraInfoSample:
+class CameraInfoSample(Sample):
     """Geometry of the images of one camera; `baseline` in metres is Gazebo's hackBaseline."""
 
-    step: int
-    frame: str
     camera: PinholeCamera
     baseline: float = 0.0
 
 
 @dataclass(frozen=True)
-class PointsSample:
+class PointsSample(Sample):
     """What a depth camera sees, as points in `frame`, an optical one.
 
     `points` are x, y, z in m, NaN where nothing was measured, shape (height, width, 3) float32;
     `colours` are RGB, shape (height, width, 3) uint8.
     """
 
-    step: int
-    frame: str
     points: np.ndarray
     colours: np.ndarray
 
 
 @dataclass(frozen=True)
-class LaserSample:
+class LaserSample(Sample):
     """Distances that a laser scanner has measured, all at one moment.
 
     Angles in rad about the z axis of `frame`; `period` in s between two scans; `ranges` in m,
@@ -122,8 +120,6 @@ class LaserSample:
     the other.
     """
 
-    step: int
-    frame: str
     angle_min: float
     angle_max: float
     angle_increment: float
@@ -135,14 +131,12 @@ class LaserSample:
 
 
 @dataclass(frozen=True)
-class RangeSample:
+class RangeSample(Sample):
     """A distance in m that a sonar (or an infrared sensor) has measured along x of `frame`.
 
     `field_of_view` is in rad.
     """
 
-    step: int
-    frame: str
     infrared: bool
     field_of_view: float
     range_min: float
@@ -151,7 +145,7 @@ class RangeSample:
 
 
 @dataclass(frozen=True)
-class ImuSample:
+class ImuSample(Sample):
     """What an inertial unit measures in its own axes, those of `frame`.
 
     `orientation` is the unit quaternion of the frame in the world, `angular_velocity` in rad/s,
@@ -159,8 +153,6 @@ class ImuSample:
     variance for all three axes, in rad², (rad/s)² and (m/s²)².
     """
 
-    step: int
-    frame: str
     orientation: Quaternion
     angular_velocity: Vector
     specific_force: Vector
@@ -170,14 +162,12 @@ class ImuSample:
 
 
 @dataclass(frozen=True)
-class MotionSample:
+class MotionSample(Sample):
     """Pose and full velocity of `child_frame`, both in `frame`; m/s and rad/s.
 
     `variance` is that of every component.
     """
 
-    step: int
-    frame: str
     child_frame: str
     pose: Pose
     linear: Vector
@@ -204,9 +194,7 @@ class ShapeContact:
 
 
 @dataclass(frozen=True)
-class ContactsSample:
+class ContactsSample(Sample):
     """All pairs of shapes that touch, with vectors in `frame`."""
 
-    step: int
-    frame: str
     contacts: Tuple[ShapeContact, ...]

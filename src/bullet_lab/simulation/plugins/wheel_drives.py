@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Callable, ClassVar, Tuple
+from typing import ClassVar, Tuple
 
 from bullet_lab.core.pose import Pose, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -44,7 +44,7 @@ class Wheel:
         body: what the joint belongs to.
         joint: its name.
         torque: the most that the motor exerts, in N m.
-        acceleration: the most that the motor's speed changes by, in rad/s²; 0 for no limit.
+        acceleration: the most that its speed changes by, in rad/s²; 0 for no limit.
     """
 
     def __init__(self, body: Body, joint: str, torque: float, acceleration: float = 0.0):
@@ -102,10 +102,6 @@ class WheelDrive(MobileBase):
     command, v ∓ ω·separation/2 at the rim. The physics does the rest: wheels roll, slip or stall
     as torque and friction have it. Commands stay until the next one; there is no time-out, as in
     Gazebo.
-
-    Args:
-        mount: what it is fixed to.
-        separation: of the wheels by default, in m.
     """
 
     name: ClassVar[str]
@@ -121,7 +117,6 @@ class WheelDrive(MobileBase):
         self.schedule = mount.schedule("updateRate", 100.0)
 
     def produce(self, step: int) -> None:
-        """Send the odometry, then give the motors their speeds."""
         seconds = (step - self._last_step) / STEPS_PER_SECOND
         self._last_step = step
         self._report(step, seconds)
@@ -132,7 +127,6 @@ class WheelDrive(MobileBase):
             wheel.follow((left if number < on_the_left else right) / self._radius, seconds)
 
     def placed(self) -> None:
-        """Let the wheels start from rest; they did not roll to where the robot is now."""
         for wheel in self.wheels:
             wheel.stop()
 
@@ -156,9 +150,8 @@ def wheel_joint(mount: Mount, tag: str, default: str) -> Joint:
     if name not in mount.body.joint_names:
         raise PluginError(f"{mount.where(tag)}: no movable joint '{name}'")
     if joints[name].kind not in WHEEL_JOINTS:
-        raise PluginError(
-            f"{mount.where(tag)}: joint '{name}' is {joints[name].kind}: no wheel turns on it"
-        )
+        kind = joints[name].kind
+        raise PluginError(f"{mount.where(tag)}: joint '{name}' is {kind}: no wheel turns on it")
     return joints[name]
 
 
@@ -174,9 +167,7 @@ class DeadReckoning:
     >>> driven, turned, reckoning.pose
     (0.5, 0.0, (0.5, 0.0, 0.0))
 
-    Args:
-        separation: of the wheels' contacts with the floor, in m.
-        radius: of the wheels, in m.
+    `separation` is that of the wheels' contacts with the floor, in m; `radius` the wheels', in m.
     """
 
     def __init__(self, separation: float, radius: float):
@@ -223,10 +214,6 @@ class DiffDrive(WheelDrive):
     frame's origin. That of the source `encoder` is reckoned from the wheels' angles, starts at
     zero where the robot starts, and drifts as the wheels slip.
 
-    Tags as in Gazebo, with its defaults: leftJoint, rightJoint, wheelSeparation, wheelDiameter,
-    wheelAcceleration (m/s² at the rim), wheelTorque, updateRate, commandTopic, odometryTopic,
-    odometryFrame, robotBaseFrame, odometrySource, publishTf, publishOdomTF, publishWheelTF,
-    publishWheelJointState and robotNamespace, which stands before topics and frames.
     Unlike in Gazebo, publishTf only takes away transforms, never the odometry. legacyMode, with
     which the plugins of ROS Jade to Lunar took the left wheel for the right one, is passed over,
     as Noetic's plugin does: leftJoint is the wheel on the left.
@@ -241,13 +228,15 @@ class DiffDrive(WheelDrive):
     def __init__(self, mount: Mount):
         super().__init__(mount, 0.34)
         if mount.boolean("legacyMode", False):
-            LOG.warning(
-                "%s is passed over, as in ROS Noetic: <leftJoint> is the wheel on the left",
-                mount.where("legacyMode"),
-            )
-        self._from_wheels = _source(mount) == "encoder"
-        joints = _wheel_joints(mount)
-        self._hubs = tuple(_Hub(joint, self._frame_name) for joint in joints)
+            reason = "as in ROS Noetic: <leftJoint> is the wheel on the left"
+            LOG.warning("%s is passed over, %s", mount.where("legacyMode"), reason)
+        self._from_wheels = mount.choice("odometrySource", SOURCES) == "encoder"
+        left = wheel_joint(mount, "leftJoint", "left_joint")
+        right = wheel_joint(mount, "rightJoint", "right_joint")
+        if left is right:
+            where = mount.where("rightJoint")
+            raise PluginError(f"{where}: '{right.name}' is the left one already")
+        self._joints = joints = (left, right)
         torque = mount.coefficient("wheelTorque", 5.0)
         limit = mount.coefficient("wheelAcceleration", 0.0) / self._radius
         self.wheels = tuple(Wheel(self._body, joint.name, torque, limit) for joint in joints)
@@ -265,7 +254,6 @@ class DiffDrive(WheelDrive):
         self.reset(0)
 
     def reset(self, step: int) -> None:
-        """Forget the command and what was driven."""
         self._reckoning.restart(0.0, 0.0)
         start = self._body.pose()
         upright = Pose.from_rpy(start.position, (0.0, 0.0, start.yaw))
@@ -273,7 +261,6 @@ class DiffDrive(WheelDrive):
         super().reset(step)
 
     def placed(self) -> None:
-        """Let the wheels start from rest, and do not count how they came to stand."""
         super().placed()
         self._reckoning.resume(*self._angles())
 
@@ -295,9 +282,10 @@ class DiffDrive(WheelDrive):
             pose, velocity = base_motion(self._body)
         self._send_odometry(step, (pose, pose), velocity, POSE_VARIANCES)
         if self.wheel_transforms.wanted:
-            for hub, wheel in zip(self._hubs, self.wheels):
-                turned = hub.pose_at(wheel.state().position)
-                self.wheel_transforms.send(TransformSample(step, hub.parent, hub.child, turned))
+            for joint, wheel in zip(self._joints, self.wheels):
+                frames = (self._frame_name(joint.parent), self._frame_name(joint.child))
+                place = _hub_pose(joint, wheel.state().position)
+                self.wheel_transforms.send(TransformSample(step, *frames, place))
         if self.wheel_states.wanted:
             names = tuple(wheel.joint for wheel in self.wheels)
             states = [wheel.state() for wheel in self.wheels]
@@ -313,36 +301,11 @@ class DiffDrive(WheelDrive):
         return pose, PlanarCommand(vx=driven / seconds, wz=turned / seconds)
 
 
-class _Hub:
-    """Where a wheel's frame is in that of the link that carries it."""
-
-    def __init__(self, joint: Joint, frame_name: Callable[[str], str]):
-        self.parent = frame_name(joint.parent)
-        self.child = frame_name(joint.child)
-        self._joint = joint
-
-    def pose_at(self, angle: float) -> Pose:
-        """Return the pose of the wheel turned by an angle (rad) about its axis."""
-        sine = math.sin(0.5 * angle)
-        turn = tuple(sine * part for part in self._joint.axis)
-        return self._joint.pose * Pose(quaternion=(*turn, math.cos(0.5 * angle)))
-
-
-def _source(mount: Mount) -> str:
-    source = mount.text("odometrySource", SOURCES[0])
-    if source not in SOURCES:
-        raise PluginError(
-            f"{mount.where('odometrySource')}: '{source}' is not one of {', '.join(SOURCES)}"
-        )
-    return source
-
-
-def _wheel_joints(mount: Mount) -> Tuple[Joint, Joint]:
-    left = wheel_joint(mount, "leftJoint", "left_joint")
-    right = wheel_joint(mount, "rightJoint", "right_joint")
-    if left is right:
-        raise PluginError(f"{mount.where('rightJoint')}: '{right.name}' is the left one already")
-    return left, right
+def _hub_pose(joint: Joint, angle: float) -> Pose:
+    """Return the pose of a wheel turned by an angle (rad) in the link that carries it."""
+    sine = math.sin(0.5 * angle)
+    turn = tuple(sine * part for part in joint.axis)
+    return joint.pose * Pose(quaternion=(*turn, math.cos(0.5 * angle)))
 
 
 class SkidSteer(WheelDrive):
@@ -351,11 +314,6 @@ class SkidSteer(WheelDrive):
     To turn, the wheels must slip sideways, so the robot turns less than commanded; how much less
     is up to the friction, which is that of ODE's pyramid in a world with such a robot. The
     odometry is the true pose (z is 0 in it, not in the transform).
-
-    Tags as in Gazebo, with its defaults: leftFrontJoint, rightFrontJoint, leftRearJoint,
-    rightRearJoint, wheelSeparation (0.4 m), wheelDiameter (0.15 m), torque (5 N m), updateRate
-    (100 Hz), commandTopic, odometryTopic, odometryFrame, robotBaseFrame, broadcastTF (false),
-    covariance_x, covariance_y (1e-4), covariance_yaw (1e-2) and robotNamespace.
     """
 
     filenames = ("libgazebo_ros_skid_steer_drive.so",)
@@ -378,6 +336,4 @@ class SkidSteer(WheelDrive):
 
     def _report(self, step: int, seconds: float) -> None:
         pose, velocity = base_motion(self._body)
-        self._send_odometry(
-            step, (self._flat(pose), pose), velocity, self._variances, self._variances
-        )
+        self._send_odometry(step, (self._flat(pose), pose), velocity, *2 * (self._variances,))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Optional, Tuple, Type
+from typing import Optional, Sequence, Tuple, Type
 from xml.etree.ElementTree import Element, ParseError
 
 import defusedxml.ElementTree
@@ -156,6 +156,13 @@ class TagReader:
         if length == 0.0:
             raise XmlError(f"{self.where(key)}: a zero vector has no direction")
         return tuple(value / length for value in values)
+
+    def choice(self, key: str, known: Sequence[str]) -> str:
+        """Return one of several words, the first of them by default."""
+        word = self.text(key, known[0])
+        if word not in known:
+            raise XmlError(f"{self.where(key)}: '{word}' is not one of {', '.join(known)}")
+        return word
 
     def boolean(self, key: str, default: bool) -> bool:
         """Return the truth value of true, false, 1 or 0."""

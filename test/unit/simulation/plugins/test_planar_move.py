@@ -341,7 +341,7 @@ def test_robot_namespace(world):
         ("<odometryRate>2000</odometryRate>", "<odometryRate>: a rate of 2000 Hz is not within"),
         ("<odometryRate>-1</odometryRate>", "<odometryRate>: a rate of -1 Hz is not within"),
         ("<cmdTimeout>soon</cmdTimeout>", "<cmdTimeout>: 'soon' is not a finite number"),
-        ("<supportRadius>-1</supportRadius>", "<supportRadius>: -1 m is negative"),
+        ("<supportRadius>-1</supportRadius>", "<supportRadius>: -1 is negative"),
     ],
 )
 def test_bad_tags_name_model_plugin_and_tag_and_leave_nothing_behind(world, tags, message):
