@@ -38,15 +38,10 @@ Step = Union[Command, Outcome]
 
 
 class State:
-    """One thing that is done.
+    """One thing that is done."""
 
-    Attributes:
-        state: what it is called to the outside.
-        detail: one line for humans.
-    """
-
-    state = DockingState.SEARCHING
-    detail = ""
+    state = DockingState.SEARCHING  #: what it is called to the outside
+    detail = ""  #: one line for humans
 
     def step(self, planner: DockingPlanner) -> Step:
         """Return the command for now, or how it ended; raises DockingFailureError."""
@@ -368,7 +363,13 @@ class Confirm(State):
         robot, settings = estimate.robot, planner.settings
         left, turned = planner.left(robot), wrap(float(robot[2]))
         if self._correction is not None:
-            return self._correct(planner, left, turned)
+            # Turn or creep until the estimate says that it is done.
+            v, w = self._correction
+            done = turned * w >= -1e-4 if w else left * v <= 0.0
+            if not done and planner.now - self._since <= 6.0:
+                return v, w
+            self._correction, self._frames = None, None
+            return STANDSTILL
         if self._frames is None or not planner.settled():
             self._frames, self._since = track.frames, planner.now
             return STANDSTILL
@@ -393,15 +394,6 @@ class Confirm(State):
         else:
             self._correction = (math.copysign(_CREEP, left), 0.0)
         return STANDSTILL
-
-    def _correct(self, planner: DockingPlanner, left: float, turned: float) -> Command:
-        """Turn or creep until the estimate says that it is done."""
-        v, w = self._correction
-        done = turned * w >= -1e-4 if w else left * v <= 0.0
-        if done or planner.now - self._since > 6.0:
-            self._correction, self._frames = None, None
-            return STANDSTILL
-        return v, w
 
 
 class Docked(State):
@@ -436,14 +428,7 @@ TRANSITIONS: Dict[Type[State], Dict[str, Type[State]]] = {
 
 
 class StateMachine:
-    """Runs the states of one docking.
-
-    Args:
-        planner: what they share.
-
-    Attributes:
-        state: the present one.
-    """
+    """Runs the states of one docking, which share a planner; `state` is the present one."""
 
     def __init__(self, planner: DockingPlanner):
         self._planner = planner

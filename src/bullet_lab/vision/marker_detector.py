@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Iterable, List, Optional, Tuple
+from typing import Iterable, List, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -132,7 +132,7 @@ class DetectionReport:
 class Detections:
     """All markers of an image, the largest first, and what happened on the way."""
 
-    markers: List[DetectedMarker]
+    markers: Sequence[DetectedMarker]
     report: DetectionReport
 
 

@@ -19,7 +19,7 @@ from bullet_lab.vision.algebra import (
 from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_detector import (
     DetectedMarker,
-    DetectionReport,
+    Detections,
     DetectorSettings,
     MarkerDetector,
 )
@@ -270,23 +270,11 @@ def _projected(seen: np.ndarray, camera: PinholeCamera) -> Tuple[np.ndarray, np.
 
 
 @dataclass(frozen=True, eq=False)
-class ObservedMarker:
+class ObservedMarker(DetectedMarker):
     """A marker that was found, with both poses that it may have."""
 
-    id: int  #: which of the dictionary
     size: float  #: edge of its black square, m
-    corners: np.ndarray  #: (4, 2) px; top left, top right, bottom right, bottom left
-    bit_errors: int  #: bits that were corrected
-    side: float  #: mean length of its sides, px
     pose: PoseEstimate
-
-
-@dataclass(frozen=True)
-class Observation:
-    """All markers of an image, the largest first, and what happened on the way."""
-
-    markers: List[ObservedMarker]
-    report: DetectionReport
 
 
 class MarkerObserver:
@@ -317,8 +305,8 @@ class MarkerObserver:
             if not math.isfinite(value) or value <= 0.0:
                 raise VisionError(f"a size of {value}: it must be above 0")
 
-    def observe(self, image: np.ndarray, camera: PinholeCamera) -> Observation:
-        """Return the markers in an image, (h, w) grey levels or (h, w, 3) BGR, uint8.
+    def observe(self, image: np.ndarray, camera: PinholeCamera) -> Detections:
+        """Return the `ObservedMarker`s in an image, (h, w) grey levels or (h, w, 3) BGR, uint8.
 
         Raises:
             VisionError: the image is none, or not of the camera's size.
@@ -327,24 +315,21 @@ class MarkerObserver:
             size = f"{image.shape[1]} x {image.shape[0]} px"
             raise VisionError(f"an image of {size} of a camera of {camera.width} x {camera.height}")
         detections = self.detector.detect(image, camera)
-        return Observation([self.locate(m, camera) for m in detections.markers], detections.report)
+        return Detections([self.locate(m, camera) for m in detections.markers], detections.report)
 
     def locate(self, marker: DetectedMarker, camera: PinholeCamera) -> ObservedMarker:
         """Return a detected marker with its poses."""
         size = self._sizes.get(marker.id, self._size)
         pose = estimate_pose(marker.corners, size, camera, self._sigma)
-        return ObservedMarker(marker.id, size, marker.corners, marker.bit_errors, marker.side, pose)
+        return ObservedMarker(**vars(marker), size=size, pose=pose)
 
 
 class PoseMemory:
     """Chooses between the two poses of each marker, from one image to the next.
 
     Where the image tells them apart, it decides. Where it does not: the one nearest the last
-    pose of that marker; else the more upright one, where that is clear; else the one that fits
-    better.
-
-    Args:
-        upright: whether markers hang upright before a level camera.
+    pose of that marker; else, if markers hang `upright` before a level camera, the more upright
+    one where that is clear; else the one that fits better.
     """
 
     def __init__(self, upright: bool = True):

@@ -157,14 +157,12 @@ def detection_message(marker: DetectedMarker, dictionary: str) -> MarkerDetectio
     return message
 
 
-def located_message(
-    marker: DetectedMarker, dictionary: str, observed: ObservedMarker, pose: MarkerPose
-) -> MarkerDetection:
+def located_message(marker: ObservedMarker, dictionary: str, pose: MarkerPose) -> MarkerDetection:
     """Return a marker with the pose that was chosen of the two as a message."""
     message = detection_message(marker, dictionary)
-    estimate = observed.pose
+    estimate = marker.pose
     other = estimate.alternative if pose is estimate.best else estimate.best
-    message.size = observed.size
+    message.size = marker.size
     message.pose = covariance_message(pose)
     message.reprojection_error = pose.error
     message.alternative_pose = marker_pose_message(other)

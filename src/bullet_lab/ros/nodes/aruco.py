@@ -212,9 +212,9 @@ class Aruco(ImageNode):
     ) -> None:
         tags = self.parameters.tags
         message = MarkerDetectionArray(header=header)
-        message.detections = [
-            located_message(marker, tags, *found) for marker, found in zip(markers, located)
-        ] or [detection_message(marker, tags) for marker in markers]
+        message.detections = [located_message(marker, tags, pose) for marker, pose in located] or [
+            detection_message(marker, tags) for marker in markers
+        ]
         self.publish("detections", message)
         if not located:
             return
