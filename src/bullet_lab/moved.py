@@ -146,6 +146,9 @@ class _Alias(Loader):
 
     def get_code(self, fullname: str) -> Any:
         """Return the new module's code, for `python -m` with the old name."""
+        if fullname.endswith(".__main__"):
+            # What is defined in one would not be found by processes that it starts.
+            return compile(f"from {self._name} import main\nmain()", fullname, "exec")
         loader: Any = importlib.util.find_spec(self._name).loader
         return loader.get_code(self._name)
 

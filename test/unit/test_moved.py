@@ -1,6 +1,7 @@
 """Names of before the house was built anew still import, with a warning."""
 
 import importlib
+import importlib.util
 import subprocess
 import sys
 
@@ -52,3 +53,10 @@ def test_an_old_name_runs_as_a_program(name):
     )
     assert done.returncode == 0
     assert "usage" in done.stdout
+
+
+def test_the_package_of_a_study_runs_it_and_leaves_its_classes_where_workers_find_them():
+    name = "bullet_lab.studies.dock_campaign.__main__"
+    code = importlib.util.find_spec(name).loader.get_code(name)
+    assert "main" in code.co_names
+    assert "CampaignSettings" not in code.co_names
