@@ -38,11 +38,7 @@ Window = Tuple[float, float, float, float]
 
 
 def levels_figure(cases: Sequence[Case]) -> Figure:
-    """Draw a small sheet of noisy paths for each level, all to the same scale.
-
-    Args:
-        cases: of one model and rate, a level each.
-    """
+    """Draw a sheet of noisy paths for each of the cases, which are levels, all to one scale."""
     rows = -(-len(cases) // COLUMNS)
     columns = min(COLUMNS, len(cases))
     window = _window(cases)
@@ -71,8 +67,7 @@ def levels_figure(cases: Sequence[Case]) -> Figure:
 def distance_figure(cases: Sequence[Case]) -> Figure:
     """Draw the error against the distance travelled, and the closed form over it.
 
-    Args:
-        cases: of one rate; a panel for each model.
+    The cases are of one rate; each model has a panel.
     """
     by_model = _by_model(cases)
     figure = new_figure(4.3 * len(by_model) + 0.6, 4.6)
@@ -101,9 +96,7 @@ def distance_figure(cases: Sequence[Case]) -> Figure:
 def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
     """Draw what the message rate does to each model: paths, and the error at the end.
 
-    Args:
-        cases: of all models, rates and levels.
-        trajectory: the perfect path as it was given.
+    The cases are of all models, rates and levels; the trajectory is the path as it was given.
     """
     by_model = _by_model(cases)
     rates = _spread(sorted({case.rate for case in cases}), SHOWN_RATES)
@@ -136,11 +129,7 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
 
 
 def coverage_figure(cases: Sequence[Case]) -> Figure:
-    """Draw where the 95 % ellipses are right and where not, and the NEES.
-
-    Args:
-        cases: of all models and levels; those of the highest rate are drawn.
-    """
+    """Draw where the 95 % ellipses are right, and the NEES, at the highest rate of the cases."""
     rate = max(case.rate for case in cases)
     by_model = _by_model([case for case in cases if case.rate == rate])
     figure = new_figure(4.0 * len(by_model) + 0.8, 6.0)
@@ -154,10 +143,8 @@ def coverage_figure(cases: Sequence[Case]) -> Figure:
         column[1].axhline(1.0, color=GREY, linewidth=5.0, alpha=0.5)
         nees = [case.sample.nees / 3.0 for case in known]
         column[1].plot(std, nees, "^-", color=BLUE, label="NEES of noisy_odom / 3")
-        areas = [case.theory.area_ratio() for case in known]
-        column[1].plot(
-            std, areas, "s--", color=VERMILION, label="area of the ellipse,\nfirst order / exact"
-        )
+        areas, label = [c.theory.area_ratio() for c in known], "area of the ellipse,\nfirst order"
+        column[1].plot(std, areas, "s--", color=VERMILION, label=f"{label} / exact")
         column[1].set_xlabel("std")
         column[1].grid(alpha=0.3)
     grid[0, 0].set_ylabel("in the 95 % ellipse (%)")
@@ -185,11 +172,8 @@ def _draw_sheet(axes: Axes, case: Case, window: Window) -> None:
     start = complex(*case.trajectory.poses[0, :2])
     perfect = case.trajectory.poses[:, 0] + 1j * case.trajectory.poses[:, 1]
     lines = start + case.sample.kept
-    axes.add_collection(
-        LineCollection(
-            np.stack([lines.real, lines.imag], axis=-1), colors=BLUE, linewidths=0.5, alpha=0.3
-        )
-    )
+    points = np.stack([lines.real, lines.imag], axis=-1)
+    axes.add_collection(LineCollection(points, colors=BLUE, linewidths=0.5, alpha=0.3))
     outline = [withStroke(linewidth=2.6, foreground="white")]
     axes.plot(perfect.real, perfect.imag, color=ORANGE, linewidth=1.5, path_effects=outline)
     for index in find_corners(case.trajectory):
@@ -212,14 +196,12 @@ def _ellipse_at(case: Case, moments: Moments, index: int) -> np.ndarray:
 
 def _add_sheet_legend(figure: Figure) -> None:
     axes = figure.axes[0]
-    percent = f"{100 * LEVEL:g} %"
+    ellipse = f"{100 * LEVEL:g} % ellipse"
     handles = [
         *axes.plot([], [], color=BLUE, linewidth=1.0, label="noisy"),
         *axes.plot([], [], color=ORANGE, linewidth=2.0, label="perfect"),
-        *axes.plot([], [], color=BLACK, linewidth=1.2, label=f"{percent} ellipse, exact"),
-        *axes.plot(
-            [], [], "--", color=VERMILION, linewidth=1.2, label=f"{percent} ellipse, first order"
-        ),
+        *axes.plot([], [], color=BLACK, linewidth=1.2, label=f"{ellipse}, exact"),
+        *axes.plot([], [], "--", color=VERMILION, linewidth=1.2, label=f"{ellipse}, first order"),
     ]
     figure.legend(handles=handles, loc="lower center", ncol=4, frameon=False)
 
@@ -229,17 +211,12 @@ def _window(cases: Sequence[Case]) -> Window:
     poses = cases[0].trajectory.poses
     size = max(np.ptp(poses[:, 0]), np.ptp(poses[:, 1]))
     start = complex(*poses[0, :2])
-    shown = np.concatenate(
-        [
-            curve
-            for case in cases
-            for index in find_corners(case.trajectory)
-            for curve in (
-                start + case.sample.kept[:, index],
-                _ellipse_at(case, case.theory.exact, index),
-            )
-        ]
-    )
+    curves = []
+    for case in cases:
+        for index in find_corners(case.trajectory):
+            curves.append(start + case.sample.kept[:, index])
+            curves.append(_ellipse_at(case, case.theory.exact, index))
+    shown = np.concatenate(curves)
     sides = []
     for perfect, others in ((poses[:, 0], shown.real), (poses[:, 1], shown.imag)):
         low, high = perfect.min(), perfect.max()
@@ -259,10 +236,12 @@ def _draw_error(axes: Axes, case: Case, colour) -> None:
     axes.plot(
         far, case.theory.first_order.rms_distance()[shown], ":", color=VERMILION, linewidth=1.6
     )
-    end = (far[-1], case.sample.rms_distance[-1])
-    axes.annotate(
-        f"{case.std:g}", end, xytext=(5, 0), textcoords="offset points", va="center", fontsize=9
-    )
+    _label(axes, f"{case.std:g}", (far[-1], case.sample.rms_distance[-1]), 5)
+
+
+def _label(axes: Axes, text: str, point: Tuple[float, float], gap: float) -> None:
+    offset = {"xytext": (gap, 0), "textcoords": "offset points"}
+    axes.annotate(text, point, va="center", fontsize=9, **offset)
 
 
 def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> None:
@@ -278,22 +257,10 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
         ends = [theory(noisy_steps(p.poses, rule)).exact.rms_distance()[-1] for p in paths]
         axes.plot(rates, ends, "-", color=BLACK, linewidth=1.0)
         of_level = [case for case in cases if case.std == first.std]
-        axes.plot(
-            [case.rate for case in of_level],
-            [case.sample.rms_distance[-1] for case in of_level],
-            "o",
-            color=colour,
-            markeredgecolor=BLACK,
-            markersize=6,
-        )
-        axes.annotate(
-            f"{first.std:g}",
-            (rates[-1], ends[-1]),
-            xytext=(4, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=9,
-        )
+        found = [case.sample.rms_distance[-1] for case in of_level]
+        look = {"color": colour, "markeredgecolor": BLACK, "markersize": 6}
+        axes.plot([case.rate for case in of_level], found, "o", **look)
+        _label(axes, f"{first.std:g}", (rates[-1], ends[-1]), 4)
     axes.set(xscale="log", yscale="log")
     axes.set_xlim(0.75 * rates[0], 2.0 * rates[-1])
     axes.xaxis.set_major_locator(FixedLocator(all_rates))
@@ -317,7 +284,7 @@ def _by_model(cases: Sequence[Case]) -> Dict[str, List[Case]]:
 
 
 def _shown_levels(cases: Sequence[Case]) -> List[Case]:
-    """Return the cases with noise, so many that they can be told apart, from low to high."""
+    """Return cases with noise, from low to high, as many as can be told apart."""
     return _spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), CURVES)
 
 
@@ -329,6 +296,6 @@ def _spread(values: Sequence, count: int) -> List:
     return [values[i] for i in indices]
 
 
-def _colours(count: int) -> List:
+def _colours(count: int) -> np.ndarray:
     """Return colours from dark to light, which print and the colour-blind tell apart."""
-    return [viridis(value) for value in np.linspace(0.1, 0.9, count)]
+    return viridis(np.linspace(0.1, 0.9, count))

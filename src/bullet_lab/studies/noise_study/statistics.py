@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Dict, List
+from typing import Any, Dict, List, NamedTuple, Optional
 
 import numpy as np
 from scipy.special import chdtri
@@ -35,6 +35,17 @@ LAP_TOLERANCE = math.radians(10.0)
 MOST_LAPS = 50
 """Who turns round more often than this is not going round in laps."""
 
+NEES_BOUND = float(chdtri(3, 1.0 - LEVEL))
+"""The quantile at `LEVEL` of chi-square with 3 degrees of freedom."""
+
+QUANTILE_PATHS = 100_000
+"""Medians and 95 % quantiles are of the first so many paths; everything else is of all."""
+
+GAUSSIAN_SHIFT, GAUSSIAN_AREA = 0.1, 0.05
+"""Standard deviations, and a share of the area; see `Theory.gaussian_enough`."""
+
+_SINGULAR = 1e-12
+
 METRICS = (
     "final_error_m",
     "final_heading_error_deg",
@@ -54,14 +65,8 @@ class PathMetricsError(LabError):
     """A path on which the metrics are not defined."""
 
 
-@dataclass(frozen=True, eq=False)
-class Laps:
-    """Where the laps of a path begin and end.
-
-    Attributes:
-        start: index of the first pose of each lap, shape (l,).
-        end: index of its last pose, shape (l,).
-    """
+class Laps(NamedTuple):
+    """Indices of the first and the last pose of each lap of a path, shape (l,)."""
 
     start: np.ndarray
     end: np.ndarray
@@ -179,8 +184,7 @@ class PathMetrics:
     def _relative_errors(self, block: NoisyBlock) -> tuple[np.ndarray, np.ndarray]:
         """Return the relative pose errors in m and rad, each of shape (b, number of pairs).
 
-        The displacement, seen from the noisy pose, less the perfect one seen from the perfect
-        pose. Turned by the perfect heading this is exp(-i H) (P_j - P_i) - (p_j - p_i).
+        Turned by the perfect heading they are exp(-i H) (P_j - P_i) - (p_j - p_i).
         """
         heading = block.heading_error
         start = np.take(heading, self._first, axis=1)
@@ -218,24 +222,8 @@ def _tangents(steps: NoisySteps) -> np.ndarray:
     return steps.direction[np.concatenate([[begin], latest])]
 
 
-NEES_BOUND = float(chdtri(3, 1.0 - LEVEL))
-"""The quantile at `LEVEL` of chi-square with 3 degrees of freedom."""
-
-QUANTILE_PATHS = 100_000
-"""Medians and 95 % quantiles are of the first so many paths; everything else is of all."""
-
-GAUSSIAN_SHIFT, GAUSSIAN_AREA = 0.1, 0.05
-"""Standard deviations, and a share of the area; see `Theory.gaussian_enough`."""
-
-_SINGULAR = 1e-12
-
-
 def level_rule(model: str, std: float) -> NoiseRule:
-    """Return the rule of a model at a level of noise.
-
-    Raises:
-        NoiseError: an unknown model, or a level that makes no sense.
-    """
+    """Return the rule of a model at a level of noise; raises NoiseError."""
     return model_named(model).at_level(std)
 
 
@@ -256,7 +244,8 @@ class Theory:
 
         This is the Mahalanobis length, in the position, of the exact bias; 0 without noise.
         """
-        return math.sqrt(_square_length(self.exact.mean[-1, :2], _position(self.first_order)))
+        bias, inverse = self.exact.mean[-1, :2], _inverse(_position(self.first_order))
+        return 0.0 if inverse is None else math.sqrt(float(bias @ inverse @ bias))
 
     def area_ratio(self) -> float:
         """Return the area of the first-order ellipse at the end over that of the exact one."""
@@ -412,11 +401,12 @@ class _Sampler:
         self._steps = steps
         self._metrics = metrics
         self._exact_mean = known.exact.mean[-1]
-        self._inverses = {
-            name: _inverse(_position(moments))
-            for name, moments in (("first_order", known.first_order), ("exact", known.exact))
+        # Centre and inverse covariance.
+        self._ellipses = {
+            "first_order": (np.zeros(2), _inverse(_position(known.first_order))),
+            "exact": (self._exact_mean[:2], _inverse(_position(known.exact))),
         }
-        self._centres = {"first_order": np.zeros(2), "exact": self._exact_mean[:2]}
+        self._published_is_regular = _inverse(known.first_order.covariance[-1]) is not None
         self._paths = 0
         self._sum = np.zeros(3)
         self._squares = np.zeros((3, 3))
@@ -424,14 +414,12 @@ class _Sampler:
         self._metric_values = np.empty((min(paths, QUANTILE_PATHS), len(metrics.names)))
         self._inside = {"first_order": 0, "exact": 0, "published": 0}
         self._nees_sum, self._nees_inside = 0.0, 0
-        self._published_is_regular = _inverse(known.first_order.covariance[-1]) is not None
         self._distance_squares = np.zeros(len(steps) + 1)
         self._kept = np.empty((min(keep, paths), len(steps) + 1), dtype=complex)
         self._kept_heading = np.empty(self._kept.shape)
 
     def add(self, block: NoisyBlock) -> None:
-        b = len(block)
-        self._paths += b
+        self._paths += len(block)
         error = block.position - self._steps.position
         self._distance_squares += np.einsum("ij,ij->j", error.real, error.real)
         self._distance_squares += np.einsum("ij,ij->j", error.imag, error.imag)
@@ -440,45 +428,34 @@ class _Sampler:
         centred = last - self._exact_mean
         self._sum += centred.sum(axis=0)
         self._squares += centred.T @ centred
-        self._add_metrics(block)
-        self._add_coverage(last[:, :2])
-        self._add_published(block, last)
-        kept = max(0, min(len(self._kept) - block.first, b))
-        self._kept[block.first : block.first + kept] = block.position[:kept]
-        self._kept_heading[block.first : block.first + kept] = block.heading_error[:kept]
-
-    def _add_metrics(self, block: NoisyBlock) -> None:
         values = self._metrics.values(block)
         self._metric_sums += values.sum(axis=0)
-        room = max(0, min(len(self._metric_values) - block.first, len(block)))
-        self._metric_values[block.first : block.first + room] = values[:room]
-
-    def _add_coverage(self, position: np.ndarray) -> None:
-        for name, inverse in self._inverses.items():
+        for kept, new in (
+            (self._metric_values, values),
+            (self._kept, block.position),
+            (self._kept_heading, block.heading_error),
+        ):
+            room = max(0, min(len(kept) - block.first, len(block)))
+            kept[block.first : block.first + room] = new[:room]
+        for name, (centre, inverse) in self._ellipses.items():
             if inverse is not None:
-                off = position - self._centres[name]
-                lengths = np.einsum("ni,ij,nj->n", off, inverse, off)
-                self._inside[name] += int(np.count_nonzero(lengths <= SQUARE_RADIUS))
+                off = last[:, :2] - centre
+                self._count(name, np.einsum("ni,ij,nj->n", off, inverse, off))
+        if self._published_is_regular:
+            covariance = published_covariances(self._steps, block)
+            self._count("published", _square_lengths(last[:, :2], covariance[:, :2, :2]))
+            nees = _square_lengths(last, covariance)
+            self._nees_sum += float(nees.sum())
+            self._nees_inside += int(np.count_nonzero(nees <= NEES_BOUND))
 
-    def _add_published(self, block: NoisyBlock, error: np.ndarray) -> None:
-        if not self._published_is_regular:
-            return
-        covariance = published_covariances(self._steps, block)
-        position = error[:, :2]
-        lengths = _square_lengths(position, covariance[:, :2, :2])
-        self._inside["published"] += int(np.count_nonzero(lengths <= SQUARE_RADIUS))
-        nees = _square_lengths(error, covariance)
-        self._nees_sum += float(nees.sum())
-        self._nees_inside += int(np.count_nonzero(nees <= NEES_BOUND))
+    def _count(self, name: str, square_lengths: np.ndarray) -> None:
+        self._inside[name] += int(np.count_nonzero(square_lengths <= SQUARE_RADIUS))
 
     def sample(self) -> Sample:
         n = self._paths
         shift = self._sum / n
-        known = {
-            "first_order": self._inverses["first_order"] is not None,
-            "exact": self._inverses["exact"] is not None,
-            "published": self._published_is_regular,
-        }
+        known = {name: inverse is not None for name, (_, inverse) in self._ellipses.items()}
+        known["published"] = self._published_is_regular
         return Sample(
             paths=n,
             mean=self._exact_mean + shift,
@@ -505,7 +482,7 @@ def _position(moments: Moments) -> np.ndarray:
     return moments.covariance[-1, :2, :2]
 
 
-def _inverse(covariance: np.ndarray):
+def _inverse(covariance: np.ndarray) -> Optional[np.ndarray]:
     """Return the inverse of a covariance, None where that is lost in rounding."""
     scale = np.sqrt(np.abs(np.diag(covariance)))
     if (scale == 0.0).any():
@@ -514,11 +491,6 @@ def _inverse(covariance: np.ndarray):
     if np.linalg.eigvalsh(correlation)[0] < _SINGULAR:
         return None
     return np.linalg.inv(correlation) / np.outer(scale, scale)
-
-
-def _square_length(vector: np.ndarray, covariance: np.ndarray) -> float:
-    inverse = _inverse(covariance)
-    return 0.0 if inverse is None else float(vector @ inverse @ vector)
 
 
 def _square_lengths(vectors: np.ndarray, covariances: np.ndarray) -> np.ndarray:

@@ -206,18 +206,19 @@ def metrics_rows(cases: Sequence[Case]) -> List[List[Any]]:
         *("nees_mean", "nees_within_95", "mean_missed_by_std", "area_over_exact"),
         "gaussian_enough",
     ]
-    return [header, *(_metrics_row(case, metrics) for case in cases)]
-
-
-def _metrics_row(case: Case, metrics: Sequence[Tuple[str, str]]) -> List[Any]:
-    sample, known = case.sample, case.theory
-    return [
-        *(case.model, case.rate, case.std, sample.paths),
-        *(sample.metrics.get(name, {}).get(part) for name, part in metrics),
-        *(sample.coverage[name] for name in ("first_order", "exact", "published")),
-        *(sample.nees, sample.nees_within, known.shift(), known.area_ratio()),
-        str(known.gaussian_enough()).lower(),
-    ]
+    rows: List[List[Any]] = [header]
+    for case in cases:
+        sample, known = case.sample, case.theory
+        rows.append(
+            [
+                *(case.model, case.rate, case.std, sample.paths),
+                *(sample.metrics.get(name, {}).get(part) for name, part in metrics),
+                *(sample.coverage[name] for name in ("first_order", "exact", "published")),
+                *(sample.nees, sample.nees_within, known.shift(), known.area_ratio()),
+                str(known.gaussian_enough()).lower(),
+            ]
+        )
+    return rows
 
 
 def distance_rows(cases: Sequence[Case]) -> Iterator[List[Any]]:
