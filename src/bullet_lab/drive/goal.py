@@ -125,15 +125,11 @@ class GoalDriver:
             seconds: since the command before, for the accelerations.
         """
         v_goal, w_goal = self._control(pose)
-        if self.phase is DrivePhase.ARRIVED:
-            # What is left to brake is a crawl.
-            self.moving = STANDSTILL
-            return STANDSTILL
-        limits = self._limits
-        v, w = self.moving
+        limits, (v, w) = self._limits, self.moving
         v += _clip(v_goal - v, limits.acceleration * seconds)
         w += _clip(w_goal - w, limits.turn_acceleration * seconds)
-        self.moving = (v, w)
+        # What is left to brake on arrival is a crawl.
+        self.moving = STANDSTILL if self.phase is DrivePhase.ARRIVED else (v, w)
         return self.moving
 
     def stopped(self) -> None:

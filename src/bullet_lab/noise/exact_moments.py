@@ -79,15 +79,16 @@ def exact_moments(steps: NoisySteps) -> Moments:
 
     earlier = _fading_sum(-way.conj() * lost, np.exp(-0.5 * np.diff(v)))
     c = s2 - d * d * lost + 2.0 * (way * earlier).real
-    earlier = _before(np.cumsum(way * faded * lost))
+    earlier = _from_zero(np.cumsum(way * faded * lost))[:-1]
     g = unit * unit * (s2 * np.exp(-2.0 * v) + d * d * np.exp(-v) * lost)
     g += 2.0 * way * faded * earlier
     heading = 1j * v * way * faded
 
     # The mean of P less the perfect P, again without subtracting what is nearly the same.
     shift = way * np.expm1(-0.5 * v)
+    mean = _from_zero(np.cumsum(shift))
     return Moments(
-        _mean(_from_zero(np.cumsum(shift))),
+        np.column_stack([mean.real, mean.imag, np.zeros(len(mean))]),
         _covariance(*(_from_zero(np.cumsum(terms)) for terms in (c, g, heading, turned))),
     )
 
@@ -176,14 +177,5 @@ def _covariance(c, g, heading, turned) -> np.ndarray:
     return result
 
 
-def _mean(position: np.ndarray) -> np.ndarray:
-    return np.column_stack([position.real, position.imag, np.zeros(len(position))])
-
-
 def _from_zero(sums: np.ndarray) -> np.ndarray:
     return np.concatenate([np.zeros(1, dtype=sums.dtype), sums])
-
-
-def _before(sums: np.ndarray) -> np.ndarray:
-    """Return running sums without their last term each."""
-    return _from_zero(sums)[:-1]

@@ -112,16 +112,9 @@ class SquaresSettings:
 
 
 def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
-    """Drive the square and leave paths.csv, paths.png, the TUM files and summary.json.
+    """Drive the square, leave paths.csv, paths.png, the TUM files and summary.json; return that.
 
     The same settings give the same files, byte for byte.
-
-    Args:
-        folder: where the files go; made if need be.
-        settings: what is run.
-
-    Returns:
-        What summary.json says.
 
     Raises:
         LabError: a setting that makes no sense, or a folder that cannot be written to.

@@ -12,13 +12,14 @@ import re
 import signal
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Iterable, Iterator, NoReturn, Optional, Sequence, Tuple, Type
 
 from tqdm import tqdm
 
 from bullet_lab.core.files import FileError, make_folder
-from bullet_lab.core.parameters import ArgumentParser, add_options, read_options
+from bullet_lab.core.parameters import ArgumentParser, add_options, check_parameters, read_options
 from bullet_lab.entry import STATUS_INTERRUPTED
 from bullet_lab.errors import LabError
 
@@ -30,6 +31,14 @@ LINES = 10
 """So many lines tell of the progress where there is no terminal."""
 
 Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Parameters of a study; those made in Python are checked as well, with ParameterError."""
+
+    def __post_init__(self) -> None:  # noqa: D105 - see the class
+        check_parameters(self)
 
 
 class UnfinishedError(LabError):
@@ -138,9 +147,6 @@ def whole_results(folder: Path) -> Iterator[Path]:
     """Yield a folder for results, which are put into their place only when all are there.
 
     If anything fails meanwhile, the results that were there before still are.
-
-    Args:
-        folder: where the results go; made if need be.
 
     Raises:
         FileError: a file cannot be written.

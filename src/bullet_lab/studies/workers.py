@@ -11,15 +11,16 @@ import threading
 from collections import Counter
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from multiprocessing import connection, get_context, parent_process
 from typing import Any, Callable, Dict, Iterable, Iterator, Sequence, Tuple
 
 import cv2
 
-from bullet_lab.core.parameters import check_parameters, checked, choice, integer
+from bullet_lab.core.parameters import checked, choice, integer
 from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
-from bullet_lab.studies.study import UnfinishedError
+from bullet_lab.studies.study import Settings, UnfinishedError
 
 SECONDS_FOR_SCHEDULER = 10.0
 SECONDS_FOR_WORKERS = 30.0
@@ -49,15 +50,14 @@ class TaskLostError(UnfinishedError):
 
 
 @dataclass(frozen=True)
-class WorkerSettings:
+class WorkerSettings(Settings):
     """Who does the work."""
 
     workers: int = integer(0, "processes; 0: one for each core", 0, MOST_WORKERS)
     renderer: str = choice(AUTO, "passed over: Panda3D draws all pictures", CHOICES)
 
-    def __post_init__(self) -> None:
-        """Raise ParameterError where a value is not allowed."""
-        check_parameters(self)
+    def __post_init__(self) -> None:  # noqa: D105 - inherited
+        super().__post_init__()
         check_choice(self.renderer)
 
 
@@ -94,11 +94,7 @@ def workers(count: int = 0, scheduler: str = "") -> Run:
             this one, however it ends.
         scheduler: address such as tcp://host:8786 of a Dask cluster that does it instead.
     """
-
-    def run_round(task: Task, numbers: Sequence[int]) -> Results:
-        if scheduler:
-            return _on_dask(scheduler, task, numbers)
-        return _on_processes(count, task, numbers)
+    run_round = partial(_on_dask, scheduler) if scheduler else partial(_on_processes, count)
 
     def run(task: Task, numbers: Sequence[int]) -> Results:
         suspects = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import List, Optional, Tuple
+from typing import List, Tuple
 from zlib import crc32
 
 import numpy as np
@@ -14,7 +14,6 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.plugins.camera import Camera
-from bullet_lab.simulation.plugins.samples import ImageSample
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Link, Model, World
 from bullet_lab.simulation.world.floor_plan import footprints
@@ -190,23 +189,17 @@ def is_reachable(cell: Cell) -> bool:
 
 def is_visible(cell: Cell) -> bool:
     """Tell whether nothing stands between the camera and the wanted marker, on both sides."""
-    world = lit_world(cell.world, cell.light)
-    corners = WORLDS[cell.world].wanted.corners()
-    for side in (-1.0, 1.0):
-        eye = np.array(camera_pose(cell.distance, side * cell.bearing).position)
-        if any(_is_blocked(world, eye, corner) for corner in corners):
-            return False
-    return True
-
-
-def _is_blocked(world: World, eye: np.ndarray, point: np.ndarray) -> bool:
-    return any(
-        _cuts(model.pose * link.pose * shape.pose, shape.geometry, eye, point)
-        for model in world.models
+    boxes = [
+        (model.pose * link.pose * shape.pose, shape.geometry)
+        for model in lit_world(cell.world, cell.light).models
         for link in model.links
         for shape in link.collisions
         if isinstance(shape.geometry, Box)
-    )
+    ]
+    corners = WORLDS[cell.world].wanted.corners()
+    places = [camera_pose(cell.distance, side * cell.bearing).position for side in (-1.0, 1.0)]
+    ways = [(np.array(eye), corner) for eye in places for corner in corners]
+    return not any(_cuts(pose, box, eye, corner) for pose, box in boxes for eye, corner in ways)
 
 
 def _cuts(pose: Pose, box: Box, eye: np.ndarray, point: np.ndarray) -> bool:
@@ -240,25 +233,16 @@ class FreeCamera:
     Args:
         world: what there is to see.
         seed: of the noise.
-        robot: URDF file with the camera.
 
     Raises:
         LabError: a file cannot be read, or the robot has no camera.
     """
 
-    def __init__(self, world: World, seed: int = 0, robot: str = ROBOT):
-        model = camera_alone(read_urdf_file(ResourceFinder.anywhere().find(robot)))
+    def __init__(self, world: World, seed: int = 0):
+        model = camera_alone(read_urdf_file(ResourceFinder.anywhere().find(ROBOT)))
         self._simulation = Simulation(world, seed)
         self._instance = self._simulation.add(model)
         self._device: Camera = self._instance.plugins[0]
-        self._device.image.connect(self._keep)
-        self._sample: Optional[ImageSample] = None
-
-    def __enter__(self) -> FreeCamera:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
     def close(self) -> None:
         """Give everything back."""
@@ -270,29 +254,18 @@ class FreeCamera:
         return self._device.camera
 
     def take(self, pose: Pose, number: int) -> np.ndarray:
-        """Return the picture from a pose, (height, width) of uint8, grey.
+        """Return the picture from a pose, (height, width) of uint8, grey; raises LabError.
 
         Args:
             pose: of the camera in the world: x ahead, z up.
             number: of the picture, >= 0; its noise follows from this and the seed.
-
-        Raises:
-            LabError: something cannot be drawn.
         """
         self._instance.place(pose)
-        self._device.produce(number)
-        return grey(self._sample.pixels, self._sample.encoding)
-
-    def _keep(self, sample: ImageSample) -> None:
-        self._sample = sample
+        return grey(self._device.take(number), self._device.encoding)
 
 
 def camera_alone(robot: Model) -> Model:
-    """Return a model of nothing but a robot's camera; its frame is that of the camera's link.
-
-    Raises:
-        FreeCameraError: the robot has no camera.
-    """
+    """Return a model of nothing but a robot's camera, in the frame of its link; raises LabError."""
     cameras = [plugin for plugin in robot.plugins if plugin.filename == "libgazebo_ros_camera.so"]
     if not cameras:
         raise FreeCameraError(f"robot '{robot.name}' has no camera")

@@ -15,7 +15,7 @@ from typing import Any, Dict, Iterator, List, Mapping, NoReturn, Optional, Seque
 
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
-from bullet_lab.core.parameters import boolean, check_parameters, choices, integer, numbers
+from bullet_lab.core.parameters import boolean, choices, integer, numbers
 from bullet_lab.simulation.rendering.graphics import driver_name
 from bullet_lab.studies.detection_range.figures import heat_map, range_figure
 from bullet_lab.studies.detection_range.scenes import LIGHTS, WORLDS, Cell, is_reachable
@@ -23,6 +23,7 @@ from bullet_lab.studies.detection_range.trial import count_false, try_cell
 from bullet_lab.studies.study import (
     MOST_SEED,
     SUMMARY,
+    Settings,
     Tell,
     progress,
     run_from,
@@ -51,7 +52,7 @@ Result = Any
 
 
 @dataclass(frozen=True)
-class RangeSettings:
+class RangeSettings(Settings):
     """What is tried: a grid of positions in each world and light, and pictures of the dots."""
 
     worlds: Tuple[str, ...] = choices(tuple(WORLDS), "worlds to try", WORLDS)
@@ -79,10 +80,6 @@ class RangeSettings:
     every_light: bool = boolean(
         False, "try each world in each light, not only marker_panel and docking"
     )
-
-    def __post_init__(self) -> None:
-        """Raise ParameterError where a value is not allowed."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True)
@@ -126,13 +123,19 @@ Row = Mapping[str, Any]
 LEAST_RATE = 0.95
 """A marker that is found in fewer of the pictures is not counted as found."""
 
-TARGETS = ((0.0, 4.0, 1.0), (15.0, 4.0, 1.0), (30.0, 4.0, 1.0), (45.0, 3.0, 1.0), (60.0, 2.0, 1.0))
-"""Of the free-standing panel in its own light: bearing (deg), up to which distance (m), rate."""
-
-FRONTAL_TARGET = (5.0, 0.95)
 CLOSEST_TARGET = 0.35
 NEAREST_ASIDE = 0.5
 """m; nearer, a marker that is seen from aside is not wholly in the picture."""
+
+TARGETS = (
+    (0.0, NEAREST_ASIDE, 4.0, 1.0),
+    (15.0, NEAREST_ASIDE, 4.0, 1.0),
+    (30.0, NEAREST_ASIDE, 4.0, 1.0),
+    (45.0, NEAREST_ASIDE, 3.0, 1.0),
+    (60.0, NEAREST_ASIDE, 2.0, 1.0),
+    (0.0, 5.0, 5.0, 0.95),
+)
+"""Of the free-standing panel in its own light: bearing (deg), least and most m, rate."""
 PANEL, OWN_LIGHT = "marker_panel", "default"
 SIGNIFICANT = 6
 COUNTS = ("other_detections", "double_detections", "false_detections")
@@ -147,8 +150,7 @@ def _entry(value: Any) -> Any:
 def detection_summary(rows: Sequence[Row]) -> Dict[str, Any]:
     """Return the ranges of each world and light, and how the panel's targets are met.
 
-    Args:
-        rows: of all cells, as in the table.
+    The rows are those of all cells, as in the table.
     """
     lights = list(dict.fromkeys((row["world"], row["light"]) for row in rows))
     worlds: Dict[str, Any] = {}
@@ -183,23 +185,14 @@ def found_range(rows: Sequence[Row], bearing: float) -> Tuple[Optional[float], O
     current: List[float] = []
     for distance, rate in sorted((row["distance_m"], row["rate"]) for row in aligned):
         current = [*current, distance] if rate >= LEAST_RATE else []
-        best = max(best, current, key=_length)
+        best = max(best, current, key=lambda run: run[-1] - run[0] if run else -1.0)
     return (best[0], best[-1]) if best else (None, None)
-
-
-def _length(distances: Sequence[float]) -> float:
-    return distances[-1] - distances[0] if distances else -1.0
 
 
 def _targets(rows: Sequence[Row]) -> List[Dict[str, Any]]:
     """Return, for each target, in how many pictures the marker should have been found and was."""
     panel = [row for row in rows if (row["world"], row["light"]) == (PANEL, OWN_LIGHT)]
-    found = [
-        _target(panel, bearing, (NEAREST_ASIDE, distance), rate)
-        for bearing, distance, rate in TARGETS
-    ]
-    far, rate = FRONTAL_TARGET
-    found.append(_target(panel, 0.0, (far, far), rate))
+    found = [_target(panel, *target) for target in TARGETS]
     if any(row["bearing_deg"] == 0.0 and row["distance_m"] <= CLOSEST_TARGET for row in panel):
         closest = found_range(panel, 0.0)[0]
         met = closest is not None and closest <= CLOSEST_TARGET
@@ -208,9 +201,8 @@ def _targets(rows: Sequence[Row]) -> List[Dict[str, Any]]:
 
 
 def _target(
-    panel: Sequence[Row], bearing: float, distances: Tuple[float, float], rate: float
+    panel: Sequence[Row], bearing: float, least: float, most: float, rate: float
 ) -> Dict[str, Any]:
-    least, most = distances
     chosen = [r for r in panel if r["bearing_deg"] == bearing and least <= r["distance_m"] <= most]
     frames, found = (sum(row[name] for row in chosen) for name in ("frames", "found"))
     if not frames:
@@ -233,11 +225,10 @@ def describe(summary: Mapping[str, Any]) -> List[str]:
             if "closest_m" in entry:
                 lines.append(f"{world}, {light} light: {_sentence(entry)}")
     for target in summary["targets"]:
-        count = (
-            f"{target['found']} of {target['frames']} frames"
-            if "frames" in target
-            else f"{_metres(target['closest_m'])}"
-        )
+        if "frames" in target:
+            count = f"{target['found']} of {target['frames']} frames"
+        else:
+            count = _metres(target["closest_m"])
         lines.append(f"target {target['target']}: {count}, {'met' if target['met'] else 'MISSED'}")
     dots = summary["dots"]
     if dots["frames"]:
@@ -267,18 +258,9 @@ def run_detection_range(
     run: Run = this_process,
     tell: Tell = silent,
 ) -> Dict[str, Any]:
-    """Try all cells and leave table, heat maps, picture and summary.
+    """Try all cells, leave table, heat maps, picture and summary.json, and return what that says.
 
     The same settings give the same files, whoever does the work.
-
-    Args:
-        folder: where the files go; made if need be.
-        settings: what is tried.
-        run: has the tasks done, somewhere.
-        tell: gets a line of text now and then, where there is no terminal.
-
-    Returns:
-        What summary.json says.
 
     Raises:
         LabError: nothing can be drawn, the folder cannot be written to, or a task was lost.

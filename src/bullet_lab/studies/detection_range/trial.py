@@ -123,18 +123,10 @@ def _spread(name: str, values: List[float]) -> Dict[str, Optional[float]]:
 
 
 def try_cell(cell: Cell, frames: int, seed: int, keep: bool = False) -> CellResult:
-    """Take the pictures of a cell and judge what the detector finds in them.
+    """Take pictures of a cell and judge what the detector finds in them; raises LabError.
 
-    Where the marker is hidden fewer are taken: `HIDDEN_SHARE` of them.
-
-    Args:
-        cell: where.
-        frames: how many pictures.
-        seed: of all that is random.
-        keep: return the first picture, too.
-
-    Raises:
-        LabError: the world cannot be read or drawn.
+    Where the marker is hidden fewer are taken: `HIDDEN_SHARE` of them. The first one is returned
+    if it is to be kept.
     """
     visible = is_visible(cell)
     count = frames if visible else math.ceil(HIDDEN_SHARE * frames)
@@ -147,13 +139,7 @@ def try_cell(cell: Cell, frames: int, seed: int, keep: bool = False) -> CellResu
 
 
 def count_false(world: str, block: int, frames: int, seed: int) -> Tuple[int, int]:
-    """Take pictures from all over a world and count what the detector finds that is not there.
-
-    Args:
-        world: name of the world, in its own light.
-        block: which such set of pictures, >= 0.
-        frames: how many pictures.
-        seed: of all that is random.
+    """Take pictures from all over a world, in its own light, and count what is not there.
 
     Returns:
         How many false detections there were, and in how many pictures the marker was found.
@@ -173,13 +159,9 @@ class Inspection:
 
     def __init__(self, world: str, light: str, seed: int):
         self._camera = FreeCamera(lit_world(world, light), seed)
+        self._geometry = self._camera.camera
         self._known = WORLDS[world]
         self._observer = MarkerObserver(DetectorSettings(DICTIONARY), self._known.wanted.size)
-
-    @property
-    def camera(self) -> PinholeCamera:
-        """Geometry of the pictures."""
-        return self._camera.camera
 
     def snapshot(self, shot: Shot) -> Snapshot:
         """Take a picture and keep it, with the corners of what is found."""
@@ -190,16 +172,16 @@ class Inspection:
     def judge(self, shot: Shot) -> Frame:
         """Take a picture and compare what is found in it with the truth."""
         _, markers = self._look(shot)
-        return judge(markers, shot.pose, self._known.wanted, self._known.others, self.camera)
+        return judge(markers, shot.pose, self._known.wanted, self._known.others, self._geometry)
 
     def _look(self, shot: Shot) -> Tuple[np.ndarray, List[ObservedMarker]]:
         picture = self._camera.take(shot.pose, shot.number)
-        return picture, self._observer.observe(picture, self.camera).markers
+        return picture, self._observer.observe(picture, self._geometry).markers
 
     def side(self, pose: Pose) -> float:
         """Return the mean side of the wanted marker in the picture, in pixels."""
-        corners = self.camera.project(in_optical_frame(pose, self._known.wanted.corners()))
-        return _side(corners)
+        corners = in_optical_frame(pose, self._known.wanted.corners())
+        return _side(self._geometry.project(corners))
 
 
 def judge(

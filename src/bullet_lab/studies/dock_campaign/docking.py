@@ -128,17 +128,12 @@ def run_docking(scenario: DockingScenario) -> DockingOutcome:
     Raises:
         LabError: the scenario names what does not exist, or noise that makes no sense.
     """
-    dock = _wrong_dock(scenario)
+    docks = read_docks(ResourceFinder.anywhere().find(scenario.docks))
+    # The entry of the database, with the true pose and the scenario's error of it.
+    x, y, yaw = (a + b for a, b in zip(MARKER_POSE, scenario.dock_error))
+    dock = replace(find_dock(docks, scenario.dock), pose=(x, y, wrap(yaw)))
     with Simulation(_world(scenario), scenario.image_seed) as simulation:
         return _Drive(scenario, dock, simulation).run()
-
-
-def _wrong_dock(scenario: DockingScenario) -> Dock:
-    """Return the entry of the database, with the true pose and the scenario's error of it."""
-    docks = read_docks(ResourceFinder.anywhere().find(scenario.docks))
-    dock = find_dock(docks, scenario.dock)
-    x, y, yaw = (a + b for a, b in zip(MARKER_POSE, scenario.dock_error))
-    return replace(dock, pose=(x, y, wrap(yaw)))
 
 
 def _world(scenario: DockingScenario):
@@ -161,11 +156,9 @@ class _Drive:
         self._scenario, self._dock, self._simulation = scenario, dock, simulation
         x, y, yaw = scenario.start
         self._robot = simulation.spawn(ROBOT, pose=Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw)))
-        self._camera = _camera_of(self._robot)
+        self._camera = next(d for d in self._robot.plugins if isinstance(d, Camera))
         self._camera.settings = replace(
-            self._camera.settings,
-            noise_stddev=scenario.image_noise,
-            blur=scenario.image_blur,
+            self._camera.settings, noise_stddev=scenario.image_noise, blur=scenario.image_blur
         )
         std = scenario.odometry_std if scenario.odometry == "noisy_odom" else 0.0
         self._noise = NoisyPath(make_rule(scenario.odometry_model, std), scenario.odometry_seed)
@@ -227,8 +220,7 @@ class _Drive:
         image = camera.take(simulation.step)
         found = self._detector.detect(grey(image, "rgb8"), camera.camera).markers
         sightings = tuple(Sighting(m.id, self._dictionary, m.corners) for m in found)
-        stamp = simulation.seconds
-        self._task.add_observation(Observation(stamp, camera.camera, sightings))
+        self._task.add_observation(Observation(simulation.seconds, camera.camera, sightings))
         self._images += 1
 
     def _check_contact(self, step: int) -> None:
@@ -259,10 +251,6 @@ class _Drive:
 def _planar(robot: ModelInstance) -> PlanarPose:
     pose = robot.pose()
     return pose.position[0], pose.position[1], pose.yaw
-
-
-def _camera_of(robot: ModelInstance) -> Camera:
-    return next(device for device in robot.plugins if isinstance(device, Camera))
 
 
 def _mount_of(robot: ModelInstance, camera: Camera) -> CameraMount:

@@ -9,7 +9,7 @@ import math
 import os
 from collections import Counter
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, Mapping, Sequence, Tuple
+from typing import Any, Dict, Iterable, List, Mapping, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -111,12 +111,6 @@ def _shares(records: Sequence[Record], name: str) -> Dict[str, Any]:
     total = Counter(record[name] for record in records)
     docked = Counter(record[name] for record in records if record["result"] == DOCKED)
     return {value: f"{docked[value]} of {total[value]}" for value in sorted(total)}
-
-
-def campaign_rows(records: Sequence[Record]) -> Iterator[Iterable[Any]]:
-    """Yield a header and a row for each docking, every number with all its digits."""
-    yield records[0]
-    yield from (record.values() for record in records)
 
 
 class DockLogError(LabError):
@@ -280,42 +274,28 @@ def _draw_all(
     dock: Sequence[float],
 ) -> None:
     draw_plan(axes, outlines, dock)
-    docked, failed = groups
-    for records, colour, name in ((docked, BLUE, "docked"), (failed, VERMILION, "failed")):
+    looks = (
+        ("docked", {"color": BLUE, "markersize": 3.0}, "s", {"color": ORANGE, "markersize": 5.0}),
+        ("failed", {"color": VERMILION, "markersize": 5.0}, "X",
+         {"color": VERMILION, "markersize": 7.0}),
+    )  # fmt: skip
+    edge = {"markeredgecolor": BLACK, "markeredgewidth": 0.5}
+    for records, (name, start_look, mark, end_look) in zip(groups, looks):
         if not records:
             continue
-        size = 5.0 if records is failed else 3.0
         starts = _poses(records, "start")
-        axes.plot(*_ticks(starts), color=colour, linewidth=0.8)
-        label = f"start, {name} ({len(records)})"
-        axes.plot(starts[:, 0], starts[:, 1], "o", color=colour, markersize=size, label=label)
+        axes.plot(*_ticks(starts), color=start_look["color"], linewidth=0.8)
+        axes.plot(*starts[:, :2].T, "o", label=f"start, {name} ({len(records)})", **start_look)
         ends = _poses([r for r in records if r["end_x_m"] is not None], "end")
-        face = ORANGE if records is docked else VERMILION
-        mark, label = ("s", "end, docked") if records is docked else ("X", "end, failed")
-        axes.plot(
-            ends[:, 0],
-            ends[:, 1],
-            mark,
-            color=face,
-            markeredgecolor=BLACK,
-            markeredgewidth=0.5,
-            markersize=5.0 if records is docked else 7.0,
-            label=label,
-        )
+        axes.plot(*ends[:, :2].T, mark, label=f"end, {name}", **end_look, **edge)
     axes.legend(loc="lower right", fontsize="small")
 
 
 def _poses(records: Sequence[Record], which: str) -> np.ndarray:
     """Return x, y (m) and yaw (rad) of starts or ends, shape (n, 3)."""
-    rows: List[Tuple[float, float, float]] = [
-        (
-            record[f"{which}_x_m"],
-            record[f"{which}_y_m"],
-            math.radians(record[f"{which}_yaw_deg"]),
-        )
-        for record in records
-    ]
-    return np.array(rows).reshape(-1, 3)
+    columns = [f"{which}_x_m", f"{which}_y_m", f"{which}_yaw_deg"]
+    poses = np.array([[record[name] for name in columns] for record in records]).reshape(-1, 3)
+    return poses * [1.0, 1.0, math.radians(1.0)]
 
 
 def _ticks(poses: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
@@ -334,9 +314,8 @@ def _draw_close_up(axes: Axes, docked: Sequence[Record]) -> None:
     axes.grid(alpha=0.3)
     if not docked:
         return
-    distance = [1000.0 * record["distance_error_m"] for record in docked]
-    lateral = [1000.0 * record["lateral_error_m"] for record in docked]
-    axes.plot(distance, lateral, ".", color=BLUE, markersize=5.0)
+    errors = [(1000.0 * r["distance_error_m"], 1000.0 * r["lateral_error_m"]) for r in docked]
+    axes.plot(*zip(*errors), ".", color=BLUE, markersize=5.0)
     axes.set_aspect("equal", adjustable="datalim")
 
 

@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, NoReturn, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, NoReturn, Optional, Sequence, Tuple
 
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
@@ -21,7 +21,6 @@ from bullet_lab.studies.dock_campaign.docking import MARKER_POSE
 from bullet_lab.studies.dock_campaign.results import (
     DockLog,
     campaign_figure,
-    campaign_rows,
     campaign_summary,
 )
 from bullet_lab.studies.dock_campaign.trial import (
@@ -68,20 +67,10 @@ def run_campaign(
     trial: Trial = run_trial,
     tell: Tell = silent,
 ) -> Dict[str, Any]:
-    """Run a campaign, or what is missing of it, and leave log, table, picture and summary.
+    """Run a campaign, or what is missing of it: leave log, table, picture and summary.json.
 
     The same settings give the same files, whatever the workers and interruptions; only "run" in
-    summary.json says how this run went.
-
-    Args:
-        folder: where the files go; made if need be.
-        settings: what is run.
-        run: has `trial` done for indices, somewhere.
-        trial: returns the record of a docking.
-        tell: gets a line of text now and then.
-
-    Returns:
-        What summary.json says.
+    summary.json, which is returned, says how this run went.
 
     Raises:
         LabError: the folder holds another campaign or cannot be written to, or nobody works.
@@ -94,15 +83,18 @@ def run_campaign(
         raise
     records = [log.records[index] for index in range(settings.dockings)]
     log.sort()
-    return _write_results(folder, settings, records, _figures_of_run(new, seconds))
+    simulated = sum(record["sim_time_s"] or 0.0 for record in new)
+    figures_of_run = {
+        "dockings": len(new),
+        "sim_time_s": simulated,
+        "wall_time_s": seconds,
+        "real_time_factor": simulated / seconds if new and seconds > 0.0 else None,
+    }
+    return _write_results(folder, settings, records, figures_of_run)
 
 
 def _run_missing(
-    log: DockLog,
-    settings: CampaignSettings,
-    run: Run,
-    trial: Trial,
-    tell: Tell,
+    log: DockLog, settings: CampaignSettings, run: Run, trial: Trial, tell: Tell
 ) -> Tuple[float, List[Record]]:
     """Run what the log has not; return the wall seconds it took, and the new records."""
     known = [log.records[i] for i in range(settings.dockings) if i in log.records]
@@ -129,16 +121,6 @@ def _run_missing(
     return time.monotonic() - start, new
 
 
-def _figures_of_run(new: Sequence[Record], seconds: float) -> Dict[str, Any]:
-    simulated = sum(record["sim_time_s"] or 0.0 for record in new)
-    return {
-        "dockings": len(new),
-        "sim_time_s": simulated,
-        "wall_time_s": seconds,
-        "real_time_factor": simulated / seconds if new and seconds > 0.0 else None,
-    }
-
-
 def _write_results(
     folder: Path,
     settings: CampaignSettings,
@@ -158,7 +140,7 @@ def _write_results(
         f"{100.0 * summary['success_rate_lower_95']:.2f} % at 95 % confidence)"
     )
     with whole_results(folder) as part:
-        write_table(part / TABLE, campaign_rows(records))
+        write_table(part / TABLE, [records[0], *(r.values() for r in records)])
         save(campaign_figure(records, standing, MARKER_POSE, title), part / PICTURE)
         write_json(part / SUMMARY, summary)
     return summary
@@ -174,8 +156,17 @@ def describe(summary: Dict[str, Any]) -> List[str]:
     if summary["failures"]:
         reasons = ", ".join(f"{name} {count}" for name, count in summary["failures"].items())
         lines.append(f"failures: {reasons} (indices {summary['failed_indices']})")
-    if summary["docked"]:
-        lines.append("error, median / 95 % / max: " + "; ".join(_errors(summary)))
+    errors = []
+    for name, title, scale, unit in (
+        ("distance_error_m", "distance", 1000.0, "mm"),
+        ("lateral_error_m", "lateral", 1000.0, "mm"),
+        ("yaw_error_deg", "yaw", 1.0, "deg"),
+    ):
+        if summary["docked"]:
+            values = (f"{scale * summary[name][part]:.2f}" for part in ("median", "p95", "max"))
+            errors.append(f"{title} {' / '.join(values)} {unit}")
+    if errors:
+        lines.append("error, median / 95 % / max: " + "; ".join(errors))
     factor = summary["run"]["real_time_factor"]
     if factor is not None:
         lines.append(
@@ -183,16 +174,6 @@ def describe(summary: Dict[str, Any]) -> List[str]:
             f"{summary['run']['wall_time_s']:.0f} s, {factor:.1f} times real time"
         )
     return lines
-
-
-def _errors(summary: Dict[str, Any]) -> Iterator[str]:
-    for name, title, scale, unit in (
-        ("distance_error_m", "distance", 1000.0, "mm"),
-        ("lateral_error_m", "lateral", 1000.0, "mm"),
-        ("yaw_error_deg", "yaw", 1.0, "deg"),
-    ):
-        values = (scale * summary[name][part] for part in ("median", "p95", "max"))
-        yield f"{title} {' / '.join(f'{value:.2f}' for value in values)} {unit}"
 
 
 def _run(folder: Path, settings: CampaignSettings, cluster: ClusterSettings, tell: Tell) -> None:

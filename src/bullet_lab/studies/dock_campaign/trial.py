@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, Mapping, Tuple
 
 import numpy as np
 
-from bullet_lab.core.parameters import check_parameters, choices, integer
+from bullet_lab.core.parameters import choices, integer
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.floor_plan import Footprint, footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -21,7 +21,7 @@ from bullet_lab.studies.dock_campaign.docking import (
     DockingScenario,
     run_docking,
 )
-from bullet_lab.studies.study import MOST_SEED
+from bullet_lab.studies.study import MOST_SEED, Settings
 
 WORLDS = ("docking", "docking_dots", "docking_nested", "docking_decoy")
 DOCKS = {"docking_nested": "nested_dock"}
@@ -45,7 +45,7 @@ class ScenarioError(LabError):
 
 
 @dataclass(frozen=True)
-class DrawSettings:
+class DrawSettings(Settings):
     """What scenarios are drawn from, each name as likely as the others."""
 
     seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
@@ -54,10 +54,6 @@ class DrawSettings:
         LIGHTS, "lights to draw from; default is the world's own", LIGHTS
     )
     odometry: Tuple[str, ...] = choices(ODOMETRY, "odometry to draw from", ODOMETRY)
-
-    def __post_init__(self) -> None:
-        """Raise ParameterError where a value is not allowed."""
-        check_parameters(self)
 
 
 def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
@@ -138,17 +134,21 @@ def run_trial(settings: DrawSettings, index: int, dock: Dock = run_docking) -> R
         outcome = dock(scenario)
     except Exception as error:  # what broke this docking shall not end the campaign
         return crashed_record(settings, index, f"{type(error).__name__}: {error}")
-    return {**_drawn(index, scenario), **_found(outcome)}
-
-
-def crashed_record(settings: DrawSettings, index: int, why: str) -> Record:
-    """Return the record of a docking that came to no end."""
-    nothing = dict.fromkeys(_NUMBERS)
+    x, y, yaw = (float(value) for value in outcome.end)
     return {
-        **_drawn(index, draw_scenario(settings, index)),
-        "result": CRASHED,
-        "message": " ".join(why.split()),
-        **nothing,
+        **_drawn(index, scenario),
+        "result": judge(outcome),
+        "message": outcome.message,
+        "distance_error_m": float(outcome.distance_error_m),
+        "lateral_error_m": float(outcome.lateral_error_m),
+        "yaw_error_deg": float(outcome.yaw_error_deg),
+        "wall_contacts": int(outcome.wall_contacts),
+        "retries": int(outcome.retries),
+        "sim_time_s": float(outcome.sim_time_s),
+        "end_x_m": x,
+        "end_y_m": y,
+        "end_yaw_deg": math.degrees(yaw),
+        "renderer": outcome.renderer,
     }
 
 
@@ -156,6 +156,12 @@ _NUMBERS = (
     *("distance_error_m", "lateral_error_m", "yaw_error_deg", "wall_contacts", "retries"),
     *("sim_time_s", "end_x_m", "end_y_m", "end_yaw_deg", "renderer"),
 )
+
+
+def crashed_record(settings: DrawSettings, index: int, why: str) -> Record:
+    """Return the record of a docking that came to no end."""
+    drawn, message = _drawn(index, draw_scenario(settings, index)), " ".join(why.split())
+    return {**drawn, "result": CRASHED, "message": message, **dict.fromkeys(_NUMBERS)}
 
 
 def _drawn(index: int, scenario: DockingScenario) -> Dict[str, Any]:
@@ -180,24 +186,6 @@ def _drawn(index: int, scenario: DockingScenario) -> Dict[str, Any]:
 
 def _name_of(world: str) -> str:
     return world.rsplit("/", 1)[-1].replace(".world", "")
-
-
-def _found(outcome: DockingOutcome) -> Dict[str, Any]:
-    x, y, yaw = (float(value) for value in outcome.end)
-    return {
-        "result": judge(outcome),
-        "message": outcome.message,
-        "distance_error_m": float(outcome.distance_error_m),
-        "lateral_error_m": float(outcome.lateral_error_m),
-        "yaw_error_deg": float(outcome.yaw_error_deg),
-        "wall_contacts": int(outcome.wall_contacts),
-        "retries": int(outcome.retries),
-        "sim_time_s": float(outcome.sim_time_s),
-        "end_x_m": x,
-        "end_y_m": y,
-        "end_yaw_deg": math.degrees(yaw),
-        "renderer": outcome.renderer,
-    }
 
 
 def judge(outcome: DockingOutcome) -> str:

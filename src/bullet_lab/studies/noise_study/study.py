@@ -16,7 +16,7 @@ import numpy as np
 
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
-from bullet_lab.core.parameters import check_parameters, choices, integer, number, numbers, text
+from bullet_lab.core.parameters import choices, integer, number, numbers, text
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.drive.square import Square
 from bullet_lab.noise.noisy_paths import study_generator
@@ -33,6 +33,7 @@ from bullet_lab.studies.squares import drive_square
 from bullet_lab.studies.study import (
     MOST_SEED,
     SUMMARY,
+    Settings,
     Tell,
     run_from,
     silent,
@@ -50,7 +51,7 @@ _DISTANCES_PER_CASE = 100
 
 
 @dataclass(frozen=True)
-class StudySettings:
+class StudySettings(Settings):
     """What is studied; a level is std, per metre and per radian (per roots: rate_invariant)."""
 
     levels: Tuple[float, ...] = numbers(
@@ -66,10 +67,6 @@ class StudySettings:
     delta: float = number(
         1.0, "distance over which relative errors and drift are measured, m", above=0.0
     )
-
-    def __post_init__(self) -> None:
-        """Raise ParameterError where a value is not allowed."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True)
@@ -90,11 +87,6 @@ def simulated_square(laps: int = 1) -> Trajectory:
 
 def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = silent) -> List[Case]:
     """Study every level, model and rate on a path; nothing is written.
-
-    Args:
-        trajectory: the perfect path.
-        settings: what is studied.
-        tell: gets a line of text when a model is done at a rate.
 
     Returns:
         A case for each, by model, then rate, then level, in the order of the settings.
@@ -151,19 +143,10 @@ def run_study(
     source: str = "",
     tell: Tell = silent,
 ) -> Dict[str, Any]:
-    """Study a path and leave tables, pictures, TUM files and summary.json.
+    """Study a path, leave tables, pictures, TUM files and summary.json, and return what that says.
 
     The same settings and path give the same tables. Nothing is written before all is computed.
-
-    Args:
-        folder: where the files go; made if need be.
-        settings: what is studied.
-        trajectory: the perfect path.
-        source: where it is from, in words for summary.json.
-        tell: gets a line of text now and then.
-
-    Returns:
-        What summary.json says.
+    The source says where the path is from.
 
     Raises:
         LabError: a path or a setting that makes no sense, or a folder that cannot be written to.

@@ -14,7 +14,7 @@ import numpy as np
 
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
-from bullet_lab.core.parameters import check_parameters, integer, number
+from bullet_lab.core.parameters import integer, number
 from bullet_lab.drive.square import OPEN_LOOP_RATE, Square
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION, make_generator
 from bullet_lab.noise.published_noise import PUBLISHED_RATE
@@ -52,7 +52,15 @@ from bullet_lab.studies.published_noise.side_deviation import (
     side_deviations,
 )
 from bullet_lab.studies.squares import SquareDrive, drive_square
-from bullet_lab.studies.study import MOST_SEED, SUMMARY, Tell, run_from, whole_results, write_table
+from bullet_lab.studies.study import (
+    MOST_SEED,
+    SUMMARY,
+    Settings,
+    Tell,
+    run_from,
+    whole_results,
+    write_table,
+)
 
 FIGURE_DATA = "data/fig1_paths.csv"
 # Long enough for the sampling node to look before and after the drive, whatever its phase.
@@ -65,7 +73,7 @@ _EXAMPLES = 12
 
 
 @dataclass(frozen=True)
-class PublishedNoiseSettings:
+class PublishedNoiseSettings(Settings):
     """What is run; the std of figure 1b is 0.1."""
 
     std: float = number(
@@ -75,10 +83,6 @@ class PublishedNoiseSettings:
     seed: int = integer(
         1, "seed of the first noisy path; the others have those that follow", 0, MOST_SEED
     )
-
-    def __post_init__(self) -> None:
-        """Raise ParameterError where a value is not allowed."""
-        check_parameters(self)
 
 
 def replay_drive() -> SquareDrive:
@@ -137,16 +141,9 @@ class Replay:
 
 
 def run_published_noise(folder: Path, settings: PublishedNoiseSettings) -> Dict[str, Any]:
-    """Run the experiment and leave its pictures, tables and summary.json.
+    """Run the experiment, leave pictures, tables and summary.json, and return what that says.
 
     The same settings give the same files. Nothing is written before all is known.
-
-    Args:
-        folder: where the files go; made if need be.
-        settings: what is run.
-
-    Returns:
-        What summary.json says.
 
     Raises:
         LabError: a folder that cannot be written to, or files of the package that are missing.

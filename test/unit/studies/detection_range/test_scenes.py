@@ -1,6 +1,7 @@
 """Where the marker is tried to be found, and the camera that looks at it."""
 
 import math
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -115,7 +116,7 @@ def test_the_wanted_marker_and_the_others_are_where_the_pictures_have_them(name)
     markers = [WORLDS[name].wanted, *WORLDS[name].others]
     assert all(tuple(marker.middle)[:2] != (0.0, 0.0) for marker in markers)
     # In a picture, black and white are where the corners say: just inside and outside.
-    with FreeCamera(lit_world(name, "default")) as camera:
+    with closing(FreeCamera(lit_world(name, "default"))) as camera:
         pose = Pose.from_rpy((0.5, 0.4, 0.44), (0.0, 0.0, 0.0))
         picture = camera.take(pose, 0).astype(float)
         for marker in markers:
@@ -134,7 +135,7 @@ def project(camera, pose, points):
 
 
 def test_the_free_camera_is_that_of_the_robot():
-    with FreeCamera(lit_world("marker_panel", "default")) as camera:
+    with closing(FreeCamera(lit_world("marker_panel", "default"))) as camera:
         assert (camera.camera.width, camera.camera.height) == (640, 480)
         assert camera.camera.fx == pytest.approx(502.3, abs=0.1)
         pose = camera_pose(1.0, 0.0)

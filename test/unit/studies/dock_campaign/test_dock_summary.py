@@ -4,7 +4,6 @@ import json
 import pytest
 
 from bullet_lab.studies.dock_campaign.results import (
-    campaign_rows,
     campaign_summary,
     error_figures,
     lower_bound,
@@ -79,7 +78,8 @@ def test_error_figures_are_of_magnitudes():
 
 def test_the_table_keeps_every_digit(tmp_path):
     path = tmp_path / "campaign.csv"
-    write_table(path, campaign_rows([record(0, distance_error_m=0.1 + 0.2), crashed(1)]))
+    records = [record(0, distance_error_m=0.1 + 0.2), crashed(1)]
+    write_table(path, [records[0], *(each.values() for each in records)])
     with path.open() as file:
         first, second = csv.DictReader(file)
     assert float(first["distance_error_m"]) == 0.1 + 0.2
