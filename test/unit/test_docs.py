@@ -13,7 +13,10 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 PLUGINS = ROOT / "src" / "bullet_lab" / "simulation" / "plugins"
 # How a plugin reads its own tags.
-READERS = ("text", "number", "boolean", "vector", "schedule", "required", "choice", "output", "wheel_joint")
+READERS = (
+    *("text", "number", "boolean", "vector", "schedule"),
+    *("required", "choice", "output", "wheel_joint"),
+)
 TAG = re.compile(r"[a-zA-Z]\w*")
 
 
