@@ -3,19 +3,23 @@
 
 import copy
 import math
+import sys
 import unittest
 
 import numpy as np
 import rospy
 import rostest
 from bullet_lab.srv import SetNoise
-from lab_testing import Node, Topic, odometry, publisher, wait_for
+from lab_testing import PACKAGE, Node, Topic, odometry, publisher, wait_for
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker
 
 from bullet_lab.core.se2 import SQUARE_RADIUS, quaternion_from_yaw
-from bullet_lab.noise.odometry_noise import NoisyPath, make_rule
+from bullet_lab.noise.odometry_noise import NoisyPath
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdometry, NoisyOdomParameters
+
+sys.path.insert(0, str(PACKAGE / "test" / "unit"))
+from recorded_paths import make_rule  # noqa: E402
 
 PLANAR_AXES = (0, 1, 5)
 

@@ -11,13 +11,14 @@ from dataclasses import dataclass, field, replace
 from typing import List, Optional, Tuple
 
 import numpy as np
+from recorded_paths import make_rule
 
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty, DockWalls
 from bullet_lab.docking.task import DockingTask
 from bullet_lab.docking.types import CameraMount, DockingSettings, Observation, Odometry, Sighting
-from bullet_lab.noise.odometry_noise import NoisyPath, make_rule
+from bullet_lab.noise.odometry_noise import NoisyPath
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 MOUNT = CameraMount(0.16, 0.0, 0.44)

@@ -1,4 +1,4 @@
-"""What can be told from a pair of recorded paths, the perfect and the noisy one."""
+"""What can be told from a pair of paths, the perfect and the noisy one; noise rules by name."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,25 @@ import numpy as np
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
-from bullet_lab.noise.odometry_noise import MIN_TRANSLATION, NoiseRule, decompose_steps
+from bullet_lab.noise.odometry_noise import (
+    MIN_TRANSLATION,
+    NoiseRule,
+    decompose_steps,
+    named_alphas,
+    rule_of,
+)
+
+
+def make_rule(model, std, alphas=()):
+    """Return the noise rule of a model from its parameters in order."""
+    return rule_of(model, {"std": std, **named_alphas(model, alphas)})
+
+
+def poses_of(block, perfect):
+    """Return x (m), y (m) and yaw (rad, not wrapped) of a `NoisyBlock`, shape (b, n+1, 3)."""
+    x, y = perfect[0, 0] + block.position.real, perfect[0, 1] + block.position.imag
+    return np.stack([x, y, perfect[:, 2] + block.heading_error], axis=-1)
+
 
 # m or rad; smaller standard deviations drown in the rounding of the poses.
 RESOLUTION = 1e-9

@@ -109,22 +109,6 @@ class NoisyBlock:
     def __len__(self) -> int:
         return len(self.position)
 
-    def poses(self, perfect) -> np.ndarray:
-        """Return x (m), y (m) and yaw (rad, not wrapped), shape (b, n+1, 3).
-
-        Args:
-            perfect: the poses that the steps were taken from, shape (n+1, 3).
-        """
-        perfect = np.asarray(perfect, dtype=float)
-        return np.stack(
-            [
-                perfect[0, 0] + self.position.real,
-                perfect[0, 1] + self.position.imag,
-                perfect[:, 2] + self.heading_error,
-            ],
-            axis=-1,
-        )
-
 
 def noisy_blocks(
     steps: NoisySteps,

@@ -282,24 +282,6 @@ def named_alphas(model: str, alphas: Sequence[float]) -> Dict[str, float]:
     return dict(zip(names, alphas))
 
 
-def make_rule(model: str, std: float, alphas: Sequence[float] = ()) -> NoiseRule:
-    """Return the noise rule of a model from its parameters in order.
-
-    Args:
-        model: one of `MODELS`.
-        std: the parameter std, if the model has one; checked in any case.
-        alphas: the other parameters, such as alpha1 to alpha4 of the probabilistic model; not
-            looked at where there are none.
-
-    Raises:
-        NoiseError: the model is unknown, or a value is not a number that is finite and >= 0.
-
-    >>> make_rule("rate_invariant", 0.2)
-    RateInvariantRule(std=0.2)
-    """
-    return rule_of(model, {"std": std, **named_alphas(model, alphas)})
-
-
 def make_generator(seed: int | None) -> np.random.Generator:
     """Return a random generator of its own for a seed >= 0 (None: a different one each time).
 

@@ -18,7 +18,7 @@ from bullet_lab.core.parameters import boolean, choice, integer, number
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.drive.square import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
-from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, make_rule
+from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, rule_of
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.reports.squares import PathsRecording, noise_figure, squares_summary
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
@@ -31,8 +31,6 @@ SECONDS_PER_STEP = 1e-3
 NANOSECONDS_PER_STEP = 1_000_000
 NO_SIDE = -1
 """The side of poses before the first one."""
-
-DEFAULT_ALPHAS = (0.01, 0.001, 0.01, 0.001)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +142,7 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
 
 def _noise(settings: SquaresSettings) -> Callable[[int, Sequence[float]], List[PlanarPose]]:
     """Return what gives the noisy poses that noisy_odom publishes for a perfect one: 0 or 1."""
-    rule = make_rule(settings.model, settings.std, DEFAULT_ALPHAS)
+    rule = rule_of(settings.model, {"std": settings.std})
     if not settings.as_published:
         path = NoisyPath(rule, settings.seed)
         return lambda step, pose: [path.update(*pose).pose]

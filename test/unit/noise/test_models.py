@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from recorded_paths import recover_noise
+from recorded_paths import make_rule, recover_noise
 
 from bullet_lab.core.parameters import declarations, number
 from bullet_lab.core.trajectory import Trajectory
@@ -17,7 +17,6 @@ from bullet_lab.noise.odometry_noise import (
     NoiseRule,
     NoisyPath,
     ReportRule,
-    make_rule,
     noise_fields,
     register,
     rule_of,

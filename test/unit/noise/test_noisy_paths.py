@@ -6,6 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from recorded_paths import poses_of
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
@@ -55,7 +56,7 @@ def square(count=20, side=2.0):
 def drawn(poses, rule, seed, count, **options):
     steps = noisy_steps(poses, rule)
     blocks = noisy_blocks(steps, np.random.default_rng(seed), count, **options)
-    return np.concatenate([block.poses(poses) for block in blocks])
+    return np.concatenate([poses_of(block, np.asarray(poses)) for block in blocks])
 
 
 def assert_same_poses(actual, expected):

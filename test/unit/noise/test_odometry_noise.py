@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from recorded_paths import recover_noise
+from recorded_paths import make_rule, recover_noise
 
 from bullet_lab.core import se2
 from bullet_lab.errors import LabError
@@ -16,7 +16,6 @@ from bullet_lab.noise.odometry_noise import (
     ReportRule,
     decompose,
     decompose_steps,
-    make_rule,
 )
 
 RULES = [ReportRule(0.1), RateInvariantRule(0.1), ProbabilisticRule(0.02, 0.01, 0.03, 0.005)]

@@ -43,7 +43,7 @@ STREWN_HEADING = math.radians(25.0)
 
 
 class SceneError(LabError):
-    """A world, a light or a place that is not known or makes no sense."""
+    """A world, a light, a place or a robot that is not known or cannot be used."""
 
 
 @dataclass(frozen=True)
@@ -223,10 +223,6 @@ NAME = "free_camera"
 OPTICAL_AXES = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 
 
-class FreeCameraError(LabError):
-    """A robot has no camera that could be taken off it."""
-
-
 class FreeCamera:
     """Takes pictures in a world with the camera that a robot has, noise included.
 
@@ -268,7 +264,7 @@ def camera_alone(robot: Model) -> Model:
     """Return a model of nothing but a robot's camera, in the frame of its link; raises LabError."""
     cameras = [plugin for plugin in robot.plugins if plugin.filename == "libgazebo_ros_camera.so"]
     if not cameras:
-        raise FreeCameraError(f"robot '{robot.name}' has no camera")
+        raise SceneError(f"robot '{robot.name}' has no camera")
     plugin = replace(cameras[0], link="camera")
     return Model(NAME, (Link("camera"),), plugins=(plugin,), static=True)
 

@@ -19,8 +19,7 @@ from bullet_lab.docking.types import (
     PlanarPose,
     Sighting,
 )
-from bullet_lab.errors import LabError
-from bullet_lab.noise.odometry_noise import NoisyPath, make_rule
+from bullet_lab.noise.odometry_noise import NoisyPath, ReportRule
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
@@ -34,15 +33,14 @@ ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
 MARKER_POSE: PlanarPose = (4.0, 0.0, 0.0)
 """True pose of the dock in all worlds of the package."""
 
+DOCKS = "package://bullet_lab/config/docks.yaml"
 FLOOR = "ground_plane"
+TIME_LIMIT = 300.0
+IMAGE_RATE = 5.0
 TICK_STEPS = 50
 CONTACT_RATE = 100.0
 TURNING_RADIUS = 0.29
 _SETTLE_STEPS = 100
-
-
-class DockingExperimentError(LabError):
-    """A scenario that makes no sense."""
 
 
 @dataclass(frozen=True)
@@ -54,38 +52,26 @@ class DockingScenario:
         lighting: URI of another world whose light replaces this one's; empty: its own.
         start: of the robot in the world, m, m, rad.
         dock: its name in the database.
-        docks: URI of the database.
         dock_error: what the database's pose is wrong by, along the world's axes: m, m, rad.
         odometry: "odom" or "noisy_odom".
-        odometry_model: rule of the noise, see `make_rule`.
-        odometry_std: its parameter.
+        odometry_std: of noisy_odom, by the report's rule.
         odometry_seed: of the noise.
-        image_rate: images per second, while the task takes them.
         image_noise: standard deviation as a share of white.
         image_blur: standard deviation in px.
         image_seed: of the image noise.
-        time_limit: s of simulated time.
-        max_retries: None: as docking has it.
-        search: look for the marker where it is not seen at once.
     """
 
     world: str = "package://bullet_lab/worlds/docking.world"
     lighting: str = ""
     start: PlanarPose = (0.0, 0.0, 0.0)
     dock: str = "dock"
-    docks: str = "package://bullet_lab/config/docks.yaml"
     dock_error: PlanarPose = (0.0, 0.0, 0.0)
     odometry: str = "odom"
-    odometry_model: str = "report"
     odometry_std: float = 0.0
     odometry_seed: int = 0
-    image_rate: float = 5.0
     image_noise: float = 0.0
     image_blur: float = 0.0
     image_seed: int = 0
-    time_limit: float = 300.0
-    max_retries: Optional[int] = None
-    search: bool = True
 
 
 @dataclass(frozen=True)
@@ -128,7 +114,7 @@ def run_docking(scenario: DockingScenario) -> DockingOutcome:
     Raises:
         LabError: the scenario names what does not exist, or noise that makes no sense.
     """
-    docks = read_docks(ResourceFinder.anywhere().find(scenario.docks))
+    docks = read_docks(ResourceFinder.anywhere().find(DOCKS))
     # The entry of the database, with the true pose and the scenario's error of it.
     x, y, yaw = (a + b for a, b in zip(MARKER_POSE, scenario.dock_error))
     dock = replace(find_dock(docks, scenario.dock), pose=(x, y, wrap(yaw)))
@@ -149,11 +135,7 @@ class _Drive:
     """A docking under way."""
 
     def __init__(self, scenario: DockingScenario, dock: Dock, simulation: Simulation):
-        if scenario.odometry not in ("odom", "noisy_odom"):
-            raise DockingExperimentError(f"odometry is '{scenario.odometry}', not odom, noisy_odom")
-        if not 0.5 <= scenario.image_rate <= 60.0:
-            raise DockingExperimentError(f"{scenario.image_rate:g} images per second")
-        self._scenario, self._dock, self._simulation = scenario, dock, simulation
+        self._dock, self._simulation = dock, simulation
         x, y, yaw = scenario.start
         self._robot = simulation.spawn(ROBOT, pose=Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw)))
         self._camera = next(d for d in self._robot.plugins if isinstance(d, Camera))
@@ -161,7 +143,7 @@ class _Drive:
             self._camera.settings, noise_stddev=scenario.image_noise, blur=scenario.image_blur
         )
         std = scenario.odometry_std if scenario.odometry == "noisy_odom" else 0.0
-        self._noise = NoisyPath(make_rule(scenario.odometry_model, std), scenario.odometry_seed)
+        self._noise = NoisyPath(ReportRule(std), scenario.odometry_seed)
         marker = dock.marker
         self._dictionary = marker.dictionary
         name = dictionary_named(marker.dictionary).name
@@ -170,9 +152,7 @@ class _Drive:
             dock,
             dock.pose,
             _mount_of(self._robot, self._camera),
-            search=scenario.search,
-            max_retries=scenario.max_retries,
-            time_limit=scenario.time_limit,
+            time_limit=TIME_LIMIT,
             seed=scenario.odometry_seed,
         )
         self._images = self._contacts = 0
@@ -191,7 +171,7 @@ class _Drive:
             simulation.run_until(simulation.step + TICK_STEPS)
             self._feed_odometry()
             if simulation.seconds >= next_image - 1e-9:
-                next_image += 1.0 / self._scenario.image_rate
+                next_image += 1.0 / IMAGE_RATE
                 if self._task.wants_images:
                     self._look()
             v, w = self._task.tick(simulation.seconds)

@@ -19,11 +19,7 @@ _LEAST_STEP = 0.1  # m; shorter steps of the drawn path are at the corners
 
 
 class SideError(LabError):
-    """The sides of a path cannot be told."""
-
-
-class PublishedFigureError(LabError):
-    """The digitised figure cannot be read."""
+    """The sides of a path cannot be told, or the digitised figure cannot be read."""
 
 
 def side_deviations(points, sides, corners) -> np.ndarray:
@@ -144,9 +140,9 @@ def _read_series(path: Path, name: str) -> np.ndarray:
             rows = [row for row in csv.DictReader(file) if row["series"] == name]
         points = np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows])
     except OSError as error:
-        raise PublishedFigureError(f"cannot read {path}: {error.strerror}") from error
+        raise SideError(f"cannot read {path}: {error.strerror}") from error
     except (KeyError, TypeError, ValueError, csv.Error) as error:
-        raise PublishedFigureError(f"{path} is not a table of series,x_m,y_m") from error
+        raise SideError(f"{path} is not a table of series,x_m,y_m") from error
     if not points.size or not np.isfinite(points).all():
-        raise PublishedFigureError(f"{path} has no path {name}, or one that is not finite")
+        raise SideError(f"{path} has no path {name}, or one that is not finite")
     return points

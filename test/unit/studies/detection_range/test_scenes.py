@@ -15,7 +15,6 @@ from bullet_lab.studies.detection_range.scenes import (
     WORLDS,
     Cell,
     FreeCamera,
-    FreeCameraError,
     SceneError,
     camera_alone,
     camera_pose,
@@ -148,5 +147,5 @@ def test_the_free_camera_is_that_of_the_robot():
 
 
 def test_a_robot_without_a_camera_has_none_to_take_off():
-    with pytest.raises(FreeCameraError, match="robot 'blind' has no camera"):
+    with pytest.raises(SceneError, match="robot 'blind' has no camera"):
         camera_alone(Model("blind", ()))

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from recorded_paths import poses_of
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
@@ -48,7 +49,7 @@ def measured(trajectory, model, std, count=4):
     steps = noisy_steps(trajectory.poses, level_rule(model, std))
     metrics = PathMetrics(trajectory, steps, 1.0)
     (block,) = noisy_blocks(steps, np.random.default_rng(61), count, 10**7)
-    estimates = [Trajectory(trajectory.stamps, p) for p in block.poses(trajectory.poses)]
+    estimates = [Trajectory(trajectory.stamps, p) for p in poses_of(block, trajectory.poses)]
     rows = metrics.values(block)
     return [(dict(zip(metrics.names, row)), path) for row, path in zip(rows, estimates)]
 
