@@ -19,18 +19,10 @@ RAYS_AT_A_TIME = 16_383
 
 
 class AttachedFrame:
-    """A frame at a fixed pose in a link.
+    """A frame at a pose `offset` in a link of a body; raises KeyError for an unknown link.
 
     Attributes:
         index: PyBullet's index of the link.
-
-    Args:
-        body: the body that has the link.
-        link: the link's name.
-        offset: pose of the frame in the link's frame.
-
-    Raises:
-        KeyError: the body has no such link.
     """
 
     def __init__(self, body: Body, link: str, offset: Pose = ORIGIN):
@@ -46,13 +38,7 @@ class AttachedFrame:
     def of(
         cls, model: Model, bodies: Iterable[Body], link: str, offset: Pose = ORIGIN
     ) -> AttachedFrame:
-        """Return a frame that is fixed to a link, which may have been merged into another.
-
-        Args:
-            model: that has the link.
-            bodies: of the model.
-            link: the link's name in the description.
-            offset: pose of the frame in the link's frame.
+        """Return a frame at an offset in a link of a model, which may be merged into another.
 
         Raises:
             KeyError: there is no such link.

@@ -10,7 +10,7 @@ ones are made once.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
-from typing import Any, Callable, Dict, Hashable, Iterable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from bullet_lab.core.native_output import hidden_native_output
 from bullet_lab.core.pose import Pose, Vector
@@ -64,12 +64,8 @@ STATIC_FILTER = (2, ~2)
 class Part:
     """What is one link to PyBullet: a link of the description, or a helper fixed to one.
 
-    Attributes:
-        link: that it is or belongs to.
-        joint: that it hangs on; None for the root.
-        parent: the parent's place in the list of parts.
-        shapes: that it carries.
-        shape: PyBullet's id of them together.
+    It hangs on `joint`, None for the root; `parent` is its parent's place in the list of parts,
+    and `shape` PyBullet's id of the `shapes` that it carries.
     """
 
     link: Link
@@ -96,16 +92,13 @@ class BodyMaker:
     def make(
         self, links: Sequence[Link], joints: Sequence[Joint], static: bool, pose: Pose
     ) -> Tuple[int, List[Part]]:
-        """Make a body.
+        """Make a body; return PyBullet's id of it and its parts, all helpers last.
 
         Args:
             links: the root first and each after the one that carries it.
             joints: between them.
             static: whether it never moves; then it keeps the hollows of its meshes.
             pose: of the root link's frame in the world.
-
-        Returns:
-            PyBullet's id of it and its parts: the links in their order, then all helpers.
 
         Raises:
             MeshError: a mesh is not usable.
@@ -135,7 +128,7 @@ class BodyMaker:
         (mass, _, centre), *masses = inertias = [part.mass_properties() for part in parts]
         joints = [part.joint for part in parts if part.joint is not None]
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_MAINTAIN_LINK_ORDER
-        if self_colliding(part.link for part in parts):
+        if any(part.link.self_collide for part in parts):
             flags |= pybullet.URDF_USE_SELF_COLLISION
         body = pybullet.createMultiBody(
             *(mass, parts[0].shape, NONE, *astuple(pose), *astuple(centre)),
@@ -224,16 +217,15 @@ def joint_properties(joint: Joint, parent: Link, child: Link) -> Dict[str, float
     PyBullet takes the damping of a step from the velocity before it. A strong damper on a light
     link would so turn the velocity round, and swing up. It gets no stronger here than what stops
     the two links at once, if nothing else held them.
-
-    Args:
-        joint: to be described.
-        parent: the link that carries it.
-        child: the link below it.
     """
     properties = {"jointDamping": joint.damping}
-    loose = _mobility(joint, parent, child) if joint.damping > 0.0 else 0.0
-    if loose > 0.0:
-        properties["jointDamping"] = min(joint.damping, STEPS_PER_SECOND / loose)
+    if joint.damping > 0.0:
+        # The acceleration per effort, if nothing else held the two.
+        ends = ((child.inertia, joint.axis), (parent.inertia, joint.pose.rotate(joint.axis)))
+        turning = joint.kind != "prismatic"
+        loose = sum(mobility(part, axis, turning) for part, axis in ends if part is not None)
+        if loose > 0.0:
+            properties["jointDamping"] = min(joint.damping, STEPS_PER_SECOND / loose)
     if joint.kind in LIMITED and {"lower", "upper"} & set(joint.limits):
         # A lower limit above the upper one means none, and PyBullet passes over it.
         properties["jointLowerLimit"] = joint.limits.get("lower", -FAR)
@@ -254,17 +246,9 @@ def allowed_effort(joint: Joint, effort: float, velocity: float) -> float:
 
 
 def net_motor(joint: Joint, velocity: float, effort: float) -> Tuple[float, float]:
-    """Return what a motor and the joint's friction are together: a motor.
+    """Return the velocity and greatest effort of a motor together with the joint's friction.
 
     Friction helps a motor that stops the joint, and hinders one that moves it.
-
-    Args:
-        joint: that has the friction.
-        velocity: that the motor tries to reach, in rad/s or m/s.
-        effort: the most that the motor exerts, in N m or N.
-
-    Returns:
-        Velocity and greatest effort of the two.
     """
     friction = max(0.0, joint.friction)
     if velocity == 0.0:
@@ -272,13 +256,6 @@ def net_motor(joint: Joint, velocity: float, effort: float) -> Tuple[float, floa
     if effort > friction:
         return velocity, effort - friction
     return 0.0, friction - effort
-
-
-def _mobility(joint: Joint, parent: Link, child: Link) -> float:
-    """Return the acceleration per effort of a joint between two links that nothing else holds."""
-    turning = joint.kind != "prismatic"
-    ends = ((child.inertia, joint.axis), (parent.inertia, joint.pose.rotate(joint.axis)))
-    return sum(mobility(inertia, axis, turning) for inertia, axis in ends if inertia is not None)
 
 
 # What Bullet itself takes for a contact that only says the one or the other.
@@ -300,8 +277,3 @@ def contact_properties(link: Link) -> Dict[str, float]:
         properties["contactStiffness"] = min(stiffness, default=HARD)
         properties["contactDamping"] = max(damping, default=DEFAULT_DAMPING)
     return properties
-
-
-def self_colliding(links: Iterable[Link]) -> bool:
-    """Return whether any link touches others of its own body."""
-    return any(link.self_collide for link in links)

@@ -16,14 +16,9 @@ from bullet_lab.simulation.world.description import Collision
 class ContactPoint:
     """One point of contact in the last step, in the world.
 
-    Attributes:
-        index: PyBullet's index of the link, or of the helper that carries what touches.
-        other: unique id of the other body, and PyBullet's index of its link.
-        place: on the link, in m.
-        place_on_other: on the other link, in m.
-        normal: unit vector from the other link to this one.
-        depth: how deep they overlap, in m.
-        force: on this link, friction included, in N.
+    `index` is PyBullet's of the link, or of the helper that carries what touches; `other` the
+    other body's unique id and link's index. Places and depth are in m, the normal points from the
+    other link to this one, and `force` is that on this link, friction included, in N.
     """
 
     index: int
@@ -76,9 +71,7 @@ def _times(factor: float, vector: Vector) -> Vector:
 class Contact:
     """What two models do to each other.
 
-    Attributes:
-        force: sum of the normal forces of all points of contact, in N.
-        position: of the point that presses most, in m in the world.
+    `force` is the sum of all normal forces in N, `position` (m, world) of what presses most.
     """
 
     force: float
@@ -86,15 +79,12 @@ class Contact:
 
 
 def contacts_of(bodies: Iterable[Body], owners: Mapping[int, str], own: str) -> Dict[str, Contact]:
-    """Return the contacts of a model in the last step.
+    """Return the contacts of a model in the last step, by the other models' names.
 
     Args:
         bodies: of the model.
         owners: names of the models by the unique ids of their bodies.
         own: the model's name; what it does to itself is left out.
-
-    Returns:
-        Contacts by the other models' names.
     """
     sums: Dict[str, float] = {}
     strongest: Dict[str, Tuple[float, Vector]] = {}
@@ -122,14 +112,7 @@ def nearest_shape(collisions: Sequence[Collision], point: Vector) -> Collision:
 
 
 def shape_name(model: str, body: Body, index: int, place: Vector) -> str:
-    """Return the name of the shape at a place on a link's surface: model::link::collision.
-
-    Args:
-        model: name of the model in the world.
-        body: of the model.
-        index: PyBullet's index of the link.
-        place: in the world, in m.
-    """
+    """Return the name of the shape at a place (m, world) on a link: model::link::collision."""
     part = body.part_at(index)
     if len(part.shapes) == 1:
         (shape,) = part.shapes

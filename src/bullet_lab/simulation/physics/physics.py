@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from typing import Any, Callable, Dict, Sequence, Tuple
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.errors import LabError
@@ -19,10 +19,9 @@ from bullet_lab.simulation.physics.bodies import (
     Part,
     allowed_effort,
     net_motor,
-    self_colliding,
 )
 from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
-from bullet_lab.simulation.world.description import Joint, Link, Model
+from bullet_lab.simulation.world.description import Joint, Model
 from bullet_lab.simulation.world.tree import top_down
 
 __all__ = ["STEP_SECONDS", "Body", "JointState", "Physics", "PhysicsError"]
@@ -57,11 +56,8 @@ class Body:
         unique_id: PyBullet's number of it.
         parts: what is a link to PyBullet, in its order; its index of the first, the root, is -1.
         links: of the description, the root first.
-
-    Args:
-        client: PyBullet's, that it lives in.
-        unique_id: PyBullet's number of it.
-        parts: that it consists of, the root first.
+        joint_names: of the movable joints.
+        turned_inertia: whether the root's principal axes are turned against its frame.
     """
 
     def __init__(self, client: int, unique_id: int, parts: Sequence[Part]):
@@ -75,6 +71,7 @@ class Body:
         self.near_points = partial(pybullet.getContactPoints, unique_id, physicsClientId=client)
         self._com = self.parts[0].mass_properties()[2]
         self._com_inverse = self._com.inverse()
+        self.turned_inertia = self._com.quaternion != (0.0, 0.0, 0.0, 1.0)
         self._links: Dict[str, Tuple[int, ...]] = {}
         self._joints: Dict[str, int] = {}
         for index, part in enumerate(parts, start=ROOT):
@@ -83,16 +80,7 @@ class Body:
                 self._joints[part.joint.name] = index
                 # PyBullet holds every joint still with a motor until told otherwise.
                 self.drive_joint(part.joint.name, 0.0, 0.0)
-
-    @property
-    def joint_names(self) -> Tuple[str, ...]:
-        """Names of the movable joints."""
-        return tuple(self._joints)
-
-    @property
-    def turned_inertia(self) -> bool:
-        """Whether the principal axes of the root link are turned against its frame."""
-        return self._com.quaternion != (0.0, 0.0, 0.0, 1.0)
+        self.joint_names = tuple(self._joints)
 
     def pose(self) -> Pose:
         """Return the pose of the root link's frame in the world."""
@@ -107,10 +95,7 @@ class Body:
         return pybullet.getBaseVelocity(self.unique_id, self.client)
 
     def origin_velocity(self) -> Tuple[Vector, Vector]:
-        """Return linear (m/s) and angular (rad/s) velocity of the root link's frame, in the world.
-
-        The linear velocity is that of the frame's origin.
-        """
+        """Return linear (m/s, of the root frame's origin) and angular (rad/s) velocity."""
         (vx, vy, vz), (wx, wy, wz) = self.velocity()
         x, y, z = self.com_pose().rotate(self._com_inverse.position)
         linear = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
@@ -126,10 +111,7 @@ class Body:
     def move(self, pose: Pose, linear: Vector, angular: Vector) -> None:
         """Put the body somewhere in motion; its joints keep their positions and stand still.
 
-        Args:
-            pose: of the root link's frame in the world.
-            linear: velocity in m/s of the root link's origin, in the world.
-            angular: velocity in rad/s, in the world.
+        The velocities, in m/s and rad/s in the world, are those of the root link's frame.
         """
         self._put(pose)
         arm = pose.rotate(self._com.position)
@@ -138,14 +120,7 @@ class Body:
             self.set_joint(name, self.joint_state(name).position)
 
     def push(self, link: str, force: Vector, torque: Vector, point: Vector) -> None:
-        """Push and turn a link in the coming step.
-
-        Args:
-            link: its name.
-            force: in N, in the world.
-            torque: in N m, in the world.
-            point: where the force acts, in m in the world.
-        """
+        """Push (N, at a point) and turn (N m) a link in the coming step, all in the world."""
         index, world = self.link_index(link), pybullet.WORLD_FRAME
         self._call(pybullet.applyExternalForce, index, force, point, world)
         self._call(pybullet.applyExternalTorque, index, torque, world)
@@ -173,31 +148,17 @@ class Body:
     def drive_joint(self, name: str, velocity: float, effort: float) -> None:
         """Let a motor turn a joint from now on; raises KeyError for an unknown name.
 
-        The joint's friction helps a motor that stops it and hinders one that moves it.
-
-        Args:
-            name: of the joint.
-            velocity: that the motor tries to reach, in rad/s or m/s.
-            effort: the most that it exerts, in N m or N.
+        It tries to reach a velocity (rad/s or m/s) and exerts an effort (N m or N) at most.
         """
         velocity, effort = net_motor(self._joint(name), velocity, effort)
         self._control(name, pybullet.VELOCITY_CONTROL, targetVelocity=velocity, force=effort)
 
     def hold_joint(self, name: str, position: float, effort: float) -> None:
-        """Let a motor hold a joint at a position (rad or m) with at most `effort` (N m or N).
-
-        Raises:
-            KeyError: an unknown name.
-        """
-        self._control(
-            name,
-            pybullet.POSITION_CONTROL,
-            targetPosition=position,
-            targetVelocity=0.0,
-            positionGain=HOLDING_GAIN,
-            velocityGain=1.0,
-            force=net_motor(self._joint(name), 0.0, effort)[1],
-        )
+        """Let a motor hold a joint at a position (rad or m) with at most `effort` (N m or N)."""
+        gains = {"positionGain": HOLDING_GAIN, "velocityGain": 1.0}
+        force = net_motor(self._joint(name), 0.0, effort)[1]
+        target = {"targetPosition": position, "targetVelocity": 0.0, "force": force}
+        self._control(name, pybullet.POSITION_CONTROL, **target, **gains)
 
     def set_sticking(self, name: str, sticking: bool) -> None:
         """Let the link below a joint stick to what it touches, or roll and slide again.
@@ -205,9 +166,6 @@ class Body:
         Bullet's friction stops velocities up to its solver's tolerance, so what stands still
         creeps. A point that sticks is pulled back to where it first touched, by a force within
         the limits of friction. Not for wheels that roll: they would bump.
-
-        Raises:
-            KeyError: an unknown name.
         """
         for index in self._links[self.part_at(self._joints[name]).link.name]:
             self._call(pybullet.changeDynamics, index, frictionAnchor=int(sticking))
@@ -289,19 +247,19 @@ class Physics:
                 if model.static:
                     # Without a centre of mass, the body's frame is that of its root link.
                     links = [replace(link, inertia=None) for link in links]
-                else:
-                    _check_masses(links)
+                for link in () if model.static else links:
+                    if link.inertia is None or link.inertia.mass == 0.0:
+                        raise PhysicsError(f"link '{link.name}' moves and has no mass")
                 place = model.pose * root.pose
                 body = Body(self.client, *self._maker.make(links, joints, model.static, place))
                 bodies[root.name] = body
-                if self_colliding(links):
+                if any(link.self_collide for link in links):
                     part_the_links(body)
                 body.place(place)
-        except PhysicsError as error:
+        except LabError as error:
             self.remove(bodies)
-            raise PhysicsError(f"model '{model.name}': {error}") from error
-        except LabError:
-            self.remove(bodies)
+            if isinstance(error, PhysicsError):
+                raise PhysicsError(f"model '{model.name}': {error}") from error
             raise
         return bodies
 
@@ -309,12 +267,6 @@ class Physics:
         """Take the bodies of a model out of the world."""
         for body in bodies.values():
             pybullet.removeBody(body.unique_id, self.client)
-
-
-def _check_masses(links: List[Link]) -> None:
-    for link in links:
-        if link.inertia is None or link.inertia.mass == 0.0:
-            raise PhysicsError(f"link '{link.name}' moves and has no mass")
 
 
 def part_the_links(body: Body) -> None:
