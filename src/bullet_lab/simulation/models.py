@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
 
-from bullet_lab.core.pose import Pose, Vector, add, cross
+from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
 from bullet_lab.simulation.physics.physics import Body
@@ -33,6 +33,7 @@ class EntityError(LabError):
     """There is no such model, link or joint."""
 
 
+@dataclass(eq=False, repr=False)
 class ModelInstance:
     """A model in a running simulation.
 
@@ -43,12 +44,11 @@ class ModelInstance:
         moves: how often it was put somewhere: what is static moves in no other way.
     """
 
-    def __init__(self, model: Model, bodies: Mapping[str, Body], plugins: Tuple[Plugin, ...]):
-        self.model = model
-        self.bodies = bodies
-        self.plugins = plugins
-        self.moves = 0
-        self._frames: Dict[str, AttachedFrame] = {}
+    model: Model
+    bodies: Mapping[str, Body]
+    plugins: Tuple[Plugin, ...]
+    moves: int = 0
+    _frames: Dict[str, AttachedFrame] = field(default_factory=dict)
 
     @property
     def devices(self) -> Tuple[Plugin, ...]:
@@ -76,10 +76,7 @@ class ModelInstance:
     def move(self, pose: Pose, linear: Vector, angular: Vector) -> None:
         """Put the model somewhere in motion; its joints keep their positions and stand still.
 
-        Args:
-            pose: of the model's frame in the world.
-            linear: velocity in m/s of the frame's origin, in the world.
-            angular: velocity in rad/s, in the world.
+        Pose and velocities (m/s, rad/s) are those of the model's frame in the world.
 
         Raises:
             SimulationError: a number that is not finite, or an impossible pose.
@@ -121,11 +118,7 @@ class ModelInstance:
         return ModelState(self.pose(), links, joints)
 
     def restore(self, state: ModelState) -> None:
-        """Put all parts of the model where a state has them.
-
-        Raises:
-            SimulationError: an impossible pose or velocity, or a joint that is not there.
-        """
+        """Put all parts of the model where a state has them; raises SimulationError."""
         for root in self.model.root_links():
             link = state.links.get(root.name, FrameState(state.pose * root.pose))
             check_pose(link.pose, self.name)
@@ -142,21 +135,13 @@ class ModelInstance:
         raise SimulationError(f"model '{self.name}' has no movable joint '{name}'")
 
     def keeper(self, link: str) -> Optional[str]:
-        """Return the link that a link's frame is fixed to: itself, if it was not merged.
-
-        Returns:
-            None where the model has no such link.
-        """
+        """Return the link that a link's frame is fixed to: itself, if it was not merged."""
         if link in self.model.frames:
             return self.model.frames[link][0]
         return link if link in self.model.links_by_name() else None
 
     def frame(self, link: str = "") -> AttachedFrame:
-        """Return the frame of a link, merged or not, or of the model itself.
-
-        Raises:
-            KeyError: there is no such link.
-        """
+        """Return the frame of a link, merged or not, or of the model; raises KeyError."""
         if link not in self._frames:
             root = self.model.root_links()[0]
             place = (link,) if link else (root.name, root.pose.inverse())
@@ -200,7 +185,7 @@ def check_pose(pose: Pose, model: str) -> None:
         raise SimulationError(f"model '{model}': its pose is not finite")
     if max(map(abs, pose.position)) > FARTHEST:
         raise SimulationError(f"model '{model}': its pose is out of all proportion")
-    length = math.sqrt(sum(value * value for value in pose.quaternion))
+    length = math.hypot(*pose.quaternion)
     if abs(length - 1.0) > QUATERNION_TOLERANCE:
         raise SimulationError(f"model '{model}': a quaternion of length {length:g}, not 1")
 
@@ -209,20 +194,12 @@ def check_pose(pose: Pose, model: str) -> None:
 class Entity:
     """A frame of a model: that of the model itself, or of one of its links.
 
-    Attributes:
-        instance: the model.
-        frame: where it is and how it moves.
-        link: the link that carries the frame.
+    `link` names the link that carries the frame, if it was merged the one that stays.
     """
 
     instance: ModelInstance
     frame: AttachedFrame
     link: str
-
-    @property
-    def body(self) -> Body:
-        """The body that carries the frame."""
-        return self.frame.body
 
     def state(self) -> FrameState:
         """Return pose and velocity in the world."""
@@ -245,11 +222,14 @@ def find_link(models: Mapping[str, ModelInstance], name: str) -> Entity:
     Raises:
         EntityError: there is none, or there are several.
     """
-    found = _links(models, name)
+    owner, separator, own = name.rpartition(SEPARATOR)
+    scoped = bool(separator) and owner in models
+    candidates, own = ([models[owner]], own) if scoped else (models.values(), name)
+    keepers = [(instance, instance.keeper(own)) for instance in candidates]
+    found = [Entity(i, i.frame(own), keeper) for i, keeper in keepers if keeper is not None]
     if not found:
-        raise EntityError(
-            f"link [{name}] does not exist; did you forget to scope the link by model name?"
-        )
+        hint = "did you forget to scope the link by model name?"
+        raise EntityError(f"link [{name}] does not exist; {hint}")
     if len(found) > 1:
         owners = ", ".join(entity.instance.name for entity in found)
         raise EntityError(f"link [{name}] is ambiguous: {owners} have it; say model::link")
@@ -258,9 +238,8 @@ def find_link(models: Mapping[str, ModelInstance], name: str) -> Entity:
 
 def find_entity(models: Mapping[str, ModelInstance], name: str) -> Entity:
     """Return the model or link that a name means; raises EntityError."""
-    instance = models.get(name)
-    if instance is not None:
-        return model_entity(instance)
+    if name in models:
+        return model_entity(models[name])
     try:
         return find_link(models, name)
     except EntityError as error:
@@ -308,10 +287,8 @@ def relative_to(frame: FrameState, state: FrameState) -> FrameState:
     frame's rotation adds at a distance is not taken off.
     """
     back = frame.pose.inverse()
-    linear = tuple(a - b for a, b in zip(state.linear, frame.linear))
-    angular = tuple(a - b for a, b in zip(state.angular, frame.angular))
-    turn = Pose(quaternion=back.quaternion)
-    return FrameState(back * state.pose, turn.rotate(linear), turn.rotate(angular))
+    linear, angular = subtract(state.linear, frame.linear), subtract(state.angular, frame.angular)
+    return FrameState(back * state.pose, back.rotate(linear), back.rotate(angular))
 
 
 def in_world(frame: FrameState, state: FrameState) -> FrameState:
@@ -320,9 +297,8 @@ def in_world(frame: FrameState, state: FrameState) -> FrameState:
     As in Gazebo, the velocity is turned into the axes of the world and is no velocity relative
     to that of the frame.
     """
-    turn = Pose(quaternion=frame.pose.quaternion)
-    pose = frame.pose * state.pose
-    return FrameState(pose, turn.rotate(state.linear), turn.rotate(state.angular))
+    turn = frame.pose.rotate
+    return FrameState(frame.pose * state.pose, turn(state.linear), turn(state.angular))
 
 
 def move_link(entity: Entity, state: FrameState) -> None:
@@ -331,21 +307,7 @@ def move_link(entity: Entity, state: FrameState) -> None:
     Raises:
         SimulationError: an impossible pose.
     """
-    instance = entity.instance
-    model = model_entity(instance)
-    in_link = entity.frame.pose().inverse() * model.frame.pose()
-    place = state.pose * in_link
+    in_link = entity.frame.pose().inverse() * entity.instance.frame().pose()
     arm = state.pose.rotate(in_link.position)
-    instance.move(place, add(state.linear, cross(state.angular, arm)), state.angular)
-
-
-def _links(models: Mapping[str, ModelInstance], name: str) -> List[Entity]:
-    owner, separator, own = name.rpartition(SEPARATOR)
-    if separator and owner in models:
-        return _links_of(models[owner], own)
-    return [entity for instance in models.values() for entity in _links_of(instance, name)]
-
-
-def _links_of(instance: ModelInstance, name: str) -> List[Entity]:
-    keeper = instance.keeper(name)
-    return [] if keeper is None else [Entity(instance, instance.frame(name), keeper)]
+    linear = add(state.linear, cross(state.angular, arm))
+    entity.instance.move(state.pose * in_link, linear, state.angular)

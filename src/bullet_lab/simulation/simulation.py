@@ -16,8 +16,9 @@ from __future__ import annotations
 import logging
 import math
 import time
+from collections import defaultdict
 from dataclasses import dataclass, replace
-from typing import Callable, Dict, List, Mapping, Optional, Tuple, Union
+from typing import Any, Callable, DefaultDict, Dict, List, Mapping, Optional, Tuple, Union
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
@@ -77,7 +78,7 @@ class Simulation:
         self._measuring: List[Union[Plugin, Timer]] = []
         self._timers: List[Union[Plugin, Timer]] = []
         self._on_failure: Optional[Callable[[str, LabError], None]] = None
-        self._spent: Dict[Union[Plugin, Timer], float] = {}
+        self._spent: DefaultDict[Union[Plugin, Timer], float] = defaultdict(float)
         self.forces = Forces()
         try:
             for model in self.world.models:
@@ -131,17 +132,9 @@ class Simulation:
             self._renderer = Renderer(self.world, self._instances)
         return self._renderer
 
-    def spawn(
-        self,
-        urdf: str,
-        name: str = "",
-        pose: Optional[Pose] = None,
-        namespace: str = "",
-        tf_prefix: TfPrefix = "",
-    ) -> ModelInstance:
+    def spawn(self, urdf: str, *place: Any, **names: Any) -> ModelInstance:
         """Read a robot from the URDF file that a path or URI names and add it; see `add`."""
-        model = read_urdf_file(ResourceFinder.anywhere().find(urdf))
-        return self.add(model, name, pose, namespace, tf_prefix)
+        return self.add(read_urdf_file(ResourceFinder.anywhere().find(urdf)), *place, **names)
 
     def add(
         self,
@@ -174,10 +167,9 @@ class Simulation:
         check_proportions(model)
         plugins = tuple(_in_namespace(plugin, namespace) for plugin in model.plugins)
         model = replace(model, name=name, pose=pose or model.pose, plugins=plugins)
-        for link in model.links:
-            for visual in link.visuals:
-                # Refuses a mesh that could not be drawn.
-                visual.geometry.bounds()
+        for visual in (visual for link in model.links for visual in link.visuals):
+            # Refuses a mesh that could not be drawn.
+            visual.geometry.bounds()
         check_textures(model)
         bodies = self._physics.add(model)
         try:
@@ -245,9 +237,8 @@ class Simulation:
     def go_on_after(self, failed: Callable[[str, LabError], None]) -> None:
         """Go on where a plugin cannot measure, as a camera without a driver to draw with.
 
-        Args:
-            failed: is told the plugin's name and the reason, each time. Without this, `run_until`
-                raises what the plugin raises.
+        `failed` is told the plugin's name and the reason, each time. Without this, `run_until`
+        raises what the plugin raises.
         """
         self._on_failure = failed
 
@@ -264,16 +255,19 @@ class Simulation:
                 if timer.schedule.next_step <= self.step:
                     timer.schedule.advance()
                     start = time.perf_counter()
-                    self._produce(timer)
-                    took = time.perf_counter() - start
-                    self._spent[timer] = self._spent.get(timer, 0.0) + took
+                    try:
+                        timer.produce(self.step)
+                    except LabError as error:
+                        if self._on_failure is None:
+                            raise
+                        self._on_failure(_name_of(timer), error)
+                    self._spent[timer] += time.perf_counter() - start
 
     def take_spent(self) -> Dict[str, float]:
         """Return the wall seconds that each plugin's samples have taken since the last call."""
-        taken: Dict[str, float] = {}
+        taken: DefaultDict[str, float] = defaultdict(float)
         for timer, seconds in self._spent.items():
-            name = _name_of(timer)
-            taken[name] = taken.get(name, 0.0) + seconds
+            taken[_name_of(timer)] += seconds
         self._spent.clear()
         return taken
 
@@ -292,14 +286,6 @@ class Simulation:
         for timer in self._timers + self._measuring:
             timer.schedule.restart(0)
 
-    def _produce(self, timer: Union[Plugin, Timer]) -> None:
-        try:
-            timer.produce(self.step)
-        except LabError as error:
-            if self._on_failure is None:
-                raise
-            self._on_failure(_name_of(timer), error)
-
     def _march(self, stop: int) -> None:
         """Advance the physics; this is the loop that decides the speed."""
         acting: List[Callable[[int], None]] = [plugin.before_step for plugin in self._acting]
@@ -314,14 +300,6 @@ class Simulation:
             step += 1
         self.step = step
 
-    def _mount(
-        self, model: Model, bodies: Mapping[str, Body], tag: PluginTag, tf_prefix: TfPrefix
-    ) -> Mount:
-        if callable(tf_prefix):
-            tf_prefix = tf_prefix(tag.tags.get("robotNamespace", ""))
-        gravity, name_shape = -self.world.gravity[2], self._shape_name
-        return Mount(model, bodies, tag, gravity, self.seed, tf_prefix, self.renderer, name_shape)
-
     def _shape_name(self, unique_id: int, index: int, place: Vector) -> str:
         return shape_name(self._owners[unique_id], self._bodies[unique_id], index, place)
 
@@ -329,8 +307,12 @@ class Simulation:
         self, model: Model, bodies: Mapping[str, Body], tf_prefix: TfPrefix
     ) -> Tuple[Plugin, ...]:
         plugins = []
+        common = (-self.world.gravity[2], self.seed)
+        draws = (self.renderer, self._shape_name)
         for tag in model.plugins:
-            plugin = make_plugin(self._mount(model, bodies, tag, tf_prefix))
+            space = tag.tags.get("robotNamespace", "")
+            prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
+            plugin = make_plugin(Mount(model, bodies, tag, *common, prefix, *draws))
             if plugin is None:
                 known = ", ".join(known_plugins())
                 what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
@@ -353,6 +335,5 @@ def _name_of(timer: Union[Plugin, Timer]) -> str:
 
 
 def _in_namespace(tag: PluginTag, namespace: str) -> PluginTag:
-    if not namespace or tag.tags.get("robotNamespace"):
-        return tag
-    return replace(tag, tags={**tag.tags, "robotNamespace": namespace})
+    named = not namespace or tag.tags.get("robotNamespace")
+    return tag if named else replace(tag, tags={**tag.tags, "robotNamespace": namespace})

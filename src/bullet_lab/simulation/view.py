@@ -20,16 +20,10 @@ class ViewError(LabError):
 
 @dataclass(frozen=True)
 class View:
-    """An ideal pinhole camera somewhere in the world.
+    """An ideal pinhole camera in the world that looks from `eye` at `target` (both in m), upright.
 
-    Attributes:
-        eye: where the camera is, in metres in the world's frame.
-        target: the point that it looks at; the world's z axis is up in the picture.
-        width: of the picture, in pixels.
-        height: of the picture, in pixels.
-        horizontal_fov: opening angle in radians.
-        near: closest distance drawn, in metres.
-        far: farthest distance drawn, in metres.
+    Width and height are in pixels, the field of view in rad; `near` and `far` (m) limit what is
+    drawn.
     """
 
     eye: Vector
@@ -69,11 +63,7 @@ def take_picture(simulation: Simulation, view: View, samples: int = 1) -> np.nda
     centre = (0.5 * (view.width - 1), 0.5 * (view.height - 1))
     camera = PinholeCamera(view.width, view.height, focal, focal, *centre)
     shot = Shot(camera, view.near, view.far, samples)
-    return simulation.renderer().picture(_pose(view), shot)
-
-
-def _pose(view: View) -> Pose:
-    """Return the pose that looks along its x axis at the target, without roll."""
+    # Along its x axis at the target, without roll.
     dx, dy, dz = np.subtract(view.target, view.eye)
-    pitch = -math.atan2(dz, math.hypot(dx, dy))
-    return Pose.from_rpy(view.eye, (0.0, pitch, math.atan2(dy, dx)))
+    rpy = (0.0, -math.atan2(dz, math.hypot(dx, dy)), math.atan2(dy, dx))
+    return simulation.renderer().picture(Pose.from_rpy(view.eye, rpy), shot)
