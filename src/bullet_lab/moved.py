@@ -77,7 +77,7 @@ ros > ros.record: errand_recorder=recorder fleet_markers=rviz plot_beacons=plots
     plot_vision recorder
 ros.launcher > ros.launcher: screen=output signals=command verdict=supervision
 simulation > core: native_output pose schedule
-simulation > simulation: entities=models model_instance=models
+simulation > simulation: entities=models model_instance=models view=simulation
 simulation > simulation.physics: attached_frame bodies contact_points=contacts contacts engine
     joint_dynamics=bodies link_contacts=physics touched_shapes=contacts
 simulation > simulation.plugins: dead_reckoning=wheel_drives samples support_patch=planar_move

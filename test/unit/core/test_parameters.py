@@ -214,7 +214,7 @@ def test_rospy_is_not_needed():
 
     code = (
         "import sys, bullet_lab.ros, bullet_lab.ros.bridge.speed, bullet_lab.ros.bridge.lock_step, "
-        "bullet_lab.core.parameters, bullet_lab.simulation.view, bullet_lab.reports.squares\n"
+        "bullet_lab.core.parameters, bullet_lab.simulation.simulation, bullet_lab.reports.squares\n"
         "sys.exit('rospy' in sys.modules)"
     )
     path = [entry for entry in sys.path if entry]

@@ -7,7 +7,7 @@ import pytest
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.engine import pybullet
 from bullet_lab.simulation.plugins.samples import PlanarCommand
-from bullet_lab.simulation.view import View, take_picture
+from bullet_lab.simulation.simulation import View, take_picture
 from bullet_lab.simulation.world.description import Box, Cylinder, Inertia, Sphere
 from bullet_lab.simulation.world.inertia import combine
 from bullet_lab.simulation.world.sdf import read_model_text

@@ -13,8 +13,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.engine import pybullet
 from bullet_lab.simulation.physics.physics import PhysicsError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
-from bullet_lab.simulation.simulation import Simulation, SimulationError
-from bullet_lab.simulation.view import View, take_picture
+from bullet_lab.simulation.simulation import Simulation, SimulationError, View, take_picture
 from bullet_lab.simulation.world.description import (
     Box,
     Collision,

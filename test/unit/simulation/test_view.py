@@ -3,8 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.view import View, ViewError, take_picture
+from bullet_lab.simulation.simulation import Simulation, View, ViewError, take_picture
 
 # All three beacons side by side, seen from 10 m away at half their height.
 BESIDE = View(eye=(0.0, -9.0, 1.0), target=(0.0, 1.0, 1.0), width=320, height=240)

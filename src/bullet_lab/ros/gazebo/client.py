@@ -49,11 +49,11 @@ def call(service: str, kind: type, *arguments: Any) -> Any:
 def _is_offered(service: str) -> bool:
     try:
         rospy.wait_for_service(service, 0.2)
+        return True
     except rospy.ROSInterruptException:
         raise
     except rospy.ROSException:
         return False
-    return True
 
 
 def numbered(names: Iterable[str], name: str) -> List[str]:
@@ -64,12 +64,9 @@ def numbered(names: Iterable[str], name: str) -> List[str]:
 
 @dataclass(frozen=True)
 class Standing:
-    """The box around a shape.
+    """The box around a shape, by its lower and upper corner in the world, in m.
 
-    Attributes:
-        least: x, y, z of its lower corner in the world, m.
-        greatest: of its upper corner.
-        origin: x, y, z of the shape itself.
+    `origin` is where the shape itself is.
     """
 
     least: Vector
@@ -84,10 +81,7 @@ class Standing:
 
 
 class StandingModels:
-    """Keeps the shapes of all models, by the markers' namespaces and numbers.
-
-    Thread-safe: messages come in threads of rospy.
-    """
+    """Keeps the shapes of all models, by the markers' namespaces and numbers; thread-safe."""
 
     def __init__(self):
         self._lock = threading.Lock()

@@ -74,9 +74,8 @@ class GazeboPhysics:
 
     def _set(self, request: Any) -> Answer:
         if not math.isclose(request.time_step, STEP_SECONDS, rel_tol=1e-9):
-            raise InputError(
-                f"time_step is {request.time_step:g} s: it is {STEP_SECONDS:g} s here, always"
-            )
+            always = f"it is {STEP_SECONDS:g} s here, always"
+            raise InputError(f"time_step is {request.time_step:g} s: {always}")
         gravity = vector_of(request.gravity, "gravity")
         factor = _factor(request.max_update_rate / STEPS_PER_SECOND, "max_update_rate")
         self._world.do(lambda: self._world.simulation.set_gravity(gravity))
@@ -105,11 +104,7 @@ class SaveError(LabError):
 
 
 class WorldSaver:
-    """Offers the service.
-
-    Only the look at where everything is holds the simulation up; the text is made and written
-    in the thread of whoever asks.
-    """
+    """Offers the service; only the look at where everything is holds the simulation up."""
 
     def __init__(self, world: RunningWorld):
         self._world = world
@@ -128,7 +123,13 @@ class WorldSaver:
         return response
 
     def _write(self, name: str) -> SaveWorldResponse:
-        path = _target(name)
+        if not name or "\0" in name:
+            raise SaveError("no file is named")
+        path = Path(name).expanduser().absolute()
+        if path.is_dir():
+            raise SaveError(f"{path} is a folder")
+        if not path.parent.is_dir():
+            raise SaveError(f"there is no folder {path.parent}")
         snapshot = self._world.do(self._world.simulation.snapshot)
         text, notes = world_text(snapshot, path.parent)
         replace_file(path, lambda part: part.write_text(text, encoding="utf-8"))
@@ -139,17 +140,6 @@ class WorldSaver:
             models=len(snapshot.models),
             saved_at=time_of(snapshot.step),
         )
-
-
-def _target(name: str) -> Path:
-    if not name or "\0" in name:
-        raise SaveError("no file is named")
-    path = Path(name).expanduser().absolute()
-    if path.is_dir():
-        raise SaveError(f"{path} is a folder")
-    if not path.parent.is_dir():
-        raise SaveError(f"there is no folder {path.parent}")
-    return path
 
 
 class _States(rospy.SubscribeListener):

@@ -104,9 +104,8 @@ class Rays:
     def cast(self, start: float, end: float) -> Tuple[np.ndarray, np.ndarray]:
         """Return what the rays meet between two distances (m) from their origin.
 
-        Returns:
-            distances: in metres from the origin, shape (n,); `end` where nothing is met.
-            bodies: unique ids of the bodies that are met, shape (n,); -1 for none.
+        Returns distances in m, `end` where nothing is met, and unique ids of bodies, -1 for none,
+        each of shape (n,).
         """
         if (start, end) != self._limits:
             self._limits = (start, end)
@@ -115,15 +114,13 @@ class Rays:
         hits: list = []
         for first in range(0, len(self), RAYS_AT_A_TIME):
             part = slice(first, first + RAYS_AT_A_TIME)
-            hits.extend(
-                pybullet.rayTestBatch(
-                    self._starts[part],
-                    self._ends[part],
-                    numThreads=1,
-                    parentObjectUniqueId=self._body.unique_id,
-                    parentLinkIndex=self._index,
-                    physicsClientId=self._body.client,
-                )
+            hits += pybullet.rayTestBatch(
+                self._starts[part],
+                self._ends[part],
+                numThreads=1,
+                parentObjectUniqueId=self._body.unique_id,
+                parentLinkIndex=self._index,
+                physicsClientId=self._body.client,
             )
         fractions = np.array([hit[2] for hit in hits])
         return start + (end - start) * fractions, np.array([hit[0] for hit in hits])

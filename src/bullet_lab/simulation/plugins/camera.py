@@ -103,12 +103,8 @@ class Camera(Plugin):
 
     def produce(self, step: int) -> None:
         if self.image.wanted:
-            self.send_picture(step, self.take(step))
+            self.image.send(ImageSample(step, self.frame, self.encoding, self.take(step)))
         self.send_geometry(step, self.info)
-
-    def send_picture(self, step: int, picture: np.ndarray) -> None:
-        """Send a picture as an image."""
-        self.image.send(ImageSample(step, self.frame, self.encoding, picture))
 
     def send_geometry(self, step: int, output: Output) -> None:
         """Send the geometry of the picture, if somebody wants it there."""
@@ -116,13 +112,9 @@ class Camera(Plugin):
             output.send(CameraInfoSample(step, self.frame, self.camera, self._baseline))
 
     def take(self, step: int) -> np.ndarray:
-        """Return the picture of this moment; noise follows from the step.
+        """Return the picture of this moment, (height, width, 3) or, in grey, (height, width) uint8.
 
-        Returns:
-            (height, width, 3) or, in grey, (height, width) array of uint8.
-
-        Raises:
-            LabError: something in the world cannot be drawn.
+        Noise follows from the step. Raises LabError where something cannot be drawn.
         """
         settings = self.settings
         picture = self.mount.renderer().picture(self.pose(), self._shot(), settings.exposure)
@@ -218,21 +210,18 @@ class DepthCamera(Camera):
         picture = self.take(step) if image or points else None
         depths = self.measure() if depth or points else None
         if image:
-            self.send_picture(step, picture)
+            self.image.send(ImageSample(step, self.frame, self.encoding, picture))
         if depth:
             self.depth.send(self._depth_image(step, depths))
         if points:
-            colours = self._coloured(picture)
+            code = TO_RGB.get(self.encoding)
+            colours = picture if code is None else cv2.cvtColor(picture, code)
             self.points.send(PointsSample(step, self.frame, self.points_at(depths), colours))
         self.send_geometry(step, self.info)
         self.send_geometry(step, self.depth_info)
 
     def measure(self) -> np.ndarray:
-        """Return the distances along the optical axis, (height, width) float32 in m, or NaN.
-
-        Raises:
-            LabError: something in the world cannot be drawn.
-        """
+        """Return distances along the optical axis, (height, width) float32 in m, or NaN."""
         shot = Shot(self.lens.ideal, self.near, FARTHER * self._farthest)
         depths = self.mount.renderer().depths(self.pose(), shot)
         depths[(depths <= self._closest) | (depths >= self._farthest)] = np.nan
@@ -252,10 +241,6 @@ class DepthCamera(Camera):
         whole = np.nan_to_num(np.rint(1e3 * depths), nan=0.0)
         pixels = np.where(whole > MOST_MILLIMETRES, 0, whole).astype(np.uint16)
         return ImageSample(step, self.frame, "16UC1", pixels)
-
-    def _coloured(self, picture: np.ndarray) -> np.ndarray:
-        code = TO_RGB.get(self.encoding)
-        return picture if code is None else cv2.cvtColor(picture, code)
 
     def _measured_range(self) -> Tuple[float, float]:
         """Return between which distances along the view (m) depth is measured."""

@@ -1,18 +1,10 @@
 """libgazebo_ros_planar_move.so: a body that is pushed over the floor at a given velocity.
 
-Gazebo's planar_move sets the robot's velocity before each step and friction takes some of it
-away during the step. In the published run (`docs/contact_model.md`) it took 0.0098 m/s of the
-translation and 0.060 rad/s of the rotation at each step of 1 ms. Bullet's own contact, four
-points at the corners of the block, reproduces the first and takes 0.41 rad/s of the second,
-which all but stops the turn. The friction of a planar_move robot is therefore that of one
-support patch, worked out here; Bullet keeps what it is good at, the floor that carries the
-robot and the walls that stop it.
-
-A patch that slides and spins at once has one friction budget for both. The model is the
-ellipsoidal limit surface of Howe and Cutkosky (1996, "Practical force-motion models for sliding
-manipulation"): force F and moment M about the vertical satisfy (F/μN)² + (M/μNr)² = 1, with N
-the load and r the effective radius of the patch, and oppose the slip. For pure translation
-this is Coulomb's μN, for pure rotation the moment μNr.
+Bullet's own contact, four points at the corners of the block, all but stops its turns. The
+friction of a planar_move robot is therefore that of one support patch (`docs/contact_model.md`).
+It is the ellipsoidal limit surface of Howe and Cutkosky (1996, "Practical force-motion models for
+sliding manipulation"): force F and moment M about the vertical satisfy (F/μN)² + (M/μNr)² = 1,
+with N the load and r the effective radius of the patch, and oppose the slip.
 """
 
 from __future__ import annotations
@@ -35,13 +27,10 @@ PUBLISHED_RADIUS = 0.0102
 
 @dataclass(frozen=True)
 class SupportPatch:
-    """Where a robot touches the floor.
+    """Where a robot touches the floor: Coulomb's coefficient μ and the effective radius r in m.
 
-    Attributes:
-        friction: Coulomb's coefficient μ.
-        radius: effective radius r in metres; a disc of radius R under even pressure has 2R/3.
-        mass: of the robot, kg.
-        inertia: of the robot about the vertical through its centre of mass, kg m².
+    A disc of radius R under even pressure has r = 2R/3. The mass (kg) and the inertia about the
+    vertical through the centre of mass (kg m²) are the robot's.
     """
 
     friction: float
@@ -52,16 +41,10 @@ class SupportPatch:
     def slow_down(
         self, vx: float, vy: float, wz: float, load: float, dt: float
     ) -> Tuple[float, float, float]:
-        """Return the velocity that friction leaves after a time `dt`.
+        """Return the velocity (m/s, m/s, rad/s) that friction leaves after a time `dt` in s.
 
-        Args:
-            vx: velocity in m/s along any horizontal axis.
-            vy: velocity in m/s across it.
-            wz: angular velocity in rad/s about the vertical.
-            load: force in N with which the robot stands on the floor.
-            dt: duration in s, short enough for the force to be constant.
-
-        Friction brings the robot to rest and never reverses it.
+        It is short enough for the `load` (N) on the floor to be constant. Friction brings the
+        robot to rest and never reverses it.
 
         >>> patch = SupportPatch(friction=1.0, radius=0.01, mass=2.0, inertia=0.1)
         >>> vx, vy, wz = patch.slow_down(0.5, 0.0, 0.0, load=19.6, dt=1e-3)

@@ -48,16 +48,11 @@ class Angles:
 
 
 class RayScan:
-    """Casts the rays of a sensor.
+    """Casts the rays of a sensor, from its origin, in angles `horizontal` about its z axis.
 
-    Rays start at the sensor's origin. As in Gazebo, the robot's own shapes are not seen within
-    the least range, and are seen beyond it; and never is a shape that contains the origin.
-
-    Attributes:
-        horizontal: angles of the rays about the sensor's z axis.
-        least: nearest distance that is measured, in m.
-        greatest: farthest distance that is measured, in m.
-        resolution: distances are multiples of it, in m; 0 for any distance.
+    As in Gazebo, the robot's own shapes are not seen within the least range, and are seen beyond
+    it; and never is a shape that contains the origin. Distances from `least` to `greatest` (m)
+    are measured, in multiples of `resolution` (m; 0 for any).
     """
 
     def __init__(self, mount: Mount, tag: SensorTag):

@@ -81,9 +81,9 @@ class JointSample:
 class ImageSample(Sample):
     """An image as `frame`, an optical frame, sees it.
 
-    `encoding` is one of sensor_msgs/image_encodings; `pixels` has the shape (height, width, 3)
-    or (height, width) and is not changed after it was sent. A depth image (32FC1) holds metres
-    along the optical axis, NaN where nothing was measured; in 16UC1 it is mm and 0.
+    `encoding` is one of sensor_msgs/image_encodings; `pixels` are (height, width, 3) or (height,
+    width) and never changed. A depth image holds metres along the optical axis, NaN where nothing
+    was measured (32FC1), or mm and 0 (16UC1).
     """
 
     encoding: str
@@ -114,10 +114,9 @@ class PointsSample(Sample):
 class LaserSample(Sample):
     """Distances that a laser scanner has measured, all at one moment.
 
-    Angles in rad about the z axis of `frame`; `period` in s between two scans; `ranges` in m,
-    +inf for nothing within `range_max` and -inf for something nearer than `range_min`, shape
-    (rays,), and `intensities` of the same shape. A scanner with several rows gives one after
-    the other.
+    Angles in rad about the z axis of `frame`; `period` in s between two scans; `ranges` and
+    `intensities` of shape (rays,), the former in m, +inf for nothing within `range_max` and -inf
+    for something nearer than `range_min`; several rows one after the other.
     """
 
     angle_min: float
@@ -132,10 +131,7 @@ class LaserSample(Sample):
 
 @dataclass(frozen=True)
 class RangeSample(Sample):
-    """A distance in m that a sonar (or an infrared sensor) has measured along x of `frame`.
-
-    `field_of_view` is in rad.
-    """
+    """A distance (m) by sonar or infrared along x of `frame`; `field_of_view` is in rad."""
 
     infrared: bool
     field_of_view: float
@@ -163,10 +159,7 @@ class ImuSample(Sample):
 
 @dataclass(frozen=True)
 class MotionSample(Sample):
-    """Pose and full velocity of `child_frame`, both in `frame`; m/s and rad/s.
-
-    `variance` is that of every component.
-    """
+    """Pose and full velocity (m/s, rad/s) of `child_frame`; `variance` of every component."""
 
     child_frame: str
     pose: Pose

@@ -38,13 +38,8 @@ class Wheel:
     A wheel that is to stand and has come to rest is held at its angle and sticks to the floor,
     as with a brake: a motor that only controls the speed lets the robot creep some 0.04 mm/s,
     and bare friction some 0.02 mm/s, because the engine solves them to a tolerance. What pushes
-    harder than torque or friction moves the wheel all the same; it is held anew where it stops.
-
-    Args:
-        body: what the joint belongs to.
-        joint: its name.
-        torque: the most that the motor exerts, in N m.
-        acceleration: the most that its speed changes by, in rad/s²; 0 for no limit.
+    harder than torque (N m) or friction moves the wheel all the same; it is held anew where it
+    stops. The acceleration is in rad/s²; 0 for no limit.
     """
 
     def __init__(self, body: Body, joint: str, torque: float, acceleration: float = 0.0):
@@ -64,35 +59,24 @@ class Wheel:
         self._release()
 
     def follow(self, speed: float, seconds: float) -> None:
-        """Drive towards a speed in rad/s, `seconds` after the last call.
-
-        The speed that the motor is given changes by acceleration · seconds at most and ends at
-        exactly `speed`.
-        """
+        """Drive towards a speed in rad/s, `seconds` after the last call, and end at exactly it."""
         change = speed - self._speed
         limit = self._acceleration * seconds
         if self._acceleration and abs(change) > limit:
             self._speed += limit if change > 0.0 else -limit
         else:
             self._speed = speed
-        if self._speed == 0.0:
-            self._come_to_rest()
-        else:
+        if self._speed != 0.0 or abs(self.state().velocity) > STANDING:
             self._release()
+        elif not self._held:
+            self._held = True
+            self._body.set_sticking(self.joint, True)
+            self._body.hold_joint(self.joint, self.state().position, self._torque)
 
     def _release(self) -> None:
         self._held = False
         self._body.set_sticking(self.joint, False)
         self._body.drive_joint(self.joint, self._speed, self._torque)
-
-    def _come_to_rest(self) -> None:
-        state = self.state()
-        if abs(state.velocity) > STANDING:
-            self._release()
-        elif not self._held:
-            self._held = True
-            self._body.set_sticking(self.joint, True)
-            self._body.hold_joint(self.joint, state.position, self._torque)
 
 
 class WheelDrive(MobileBase):
@@ -190,11 +174,7 @@ class DeadReckoning:
         return self._x, self._y, self._yaw
 
     def advance(self, left: float, right: float) -> Tuple[float, float]:
-        """Take the wheels' new angles (rad).
-
-        Returns:
-            The distance in m driven ahead and the angle in rad turned since the last angles.
-        """
+        """Take new angles (rad); return what was driven (m) and turned (rad) since the last."""
         left_way = (left - self._left) * self._radius
         right_way = (right - self._right) * self._radius
         self.resume(left, right)

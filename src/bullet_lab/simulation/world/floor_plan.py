@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Iterator, Tuple
+from typing import List, Tuple
 
-from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.world.description import Model, World
+from bullet_lab.simulation.world.description import World
 
 Point = Tuple[float, float]
 
@@ -18,15 +17,10 @@ _UPRIGHT = 1e-3
 
 @dataclass(frozen=True)
 class Footprint:
-    """A standing box from above.
+    """A standing box of the model `name` from above.
 
-    Attributes:
-        name: of its model.
-        centre: x, y in the world, in metres.
-        yaw: of its sides, in radians.
-        size: along its own x and y, in metres.
-        bottom: height of its lowest point, in metres.
-        top: height of its highest point, in metres.
+    `centre` is x, y in the world, `yaw` (rad) that of its sides, `size` along its own x and y,
+    `bottom` and `top` its lowest and highest point; all in m.
     """
 
     name: str
@@ -61,20 +55,14 @@ def footprints(world: World, below: float = math.inf) -> Tuple[Footprint, ...]:
         world: its static models count; their shapes other than boxes, and leaning boxes, do not.
         below: m; what begins above this height is left out.
     """
-    found = (one for model in world.models if model.static for one in _of_model(model))
+    found: List[Footprint] = []
+    static = [model for model in world.models if model.static]
+    shapes = [(m, k, shape) for m in static for k in m.links for shape in k.collisions]
+    for model, link, shape in shapes:
+        sides, pose = shape.geometry.floor_sides(), model.pose * link.pose * shape.pose
+        is_upright = pose.rotate((0.0, 0.0, 1.0))[2] > math.cos(_UPRIGHT)
+        if sides is not None and is_upright:
+            x, y, z = pose.position
+            bottom, top = (z + shape.geometry.bounds()[:, 2]).tolist()
+            found.append(Footprint(model.name, (x, y), pose.yaw, sides, bottom, top))
     return tuple(one for one in found if one.bottom < below)
-
-
-def _of_model(model: Model) -> Iterator[Footprint]:
-    for link in model.links:
-        for collision in link.collisions:
-            sides = collision.geometry.floor_sides()
-            pose = model.pose * link.pose * collision.pose
-            if sides is not None and _is_upright(pose):
-                x, y, z = pose.position
-                bottom, top = (z + collision.geometry.bounds()[:, 2]).tolist()
-                yield Footprint(model.name, (x, y), pose.yaw, sides, bottom, top)
-
-
-def _is_upright(pose: Pose) -> bool:
-    return pose.rotate((0.0, 0.0, 1.0))[2] > math.cos(_UPRIGHT)

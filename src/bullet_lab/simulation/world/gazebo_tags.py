@@ -50,14 +50,11 @@ _TRANSPARENT = {
 PREFIX = "Gazebo/"
 
 
-def _table() -> Dict[str, Colour]:
-    table: Dict[str, Colour] = {name: (*rgb, 1.0) for name, rgb in _OPAQUE.items()}
-    table.update({f"{name}Glow": table[name] for name in _GLOWING})
-    table.update({f"{name}Transparent": (*rgb, 0.5) for name, rgb in _TRANSPARENT.items()})
-    return table
-
-
-COLOURS = _table()
+COLOURS: Dict[str, Colour] = {
+    **{name: (*rgb, 1.0) for name, rgb in _OPAQUE.items()},
+    **{f"{name}Glow": (*_OPAQUE[name], 1.0) for name in _GLOWING},
+    **{f"{name}Transparent": (*rgb, 0.5) for name, rgb in _TRANSPARENT.items()},
+}
 
 
 def gazebo_colour(material: str) -> Optional[Colour]:
@@ -112,12 +109,7 @@ class _LinkTag(TagReader):
 class GazeboTags:
     """The `<gazebo>` elements of a URDF document: what Gazebo is told of its links.
 
-    References to nothing are reported, too.
-
-    Args:
-        elements: the `<gazebo>` elements.
-        references: names of the links and joints that may be referred to.
-        source: names the document in messages.
+    References to nothing but the names of links and joints in `references` are reported, too.
 
     Raises:
         XmlError: a tag that is simulated makes no sense.
@@ -217,28 +209,20 @@ SDF_AS_IT_IS = {
 }
 
 
-def report_unknown(root: Element, source: str, report: ReportOnce) -> None:
+def report_unknown(element: Element, source: str, report: ReportOnce) -> None:
     """Warn of each kind of tag in an <sdf> that is not simulated; `source` names the document."""
-    for text in _unknown(root):
-        report(f"{source}: {text}")
-
-
-def _unknown(element: Element) -> Iterator[str]:
     read, quiet = SDF_READ[element.tag], SDF_QUIET.get(element.tag, ())
     for child in element:
         if child.tag in SDF_READ and child.tag in read:
-            yield from _unknown(child)
+            report_unknown(child, source, report)
         elif child.tag not in read and child.tag not in quiet and _asks_for_something(child):
-            yield f"<{element.tag}>: {_name(child)} is not simulated"
+            name = f"<{child.tag}>"
+            if child.tag == "plugin":
+                name = f"plugin '{child.get('name', '')}' ({child.get('filename', '')})"
+            report(f"{source}: <{element.tag}>: {name} is not simulated")
 
 
 def _asks_for_something(element: Element) -> bool:
     if element.tag == "bounce":
         return child_text(element, "restitution_coefficient", "0") not in ("0", "0.0")
     return (element.text or "").strip() not in SDF_AS_IT_IS.get(element.tag, ())
-
-
-def _name(element: Element) -> str:
-    if element.tag == "plugin":
-        return f"plugin '{element.get('name', '')}' ({element.get('filename', '')})"
-    return f"<{element.tag}>"

@@ -38,16 +38,13 @@ def matrix_from_elements(
 
 
 def inertia_at(pose: Pose, mass: float, elements: Sequence[float], where: str) -> Inertia:
-    """Return an inertia that a document gives in a frame of its own.
+    """Return an inertia that a document gives in a frame of its own; raises InertiaError.
 
     Args:
         pose: of that frame in the link's; its origin is the centre of mass.
         mass: kg.
-        elements: ixx, iyy, izz, ixy, ixz, iyz in kg m².
+        elements: in kg m², in the order of INERTIA_KEYS.
         where: names the link in messages.
-
-    Raises:
-        InertiaError: as `check_inertia`.
     """
     turn = pose.rotation_matrix()
     inertia = Inertia(mass, pose.position, turn @ matrix_from_elements(*elements) @ turn.T)
@@ -75,12 +72,9 @@ def check_inertia(inertia: Inertia, where: str) -> None:
 
 
 def combine(parts: Sequence[Tuple[Inertia, Pose]]) -> Inertia:
-    """Return the inertia of several bodies that are fixed to each other.
+    """Return the inertia of bodies that are fixed to each other, by the parallel axis theorem.
 
-    Args:
-        parts: each body's inertia and the pose of its frame in the common one.
-
-    Uses the parallel axis theorem about the common centre of mass.
+    `parts` holds each body's inertia and the pose of its frame in the common one.
 
     >>> ball = Inertia(1.0, (0.0, 0.0, 0.0), np.eye(3))
     >>> both = combine([(ball, Pose((-2.0, 0.0, 0.0))), (ball, Pose((2.0, 0.0, 0.0)))])
@@ -103,10 +97,7 @@ def combine(parts: Sequence[Tuple[Inertia, Pose]]) -> Inertia:
 def mobility(inertia: Inertia, axis: Vector, turning: bool) -> float:
     """Return the acceleration of a free body per torque about an axis, or per force along it.
 
-    Args:
-        inertia: of the body, with a mass.
-        axis: a unit vector in the axes of the inertia.
-        turning: whether it is a torque.
+    The axis is a unit vector in the axes of the inertia, which has a mass.
     """
     if not turning:
         return 1.0 / inertia.mass
@@ -142,9 +133,8 @@ def check_proportions(model: Model) -> None:
         for value in values:
             # Not finite is out of proportion, too.
             if not abs(value) <= limit:
-                raise ProportionError(
-                    f"model '{model.name}': {what}: {value:g} is out of all proportion"
-                )
+                said = f"{what}: {value:g} is out of all proportion"
+                raise ProportionError(f"model '{model.name}': {said}")
 
 
 def _measures(model: Model) -> Iterator[Tuple[str, Iterable[float], float]]:

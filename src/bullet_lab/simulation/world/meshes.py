@@ -118,10 +118,8 @@ def hull_corners(mesh: MeshFile) -> np.ndarray:
     """Return corners (n, 3) that have the same convex hull as a mesh, as many as Bullet takes.
 
     Bullet itself drops those within the hull. Of a mesh with too many, those stay that are
-    farthest in one of many directions, which is the same to a thousandth of its size.
-
-    Raises:
-        MeshError, XmlError: as `load_triangles`.
+    farthest in one of many directions, which is the same to a thousandth of its size. Raises as
+    `load_triangles`.
     """
     corners = np.unique(load_triangles(mesh).vertices, axis=0)
     if len(corners) <= MOST_CORNERS:
@@ -133,11 +131,7 @@ def hull_corners(mesh: MeshFile) -> np.ndarray:
 
 
 def triangle_corners(mesh: MeshFile) -> List[np.ndarray]:
-    """Return a mesh in pieces that Bullet takes: corners (n, 3), three for each triangle.
-
-    Raises:
-        MeshError, XmlError: as `load_triangles`.
-    """
+    """Return a mesh in pieces that Bullet takes: corners (n, 3), three for each triangle."""
     triangles = load_triangles(mesh)
     corners = triangles.vertices[triangles.faces.ravel()]
     piece = MOST_CORNERS // 3 * 3
@@ -153,29 +147,23 @@ def _directions() -> np.ndarray:
 
 
 def _read(path: Path, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
-    # What the libraries below raise on a malformed file can be anything.
-    if suffix == ".dae":
-        root = parse_text(read_text(path), str(path))
-        try:
-            return _read_collada(root, f"{path}: <unit>")
-        except LabError:
-            raise
-        except Exception as error:
-            raise MeshError(f"{path}: not a readable mesh: {error}") from error
-    scene = read_scene(path)
     try:
+        if suffix == ".dae":
+            return _read_collada(parse_text(read_text(path), str(path)), f"{path}: <unit>")
+        scene = read_scene(path)
         merged = scene.to_geometry() if hasattr(scene, "to_geometry") else scene.dump(True)
         return np.asarray(merged.vertices, dtype=float), np.asarray(merged.faces, dtype=int)
+    except LabError:
+        raise
     except Exception as error:
+        # What the libraries raise on a malformed file can be anything.
         raise MeshError(f"{path}: not a readable mesh: {error}") from error
 
 
 def read_scene(path: Path, resolver: Any = None) -> Any:
     """Return what trimesh reads of an .obj or .stl file.
 
-    Args:
-        path: of the file.
-        resolver: gives trimesh the other files that the file names; without one, it gets none.
+    A `resolver` gives it the other files that the file names; without one, it gets none.
 
     Raises:
         MeshError: the file is missing, too large or malformed.

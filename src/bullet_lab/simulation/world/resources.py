@@ -117,9 +117,16 @@ class ResourceFinder:
             raise ResourceError("no file is named")
         parts = urlsplit(uri)
         if parts.scheme == "package":
-            return self._in_package(uri, parts.netloc, unquote(parts.path))
+            folder = self._packages(parts.netloc)
+            if folder is None:
+                raise ResourceError(f"'{uri}': no ROS package '{parts.netloc}'")
+            return _inside(folder, unquote(parts.path).lstrip("/"), uri)
         if parts.scheme == "model":
-            return self._in_models(uri, parts.netloc + unquote(parts.path))
+            name = parts.netloc + unquote(parts.path)
+            for folder in self._models:
+                if (folder / name).exists():
+                    return _inside(folder, name, uri)
+            raise ResourceError(f"'{uri}': in none of the model folders (GAZEBO_MODEL_PATH)")
         if parts.scheme == "file" and parts.netloc in ("", "localhost"):
             return self._absolute(uri, Path(unquote(parts.path)))
         if parts.scheme:
@@ -131,27 +138,11 @@ class ResourceFinder:
             raise ResourceError(f"'{uri}': a relative path in a text that lies in no folder")
         return _inside(self._folder, uri, uri)
 
-    def _in_package(self, uri: str, package: str, path: str) -> Path:
-        folder = self._packages(package)
-        if folder is None:
-            raise ResourceError(f"'{uri}': no ROS package '{package}'")
-        return _inside(folder, path.lstrip("/"), uri)
-
-    def _in_models(self, uri: str, path: str) -> Path:
-        for folder in self._models:
-            if (folder / path).exists():
-                return _inside(folder, path, uri)
-        raise ResourceError(f"'{uri}': in none of the model folders (GAZEBO_MODEL_PATH)")
-
     def _absolute(self, uri: str, path: Path) -> Path:
         """Allow an absolute path only below the document, a model folder or a ROS package."""
-        roots = list(self._models)
-        if self._folder is not None:
-            roots.append(self._folder)
-        roots.extend(_package_above(path))
-        for root in roots:
-            if _is_below(path, root):
-                return _existing(path, uri)
+        own = () if self._folder is None else (self._folder,)
+        if any(_is_below(path, root) for root in (*self._models, *own, *_package_above(path))):
+            return _existing(path, uri)
         raise ResourceError(f"'{uri}': outside the folders of the document and of all packages")
 
 

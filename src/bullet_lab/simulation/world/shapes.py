@@ -35,10 +35,8 @@ class ShapeTag(TagReader):
 class Shape:
     """What all shapes know.
 
-    Attributes:
-        tag: name of its tag in URDF and SDF.
-        in_urdf: whether URDF has it, too.
-        has_own_colours: whether it is white where nobody says a colour, to show its own.
+    `tag` is its name in SDF and, if `in_urdf`, in URDF. One with colours of its own is white where
+    nobody says a colour.
     """
 
     tag: ClassVar[str]

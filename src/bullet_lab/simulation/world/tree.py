@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Dict, Iterable, List, Tuple, Type
+from typing import Dict, Iterable, List, Sequence, Tuple, Type
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import Collision, Joint, Link, Model
@@ -26,9 +26,7 @@ def check_tree(links: Tuple[Link, ...], joints: Tuple[Joint, ...], source: str) 
         raise TreeError(f"{source}: several roots: {', '.join(roots)}")
 
 
-def check_forest(
-    links: Tuple[Link, ...], joints: Tuple[Joint, ...], source: str
-) -> Tuple[str, ...]:
+def check_forest(links: Sequence[Link], joints: Sequence[Joint], source: str) -> Tuple[str, ...]:
     """Refuse what is not made of trees of links with names of their own; return the roots.
 
     Raises:
@@ -45,12 +43,12 @@ def check_forest(
         for end in (joint.parent, joint.child):
             if end not in names:
                 raise TreeError(f"{source}: joint '{joint.name}' names no link '{end}'")
-    roots = sorted(names - {joint.child for joint in joints})
+    roots = tuple(sorted(names - {joint.child for joint in joints}))
     # Each link has one parent at most: what no root reaches hangs on a loop.
     unreached = names.difference(*(top_down(root, joints) for root in roots))
     if unreached:
         raise TreeError(f"{source}: a loop of joints at {', '.join(sorted(unreached))}")
-    return tuple(roots)
+    return roots
 
 
 def top_down(root: str, joints: Iterable[Joint]) -> List[str]:
@@ -95,10 +93,7 @@ def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
 
     Shapes, masses and inertias go over to the link that stays; `frames` of the result says
     where each merged link's frame lies in it. Movable joints are hung on the links that stay.
-
-    Args:
-        model: what to simplify.
-        rename: whether names of shapes are to tell that they came from another link.
+    With `rename`, names of shapes tell that they came from another link.
     """
     fixed = {joint.child: joint for joint in model.joints if joint.kind == "fixed"}
     if not fixed:
@@ -108,12 +103,14 @@ def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
     for link in model.links:
         keeper, pose = places[link.name]
         members.setdefault(keeper, []).append((link, pose))
-    links = tuple(
-        _merge(link, members[link.name], rename) for link in model.links if link.name not in fixed
-    )
-    joints = tuple(_rehang(j, places) for j in model.joints if j.kind != "fixed")
+    kept = (link for link in model.links if link.name not in fixed)
+    links = tuple(_merge(link, members[link.name], rename) for link in kept)
+    joints = []
+    for joint in (joint for joint in model.joints if joint.kind != "fixed"):
+        parent, pose = places[joint.parent]
+        joints.append(replace(joint, parent=parent, pose=pose * joint.pose))
     frames = {name: place for name, place in places.items() if name in fixed}
-    return replace(model, links=links, joints=joints, frames={**model.frames, **frames})
+    return replace(model, links=links, joints=tuple(joints), frames={**model.frames, **frames})
 
 
 def _place(name: str, fixed: Dict[str, Joint]) -> Tuple[str, Pose]:
@@ -139,8 +136,3 @@ def _merge(keeper: Link, members: List[Tuple[Link, Pose]], rename: bool) -> Link
         collisions=tuple(moved(c, link, p) for link, p in members for c in link.collisions),
         self_collide=any(link.self_collide for link, _ in members),
     )
-
-
-def _rehang(joint: Joint, places: Dict[str, Tuple[str, Pose]]) -> Joint:
-    parent, pose = places[joint.parent]
-    return replace(joint, parent=parent, pose=pose * joint.pose)

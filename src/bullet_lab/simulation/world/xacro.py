@@ -35,11 +35,7 @@ def is_xacro(path: Path) -> bool:
 
 
 def expand_xacro(path: Path, arguments: Optional[Mapping[str, str]] = None) -> str:
-    """Return the URDF text that a xacro file stands for.
-
-    Args:
-        path: the file.
-        arguments: values of its `<xacro:arg>`; their defaults without.
+    """Return the URDF text that a xacro file stands for, with values of its `<xacro:arg>`.
 
     Raises:
         XacroError: the xacro package is missing, the file is not there, makes no sense, or
