@@ -29,12 +29,10 @@ class Period:
 
     @classmethod
     def after(cls, now: int, start: float, duration: float) -> Period:
-        """Return the steps of a period of simulated time, not before the present step.
+        """Return the steps of a period of simulated time, not before the step `now`.
 
-        Args:
-            now: the present step.
-            start: in s; a past one means at once.
-            duration: in s; less than a step means one step, negative means for ever.
+        A past `start` (s) means at once, a `duration` (s) of less than a step one step, and a
+        negative one for ever.
         """
         first = max(now, math.ceil(round(start * STEPS_PER_SECOND, 6)))
         if duration < 0.0:

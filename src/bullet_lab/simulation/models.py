@@ -97,24 +97,22 @@ class ModelInstance:
         Raises:
             SimulationError: an unknown joint or a position that is not finite; none is moved.
         """
-        bodies = {name: self.body_of_joint(name) for name in positions}
+        bodies = [self.body_of_joint(name) for name in positions]
         for name, position in positions.items():
             if not math.isfinite(position):
                 raise SimulationError(f"model '{self.name}': joint '{name}' at {position}")
-        for name, body in bodies.items():
-            body.set_joint(name, positions[name])
+        for body, (name, position) in zip(bodies, positions.items()):
+            body.set_joint(name, position)
         self.moves += 1
 
     def state(self) -> ModelState:
         """Return where all parts of the model are and how they move."""
-        frames = {link.name: self.frame(link.name) for link in self.model.links}
-        links = {name: FrameState(f.pose(), *f.velocity()) for name, f in frames.items()}
-        states = {
-            name: body.joint_state(name)
-            for body in self.bodies.values()
-            for name in body.joint_names
-        }
-        joints = {name: (state.position, state.velocity) for name, state in states.items()}
+        links = {entity.link: entity.state() for entity in link_entities(self)}
+        joints = {}
+        for body in self.bodies.values():
+            for name in body.joint_names:
+                state = body.joint_state(name)
+                joints[name] = (state.position, state.velocity)
         return ModelState(self.pose(), links, joints)
 
     def restore(self, state: ModelState) -> None:
@@ -162,11 +160,7 @@ class ModelInstance:
             entry.handle(command)
 
     def listen(self, topic: str, listener: Callable[[Any], None]) -> None:
-        """Call `listener(sample)` with whatever the model's plugins send on a topic.
-
-        Raises:
-            SimulationError: none sends there.
-        """
+        """Call `listener(sample)` with what plugins send on a topic; raises SimulationError."""
         sending = [o for plugin in self.plugins for o in plugin.outputs if o.topic == topic]
         if not sending:
             raise SimulationError(f"model '{self.name}' has no output '{topic}'")
@@ -302,11 +296,7 @@ def in_world(frame: FrameState, state: FrameState) -> FrameState:
 
 
 def move_link(entity: Entity, state: FrameState) -> None:
-    """Put a link somewhere, and with it all that hangs on it; the joints keep their positions.
-
-    Raises:
-        SimulationError: an impossible pose.
-    """
+    """Put a link somewhere, with all that hangs on it; raises SimulationError."""
     in_link = entity.frame.pose().inverse() * entity.instance.frame().pose()
     arm = state.pose.rotate(in_link.position)
     linear = add(state.linear, cross(state.angular, arm))

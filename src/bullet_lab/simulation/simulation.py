@@ -62,12 +62,7 @@ class Simulation:
     """
 
     def __init__(self, world: Optional[World] = None, seed: int = 0):
-        """Load a world; an empty one with gravity if none is given.
-
-        Args:
-            world: what to load.
-            seed: of the noise of all sensors.
-        """
+        """Load a world, an empty one by default; the noise of all sensors follows the seed."""
         self.world = world or World("default")
         self._renderer: Optional[Renderer] = None
         self.seed = seed
@@ -126,11 +121,7 @@ class Simulation:
         return self._instances
 
     def renderer(self) -> Renderer:
-        """Return what draws this world; nothing is loaded for it before it is asked for.
-
-        Raises:
-            RendererError: nothing can be drawn here.
-        """
+        """Return what draws this world, loaded once it is asked for; raises RendererError."""
         if self._renderer is None:
             self._renderer = Renderer(self.world, self._instances)
         return self._renderer
@@ -230,11 +221,7 @@ class Simulation:
         return Snapshot(self.world, self.step, models)
 
     def every(self, rate: float, call: Callable[[int], None]) -> None:
-        """Call `call(step)` `rate` times per simulated second, before plugins send theirs.
-
-        Raises:
-            ScheduleError: the rate is not within 0 … 1000 Hz.
-        """
+        """Call `call(step)` `rate` times per simulated second, before plugins send theirs."""
         self._timers.append(Timer(Schedule(rate, self.step), call))
 
     def go_on_after(self, failed: Callable[[str, LabError], None]) -> None:

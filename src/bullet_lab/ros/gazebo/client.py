@@ -30,12 +30,7 @@ FLOOR = 0.02
 
 
 def call(service: str, kind: type, *arguments: Any) -> Any:
-    """Call a service once it is there.
-
-    Raises:
-        NodeError: it does not answer, or answers that it has not succeeded.
-        ROSInterruptException: ROS shuts down first.
-    """
+    """Call a service once it is there; raises NodeError unless it answers that it succeeded."""
     wait_until(lambda: _is_offered(service), service)
     try:
         answer = rospy.ServiceProxy(service, kind)(*arguments)

@@ -204,13 +204,10 @@ def _links(instance: ModelInstance) -> Dict[str, Entity]:
 
 
 class Gazebo:
-    """Gazebo's services and topics on a running world.
+    """Gazebo's services and topics on a running world, and its markers in a frame of RViz.
 
-    Args:
-        world: the world.
-        frame: the world's frame in RViz.
-        hidden: name of the model that RViz shows as a robot.
-        states_rate: messages per simulated second on /gazebo/model_states and link_states.
+    RViz shows the model `hidden` as a robot. `states_rate` is that of /gazebo/model_states and
+    link_states, in messages per simulated second.
     """
 
     def __init__(self, world: RunningWorld, frame: str, hidden: str, states_rate: float):

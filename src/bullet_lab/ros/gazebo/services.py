@@ -56,12 +56,8 @@ def offer(
 ) -> rospy.Service:
     """Offer a service of /gazebo that answers errors with success=False and what was wrong.
 
-    Args:
-        name: without /gazebo.
-        kind: its type.
-        answer: returns the fields of the response; raises LabError.
-        done: the status message where all went well.
-        failed: what stands before an error; the type's name by default.
+    `answer` returns the fields of the response, and `done` is the status message where all went
+    well; `failed` stands before an error, the type's name by default.
     """
     fields = kind._response_class.__slots__
     prefix = failed or f"{kind.__name__}: "
@@ -153,11 +149,7 @@ class GazeboServices:
         return offer(name, kind, between_steps, done and f"{kind.__name__}: {done}")
 
     def _change(self, change: Callable[[Any], str]) -> Callable[[Any], Answer]:
-        """Return what answers by a change between two steps, and tells who shows the world.
-
-        Args:
-            change: takes the request and returns the name of the model that it has changed.
-        """
+        """Return what answers by a change between two steps, which names the changed model."""
 
         def answer(request: Any) -> Answer:
             self._world.change(partial(change, request))

@@ -50,13 +50,10 @@ POINT = np.dtype(
 
 
 class Converter:
-    """Turns samples of one kind into messages with a header.
+    """Turns samples of one kind into messages of the class `message_kind`, with a header.
 
     It keeps its message: rospy serialises in `publish`, so the next sample may reuse it, which
     matters at a hundred times real time.
-
-    Attributes:
-        message_kind: class of the messages.
     """
 
     def __init__(self, message_kind: Type[Any], fill: Callable[[Any, Any], None]):

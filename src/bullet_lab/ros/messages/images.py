@@ -84,13 +84,9 @@ class CameraGeometryError(LabError):
 
 
 def camera_of(info: CameraInfo, width: int, height: int, rectified: bool = False) -> PinholeCamera:
-    """Return the geometry of an image.
+    """Return the geometry of an image of a size in px.
 
-    Args:
-        info: belongs to the image.
-        width: of the image that has come, px.
-        height: of it, px.
-        rectified: the image is a rectified one: P holds, and there is no distortion.
+    Of a `rectified` one, P holds, and there is no distortion.
 
     Raises:
         CameraGeometryError: nothing there (a zero K), not finite, of another size, binned, or

@@ -32,12 +32,7 @@ MARKERS: Dict[type, Callable[[Any], Tuple[int, Tuple[float, ...]]]] = {
 
 
 def world_markers(models: Iterable[ModelInstance], frame: str) -> MarkerArray:
-    """Return the visible shapes of models; the namespace of a marker is the model's name.
-
-    Args:
-        models: what to draw, where it is now.
-        frame: the world's frame.
-    """
+    """Return the visible shapes of models in the world's frame, in namespaces of their names."""
     markers = []
     for instance in models:
         for number, (pose, visual) in enumerate(_visuals(instance)):
@@ -52,13 +47,7 @@ def world_markers(models: Iterable[ModelInstance], frame: str) -> MarkerArray:
 
 
 def deleted_markers(model: str, count: int, frame: str) -> MarkerArray:
-    """Return what takes the markers of a model away.
-
-    Args:
-        model: its name.
-        count: how many there are.
-        frame: the world's frame.
-    """
+    """Return what takes the `count` markers of a model away."""
     array = MarkerArray()
     for number in range(count):
         marker = Marker(action=Marker.DELETE, ns=model, id=number)

@@ -1,10 +1,8 @@
 """Making bodies by PyBullet's calls, with what their joints allow and resist.
 
 PyBullet takes 16 shapes in one call, and a mesh by its corners alone. So a link carries the first
-such group of its shapes, and helper links without mass, fixed to it, carry one more each.
-
-PyBullet gives shapes back only with the whole world: 70 kB for a mesh of 200 corners. So equal
-ones are made once.
+such group of its shapes, and helper links without mass, fixed to it, carry one more each. It gives
+shapes back only with the whole world, so equal ones are made once.
 """
 
 from __future__ import annotations

@@ -79,12 +79,9 @@ class Contact:
 
 
 def contacts_of(bodies: Iterable[Body], owners: Mapping[int, str], own: str) -> Dict[str, Contact]:
-    """Return the contacts of a model in the last step, by the other models' names.
+    """Return the contacts of the model `own` with others in the last step, by their names.
 
-    Args:
-        bodies: of the model.
-        owners: names of the models by the unique ids of their bodies.
-        own: the model's name; what it does to itself is left out.
+    `owners` names the models by the unique ids of their bodies.
     """
     sums: Dict[str, float] = {}
     strongest: Dict[str, Tuple[float, Vector]] = {}

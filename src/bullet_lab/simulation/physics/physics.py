@@ -233,8 +233,7 @@ class Physics:
         """Load a model at its pose and return its bodies by the name of their root link.
 
         Raises:
-            PhysicsError: a link that moves and has no mass, more links than the engine holds, or
-                its refusal.
+            PhysicsError: a link that moves has no mass, there are too many, or PyBullet's refusal.
             MeshError: a mesh is not usable.
         """
         bodies: Dict[str, Body] = {}

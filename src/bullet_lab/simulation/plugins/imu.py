@@ -22,11 +22,10 @@ AXES = ("x", "y", "z")
 class Accelerometer:
     """Mean acceleration of a point, from its velocities.
 
-    The difference of two velocities 1 ms apart is no measurement: Bullet's contacts carry a
-    body in small pushes, and each shows as m/s². What is reported is the mean since the last
-    reading, but over 10 ms at least. Readings up to 100 Hz then add up to exactly the change of
-    velocity, as those of a strapdown unit do; faster ones overlap, as if behind a low-pass
-    filter with its first zero at 100 Hz, which is about what such chips have.
+    Bullet's contacts carry a body in small pushes, and each would show as m/s². So this is the
+    mean since the last reading, over 10 ms at least. Readings up to 100 Hz then add up to exactly
+    the change of velocity, as those of a strapdown unit do; faster ones overlap, as if behind a
+    low-pass filter with its first zero at 100 Hz, which is about what such chips have.
     """
 
     def __init__(self) -> None:

@@ -32,10 +32,6 @@ class StepNoise:
 
     What a sensor reads at some time does not depend on who listened before, and a world that
     is run again gives the same readings.
-
-    Args:
-        seed: any whole number from 0 on.
-        name: of whoever wants the numbers.
     """
 
     def __init__(self, seed: int, name: str):
@@ -157,12 +153,8 @@ def slower_of(one: Schedule, other: Schedule) -> Schedule:
 class SensorTag(ElementReader):
     """The `<sensor>` element around a plugin, which URDF and SDF share.
 
-    Args:
-        mount: of the plugin that stands in it.
-        kinds: types of sensors that it works with.
-
     Raises:
-        PluginError: the plugin stands in no such sensor.
+        PluginError: the plugin stands in no sensor of one of the `kinds`.
     """
 
     def __init__(self, mount: Mount, kinds: Tuple[str, ...]):
@@ -278,11 +270,7 @@ def known_plugins() -> Tuple[str, ...]:
 
 
 def make_plugin(mount: Mount) -> Optional[Plugin]:
-    """Return the plugin for a tag, or None where its kind is not simulated.
-
-    Raises:
-        LabError: a tag of the plugin cannot be read.
-    """
+    """Return the plugin for a tag, or None where its kind is not simulated; raises LabError."""
     # Gazebo accepts the name without .so as well.
     filename = mount.plugin.filename
     kind = _KINDS.get(filename) or _KINDS.get(f"{filename}.so")

@@ -200,10 +200,9 @@ class FrameState:
 
 @dataclass(frozen=True)
 class ModelState:
-    """Where a model is in the world.
+    """Where a model and its links are in the world.
 
-    `links` holds the states of links in the world, `joints` position (rad or m) and velocity of
-    the movable joints.
+    `joints` holds position (rad or m) and velocity of the movable joints.
     """
 
     pose: Pose

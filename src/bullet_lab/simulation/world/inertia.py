@@ -53,13 +53,10 @@ def inertia_at(pose: Pose, mass: float, elements: Sequence[float], where: str) -
 
 
 def check_inertia(inertia: Inertia, where: str) -> None:
-    """Refuse what no rigid body can have.
+    """Refuse with InertiaError what no rigid body can have; `where` names the link.
 
     Principal moments are positive and none exceeds the sum of the other two (each is an
     integral of two squared coordinates). A mass of zero is allowed: it means "no inertia".
-
-    Raises:
-        InertiaError: negative mass or an impossible inertia; `where` names the link.
     """
     if inertia.mass < 0.0:
         raise InertiaError(f"{where}: the mass {inertia.mass:g} kg is negative")

@@ -73,10 +73,8 @@ def package_uri(path: Path) -> str:
 class ResourceFinder:
     """Turns the references in a document into files.
 
-    Args:
-        folder: where the document lies, for relative references; None if it came as text.
-        packages: gives the folder of a ROS package by its name, or None.
-        model_folders: folders that hold models by name.
+    `folder` is where the document lies, None if it came as text; `packages` gives the folder of a
+    ROS package by its name, or None; `model_folders` hold models by name.
     """
 
     def __init__(

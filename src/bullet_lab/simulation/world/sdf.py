@@ -82,12 +82,7 @@ def read_world_file(path: Path, finder: Optional[ResourceFinder] = None) -> Worl
 
 
 def read_description(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
-    """Return the model that a text describes, SDF or URDF.
-
-    Args:
-        text: the description.
-        source: names it in messages.
-        finder: finds the files that it names.
+    """Return the model that a text describes, SDF or URDF; `source` names it in messages.
 
     Raises:
         LabError: neither, or no model that could exist; the message says what and where.

@@ -62,14 +62,10 @@ def world_text(snapshot: Snapshot, folder: Path) -> Tuple[str, List[str]]:
 
 
 def _add(parent: Element, tag: str, content: Any, **attributes: str) -> Element:
-    """Add an element with its content.
+    """Add an element with attributes and its content.
 
-    Args:
-        parent: to add it to.
-        tag: its name.
-        content: by their tags, the contents of the elements in it; or a text, a truth value, a
-            pose or numbers, none of them rounded.
-        **attributes: of the element.
+    That is, by their tags, the contents of the elements in it; or a text, a truth value, a pose or
+    numbers, none of them rounded.
     """
     element = SubElement(parent, tag, attributes)
     if isinstance(content, dict):

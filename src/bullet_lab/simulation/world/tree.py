@@ -16,11 +16,7 @@ class TreeError(XmlError):
 
 
 def check_tree(links: Tuple[Link, ...], joints: Tuple[Joint, ...], source: str) -> None:
-    """Refuse what is not one tree of links with names of their own.
-
-    Raises:
-        TreeError: as `check_forest`, or several roots.
-    """
+    """Refuse several roots, and what `check_forest` refuses, with TreeError."""
     roots = check_forest(links, joints, source)
     if len(roots) > 1:
         raise TreeError(f"{source}: several roots: {', '.join(roots)}")

@@ -49,11 +49,7 @@ def read_urdf(text: str, source: str, finder: Optional[ResourceFinder] = None) -
 
     As in Gazebo, what hangs on a fixed joint is merged into its parent link, and
     `<gazebo>` elements say what the robot can do (`<plugin>`) and how its links rub (`<mu1>`).
-
-    Args:
-        text: the URDF.
-        source: names the text in messages.
-        finder: finds the mesh files.
+    `source` names the text in messages.
 
     Raises:
         XmlError: not XML, or no robot that could exist; the message says what and where.

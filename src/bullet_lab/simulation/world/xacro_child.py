@@ -23,7 +23,10 @@ def main() -> int:
     find_packages_of_ros1()
     _limit(order)
     try:
-        text = _expand(xacro, order)
+        # What xacro has to say is not URDF.
+        with contextlib.redirect_stdout(StringIO()):
+            document = xacro.process_file(order["path"], mappings=order["arguments"], verbosity=0)
+        text = document.toxml()
     except (Exception, SystemExit) as error:
         if _for_want_of_memory(error):
             return _fail(f"xacro took more than {order['memory_bytes'] >> 20} MB of memory")
@@ -46,13 +49,6 @@ def find_packages_of_ros1() -> None:
     packages.get_package_share_directory = share_folder
     sys.modules["ament_index_python"] = types.ModuleType("ament_index_python")
     sys.modules["ament_index_python.packages"] = packages
-
-
-def _expand(xacro: Any, order: Mapping[str, Any]) -> str:
-    # What xacro has to say is not URDF.
-    with contextlib.redirect_stdout(StringIO()):
-        document = xacro.process_file(order["path"], mappings=order["arguments"], verbosity=0)
-    return document.toxml()
 
 
 def _for_want_of_memory(error: Any) -> bool:

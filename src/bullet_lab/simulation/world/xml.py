@@ -46,11 +46,7 @@ def parse_text(text: str, source: str) -> Element:
 
 
 def file_bytes(path: Path, most: int, error_kind: Type[LabError] = XmlError) -> bytes:
-    """Return what is in a file of at most `most` bytes.
-
-    Raises:
-        error_kind: the file is missing, unreadable or too large.
-    """
+    """Return what is in a file; raises `error_kind` if that is missing or over `most` bytes."""
     try:
         with path.open("rb") as file:
             data = file.read(most + 1)
@@ -62,11 +58,7 @@ def file_bytes(path: Path, most: int, error_kind: Type[LabError] = XmlError) -> 
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file.
-
-    Raises:
-        XmlError: the file is missing, unreadable, too large or not UTF-8.
-    """
+    """Return the text of a file; raises XmlError if that is missing, too large or not UTF-8."""
     try:
         return file_bytes(path, MAXIMUM_BYTES).decode()
     except UnicodeDecodeError as error:
@@ -74,11 +66,7 @@ def read_text(path: Path) -> str:
 
 
 def numbers(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
-    """Return the `count` finite numbers in a text.
-
-    Raises:
-        XmlError: other than `count` finite numbers; `what` names the place.
-    """
+    """Return the `count` finite numbers in a text; raises XmlError that names the place, `what`."""
     parts = (text or "").split()
     try:
         values = tuple(float(part) for part in parts)
@@ -176,9 +164,7 @@ class TagReader:
 class ElementReader(TagReader):
     """What the elements below one say, by their paths such as "ray/range/max".
 
-    Args:
-        element: that they are in.
-        source: names it in messages.
+    `source` names the element in messages.
     """
 
     def __init__(self, element: Element, source: str):
