@@ -53,8 +53,9 @@ recording > studies.noise_study: study_files=paths
 recording > studies.published_noise: published_figure=side_deviation published_summary=results
 ros > core: parameters
 ros > reports: odometry_recorder=squares
-ros > ros.bridge: loop_watch=speed odometry_frames=world_topics pace=speed simulators stepper
-    time_gate=lock_step touches=world_topics wiring=device_topics world_feed=world_topics
+ros > ros.bridge: loop_watch=timing odometry_frames=world_topics pace=timing
+    simulators=running_world stepper time_gate=timing touches=world_topics wiring=running_world
+    world_feed=world_topics
 ros > ros.gazebo: gazebo_client=client gazebo_forces=services gazebo_models=services
     gazebo_physics=interface gazebo_services=services gazebo_states=services
     gazebo_topics=interface

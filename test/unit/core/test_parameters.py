@@ -213,7 +213,7 @@ def test_rospy_is_not_needed():
     import sys
 
     code = (
-        "import sys, bullet_lab.ros, bullet_lab.ros.bridge.speed, bullet_lab.ros.bridge.lock_step, "
+        "import sys, bullet_lab.ros, bullet_lab.ros.bridge.timing, "
         "bullet_lab.core.parameters, bullet_lab.simulation.simulation, bullet_lab.reports.squares\n"
         "sys.exit('rospy' in sys.modules)"
     )

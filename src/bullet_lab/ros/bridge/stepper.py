@@ -6,15 +6,15 @@ they want done, and wait.
 
 from __future__ import annotations
 
-import contextlib
 import queue
 import threading
 import time
-from typing import Any, Callable, NamedTuple, Optional, Sequence
+from concurrent import futures
+from functools import partial
+from typing import Any, Callable, NamedTuple, Optional, Sequence, Tuple
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.bridge.lock_step import FOR_EVER, TimeGate
-from bullet_lab.ros.bridge.speed import WAITING, Lag, LoopWatch, Pace
+from bullet_lab.ros.bridge.timing import FOR_EVER, WAITING, Lag, LoopWatch, Pace, TimeGate
 from bullet_lab.simulation.simulation import Simulation
 
 # Between two looks at what others want, at full speed: about two milliseconds of wall time.
@@ -30,13 +30,7 @@ class StepperError(LabError):
 
 
 class Reached(NamedTuple):
-    """What became of a grant.
-
-    Attributes:
-        success: whether time has come there.
-        step: that it is at.
-        epoch: that it is now.
-    """
+    """What became of a grant: whether time has come there, and the step and epoch it is at."""
 
     success: bool
     step: int
@@ -88,7 +82,7 @@ class Stepper:
         self.watch = watch or LoopWatch()
         self._reached = simulation.step
         self._stalled_since: Optional[float] = None
-        self._tasks: queue.Queue[_Task] = queue.Queue()
+        self._tasks: queue.Queue[Tuple[futures.Future, Callable[[], Any]]] = queue.Queue()
         self._wake = threading.Condition()
         self._wakeups = 0
         self.epoch = 1
@@ -127,13 +121,13 @@ class Stepper:
         Raises:
             StepperError: all is over before it could be done.
         """
-        task = _Task(action)
-        self._tasks.put(task)
+        result: futures.Future = futures.Future()
+        self._tasks.put((result, action))
         self.wake()
-        while not task.done.wait(LONGEST_WAIT):
+        while not futures.wait([result], LONGEST_WAIT).done:
             if self._is_over():
                 raise StepperError("the simulation has ended")
-        return task.result()
+        return result.result()
 
     def do_now(self, action: Callable[[], None]) -> None:
         """Have something done at the present moment of wall time.
@@ -148,27 +142,32 @@ class Stepper:
 
     def pause(self) -> None:
         """Stop time."""
-        self.do(lambda: self._set_paused(True))
+        self.do(partial(self._set_paused, True))
 
     def unpause(self) -> None:
         """Let time go on."""
-        self.do(lambda: self._set_paused(False))
+        self.do(partial(self._set_paused, False))
 
     def set_real_time_factor(self, factor: float) -> None:
         """Let time go at another speed: simulated seconds per wall second, 0 for full speed."""
-        self.do(lambda: self._set_real_time_factor(factor))
+
+        def change() -> None:
+            self.pace.real_time_factor = factor
+            self._restart(self.simulation.step)
+
+        self.do(change)
 
     def advance_by(self, steps: int) -> int:
         """Advance by exactly so many steps, paused or not, and return the step reached."""
-        return self.do(lambda: self._advance_by(steps))
+        return self.do(partial(self._advance_by, steps))
 
     def reset_world(self) -> None:
         """Put all models back; time goes on."""
-        self.do(self._reset_world)
+        self.do(partial(self._reset, self.simulation.reset_world))
 
     def reset_simulation(self) -> None:
         """Put all models back and start time again at 0."""
-        self.do(self._reset_simulation)
+        self.do(partial(self._reset, self.simulation.reset_simulation))
 
     def join(self, member: str) -> Reached:
         """Have time stand until a member grants more, and return when it stands."""
@@ -247,11 +246,14 @@ class Stepper:
                 self._wake.wait(seconds)
 
     def _run_tasks(self) -> None:
-        with contextlib.suppress(queue.Empty):
-            while True:
-                task = self._tasks.get_nowait()
-                with self.watch.doing("services"):
-                    task.run()
+        while not self._tasks.empty():
+            result, action = self._tasks.get()
+            with self.watch.doing("services"):
+                try:
+                    result.set_result(action())
+                except Exception as error:
+                    # It goes back to whoever asked, and time goes on for the others.
+                    result.set_exception(error)
 
     def _catch_up_and(self, action: Callable[[], None]) -> None:
         step, limit = self.simulation.step, self.gate.limit()
@@ -261,10 +263,6 @@ class Stepper:
 
     def _set_paused(self, paused: bool) -> None:
         self._paused = paused
-        self._restart(self.simulation.step)
-
-    def _set_real_time_factor(self, factor: float) -> None:
-        self.pace.real_time_factor = factor
         self._restart(self.simulation.step)
 
     def _advance_by(self, steps: int) -> int:
@@ -281,17 +279,12 @@ class Stepper:
         self._restart(goal)
         return goal
 
-    def _reset_world(self) -> None:
-        self.simulation.reset_world()
-        self._begin_epoch()
-
-    def _reset_simulation(self) -> None:
-        self.simulation.reset_simulation()
-        self._restart(0)
-        self._begin_epoch()
-
-    def _begin_epoch(self) -> None:
-        """Take back what members have granted: they know nothing of the reset."""
+    def _reset(self, reset: Callable[[], None]) -> None:
+        """Reset, and take back what members have granted: they know nothing of it."""
+        before = self.simulation.step
+        reset()
+        if self.simulation.step != before:
+            self._restart(self.simulation.step)
         with self._wake:
             self._reached = self.simulation.step
             self.gate.restart(self._reached)
@@ -326,28 +319,3 @@ class Stepper:
             # One report is enough.
             self._restart(self.simulation.step)
             self._report_stall(self.gate.holding())
-
-
-class _Task:
-    """Something for the loop's thread to do."""
-
-    def __init__(self, action: Callable[[], Any]):
-        self.done = threading.Event()
-        self._action = action
-        self._result: Any = None
-        self._error: Optional[Exception] = None
-
-    def run(self) -> None:
-        """Do it; an error goes back to whoever asked, and time goes on for the others."""
-        try:
-            self._result = self._action()
-        except Exception as error:
-            self._error = error
-        finally:
-            self.done.set()
-
-    def result(self) -> Any:
-        """Return what came of it, or raise."""
-        if self._error is not None:
-            raise self._error
-        return self._result

@@ -6,8 +6,9 @@ import contextlib
 import time
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, FrozenSet, Optional, Set, Tuple
+from typing import Any, Callable, Dict, FrozenSet, Optional, Set
 
+import numpy as np
 import rospy
 from geometry_msgs.msg import Transform, TransformStamped, Vector3
 from tf2_msgs.msg import TFMessage
@@ -25,7 +26,6 @@ from bullet_lab.simulation.simulation import ModelInstance
 from bullet_lab.simulation.world.description import Model, Plane
 
 MARKERS = "/bullet_lab/world"
-MARKERS_QUEUE = 100
 # Hz; looks at the models that may move, per second of simulated and of wall time at most.
 MARKERS_RATE = 10.0
 
@@ -48,13 +48,11 @@ class WorldMarkers(rospy.SubscribeListener):
         self._frame = frame
         self._hidden = hidden
         self._counts: Dict[str, int] = {}
-        self._places: Dict[str, Tuple[Pose, ...]] = {}
+        self._places: Dict[str, list] = {}
         self._looked = 0.0
         world.changed.append(self._changed)
         world.simulation.every(MARKERS_RATE, self._look)
-        self._publisher = Publisher(
-            MARKERS, MarkerArray, queue_size=MARKERS_QUEUE, subscriber_listener=self
-        )
+        self._publisher = Publisher(MARKERS, MarkerArray, queue_size=100, subscriber_listener=self)
 
     def peer_subscribe(
         self, _topic: str, _publish: Callable[[Any], None], peer_publish: Callable[[Any], None]
@@ -72,8 +70,7 @@ class WorldMarkers(rospy.SubscribeListener):
 
     def _changed(self, name: str) -> None:
         if self._publisher.has_connections():
-            array = self._draw(name) if name else self._all()
-            self._publisher.publish(array)
+            self._publisher.publish(self._draw(name) if name else self._all())
 
     def _draw(self, name: str) -> MarkerArray:
         """Return the markers of a model, or what takes them away if it is gone."""
@@ -106,16 +103,10 @@ class WorldMarkers(rospy.SubscribeListener):
             self._publisher.publish(moved)
 
 
-def _places_of_links(instance: ModelInstance) -> Tuple[Pose, ...]:
+def _places_of_links(instance: ModelInstance) -> list:
     """Return where the seen links are, to a tenth of a millimetre or so."""
     poses = (instance.frame(link.name).pose() for link in instance.model.links if link.visuals)
-    return tuple(
-        Pose(
-            tuple(round(value, 4) for value in pose.position),
-            tuple(round(value, 4) for value in pose.quaternion),
-        )
-        for pose in poses
-    )
+    return [np.round((*pose.position, *pose.quaternion), 4).tolist() for pose in poses]
 
 
 FRAMES = "/tf_static"
@@ -177,22 +168,19 @@ class OdometryFrames:
         found = {frame: pose for places in self._places.values() for frame, pose in places.items()}
         message = TFMessage()
         for frame, pose in sorted(found.items()):
-            if frame == self._frame:
-                continue
-            turn = pose_message(pose).orientation
-            transform = TransformStamped(transform=Transform(Vector3(*pose.position), turn))
-            transform.header.frame_id, transform.child_frame_id = self._frame, frame
-            message.transforms.append(transform)
+            if frame != self._frame:
+                turn = pose_message(pose).orientation
+                transform = TransformStamped(transform=Transform(Vector3(*pose.position), turn))
+                transform.header.frame_id, transform.child_frame_id = self._frame, frame
+                message.transforms.append(transform)
         self._publisher.publish(message)
 
 
 def _places_of_frames(instance: Optional[ModelInstance]) -> Dict[str, Pose]:
     """Return the odometry frames of a model and where they are; none for a model that is gone."""
-    if instance is None:
-        return {}
     return {
         device.frame: getattr(device, "origin", Pose())
-        for device in instance.plugins
+        for device in (() if instance is None else instance.plugins)
         if any(output.kind is OdometrySample for output in device.outputs)
     }
 
@@ -239,12 +227,13 @@ class TouchCounter:
         """Begin or end to watch a model, or all with an empty name."""
         for model in [name] if name else {*self._world.models, *self._watched}:
             instance = self._world.models.get(model)
-            takes_commands = instance is not None and any(d.inputs for d in instance.plugins)
-            if takes_commands and model not in self._watched:
-                topic = f"{_namespace(instance)}{TOUCHED}"
+            devices = [d for d in (instance.plugins if instance else ()) if d.inputs]
+            if devices and model not in self._watched:
+                namespace = devices[0].mount.text("robotNamespace").strip("/")
+                topic = f"/{namespace}{TOUCHED}" if namespace else TOUCHED
                 publisher = self._world.topics.publisher(topic, TouchedModels)
                 self._watched[model] = _Watched(publisher, topic)
-            elif not takes_commands and model in self._watched:
+            elif not devices and model in self._watched:
                 self._world.topics.release(self._watched.pop(model).topic)
 
     def _look(self, step: int) -> None:
@@ -268,13 +257,6 @@ class TouchCounter:
                 message = TouchedModels(robot=name, models=models, touches=touches)
                 set_time(message.header.stamp, step)
                 robot.publisher.publish(message)
-
-
-def _namespace(instance: ModelInstance) -> str:
-    """Return the namespace of the first device that takes commands, with its slash, or nothing."""
-    first = next(device for device in instance.plugins if device.inputs)
-    namespace = first.mount.text("robotNamespace").strip("/")
-    return f"/{namespace}" if namespace else ""
 
 
 def _is_floor(model: Model) -> bool:

@@ -39,12 +39,15 @@ from bullet_lab.core import parameters
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
-from bullet_lab.ros.bridge.device_topics import DeviceTopics
-from bullet_lab.ros.bridge.lock_step import FOR_EVER, Sent, TimeGate
-from bullet_lab.ros.bridge.running_world import RunningWorld, tf_prefixes
-from bullet_lab.ros.bridge.simulators import answers, refuse_second_simulator
-from bullet_lab.ros.bridge.speed import Pace
+from bullet_lab.ros.bridge.running_world import (
+    DeviceTopics,
+    RunningWorld,
+    answers,
+    refuse_second_simulator,
+    tf_prefixes,
+)
 from bullet_lab.ros.bridge.stepper import Reached, Stepper
+from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, Sent, TimeGate
 from bullet_lab.ros.bridge.world_topics import OdometryFrames, TouchCounter
 from bullet_lab.ros.gazebo.interface import Gazebo
 from bullet_lab.ros.messages.poses import (

@@ -3,8 +3,8 @@ import time
 
 import pytest
 
-from bullet_lab.ros.bridge import lock_step
-from bullet_lab.ros.bridge.lock_step import Arrival, CommandCounter, Sent
+from bullet_lab.ros.bridge import timing
+from bullet_lab.ros.bridge.timing import Arrival, CommandCounter, Sent
 
 STRAIGHT = Arrival("/cmd_vel", "/a")
 RELAYED = Arrival("/cmd_vel", "/relay")
@@ -12,9 +12,9 @@ RELAYED = Arrival("/cmd_vel", "/relay")
 
 @pytest.fixture(autouse=True)
 def _patience(monkeypatch):
-    monkeypatch.setattr(lock_step, "PATIENCE", 0.3)
-    monkeypatch.setattr(lock_step, "FIRST_PATIENCE", 0.1)
-    monkeypatch.setattr(lock_step, "SETTLE_SECONDS", 0.0)
+    monkeypatch.setattr(timing, "PATIENCE", 0.3)
+    monkeypatch.setattr(timing, "FIRST_PATIENCE", 0.1)
+    monkeypatch.setattr(timing, "SETTLE_SECONDS", 0.0)
 
 
 class Sender:
@@ -124,7 +124,7 @@ def test_a_multiplexer_that_passes_commands_on_again_is_waited_for_again():
     sender.join()
     sender.sent = 1
     assert not sender.wait()[0]
-    for _ in range(lock_step.STREAK):
+    for _ in range(timing.STREAK):
         sender.sent += 1
         sender.arrive()
         assert sender.wait()[0]

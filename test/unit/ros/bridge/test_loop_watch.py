@@ -1,6 +1,6 @@
 import pytest
 
-from bullet_lab.ros.bridge.speed import WAITING, WINDOW, LoopWatch
+from bullet_lab.ros.bridge.timing import WAITING, WINDOW, LoopWatch
 
 
 class Clock:

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from bullet_lab.ros.bridge.speed import Pace
+from bullet_lab.ros.bridge.timing import Pace
 
 
 class Clock:

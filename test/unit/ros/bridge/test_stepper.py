@@ -6,9 +6,8 @@ import pytest
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge import stepper as stepper_module
-from bullet_lab.ros.bridge.lock_step import FOR_EVER, TimeGate
-from bullet_lab.ros.bridge.speed import LoopWatch, Pace
 from bullet_lab.ros.bridge.stepper import Stepper, StepperError
+from bullet_lab.ros.bridge.timing import FOR_EVER, LoopWatch, Pace, TimeGate
 from bullet_lab.simulation.simulation import Simulation
 
 PATIENCE = 30.0

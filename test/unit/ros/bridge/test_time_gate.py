@@ -1,6 +1,6 @@
 import threading
 
-from bullet_lab.ros.bridge.lock_step import FOR_EVER, TimeGate
+from bullet_lab.ros.bridge.timing import FOR_EVER, TimeGate
 
 
 def test_without_members_time_is_free():
