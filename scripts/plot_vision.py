@@ -4,4 +4,4 @@
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.ros.record.plot_vision")
+    run("bullet_lab.ros.record.plot_vision:plot_vision")

@@ -63,7 +63,7 @@ ros > ros.gazebo: gazebo_client=client gazebo_forces=services gazebo_models=serv
 ros > ros.messages: camera_geometry=images conversions gazebo_messages=poses gazebo_types
     image_conversions=conversions image_messages=images marker_messages=images
     sensor_conversions=conversions stamps=poses world_markers=world
-ros > ros.node: connections=lock_step demand=publishers diagnostics dock_sender=commands
+ros > ros.node: connections=lock_step demand=publishers diagnostics dock_sender=driving
     frame_finder=transforms free_rate=lock_step lock_step newest_odometry=odometry odometry
     publishers tf_prefix=transforms
 ros > ros.nodes: aruco canny_edges depopulate=populate dock dock_errands=dock

@@ -59,8 +59,8 @@ def main() -> None:
         status = _dispatch(sys.argv[1:])
     except LabError as error:
         print(f"run.sh: {error}", file=sys.stderr)
-        is_usage = isinstance(error, (UsageError, ParameterError))
-        status = STATUS_BAD_VALUE if is_usage else STATUS_FAILED
+        wrong = isinstance(error, (UsageError, ParameterError))
+        status = STATUS_BAD_VALUE if wrong else STATUS_FAILED
     except KeyboardInterrupt:
         status = STATUS_INTERRUPTED
     sys.exit(status)
@@ -74,19 +74,16 @@ def _dispatch(words: list[str]) -> int:
         return 0
     job = choose_job(jobs, words[0])
     if any(word in _HELP for word in words[1:]):
-        print(help_on(job, _defaults(job)))
+        from bullet_lab.ros.launcher.supervision import resolved_defaults
+
+        # As they would be from here; a run's results go below this folder.
+        defaults = {**resolved_defaults(job.path), "out": f"results/{job.name}"}
+        print(help_on(job, defaults))
         return 0
     values = read_assignments(job, words[1:])
     out = Path.cwd() / values.get("out", f"results/{job.name}")
     values["out"] = os.path.normpath(out)
     return _run(job, values, package, StopSignals())
-
-
-def _defaults(job: Job) -> dict[str, str]:
-    """The defaults as they would be from here; a run's results go below this folder."""
-    from bullet_lab.ros.launcher.supervision import resolved_defaults
-
-    return {**resolved_defaults(job.path), "out": f"results/{job.name}"}
 
 
 def _run(job: Job, values: dict[str, str], package: Path, signals: StopSignals) -> int:

@@ -16,9 +16,9 @@ from __future__ import annotations
 import difflib
 import importlib
 import re
-from dataclasses import MISSING, dataclass, is_dataclass
+from dataclasses import MISSING, is_dataclass
 from pathlib import Path
-from typing import Any, Iterable
+from typing import Any, Iterable, NamedTuple
 from xml.dom import minidom
 from xml.parsers.expat import ExpatError
 
@@ -44,8 +44,7 @@ class UsageError(LabError):
     """The command line asks for something that does not exist or cannot be."""
 
 
-@dataclass(frozen=True)
-class Target:
+class Target(NamedTuple):
     """A parameter of a node that an argument is handed to: its name, and the node's module."""
 
     module: str
@@ -63,8 +62,7 @@ class Target:
         return next((declaration for declaration in known if declaration), None)
 
 
-@dataclass(frozen=True)
-class Argument:
+class Argument(NamedTuple):
     """An argument of a job.
 
     Attributes:
@@ -105,15 +103,14 @@ class Argument:
             if not self.default:
                 default = declarations[0].default_text
                 # A sentence may begin with a unit.
-                doc = (
-                    check.doc[:1].upper() + check.doc[1:] if check.doc[1:2].isalpha() else check.doc
-                )
+                doc = check.doc
+                if doc[1:2].isalpha():
+                    doc = doc[:1].upper() + doc[1:]
         limits = f" [{allowed}]" if allowed not in ("", "text") else ""
         return f"{self.name}:={default}", doc + limits
 
 
-@dataclass(frozen=True)
-class Job:
+class Job(NamedTuple):
     """A launch file that can be run by its name; its arguments by theirs."""
 
     name: str
@@ -166,7 +163,13 @@ def _bracket_check(name: str, bracket: str) -> Declaration | None:
     if bracket in ("", "text"):
         return None
     if bracket == "folder":
-        entry = parameters.checked(missing, "", "a folder", _filled)
+
+        def filled(value: str) -> str:
+            if not value:
+                raise ValueError
+            return value
+
+        entry = parameters.checked(missing, "", "a folder", filled)
     elif numeric:
         kind: Any = {"number": (parameters.number, float), "integer": (parameters.integer, int)}
         declare, convert = kind[numeric[1]]
@@ -177,12 +180,6 @@ def _bracket_check(name: str, bracket: str) -> Declaration | None:
     else:
         raise UsageError(f"the doc of {name} ends with an unknown kind of values: [{bracket}]")
     return declared(name, entry)
-
-
-def _filled(value: str) -> str:
-    if not value:
-        raise ValueError
-    return value
 
 
 def _targets(path: Path, package: Path, seen: tuple[Path, ...] = ()) -> dict[str, list[Target]]:
@@ -236,11 +233,7 @@ def _first_sentence(document: minidom.Document) -> str:
 
 
 def choose_job(jobs: dict[str, Job], name: str) -> Job:
-    """The job of that name.
-
-    Raises:
-        UsageError: there is none.
-    """
+    """The job of that name; raises UsageError where there is none."""
     if name not in jobs:
         raise UsageError(f"there is no job {name!r}{_hint(name, jobs)}; jobs: {', '.join(jobs)}")
     return jobs[name]
@@ -280,16 +273,11 @@ def _hint(name: str, known: Iterable[str]) -> str:
 def list_of_jobs(jobs: dict[str, Job]) -> str:
     """The overview that is printed when no job is named."""
     width = max((len(name) for name in jobs), default=0)
-    lines = [f"  {job.name:{width}}  {job.summary}" for job in jobs.values()]
-    return "\n".join(
-        [
-            "usage: scripts/run.sh <job> [name:=value ...]",
-            "       scripts/run.sh <job> --help lists the arguments of a job",
-            "",
-            "jobs:",
-            *lines,
-        ]
+    usage = (
+        "usage: scripts/run.sh <job> [name:=value ...]\n"
+        "       scripts/run.sh <job> --help lists the arguments of a job\n\njobs:"
     )
+    return "\n".join([usage, *(f"  {job.name:{width}}  {job.summary}" for job in jobs.values())])
 
 
 def help_on(job: Job, defaults: dict[str, str]) -> str:

@@ -8,9 +8,8 @@ import signal
 import socket
 import time
 import xmlrpc.client
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable
+from typing import Callable, NamedTuple
 from urllib.parse import urlsplit
 
 import rosgraph.names
@@ -35,15 +34,10 @@ _CONNECT_TIMEOUT = 2.0
 
 
 class SupervisionError(LabError):
-    """The launch file cannot be run."""
+    """The launch file cannot be run, or the master that the environment names is of no use."""
 
 
-class MasterError(LabError):
-    """The master that the environment names is of no use."""
-
-
-@dataclass(frozen=True)
-class RunMaster:
+class RunMaster(NamedTuple):
     """A running master: its URI, the run id that nodes log under, and whether it is ours."""
 
     uri: str
@@ -58,15 +52,24 @@ def prepare_master() -> RunMaster:
     ends with this process. The environment is set for all that is started later.
 
     Raises:
-        MasterError: the variable is set to something other than the stock value of ROS's
+        SupervisionError: the variable is set to something other than the stock value of ROS's
             setup files, and no master answers there.
     """
     uri = os.environ.get("ROS_MASTER_URI", "").strip()
     if uri and _answers(uri):
-        return RunMaster(uri, _run_id(uri), own=False)
+        # The id that the master's first launch gave it; roslaunch insists on the same.
+        code, _, run_id = Master(uri=uri).get().getParam("/roslaunch", "/run_id")
+        return RunMaster(uri, str(run_id) if code == 1 else "nodes", own=False)
     if uri and uri.rstrip("/") != STOCK_URI:
-        raise MasterError(f"no ROS master answers at ROS_MASTER_URI={uri}")
-    return _start_master()
+        raise SupervisionError(f"no ROS master answers at ROS_MASTER_URI={uri}")
+    # roslaunch prefers ROS_HOSTNAME, which would open the master to the network.
+    os.environ.pop("ROS_HOSTNAME", None)
+    os.environ.pop("ROS_IPV6", None)
+    os.environ["ROS_IP"] = "127.0.0.1"
+    master = rosmaster.master.Master(port=0)
+    master.start()
+    os.environ["ROS_MASTER_URI"] = master.uri
+    return RunMaster(master.uri, "nodes", own=True)
 
 
 def _answers(uri: str) -> bool:
@@ -79,33 +82,14 @@ def _answers(uri: str) -> bool:
     return Master(uri=uri).is_running()
 
 
-def _run_id(uri: str) -> str:
-    """The id that the master's first launch gave it; roslaunch insists on the same."""
-    code, _, run_id = Master(uri=uri).get().getParam("/roslaunch", "/run_id")
-    return str(run_id) if code == 1 else "nodes"
-
-
-def _start_master() -> RunMaster:
-    # roslaunch prefers ROS_HOSTNAME, which would open the master to the network.
-    os.environ.pop("ROS_HOSTNAME", None)
-    os.environ.pop("ROS_IPV6", None)
-    os.environ["ROS_IP"] = "127.0.0.1"
-    master = rosmaster.master.Master(port=0)
-    master.start()
-    os.environ["ROS_MASTER_URI"] = master.uri
-    return RunMaster(master.uri, "nodes", own=True)
-
-
-@dataclass(frozen=True)
-class Death:
+class Death(NamedTuple):
     """The end of a node; a negative status is the number of the signal that killed it."""
 
     process: str
     status: int
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """The exit status of a run, and in one line why, when it is not 0."""
 
     status: int
@@ -130,8 +114,10 @@ def judge(
     """
     for death in deaths:
         name = names.get(death.process, death.process)
+        if death.status < 0:
+            return Verdict(128 - death.status, f"{name} was killed by signal {-death.status}")
         if death.status:
-            return _failure(name, death.status)
+            return Verdict(death.status, f"{name} ended with status {death.status}")
         if name in required:
             if has_summary:
                 return Verdict(0)
@@ -141,12 +127,6 @@ def judge(
     if len(deaths) >= len(names):
         return Verdict(1, "all nodes have ended and there is no summary")
     return None
-
-
-def _failure(name: str, status: int) -> Verdict:
-    if status < 0:
-        return Verdict(128 - status, f"{name} was killed by signal {-status}")
-    return Verdict(status, f"{name} ended with status {status}")
 
 
 class Deaths(roslaunch.pmon.ProcessListener):
@@ -205,14 +185,10 @@ class Launch:
             raise roslaunch.RLException(f"cannot start {', '.join(failed)}")
 
     def __exit__(self, *_) -> None:
-        """Stop all nodes: by SIGINT, then SIGTERM, then SIGKILL."""
-        self._dismiss_newcomers()
-        self._parent.shutdown()
+        """Stop all nodes: by SIGINT, then SIGTERM, then SIGKILL.
 
-    def _dismiss_newcomers(self) -> None:
-        """End by SIGTERM the nodes that the master does not know yet.
-
-        They may still be importing, where Python answers SIGINT with a traceback.
+        Nodes that the master does not know yet are ended by SIGTERM at once: they may still be
+        importing, where Python answers SIGINT with a traceback.
         """
         names = {node.process_name: node for node in self._config.nodes}
         for process in list(self._parent.pm.procs) if self._parent.pm else []:
@@ -220,6 +196,7 @@ class Launch:
                 with contextlib.suppress(ProcessLookupError, PermissionError):
                     if process.pid > 0 and process.is_alive():
                         os.kill(process.pid, signal.SIGTERM)
+        self._parent.shutdown()
 
     def _is_registered(self, node) -> bool:
         name = rosgraph.names.ns_join(node.namespace, node.name)
@@ -254,17 +231,11 @@ class Launch:
 
 def _load(path: Path, values: dict[str, str]) -> roslaunch.config.ROSLaunchConfig:
     words = [f"{name}:={value}" for name, value in values.items()]
-    with _as_supervision_error(), _signals_held_back():
-        return roslaunch.config.load_config_default([(str(path), words)], None)
-
-
-@contextlib.contextmanager
-def _signals_held_back():
-    """Have signals wait: programs that roslaunch asks for values would die of Ctrl-C, loudly."""
-    from_terminal = (signal.SIGINT, signal.SIGHUP)
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, from_terminal)
+    # Signals wait: programs that roslaunch asks for values would die of Ctrl-C, loudly.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
     try:
-        yield
+        with _as_supervision_error():
+            return roslaunch.config.load_config_default([(str(path), words)], None)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 

@@ -10,8 +10,7 @@ import statistics
 import threading
 import time
 from collections import deque
-from dataclasses import dataclass, field
-from typing import Callable, Deque, Dict, Mapping, Tuple
+from typing import Callable, Deque, Dict, Mapping, NamedTuple, Tuple
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -23,13 +22,12 @@ PERIOD = 1.0
 _WINDOW = 2.0
 
 
-@dataclass(frozen=True)
-class Health:
+class Health(NamedTuple):
     """A level of DiagnosticStatus, a line, and figures."""
 
     level: int
     message: str
-    values: Mapping[str, str] = field(default_factory=dict)
+    values: Mapping[str, str] = {}
 
 
 class Diagnostics:

@@ -15,9 +15,8 @@ import contextlib
 import functools
 import time
 import xmlrpc.client
-from collections import defaultdict
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Set, Tuple
+from typing import Callable, Iterator, List, Optional, Sequence, Tuple
 
 import rospy
 from geometry_msgs.msg import Twist
@@ -34,8 +33,7 @@ ROUTE_CHECK_SECONDS = 0.1
 END_OF_TIME = rospy.Time(2**31 - 1)
 # Wall seconds for a latched message to reach subscribers that are still connecting.
 GOODBYE_SECONDS = 0.5
-# Where the slave API's getBusInfo has what.
-DESTINATION, DIRECTION, TOPIC = 1, 2, 4
+# Directions as of the slave API's getBusInfo.
 INBOUND, OUTBOUND = "i", "o"
 
 
@@ -168,9 +166,7 @@ class Rate:
         now: ROS time at the last tick. It may have been set back.
     """
 
-    def __init__(
-        self, hz: float, is_ready: Optional[Callable[[], bool]] = None, what: str = "connections"
-    ):
+    def __init__(self, hz: float, is_ready: Optional[Callable[[], bool]] = None, what: str = ""):
         self._hz = hz
         self._member: Optional[Member] = self._membership()
         if self._member is None:
@@ -206,9 +202,7 @@ class Rate:
             rospy.rostime.wallsleep(GOODBYE_SECONDS)
 
 
-def rate(hz: float, is_ready: Optional[Callable[[], bool]] = None, what: str = "") -> Rate:
-    """Return a `Rate`."""
-    return Rate(hz, is_ready, what)
+rate = Rate
 
 
 def join_when(is_connected: Callable[[], bool], what: str) -> None:
@@ -222,7 +216,7 @@ def join_when(is_connected: Callable[[], bool], what: str) -> None:
     """
     if in_lock_step():
         wait_until(is_connected, what)
-        _leave_when_known()
+        _leave()
 
 
 @contextlib.contextmanager
@@ -236,10 +230,10 @@ def time_held_at(when: rospy.Time) -> Iterator[None]:
         return
     member().advance(when)
     yield
-    _leave_when_known()
+    _leave()
 
 
-def _leave_when_known() -> None:
+def _leave() -> None:
     wait_until(publishers_know_this_node, "the publishers to take note of this node")
     member().leave()
 
@@ -250,60 +244,31 @@ def publishers_know_this_node() -> bool:
     A rospy subscriber counts a connection as soon as it begins to make it. What is published
     before the publisher has noted it never comes.
     """
-    topics_of: Dict[str, Set[str]] = defaultdict(set)
-    for entry in _connections(rospy.get_node_uri()):
-        if entry[DIRECTION] == INBOUND:
-            topics_of[entry[DESTINATION]].add(entry[TOPIC])
-    return all(topics <= _sent_here(publisher) for publisher, topics in topics_of.items())
-
-
-def _sent_here(publisher: str) -> Set[str]:
-    """Return the topics that a node publishes to this one."""
-    name = rospy.get_name()
-    return {
-        entry[TOPIC]
-        for entry in _connections(publisher)
-        if entry[DIRECTION] == OUTBOUND and entry[DESTINATION] == name
+    name, own = rospy.get_name(), _connections(rospy.get_node_uri())
+    heard = {(uri, topic) for uri, direction, topic in own if direction == INBOUND}
+    sent = {
+        (uri, topic)
+        for uri in {uri for uri, _ in heard}
+        for listener, direction, topic in _connections(uri)
+        if (listener, direction) == (name, OUTBOUND)
     }
+    return heard <= sent
 
 
-def _connections(uri: str) -> list:
-    """Return the connections of a node by its URI; none where it does not answer."""
+def _connections(uri: str) -> List[Tuple[str, str, str]]:
+    """Return other end, direction and topic of a node's connections; none if it is silent."""
     try:
         with xmlrpc.client.ServerProxy(uri) as node:
             code, _, entries = node.getBusInfo(rospy.get_name())
     except (OSError, xmlrpc.client.Error):
         return []
-    return entries if code == 1 else []
-
-
-# Names of before, for nodes that are in lock step without ~lock_step.
-
-
-class CountedPublisher:
-    """A publisher, written out at once, whose messages to the bridge are awaited."""
-
-    def __init__(self, publisher: rospy.Publisher):
-        self._publisher = publisher
-        self.count = 0
-        if publisher not in member().publishers:
-            member().publishers.append(publisher)
-
-    def publish(self, message: Any) -> None:
-        """Publish a message."""
-        self._publisher.publish(message)
-        if self.is_connected():
-            self.count += 1
-
-    def is_connected(self) -> bool:
-        """Return whether anybody listens."""
-        return self._publisher.impl is not None and self._publisher.impl.has_connections()
+    return [(entry[1], entry[2], entry[4]) for entry in entries] if code == 1 else []
 
 
 class LockStepRate(Rate):
-    """A rate that is in lock step, whatever ~lock_step says."""
+    """A rate that is in lock step, whatever ~lock_step says; commands go by `publisher`."""
 
-    def __init__(self, hz: float, commands: Any = None):
+    def __init__(self, hz: float):
         super().__init__(hz)
 
     def _membership(self) -> Member:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import logging
 import sys
 import threading
 import time
-from typing import Callable, Dict, Type, TypeVar
+from typing import Any, Callable, Dict, Type, TypeVar, get_type_hints
 
 import rosgraph
 import rospy
@@ -20,7 +22,6 @@ MASTER_CHECK_SECONDS = 2.0
 LOCK_STEP = "lock_step"
 # The parameter that keeps the frames of several robots apart, as the tf library finds it.
 TF_PREFIX = "tf_prefix"
-
 REPORT_WAIT_SECONDS = 3.0
 
 T = TypeVar("T")
@@ -28,25 +29,6 @@ T = TypeVar("T")
 
 class NodeError(LabError):
     """A node cannot start or go on."""
-
-
-class MasterWatch:
-    """Ends the node when the master is gone, which rospy itself never notices."""
-
-    def __init__(self):
-        self.master_is_gone = False
-        thread = threading.Thread(target=self._watch, daemon=True)
-        thread.start()
-
-    def _watch(self) -> None:
-        misses = 0
-        while not rospy.is_shutdown():
-            time.sleep(MASTER_CHECK_SECONDS)
-            misses = 0 if rosgraph.is_master_online() else misses + 1
-            # One miss may be a busy machine.
-            if misses >= 2 and not rospy.is_shutdown():
-                self.master_is_gone = True
-                rospy.signal_shutdown("the ROS master is gone")
 
 
 def run_node(
@@ -61,22 +43,49 @@ def run_node(
     """
     # What a node says is of use while it runs, in a file or a pipe as well.
     sys.stdout.reconfigure(line_buffering=True)
+    master_is_gone = threading.Event()
     try:
         if not rosgraph.is_master_online():
             raise NodeError(f"no ROS master answers at {rosgraph.get_master_uri()}")
         before()
         rospy.init_node(name)
         _forward_library_log()
-        watch = MasterWatch()
-        _run(body)
+        threading.Thread(target=_watch_master, args=(master_is_gone,), daemon=True).start()
+        # Raised by Ctrl-C, or where another node asked this one to end: a clean end.
+        with contextlib.suppress(rospy.ROSInterruptException):
+            body()
     except ParameterError as error:
         _end(name, error, STATUS_BAD_PARAMETER)
-    except LabError as error:
+    except (LabError, rospy.ROSInitException) as error:
         _end(name, error, STATUS_CANNOT_GO_ON)
-    except rospy.ROSInitException as error:
-        _end(name, error, STATUS_CANNOT_GO_ON)
-    if watch.master_is_gone:
+    if master_is_gone.is_set():
         _end(name, "the ROS master is gone", STATUS_CANNOT_GO_ON)
+
+
+def _watch_master(is_gone: threading.Event) -> None:
+    """End the node when the master is gone, which rospy itself never notices."""
+    misses = 0
+    while not rospy.is_shutdown():
+        time.sleep(MASTER_CHECK_SECONDS)
+        misses = 0 if rosgraph.is_master_online() else misses + 1
+        # One miss may be a busy machine.
+        if misses >= 2 and not rospy.is_shutdown():
+            is_gone.set()
+            rospy.signal_shutdown("the ROS master is gone")
+
+
+def node(body: Callable[[Any], None]) -> Callable[[], None]:
+    """Make a program of a node's work, whose name is the node's, and which takes its parameters.
+
+    Their dataclass is what `parameters` is annotated with.
+    """
+
+    @functools.wraps(body)
+    def program() -> None:
+        kind = get_type_hints(body)["parameters"]
+        run_node(body.__name__, lambda: body(private_parameters(kind)))
+
+    return program
 
 
 def private_parameters(kind: Type[T]) -> T:
@@ -125,14 +134,6 @@ class Refusals:
     def total(self) -> int:
         """Number of messages refused so far, on all topics."""
         return sum(self.counts.values())
-
-
-def _run(body: Callable[[], None]) -> None:
-    try:
-        body()
-    except rospy.ROSInterruptException:
-        # Ctrl-C, or another node asked this one to end: a clean end.
-        return
 
 
 def _end(name: str, error: object, status: int) -> None:

@@ -61,12 +61,10 @@ from bullet_lab.msg import (
     UndockGoal,
 )
 from bullet_lab.ros.messages.poses import InputError, stamped_pose
-from bullet_lab.ros.node.commands import StoppableSender
-from bullet_lab.ros.node.goal_server import GoalServer
+from bullet_lab.ros.node.driving import GoalServer, StoppableSender
 from bullet_lab.ros.node.lock_step import rate
-from bullet_lab.ros.node.message_queue import MessageQueue
 from bullet_lab.ros.node.node import private_parameters, run_node
-from bullet_lab.ros.node.publishers import Publisher, publisher
+from bullet_lab.ros.node.publishers import MessageQueue, Publisher, publisher
 from bullet_lab.ros.node.transforms import FrameError, FrameFinder, own_frame
 from bullet_lab.ros.nodes.dock_messages import (
     GoalError,

@@ -35,7 +35,7 @@ from bullet_lab.drive.square import MODES, OPEN_LOOP, Square, SquareDriver
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_message
-from bullet_lab.ros.node.commands import StoppableSender
+from bullet_lab.ros.node.driving import StoppableSender
 from bullet_lab.ros.node.lock_step import rate
 from bullet_lab.ros.node.node import TF_PREFIX, private_parameters, run_node, wait_until
 from bullet_lab.ros.node.odometry import NewestOdometry

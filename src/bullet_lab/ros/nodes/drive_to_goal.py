@@ -46,13 +46,11 @@ from bullet_lab.drive.goal import (
 )
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import stamped_pose
-from bullet_lab.ros.node.commands import StoppableSender
-from bullet_lab.ros.node.goal_server import GoalServer
+from bullet_lab.ros.node.driving import GoalServer, StoppableSender
 from bullet_lab.ros.node.lock_step import rate
-from bullet_lab.ros.node.message_queue import MessageQueue
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.odometry import OdometryError, planar_pose
-from bullet_lab.ros.node.publishers import Publisher, publisher
+from bullet_lab.ros.node.publishers import MessageQueue, Publisher, publisher
 from bullet_lab.ros.node.transforms import FrameError, FrameFinder
 
 USUAL = GoalLimits()

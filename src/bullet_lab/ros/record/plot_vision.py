@@ -25,7 +25,7 @@ from message_filters import SimpleFilter, TimeSynchronizer
 from bullet_lab.core.parameters import number, text
 from bullet_lab.reports.vision import VisionReport
 from bullet_lab.ros.node.lock_step import join_when
-from bullet_lab.ros.node.node import NodeError, private_parameters, run_node
+from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.publishers import subscriber
 from bullet_lab.ros.record.recorder import (
     POLL_SECONDS,
@@ -119,25 +119,21 @@ class SameImage:
                 self._found = dict(zip(self._filters, messages))
 
 
-def main() -> None:
-    """Run the node."""
-
-    def body() -> None:
-        parameters = private_parameters(PlotVisionParameters)
-        report = VisionReport(Path(parameters.out))
-        report.about = parameters.about
-        answers = SameImage(report.topics, parameters.settle)
-        join_when(answers.is_connected, "the detectors")
-        messages = answers.wait(parameters.timeout)
-        answers.close()
-        for topic, kind in report.topics.items():
-            report.take(topic, reader_of(kind)[1](messages[topic]))
-        report.finish()
-        summary = report.summary(True, {})
-        save_summary(report, summary)
-        save_figures(report, report.figures(summary))
-        for name, line in report.found.items():
-            rospy.loginfo("%s: %s", name, line)
-        rospy.loginfo("%s", report.line(summary))
-
-    run_node("plot_vision", body)
+@node
+def plot_vision(parameters: PlotVisionParameters) -> None:
+    """Wait for the answers to one image and save them."""
+    report = VisionReport(Path(parameters.out))
+    report.about = parameters.about
+    answers = SameImage(report.topics, parameters.settle)
+    join_when(answers.is_connected, "the detectors")
+    messages = answers.wait(parameters.timeout)
+    answers.close()
+    for topic, kind in report.topics.items():
+        report.take(topic, reader_of(kind)[1](messages[topic]))
+    report.finish()
+    summary = report.summary(True, {})
+    save_summary(report, summary)
+    save_figures(report, report.figures(summary))
+    for name, line in report.found.items():
+        rospy.loginfo("%s: %s", name, line)
+    rospy.loginfo("%s", report.line(summary))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, Tuple, Type, TypeVar
+from typing import Any, Dict, List, Mapping, Tuple
 
 import rospy
 from actionlib import ActionClient, ClientGoalHandle, CommState
@@ -29,7 +29,7 @@ from bullet_lab.reports.sensors import BeaconsReport, SensorsReport
 from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.messages.poses import stamped_pose
-from bullet_lab.ros.node.node import NodeError, private_parameters, run_node
+from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, DriveSquaresParameters, robot_names
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
@@ -49,11 +49,6 @@ from bullet_lab.simulation.world.sdf import read_world_file
 WORLD_TIMEOUT_SECONDS = 60.0
 BEACONS = ("beacon_0", "beacon_1", "beacon_2")
 ROBOT_HEIGHT = 0.55
-T = TypeVar("T")
-
-
-def _run(name: str, kind: Type[T], record: Callable[[T], None]) -> None:
-    run_node(name, lambda: record(private_parameters(kind)))
 
 
 @dataclass(frozen=True)
@@ -65,7 +60,8 @@ class PlotNoiseParameters(TimedParameters):
     show: bool = boolean(False, "open a window at the end, where there is a screen")
 
 
-def plot_noise() -> None:
+@node
+def plot_noise(parameters: PlotNoiseParameters) -> None:
     """Record and plot the perfect and the noisy odometry.
 
     :ROS Subscribers: odom, noisy_odom (nav_msgs/Odometry)
@@ -73,15 +69,11 @@ def plot_noise() -> None:
 
     Leaves odom.tum, noisy_odom.tum, paths.csv, paths.png and summary.json.
     """
-
-    def record(parameters: PlotNoiseParameters) -> None:
-        folder = Path(parameters.out)
-        view = PathTopics({"odom": "odom_path", "noisy_odom": "noisy_odom_path"})
-        Recorder(SquaresReport(folder), parameters, "odom and noisy_odom", view).run()
-        if parameters.show:
-            show(folder / "paths.png")
-
-    _run("plot_noise", PlotNoiseParameters, record)
+    folder = Path(parameters.out)
+    view = PathTopics({"odom": "odom_path", "noisy_odom": "noisy_odom_path"})
+    Recorder(SquaresReport(folder), parameters, "odom and noisy_odom", view).run()
+    if parameters.show:
+        show(folder / "paths.png")
 
 
 def show(path: Path) -> None:
@@ -111,7 +103,8 @@ class PlotFleetParameters(TimedParameters):
     seed: int = integer(0, "of noisy_odom, which derives one for each robot", minimum=0)
 
 
-def plot_fleet() -> None:
+@node
+def plot_fleet(parameters: PlotFleetParameters) -> None:
     """Record and plot the perfect and the noisy odometry of several robots.
 
     :ROS Subscribers, for each robot: <robot>/odom, <robot>/noisy_odom (nav_msgs/Odometry)
@@ -119,14 +112,10 @@ def plot_fleet() -> None:
 
     Leaves the files of plot_noise in a folder for each robot, fleet.png and summary.json.
     """
-
-    def record(parameters: PlotFleetParameters) -> None:
-        names = robot_names(parameters.robots)
-        seeds = {name: derived_seed(parameters.seed, index) for index, name in enumerate(names)}
-        report = FleetReport(Path(parameters.out), seeds)
-        Recorder(report, parameters, "the robots' odometry", FleetMarkers()).run()
-
-    _run("plot_fleet", PlotFleetParameters, record)
+    names = robot_names(parameters.robots)
+    seeds = {name: derived_seed(parameters.seed, index) for index, name in enumerate(names)}
+    report = FleetReport(Path(parameters.out), seeds)
+    Recorder(report, parameters, "the robots' odometry", FleetMarkers()).run()
 
 
 @dataclass(frozen=True)
@@ -138,7 +127,8 @@ class PlotSensorsParameters(TimedParameters):
     rays: int = integer(360, "of the laser scanner", minimum=1, maximum=100_000)
 
 
-def plot_sensors() -> None:
+@node
+def plot_sensors(parameters: PlotSensorsParameters) -> None:
     """Record and plot what a robot's sensors measure.
 
     :ROS Subscribers:
@@ -148,12 +138,8 @@ def plot_sensors() -> None:
 
     Leaves odom.csv, scan.csv, range.csv, imu.csv, bumper.csv, sensors.png and summary.json.
     """
-
-    def record(parameters: PlotSensorsParameters) -> None:
-        report = SensorsReport(Path(parameters.out), parameters.rays)
-        Recorder(report, parameters, "the sensors").run()
-
-    _run("plot_sensors", PlotSensorsParameters, record)
+    report = SensorsReport(Path(parameters.out), parameters.rays)
+    Recorder(report, parameters, "the sensors").run()
 
 
 @dataclass(frozen=True)
@@ -164,7 +150,8 @@ class PlotBeaconsParameters(TimedParameters):
     beacons: Tuple[str, ...] = name_list("models of the world that are beacons")
 
 
-def plot_beacons() -> None:
+@node
+def plot_beacons(parameters: PlotBeaconsParameters) -> None:
     """Record and plot the distances that track_robot measures, over the true ones.
 
     :ROS Subscribers:
@@ -174,12 +161,8 @@ def plot_beacons() -> None:
 
     Leaves distances.csv, distances.png and summary.json.
     """
-
-    def record(parameters: PlotBeaconsParameters) -> None:
-        report = BeaconsReport(Path(parameters.out), true_beacons(parameters.beacons or BEACONS))
-        Recorder(report, parameters, "odom and the distances").run()
-
-    _run("plot_beacons", PlotBeaconsParameters, record)
+    report = BeaconsReport(Path(parameters.out), true_beacons(parameters.beacons or BEACONS))
+    Recorder(report, parameters, "odom and the distances").run()
 
 
 def true_beacons(names: Tuple[str, ...]) -> Dict[str, Tuple[float, float]]:
@@ -213,7 +196,8 @@ class PlotGoalParameters(RecordParameters):
     stay: bool = boolean(False, "wait for more goals, such as RViz's, until Ctrl-C")
 
 
-def plot_goal() -> None:
+@node
+def plot_goal(parameters: PlotGoalParameters) -> None:
     """Send a robot to a goal, record how it goes, and leave what came of it.
 
     :ROS Publishers: move_base_simple/goal (geometry_msgs/PoseStamped): the first goal
@@ -224,25 +208,21 @@ def plot_goal() -> None:
 
     Leaves truth.tum, path.png and summary.json.
     """
+    standing = StandingModels()
 
-    def record(parameters: PlotGoalParameters) -> None:
-        standing = StandingModels()
+    def beacons() -> List[Beacon]:
+        names = numbered(standing.names(), "beacon")
+        return [(name, *standing.origin(name)[:2]) for name in names]
 
-        def beacons() -> List[Beacon]:
-            names = numbered(standing.names(), "beacon")
-            return [(name, *standing.origin(name)[:2]) for name in names]
+    report = GoalReport(Path(parameters.out), parameters.tolerance, parameters.stay, beacons)
+    rospy.Subscriber(WORLD, MarkerArray, standing.take)
+    first = Publisher("move_base_simple/goal", PoseStamped, queue_size=10)
 
-        report = GoalReport(Path(parameters.out), parameters.tolerance, parameters.stay, beacons)
-        rospy.Subscriber(WORLD, MarkerArray, standing.take)
-        first = Publisher("move_base_simple/goal", PoseStamped, queue_size=10)
+    def send() -> None:
+        first.publish(stamped_pose(rospy.Time.now(), parameters.frame, parameters.goal))
 
-        def send() -> None:
-            first.publish(stamped_pose(rospy.Time.now(), parameters.frame, parameters.goal))
-
-        errand = Errand("drive_to_goal", first.has_connections, send, report.is_answered)
-        Recorder(report, parameters, "the bridge and drive_to_goal", errand=errand).run()
-
-    _run("plot_goal", PlotGoalParameters, record)
+    errand = Errand("drive_to_goal", first.has_connections, send, report.is_answered)
+    Recorder(report, parameters, "the bridge and drive_to_goal", errand=errand).run()
 
 
 @dataclass(frozen=True)
@@ -267,7 +247,8 @@ class PlotDockingParameters(RecordParameters):
     pictures: int = integer(8, "of the camera along the way", minimum=2, maximum=40)
 
 
-def plot_docking() -> None:
+@node
+def plot_docking(parameters: PlotDockingParameters) -> None:
     """Send a robot to its dock, record how it goes, and leave what came of it.
 
     :ROS Actions: calls dock (bullet_lab/DockAction)
@@ -280,17 +261,13 @@ def plot_docking() -> None:
 
     Leaves truth.tum, path.png, camera.png and summary.json.
     """
-
-    def record(parameters: PlotDockingParameters) -> None:
-        world = read_world_file(ResourceFinder.anywhere().find(parameters.world))
-        outlines = [one.corners() for one in footprints(world, below=ROBOT_HEIGHT)]
-        camera = (parameters.camera_ahead, parameters.docked_distance)
-        station = Station(outlines, parameters.true_dock, *camera)
-        report = DockReport(Path(parameters.out), station, parameters.pictures)
-        view, errand = PathTopics({"odom": "~path"}), _docking_errand(parameters, report)
-        Recorder(report, parameters, "the bridge and dock", view, errand).run()
-
-    _run("plot_docking", PlotDockingParameters, record)
+    world = read_world_file(ResourceFinder.anywhere().find(parameters.world))
+    outlines = [one.corners() for one in footprints(world, below=ROBOT_HEIGHT)]
+    camera = (parameters.camera_ahead, parameters.docked_distance)
+    station = Station(outlines, parameters.true_dock, *camera)
+    report = DockReport(Path(parameters.out), station, parameters.pictures)
+    view, errand = PathTopics({"odom": "~path"}), _docking_errand(parameters, report)
+    Recorder(report, parameters, "the bridge and dock", view, errand).run()
 
 
 def _docking_errand(parameters: PlotDockingParameters, report: DockReport) -> Errand:

@@ -21,7 +21,6 @@ from typing import (
     Mapping,
     NamedTuple,
     Optional,
-    Protocol,
     Tuple,
 )
 
@@ -80,16 +79,6 @@ class TimedParameters(RecordParameters):
     plot_period: float = number(10.0, "wall seconds between two versions of the picture", above=0.0)
 
 
-class View(Protocol):
-    """What shows in RViz what is recorded."""
-
-    def append(self, topic: str, message: Any) -> None:
-        """Add a message that was recorded."""
-
-    def forget(self, namespace: str) -> None:
-        """Begin anew with the topics of a namespace."""
-
-
 class Errand(NamedTuple):
     """Where a robot is sent before its way is recorded.
 
@@ -113,7 +102,7 @@ class Recorder:
         report: what is recorded.
         parameters: of the node.
         topics: what is waited for, in the log.
-        view: shows what is recorded.
+        view: of `bullet_lab.ros.record.rviz`, shows what is recorded.
         errand: is run first, if there is one.
     """
 
@@ -122,7 +111,7 @@ class Recorder:
         report: Report,
         parameters: RecordParameters,
         topics: str,
-        view: Optional[View] = None,
+        view: Any = None,
         errand: Optional[Errand] = None,
     ):
         self._report, self._topics = report, topics

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import copy
 import threading
-from typing import Callable, Dict, Iterable, List, Mapping, Tuple
+from collections import defaultdict
+from typing import Callable, Dict, List, Mapping, Optional
 
 import rospy
-from geometry_msgs.msg import Point, PoseStamped, Vector3
+from geometry_msgs.msg import Point, PoseStamped
 from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
@@ -68,9 +68,8 @@ class PathTopics:
 COLOURS = {"odom": ColorRGBA(0.90, 0.62, 0.0, 1.0), "noisy_odom": ColorRGBA(0.0, 0.45, 0.70, 1.0)}
 # m above the floor.
 HEIGHTS = {"odom": 0.01, "noisy_odom": 0.015}
-LINE_WIDTH = 0.02
-LABEL_HEIGHT = 0.4
-LABEL_SIZE = 0.25
+LINE_WIDTH, LABEL_HEIGHT, LABEL_SIZE = 0.02, 0.4, 0.25
+WHITE = ColorRGBA(1.0, 1.0, 1.0, 1.0)
 
 
 class FleetMarkers:
@@ -78,7 +77,9 @@ class FleetMarkers:
 
     def __init__(self):
         self._lock = threading.Lock()
-        self._markers: Dict[str, Marker] = {}
+        # By <robot>/odom and <robot>/noisy_odom.
+        self._frames: Dict[str, str] = {}
+        self._points: Dict[str, List[Point]] = defaultdict(list)
         self._lengths: Dict[str, int] = {}
         self._publisher = Publisher("fleet_paths", MarkerArray, queue_size=1, latch=True)
         _often(self._publish)
@@ -87,69 +88,48 @@ class FleetMarkers:
         """Add where a message on <robot>/odom or <robot>/noisy_odom says that a robot is."""
         place = message.pose.pose.position
         with self._lock:
-            marker = self._markers.get(topic)
-            if marker is None:
-                marker = self._markers[topic] = _line(topic, message)
-            marker.points.append(Point(place.x, place.y, 0.0))
+            self._frames.setdefault(topic, message.header.frame_id)
+            self._points[topic].append(Point(place.x, place.y, 0.0))
 
     def forget(self, namespace: str) -> None:
         """Begin the paths of a robot anew."""
         with self._lock:
-            for topic, marker in self._markers.items():
-                if _split(topic)[0] == namespace:
-                    marker.points.clear()
+            for which in COLOURS:
+                self._points[f"{namespace}/{which}"].clear()
 
     def _publish(self) -> None:
         if not self._publisher.has_connections():
             return
         with self._lock:
-            lengths = {topic: len(marker.points) for topic, marker in self._markers.items()}
+            lengths = {topic: len(points) for topic, points in self._points.items()}
             if lengths == self._lengths:
                 return
             self._lengths = lengths
-            drawn = [_copy(marker) for marker in self._markers.values() if marker.points]
-            labels = _labels(drawn)
-        self._publisher.publish(MarkerArray(drawn + labels))
+            paths = {topic: list(points) for topic, points in self._points.items() if points}
+        lines = [self._line(topic, points) for topic, points in paths.items()]
+        labels = [self._label(topic, points[-1]) for topic, points in paths.items()]
+        self._publisher.publish(MarkerArray(lines + [label for label in labels if label]))
 
+    def _marker(self, topic: str, name: str, kind: int, color: ColorRGBA) -> Marker:
+        marker = Marker(ns=name, type=kind, color=color)
+        # Without a stamp, RViz takes the newest transform.
+        marker.header.frame_id = self._frames[topic]
+        marker.pose.orientation.w = 1.0
+        return marker
 
-def _split(topic: str) -> Tuple[str, str]:
-    """Return the robot and which of its odometries it is."""
-    robot, _, which = topic.rpartition("/")
-    return robot, which
+    def _line(self, topic: str, points: List[Point]) -> Marker:
+        which = topic.rpartition("/")[2]
+        marker = self._marker(topic, topic, Marker.LINE_STRIP, COLOURS[which])
+        marker.pose.position.z, marker.scale.x = HEIGHTS[which], LINE_WIDTH
+        marker.points = points
+        return marker
 
-
-def _line(topic: str, message: Odometry) -> Marker:
-    _, which = _split(topic)
-    marker = Marker(ns=topic, type=Marker.LINE_STRIP, color=COLOURS[which])
-    # Without a stamp, RViz takes the newest transform.
-    marker.header.frame_id = message.header.frame_id
-    marker.pose.position.z = HEIGHTS[which]
-    marker.pose.orientation.w = 1.0
-    marker.scale.x = LINE_WIDTH
-    return marker
-
-
-def _copy(marker: Marker) -> Marker:
-    """Return a marker with points of its own, which stay as they are while it is sent."""
-    copied = copy.copy(marker)
-    copied.points = list(marker.points)
-    return copied
-
-
-def _labels(markers: Iterable[Marker]) -> List[Marker]:
-    """Return the names of the robots, to be shown where their perfect paths have come to."""
-    labels = []
-    for marker in markers:
-        robot, which = _split(marker.ns)
-        if which == "odom":
-            label = Marker(
-                header=marker.header, ns=f"{marker.ns}/label", type=Marker.TEXT_VIEW_FACING
-            )
-            label.text = robot
-            label.pose.orientation.w = 1.0
-            last = marker.points[-1]
-            label.pose.position = Point(last.x, last.y, LABEL_HEIGHT)
-            label.scale = Vector3(0.0, 0.0, LABEL_SIZE)
-            label.color = ColorRGBA(1.0, 1.0, 1.0, 1.0)
-            labels.append(label)
-    return labels
+    def _label(self, topic: str, last: Point) -> Optional[Marker]:
+        """Return the name of a robot, where its perfect path has come to."""
+        robot, _, which = topic.rpartition("/")
+        if which != "odom":
+            return None
+        marker = self._marker(topic, f"{topic}/label", Marker.TEXT_VIEW_FACING, WHITE)
+        marker.text, marker.scale.z = robot, LABEL_SIZE
+        marker.pose.position = Point(last.x, last.y, LABEL_HEIGHT)
+        return marker
