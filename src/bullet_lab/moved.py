@@ -58,8 +58,7 @@ ros > ros.bridge: loop_watch=timing odometry_frames=world_topics pace=timing
     world_feed=world_topics
 ros > ros.gazebo: gazebo_client=client gazebo_forces=services gazebo_models=services
     gazebo_physics=interface gazebo_services=services gazebo_states=services
-    gazebo_topics=interface
-    standing_models=client world_saver=interface
+    gazebo_topics=interface standing_models=client world_saver=interface
 ros > ros.messages: camera_geometry=images conversions gazebo_messages=poses gazebo_types
     image_conversions=conversions image_messages=images marker_messages=images
     sensor_conversions=conversions stamps=poses world_markers=world
