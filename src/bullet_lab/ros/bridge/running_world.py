@@ -18,7 +18,7 @@ from bullet_lab.ros.bridge.stepper import Stepper, StepperError
 from bullet_lab.ros.bridge.timing import Arrival, CommandCounter
 from bullet_lab.ros.messages.conversions import INPUT_CONVERTERS, OUTPUT_CONVERTERS
 from bullet_lab.ros.node.node import TF_PREFIX, NodeError, Refusals
-from bullet_lab.ros.node.publishers import BatchPublisher, lossless_publisher
+from bullet_lab.ros.node.publishers import BatchPublisher
 from bullet_lab.simulation.plugins import Input, Output, PluginError
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
 from bullet_lab.simulation.world.description import Model
@@ -66,10 +66,8 @@ class DeviceTopics:
         """
         publisher = self._publishers.get(topic)
         if publisher is None:
-            if self._stepper.pace.free:
-                publisher = lossless_publisher(topic, kind, publisher=BatchPublisher)
-            else:
-                publisher = BatchPublisher(topic, kind, queue_size=QUEUE_SIZE, tcp_nodelay=True)
+            size = None if self._stepper.pace.free else QUEUE_SIZE
+            publisher = BatchPublisher(topic, kind, queue_size=size, tcp_nodelay=True)
             self._publishers[topic] = publisher
         self._users[topic] = self._users.get(topic, 0) + 1
         return publisher

@@ -53,6 +53,7 @@ class Stepper:
         watch: notices that.
 
     Attributes:
+        paused: whether time stands still.
         epoch: one more than there were resets, of the world or of time.
     """
 
@@ -69,11 +70,8 @@ class Stepper:
         report_lag: Callable[[Lag], None] = lambda _: None,
         watch: Optional[LoopWatch] = None,
     ):
-        self.simulation = simulation
-        self.pace = pace
-        self.gate = gate
-        self._tick = tick
-        self._paused = paused
+        self.simulation, self.pace, self.gate = simulation, pace, gate
+        self._tick, self.paused = tick, paused
         self._advancing = False
         self._is_over = is_over
         self._report_stall = report_stall
@@ -86,11 +84,6 @@ class Stepper:
         self._wake = threading.Condition()
         self._wakeups = 0
         self.epoch = 1
-
-    @property
-    def paused(self) -> bool:
-        """Whether time stands still."""
-        return self._paused
 
     @property
     def hurried(self) -> bool:
@@ -211,7 +204,7 @@ class Stepper:
         # Read before anything is looked at: what changes from here on cuts the wait short.
         wakeups = self._wakeups
         step = self.simulation.step
-        limit = -1 if self._paused else self.gate.limit()
+        limit = -1 if self.paused else self.gate.limit()
         if limit is None or limit <= step:
             if limit is None:
                 self._restart(step)
@@ -257,12 +250,12 @@ class Stepper:
 
     def _catch_up_and(self, action: Callable[[], None]) -> None:
         step, limit = self.simulation.step, self.gate.limit()
-        if not self._paused and limit is not None:
+        if not self.paused and limit is not None:
             self._run_until(int(max(step, min(limit, self.pace.due(step)))))
         action()
 
     def _set_paused(self, paused: bool) -> None:
-        self._paused = paused
+        self.paused = paused
         self._restart(self.simulation.step)
 
     def _advance_by(self, steps: int) -> int:
@@ -312,7 +305,7 @@ class Stepper:
 
     def _watch_the_stall(self) -> None:
         now = time.monotonic()
-        if self._paused or self._stalled_since is None:
+        if self.paused or self._stalled_since is None:
             self._stalled_since = now
         elif now - self._stalled_since >= PATIENCE:
             self._stalled_since = now

@@ -139,14 +139,18 @@ class VirtualScreen:
         Raises:
             ScreenError: Xvfb is missing or does not start.
         """
-        reader, writer = os.pipe()
+        # Xvfb looks for a free display itself and tells its number. In a session of its own
+        # it gets no Ctrl-C from the terminal: it has to outlive RViz.
+        command = ["Xvfb", "-displayfd", "1", "-screen", "0", _SIZE, "-nolisten", "tcp"]
+        streams = {"stdout": subprocess.PIPE, "text": True, "start_new_session": True}
         try:
-            self._start(writer)
-        finally:
-            os.close(writer)
-        with os.fdopen(reader) as answer:
-            ready, _, _ = select.select([answer], [], [], _START_TIMEOUT)
-            number = answer.readline().strip() if ready else ""
+            with self._log.open("w") as log:
+                self._server = subprocess.Popen(command, stderr=log, **streams)
+        except OSError as error:
+            raise ScreenError(f"cannot start Xvfb: {error.strerror}") from error
+        answer = self._server.stdout
+        ready, _, _ = select.select([answer], [], [], _START_TIMEOUT)
+        number = answer.readline().strip() if ready else ""
         if not number:
             self.__exit__()
             raise ScreenError(f"Xvfb does not start, see {self._log}")
@@ -156,18 +160,6 @@ class VirtualScreen:
         # For launch files: nobody sits before this screen.
         os.environ["BULLET_LAB_VIRTUAL_SCREEN"] = self._display
         return self
-
-    def _start(self, writer: int) -> None:
-        # Xvfb looks for a free display itself and tells its number. In a session of its own
-        # it gets no Ctrl-C from the terminal: it has to outlive RViz.
-        command = ["Xvfb", "-displayfd", str(writer), "-screen", "0", _SIZE, "-nolisten", "tcp"]
-        with self._log.open("w") as log:
-            try:
-                self._server = subprocess.Popen(
-                    command, pass_fds=[writer], stdout=log, stderr=log, start_new_session=True
-                )
-            except OSError as error:
-                raise ScreenError(f"cannot start Xvfb: {error.strerror}") from error
 
     def __exit__(self, *_) -> None:
         """Stop the screen."""

@@ -32,7 +32,16 @@ T = TypeVar("T")
 
 
 class Publisher(rospy.Publisher):
-    """A publisher that falls silent, and raises nothing, once the node is shutting down."""
+    """A publisher that falls silent, and raises nothing, once the node is shutting down.
+
+    Without a `queue_size` it writes to its subscribers at once and drops nothing.
+    """
+
+    def __init__(self, *args: Any, **kwds: Any):
+        with warnings.catch_warnings():
+            # rospy takes a missing queue size for an oversight.
+            warnings.simplefilter("ignore", SyntaxWarning)
+            super().__init__(*args, **kwds)
 
     def has_connections(self) -> bool:
         """Return whether anybody listens."""
@@ -107,10 +116,10 @@ def publisher(
 ) -> Publisher:
     """Return a publisher of what somebody computes with.
 
-    In lock step it writes to its subscribers at once and drops nothing: a subscriber that falls
-    behind slows the publisher down instead of losing messages, which is what a simulation at
-    full speed needs. (Besides, it takes a twentieth of the time of rospy's queues, which hand
-    each message to a thread.) The bridge has got what was sent to it before time goes on.
+    In lock step it has no queue: a subscriber that falls behind slows the publisher down instead
+    of losing messages, which is what a simulation at full speed needs. (Besides, it takes a
+    twentieth of the time of rospy's queues, which hand each message to a thread.) The bridge has
+    got what was sent to it before time goes on.
 
     What is only looked at, as in RViz, has a plain `Publisher`, which nobody waits for.
 
@@ -118,13 +127,11 @@ def publisher(
         topic: its name.
         kind: class of its messages.
         queue_size: out of lock step, messages that wait for a slow subscriber before the oldest
-            is dropped; None to write at once and drop nothing.
+            is dropped; None for no queue.
         latch: whether to keep the last message for those who subscribe later.
     """
-    if queue_size is None or in_lock_step():
-        made = lossless_publisher(topic, kind, latch)
-    else:
-        made = Publisher(topic, kind, queue_size=queue_size, latch=latch, tcp_nodelay=True)
+    size = None if in_lock_step() else queue_size
+    made = Publisher(topic, kind, queue_size=size, latch=latch, tcp_nodelay=True)
     member().publishers.append(made)
     return made
 
@@ -150,23 +157,6 @@ def subscriber(
     return rospy.Subscriber(
         topic, kind, receive, queue_size=size, buff_size=buffer_bytes, tcp_nodelay=True
     )
-
-
-def lossless_publisher(
-    topic: str, kind: type, latch: bool = False, publisher: type = Publisher
-) -> Any:
-    """Return a publisher that writes to its subscribers at once and drops nothing.
-
-    Args:
-        topic: its name.
-        kind: class of its messages.
-        latch: whether to keep the last message for those who subscribe later.
-        publisher: class of the publisher.
-    """
-    with warnings.catch_warnings():
-        # rospy takes a missing queue size for an oversight.
-        warnings.simplefilter("ignore", SyntaxWarning)
-        return publisher(topic, kind, queue_size=None, latch=latch, tcp_nodelay=True)
 
 
 class Demand(rospy.SubscribeListener):
@@ -217,12 +207,9 @@ class Demand(rospy.SubscribeListener):
 
 def _has_listeners(publisher: Publisher) -> bool:
     """Return whether anybody listens still; rospy itself only notices when it writes."""
-    implementation = publisher.impl
-    if implementation is None:
-        return False
-    if implementation.has_connections():
-        implementation.check()
-    return implementation.has_connections()
+    if publisher.has_connections():
+        publisher.impl.check()
+    return publisher.has_connections()
 
 
 class MessageQueue(Generic[T]):
@@ -241,11 +228,8 @@ class MessageQueue(Generic[T]):
     """
 
     def __init__(self, topic: str, kind: type, read: Callable[[Any], T], rate: float):
-        self.topic = topic
-        self.trouble = ""
-        self._kind = kind
-        self._read = read
-        self._rate = rate
+        self.topic, self.trouble = topic, ""
+        self._kind, self._read, self._rate = kind, read, rate
         self._new = threading.Condition()
         self._waiting: Deque[Tuple[int, T]] = deque(maxlen=MOST_WAITING)
         self._newest: Optional[int] = None

@@ -12,17 +12,7 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path as FilePath
-from typing import (
-    Any,
-    Callable,
-    Dict,
-    Iterable,
-    List,
-    Mapping,
-    NamedTuple,
-    Optional,
-    Tuple,
-)
+from typing import Any, Callable, Iterable, Mapping, NamedTuple, Optional
 
 import rospy
 from actionlib_msgs.msg import GoalStatus
@@ -129,7 +119,7 @@ class Recorder:
             self._period = parameters.plot_period
             if parameters.until:
                 self._end = rospy.Subscriber(parameters.until, Time, self._receive_end)
-        self._subscribers: List[rospy.Subscriber] = [
+        self._subscribers: list[rospy.Subscriber] = [
             self._listen(topic, kind) for topic, kind in report.topics.items()
         ]
 
@@ -251,7 +241,7 @@ class Recorder:
         except (FileError, OSError) as error:
             rospy.logerr_throttle(10.0, f"cannot write: {error}")
 
-    def _contents(self, finished: bool) -> Tuple[Dict[str, Any], Dict[str, Figure]]:
+    def _contents(self, finished: bool) -> tuple[dict[str, Any], dict[str, Figure]]:
         """Return summary and figures, which are drawn later, without the lock: it takes long."""
         seconds, wall = self._report.seconds(), max(0.0, self._last - self._first)
         run = {
@@ -275,10 +265,10 @@ def save_figures(report: Report, figures: Mapping[str, Figure]) -> None:
         save(figure, report.folder / name)
 
 
-Contents = Callable[[Any], Tuple]
+Contents = Callable[[Any], tuple]
 
 
-def reader_of(kind: str) -> Tuple[type, Callable[[Any], Reading]]:
+def reader_of(kind: str) -> tuple[type, Callable[[Any], Reading]]:
     """Return the class of a type of messages, and what reads those of one topic."""
     message_type, contents = READERS[kind]
     if message_type is Odometry:
@@ -292,7 +282,7 @@ def _stamp(message: Any) -> int:
     return (message.data if isinstance(message, Time) else message.header.stamp).to_nsec()
 
 
-def _odometry(guard: FrameGuard, message: Odometry) -> Tuple:
+def _odometry(guard: FrameGuard, message: Odometry) -> tuple:
     """The pose, in the frames of the first one; the detail is the covariance of x and y, m²."""
     pose = planar_pose(message)
     guard.check(message)
@@ -300,12 +290,12 @@ def _odometry(guard: FrameGuard, message: Odometry) -> Tuple:
     return pose, ((entries[0], entries[1]), (entries[6], entries[7]))
 
 
-def _inertial(message: Imu) -> Tuple:
+def _inertial(message: Imu) -> tuple:
     force, rate = message.linear_acceleration, message.angular_velocity
     return ((force.x, force.y, force.z, rate.x, rate.y, rate.z),)
 
 
-def _contacts(message: msg.ContactsState) -> Tuple:
+def _contacts(message: msg.ContactsState) -> tuple:
     """Number of points and the sum of the forces; the detail is who was touched."""
     points = sum(len(state.contact_positions) for state in message.states)
     forces = [state.total_wrench.force for state in message.states]
@@ -313,23 +303,23 @@ def _contacts(message: msg.ContactsState) -> Tuple:
     return (points, *sums), [state.collision2_name.split("::")[0] for state in message.states]
 
 
-def _goal(message: PoseStamped) -> Tuple:
+def _goal(message: PoseStamped) -> tuple:
     place, turn = message.pose.position, message.pose.orientation
     return ((place.x, place.y, yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)),)
 
 
-def _goal_status(message: GoalStatus) -> Tuple:
+def _goal_status(message: GoalStatus) -> tuple:
     rejected = message.status in (GoalStatus.REJECTED, GoalStatus.RECALLED)
     reached = message.status == GoalStatus.SUCCEEDED
     return (), GoalAnswer(message.goal_id.id, message.text, rejected, reached)
 
 
-def _places(things: Iterable[Any]) -> Tuple:
+def _places(things: Iterable[Any]) -> tuple:
     return (), [(place.x, place.y) for place in things]
 
 
 # The class of each type of messages, and what its readings hold after the stamp: numbers, detail.
-READERS: Dict[str, Tuple[type, Contents]] = {
+READERS: dict[str, tuple[type, Contents]] = {
     "nav_msgs/Odometry": (Odometry, planar_pose),
     "sensor_msgs/Range": (Range, lambda m: ((m.range,),)),
     # The angle of the first ray and the step to the next, rad.
