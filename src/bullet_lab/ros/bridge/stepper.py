@@ -111,8 +111,7 @@ class Stepper:
     def do(self, action: Callable[[], Any]) -> Any:
         """Have something done between two steps; return what it returns, raise what it raises.
 
-        Raises:
-            StepperError: all is over before it could be done.
+        Raises StepperError if all is over before it could be done.
         """
         result: futures.Future = futures.Future()
         self._tasks.put((result, action))
@@ -181,16 +180,15 @@ class Stepper:
             if step != FOR_EVER and epoch != self.epoch:
                 return self._reached_in(epoch, step)
             self.gate.grant(member, step)
-            self._wakeups += 1
-            self._wake.notify_all()
+            self.wake()
         if step == FOR_EVER:
             return Reached(True, self._reached, self.epoch)
         if step <= self._reached:
             # The loop may be in the middle of a stride, and time stands only at the end of it.
             self.do(lambda: None)
         with self._wake:
-            while not self._wake.wait_for(lambda: self._is_settled(epoch, step), LONGEST_WAIT):
-                pass
+            while self._reached < step and self.epoch == epoch and not self._is_over():
+                self._wake.wait(LONGEST_WAIT)
             return self._reached_in(epoch, step)
 
     def _reached_in(self, epoch: int, step: float) -> Reached:
@@ -283,9 +281,6 @@ class Stepper:
             self.gate.restart(self._reached)
             self.epoch += 1
             self._wake.notify_all()
-
-    def _is_settled(self, epoch: int, step: float) -> bool:
-        return self._reached >= step or self.epoch != epoch or self._is_over()
 
     def _restart(self, step: int) -> None:
         """Let speed be measured from now on, with time at a step."""

@@ -160,13 +160,10 @@ class LoopWatch:
         return self._clock() - self._start >= WINDOW
 
     def look(self, step: int, wanted: float) -> Optional[Lag]:
-        """Return how far time has fallen behind since it was looked at.
+        """Return how far time, now at a step, has fallen behind since it was looked at.
 
-        None if it has not, or if that was told of a short while ago.
-
-        Args:
-            step: that time has reached.
-            wanted: simulated seconds per wall second; 0 for as fast as it goes.
+        None if it has not, or if that was told of a short while ago. `wanted` are simulated
+        seconds per wall second; 0 for as fast as it goes.
         """
         seconds = self._clock() - self._start
         reached = (step - self._step) / STEPS_PER_SECOND / seconds

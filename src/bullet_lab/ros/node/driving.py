@@ -68,9 +68,6 @@ class GoalServer(SimpleActionServer):
         on_cancel: called when the goal that is pursued is cancelled.
 
     Both are called from threads of rospy, which hold actionlib's lock.
-
-    Attributes:
-        name: of the action.
     """
 
     def __init__(
@@ -93,13 +90,7 @@ class GoalServer(SimpleActionServer):
         return self.is_active() and self.is_preempt_requested() and not self.is_new_goal_available()
 
     def end(self, status: int, result: Optional[Any] = None, text: str = "") -> None:
-        """End the goal that is pursued.
-
-        Args:
-            status: GoalStatus.SUCCEEDED, PREEMPTED or ABORTED.
-            result: of the action; its default if None.
-            text: for the client.
-        """
+        """End the goal that is pursued, with one of these three states, and a text for people."""
         ends = {
             GoalStatus.SUCCEEDED: self.set_succeeded,
             GoalStatus.PREEMPTED: self.set_preempted,

@@ -15,14 +15,13 @@ import contextlib
 import functools
 import time
 import xmlrpc.client
-from dataclasses import dataclass
 from typing import Callable, Iterator, List, Optional, Sequence, Tuple
 
 import rospy
 from geometry_msgs.msg import Twist
 
 from bullet_lab.core import parameters
-from bullet_lab.ros.node.node import NodeError, wait_until
+from bullet_lab.ros.node.node import LOCK_STEP, NodeError, wait_until
 from bullet_lab.srv import Advance, AdvanceRequest, AdvanceResponse
 
 SERVICE = "/bullet_lab/advance"
@@ -45,14 +44,9 @@ def in_lock_step() -> bool:
     """
     if not rospy.core.is_initialized():
         return False
-    return parameters.read_parameters(LockStepParameters, rospy.get_param).lock_step
-
-
-@dataclass(frozen=True)
-class LockStepParameters:
-    """The private parameter that all nodes have, whatever their own."""
-
-    lock_step: bool = parameters.boolean(False, "hold simulated time back while working")
+    entry = parameters.boolean(False, "hold simulated time back while working")
+    declaration = parameters.declared(LOCK_STEP, entry)
+    return declaration.read(rospy.get_param(f"~{LOCK_STEP}", False), f"~{LOCK_STEP}")
 
 
 class Member:
@@ -85,9 +79,10 @@ class Member:
             raise NodeError(f"no bridge offers {SERVICE}, which ~lock_step needs") from error
         self._call = rospy.ServiceProxy(SERVICE, Advance, persistent=True)
         deadline = time.monotonic() + WAIT_FOR_ROUTE_SECONDS
-        heard = self._ask(0, rospy.Time(0)).heard
         while True:
-            unheard = [p for p in self._commands() if p.resolved_name not in heard]
+            heard = self._ask(0, rospy.Time(0)).heard
+            commands = [p for p in self.publishers if p.data_class is Twist and p.impl is not None]
+            unheard = [p for p in commands if p.resolved_name not in heard]
             if not unheard:
                 return self._now
             if time.monotonic() > deadline:
@@ -98,19 +93,12 @@ class Member:
             for publisher in unheard:
                 publisher.publish(Twist())
             rospy.rostime.wallsleep(ROUTE_CHECK_SECONDS)
-            heard = self._ask(0, rospy.Time(0)).heard
 
     def advance(self, until: rospy.Time) -> rospy.Time:
         """Let simulated time go on and wait until it is there; return what time it is.
 
-        It is less where time was set back. Where only the world was reset, time goes on.
-
-        Args:
-            until: when this node wants to act next.
-
-        Raises:
-            ROSInterruptException: ROS or the bridge shuts down.
-            NodeError: the bridge is gone.
+        It is less where time was set back. Where only the world was reset, time goes on. Errors
+        are those of `join`.
         """
         if self._call is None:
             self.join()
@@ -133,9 +121,6 @@ class Member:
             raise NodeError(f"the bridge does not answer on {SERVICE}: {error}") from error
         self._epoch, self._now = answer.epoch, answer.now
         return answer
-
-    def _commands(self) -> List[rospy.Publisher]:
-        return [p for p in self.publishers if p.data_class is Twist and p.impl is not None]
 
     def _sent(self) -> Tuple[Sequence[str], Sequence[str], Sequence[int]]:
         """Return topic, receiver and number of messages of all connections."""
@@ -209,10 +194,7 @@ def join_when(is_connected: Callable[[], bool], what: str) -> None:
     """Tell the bridge that a node which only listens is ready, so that it misses no message.
 
     Without lock step, nothing is waited for. In lock step the node never holds time back later.
-
-    Args:
-        is_connected: says whether somebody publishes all that it listens to.
-        what: is waited for, in the log.
+    `is_connected` says whether somebody publishes all that it listens to; `what` is for the log.
     """
     if in_lock_step():
         wait_until(is_connected, what)
@@ -221,10 +203,7 @@ def join_when(is_connected: Callable[[], bool], what: str) -> None:
 
 @contextlib.contextmanager
 def time_held_at(when: rospy.Time) -> Iterator[None]:
-    """Let simulated time come to a moment, and stand there while something is done.
-
-    Without lock step, time goes its way.
-    """
+    """In lock step, let time come to a moment, and stand there while something is done."""
     if not in_lock_step():
         yield
         return

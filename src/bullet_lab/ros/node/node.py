@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import functools
 import logging
+import math
 import sys
 import threading
 import time
-from typing import Any, Callable, Dict, Type, TypeVar, get_type_hints
+from collections import Counter
+from typing import Any, Callable, Type, TypeVar, get_type_hints
 
 import rosgraph
 import rospy
@@ -49,7 +51,9 @@ def run_node(
             raise NodeError(f"no ROS master answers at {rosgraph.get_master_uri()}")
         before()
         rospy.init_node(name)
-        _forward_library_log()
+        library = logging.getLogger("bullet_lab")
+        library.addHandler(_RosLog(logging.WARNING))
+        library.propagate = False
         threading.Thread(target=_watch_master, args=(master_is_gone,), daemon=True).start()
         # Raised by Ctrl-C, or where another node asked this one to end: a clean end.
         with contextlib.suppress(rospy.ROSInterruptException):
@@ -101,16 +105,14 @@ def private_parameters(kind: Type[T]) -> T:
 def wait_until(condition: Callable[[], bool], what: str) -> None:
     """Wait in wall time until a condition holds, and say after a while what is waited for.
 
-    Raises:
-        ROSInterruptException: ROS shuts down first.
+    Raises ROSInterruptException if ROS shuts down first.
     """
-    start = time.monotonic()
-    reported = False
+    report = time.monotonic() + REPORT_WAIT_SECONDS
     while not condition():
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException("shutdown")
-        if not reported and time.monotonic() - start > REPORT_WAIT_SECONDS:
-            reported = True
+        if time.monotonic() > report:
+            report = math.inf
             rospy.loginfo("waiting for %s", what)
         time.sleep(0.01)
 
@@ -119,14 +121,14 @@ class Refusals:
     """Counts refused messages and reports them, once a second at most."""
 
     def __init__(self):
-        self.counts: Dict[str, int] = {}
-        self._last_report = -1.0
+        self.counts: Counter = Counter()
+        self._last_report = -math.inf
 
     def refuse(self, topic: str, reason: str) -> None:
         """Count one refused message on a topic and say why."""
-        self.counts[topic] = self.counts.get(topic, 0) + 1
+        self.counts[topic] += 1
         now = time.monotonic()
-        if self._last_report < 0.0 or now - self._last_report >= 1.0:
+        if now - self._last_report >= 1.0:
             self._last_report = now
             rospy.logwarn("%s: refused: %s (%d so far)", topic, reason, self.counts[topic])
 
@@ -149,9 +151,3 @@ class _RosLog(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         log = rospy.logerr if record.levelno >= logging.ERROR else rospy.logwarn
         log("%s", record.getMessage())
-
-
-def _forward_library_log() -> None:
-    library = logging.getLogger("bullet_lab")
-    library.addHandler(_RosLog(logging.WARNING))
-    library.propagate = False

@@ -79,11 +79,7 @@ class NewestOdometry:
     def newest(self, now: Optional[rospy.Time]) -> Tuple[float, float, float]:
         """Return the newest pose (m, m, rad), of the last `STALE_SECONDS`.
 
-        Args:
-            now: ROS time; in lock step, all that was sent up to then is awaited.
-
-        Raises:
-            NodeError: no odometry comes.
+        In lock step, all that was sent up to `now` is awaited. Raises NodeError if none comes.
         """
         deadline = time.monotonic() + ODOMETRY_TIMEOUT
         with self._new:

@@ -76,9 +76,7 @@ class BatchPublisher(Publisher):
     def flush(self, lossless: bool = False) -> None:
         """Write what has come together.
 
-        Args:
-            lossless: wait for subscribers whose queue is full, which would lose its oldest
-                messages.
+        If `lossless`, full queues of subscribers are waited for, which would lose messages.
         """
         data = self._batch.getvalue()
         if not data:
@@ -98,12 +96,7 @@ class BatchPublisher(Publisher):
 
 
 def await_room(connection: Any, size: Optional[int]) -> None:
-    """Wait until the queue of a connection has room for another message.
-
-    Args:
-        connection: rospy's, with a queue or without.
-        size: of the queue; None for none.
-    """
+    """Wait until the queue of one of rospy's connections, if it has one, has room for a message."""
     # The queue is no part of rospy's interface: without it, there is nothing to wait for.
     while size and len(getattr(connection, "_queue", ())) >= size:
         if connection.done or rospy.is_shutdown():

@@ -42,13 +42,7 @@ class FrameFinder:
         self._buffer.clear()
 
     def bring(self, pose: Pose, source: str, target: str, wait: bool = True) -> Pose:
-        """Return a pose in another frame.
-
-        Args:
-            pose: in `source`.
-            source: frame as a message names it; a leading slash, as of old, is passed over.
-            target: likewise.
-            wait: for the transform.
+        """Return a pose in another frame; leading slashes of their names, as of old, do not count.
 
         Raises:
             FrameError: no transform between the two.
@@ -66,8 +60,7 @@ class FrameFinder:
     ) -> Tuple[float, float, float]:
         """Return a message's pose in another frame as x (m), y (m) and yaw (rad).
 
-        Raises:
-            LabError: it is not finite or no rotation, or as of `bring`.
+        It raises LabError if that is not finite or no rotation, or as of `bring`.
         """
         pose = pose_of(message.pose.position, message.pose.orientation)
         placed = self.bring(pose, message.header.frame_id, target, wait)
@@ -83,10 +76,8 @@ class FrameFinder:
                 return pose_of(found.translation, found.rotation)
             except tf2_ros.TransformException as error:
                 if time.monotonic() >= deadline or rospy.is_shutdown():
-                    line = " ".join(str(error).split())
-                    raise FrameError(
-                        f"no transform from '{source}' to '{target}': {line}"
-                    ) from None
+                    line = f"no transform from '{source}' to '{target}': {error}"
+                    raise FrameError(line) from None
             time.sleep(POLL_SECONDS)
 
 

@@ -79,11 +79,7 @@ class SameImage:
     def wait(self, timeout: float) -> Mapping[str, Any]:
         """Return a message for each topic, those of one image if they come.
 
-        Args:
-            timeout: wall seconds to wait.
-
-        Raises:
-            NodeError: a topic brings nothing in the time allowed.
+        Raises NodeError if a topic brings nothing within `timeout`, in wall seconds.
         """
         deadline, whole_since = time.monotonic() + timeout, None
         while not rospy.is_shutdown():
