@@ -48,11 +48,8 @@ class Report:
         begins_anew: called with the namespace of a robot for whom time was set back, and the
             folder that what was recorded before is in now.
 
-    Args:
-        folder: where files go; made if need be.
-
-    Raises:
-        FileError: a file cannot be written, here and in all that adds to files.
+    The folder is made if need be. FileError is raised where a file cannot be written, here and in
+    all that adds to files.
     """
 
     def __init__(self, folder: Path):
@@ -88,11 +85,9 @@ class Report:
         return float(stamps[-1] - stamps[0]) if len(stamps) else 0.0
 
     def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
-        """Return what summary.json says after `about`.
+        """Return what summary.json says after `about`, with times and refusals of the run itself.
 
-        Args:
-            finished: whether all came up to the end.
-            run: figures of the run itself, to be among the others: times and refusals.
+        `finished` says whether all came up to the end.
         """
         raise NotImplementedError
 

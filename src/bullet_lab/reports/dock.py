@@ -65,13 +65,9 @@ class DockReport(DriveReport):
     What an earlier docking has left in the folder is removed.
 
     Attributes:
-        sent: whether the robot has been sent to its dock: pictures count from then on.
+        sent: whether the robot has been sent to its dock: the camera's pictures, of which so
+            many are kept, count from then on.
         result: of the action; None before its end.
-
-    Args:
-        folder: where the files go.
-        station: where it docks.
-        pictures: how many of the camera's are kept.
     """
 
     def __init__(self, folder: Path, station: Station, pictures: int):
@@ -80,15 +76,14 @@ class DockReport(DriveReport):
             with contextlib.suppress(FileNotFoundError):
                 (folder / name).unlink()
         self._station = station
-        self.topics.update(
-            {
-                "bullet_lab/touched": "bullet_lab/TouchedModels",
-                "aruco/image_annotated": "sensor_msgs/Image",
-                "dock/feedback": "bullet_lab/DockActionFeedback",
-                "dock/plan": "nav_msgs/Path",
-                "dock/finished": "std_msgs/Time",
-            }
-        )
+        self.topics = {
+            **self.topics,
+            "bullet_lab/touched": "bullet_lab/TouchedModels",
+            "aruco/image_annotated": "sensor_msgs/Image",
+            "dock/feedback": "bullet_lab/DockActionFeedback",
+            "dock/plan": "nav_msgs/Path",
+            "dock/finished": "std_msgs/Time",
+        }
         self.sent = False
         self.result: Optional[DockingResult] = None
         self._frames = Sampler(pictures)
@@ -101,7 +96,8 @@ class DockReport(DriveReport):
             return super().take(topic, reading)
         if topic == "aruco/image_annotated":
             # Whether one of before the goal comes before it is sent is a matter of luck.
-            if self.sent and reading.stamp > self.BEGINNING and self.until is None:
+            is_over = self.until is not None and reading.stamp > self.until - REST
+            if self.sent and reading.stamp > self.BEGINNING and not is_over:
                 self._frames.add((reading.seconds, _small(reading.detail)))
         elif topic == "bullet_lab/touched":
             # What is touched after the end is no part of the docking.
@@ -179,13 +175,7 @@ def _small(picture: np.ndarray) -> np.ndarray:
 def docking_errors(
     robot: Sequence[float], dock: Sequence[float], camera_ahead: float, docked_distance: float
 ) -> Dict[str, float]:
-    """Return how far a robot is from where it should stand in a dock.
-
-    Args:
-        robot: its true pose, m and rad.
-        dock: as of `Station`, in the same frame; so are the others.
-        camera_ahead: m.
-        docked_distance: m.
+    """Return how far a robot (m, m, rad) is from where it should stand in a dock, as of `Station`.
 
     Returns:
         distance_error_m, positive for too far away; lateral_error_m of the robot, to the left;
@@ -197,14 +187,7 @@ def docking_errors(
 
 
 class Sampler:
-    """Keeps some of many things, spread evenly over their number, and the last one.
-
-    Attributes:
-        seen: how many there were.
-
-    Args:
-        count: how many there shall be at least, once there were so many.
-    """
+    """Keeps `count` of many things, spread evenly over their number `seen`, and the last one."""
 
     def __init__(self, count: int):
         self._count = max(2, count)
@@ -246,11 +229,11 @@ def docking_figure(
     """Draw the true path over the plan of the station, in the colours of what was done.
 
     Args:
-        truth: the robot's true path; None for nothing yet.
+        truth: None for nothing yet.
         states: what was done, by the names in `STATES`.
         plan: points (m) of the last plan; may be empty.
-        outlines: as of `Station`.
-        dock: as of `Station`.
+        outlines: as of `Station`, as is the dock.
+        dock: x, y (m) and yaw (rad).
         title: above all.
     """
     figure = figures.new_figure(9.0, 6.6)
@@ -300,8 +283,7 @@ def _draw_robot(axes: Axes, pose: Sequence[float], colour: str, label: str) -> N
 def strip_figure(frames: Sequence[Tuple[float, str, np.ndarray]]) -> Figure:
     """Draw pictures of the camera in a row or two, each with its time and what was done.
 
-    Args:
-        frames: time in s, state, and picture as (h, w, 3) uint8 RGB; one at least.
+    A frame is a time in s, a state, and a picture as (h, w, 3) uint8 RGB; there is one at least.
     """
     columns = min(4, len(frames))
     rows = -(-len(frames) // columns)

@@ -39,9 +39,7 @@ ERRORS = ("final_error_m", "final_heading_error_deg", "ape_rmse_m")
 class FleetReport(OdometryReport):
     """The perfect and the noisy path of each robot, in a folder of its own.
 
-    Args:
-        folder: where the robots' folders go.
-        seeds: of the robots' noise, by their names, which are their namespaces as well.
+    The seeds are those of the robots' noise, by their names, which are their namespaces as well.
     """
 
     def __init__(self, folder: Path, seeds: Mapping[str, int]):
@@ -90,13 +88,9 @@ def clear_away(folder: Path, names: Collection[str]) -> None:
 
 
 def fleet_summary(robots: Sequence[Mapping[str, Any]]) -> Dict[str, Any]:
-    """Return the figures of a fleet.
+    """Return what `squares_summary` says of each robot, and figures of all.
 
-    Args:
-        robots: of each, its name, its seed and what `squares_summary` says of it.
-
-    Returns:
-        They, and root mean squares and the largest of their errors; null where a robot has none.
+    These are root mean squares and the largest of the errors; null where a robot has none.
     """
     values: Dict[str, Any] = {}
     for name in ERRORS:

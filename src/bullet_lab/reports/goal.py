@@ -29,14 +29,7 @@ Beacon = Tuple[str, float, float]
 
 @dataclass
 class GoalRecord:
-    """One goal (m, m, rad) and what became of it.
-
-    Attributes:
-        begun: s.
-        ended: s; None while it is driven to.
-        reached: whether the driver says so.
-        text: what else it says.
-    """
+    """One goal (m, m, rad), when (s) it was begun and ended, and what the driver says of it."""
 
     goal: PlanarPose
     begun: float
@@ -69,13 +62,12 @@ class GoalReport(DriveReport):
     ):
         super().__init__(folder)
         self._tolerance, self._stay, self._beacons = tolerance, stay, beacons
-        self.topics.update(
-            {
-                "drive_to_goal/current_goal": "geometry_msgs/PoseStamped",
-                "drive_to_goal/status": "actionlib_msgs/GoalStatus",
-                "drive_to_goal/finished": "std_msgs/Time",
-            }
-        )
+        self.topics = {
+            **self.topics,
+            "drive_to_goal/current_goal": "geometry_msgs/PoseStamped",
+            "drive_to_goal/status": "actionlib_msgs/GoalStatus",
+            "drive_to_goal/finished": "std_msgs/Time",
+        }
         # What the driver says of its goals, in their order.
         self._poses: List[Reading] = []
         self._ends: List[Reading] = []
@@ -199,12 +191,10 @@ def _arrow(axes: Axes, pose: Sequence[float], colour: str, label: str) -> None:
 
 
 def goal_figures(record: GoalRecord, truth: Optional[Trajectory]) -> Dict[str, Any]:
-    """Return what summary.json says of a goal.
+    """Return what summary.json says of a goal; `truth` is None while nothing is known.
 
-    Args:
-        record: of the goal.
-        truth: the true path; None for nothing known. Where the robot stood at the end is its
-            last pose before the next second is over, when it has come to rest.
+    Where the robot stood at the end is its last pose before the next second is over, when it has
+    come to rest.
     """
     x, y, yaw = record.goal
     found: Dict[str, Any] = {

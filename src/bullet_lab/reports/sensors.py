@@ -33,15 +33,11 @@ BEACON_RADIUS = 0.25
 
 
 class SensorsReport(Report):
-    """Series of all sensors: odom.csv, scan.csv, range.csv, imu.csv and bumper.csv.
+    """Series of all sensors: odom.csv, scan.csv (of so many rays), range.csv, imu.csv, bumper.csv.
 
     Attributes:
         angles: rad, of the first ray of the newest scan, and the step to the next.
         touched: names of what the bumper touched.
-
-    Args:
-        folder: where the files go.
-        rays: number of a scan's.
     """
 
     def __init__(self, folder: Path, rays: int):
@@ -170,11 +166,7 @@ class BeaconsReport(Report):
     """Rows `x,y,yaw,<beacon>…,true_<beacon>…` in m and rad, in distances.csv.
 
     A row is written once the robot's pose and the distances to all beacons are there for one
-    stamp. The true distances follow from the pose and from where the beacons stand.
-
-    Args:
-        folder: where the files go.
-        beacons: true positions (m, m) by name.
+    stamp. The true distances follow from the pose and from where the beacons stand (m, m).
     """
 
     def __init__(self, folder: Path, beacons: Mapping[str, Tuple[float, float]]):

@@ -124,12 +124,7 @@ def _is_straight(positions: np.ndarray) -> bool:
 def squares_summary(
     perfect: Optional[Trajectory], pairs: Optional[tuple[Trajectory, Trajectory]]
 ) -> dict[str, Any]:
-    """Return the figures of a driven square; null where there is nothing to measure.
-
-    Args:
-        perfect: the whole perfect path.
-        pairs: the perfect and the noisy path at common stamps.
-    """
+    """Return the figures of a driven square, of what `PathsRecording` gives; null for unknown."""
     summary: dict[str, Any] = {"side_lengths_m": [], "turns_deg": []}
     summary.update(dict.fromkeys(("closure_error_m", "path_length_m", *ERRORS)), pairs=0)
     if perfect is not None:
@@ -145,14 +140,8 @@ class PathsRecording:
 
     Poses of the two paths are paired where their stamps are the same to the nanosecond. Each row
     is in the file as soon as it is known; `finish` writes the files once more, whole. Where time
-    is set back, what was recorded before is moved to a folder run_1, run_2 and so on.
-
-    Args:
-        folder: where the files go; made if need be.
-        begins_anew: called with the folder of what was before time was set back.
-
-    Raises:
-        FileError: a file cannot be written, here and in all that adds to the files.
+    is set back, what was recorded before is moved to a folder run_1, run_2 and so on, and
+    `begins_anew` is called with that. FileError is raised where a file cannot be written.
     """
 
     PERFECT, NOISY = "odom", "noisy_odom"
@@ -169,8 +158,7 @@ class PathsRecording:
     def take(self, name: str, stamp: int, pose: Sequence[float]) -> bool:
         """Record a pose (m, m, rad) of PERFECT or NOISY at a stamp in ns; return whether it was.
 
-        Raises:
-            SeriesError: not finite, or at the stamp of the one before.
+        It raises SeriesError for one that is not finite, or at the stamp of the one before.
         """
         if not self._belongs_to_this_run(name, stamp):
             return False
@@ -337,8 +325,8 @@ def noise_figure(
     """Draw both paths, each coordinate against time, and the error against distance.
 
     Args:
-        perfect: the whole perfect path; None for nothing yet.
-        pairs: the perfect and the noisy path at common stamps; None for nothing yet.
+        perfect: as of `PathsRecording`; None for nothing yet.
+        pairs: likewise.
         title: above all.
         ellipses: outlines around noisy poses, (n, 2) arrays in m.
     """

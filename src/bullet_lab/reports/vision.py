@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from typing import Any, Dict, Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -86,9 +86,6 @@ class VisionReport(Report):
             line, centred = textwrap.fill(self.found[name], _LINE_LENGTH), {"ha": "center"}
             axes.text(0.5, -0.03, line, transform=axes.transAxes, va="top", fontsize=9, **centred)
         return {"side_by_side.png": figure}
-
-    def line(self, summary: Mapping[str, Any]) -> str:
-        return f"pictures in {self.folder}"
 
     def _stamp(self) -> Reading:
         return self._answers[PICTURES["view_camera"]]

@@ -99,7 +99,11 @@ class DeviceTopics:
             for output in device.outputs:
                 self.release(output.topic)
             for entry in device.inputs:
-                self._disconnect_input(entry)
+                topic = rospy.resolve_name(entry.topic)
+                self._inputs[topic].remove(entry)
+                if not self._inputs[topic]:
+                    del self._inputs[topic]
+                    self._subscribers.pop(topic).unregister()
 
     def release(self, topic: str) -> None:
         """Give up the publisher on a topic, once all that have asked for it have done so."""
@@ -119,11 +123,8 @@ class DeviceTopics:
     ) -> None:
         """Listen to a topic, once, whose messages the lock step counts as commands.
 
-        Args:
-            topic: its name.
-            kind: class of its messages.
-            receive: does what a message says; raises StepperError when the bridge ends.
-            queue_size: messages that wait before the oldest is dropped; None to drop nothing.
+        `receive` does what one says, or raises StepperError when the bridge ends. Without a
+        `queue_size`, none is dropped.
         """
         topic = rospy.resolve_name(topic)
 
@@ -158,13 +159,6 @@ class DeviceTopics:
 
         self.subscribe(topic, converter.message_kind, receive)
 
-    def _disconnect_input(self, entry: Input) -> None:
-        topic = rospy.resolve_name(entry.topic)
-        self._inputs[topic].remove(entry)
-        if not self._inputs[topic]:
-            del self._inputs[topic]
-            self._subscribers.pop(topic).unregister()
-
     def _command(self, inputs: Sequence[Input], command: Any) -> None:
         for entry in inputs:
             try:
@@ -177,10 +171,7 @@ class _Routes:
     """Where messages arrive at the bridge that a node sends to another one.
 
     Beside the straight way, that is through nodes that publish what has the type of what they
-    hear: relays, multiplexers, limiters.
-
-    Args:
-        subscribers: to what brings commands, by topic.
+    hear: relays, multiplexers, limiters. The subscribers are those to commands, by topic.
     """
 
     def __init__(self, subscribers: Mapping[str, rospy.Subscriber]):
@@ -263,8 +254,7 @@ class RunningWorld:
     def change(self, action: Callable[[], str]) -> None:
         """Have something changed between two steps, and tell those who show the world.
 
-        Args:
-            action: returns the name of the model that it has changed; empty for many.
+        The action returns the name of the model that it has changed; empty for many.
         """
 
         def change() -> None:
@@ -278,9 +268,7 @@ class RunningWorld:
 def tf_prefixes(model: Model, namespace: str) -> Callable[[str], str]:
     """Return what gives the tf_prefix for the robotNamespace of each of a model's plugins.
 
-    Args:
-        model: whose plugins they are.
-        namespace: robotNamespace of those that name none.
+    Those that name none are in `namespace`.
     """
     spaces = {namespace, *(p.tags.get("robotNamespace", "") for p in model.plugins)}
     prefixes = {space: _tf_prefix_in(space) for space in spaces}

@@ -73,10 +73,8 @@ class Stepper:
         self.simulation, self.pace, self.gate = simulation, pace, gate
         self._tick, self.paused = tick, paused
         self._advancing = False
-        self._is_over = is_over
-        self._report_stall = report_stall
-        self._after_steps = after_steps
-        self._report_lag = report_lag
+        self._is_over, self._after_steps = is_over, after_steps
+        self._report_stall, self._report_lag = report_stall, report_lag
         self.watch = watch or LoopWatch()
         self._reached = simulation.step
         self._stalled_since: Optional[float] = None
@@ -127,10 +125,17 @@ class Stepper:
         Tied to the wall clock, simulated time sleeps between ticks; it is first brought to this
         moment. At full speed there is no such moment, and the action is done at once.
         """
+
+        def catch_up_and_act() -> None:
+            step, limit = self.simulation.step, self.gate.limit()
+            if not self.paused and limit is not None:
+                self._run_until(int(max(step, min(limit, self.pace.due(step)))))
+            action()
+
         if self.pace.free:
             action()
         else:
-            self.do(lambda: self._catch_up_and(action))
+            self.do(catch_up_and_act)
 
     def pause(self) -> None:
         """Stop time."""
@@ -245,12 +250,6 @@ class Stepper:
                 except Exception as error:
                     # It goes back to whoever asked, and time goes on for the others.
                     result.set_exception(error)
-
-    def _catch_up_and(self, action: Callable[[], None]) -> None:
-        step, limit = self.simulation.step, self.gate.limit()
-        if not self.paused and limit is not None:
-            self._run_until(int(max(step, min(limit, self.pace.due(step)))))
-        action()
 
     def _set_paused(self, paused: bool) -> None:
         self.paused = paused

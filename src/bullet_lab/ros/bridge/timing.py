@@ -43,12 +43,7 @@ SETTLE_SECONDS = 0.05
 
 
 class Pace:
-    """Says which step is due now.
-
-    Args:
-        real_time_factor: simulated seconds per wall second; 0 for as fast as it goes.
-        clock: monotonic seconds.
-    """
+    """Says which step is due now; a real-time factor of 0 is for as fast as it goes."""
 
     def __init__(self, real_time_factor: float, clock: Callable[[], float] = time.monotonic):
         self.real_time_factor = real_time_factor
@@ -94,8 +89,7 @@ class Lag(NamedTuple):
     """Simulated time was too slow.
 
     Attributes:
-        wanted: simulated seconds per wall second.
-        reached: what came of it.
+        wanted: simulated seconds per wall second; `reached` is what came of it.
         seconds: wall seconds over which that was measured.
         causes: what took how large a share of them, the largest first.
         waiting: share of them that was waited for the next step.
@@ -232,8 +226,8 @@ class TimeGate:
     def restart(self, step: int = 0) -> None:
         """Take all grants back to a step, but for those for ever: members grant anew."""
         with self._lock:
-            for member, granted in self._granted.items():
-                self._granted[member] = min(step, granted) if granted != FOR_EVER else FOR_EVER
+            held = {m: min(step, its) for m, its in self._granted.items() if its != FOR_EVER}
+            self._granted.update(held)
 
 
 class Sent(NamedTuple):

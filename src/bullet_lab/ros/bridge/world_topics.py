@@ -36,10 +36,7 @@ class WorldMarkers(rospy.SubscribeListener):
     Whoever subscribes gets all markers, and from then on those that change: models that come, go
     or are put elsewhere at once, models that move a few times a second.
 
-    Args:
-        world: what to draw.
-        frame: the world's frame.
-        hidden: name of a model that is drawn by somebody else.
+    The model `hidden` is drawn by somebody else.
     """
 
     def __init__(self, world: RunningWorld, frame: str, hidden: str = ""):
@@ -116,11 +113,7 @@ class OdometryFrames:
     """Says on /tf_static how the odometry frames of all robots lie in the world.
 
     Two robots with one name for their odometry frame are warned about: on TF, each would be
-    where the other is.
-
-    Args:
-        world: that they are in.
-        frame: the world's frame; empty to publish nothing.
+    where the other is. Without a name for the world's frame, nothing is published.
     """
 
     def __init__(self, world: RunningWorld, frame: str):
@@ -206,9 +199,6 @@ class TouchCounter:
     """Watches the robots that somebody listens to, and says what they touch beside the floor.
 
     A robot is what takes commands; the topic is /bullet_lab/touched in its namespace.
-
-    Args:
-        world: that the robots are in, and come to.
     """
 
     def __init__(self, world: RunningWorld):

@@ -126,11 +126,7 @@ def find_jobs(package: Path) -> dict[str, Job]:
 
 
 def read_job(path: Path, package: Path) -> Job:
-    """Read what a launch file of a package says about its job.
-
-    Raises:
-        UsageError: the file is no launch file, or the doc of an argument is wrong.
-    """
+    """Read what a launch file of a package says about its job; raise UsageError if wrong."""
     document = _parse(path)
     targets = _targets(path, package)
     arguments = {}
@@ -242,9 +238,8 @@ def choose_job(jobs: dict[str, Job], name: str) -> Job:
 def read_assignments(job: Job, words: list[str]) -> dict[str, str]:
     """The checked values from words like ``std:=0.1``; the last of a name counts.
 
-    Raises:
-        UsageError: a word is no assignment, or its name is not one of the job's.
-        ParameterError: a value is not allowed.
+    Raises UsageError for a word that is no assignment or a name that the job does not have, and
+    ParameterError for a value that is not allowed.
     """
     known = job.arguments
     values = {}

@@ -42,11 +42,7 @@ class OutputFolder:
         return self.path / "log"
 
     def __enter__(self) -> OutputFolder:
-        """Create and lock the folder, forget the summary of an earlier run.
-
-        Raises:
-            UsageError: the folder cannot be written to, or another run uses it.
-        """
+        """Create and lock the folder, forget the summary of an earlier run; raise UsageError."""
         try:
             self.log.mkdir(parents=True, exist_ok=True)
             self._descriptor = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
@@ -119,26 +115,16 @@ class ScreenError(LabError):
 
 
 class VirtualScreen:
-    """An Xvfb on a free display, which DISPLAY names from then on.
-
-    Args:
-        log: file for what Xvfb says.
-        picture: file for a picture of the screen.
-    """
+    """An Xvfb on a free display, which DISPLAY names from then on; its words go to a log file."""
 
     def __init__(self, log: Path, picture: Path):
-        self._log = log
-        self._picture = picture
+        self._log, self._picture = log, picture
         self._next = time.monotonic() + _PICTURE_PERIOD
         self._server: subprocess.Popen | None = None
         self._display = ""
 
     def __enter__(self) -> VirtualScreen:
-        """Start the screen and let everything that is started later draw on it.
-
-        Raises:
-            ScreenError: Xvfb is missing or does not start.
-        """
+        """Start the screen, for everything that is started later; raise ScreenError."""
         # Xvfb looks for a free display itself and tells its number. In a session of its own
         # it gets no Ctrl-C from the terminal: it has to outlive RViz.
         command = ["Xvfb", "-displayfd", "1", "-screen", "0", _SIZE, "-nolisten", "tcp"]

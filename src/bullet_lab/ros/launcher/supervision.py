@@ -105,12 +105,8 @@ def judge(
 ) -> Verdict | None:
     """What has become of a run so far, None while it goes on.
 
-    Args:
-        deaths: the nodes that have ended, in order.
-        names: the node's name for each process that was started.
-        required: names of the nodes whose end is the end of the job.
-        has_summary: whether the summary has been written.
-        stopped_by: the signal that asked to stop, if any.
+    `names` are those of the nodes by their processes, `required` those whose end is that of the
+    job; deaths are in order.
     """
     for death in deaths:
         name = names.get(death.process, death.process)
@@ -160,11 +156,7 @@ class Launch:
         )
 
     def __enter__(self) -> Launch:
-        """Start the nodes.
-
-        Raises:
-            SupervisionError: one of them cannot be started.
-        """
+        """Start the nodes; raise SupervisionError if one of them cannot be started."""
         # Interactive programs keep their signal handlers.
         roslib.set_interactive(True)
         try:
@@ -212,13 +204,7 @@ class Launch:
         stopped_by: Callable[[], int | None],
         meanwhile: Callable[[], None],
     ) -> Verdict:
-        """Wait for the end of the job.
-
-        Args:
-            has_summary: tells whether the summary has been written.
-            stopped_by: tells which signal has asked to stop, if any.
-            meanwhile: called again and again while waiting.
-        """
+        """Wait for the end of the job, calling `meanwhile` again and again; see `judge`."""
         names = {node.process_name: node.name for node in self._config.nodes}
         while True:
             deaths = list(self._deaths.list)
@@ -241,11 +227,7 @@ def _load(path: Path, values: dict[str, str]) -> roslaunch.config.ROSLaunchConfi
 
 
 def resolved_defaults(path: Path) -> dict[str, str]:
-    """The defaults of a launch file's arguments, with the substitutions done.
-
-    Raises:
-        SupervisionError: roslaunch cannot read the file.
-    """
+    """The defaults of a launch file's arguments, resolved; raises SupervisionError."""
     import roslaunch.arg_dump
 
     with _as_supervision_error():

@@ -31,12 +31,7 @@ class Health(NamedTuple):
 
 
 class Diagnostics:
-    """Publishes how a node fares.
-
-    Args:
-        task: what is reported on, such as "marker detection".
-        health: returns how it is at present; called from a thread of its own.
-    """
+    """Publishes how a node fares at its task; `health` is called from a thread of its own."""
 
     def __init__(self, task: str, health: Callable[[], Health]):
         self._name = f"{rospy.get_name().lstrip('/')}: {task}"

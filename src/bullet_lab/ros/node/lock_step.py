@@ -65,11 +65,8 @@ class Member:
     def join(self) -> rospy.Time:
         """Hold simulated time back from now on; return what time it is.
 
-        Returns when commands that are published reach the bridge, be it through a relay.
-
-        Raises:
-            ROSInterruptException: ROS or the bridge shuts down.
-            NodeError: there is no bridge that offers lock step, or it is gone.
+        Returns when commands that are published reach the bridge, be it through a relay. Raises
+        ROSInterruptException if ROS or the bridge shuts down, NodeError if there is no bridge.
         """
         try:
             rospy.wait_for_service(SERVICE, WAIT_FOR_BRIDGE_SECONDS)

@@ -57,10 +57,8 @@ class FrameGuard:
 
 # Seconds of ROS time without odometry after which it is out of date.
 STALE_SECONDS = 0.5
-# Wall seconds to wait for odometry before giving up.
-ODOMETRY_TIMEOUT = 5.0
-# Wall seconds between two looks whether Ctrl-C was pressed meanwhile.
-POLL_SECONDS = 0.2
+# Wall seconds to wait for odometry, and between two looks whether Ctrl-C was pressed.
+ODOMETRY_TIMEOUT, POLL_SECONDS = 5.0, 0.2
 
 
 class NewestOdometry:

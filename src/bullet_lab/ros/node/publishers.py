@@ -155,10 +155,7 @@ def subscriber(
 class Demand(rospy.SubscribeListener):
     """Publishers of results, and whether anybody listens to one of them.
 
-    Args:
-        start: called when there is somebody, from a thread of its own.
-        stop: called when there is nobody any more.
-        always: whether to work all the same.
+    A thread calls `start` when there is somebody, or `always`, and `stop` when nobody is left.
     """
 
     def __init__(self, start: Callable[[], None], stop: Callable[[], None], always: bool = False):

@@ -51,11 +51,9 @@ class PlotVisionParameters(RecordParameters):
 
 
 class SameImage:
-    """Brings the answers of all detectors to one image together.
+    """Brings the answers of all detectors to one image together, after `settle` simulated seconds.
 
-    Args:
-        topics: types of the messages by topic.
-        settle: simulated seconds before the image.
+    The topics have their types of messages.
     """
 
     def __init__(self, topics: Mapping[str, str], settle: float):

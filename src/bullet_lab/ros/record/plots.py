@@ -168,8 +168,7 @@ def plot_beacons(parameters: PlotBeaconsParameters) -> None:
 def true_beacons(names: Tuple[str, ...]) -> Dict[str, Tuple[float, float]]:
     """Return where models of the world stand (m, m), from the bridge's markers.
 
-    Raises:
-        NodeError: no markers come, or a name is not among them.
+    Raises NodeError if no markers come, or a name is not among them.
     """
     try:
         world = rospy.wait_for_message(WORLD, MarkerArray, WORLD_TIMEOUT_SECONDS)

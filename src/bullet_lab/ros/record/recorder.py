@@ -70,14 +70,7 @@ class TimedParameters(RecordParameters):
 
 
 class Errand(NamedTuple):
-    """Where a robot is sent before its way is recorded.
-
-    Attributes:
-        server: name of the node that takes the goal.
-        is_connected: returns whether it is there.
-        send: sends the goal.
-        is_taken: returns whether the server has taken it.
-    """
+    """Where a robot is sent before its way is recorded: a goal, and the node that takes it."""
 
     server: str
     is_connected: Callable[[], bool]
@@ -92,8 +85,8 @@ class Recorder:
         report: what is recorded.
         parameters: of the node.
         topics: what is waited for, in the log.
-        view: of `bullet_lab.ros.record.rviz`, shows what is recorded.
-        errand: is run first, if there is one.
+        view: of `bullet_lab.ros.record.rviz`, to show it.
+        errand: is run first.
     """
 
     def __init__(
@@ -119,16 +112,16 @@ class Recorder:
             self._period = parameters.plot_period
             if parameters.until:
                 self._end = rospy.Subscriber(parameters.until, Time, self._receive_end)
-        self._subscribers: list[rospy.Subscriber] = [
-            self._listen(topic, kind) for topic, kind in report.topics.items()
-        ]
+        self._subscribers: list[rospy.Subscriber] = []
+        for topic, kind in report.topics.items():
+            message_type, read = reader_of(kind)
+            receive = partial(self._receive, topic, read)
+            self._subscribers.append(subscriber(topic, message_type, receive))
 
     def run(self) -> None:
-        """Record, and write everything.
+        """Record, and write everything, or raise FileError.
 
-        Raises:
-            NodeError: the errand was not taken, or did not come to its goal.
-            FileError: what came could not be written.
+        NodeError means that the errand was not taken, or did not come to its goal.
         """
         complete = False
         try:
@@ -197,10 +190,6 @@ class Recorder:
         return summary
 
     # What comes in
-
-    def _listen(self, topic: str, kind: str) -> rospy.Subscriber:
-        message_type, read = reader_of(kind)
-        return subscriber(topic, message_type, partial(self._receive, topic, read))
 
     def _receive(self, topic: str, read: Callable[[Any], Reading], message: Any) -> None:
         with self._lock:

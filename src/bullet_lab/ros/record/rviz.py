@@ -29,11 +29,7 @@ def _often(publish: Callable[[], None]) -> None:
 
 
 class PathTopics:
-    """A latched nav_msgs/Path for each topic of odometry.
-
-    Args:
-        topics: names of the paths, by those of the odometry.
-    """
+    """A latched nav_msgs/Path for each topic of odometry, by the names of both."""
 
     def __init__(self, topics: Mapping[str, str]):
         self._paths = {topic: Path() for topic in topics}
