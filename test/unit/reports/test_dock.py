@@ -86,8 +86,9 @@ def test_pictures_are_those_on_the_way_each_with_its_state(report):
     see(8)
     see(12)
     report.take("dock/feedback", Reading(13 * STEP, (), "staging"))
-    see(14)
     report.take("dock/finished", Reading(15 * STEP))
+    # On its way still, and after the end.
+    see(14)
     see(16)
     summary = report.summary(True, RUN)
     assert summary["images"] == 2
