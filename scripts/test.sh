@@ -70,9 +70,9 @@ run_rostest() {
 }
 
 run_rostests() {
-  # shellcheck disable=SC2016 # expanded by the shell that xargs starts
   # The longest first, so that none of them is left alone at the end.
-  wc -l "$LAB_ROOT"/test/rostest/*_test.py | sort -rn | sed -n 's/^ *[0-9]* \(.*\)_test.py$/\1.test/p' \
+  # shellcheck disable=SC2016 # expanded by the shell that xargs starts
+  grep -o 'time-limit="[0-9]*"' "$LAB_ROOT"/test/rostest/*.test | sort -t '"' -k 2 -nr | cut -d : -f 1 \
     | xargs -r -d '\n' -n 1 -P "$ROSTESTS_AT_ONCE" bash -c 'run_rostest "$1"' run_rostest
 }
 
