@@ -38,6 +38,7 @@ textures-power-2 none
 sync-video 0
 """
 EGL_OPENGL_API = 0x30A2
+EGL_DRAW = 0x3059
 # How many samples a pixel of a picture may have, and what stands for a picture of depths.
 SAMPLES = (1, 2, 4)
 DEPTHS = 0
@@ -117,8 +118,11 @@ class Graphics:
             self._egl = ctypes.CDLL("libEGL.so.1")
         except OSError as error:
             raise RendererError(NO_DRIVER) from error
-        self._egl.eglGetCurrentDisplay.restype = ctypes.c_void_p
+        for now in ("eglGetCurrentDisplay", "eglGetCurrentSurface", "eglGetCurrentContext"):
+            getattr(self._egl, now).restype = ctypes.c_void_p
         self._egl.eglMakeCurrent.argtypes = [ctypes.c_void_p] * 4
+        # What the last use let go: display, surface twice, context.
+        self._current: Tuple[Any, ...] = ()
         self._engine = core.GraphicsEngine.get_global_ptr()
         self._shared: Tuple[Any, ...] = ()
         with hidden_native_output():
@@ -216,15 +220,21 @@ class Graphics:
         with self._lock:
             # Of each thread for itself; its default is OpenGL ES.
             self._egl.eglBindAPI(EGL_OPENGL_API)
+            # Panda3D takes the context to draw, but not to give buffers back: without one, these
+            # calls of the driver's do nothing.
+            if self._current:
+                self._egl.eglMakeCurrent(*self._current)
             try:
                 return call(*arguments)
             except AssertionError as error:
                 # What Panda3D raises where one of its own conditions does not hold.
                 raise RendererError(f"Panda3D gives up: {error}") from error
             finally:
-                display = self._egl.eglGetCurrentDisplay()
+                egl = self._egl
+                display, surface = egl.eglGetCurrentDisplay(), egl.eglGetCurrentSurface(EGL_DRAW)
                 if display:
-                    self._egl.eglMakeCurrent(display, None, None, None)
+                    self._current = (display, surface, surface, egl.eglGetCurrentContext())
+                    egl.eglMakeCurrent(display, None, None, None)
 
 
 @functools.lru_cache(maxsize=None)

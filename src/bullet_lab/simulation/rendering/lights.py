@@ -60,7 +60,7 @@ def aim_at(boxes: np.ndarray, light: Light, kind: str) -> Aim:
         limits, rim = np.array((slope, slope, 1.0)), 1e-4
     small = boxes[np.ptp(boxes, axis=1).max(axis=1) <= LARGEST]
     points = (small if len(small) else boxes).reshape(-1, 3)
-    nowhere = [np.zeros((4, 4))], size, 0.0
+    nowhere = [np.zeros((4, 4))], SIZES[kind][0], 0.0
     if not len(points):
         return nowhere
     clip = np.column_stack((points, np.ones(len(points)))) @ matrix.T

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import weakref
-from typing import Any, Callable, Dict, List, Mapping, Tuple
+from collections import deque
+from typing import Any, Callable, Deque, Dict, List, Mapping, Tuple
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from bullet_lab.simulation.world.meshes import file_version
 # direction of view is less: where a pixel's footprint is 1.3 times as long as wide. (Below that,
 # sharper textures only let the smallest markers flicker.)
 SLANT = 0.77
+KEPT_DRAWABLES = 4
 
 
 class _LinkNode:
@@ -63,8 +65,11 @@ class Scene:
         self.root = panda3d().NodePath("scene")
         self._models = models
         self._lighting = Lighting(world, graphics, self.root)
-        # Links that look the same share one drawable for as long as any of them is there.
+        # Links that look the same share one drawable for as long as any of them is there. The last
+        # ones are kept, for models that go and come back: glibc, before 2.38, hardly uses again
+        # what the driver gives back of a texture.
         self._drawables: Any = weakref.WeakValueDictionary()
+        self._last: Deque[Drawable] = deque(maxlen=KEPT_DRAWABLES)
         # Each model with its links, by its name.
         self._shown: Dict[str, Tuple[Any, List[_LinkNode]]] = {}
         # How often what stands still, and what moves, has changed.
@@ -130,6 +135,7 @@ class Scene:
                 if drawable is None:
                     where = f"model '{instance.name}': link '{link.name}'"
                     drawable = self._drawables[key] = drawable_of(link.visuals, kind, where)
+                    self._last.append(drawable)
                 nodes.append(_LinkNode(self.root, AttachedFrame(body, link.name), drawable))
         return nodes
 

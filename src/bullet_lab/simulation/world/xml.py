@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Optional, Sequence, Tuple, Type
 from xml.etree.ElementTree import Element, ParseError
@@ -15,6 +17,7 @@ from bullet_lab.errors import LabError
 
 # A description of a robot or a world is text for people; meshes are files of their own.
 MAXIMUM_BYTES = 20_000_000
+_PART = 1 << 20
 # Squares and cubes of larger ones would overflow; SDF writes 1e16 for "no limit".
 LARGEST_NUMBER = 1e18
 
@@ -49,7 +52,9 @@ def file_bytes(path: Path, most: int, error_kind: Type[LabError] = XmlError) -> 
     """Return what is in a file; raises `error_kind` if that is missing or over `most` bytes."""
     try:
         with path.open("rb") as file:
-            data = file.read(most + 1)
+            # Python takes as much memory as a read may fill, however little there is to read.
+            parts = iter(partial(file.read, _PART), b"")
+            data = b"".join(islice(parts, most // _PART + 1))
     except OSError as error:
         raise error_kind(f"{path}: {error.strerror}") from error
     if len(data) > most:

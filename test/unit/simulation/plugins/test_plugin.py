@@ -3,7 +3,14 @@ import importlib
 import pytest
 
 from bullet_lab.simulation import plugins
-from bullet_lab.simulation.plugins import Output, Plugin, PluginError, known_plugins, make_plugin
+from bullet_lab.simulation.plugins import (
+    Output,
+    Plugin,
+    PluginError,
+    known_plugins,
+    make_plugin,
+    plugin,
+)
 from bullet_lab.simulation.plugins.samples import RangeSample
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.urdf import read_urdf
@@ -12,6 +19,12 @@ FLOOR = "package://bullet_lab/worlds/empty.world"
 ROBOT = """<robot name="r"><link name="base">
   <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>
   <gazebo><plugin name="{0}" filename="{0}"><updateRate>50</updateRate></plugin></gazebo></robot>"""
+
+
+@pytest.fixture(autouse=True)
+def known_kinds(monkeypatch):
+    """What a test adds to the kinds that are known is gone after it."""
+    monkeypatch.setattr(plugin, "_KINDS", dict(plugin._KINDS))
 
 
 @pytest.fixture

@@ -236,3 +236,26 @@ def test_pictures_of_any_size_that_the_driver_has():
         with pytest.raises(RendererError, match="draws up to .* pixels along each side"):
             simulation.renderer().picture(AHEAD, Shot(camera))
         assert middle(simulation) == (255, 0, 0)
+
+
+def test_buffers_that_are_not_used_any_more_are_given_back():
+    with simulation_of(cube("a", RED)) as simulation:
+        before = resident_megabytes()
+        for width in range(2000, 2040):
+            # With its depths, 16 MB each.
+            camera = PinholeCamera(width, 1000, 1000.0, 1000.0, 999.5, 499.5)
+            simulation.renderer().picture(AHEAD, Shot(camera))
+    assert resident_megabytes() - before < 350.0
+
+
+def test_shadow_maps_that_change_their_size_are_given_back():
+    sun = Light("sun", "directional", Pose(), casts_shadows=True)
+    with simulation_of(cube("a", RED), lights=(sun,)) as simulation:
+        before = resident_megabytes()
+        for _ in range(20):
+            # The map grows from 256 to 4096 pixels along each side, which are 64 MB.
+            simulation.add(cube("b", GREEN, 12.0))
+            simulation.renderer().picture(AHEAD, Shot(CAMERA))
+            simulation.remove("b")
+            simulation.renderer().picture(AHEAD, Shot(CAMERA))
+    assert resident_megabytes() - before < 350.0
