@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Runs the tests: linters, unit tests, rostests side by side; with --long, every job at its full
-# length too. Status 0 only when all of them pass.
+# Runs the tests: linters, unit tests and rostests, side by side; with --long, every job at its
+# full length after them. Status 0 only when all of them pass.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
@@ -9,8 +9,8 @@ source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 LOG=$LAB_DIR/log/test
 export LAB_TALLY=$LOG/tally
 ROSTEST_TIMEOUT=600
-# Most of a rostest is waiting: for nodes that start, for steps of simulated time.
-ROSTESTS_AT_ONCE=$(($(nproc) + 1))
+# Much of a rostest is waiting: for nodes that start, for what must not come.
+AT_ONCE=$(($(nproc) + 2))
 
 # count PASSED FAILED: one line in the tally.
 count() { echo "$1 $2" >>"$LAB_TALLY"; }
@@ -23,13 +23,21 @@ attribute() {
   echo "${number:-0}"
 }
 
+# run_lint: what it prints is told only where something is wrong.
+run_lint() {
+  local log=$LOG/lint.log start=$SECONDS
+  "$LAB_ROOT/scripts/lint.sh" >"$log" 2>&1 || cat "$log"
+  echo "lint: $((SECONDS - start)) s"
+}
+
 # run_pytest FOLDER [option ...]
 run_pytest() {
-  local folder=$1 results tests failed skipped status=0
+  local folder=$1 name log results tests failed skipped status=0 start=$SECONDS
   shift
-  results=$LOG/$(basename "$folder").xml
+  name=$(basename "$folder")
+  log=$LOG/$name.log results=$LOG/$name.xml
   rm -f "$results"
-  python -m pytest "$@" "$folder" --junitxml="$results" || status=$?
+  python -m pytest "$@" "$folder" --junitxml="$results" >"$log" 2>&1 </dev/null || status=$?
   tests=$(attribute tests "$results")
   skipped=$(attribute skipped "$results")
   failed=$(($(attribute failures "$results") + $(attribute errors "$results")))
@@ -38,6 +46,8 @@ run_pytest() {
     failed=1
     tests=$((tests + 1))
   fi
+  ((!failed)) || cat "$log"
+  echo "pytest $name: $((tests - failed - skipped)) passed, $failed failed, $((SECONDS - start)) s"
   count $((tests - failed - skipped)) "$failed"
 }
 
@@ -69,11 +79,19 @@ run_rostest() {
   count $((tests - failed)) "$failed"
 }
 
-run_rostests() {
-  # The longest first, so that none of them is left alone at the end.
-  # shellcheck disable=SC2016 # expanded by the shell that xargs starts
-  grep -o 'time-limit="[0-9]*"' "$LAB_ROOT"/test/rostest/*.test | sort -t '"' -k 2 -nr | cut -d : -f 1 \
-    | xargs -r -d '\n' -n 1 -P "$ROSTESTS_AT_ONCE" bash -c 'run_rostest "$1"' run_rostest
+# run_part NAME: the linters, the unit tests, or the rostest in a file.
+run_part() {
+  case $1 in
+    lint) run_lint ;;
+    unit) run_pytest "$LAB_ROOT/test/unit" -q -n auto ;;
+    *) run_rostest "$1" ;;
+  esac
+}
+
+# All parts, the longest first, so that none of them is left alone at the end.
+parts() {
+  printf '%s\n' unit lint
+  grep -o 'time-limit="[0-9]*"' "$LAB_ROOT"/test/rostest/*.test | sort -t '"' -k 2 -nr | cut -d : -f 1
 }
 
 main() {
@@ -89,19 +107,18 @@ main() {
   "$LAB_ROOT/scripts/setup.sh" --with test
   mkdir -p "$LOG"
   : >"$LAB_TALLY"
-  "$LAB_ROOT/scripts/lint.sh" || true
   enter_lab
   # The tests are about this machine: nothing of theirs is to be seen from outside.
   unset ROS_MASTER_URI ROS_HOSTNAME
   export ROS_IP=127.0.0.1
-  run_pytest "$LAB_ROOT/test/unit" -n auto
-  run_rostests
+  # shellcheck disable=SC2016 # expanded by the shell that xargs starts
+  parts | xargs -d '\n' -n 1 -P "$AT_ONCE" bash -c 'run_part "$1"' run_part
   [[ -z $long ]] || run_pytest "$LAB_ROOT/test/long"
   read -r passed failed < <(awk '{p += $1; f += $2} END {print p + 0, f + 0}' "$LAB_TALLY")
   echo "$passed passed, $failed failed"
   ((passed && !failed))
 }
 
-export -f attribute count summary_of run_rostest
+export -f attribute count summary_of run_lint run_part run_pytest run_rostest
 export LOG ROSTEST_TIMEOUT LAB_ROOT LAB_ROS
 main "$@"

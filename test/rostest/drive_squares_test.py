@@ -87,7 +87,12 @@ class DriveSquaresTest(unittest.TestCase):
         def is_driving():
             return sum(1 for v in velocities(self.commands) if any(v)) >= number
 
-        wait_for(lambda: is_driving() or not node.runs(), "commands")
+        def what():
+            said = velocities(self.commands)[-5:]
+            links = (self.commands.is_connected(), rosgraph.Master("/test").getSystemState()[:2])
+            return f"commands; have {said}, {links}; the node has written {node.out}{node.err}"
+
+        wait_for(lambda: is_driving() or not node.runs(), what)
         self.assertTrue(node.runs(), node.err)
 
     def assert_stopped(self):

@@ -26,14 +26,18 @@ PACKAGE = Path(rospkg.RosPack().get_path("bullet_lab"))
 
 
 def wait_for(condition, what, seconds=PATIENCE):
-    """Wait until a condition holds; return what it returned. AssertionError if it never does."""
+    """Wait until a condition holds; return what it returned. AssertionError if it never does.
+
+    `what` is waited for: a text, or a function that says so at the end.
+    """
     deadline = time.monotonic() + seconds
     while True:
         found = condition()
         if found:
             return found
         if time.monotonic() > deadline:
-            raise AssertionError(f"waited {seconds:g} s in vain for {what}")
+            missing = what() if callable(what) else what
+            raise AssertionError(f"waited {seconds:g} s in vain for {missing}")
         time.sleep(0.01)
 
 
