@@ -30,7 +30,8 @@ from bullet_lab.simulation.forces import Forces
 from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose
 from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_name
 from bullet_lab.simulation.physics.physics import Body, Physics
-from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin
+from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin, namespace_of
+from bullet_lab.simulation.plugins.plugin import NAMESPACE
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
 from bullet_lab.simulation.rendering.surfaces import check_textures
 from bullet_lab.simulation.world.description import Model, PluginTag, Snapshot, World
@@ -44,6 +45,7 @@ __all__ = ["ModelInstance", "Simulation", "SimulationError", "Snapshot", "Timer"
 LOG = logging.getLogger(__name__)
 
 TfPrefix = Union[str, Callable[[str], str]]
+Failed = Callable[[str, LabError], None]
 
 
 @dataclass(frozen=True)
@@ -61,8 +63,13 @@ class Simulation:
     PyBullet wants all calls from one thread at a time.
     """
 
-    def __init__(self, world: Optional[World] = None, seed: int = 0):
-        """Load a world, an empty one by default; the noise of all sensors follows the seed."""
+    def __init__(
+        self, world: Optional[World] = None, seed: int = 0, on_failure: Optional[Failed] = None
+    ):
+        """Load a world, an empty one by default; the noise of all sensors follows the seed.
+
+        `on_failure` is as for `go_on_after`.
+        """
         self.world = world or World("default")
         self._renderer: Optional[Renderer] = None
         self.seed = seed
@@ -75,12 +82,12 @@ class Simulation:
         self._acting: List[Plugin] = []
         self._measuring: List[Union[Plugin, Timer]] = []
         self._timers: List[Union[Plugin, Timer]] = []
-        self._on_failure: Optional[Callable[[str, LabError], None]] = None
+        self._on_failure = on_failure
         self._spent: DefaultDict[Union[Plugin, Timer], float] = defaultdict(float)
         self.forces = Forces()
         try:
             for model in self.world.models:
-                instance = self.add(model)
+                instance = self.add(model, namespace="")
                 if model.name in self.world.states:
                     instance.restore(self.world.states[model.name])
         except LabError:
@@ -88,9 +95,9 @@ class Simulation:
             raise
 
     @classmethod
-    def of(cls, world: str, seed: int = 0) -> Simulation:
+    def of(cls, world: str, seed: int = 0, on_failure: Optional[Failed] = None) -> Simulation:
         """Load the world file that a path or URI names; raises LabError."""
-        return cls(read_world_file(ResourceFinder.anywhere().find(world)), seed)
+        return cls(read_world_file(ResourceFinder.anywhere().find(world)), seed, on_failure)
 
     def __enter__(self) -> Simulation:
         return self
@@ -135,7 +142,7 @@ class Simulation:
         model: Model,
         name: str = "",
         pose: Optional[Pose] = None,
-        namespace: str = "",
+        namespace: str = "/",
         tf_prefix: TfPrefix = "",
     ) -> ModelInstance:
         """Put a model into the world.
@@ -144,9 +151,10 @@ class Simulation:
             model: what to add.
             name: its name in the world; the model's own if empty.
             pose: of the model's frame in the world; the model's own pose if None.
-            namespace: robotNamespace of every plugin that has none.
+            namespace: robotNamespace of every plugin that has none; empty for what a plugin
+                does without: some are named by their model.
             tf_prefix: what stands before the names of its frames on TF; or what gives that for
-                the robotNamespace of a plugin.
+                the namespace of a plugin.
 
         Raises:
             LabError: the name is taken, or the model or one of its plugins makes no sense.
@@ -224,11 +232,11 @@ class Simulation:
         """Call `call(step)` `rate` times per simulated second, before plugins send theirs."""
         self._timers.append(Timer(Schedule(rate, self.step), call))
 
-    def go_on_after(self, failed: Callable[[str, LabError], None]) -> None:
-        """Go on where a plugin cannot measure, as a camera without a driver to draw with.
+    def go_on_after(self, failed: Failed) -> None:
+        """Go on where a plugin cannot be, or cannot measure, as a camera without a driver.
 
-        `failed` is told the plugin's name and the reason, each time. Without this, `run_until`
-        raises what the plugin raises.
+        `failed` is told the plugin's name and the reason, each time. Without this, `add` and
+        `run_until` raise what the plugin raises.
         """
         self._on_failure = failed
 
@@ -248,10 +256,13 @@ class Simulation:
                     try:
                         timer.produce(self.step)
                     except LabError as error:
-                        if self._on_failure is None:
-                            raise
-                        self._on_failure(_name_of(timer), error)
+                        self._fail(_name_of(timer), error)
                     self._spent[timer] += time.perf_counter() - start
+
+    def _fail(self, name: str, error: LabError) -> None:
+        if self._on_failure is None:
+            raise error
+        self._on_failure(name, error)
 
     def take_spent(self) -> Dict[str, float]:
         """Return the wall seconds that each plugin's samples have taken since the last call."""
@@ -300,9 +311,13 @@ class Simulation:
         common = (-self.world.gravity[2], self.seed)
         draws = (self.renderer, self._shape_name)
         for tag in model.plugins:
-            space = tag.tags.get("robotNamespace", "")
+            space = namespace_of(tag, model.name)
             prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
-            plugin = make_plugin(Mount(model, bodies, tag, *common, prefix, *draws))
+            try:
+                plugin = make_plugin(Mount(model, bodies, tag, *common, prefix, *draws))
+            except LabError as error:
+                self._fail(_described(tag, model), error)
+                continue
             if plugin is None:
                 known = ", ".join(known_plugins())
                 what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
@@ -321,12 +336,17 @@ def _name_of(timer: Union[Plugin, Timer]) -> str:
     """Name in messages what takes its time."""
     if isinstance(timer, Timer):
         return "clock and states"
-    return f"plugin '{timer.mount.plugin.name}' of '{timer.mount.model.name}'"
+    return _described(timer.mount.plugin, timer.mount.model)
+
+
+def _described(tag: PluginTag, model: Model) -> str:
+    return f"plugin '{tag.name}' of '{model.name}'"
 
 
 def _in_namespace(tag: PluginTag, namespace: str) -> PluginTag:
-    named = not namespace or tag.tags.get("robotNamespace")
-    return tag if named else replace(tag, tags={**tag.tags, "robotNamespace": namespace})
+    # An empty tag is one, as in Gazebo.
+    named = not namespace or NAMESPACE in tag.tags
+    return tag if named else replace(tag, tags={**tag.tags, NAMESPACE: namespace})
 
 
 class ViewError(LabError):

@@ -175,7 +175,7 @@ class GazeboServices:
         pose = normalised_pose(request.initial_pose)
         # Read in this thread, so that the simulation does not wait for it.
         model = read_description(request.model_xml, f"model_xml of '{name}'")
-        prefixes = tf_prefixes(model, request.robot_namespace)
+        prefixes = tf_prefixes(model, request.robot_namespace, name)
         self._world.change(lambda: self._add(model, pose, request, prefixes))
         return {}
 

@@ -140,9 +140,9 @@ def _points(message: PointCloud2, sample: PointsSample) -> None:
 
 
 def _scan(message: LaserScan, sample: LaserSample) -> None:
-    # `time_increment` stays 0: all rays are of one time.
+    # `time_increment` and `scan_time` stay 0: all rays are of one time, as Gazebo has it.
     message.angle_min, message.angle_max = sample.angle_min, sample.angle_max
-    message.angle_increment, message.scan_time = sample.angle_increment, sample.period
+    message.angle_increment = sample.angle_increment
     message.range_min, message.range_max = sample.range_min, sample.range_max
     # Lists are written four times as fast as arrays.
     message.ranges = sample.ranges.tolist()

@@ -131,9 +131,8 @@ class PyBulletBridge:
     def __init__(self, parameters: BridgeParameters):
         self._parameters = parameters
         check_choice(parameters.renderer)
-        self.simulation = Simulation.of(parameters.world, parameters.seed)
         self._failures: Set[Tuple[str, str]] = set()
-        self.simulation.go_on_after(self._report_failure)
+        self.simulation = Simulation.of(parameters.world, parameters.seed, self._report_failure)
         self.stepper = Stepper(
             self.simulation,
             Pace(parameters.rtf),
@@ -193,10 +192,11 @@ class PyBulletBridge:
             return None
         x, y, z, roll, pitch, yaw = self._parameters.robot_pose
         pose = Pose.from_rpy((x, y, z), (roll, pitch, yaw))
-        namespace = self._parameters.robot_namespace
-        robot = self.simulation.add(
-            model, self._parameters.robot_name, pose, namespace, tf_prefixes(model, namespace)
-        )
+        name = self._parameters.robot_name
+        # As spawn_model has it, so that no plugin is named by its model.
+        namespace = self._parameters.robot_namespace or "/"
+        prefixes = tf_prefixes(model, namespace, name)
+        robot = self.simulation.add(model, name, pose, namespace, prefixes)
         self._topics.connect(robot)
         if self._parameters.camera_rate:
             _set_camera_rate(robot, self._parameters.camera_rate)

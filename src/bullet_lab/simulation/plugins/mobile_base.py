@@ -33,8 +33,8 @@ class MobileBase(Plugin):
     def __init__(self, mount: Mount):
         super().__init__(mount)
         self._body = mount.body
-        self.frame = self._frame_name(mount.text("odometryFrame", "odom"))
-        self._base_frame = self._frame_name(mount.text("robotBaseFrame", "base_footprint"))
+        self.frame = mount.frame(mount.text("odometryFrame", "odom"))
+        self._base_frame = mount.frame(mount.text("robotBaseFrame", "base_footprint"))
         self.odometry = Output(mount.topic(mount.text("odometryTopic", "odom")), OdometrySample)
         self.transform = Output("/tf", TransformSample)
         topic = mount.topic(mount.text("commandTopic", "cmd_vel"))
@@ -54,9 +54,6 @@ class MobileBase(Plugin):
         self._command = STANDSTILL
         self._last_step = step
         self.placed()
-
-    def _frame_name(self, name: str) -> str:
-        return self.mount.frame(name)
 
     def _send_odometry(
         self, step: int, poses: Tuple[Pose, Pose], velocity: PlanarCommand, *variances: Diagonal

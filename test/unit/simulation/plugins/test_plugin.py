@@ -57,6 +57,54 @@ def heights(filename):
     return [sample.range for sample in samples]
 
 
+SENSOR = """<gazebo reference="base"><sensor type="{}" name="s">
+  <ray><range><max>1</max></range></ray><plugin name="p" filename="{}">
+  <topicName>it</topicName><imageTopicName>it</imageTopicName><frameName>f</frameName>{}</plugin>
+  </sensor></gazebo></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("name", "sensor", "topic", "missing", "empty"),
+    [
+        ("planar_move", "", "cmd_vel", "", ""),
+        ("joint_state_publisher", "", "joint_states", "/r/", "/r/"),
+        ("laser", "ray", "it", "", "/r/"),
+        ("camera", "camera", "it", "", "/r/"),
+        ("imu_sensor", "imu", "it", "/r/", ""),
+        ("range", "ray", "it", "", ""),
+    ],
+)
+def test_the_namespace_without_a_tag_is_that_of_gazebos_plugin(
+    name, sensor, topic, missing, empty
+):
+    def topic_of(tag, namespace):
+        filename = f"libgazebo_ros_{name}.so"
+        text = ROBOT.format(filename).replace("<updateRate>50</updateRate>", tag)
+        if sensor:
+            text = text[: text.index("<gazebo>")] + SENSOR.format(sensor, filename, tag)
+        with Simulation() as simulation:
+            robot = simulation.add(read_urdf(text, "here"), namespace=namespace)
+            (plugin,) = robot.plugins
+            return next(entry.topic for entry in (*plugin.inputs, *plugin.outputs))
+
+    assert topic_of("", "") == f"{missing}{topic}"
+    assert topic_of("", "/") == topic
+    assert topic_of("", "/one/") == f"/one/{topic}"
+    for given in ("", "one"):
+        assert topic_of("<robotNamespace></robotNamespace>", given) == f"{empty}{topic}"
+    assert topic_of("<robotNamespace>own</robotNamespace>", "one") == f"/own/{topic}"
+
+
+def test_what_cannot_be_is_reported_and_left_out():
+    reported = []
+    text = ROBOT.format("libgazebo_ros_p3d.so")
+    with Simulation(on_failure=lambda *failure: reported.append(failure)) as simulation:
+        assert simulation.add(read_urdf(text, "here")).plugins == ()
+    ((name, error),) = reported
+    assert name == "plugin 'libgazebo_ros_p3d.so' of 'r'"
+    assert "<bodyName>: is missing" in str(error)
+
+
 @pytest.mark.parametrize("filename", ["libtest_altimeter.so", "libtest_altimeter_2"])
 def test_a_class_is_all_that_a_plugin_needs(altimeter, filename):
     assert set(altimeter.filenames) <= set(known_plugins())
