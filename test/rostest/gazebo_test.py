@@ -261,11 +261,6 @@ class SpawnTest(GazeboCase):
                 'ixx="0.5"', 'ixx="-0.5"'
             ),
             "joint 'hinge'.*type 'wheel'": PENDULUM.replace("continuous", "wheel"),
-            "plugin 'drive'.*'far' is not a finite number": PENDULUM.replace(
-                "</robot>",
-                '<gazebo><plugin name="drive" filename="libgazebo_ros_planar_move.so">'
-                "<odometryRate>far</odometryRate></plugin></gazebo></robot>",
-            ),
         }
         for said, xml in bad.items():
             self.assert_refused(f"SpawnModel: Failure - .*{said}", spawn("bad", xml))
@@ -277,9 +272,15 @@ class SpawnTest(GazeboCase):
         crooked = at(0.0, 0.0, 1.0)
         crooked.orientation.w = math.inf
         self.assert_refused("not finite", spawn("bad", BALL, crooked))
-        clash = BLOCK.replace("<odometryTopic>odom<", "<odometryTopic>no good name!<")
-        self.assert_refused("no topic is called 'no good name!'", spawn("bad", clash))
         self.assertEqual(["ground_plane", "block_robot"], names())
+        # What is wrong with a plugin is said, and the rest is there.
+        for name, change in (("deaf", "<odometryTopic>no good name!<"), ("far", "<robotBaseFrame>")):
+            text = BLOCK.replace("<odometryTopic>odom<", change) if name == "deaf" else BLOCK
+            text = text.replace("<odometryRate>20.0<", f"<odometryRate>{name}<")
+            spawn(name, text, at(0.0, 3.0, 0.0))
+            call("/gazebo/delete_model", DeleteModel, name)
+        self.assertIn("no topic is called 'no good name!'", bridge.err)
+        self.assertIn("'far' is not a finite number", bridge.err)
         clock.wait(len(clock.messages) + 20)
         self.assertTrue(bridge.runs())
         self.assertNotIn("Traceback", bridge.err)

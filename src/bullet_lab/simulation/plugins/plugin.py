@@ -10,6 +10,7 @@ this package in `plugins/__init__.py`.
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any, Callable, ClassVar, Dict, List, Mapping, Optional, Set, Tuple, Type
@@ -50,6 +51,8 @@ class StepNoise:
 
 # Tags that Gazebo's plugins themselves pass over, or that only they have a use for.
 NAMESPACE = "robotNamespace"
+# What ROS takes for a name.
+TOPIC = re.compile(r"[~/A-Za-z][\w/]*", re.ASCII)
 QUIET_TAGS = frozenset((NAMESPACE, "rosDebugLevel", "alwaysOn", "visualize"))
 
 
@@ -111,9 +114,13 @@ class Mount(TagReader):
         return _schedule(self, tag, default)
 
     def topic(self, name: str) -> str:
-        """Return a topic's name within the plugin's namespace."""
+        """Return a topic's name within the plugin's namespace; raises PluginError for none."""
         absolute = name.startswith("/") or not self.namespace
-        return name if absolute else f"/{self.namespace}/{name}"
+        full = name if absolute else f"/{self.namespace}/{name}"
+        if not TOPIC.fullmatch(full):
+            plugin = f"model '{self.model.name}': plugin '{self.plugin.name}'"
+            raise PluginError(f"{plugin}: no topic is called '{full}'")
+        return full
 
     def noise(self, part: str = "") -> StepNoise:
         """Return the noise of this plugin, or of a part of it.
