@@ -274,11 +274,9 @@ class SpawnTest(GazeboCase):
         self.assert_refused("not finite", spawn("bad", BALL, crooked))
         self.assertEqual(["ground_plane", "block_robot"], names())
         # What is wrong with a plugin is said, and the rest is there.
-        for name, change in (("deaf", "<odometryTopic>no good name!<"), ("far", "<robotBaseFrame>")):
-            text = BLOCK.replace("<odometryTopic>odom<", change) if name == "deaf" else BLOCK
-            text = text.replace("<odometryRate>20.0<", f"<odometryRate>{name}<")
-            spawn(name, text, at(0.0, 3.0, 0.0))
-            call("/gazebo/delete_model", DeleteModel, name)
+        for tag, told in (("Topic>odom", "Topic>no good name!"), ("Rate>20.0", "Rate>far")):
+            spawn("odd", BLOCK.replace(f"<odometry{tag}<", f"<odometry{told}<"), at(0.0, 3.0, 0.0))
+            call("/gazebo/delete_model", DeleteModel, "odd")
         self.assertIn("no topic is called 'no good name!'", bridge.err)
         self.assertIn("'far' is not a finite number", bridge.err)
         clock.wait(len(clock.messages) + 20)

@@ -23,6 +23,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.bridge.world_topics import WorldMarkers
+from bullet_lab.ros.gazebo.cameras import CameraServices
 from bullet_lab.ros.gazebo.services import Answer, GazeboServices, offer
 from bullet_lab.ros.messages.gazebo_types import msg, srv
 from bullet_lab.ros.messages.poses import (
@@ -219,6 +220,7 @@ class Gazebo:
             GazeboServices(world),
             GazeboPhysics(world),
             WorldSaver(world),
+            CameraServices(world),
         ]
 
     def everything_moved(self) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import ClassVar, Optional, Tuple
+from typing import Any, ClassVar, Mapping, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -48,6 +48,10 @@ class Camera(Plugin):
     The picture is drawn only while somebody wants it; camera_info tells the geometry that it
     really has, with the principal point in the middle and the lens's distortion, which is
     simulated. `settings` may be changed at any time, the rate by `set_rate`.
+
+    Attributes:
+        name: stands before its topics, if it is not empty.
+        calibration: what somebody has set of camera_info, by the names of its fields.
     """
 
     filenames = ("libgazebo_ros_camera.so",)
@@ -71,6 +75,7 @@ class Camera(Plugin):
         self._noise = mount.noise()
         self._table: Optional[Tuple[tuple, SensorNoise]] = None
         self.name = mount.text("cameraName")
+        self.calibration: Mapping[str, Any] = {}
         self.image = self.output("imageTopicName", f"{self.prefix}image_raw", ImageSample)
         self.info = self.output(
             "cameraInfoTopicName", f"{self.prefix}camera_info", CameraInfoSample
@@ -114,7 +119,10 @@ class Camera(Plugin):
     def send_geometry(self, step: int, output: Output) -> None:
         """Send the geometry of the picture, if somebody wants it there."""
         if output.wanted:
-            output.send(CameraInfoSample(step, self.frame, self.camera, self._baseline))
+            sample = CameraInfoSample(
+                step, self.frame, self.camera, self._baseline, self.calibration
+            )
+            output.send(sample)
 
     def take(self, step: int) -> np.ndarray:
         """Return the picture of this moment, (height, width, 3) or, in grey, (height, width) uint8.

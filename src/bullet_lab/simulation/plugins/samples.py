@@ -6,8 +6,8 @@ kind into its message in `bullet_lab.ros.messages.conversions`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, Tuple
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Mapping, Tuple
 
 import numpy as np
 
@@ -89,10 +89,14 @@ class ImageSample(Sample):
 
 @dataclass(frozen=True)
 class CameraInfoSample(Sample):
-    """Geometry of the images of one camera; `baseline` in metres is Gazebo's hackBaseline."""
+    """Geometry of the images of one camera; `baseline` in metres is Gazebo's hackBaseline.
+
+    `calibration` has what somebody says instead, by the names of the message's fields.
+    """
 
     camera: PinholeCamera
     baseline: float = 0.0
+    calibration: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
