@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 import shlex
 import subprocess
 import time
@@ -71,10 +72,15 @@ class TryRobotParameters(RecordParameters):
 
     out: str = text("results/robot", "folder for the files")
     launch_file: str = text("", "launch file that brings the robot up; empty if it is there")
-    launch_args: str = text("", "arguments of that, as name:=value …")
+    args: str = text("", "arguments of the xacro or launch file: 'name:=value …'")
     model: str = text("", "name of the robot's model; empty for one that can be driven")
     speed: float = number(0.2, "m/s", above=0.0, maximum=10.0)
     turn_rate: float = number(0.5, "rad/s", above=0.0, maximum=10.0)
+
+
+def assignments(words: str) -> List[str]:
+    """Return words like name:=value or name=value, as roslaunch has them."""
+    return [re.sub("^([^=:]+):?=", r"\1:=", word) for word in shlex.split(words)]
 
 
 class Launched:
@@ -86,7 +92,7 @@ class Launched:
         words = ["roslaunch", "--sigint-timeout", "3", "--sigterm-timeout", "1", path]
         with self._log.open("w") as log:
             self._process = subprocess.Popen(
-                words + shlex.split(arguments), stdout=log, stderr=subprocess.STDOUT
+                words + assignments(arguments), stdout=log, stderr=subprocess.STDOUT
             )
 
     def check(self) -> None:
@@ -109,7 +115,7 @@ def try_robot(parameters: TryRobotParameters) -> None:
     with contextlib.ExitStack() as stack:
         check: Callable[[], None] = lambda: None  # noqa: E731
         if parameters.launch_file:
-            launched = Launched(parameters.launch_file, parameters.launch_args)
+            launched = Launched(parameters.launch_file, parameters.args)
             stack.callback(launched.close)
             check = launched.check
         model = _wait_for_robot(parameters.model, check)
