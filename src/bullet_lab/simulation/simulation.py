@@ -34,7 +34,7 @@ from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plu
 from bullet_lab.simulation.plugins.plugin import NAMESPACE
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
 from bullet_lab.simulation.rendering.surfaces import check_textures
-from bullet_lab.simulation.world.description import Model, PluginTag, Snapshot, World
+from bullet_lab.simulation.world.description import Light, Model, PluginTag, Snapshot, World
 from bullet_lab.simulation.world.inertia import check_proportions
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
@@ -222,6 +222,32 @@ class Simulation:
         for instance in self._instances.values():
             for plugin in instance.plugins:
                 plugin.gravity = -gravity[2]
+
+    def light(self, name: str) -> Light:
+        """Return a light; raises SimulationError for an unknown name."""
+        for light in self.world.lights:
+            if light.name == name:
+                return light
+        raise SimulationError(f"light [{name}] not found")
+
+    def set_light(self, light: Light) -> None:
+        """Put a light into the world, in the place of one of the same name."""
+        names = [one.name for one in self.world.lights]
+        if light.name not in names:
+            self._set_lights((*self.world.lights, light))
+        else:
+            lights = (light if one.name == light.name else one for one in self.world.lights)
+            self._set_lights(tuple(lights))
+
+    def remove_light(self, name: str) -> None:
+        """Take a light out of the world; raises SimulationError for an unknown name."""
+        gone = self.light(name)
+        self._set_lights(tuple(light for light in self.world.lights if light is not gone))
+
+    def _set_lights(self, lights: Tuple[Light, ...]) -> None:
+        self.world = replace(self.world, lights=lights)
+        if self._renderer is not None:
+            self._renderer.relight(self.world)
 
     def snapshot(self) -> Snapshot:
         """Return all that makes up the present state, to be written by whoever has time."""

@@ -95,6 +95,19 @@ def read_description(text: str, source: str, finder: Optional[ResourceFinder] = 
     raise XmlError(f"{source}: the root element is <{root.tag}>, neither <sdf> nor <robot>")
 
 
+def read_spawned(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Part:
+    """Return what is to be spawned by a text: a model, as `read_description` has it, or a light.
+
+    Raises:
+        LabError: as `read_description`.
+    """
+    root = parse_text(text, source)
+    light = root.find("light") if root.tag == "sdf" and root.find("model") is None else None
+    if light is None:
+        return read_description(text, source, finder)
+    return _light(_Tag(root, source, _Document(finder or ResourceFinder())).below(light))
+
+
 def read_model_text(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
     """Read one model from SDF text; raises as `read_world_file`."""
     root = _Tag(parse_text(text, source), source, _Document(finder or ResourceFinder()))
