@@ -14,6 +14,7 @@
 :ROS Services:
     - /gazebo/pause_physics, unpause_physics, reset_world, reset_simulation (std_srvs/Empty)
     - the other services of /gazebo: see `bullet_lab.ros.gazebo`
+    - controller_manager/… of robots with controllers: see `bullet_lab.ros.gazebo.ros_control`
     - /bullet_lab/save_world (bullet_lab/SaveWorld): write the running world to a file
     - /bullet_lab/set_rtf (bullet_lab/SetRtf): change the speed of simulated time
     - /bullet_lab/step (bullet_lab/Step): advance by exactly n steps of 1 ms, paused or not
@@ -50,6 +51,7 @@ from bullet_lab.ros.bridge.stepper import Reached, Stepper
 from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, Sent, TimeGate
 from bullet_lab.ros.bridge.world_topics import OdometryFrames, TouchCounter
 from bullet_lab.ros.gazebo.interface import Gazebo
+from bullet_lab.ros.gazebo.ros_control import ControllerManagers
 from bullet_lab.ros.messages.poses import (
     NANOSECONDS_PER_STEP,
     first_step_at,
@@ -158,6 +160,7 @@ class PyBulletBridge:
         world = RunningWorld(self.stepper, self._topics)
         hidden = "" if robot is None else robot.name
         self._gazebo = Gazebo(world, parameters.world_frame, hidden, parameters.states_rate)
+        self._controllers = ControllerManagers(world)
         self._touches = TouchCounter(world)
         self._frames = OdometryFrames(
             world, parameters.world_frame if parameters.publish_world_tf else ""
