@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from typing import Callable, Dict, List, Sequence
 
@@ -36,10 +37,11 @@ def main() -> None:
         print(USAGE)
         sys.exit(1 if words else 0)
     rospy.init_node("controller_manager", anonymous=True)
-    if command in listings:
-        listings[command]()
-    elif command == "reload-libraries":
-        interface.reload_libraries(True, restore="--restore" in words)
-    for step in STEPS.get(command, ()):
-        for name in words[1:]:
-            step(name)
+    with contextlib.suppress(rospy.ROSInterruptException):
+        if command in listings:
+            listings[command]()
+        elif command == "reload-libraries":
+            interface.reload_libraries(True, restore="--restore" in words)
+        for step in STEPS.get(command, ()):
+            for name in words[1:]:
+                step(name)
