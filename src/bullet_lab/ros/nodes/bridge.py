@@ -16,6 +16,7 @@
     - the other services of /gazebo: see `bullet_lab.ros.gazebo`
     - controller_manager/… of robots with controllers: see `bullet_lab.ros.gazebo.ros_control`
     - /bullet_lab/save_world (bullet_lab/SaveWorld): write the running world to a file
+    - /bullet_lab/describe_models (bullet_lab/DescribeModels): what of the models acts
     - /bullet_lab/set_rtf (bullet_lab/SetRtf): change the speed of simulated time
     - /bullet_lab/step (bullet_lab/Step): advance by exactly n steps of 1 ms, paused or not
     - /bullet_lab/advance (bullet_lab/Advance): lock step, see `bullet_lab.ros.node.lock_step`
@@ -50,6 +51,7 @@ from bullet_lab.ros.bridge.running_world import (
 from bullet_lab.ros.bridge.stepper import Reached, Stepper
 from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, Sent, TimeGate
 from bullet_lab.ros.bridge.world_topics import OdometryFrames, TouchCounter
+from bullet_lab.ros.gazebo.descriptions import ModelDescriptions, Warnings
 from bullet_lab.ros.gazebo.interface import Gazebo
 from bullet_lab.ros.gazebo.ros_control import ControllerManagers
 from bullet_lab.ros.messages.poses import (
@@ -133,6 +135,7 @@ class PyBulletBridge:
     def __init__(self, parameters: BridgeParameters):
         self._parameters = parameters
         check_choice(parameters.renderer)
+        warnings = Warnings()
         self.simulation = Simulation.of(parameters.world, parameters.seed)
         self._failures: Set[Tuple[str, str]] = set()
         self.simulation.go_on_after(self._report_failure)
@@ -160,6 +163,7 @@ class PyBulletBridge:
         world = RunningWorld(self.stepper, self._topics)
         hidden = "" if robot is None else robot.name
         self._gazebo = Gazebo(world, parameters.world_frame, hidden, parameters.states_rate)
+        self._descriptions = ModelDescriptions(world, warnings)
         self._controllers = ControllerManagers(world)
         self._touches = TouchCounter(world)
         self._frames = OdometryFrames(
