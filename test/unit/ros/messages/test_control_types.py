@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("genmsg")
 
-from test_gazebo_definitions import md5
+from test_gazebo_types import md5
 
 SUMS = {
     "control_msgs": {"JointControllerState": "987ad85e4756f3aef7f1e5e7fe0595d1"},
