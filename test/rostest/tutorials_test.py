@@ -337,9 +337,11 @@ class TutorialsTest(unittest.TestCase):
     # What courses' scripts were written for, beside the lab's own Python
 
     def test_debians_python_opencv_and_tf(self):
-        with tempfile.TemporaryDirectory() as folder:
-            with VirtualScreen(Path(folder) / "log", Path(folder) / "screen.png"):
-                status, out, err = in_course("marker_window.py")
+        kept = tempfile.TemporaryDirectory()
+        self.addCleanup(kept.cleanup)
+        folder = Path(kept.name)
+        with VirtualScreen(folder / "log", folder / "screen.png"):
+            status, out, err = in_course("marker_window.py")
         self.assertEqual(0, status, f"{out}\n{err}")
         self.assertIn("opencv: 4\nmarker: [[7]] 1\nwindow: True\n", out)
         self.assertIn("laser: 0.100 0.000 0.300\nturned: 0.000\n", out)
