@@ -130,23 +130,22 @@ def on_treads(shapes: Sequence[Collision], axle: Optional[Vector]) -> List[Colli
 
 
 def wants_friction_pyramid(links: Sequence[Link], joints: Sequence[Joint]) -> bool:
-    """Return whether a body's friction has directions, each with a limit of its own.
+    """Return whether the friction of a body needs a limit for each direction.
 
-    So it is if a shape says so, and for wheels on parallel axles apart: what has them steers by
-    slipping.
+    So it does where wheels slip while they are driven: slippery ones, and those on parallel axles
+    apart, which steer by slipping; and if a shape names a direction.
     """
     if any(shape.direction for link in links for shape in link.collisions):
         return True
-    above = {joint.child: joint for joint in joints}
-    axles = []
-    for link in links:
-        axle = axle_of(above.get(link.name))
-        if axle is not None and link.collisions:
-            axles.append((link.pose.position, link.pose.rotate(axle)))
+    axles = {joint.child: axle_of(joint) for joint in joints}
+    wheels = [link for link in links if link.collisions and axles.get(link.name)]
+    if any(shape.friction < 1.0 for link in wheels for shape in link.collisions):
+        return True
+    lines = [(link.pose.position, link.pose.rotate(axles[link.name])) for link in wheels]
     return any(
         abs(_cosine(one, other)) > ALIGNED
         and math.hypot(*cross(subtract(place, origin), one)) > NEAR
-        for (origin, one), (place, other) in combinations(axles, 2)
+        for (origin, one), (place, other) in combinations(lines, 2)
     )
 
 
