@@ -11,7 +11,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.simulation.simulation import ModelInstance
-from bullet_lab.simulation.world.description import Visual
+from bullet_lab.simulation.world.description import Colour, Visual
+from bullet_lab.simulation.world.mesh_parts import has_own_looks
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
 # A plane is drawn as a slab just below the floor, or it would flicker with RViz's grid.
@@ -41,7 +42,7 @@ def world_markers(models: Iterable[ModelInstance], frame: str) -> MarkerArray:
             marker.ns = instance.name
             marker.id = number
             marker.pose = pose_message(pose)
-            marker.color = ColorRGBA(*visual.colour)
+            marker.color = ColorRGBA(*_colour(visual))
             markers.append(marker)
     return MarkerArray(markers)
 
@@ -73,5 +74,16 @@ def _marker(visual: Visual) -> Marker:
     if isinstance(shape, Mesh):
         # RViz knows package:// itself, and file:// for the rest.
         in_package = shape.uri.startswith("package://")
+        marker.mesh_use_embedded_materials = _shows_its_own(visual)
         marker.mesh_resource = shape.uri if in_package else shape.path.absolute().as_uri()
     return marker
+
+
+def _shows_its_own(visual: Visual) -> bool:
+    shape = visual.geometry
+    return isinstance(shape, Mesh) and not visual.material.covers and has_own_looks(shape)
+
+
+def _colour(visual: Visual) -> Colour:
+    # RViz leaves a mesh its own colours and pictures where the marker has none at all.
+    return (0.0, 0.0, 0.0, 0.0) if _shows_its_own(visual) else visual.colour

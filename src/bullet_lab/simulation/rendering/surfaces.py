@@ -12,7 +12,6 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import (
     WHITE,
     Box,

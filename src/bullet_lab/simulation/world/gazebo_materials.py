@@ -121,9 +121,7 @@ MATERIALS: Dict[str, GazeboMaterial] = {
     **{name: GazeboMaterial(rgb, alpha=a) for name, (rgb, a) in _TRANSPARENT.items()},
     **{name: GazeboMaterial(rgb, alpha=a, lit=False) for name, (rgb, a) in _UNLIT.items()},
     **{
-        name: GazeboMaterial(
-            diffuse, ambient, picture=picture, scale=_SCALES.get(name, (1.0, 1.0))
-        )
+        name: GazeboMaterial(diffuse, ambient, picture=picture, scale=_SCALES.get(name, (1.0, 1.0)))
         for name, (diffuse, ambient, picture) in _PICTURED.items()
     },
 }

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 
+
 def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
     """Yield the plugins that stand in an element or in the sensors below it."""
     for holder in (parent, *parent.findall("sensor")):
@@ -146,7 +147,7 @@ SDF_READ = {
     "world": {"model", "light", "include", "gravity", "scene", "state", "physics"},
     "model": {"link", "joint", "plugin", "pose", "static", "frame", "include", "model"},
     "link": {"pose", "inertial", "visual", "collision", "sensor", "plugin", "self_collide"},
-    "visual": {"geometry", "pose", "material", "cast_shadows"},
+    "visual": {"geometry", "pose", "material", "cast_shadows", "transparency"},
     "collision": {"geometry", "pose", "surface"},
     "joint": {"parent", "child", "pose", "axis", "axis2"},
     "surface": {"friction", "contact"},

@@ -76,11 +76,13 @@ class MaterialLibrary:
             return default, Material()
         tag = ElementReader(element, source)
         name = tag.text("script/name", tag.text("script", element.get("script", "")))
-        found = None
+        found, colour, look = None, default, Material()
         if name not in UNSAID:
             uris = [(uri.text or "").strip() for uri in element.findall("script/uri")]
             found = self.named(name, source, finder, uris)
-        colour, look = found or (default, Material())
+            # What is not known is not forgotten.
+            scripts = tuple(self._scripts(uris, source, finder))
+            colour, look = found or (default, Material(name=name, scripts=scripts))
         diffuse, ambient = self._colour(tag, "diffuse"), self._colour(tag, "ambient")
         emissive = self._colour(tag, "emissive")
         fields = {**vars(look), "covers": bool(found or diffuse or ambient)}
@@ -143,9 +145,7 @@ class MaterialLibrary:
                     self._unknown.add(uri)
                     self._report(f"{source}: <script>: {error}")
 
-    def _block(
-        self, kind: str, name: str, places: Iterable[Path]
-    ) -> Tuple[Optional[Block], Path]:
+    def _block(self, kind: str, name: str, places: Iterable[Path]) -> Tuple[Optional[Block], Path]:
         """Return a block of one of the scripts in places, and the folder of that script."""
         for place in places:
             for path in self._script_files(place):
@@ -312,7 +312,7 @@ class MaterialLibrary:
                         found.setdefault(name, path)
                 count += len(names)
                 if count > MOST_FILES:
-                    self._report(f"{folder}: more than {MOST_FILES} files, not all of them are seen")
+                    self._report(f"{folder}: not all of its files are looked at: over {MOST_FILES}")
                     break
             self._files[folder] = found
         return self._files[folder]
