@@ -11,7 +11,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.simulation.simulation import ModelInstance
-from bullet_lab.simulation.world.description import Colour, Visual
+from bullet_lab.simulation.world.description import Visual
 from bullet_lab.simulation.world.mesh_parts import has_own_looks
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
@@ -42,7 +42,6 @@ def world_markers(models: Iterable[ModelInstance], frame: str) -> MarkerArray:
             marker.ns = instance.name
             marker.id = number
             marker.pose = pose_message(pose)
-            marker.color = ColorRGBA(*_colour(visual))
             markers.append(marker)
     return MarkerArray(markers)
 
@@ -71,19 +70,12 @@ def _marker(visual: Visual) -> Marker:
     shape = visual.geometry
     kind, size = MARKERS[type(shape)](shape)
     marker = Marker(action=Marker.ADD, frame_locked=True, type=kind, scale=Vector3(*size))
+    marker.color = ColorRGBA(*visual.colour)
     if isinstance(shape, Mesh):
         # RViz knows package:// itself, and file:// for the rest.
         in_package = shape.uri.startswith("package://")
-        marker.mesh_use_embedded_materials = _shows_its_own(visual)
         marker.mesh_resource = shape.uri if in_package else shape.path.absolute().as_uri()
+        if not visual.material.covers and has_own_looks(shape):
+            # Where there is no colour at all, a mesh keeps its own.
+            marker.mesh_use_embedded_materials, marker.color = True, ColorRGBA()
     return marker
-
-
-def _shows_its_own(visual: Visual) -> bool:
-    shape = visual.geometry
-    return isinstance(shape, Mesh) and not visual.material.covers and has_own_looks(shape)
-
-
-def _colour(visual: Visual) -> Colour:
-    # RViz leaves a mesh its own colours and pictures where the marker has none at all.
-    return (0.0, 0.0, 0.0, 0.0) if _shows_its_own(visual) else visual.colour

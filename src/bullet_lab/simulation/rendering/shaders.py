@@ -6,9 +6,9 @@ Light is Lambert's, worked out for each pixel in the world's frame:
                                     · max(0, normal · towards light) · fading · cone
                                     · what reaches the place by the shadow maps) + glow)
 
-with the glow of what a surface gives off, and of what its colour in ambient light is more than
-that in the light of lamps, and with fading 1 / (constant + linear d + quadratic d²), 1 at most and 0 beyond the light's range.
-There are no highlights.
+where the glow is what a surface gives off by itself, and what is more than its colour in ambient
+light; with fading 1 / (constant + linear d + quadratic d²), 1 at most and 0 beyond the light's
+range. There are no highlights.
 """
 
 from __future__ import annotations

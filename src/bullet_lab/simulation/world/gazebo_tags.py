@@ -6,19 +6,15 @@ each by name.
 
 from __future__ import annotations
 
-import logging
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Dict, Iterable, Iterator, Set
+from typing import Any, Dict, Iterable, Iterator
 from xml.etree.ElementTree import Element
 
 from bullet_lab.simulation.world.description import WHITE, Link, PluginTag
+from bullet_lab.simulation.world.materials import MaterialLibrary
+from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.xml import TagReader, child_text
-
-if TYPE_CHECKING:
-    from bullet_lab.simulation.world.materials import MaterialLibrary
-
-LOG = logging.getLogger(__name__)
 
 
 def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
@@ -29,19 +25,6 @@ def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
             tags = {child.tag: (child.text or "").strip() for child in element}
             filename, name = element.get("filename", ""), element.get("name", "")
             yield PluginTag(filename, name, tags, link, sensor, element)
-
-
-class ReportOnce:
-    """Warnings that are given once each."""
-
-    def __init__(self) -> None:
-        self._given: Set[str] = set()
-
-    def __call__(self, message: str) -> None:
-        """Warn, unless this was said before."""
-        if message not in self._given:
-            self._given.add(message)
-            LOG.warning("%s", message)
 
 
 # Of a `<gazebo reference=…>`: Coulomb's coefficient, and N/m and N s/m of the link's contacts.

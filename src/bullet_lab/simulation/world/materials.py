@@ -23,7 +23,6 @@ from bullet_lab.simulation.world.gazebo_materials import (
     GazeboMaterial,
     gazebo_material,
 )
-from bullet_lab.simulation.world.gazebo_tags import ReportOnce
 from bullet_lab.simulation.world.ogre_script import (
     Block,
     ScriptError,
@@ -31,6 +30,7 @@ from bullet_lab.simulation.world.ogre_script import (
     parse_script,
     substituted,
 )
+from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.resources import (
     ResourceError,
     ResourceFinder,

@@ -28,12 +28,12 @@ from bullet_lab.simulation.world.description import (
     World,
 )
 from bullet_lab.simulation.world.gazebo_tags import (
-    ReportOnce,
     plugins_in,
     report_unknown,
 )
 from bullet_lab.simulation.world.inertia import INERTIA_KEYS, inertia_at
 from bullet_lab.simulation.world.materials import MaterialLibrary
+from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import SHAPES, Shape, ShapeTag
 from bullet_lab.simulation.world.tree import check_forest, lump_fixed_joints, refuse_repeats
