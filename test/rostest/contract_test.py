@@ -1,0 +1,104 @@
+#!/usr/bin/env python3
+"""The contract holds for the bridge, and each kind of its rows fails where it is broken."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import unittest
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import rospy
+import rostest
+from lab_testing import PACKAGE, Master, Node, wait_for
+
+from bullet_lab.ros.contract.results import FAILED, PASSED
+from bullet_lab.ros.contract.rows import read_contract
+from bullet_lab.ros.contract.run import ContractRun
+from bullet_lab.ros.contract.simulator import Simulator
+
+HERE = PACKAGE / "test" / "rostest"
+# All of the contract, with a simulator that is up; wall seconds.
+LONGEST = 60.0
+
+
+class StandIn:
+    """The stand-in as a process."""
+
+    def __init__(self):
+        self.process = subprocess.Popen([sys.executable, str(HERE / "contract_standin.py")])
+
+    def end(self):
+        self.process.terminate()
+        self.process.wait(10)
+
+
+def is_offered(service):
+    try:
+        rospy.wait_for_service(service, 0.05)
+        return True
+    except rospy.ROSException:
+        return False
+
+
+class BrokenContractTest(unittest.TestCase):
+    def setUp(self):
+        standin = StandIn()
+        self.addCleanup(standin.end)
+        wait_for(lambda: is_offered("/gazebo/delete_model"), "the stand-in")
+        self.contract = read_contract(HERE / "contract")
+
+    def failed(self, broken):
+        """The rows that fail with something broken."""
+        rospy.set_param("/broken", broken)
+        rows = [row for row in self.contract.rows if broken in ("", row.name.partition("/")[2])]
+        verdicts = ContractRun(self.contract, Simulator(), rows, {}).verdicts()
+        self.assertEqual(len(verdicts), len(rows))
+        self.assertLessEqual({entry.status for entry in verdicts}, {PASSED, FAILED})
+        return [entry.row.name for entry in verdicts if entry.status == FAILED]
+
+    def test_each_row_fails_where_it_is_broken_and_holds_where_nothing_is(self):
+        self.assertEqual(self.failed(""), [])
+        for row in self.contract.rows:
+            if row.name != "asked/clock":
+                with self.subTest(row.name):
+                    self.assertEqual(self.failed(row.name.partition("/")[2]), [row.name])
+
+
+class BridgeContractTest(unittest.TestCase):
+    def test_the_bridge_keeps_the_contract(self):
+        master = Master()
+        self.addCleanup(master.end)
+        master.set_parameter("/use_sim_time", True)
+        bridge = Node("pybullet_bridge.py", master=master.uri)
+        self.addCleanup(bridge.end)
+        wait_for(lambda: master.offers("/bullet_lab/advance"), lambda: bridge.err)
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        junit = Path(folder.name) / "contract.xml"
+        start = time.monotonic()
+        run = subprocess.run(
+            [sys.executable, str(PACKAGE / "scripts/gazebo_contract.py"), "--junit", str(junit)],
+            env=dict(os.environ, ROS_MASTER_URI=master.uri),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=180,
+        )
+        failed = [line for line in run.stdout.splitlines() if line.startswith(FAILED)]
+        self.assertEqual(failed, [])
+        self.assertEqual(run.returncode, 0, run.stdout[-2000:])
+        self.assertLess(time.monotonic() - start, LONGEST)
+        suite = ElementTree.parse(junit).getroot()
+        self.assertEqual(suite.get("failures"), "0")
+        self.assertGreater(int(suite.get("tests")), 300)
+
+
+def setUpModule():
+    rospy.init_node("contract_test")
+
+
+if __name__ == "__main__":
+    rostest.rosrun("bullet_lab", "contract_test", "__main__")
