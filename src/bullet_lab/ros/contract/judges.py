@@ -169,6 +169,8 @@ def _is(want: Any, found: Any, scene: Scene) -> bool:
     if isinstance(want, (list, tuple)):
         same_length = isinstance(found, list) and len(want) == len(found)
         return same_length and all(_is(one, other, scene) for one, other in zip(want, found))
+    if isinstance(want, bool) or isinstance(found, bool):
+        return want is found
     if isinstance(want, float) or isinstance(found, float):
         return _is_near(want, found, max(1e-9, ROUNDING * abs(want)))
     return want == found

@@ -14,7 +14,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, List, Sequence
+from typing import List, Sequence
 
 import rospy
 
@@ -22,7 +22,7 @@ from bullet_lab.core import parameters
 from bullet_lab.core.parameters import ArgumentParser, ArgumentsError, add_options, read_options
 from bullet_lab.errors import LabError
 from bullet_lab.ros.contract.results import FAILED, deviations_table, listing, table, write_junit
-from bullet_lab.ros.contract.rows import Contract, Deviation, Row, read_contract
+from bullet_lab.ros.contract.rows import Contract, Row, read_contract
 from bullet_lab.ros.contract.run import ContractRun
 from bullet_lab.ros.contract.simulator import Simulator
 from bullet_lab.ros.node.node import STATUS_BAD_PARAMETER, NodeError, run_node
@@ -61,13 +61,12 @@ def main() -> None:
     except LabError as error:
         print(f"{NAME}: {error}", file=sys.stderr)
         sys.exit(STATUS_BAD_PARAMETER)
-    known = {deviation.row: deviation for deviation in contract.deviations}
     if options.markdown:
         print(deviations_table(contract))
     elif options.list:
-        print(listing(rows, known))
+        print(listing(rows, contract.known))
     else:
-        run_node(NAME, lambda: check(contract, rows, known, options))
+        run_node(NAME, lambda: check(contract, rows, options))
 
 
 def read_command(words: Sequence[str]) -> ContractParameters:
@@ -77,17 +76,13 @@ def read_command(words: Sequence[str]) -> ContractParameters:
     return read_options(ContractParameters, vars(parser.parse_args(list(words))))
 
 
-def check(
-    contract: Contract,
-    rows: List[Row],
-    known: Dict[str, Deviation],
-    options: ContractParameters,
-) -> None:
+def check(contract: Contract, rows: List[Row], options: ContractParameters) -> None:
     """Check rows, print the table and write the file; raises NodeError where one fails."""
     start = time.monotonic()
     simulator = Simulator()
     with_known = options.deviations == AUTO and BRIDGE in simulator.offered()
-    verdicts = ContractRun(contract, simulator, rows, known if with_known else {}).verdicts()
+    known = contract.known if with_known else {}
+    verdicts = ContractRun(contract, simulator, rows, known).verdicts()
     print(table(verdicts))
     if options.junit:
         write_junit(Path(options.junit), verdicts, time.monotonic() - start)

@@ -104,9 +104,9 @@ def write_junit(path: Path, verdicts: Sequence[Verdict], seconds: float) -> None
 def deviations_table(contract: Contract) -> str:
     """Return the deviations as a table in Markdown."""
     sources = {row.name: row.source for row in contract.rows}
-    lines = ["| row | Gazebo | here |", "|---|---|---|"]
-    lines += [
-        f"| `{entry.row}` | {short(sources[entry.row])} | {entry.reason} |"
-        for entry in contract.deviations
-    ]
+    lines = ["| rows | where Gazebo says so | here, and why |", "|---|---|---|"]
+    for entry in contract.deviations:
+        names = ", ".join(f"`{name}`" for name in entry.rows)
+        where = ", ".join(dict.fromkeys(short(sources[name]) for name in entry.rows))
+        lines.append(f"| {names} | {where} | {entry.reason} |")
     return "\n".join(lines)

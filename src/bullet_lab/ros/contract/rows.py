@@ -99,9 +99,12 @@ class Chapter:
 
 @dataclass(frozen=True)
 class Deviation:
-    """A row that this simulator does not keep, and what it does instead, where that is said."""
+    """Rows that this package's bridge does not keep, why, and what it does `instead`.
 
-    row: str
+    The latter is said by the words of a row, and may be missing.
+    """
+
+    rows: Tuple[str, ...]
     reason: str
     instead: Mapping[str, Any] = field(default_factory=dict)
 
@@ -120,6 +123,11 @@ class Contract:
         """All that is checked."""
         return [row for chapter in self.chapters for row in chapter.rows if row.word]
 
+    @property
+    def known(self) -> Dict[str, Deviation]:
+        """The deviations by the names of their rows."""
+        return {name: entry for entry in self.deviations for name in entry.rows}
+
 
 def read_contract(folder: Path) -> Contract:
     """Read all files of a contract; raises ContractError."""
@@ -128,12 +136,13 @@ def read_contract(folder: Path) -> Contract:
     if not chapters:
         raise ContractError(f"there is no contract in {folder}")
     deviations = tuple(
-        _made(Deviation, entry, folder / DEVIATIONS) for entry in _load(folder / DEVIATIONS) or ()
+        _made(Deviation, {**entry, "rows": tuple(entry.get("rows", ()))}, folder / DEVIATIONS)
+        for entry in _load(folder / DEVIATIONS) or ()
     )
     contract = Contract(chapters, _load(folder / TYPES) or {}, deviations, folder)
     names = [row.name for row in contract.rows]
     doubled = sorted({name for name in names if names.count(name) > 1})
-    unknown = sorted({deviation.row for deviation in deviations} - set(names))
+    unknown = sorted(set(contract.known) - set(names))
     if doubled or unknown:
         raise ContractError(f"{folder}: rows twice: {doubled}, deviations of no row: {unknown}")
     return contract
