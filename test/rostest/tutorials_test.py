@@ -13,6 +13,7 @@ import time
 import unittest
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import rospkg
 import rospy
@@ -20,6 +21,8 @@ import rostest
 from gazebo_msgs.srv import GetJointProperties, GetModelState, GetWorldProperties
 from lab_testing import PACKAGE, wait_for
 from std_srvs.srv import Empty
+
+from bullet_lab.ros.launcher.output import VirtualScreen
 
 TUTORIALS = PACKAGE / "test" / "tutorials"
 # Not by rosrun, which looks about for a second.
@@ -63,6 +66,21 @@ def command(*words, stdin=None):
 def run_script(name):
     """Run a script; return as `command`."""
     return command(sys.executable, str(TUTORIALS / "scripts" / name))
+
+
+def in_course(line, folder=f"{TUTORIALS}/scripts/"):
+    """Run something in a shell of somebody who has sourced course.sh; return as `command`.
+
+    Another Python stands first in PATH, as that of a virtual environment does.
+    """
+    found = environment()
+    kept = ("HOME", "DISPLAY", "LIBGL_ALWAYS_SOFTWARE", "ROS_MASTER_URI", "ROS_IP")
+    given = [f"{name}={found[name]}" for name in kept if name in found]
+    path = f"PATH={Path(sys.executable).parent}:/usr/bin:/bin"
+    source = f"source {PACKAGE}/scripts/course.sh"
+    known = f"export ROS_PACKAGE_PATH=$ROS_PACKAGE_PATH:{TUTORIALS}"
+    words = ("env", "-i", path, *given, "bash", "-c", f"{source} && {known} && {folder}{line}")
+    return command(*words)
 
 
 def spawn_model(line, stdin=None):
@@ -296,9 +314,7 @@ class TutorialsTest(unittest.TestCase):
 
     def test_materials_textures_and_lights(self):
         found = self.run_script("materials_and_lights.py")
-        colours = {
-            what: [int(part) for part in values.split()] for what, values in found.items()
-        }
+        colours = {what: [int(part) for part in values.split()] for what, values in found.items()}
         red, green, blue = colours["Green"]
         self.assertGreater(green, 3 * max(red, blue, 20))
         red, green, blue = colours["Purple"]
@@ -317,6 +333,24 @@ class TutorialsTest(unittest.TestCase):
         expect("back", "True")
         expect("time goes on", "True")
         expect("time from zero", "0.000")
+
+    # What courses' scripts were written for, beside the lab's own Python
+
+    def test_debians_python_opencv_and_tf(self):
+        kept = tempfile.TemporaryDirectory()
+        self.addCleanup(kept.cleanup)
+        folder = Path(kept.name)
+        with VirtualScreen(folder / "log", folder / "screen.png"):
+            status, out, err = in_course("marker_window.py")
+        self.assertEqual(0, status, f"{out}\n{err}")
+        self.assertIn("opencv: 4\nmarker: [[7]] 1\nwindow: True\n", out)
+        self.assertIn("laser: 0.100 0.000 0.300\nturned: 0.000\n", out)
+
+    def test_the_command_xacro(self):
+        for words in ("xacro", "rosrun xacro xacro"):
+            status, out, err = in_course(f"{words} {TUTORIALS}/urdf/rover.urdf.xacro", "")
+            self.assertEqual(0, status, err)
+            self.assertIn('<robot name="rover">', out)
 
     # spawn_model
 
