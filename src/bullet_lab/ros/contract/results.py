@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import List, Mapping, Sequence
+from typing import Dict, Iterable, List, Mapping, Sequence
 from xml.etree import ElementTree
 
 from bullet_lab.core.files import replace_file
@@ -107,6 +107,14 @@ def deviations_table(contract: Contract) -> str:
     lines = ["| rows | where Gazebo says so | here, and why |", "|---|---|---|"]
     for entry in contract.deviations:
         names = ", ".join(f"`{name}`" for name in entry.rows)
-        where = ", ".join(dict.fromkeys(short(sources[name]) for name in entry.rows))
-        lines.append(f"| {names} | {where} | {entry.reason} |")
+        lines.append(f"| {names} | {_joined(map(sources.get, entry.rows))} | {entry.reason} |")
     return "\n".join(lines)
+
+
+def _joined(sources: Iterable[str]) -> str:
+    """Return sources with each file named once."""
+    files: Dict[str, List[str]] = {}
+    for source in sources:
+        file, _, lines = short(source).partition(":")
+        files.setdefault(file, []).append(lines)
+    return ", ".join(f"{file}:{','.join(dict.fromkeys(ls))}" for file, ls in files.items())
