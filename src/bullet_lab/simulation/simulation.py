@@ -33,7 +33,6 @@ from bullet_lab.simulation.physics.physics import Body, Physics
 from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin, namespace_of
 from bullet_lab.simulation.plugins.plugin import NAMESPACE
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
-from bullet_lab.simulation.rendering.surfaces import check_textures
 from bullet_lab.simulation.world.description import Light, Model, PluginTag, Snapshot, World
 from bullet_lab.simulation.world.inertia import check_proportions
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -172,7 +171,6 @@ class Simulation:
         for visual in (visual for link in model.links for visual in link.visuals):
             # Refuses a mesh that could not be drawn.
             visual.geometry.bounds()
-        check_textures(model)
         bodies = self._physics.add(model)
         try:
             plugins = self._make_plugins(model, bodies, tf_prefix)
