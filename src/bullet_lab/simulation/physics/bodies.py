@@ -7,11 +7,11 @@ shapes back only with the whole world, so equal ones are made once.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from bullet_lab.core.native_output import hidden_native_output
-from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.pose import Pose, Vector, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
 from bullet_lab.simulation.world.description import Collision, Joint, Link
@@ -63,7 +63,8 @@ class Part:
     """What is one link to PyBullet: a link of the description, or a helper fixed to one.
 
     It hangs on `joint`, None for the root; `parent` is its parent's place in the list of parts,
-    and `shape` PyBullet's id of the `shapes` that it carries.
+    and `shape` PyBullet's id of the `shapes` that it carries. PyBullet has its joint in its origin:
+    `origin` is the place (m) of that in the frame of the link.
     """
 
     link: Link
@@ -71,6 +72,7 @@ class Part:
     parent: int
     shapes: Tuple[Collision, ...] = ()
     shape: int = NONE
+    origin: Vector = (0.0, 0.0, 0.0)
 
     def mass_properties(self) -> Tuple[float, Vector, Pose]:
         """Return mass in kg, principal moments in kg m², and the pose of the principal frame."""
@@ -117,9 +119,11 @@ class BodyMaker:
         parts, helpers = [], []
         for place, link in enumerate(links):
             joint = above.get(link.name)
-            first, *more = self._shapes(link, static) or [((), NONE)]
-            parts.append(Part(link, joint, places[joint.parent] if joint else ROOT, *first))
-            helpers += [Part(link, HELPER_JOINT, place, *group) for group in more]
+            origin = joint.anchor if joint else (0.0, 0.0, 0.0)
+            first, *more = self._shapes(link, static, origin) or [((), NONE)]
+            parent = places[joint.parent] if joint else ROOT
+            parts.append(Part(link, joint, parent, *first, origin))
+            helpers += [Part(link, HELPER_JOINT, place, *group, origin) for group in more]
         return parts + helpers
 
     def _make(self, parts: Sequence[Part], static: bool, pose: Pose) -> int:
@@ -133,9 +137,12 @@ class BodyMaker:
             linkMasses=[mass for mass, _, _ in masses],
             linkCollisionShapeIndices=[part.shape for part in parts[1:]],
             linkVisualShapeIndices=[NONE for _ in masses],
-            linkPositions=[joint.pose.position for joint in joints],
+            linkPositions=[_joint_place(part, parts) for part in parts[1:]],
             linkOrientations=[joint.pose.quaternion for joint in joints],
-            linkInertialFramePositions=[centre.position for _, _, centre in masses],
+            linkInertialFramePositions=[
+                subtract(centre.position, part.origin)
+                for part, (_, _, centre) in zip(parts[1:], masses)
+            ],
             linkInertialFrameOrientations=[centre.quaternion for _, _, centre in masses],
             linkParentIndices=[part.parent for part in parts[1:]],
             linkJointTypes=[JOINT_TYPES[joint.kind] for joint in joints],
@@ -157,13 +164,22 @@ class BodyMaker:
     def _change(self, body: int, index: int, **properties: Any) -> None:
         pybullet.changeDynamics(body, index, physicsClientId=self._client, **properties)
 
-    def _shapes(self, link: Link, static: bool) -> List[Tuple[Tuple[Collision, ...], int]]:
-        """Return the shapes of a link as PyBullet takes them in one call, with its ids of them."""
+    def _shapes(
+        self, link: Link, static: bool, origin: Vector
+    ) -> List[Tuple[Tuple[Collision, ...], int]]:
+        """Return the shapes of a link as PyBullet takes them in one call, with its ids of them.
+
+        PyBullet's origin of the link is at a place (m) in its frame.
+        """
         meshes = [(shape,) for shape in link.collisions if isinstance(shape.geometry, Mesh)]
         simple = [shape for shape in link.collisions if not isinstance(shape.geometry, Mesh)]
         starts = range(0, len(simple), MOST_SHAPES)
         groups = [tuple(simple[start : start + MOST_SHAPES]) for start in starts]
-        return [(group, made) for group in groups + meshes for made in self._once(group, static)]
+        found = []
+        for group in groups + meshes:
+            placed = [replace(shape, pose=_moved(shape.pose, origin)) for shape in group]
+            found += [(group, made) for made in self._once(placed, static)]
+        return found
 
     def _once(self, group: Sequence[Collision], static: bool) -> List[int]:
         """Return PyBullet's ids of a group of shapes, or of the pieces of a mesh."""
@@ -202,6 +218,19 @@ class BodyMaker:
         self._change(body, ROOT, collisionMargin=0.0 if hollow else SKIN)
         pybullet.removeBody(body, self._client)
         return shape
+
+
+def _moved(pose: Pose, origin: Vector) -> Pose:
+    """Return a pose in a link's frame as PyBullet has it, whose origin is elsewhere."""
+    return pose if not any(origin) else Pose(subtract(pose.position, origin), pose.quaternion)
+
+
+def _joint_place(part: Part, parts: Sequence[Part]) -> Vector:
+    """Return the place (m) of a part's joint from PyBullet's origin of its parent."""
+    if part.joint is HELPER_JOINT:
+        return (0.0, 0.0, 0.0)
+    at = part.joint.pose * Pose(part.origin) if any(part.origin) else part.joint.pose
+    return subtract(at.position, parts[part.parent].origin)
 
 
 # Where a joint that is limited on one side ends on the other, as in SDF.

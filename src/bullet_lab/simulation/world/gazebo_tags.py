@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Dict, Iterable, Iterator, Optional, Set
 from xml.etree.ElementTree import Element
 
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import Colour, Link, PluginTag
 from bullet_lab.simulation.world.xml import TagReader, child_text
 
@@ -95,9 +97,10 @@ QUIET_TAGS = frozenset(("plugin", "sensor", "visualize", "visual"))
 class _LinkTag(TagReader):
     """Reads both spellings of a tag's `value`, as Gazebo does: <mu1>1</mu1>, <mu1 value="1"/>."""
 
-    def __init__(self, element: Element, where: str):
+    def __init__(self, element: Element, where: str, report: ReportOnce):
         self._element = element
         self._where = where
+        self._report = report
 
     def text(self, key: str, default: str = "") -> str:
         return (self._element.get(key) or self._element.text or "").strip()
@@ -105,14 +108,15 @@ class _LinkTag(TagReader):
     def where(self, key: str) -> str:
         return self._where
 
+    def doubt(self, error: LabError) -> None:
+        self._report(f"{error}; the default counts")
+
 
 class GazeboTags:
     """The `<gazebo>` elements of a URDF document: what Gazebo is told of its links.
 
-    References to nothing but the names of links and joints in `references` are reported, too.
-
-    Raises:
-        XmlError: a tag that is simulated makes no sense.
+    References to nothing but the names of links and joints in `references` are reported, too, and
+    tags that make no sense. `static` is what is said of the whole robot.
     """
 
     def __init__(self, elements: Iterable[Element], references: Iterable[str], source: str):
@@ -120,11 +124,14 @@ class GazeboTags:
         self._report = ReportOnce()
         # By link: fields of its collisions, and its `colour` and `self_collide`.
         self._told: Dict[str, Dict[str, Any]] = {}
+        self.static = False
         known = set(references)
         for element in elements:
             name = element.get("reference")
             if name is None:
-                self._report_unknown(element, frozenset())
+                for child in element.findall("static"):
+                    self.static = self._tag(child, "robot").boolean("value", False)
+                self._report_unknown(element, frozenset(("static",)))
                 continue
             if name not in known:
                 self._report(f"<gazebo reference='{name}'>: there is no such link or joint")
@@ -141,9 +148,12 @@ class GazeboTags:
             link = replace(link, visuals=tuple(replace(v, colour=colour) for v in link.visuals))
         return replace(link, collisions=tuple(replace(c, **told) for c in link.collisions))
 
+    def _tag(self, child: Element, part: str) -> _LinkTag:
+        return _LinkTag(child, f"{self._source}: <{child.tag}> of '{part}'", self._report)
+
     def _read(self, child: Element, told: Dict[str, Any], link: str) -> None:
-        where = f"{self._source}: <{child.tag}> of '{link}'"
-        tag = _LinkTag(child, where)
+        tag = self._tag(child, link)
+        where = tag.where("value")
         if child.tag in COEFFICIENTS:
             told[COEFFICIENTS[child.tag]] = tag.coefficient("value", 0.0)
         elif child.tag == "mu2":
@@ -179,7 +189,7 @@ SDF_READ = {
     "collision": {"geometry", "pose", "surface"},
     "joint": {"parent", "child", "pose", "axis", "axis2"},
     "surface": {"friction", "contact"},
-    "physics": set(),
+    "physics": {"gravity"},
 }
 # What Gazebo writes into every world that it saves, or what changes nothing that can be seen here.
 SDF_QUIET = {
@@ -209,6 +219,10 @@ SDF_AS_IT_IS = {
 }
 
 
+# Plugins of worlds and of the server that give Gazebo its ROS interface, which the bridge has.
+SERVER_PLUGINS = ("libgazebo_ros_api_plugin", "libgazebo_ros_paths_plugin", "libgazebo_ros")
+
+
 def report_unknown(element: Element, source: str, report: ReportOnce) -> None:
     """Warn of each kind of tag in an <sdf> that is not simulated; `source` names the document."""
     read, quiet = SDF_READ[element.tag], SDF_QUIET.get(element.tag, ())
@@ -223,6 +237,8 @@ def report_unknown(element: Element, source: str, report: ReportOnce) -> None:
 
 
 def _asks_for_something(element: Element) -> bool:
+    if element.tag == "plugin" and Path(element.get("filename", "")).stem in SERVER_PLUGINS:
+        return False
     if element.tag == "bounce":
         return child_text(element, "restitution_coefficient", "0") not in ("0", "0.0")
     return (element.text or "").strip() not in SDF_AS_IT_IS.get(element.tag, ())
