@@ -83,7 +83,7 @@ run_rostest() {
 run_part() {
   case $1 in
     lint) run_lint ;;
-    unit) run_pytest "$LAB_ROOT/test/unit" -q -n auto ;;
+    unit) run_pytest "$LAB_ROOT/test/unit" -q -n auto --dist loadfile ;;
     *) run_rostest "$1" ;;
   esac
 }

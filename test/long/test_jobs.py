@@ -15,6 +15,11 @@ from bullet_lab.ros.launcher.jobs import find_jobs
 
 PACKAGE = Path(__file__).resolve().parents[2]
 JOBS = sorted(find_jobs(PACKAGE / "launch"))
+# Other ways that jobs go than by default, on top of those that rostests take.
+WAYS = [
+    ("dock", "world:=docking_nested", "x:=1.0", "y:=-0.3", "yaw:=20"),
+    ("dock", "world:=docking_decoy", "x:=1.5", "y:=0.4", "yaw:=10"),
+]
 # The longest one, a detection range, takes three minutes on two cores.
 SECONDS = 1800
 INTERRUPTED = 130
@@ -22,10 +27,10 @@ INTERRUPTED = 130
 LATEST_SIGNAL = 8.0
 
 
-def start(job, folder):
+def start(job, folder, *words):
     """Start a job in a process group of its own, as a terminal does."""
     return subprocess.Popen(
-        [str(PACKAGE / "scripts" / "run.sh"), job, f"out:={folder}"],
+        [str(PACKAGE / "scripts" / "run.sh"), job, f"out:={folder}", *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -39,9 +44,10 @@ def processes_of(session):
     return [line for line in done.stdout.splitlines() if line]
 
 
-@pytest.mark.parametrize("job", JOBS)
-def test_a_job_runs_and_leaves_its_results(job, tmp_path):
-    process = start(job, tmp_path)
+@pytest.mark.parametrize("way", [(job,) for job in JOBS] + WAYS, ids="-".join)
+def test_a_job_runs_and_leaves_its_results(way, tmp_path):
+    job, *words = way
+    process = start(job, tmp_path, *words)
     printed, _ = process.communicate(timeout=SECONDS)
     assert process.returncode == 0, printed
     assert isinstance(json.loads((tmp_path / "summary.json").read_text()), dict)

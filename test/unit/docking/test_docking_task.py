@@ -45,7 +45,6 @@ def check_docked(run):
         replace(PLAIN, start=(3.2, -0.1, 0.3)),  # too near to correct its offset from there
         replace(PLAIN, start=(3.1, 1.05, 1.0), seed=3),  # beside the left wall
         replace(PLAIN, start=(0.5, -4.5, -2.0), dock_error=(0.3, 0.3, -0.17)),
-        replace(PLAIN, start=(2.5, -2.2, 2.0), dock_error=(-0.3, -0.3, 0.17)),
         replace(PLAIN, dock=(-2.0, 5.0, 2.2), start=(-0.48, 2.4, 2.6)),  # any frame
         replace(PLAIN, model="report", std=0.1, seed=4),
         replace(PLAIN, model="rate_invariant", std=0.03, seed=5),
@@ -56,7 +55,7 @@ def test_docks(stand):
     check_docked(standin.run(stand))
 
 
-@pytest.mark.parametrize("start", [(1.5, 1.6, 0.0), (0.5, 2.5, -0.5), (3.1, 1.0, -1.0)])
+@pytest.mark.parametrize("start", [(1.5, 1.6, 0.0), (3.1, 1.0, -1.0)])
 def test_is_not_fooled_by_a_larger_copy_beside_the_dock(start):
     prints = (standin.Print(), DECOY)
     check_docked(standin.run(replace(PLAIN, start=start, prints=prints, obstacles=(DECOY_PANEL,))))

@@ -182,7 +182,7 @@ def case_of(name, model, std, paths=PATHS):
 @pytest.mark.parametrize("name", PATHS_BY_NAME)
 @pytest.mark.parametrize("model", MODELS)
 def test_ellipses_cover_95_percent_where_the_error_is_gaussian_enough(name, model):
-    cases = [case_of(name, model, std) for std in LEVELS[1:]]
+    cases = [case_of(name, model, std) for std in LEVELS[1:5]]
     good = [case for case in cases if case.theory.gaussian_enough()]
     assert len(good) >= 2
     for case in good:

@@ -17,6 +17,7 @@ from bullet_lab.core.parameters import ParameterError
 from bullet_lab.entry import STATUS_INTERRUPTED
 from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher.jobs import (
+    FILE,
     Job,
     UsageError,
     choose_job,
@@ -26,6 +27,7 @@ from bullet_lab.ros.launcher.jobs import (
     read_assignments,
 )
 from bullet_lab.ros.launcher.output import OutputFolder, VirtualScreen, shown, words_to
+from bullet_lab.simulation.world.resources import ros_package_folder
 
 _HELP = ("-h", "--help")
 STATUS_FAILED = 1
@@ -83,7 +85,18 @@ def _dispatch(words: list[str]) -> int:
     values = read_assignments(job, words[1:])
     out = Path.cwd() / values.get("out", f"results/{job.name}")
     values["out"] = os.path.normpath(out)
+    for name, value in values.items():
+        if job.arguments[name].bracket == FILE and value:
+            make_package_known(Path(value))
     return _run(job, values, package, StopSignals())
+
+
+def make_package_known(file: Path) -> None:
+    """Have ROS find the package that a file lies in, and those beside it, if it does not yet."""
+    package = next((one for one in file.parents if (one / "package.xml").is_file()), None)
+    if package is not None and ros_package_folder(package.name) is None:
+        known = os.environ.get("ROS_PACKAGE_PATH", "")
+        os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join(filter(None, (known, str(package.parent))))
 
 
 def _run(job: Job, values: dict[str, str], package: Path, signals: StopSignals) -> int:

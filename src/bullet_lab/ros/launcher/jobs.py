@@ -6,6 +6,7 @@ any other argument, the bracket that ends its ``doc`` says what is allowed::
 
     [text]               anything; the same as no bracket
     [folder]             a path, relative to the caller's folder
+    [file]               likewise, of what exists; or package://; or empty
     [true|false]         one of the words; two or more, or true or false alone
     [integer >= 0]       a whole number, with or without bounds: >= <=
     [number > 0 <= 1]    a finite number, with or without bounds: > >= <=
@@ -28,8 +29,10 @@ from defusedxml import DefusedXmlException
 from bullet_lab.core import parameters
 from bullet_lab.core.parameters import Declaration, declarations, declared
 from bullet_lab.errors import LabError
+from bullet_lab.simulation.world.resources import ResourceFinder
 
 _PACKAGE = "bullet_lab"
+FILE = "file"
 _DOC = re.compile(r"(.*?)(\s*\[([^\[\]]+)\])?")
 _NUMERIC = re.compile(r"(number|integer)((?: (?:>=|<=) [-+.\d]+| > [-+.\d]+)*)")
 _BOUND = re.compile(r"(>=|<=|>) ([-+.\d]+)")
@@ -87,6 +90,12 @@ class Argument(NamedTuple):
             return [self.own]
         found = (target.declaration() for target in self.targets)
         return [entry for entry in found if entry is not None]
+
+    def resolved(self, value: str) -> str:
+        """Return a value as the launch file takes it: that of a file with its whole path."""
+        if self.bracket != FILE or not value:
+            return value
+        return str(ResourceFinder.anywhere().find(value))
 
     def check(self, value: str) -> None:
         """Raise ParameterError, with one line that says what is allowed, for a wrong value."""
@@ -166,6 +175,14 @@ def _bracket_check(name: str, bracket: str) -> Declaration | None:
             return value
 
         entry = parameters.checked(missing, "", "a folder", filled)
+    elif bracket == FILE:
+
+        def existing(value: str) -> str:
+            if value and "://" not in value and not Path(value).is_file():
+                raise ValueError
+            return value
+
+        entry = parameters.checked(missing, "", "a file that exists", existing)
     elif numeric:
         kind: Any = {"number": (parameters.number, float), "integer": (parameters.integer, int)}
         declare, convert = kind[numeric[1]]
@@ -239,7 +256,7 @@ def read_assignments(job: Job, words: list[str]) -> dict[str, str]:
     """The checked values from words like ``std:=0.1``; the last of a name counts.
 
     Raises UsageError for a word that is no assignment or a name that the job does not have, and
-    ParameterError for a value that is not allowed.
+    LabError for a value that is not allowed.
     """
     known = job.arguments
     values = {}
@@ -253,7 +270,7 @@ def read_assignments(job: Job, words: list[str]) -> dict[str, str]:
                 f"its arguments: {', '.join(known)}"
             )
         known[name].check(value)
-        values[name] = value
+        values[name] = known[name].resolved(value)
     missing = [a.name for a in known.values() if a.default is None and a.name not in values]
     if missing:
         raise UsageError(f"{job.name} needs a value for {', '.join(missing)}")

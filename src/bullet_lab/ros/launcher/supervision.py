@@ -216,7 +216,8 @@ class Launch:
 
 
 def _load(path: Path, values: dict[str, str]) -> roslaunch.config.ROSLaunchConfig:
-    words = [f"{name}:={value}" for name, value in values.items()]
+    # roslaunch passes over a word that it could cut in more than two.
+    words = [f"{name}:={value.replace(':=', '=')}" for name, value in values.items()]
     # Signals wait: programs that roslaunch asks for values would die of Ctrl-C, loudly.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
     try:

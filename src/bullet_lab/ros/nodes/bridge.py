@@ -15,6 +15,7 @@
     - /gazebo/pause_physics, unpause_physics, reset_world, reset_simulation (std_srvs/Empty)
     - the other services of /gazebo: see `bullet_lab.ros.gazebo`
     - /bullet_lab/save_world (bullet_lab/SaveWorld): write the running world to a file
+    - /bullet_lab/describe_models (bullet_lab/DescribeModels): what of the models acts
     - /bullet_lab/set_rtf (bullet_lab/SetRtf): change the speed of simulated time
     - /bullet_lab/step (bullet_lab/Step): advance by exactly n steps of 1 ms, paused or not
     - /bullet_lab/advance (bullet_lab/Advance): lock step, see `bullet_lab.ros.node.lock_step`
@@ -49,6 +50,7 @@ from bullet_lab.ros.bridge.running_world import (
 from bullet_lab.ros.bridge.stepper import Reached, Stepper
 from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, Sent, TimeGate
 from bullet_lab.ros.bridge.world_topics import OdometryFrames, TouchCounter
+from bullet_lab.ros.gazebo.descriptions import ModelDescriptions, Warnings
 from bullet_lab.ros.gazebo.interface import Gazebo
 from bullet_lab.ros.messages.poses import (
     NANOSECONDS_PER_STEP,
@@ -131,6 +133,7 @@ class PyBulletBridge:
     def __init__(self, parameters: BridgeParameters):
         self._parameters = parameters
         check_choice(parameters.renderer)
+        warnings = Warnings()
         self.simulation = Simulation.of(parameters.world, parameters.seed)
         self._failures: Set[Tuple[str, str]] = set()
         self.simulation.go_on_after(self._report_failure)
@@ -158,6 +161,7 @@ class PyBulletBridge:
         world = RunningWorld(self.stepper, self._topics)
         hidden = "" if robot is None else robot.name
         self._gazebo = Gazebo(world, parameters.world_frame, hidden, parameters.states_rate)
+        self._descriptions = ModelDescriptions(world, warnings)
         self._touches = TouchCounter(world)
         self._frames = OdometryFrames(
             world, parameters.world_frame if parameters.publish_world_tf else ""

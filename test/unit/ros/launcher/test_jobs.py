@@ -104,6 +104,7 @@ def test_argument_without_default_is_demanded(tmp_path):
         ("Show [true|false]", ["true", "false"], ["True", "1", "yes", ""]),
         ("Rule [report|rate_invariant]", ["rate_invariant"], ["report|rate_invariant", "rep"]),
         ("Where [folder]", ["a/b c", "/tmp"], [""]),
+        ("Which [file]", ["", __file__, "package://bullet_lab/x"], ["nothing.urdf", "/tmp"]),
         ("What [text]", ["", "anything"], []),
         ("no bracket", ["", "anything"], []),
         ("Bracket [number] in the middle.", ["anything"], []),
@@ -116,6 +117,15 @@ def test_values_that_a_bracket_allows(tmp_path, doc, good, bad):
     for value in bad:
         with pytest.raises(ParameterError, match=f"^std is '{value}': it must be "):
             checked.check(value)
+
+
+def test_a_file_is_named_by_its_whole_path(tmp_path, monkeypatch):
+    (tmp_path / "a.urdf").touch()
+    monkeypatch.chdir(tmp_path)
+    job = read("a", '<launch><arg name="urdf" default="" doc="x [file]"/></launch>', tmp_path)
+    assert read_assignments(job, ["urdf:=a.urdf"]) == {"urdf": str(tmp_path / "a.urdf")}
+    found = read_assignments(job, ["urdf:=package://bullet_lab/package.xml"])["urdf"]
+    assert Path(found) == PACKAGE / "package.xml"
 
 
 @pytest.mark.parametrize("doc", ["x [nubmer >= 0]", "x [number => 0]", "x [only]", "x [a||b]"])

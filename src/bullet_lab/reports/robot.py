@@ -1,0 +1,358 @@
+"""Somebody's robot: what of it acts, what it sends, and how it drives a metre and a turn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bullet_lab.core.figures import BLUE, ORANGE, new_figure, plan_axes
+from bullet_lab.core.files import NANOSECONDS, PathSeries, replace_file
+from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.reports import Reading, Report
+
+TRUTH, ODOMETRY = "truth", "odometry"
+TABLE = "robot.md"
+# A robot that has come less far than this share of what was asked for has not moved.
+STANDING = 0.05
+# Of the rate that a topic is to have.
+RATE_TOLERANCE = 0.05
+# Messages, before a rate is made of them.
+FEWEST = 3
+
+
+class PluginRow(NamedTuple):
+    """A `<plugin>`: its topics, its rate in Hz (0: none of its own), the tags that do nothing."""
+
+    name: str
+    filename: str
+    link: str
+    acts: bool
+    rate: float
+    inputs: Tuple[str, ...]
+    outputs: Tuple[str, ...]
+    tags_not_simulated: Tuple[str, ...]
+
+
+class Controller(NamedTuple):
+    """A controller of ros_control."""
+
+    name: str
+    kind: str
+    state: str
+
+
+@dataclass(frozen=True)
+class Robot:
+    """What a robot is made of; `drive` and `odometry` are topics, empty where it has none.
+
+    `said` is what the simulation has warned of.
+    """
+
+    name: str
+    links: Tuple[str, ...] = ()
+    joints: Tuple[str, ...] = ()
+    plugins: Tuple[PluginRow, ...] = ()
+    controllers: Tuple[Controller, ...] = ()
+    drive: str = ""
+    odometry: str = ""
+    said: Tuple[str, ...] = ()
+
+
+class Count:
+    """Messages on a topic: how many, and the stamps in ns of the first and the last."""
+
+    def __init__(self, kind: str, rate: float):
+        self.kind, self.declared = kind, rate
+        self.messages, self._first, self._last = 0, 0, 0
+
+    def note(self, stamp: int) -> None:
+        """Count a message."""
+        if not self.messages:
+            self._first = stamp
+        self.messages, self._last = self.messages + 1, stamp
+
+    def rate(self) -> Optional[float]:
+        """Return the rate in Hz of simulated time; None of too few."""
+        span = self._last - self._first
+        enough = self.messages >= FEWEST and span > 0
+        return (self.messages - 1) * NANOSECONDS / span if enough else None
+
+    def figures(self) -> Dict[str, Any]:
+        """Return what summary.json says of it."""
+        seen = self.rate()
+        return {
+            "type": self.kind,
+            "declared_hz": self.declared or None,
+            "seen_hz": None if seen is None else round(seen, 3),
+            "messages": self.messages,
+        }
+
+
+class Way:
+    """How far a robot has come since it was first seen: m along and across its first heading."""
+
+    def __init__(self):
+        self._start: Optional[PlanarPose] = None
+        self._last: PlanarPose = (0.0, 0.0, 0.0)
+        self.turned = 0.0
+        """rad, whole turns counted."""
+
+    def add(self, pose: PlanarPose) -> None:
+        """Go on to a pose (m, m, rad)."""
+        if self._start is None:
+            self._start = self._last = pose
+        self.turned += math.remainder(pose[2] - self._last[2], math.tau)
+        self._last = pose
+
+    @property
+    def is_known(self) -> bool:
+        """Whether anything has come."""
+        return self._start is not None
+
+    def ahead_and_aside(self) -> Tuple[float, float]:
+        """Return how far it has come, m."""
+        if self._start is None:
+            return 0.0, 0.0
+        dx, dy = (b - a for a, b in zip(self._start[:2], self._last[:2]))
+        cosine, sine = math.cos(self._start[2]), math.sin(self._start[2])
+        return cosine * dx + sine * dy, cosine * dy - sine * dx
+
+    def figures(self) -> Optional[Dict[str, float]]:
+        """Return what summary.json says of it."""
+        if self._start is None:
+            return None
+        ahead, aside = self.ahead_and_aside()
+        return {"ahead_m": ahead, "aside_m": aside, "turned_deg": math.degrees(self.turned)}
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A part of the drive: what was asked for, what odometry and truth say, and how long it took.
+
+    Attributes:
+        name: what is driven, such as "metre".
+        quantity: the figure of `Way.figures` that it is about.
+        asked: that much of it.
+        seconds: simulated.
+    """
+
+    name: str
+    quantity: str
+    asked: float
+    odometry: Optional[Mapping[str, float]]
+    truth: Mapping[str, float]
+    seconds: float
+
+    def has_moved(self) -> bool:
+        """Return whether the robot has really moved."""
+        return abs(self.truth[self.quantity]) >= STANDING * abs(self.asked)
+
+    def error(self) -> Optional[float]:
+        """Return by how many percent of the truth the odometry is off; None without either."""
+        if self.odometry is None or not self.has_moved():
+            return None
+        true = self.truth[self.quantity]
+        if self.quantity == "turned_deg":
+            return 100.0 * abs(self.odometry[self.quantity] - true) / abs(true)
+        parts = ("ahead_m", "aside_m")
+        return 100.0 * math.hypot(*(self.odometry[p] - self.truth[p] for p in parts)) / abs(true)
+
+    def figures(self) -> Dict[str, Any]:
+        """Return what summary.json says of it."""
+        return {
+            "asked": self.asked,
+            "odometry": self.odometry,
+            "truth": self.truth,
+            "moved": self.has_moved(),
+            "odometry_error_percent": self.error(),
+            "seconds": self.seconds,
+        }
+
+    def line(self) -> str:
+        """Return it in a few words."""
+        unit = "m" if self.quantity == "ahead_m" else "°"
+        true = self.truth[self.quantity]
+        if not self.has_moved():
+            return f"{self.name}: it does not move ({true:.3f} {unit} of {self.asked:g})"
+        said = "it has no odometry"
+        if self.odometry is not None:
+            said = f"its odometry says {self.odometry[self.quantity]:.3f} {unit}"
+            said += f" ({self.error():.2f} % off)"
+        beside = "" if unit == "°" else f", turned by {self.truth['turned_deg']:.2f}° on the way"
+        return f"{self.name}: {true:.3f} {unit}{beside}; {said}"
+
+
+class RobotReport(Report):
+    """The table robot.md, truth.tum, odom.tum, robot.png and summary.json of one robot.
+
+    Attributes:
+        robot: what it is made of.
+        counts: messages by topic.
+        legs: of the drive.
+        picture: of the robot, (h, w, 3) uint8, blue green red.
+        seen: the first picture of each of its cameras, likewise, by topic.
+        tilt_deg: how far from upright it was in the end.
+    """
+
+    def __init__(self, folder: Path, robot: Robot, kinds: Mapping[str, str]):
+        super().__init__(folder)
+        self.robot = robot
+        rates = {topic: row.rate for row in robot.plugins for topic in row.outputs}
+        self.counts = {topic: Count(kind, rates.get(topic, 0.0)) for topic, kind in kinds.items()}
+        self.series = {
+            TRUTH: PathSeries(folder / "truth.tum"),
+            ODOMETRY: PathSeries(folder / "odom.tum"),
+        }
+        self.legs: List[Leg] = []
+        self.picture: Optional[np.ndarray] = None
+        self.seen: Dict[str, np.ndarray] = {}
+        self.tilt_deg = 0.0
+
+    def take(self, topic: str, reading: Reading) -> bool:
+        """Take a pose of `TRUTH` or `ODOMETRY`."""
+        series = self.series[topic]
+        if series.last is not None and reading.stamp <= series.last:
+            return False
+        series.add(reading.stamp, reading.values)
+        return True
+
+    def finish(self, until: Optional[int] = None) -> None:
+        super().finish(until)
+        replace_file(self.folder / TABLE, lambda part: part.write_text(self.table()))
+
+    def left_out(self) -> List[str]:
+        """Return the plugins that do nothing."""
+        return [f"{row.name} ({row.filename})" for row in self.robot.plugins if not row.acts]
+
+    def silent(self) -> List[str]:
+        """Return the topics with a rate that nothing came on."""
+        return [t for t, count in self.counts.items() if count.declared and not count.messages]
+
+    def off_rate(self) -> List[str]:
+        """Return the topics whose rate was not the declared one."""
+        pairs = [(t, c.declared, c.rate()) for t, c in self.counts.items()]
+        return [
+            topic
+            for topic, declared, seen in pairs
+            if declared and seen is not None and abs(seen / declared - 1.0) > RATE_TOLERANCE
+        ]
+
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
+        robot = asdict(self.robot)
+        robot["plugins"] = [row._asdict() for row in self.robot.plugins]
+        robot["controllers"] = [row._asdict() for row in self.robot.controllers]
+        return {
+            "finished": finished,
+            "robot": robot,
+            "left_out": self.left_out(),
+            "topics": {topic: count.figures() for topic, count in self.counts.items()},
+            "silent": self.silent(),
+            "off_rate": self.off_rate(),
+            "drive": {leg.name: leg.figures() for leg in self.legs},
+            "tilt_deg": self.tilt_deg,
+            "sim_time_s": self.seconds(),
+            **run,
+        }
+
+    def line(self, summary: Mapping[str, Any]) -> str:
+        if not self.robot.drive:
+            return f"'{self.robot.name}' listens to no velocities: it is shown, not driven"
+        return "; ".join(leg.line() for leg in self.legs) or "it was not driven"
+
+    def table(self) -> str:
+        """Return what acts and what does not, in Markdown."""
+        return "\n".join(_lines(self)) + "\n"
+
+    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
+        pictures = [(f"{self.robot.name}", self.picture)] if self.picture is not None else []
+        pictures += list(self.seen.items())[:2]
+        figure = new_figure(5.6 * (len(pictures) + 1), 5.0)
+        panels = figure.subplots(1, len(pictures) + 1, squeeze=False)[0]
+        for axes, (title, picture) in zip(panels, pictures):
+            axes.imshow(picture[:, :, ::-1])
+            axes.set_title(title, fontsize=9)
+            axes.axis("off")
+        self._draw_path(panels[-1])
+        figure.tight_layout()
+        return {"robot.png": figure}
+
+    def _draw_path(self, axes: Axes) -> None:
+        plan_axes(axes, title="a metre and a turn")
+        for name, colour, width in ((TRUTH, ORANGE, 3.0), (ODOMETRY, BLUE, 1.2)):
+            _, rows = self.series[name].table()
+            if len(rows):
+                # Odometry begins at its own zero: it is laid on the start of the truth.
+                axes.plot(*_from_the_start(rows), color=colour, linewidth=width, label=name)
+        if axes.lines:
+            axes.legend(loc="best")
+
+
+def _from_the_start(rows: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return x and y (m) of a path as seen from its first pose."""
+    x, y, yaw = rows[0]
+    dx, dy = rows[:, 0] - x, rows[:, 1] - y
+    return math.cos(yaw) * dx + math.sin(yaw) * dy, math.cos(yaw) * dy - math.sin(yaw) * dx
+
+
+def _lines(report: RobotReport) -> Iterator[str]:
+    robot = report.robot
+    yield f"# {robot.name}"
+    yield ""
+    yield f"{len(robot.links)} links: {', '.join(robot.links)}"
+    yield ""
+    yield f"{len(robot.joints)} joints: {', '.join(robot.joints) or 'none'}"
+    yield from _rows(
+        ("plugin", "file", "acts", "listens to", "speaks on", "Hz", "tags not simulated"),
+        [
+            (
+                row.name,
+                row.filename,
+                "yes" if row.acts else "**no**",
+                " ".join(row.inputs),
+                " ".join(row.outputs),
+                f"{row.rate:g}" if row.rate else "",
+                " ".join(row.tags_not_simulated),
+            )
+            for row in robot.plugins
+        ],
+    )
+    yield from _rows(("controller", "type", "state"), robot.controllers)
+    yield from _rows(
+        ("topic", "type", "Hz declared", "Hz seen", "messages"),
+        [
+            (
+                topic,
+                count.kind,
+                f"{count.declared:g}" if count.declared else "",
+                "" if count.rate() is None else f"{count.rate():.2f}",
+                str(count.messages),
+            )
+            for topic, count in report.counts.items()
+        ],
+    )
+    yield ""
+    yield f"- velocities: {robot.drive or 'nothing listens to any'}"
+    yield f"- odometry: {robot.odometry or 'none'}"
+    yield from (f"- {leg.line()}" for leg in report.legs)
+    if robot.said:
+        yield from ("", "What the simulation said of it:", "")
+        yield from (f"- {line}" for line in robot.said)
+
+
+def _rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """A table with columns of even width; nothing without rows."""
+    if not rows:
+        return
+    table = [list(header), *map(list, rows)]
+    widths = [max(map(len, column)) for column in zip(*table)]
+    yield ""
+    for number, row in enumerate(table):
+        yield "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths)) + " |"
+        if not number:
+            yield "|" + "|".join("-" * (width + 2) for width in widths) + "|"
