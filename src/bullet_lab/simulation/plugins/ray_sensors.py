@@ -105,7 +105,7 @@ class RayScan:
 
 def _angles(tag: SensorTag, path: str) -> Angles:
     samples = tag.count(f"{path}/samples", 1, MOST_RAYS)
-    resolution = tag.number(f"{path}/resolution", 1.0)
+    resolution = tag.positive(f"{path}/resolution", 1.0)
     # As in Gazebo, one is left at least.
     number = max(1, round(samples * resolution))
     if number > MOST_RAYS:

@@ -182,9 +182,9 @@ def _inertia(link: _Tag) -> Optional[Inertia]:
     tag = link.within("inertial")
     if link.element.find("inertial") is None:
         return None
-    mass, moments = tag.within("mass").number("value", 0.0), tag.within("inertia")
+    mass, moments = tag.within("mass").coefficient("value", 0.0), tag.within("inertia")
     elements = [moments.number(key, 0.0) for key in INERTIA_KEYS]
-    return inertia_at(tag.origin(), max(0.0, mass), elements)
+    return inertia_at(tag.origin(), mass, elements)
 
 
 def _geometry(tag: _Tag) -> Shape:

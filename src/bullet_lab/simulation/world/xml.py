@@ -156,11 +156,10 @@ class TagReader:
         """Return a unit vector."""
 
         def check(values: Tuple[float, ...]) -> str:
-            return "" if any(values) else "a zero vector has no direction"
+            return "" if _length(values) > 0.0 else "a zero vector has no direction"
 
         values = self._checked(key, 3, default, check)
-        length = math.sqrt(sum(value * value for value in values))
-        return tuple(value / length for value in values)
+        return tuple(value / _length(values) for value in values)
 
     def choice(self, key: str, known: Sequence[str]) -> str:
         """Return one of several words, the first of them by default."""
@@ -194,6 +193,10 @@ class TagReader:
                 raise
             self.doubt(error)
             return numbers(default, count, self.where(key))
+
+
+def _length(values: Sequence[float]) -> float:
+    return math.sqrt(sum(value * value for value in values))
 
 
 class ElementReader(TagReader):

@@ -180,7 +180,7 @@ def test_a_urdf_on_the_link_world_stays(kind):
         instance = world.add(robot, pose=Pose((2.0, 0.0, 0.0)))
         world.run_for(0.3)
         near(instance.frame("base").pose(), 2, 0, 1)
-        assert [entity for entity in instance.state().joints] == (
+        assert list(instance.state().joints) == (
             ["j"] if kind == "fixed" else ["hold", "j"]
         )
 
