@@ -34,7 +34,8 @@ enter_lab() {
   local given_master=${ROS_MASTER_URI-}
   use_lab_python
   source_setup_file "$LAB_WS/devel/setup.bash"
-  PATH=$LAB_VENV/bin:$PATH
+  # PyPI's xacro asks ROS 2 for packages: its stand-in, which is built where ROS has none, does not.
+  PATH=$LAB_WS/devel/lib/xacro:$LAB_VENV/bin:$PATH
   # catkin's files set a default, which would look like a master that the user named.
   if [[ -z $given_master ]]; then
     unset ROS_MASTER_URI

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs and builds what is missing; does nothing, quickly, when nothing is.
 #
-# Usage: scripts/setup.sh [--with rviz] [--with test]
+# Usage: scripts/setup.sh [--with rviz] [--with test] [--with course]
 #
 # Debian packages come by apt-get (through sudo where not root), Python packages into
 # build/venv, the catkin workspace is built in build/ws. Where /opt/ros/noetic exists it
@@ -41,7 +41,12 @@ debian_packages() {
         ros-robot-state-publisher libegl1 libgl1-mesa-dri
       ;;
     rviz) echo rviz xvfb ;;
-    test) echo shellcheck python3-rostest topic-tools iproute2 sdformat-sdf libxml2-utils ;;
+    test) echo shellcheck python3-rostest topic-tools iproute2 sdformat-sdf libxml2-utils xvfb ;;
+    # What scripts of courses import; Debian's OpenCV has windows and the old calls for markers.
+    course)
+      echo python3-opencv python3-tf python3-tf-conversions python3-tf2-geometry-msgs \
+        python3-image-geometry python3-matplotlib python3-tk
+      ;;
   esac
 }
 
@@ -49,7 +54,7 @@ noetic_packages() {
   local name names=()
   case $1 in
     base)
-      names=(actionlib actionlib-msgs catkin cv-bridge diagnostic-msgs gazebo-msgs geometry-msgs
+      names=(actionlib actionlib-msgs catkin control-msgs controller-manager-msgs cv-bridge diagnostic-msgs gazebo-msgs geometry-msgs
         message-filters message-generation message-runtime move-base-msgs nav-msgs robot-state-publisher rosbag rosbash
         rosgraph-msgs roslaunch rosmaster rospy sensor-msgs std-msgs std-srvs tf2-msgs tf2-ros visualization-msgs)
       echo ca-certificates g++ make cmake python3 python3-venv libegl1 libgl1-mesa-dri
@@ -60,7 +65,11 @@ noetic_packages() {
       ;;
     test)
       names=(rostest topic-tools)
-      echo shellcheck iproute2 sdformat-sdf libxml2-utils
+      echo shellcheck iproute2 sdformat-sdf libxml2-utils xvfb
+      ;;
+    course)
+      names=(tf tf-conversions tf2-geometry-msgs image-geometry)
+      echo python3-opencv python3-matplotlib python3-tk
       ;;
   esac
   for name in "${names[@]}"; do
@@ -304,7 +313,8 @@ steps_of() {
     case "$1 ${2-}" in
       "--with rviz") echo debian-rviz ;;
       "--with test") printf '%s\n' debian-test python-test ;;
-      *) fail "unknown argument '$*'; usage: setup.sh [--with rviz] [--with test]" ;;
+      "--with course") echo debian-course ;;
+      *) fail "unknown argument '$*'; usage: setup.sh [--with rviz] [--with test] [--with course]" ;;
     esac
     shift 2
   done

@@ -104,7 +104,7 @@ main() {
       exit 2
       ;;
   esac
-  "$LAB_ROOT/scripts/setup.sh" --with test
+  "$LAB_ROOT/scripts/setup.sh" --with test --with course
   mkdir -p "$LOG"
   : >"$LAB_TALLY"
   enter_lab

@@ -13,13 +13,17 @@ import time
 import unittest
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import rospkg
 import rospy
 import rostest
+from controller_manager_msgs.srv import ListControllers
 from gazebo_msgs.srv import GetJointProperties, GetModelState, GetWorldProperties
 from lab_testing import PACKAGE, wait_for
 from std_srvs.srv import Empty
+
+from bullet_lab.ros.launcher.output import VirtualScreen
 
 TUTORIALS = PACKAGE / "test" / "tutorials"
 # Not by rosrun, which looks about for a second.
@@ -63,6 +67,21 @@ def command(*words, stdin=None):
 def run_script(name):
     """Run a script; return as `command`."""
     return command(sys.executable, str(TUTORIALS / "scripts" / name))
+
+
+def in_course(line, folder=f"{TUTORIALS}/scripts/"):
+    """Run something in a shell of somebody who has sourced course.sh; return as `command`.
+
+    Another Python stands first in PATH, as that of a virtual environment does.
+    """
+    found = environment()
+    kept = ("HOME", "DISPLAY", "LIBGL_ALWAYS_SOFTWARE", "ROS_MASTER_URI", "ROS_IP")
+    given = [f"{name}={found[name]}" for name in kept if name in found]
+    path = f"PATH={Path(sys.executable).parent}:/usr/bin:/bin"
+    source = f"source {PACKAGE}/scripts/course.sh"
+    known = f"export ROS_PACKAGE_PATH=$ROS_PACKAGE_PATH:{TUTORIALS}"
+    words = ("env", "-i", path, *given, "bash", "-c", f"{source} && {known} && {folder}{line}")
+    return command(*words)
 
 
 def spawn_model(line, stdin=None):
@@ -281,6 +300,37 @@ class TutorialsTest(unittest.TestCase):
         expect("wheels", "5 5", 0.5)
         rospy.ServiceProxy("/gazebo/reset_world", Empty)()
 
+    def test_controllers_of_ros_control(self):
+        cart = Process("roslaunch", "--wait", "tutorials", "cart.launch")
+        try:
+            expect = self.check("ros_control.py")
+        finally:
+            cart.end()
+        self.assertNotIn("has died", cart.said())
+        velocity, wheels = "hardware_interface::VelocityJointInterface", "{0}left{1} {0}right{1}"
+        expect(
+            "controller",
+            [
+                "joint_state_controller running hardware_interface::JointStateInterface",
+                f"drive running {velocity} {wheels.format('', '_wheel_joint')}",
+                "mast running hardware_interface::EffortJointInterface mast_joint",
+            ],
+        )
+        # One that is not simulated, and one of which nobody knows.
+        expect("loaded", "False False")
+        expect("switched", "False")
+        expect("frames", "cart/odom cart/base_link")
+        # At most 0.5 m/s, for 1.5 s and the time-out; the truth is within 2 %.
+        expect("driven", "0.85", 0.2)
+        expect("off", "0", 0.017)
+        expect("speed", "0", 0.001)
+        expect("joints", "left_wheel_joint right_wheel_joint mast_joint")
+        expect("wheels", "6.25 6.25", 0.1)
+        expect("mast", "1 1 10", 0.02)
+        # The spawner has taken its controllers down.
+        listing = rospy.ServiceProxy("/cart/controller_manager/list_controllers", ListControllers)
+        self.assertEqual([], listing().controller)
+
     def test_planar_move_in_two_namespaces(self):
         expect = self.check("planar_move.py")
         expect("spawned", ["True", "True"])
@@ -296,9 +346,7 @@ class TutorialsTest(unittest.TestCase):
 
     def test_materials_textures_and_lights(self):
         found = self.run_script("materials_and_lights.py")
-        colours = {
-            what: [int(part) for part in values.split()] for what, values in found.items()
-        }
+        colours = {what: [int(part) for part in values.split()] for what, values in found.items()}
         red, green, blue = colours["Green"]
         self.assertGreater(green, 3 * max(red, blue, 20))
         red, green, blue = colours["Purple"]
@@ -317,6 +365,24 @@ class TutorialsTest(unittest.TestCase):
         expect("back", "True")
         expect("time goes on", "True")
         expect("time from zero", "0.000")
+
+    # What courses' scripts were written for, beside the lab's own Python
+
+    def test_debians_python_opencv_and_tf(self):
+        kept = tempfile.TemporaryDirectory()
+        self.addCleanup(kept.cleanup)
+        folder = Path(kept.name)
+        with VirtualScreen(folder / "log", folder / "screen.png"):
+            status, out, err = in_course("marker_window.py")
+        self.assertEqual(0, status, f"{out}\n{err}")
+        self.assertIn("opencv: 4\nmarker: [[7]] 1\nwindow: True\n", out)
+        self.assertIn("laser: 0.100 0.000 0.300\nturned: 0.000\n", out)
+
+    def test_the_command_xacro(self):
+        for words in ("xacro", "rosrun xacro xacro"):
+            status, out, err = in_course(f"{words} {TUTORIALS}/urdf/rover.urdf.xacro", "")
+            self.assertEqual(0, status, err)
+            self.assertIn('<robot name="rover">', out)
 
     # spawn_model
 

@@ -32,7 +32,6 @@ from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_n
 from bullet_lab.simulation.physics.physics import Body, Physics
 from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
-from bullet_lab.simulation.rendering.surfaces import check_textures
 from bullet_lab.simulation.world.description import Model, PluginTag, Snapshot, World
 from bullet_lab.simulation.world.inertia import check_proportions
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -160,7 +159,6 @@ class Simulation:
         plugins = tuple(_in_namespace(plugin, namespace) for plugin in model.plugins)
         model = replace(model, name=name, pose=pose or model.pose, plugins=plugins)
         model = usable(model)
-        check_textures(model)
         bodies = self._physics.add(model)
         plugins = self._make_plugins(model, bodies, tf_prefix)
         instance = ModelInstance(model, bodies, plugins)

@@ -153,9 +153,14 @@ class Body:
         velocity, effort = net_motor(self._joint(name), velocity, effort)
         self._control(name, pybullet.VELOCITY_CONTROL, targetVelocity=velocity, force=effort)
 
-    def hold_joint(self, name: str, position: float, effort: float) -> None:
-        """Let a motor hold a joint at a position (rad or m) with at most `effort` (N m or N)."""
-        gains = {"positionGain": HOLDING_GAIN, "velocityGain": 1.0}
+    def hold_joint(
+        self, name: str, position: float, effort: float, gain: float = HOLDING_GAIN
+    ) -> None:
+        """Let a motor hold a joint at a position (rad or m) with at most `effort` (N m or N).
+
+        `gain` is what part of its distance from there it is brought back in one step.
+        """
+        gains = {"positionGain": gain, "velocityGain": 1.0}
         force = net_motor(self._joint(name), 0.0, effort)[1]
         target = {"targetPosition": position, "targetVelocity": 0.0, "force": force}
         self._control(name, pybullet.POSITION_CONTROL, **target, **gains)

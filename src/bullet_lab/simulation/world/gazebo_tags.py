@@ -6,62 +6,17 @@ each by name.
 
 from __future__ import annotations
 
-import logging
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, Optional, Set
+from typing import Any, Dict, Iterable, Iterator
 from xml.etree.ElementTree import Element
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import Colour, Link, PluginTag
+from bullet_lab.simulation.world.description import WHITE, Link, PluginTag
+from bullet_lab.simulation.world.materials import MaterialLibrary
+from bullet_lab.simulation.world.report import ReportOnce
+from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.xml import TagReader, child_text
-
-LOG = logging.getLogger(__name__)
-
-# Diffuse colours of Gazebo's own materials that are drawn without a texture.
-_OPAQUE = {
-    "Black": (0.0, 0.0, 0.0),
-    "Blue": (0.0, 0.0, 1.0),
-    "DarkGrey": (0.175, 0.175, 0.175),
-    "FlatBlack": (0.1, 0.1, 0.1),
-    "Gold": (0.8, 0.64869, 0.120759),
-    "Green": (0.0, 1.0, 0.0),
-    "Grey": (0.7, 0.7, 0.7),
-    "Indigo": (0.33, 0.0, 0.5),
-    "LightOff": (1.0, 0.0, 0.0),
-    "LightOn": (0.0, 1.0, 0.0),
-    "Orange": (1.0, 0.5088, 0.0468),
-    "Purple": (1.0, 0.0, 1.0),
-    "Red": (1.0, 0.0, 0.0),
-    "RedBright": (0.87, 0.26, 0.07),
-    "SkyBlue": (0.0, 0.0, 1.0),
-    "Turquoise": (0.0, 1.0, 1.0),
-    "White": (1.0, 1.0, 1.0),
-    "Yellow": (1.0, 1.0, 0.0),
-    "ZincYellow": (0.9725, 0.9529, 0.2078),
-}
-_GLOWING = ("Blue", "Green", "Purple", "Red", "Turquoise", "White", "Yellow")
-_TRANSPARENT = {
-    "Blue": (0.0, 0.0, 1.0),
-    "Green": (0.0, 1.0, 0.0),
-    "Grey": (0.5, 0.5, 0.5),
-    "Orange": (1.0, 0.44, 0.0),
-    "Red": (1.0, 0.0, 0.0),
-    "Yellow": (1.0, 1.0, 0.0),
-}
-PREFIX = "Gazebo/"
-
-
-COLOURS: Dict[str, Colour] = {
-    **{name: (*rgb, 1.0) for name, rgb in _OPAQUE.items()},
-    **{f"{name}Glow": (*_OPAQUE[name], 1.0) for name in _GLOWING},
-    **{f"{name}Transparent": (*rgb, 0.5) for name, rgb in _TRANSPARENT.items()},
-}
-
-
-def gazebo_colour(material: str) -> Optional[Colour]:
-    """Return the colour of a material such as "Gazebo/Red", or None for any other name."""
-    return COLOURS.get(material[len(PREFIX) :]) if material.startswith(PREFIX) else None
 
 
 def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
@@ -72,19 +27,6 @@ def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
             tags = {child.tag: (child.text or "").strip() for child in element}
             filename, name = element.get("filename", ""), element.get("name", "")
             yield PluginTag(filename, name, tags, link, sensor, element)
-
-
-class ReportOnce:
-    """Warnings that are given once each."""
-
-    def __init__(self) -> None:
-        self._given: Set[str] = set()
-
-    def __call__(self, message: str) -> None:
-        """Warn, unless this was said before."""
-        if message not in self._given:
-            self._given.add(message)
-            LOG.warning("%s", message)
 
 
 # Of a `<gazebo reference=…>`: Coulomb's coefficient, and N/m and N s/m of the link's contacts.
@@ -116,13 +58,21 @@ class GazeboTags:
     """The `<gazebo>` elements of a URDF document: what Gazebo is told of its links.
 
     References to nothing but the names of links and joints in `references` are reported, too, and
-    tags that make no sense. `static` is what is said of the whole robot.
+    tags that make no sense. `static` is what is said of the whole robot. `materials` knows what
+    the names of materials mean, and `finder` where their scripts are.
     """
 
-    def __init__(self, elements: Iterable[Element], references: Iterable[str], source: str):
-        self._source = source
+    def __init__(
+        self,
+        elements: Iterable[Element],
+        references: Iterable[str],
+        source: str,
+        materials: MaterialLibrary,
+        finder: ResourceFinder,
+    ):
+        self._source, self._materials, self._finder = source, materials, finder
         self._report = ReportOnce()
-        # By link: fields of its collisions, and its `colour` and `self_collide`.
+        # By link: fields of its collisions, and its `look` and `self_collide`.
         self._told: Dict[str, Dict[str, Any]] = {}
         self.static = False
         known = set(references)
@@ -142,10 +92,12 @@ class GazeboTags:
     def apply(self, link: Link) -> Link:
         """Return a link as Gazebo would have it."""
         told = dict(self._told.get(link.name, {}))
-        colour = told.pop("colour", None)
+        look = told.pop("look", None)
         link = replace(link, self_collide=told.pop("self_collide", link.self_collide))
-        if colour is not None:
-            link = replace(link, visuals=tuple(replace(v, colour=colour) for v in link.visuals))
+        if look is not None:
+            colour, material = look
+            painted = (replace(v, colour=colour, material=material) for v in link.visuals)
+            link = replace(link, visuals=tuple(painted))
         return replace(link, collisions=tuple(replace(c, **told) for c in link.collisions))
 
     def _tag(self, child: Element, part: str) -> _LinkTag:
@@ -165,12 +117,15 @@ class GazeboTags:
         elif child.tag == "selfCollide":
             told["self_collide"] = tag.boolean("value", False)
         elif child.tag == "material":
-            name = tag.text("value")
-            colour = gazebo_colour(name)
-            if colour is None:
-                self._report(f"{where}: material '{name}' is not known and not drawn")
-            else:
-                told["colour"] = colour
+            look = self._materials.named(tag.text("value"), where, self._finder)
+            if look is not None:
+                told["look"] = look
+        elif child.tag == "visual" and child.find("material") is not None:
+            # As it would stand in SDF.
+            element = child.find("material")
+            colour, look = self._materials.of_element(element, where, self._finder, WHITE)
+            if look.covers:
+                told["look"] = (colour, look)
 
     def _report_unknown(self, element: Element, known: Iterable[str]) -> None:
         for child in element:
@@ -185,7 +140,7 @@ SDF_READ = {
     "world": {"model", "light", "include", "gravity", "scene", "state", "physics"},
     "model": {"link", "joint", "plugin", "pose", "static", "frame", "include", "model"},
     "link": {"pose", "inertial", "visual", "collision", "sensor", "plugin", "self_collide"},
-    "visual": {"geometry", "pose", "material", "cast_shadows"},
+    "visual": {"geometry", "pose", "material", "cast_shadows", "transparency"},
     "collision": {"geometry", "pose", "surface"},
     "joint": {"parent", "child", "pose", "axis", "axis2"},
     "surface": {"friction", "contact"},

@@ -24,7 +24,7 @@ from bullet_lab.simulation.world.description import (
     World,
 )
 from bullet_lab.simulation.world.frames import Frames
-from bullet_lab.simulation.world.gazebo_tags import gazebo_colour, plugins_in, report_unknown
+from bullet_lab.simulation.world.gazebo_tags import plugins_in, report_unknown
 from bullet_lab.simulation.world.inertia import INERTIA_KEYS, inertia_at
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf_state import read_states
@@ -283,12 +283,13 @@ def _shapes(link: _Tag, kind: str, read: Callable[[_Tag, Shape], Any]) -> Iterat
 
 
 def _visual(tag: _Tag, geometry: Shape) -> Visual:
-    colour = WHITE if geometry.has_own_colours else DEFAULT_COLOUR
-    if tag.element.find("material") is not None:
-        colour = gazebo_colour(tag.text("material/script/name")) or DEFAULT_COLOUR
-        colour = tag.colour("material/diffuse", tag.colour("material/ambient", colour))
+    default = WHITE if geometry.has_own_colours else DEFAULT_COLOUR
+    where = f"{tag.source}: visual '{tag.element.get('name', '')}'"
+    element, document = tag.element.find("material"), tag.document
+    colour, look = document.materials.of_element(element, where, document.finder, default)
     colour = (*colour[:3], colour[3] * (1.0 - tag.number("transparency", 0.0)))
-    return Visual(geometry, tag.pose(), colour, tag.name, tag.boolean("cast_shadows", True))
+    casts = tag.boolean("cast_shadows", True)
+    return Visual(geometry, tag.pose(), colour, tag.name, casts, look)
 
 
 def _collision(tag: _Tag, geometry: Shape) -> Collision:

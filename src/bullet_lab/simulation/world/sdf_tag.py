@@ -12,7 +12,8 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import Colour
 from bullet_lab.simulation.world.frames import Frames
-from bullet_lab.simulation.world.gazebo_tags import ReportOnce
+from bullet_lab.simulation.world.materials import MaterialLibrary
+from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import ShapeTag
 from bullet_lab.simulation.world.xml import ElementReader, XmlError, numbers
@@ -40,13 +41,14 @@ class Document:
     """What an element stands in.
 
     `version` is the document's; `depth` says how many includes are around it; `report` tells the
-    user once each what is not simulated or makes no sense.
+    user once each what is not simulated or makes no sense; `materials` are all read so far.
     """
 
     finder: ResourceFinder
     version: Tuple[int, ...] = NEWEST
     depth: int = 0
     report: ReportOnce = field(default_factory=ReportOnce)
+    materials: MaterialLibrary = field(default_factory=MaterialLibrary)
 
 
 class SdfTag(ElementReader, ShapeTag):

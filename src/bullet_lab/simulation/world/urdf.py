@@ -21,8 +21,10 @@ from bullet_lab.simulation.world.description import (
     Model,
     Visual,
 )
-from bullet_lab.simulation.world.gazebo_tags import GazeboTags, ReportOnce, plugins_in
+from bullet_lab.simulation.world.gazebo_tags import GazeboTags, plugins_in
 from bullet_lab.simulation.world.inertia import INERTIA_KEYS, inertia_at
+from bullet_lab.simulation.world.materials import MaterialLibrary
+from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import SHAPES, Shape, ShapeTag
 from bullet_lab.simulation.world.soundness import leaving_out, with_sound_inertias
@@ -135,7 +137,8 @@ def _model(root: _Tag) -> Model:
     joints = tuple(_joint(tag.named()) for tag in root.all("joint"))
     check_tree(links, joints, root.source)
     gazebo = root.element.findall("gazebo")
-    tags = GazeboTags(gazebo, [part.name for part in (*links, *joints)], root.source)
+    names = [part.name for part in (*links, *joints)]
+    tags = GazeboTags(gazebo, names, root.source, MaterialLibrary(), root.finder)
     links = place_links(tuple(map(tags.apply, links)), joints)
     links, joints = rooted(
         tuple(link for link in links if link.name != WORLD_LINK),

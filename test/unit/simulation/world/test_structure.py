@@ -83,9 +83,7 @@ def test_frames_are_given_in_each_other():
         f'<frame name="f"><pose relative_to="a">0 1 0 0 0 {TURN}</pose></frame>'
         '<frame name="g" attached_to="f"><pose>1 0 0 0 0 0</pose></frame>'
     )
-    found = model(
-        link("a", "1 0 0 0 0 0") + link("b", "0 0 2 0 0 0", base="g") + frames
-    )
+    found = model(link("a", "1 0 0 0 0 0") + link("b", "0 0 2 0 0 0", base="g") + frames)
     near(poses(found)["b"], 1, 2, 2, 0, 0, TURN)
     near(found.frames["g"][1], 0, 2, 0, 0, 0, TURN)
     shape = f'<visual name="v"><pose relative_to="a">0 0 0 0 0 0</pose>{BOX}</visual>'
@@ -180,9 +178,7 @@ def test_a_urdf_on_the_link_world_stays(kind):
         instance = world.add(robot, pose=Pose((2.0, 0.0, 0.0)))
         world.run_for(0.3)
         near(instance.frame("base").pose(), 2, 0, 1)
-        assert list(instance.state().joints) == (
-            ["j"] if kind == "fixed" else ["hold", "j"]
-        )
+        assert list(instance.state().joints) == (["j"] if kind == "fixed" else ["hold", "j"])
 
 
 def test_a_floating_joint_lets_go(caplog):
@@ -261,7 +257,7 @@ def load(tmp_path):
 def chair(tmp_path):
     folder = tmp_path / "models" / "chair"
     folder.mkdir(parents=True)
-    inside = f'<pose>9 9 9 0 0 0</pose>{link("l", "0 0 0.5 0 0 0")}{PLUGIN}'
+    inside = f"<pose>9 9 9 0 0 0</pose>{link('l', '0 0 0.5 0 0 0')}{PLUGIN}"
     text = f'<sdf version="1.6"><model name="chair">{inside}</model></sdf>'
     (folder / "model.sdf").write_text(text)
     return "<include><uri>model://chair</uri>{}</include>"
@@ -282,7 +278,7 @@ def test_models_are_included_anywhere(load, chair):
 
 
 def test_models_are_placed_relative_to_others(load, chair):
-    placed = '<name>a</name><pose>0 1 0 0 0 0</pose>'
+    placed = "<name>a</name><pose>0 1 0 0 0 0</pose>"
     frame = f'<frame name="f" attached_to="a"><pose>0 0 3 0 0 {TURN}</pose></frame>'
     on_it = '<name>b</name><pose relative_to="f">1 0 0 0 0 0</pose>'
     world = load(frame + chair.format(placed) + chair.format(on_it))

@@ -152,6 +152,19 @@ def test_the_report_forgets_the_covariances_of_the_old_run(tmp_path):
     assert figure._suptitle.get_text().endswith("\nstd = 0.1, seed = 2")
 
 
+@pytest.mark.parametrize(("as_published", "shown"), [(False, 1), (True, 0)])
+def test_ellipses_are_those_of_the_noise(tmp_path, as_published, shown):
+    report = SquaresReport(tmp_path)
+    for index in range(5):
+        for topic in ("odom", "noisy_odom"):
+            covariance = ((0.01, 0.0), (0.0, 0.01))
+            report.take(topic, Reading((index + 1) * TICK, POSES[index], covariance))
+    report.about = {"as_published": as_published}
+    axes = report.figures({})["paths.png"].axes[0]
+    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert sum("ellipses" in label for label in labels) == shown
+
+
 def test_the_summary_of_a_square(recording):
     pose, stamp = np.zeros(3), 0
     for _ in range(4):

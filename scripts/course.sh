@@ -1,0 +1,33 @@
+# Sourced by whoever runs scripts and launch files of a course on ROS and Gazebo, as they are:
+#
+#   source scripts/course.sh
+#
+# Debian's Python with what such scripts import (tf, an OpenCV with windows and the old calls for
+# markers, matplotlib), as `python3` and as `python`; this workspace, whose launch files and nodes
+# bring their own Python along; a `xacro` that works. Installs what is missing.
+# shellcheck shell=bash
+
+# In a shell that is somebody else's, nothing is left behind but the environment.
+_lab_course() {
+  local scripts root folder word words=()
+  scripts=$(cd -P "$(dirname "${BASH_SOURCE[0]}")" && pwd) || return
+  "$scripts/setup.sh" --with course || return
+  root=$(dirname "$scripts")
+  # What another Python is told to import, Debian's could not.
+  unset PYTHONPATH PYTHONHOME
+  # shellcheck disable=SC1091
+  source "$root/build/ws/devel/setup.bash" || return
+  # A virtual environment of the lab, or of anybody, has an OpenCV of its own.
+  folder=$root/build/course
+  IFS=: read -r -a words <<<"$PATH"
+  PATH=$folder:$root/build/ws/devel/lib/xacro
+  for word in "${words[@]}"; do
+    [[ $word == "$folder" || $word == */devel/lib/xacro ]] || PATH=$PATH:$word
+  done
+  mkdir -p "$folder"
+  ln -sfn /usr/bin/python3 "$folder/python3"
+  ln -sfn /usr/bin/python3 "$folder/python"
+  hash -r
+}
+
+_lab_course
