@@ -1,8 +1,9 @@
 """Making bodies by PyBullet's calls, with what their joints allow and resist.
 
-PyBullet takes 16 shapes in one call, and a mesh by its corners alone. So a link carries the first
-such group of its shapes, and helper links without mass, fixed to it, carry one more each. It gives
-shapes back only with the whole world, so equal ones are made once.
+PyBullet takes 16 shapes in one call, and a mesh by its corners alone, and has one friction and
+softness for a link. So a link carries the first such group of its shapes, and helper links without
+mass, fixed to it, carry one more each. It gives shapes back only with the whole world, so equal
+ones are made once.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from bullet_lab.core.native_output import hidden_native_output
 from bullet_lab.core.pose import Pose, Vector, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
+from bullet_lab.simulation.physics.surfaces import Surface, axle_of, by_surface, on_treads
 from bullet_lab.simulation.world.description import Collision, Joint, Link
 from bullet_lab.simulation.world.inertia import FASTEST, mobility, principal_axes
 from bullet_lab.simulation.world.meshes import file_version, hull_corners, triangle_corners
@@ -53,6 +55,9 @@ NO_MEASURES = {
 }
 # Around convex meshes, in m, instead of Bullet's 1 mm. Without one, most rays go through them.
 SKIN = 1e-4
+ORIGIN: Vector = (0.0, 0.0, 0.0)
+# What carries no shapes: none, PyBullet's id of none, and a surface.
+EMPTY = ((), NONE, Surface())
 HELPER_JOINT = Joint("", "fixed", "", "")
 # Bullet's collision group and mask of what never moves: it touches all but its like.
 STATIC_FILTER = (2, ~2)
@@ -63,8 +68,8 @@ class Part:
     """What is one link to PyBullet: a link of the description, or a helper fixed to one.
 
     It hangs on `joint`, None for the root; `parent` is its parent's place in the list of parts,
-    and `shape` PyBullet's id of the `shapes` that it carries. PyBullet has its joint in its origin:
-    `origin` is the place (m) of that in the frame of the link.
+    and `shape` PyBullet's id of the `shapes` that it carries, which share a `surface`. PyBullet has
+    its joint in its origin, which is at the place `origin` (m) in the frame of the link.
     """
 
     link: Link
@@ -72,6 +77,7 @@ class Part:
     parent: int
     shapes: Tuple[Collision, ...] = ()
     shape: int = NONE
+    surface: Surface = Surface()
     origin: Vector = (0.0, 0.0, 0.0)
 
     def mass_properties(self) -> Tuple[float, Vector, Pose]:
@@ -119,9 +125,8 @@ class BodyMaker:
         parts, helpers = [], []
         for place, link in enumerate(links):
             joint = above.get(link.name)
-            origin = joint.anchor if joint else (0.0, 0.0, 0.0)
-            first, *more = self._shapes(link, static, origin) or [((), NONE)]
-            parent = places[joint.parent] if joint else ROOT
+            origin, parent = (joint.anchor, places[joint.parent]) if joint else (ORIGIN, ROOT)
+            first, *more = self._shapes(link, axle_of(joint), static, origin) or [EMPTY]
             parts.append(Part(link, joint, parent, *first, origin))
             helpers += [Part(link, HELPER_JOINT, place, *group, origin) for group in more]
         return parts + helpers
@@ -152,8 +157,8 @@ class BodyMaker:
         )
         # Not in one call with what is a link's: these turn any link's index into the root's.
         self._change(body, ROOT, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=FASTEST)
-        for index, (part, (_, moments, _)) in enumerate(zip(parts, inertias), start=ROOT):
-            given = {"localInertiaDiagonal": moments, **contact_properties(part.link)}
+        for index, (part, (_, moments, frame)) in enumerate(zip(parts, inertias), start=ROOT):
+            given = {"localInertiaDiagonal": moments, **part.surface.properties(frame, static)}
             if part.joint:
                 given.update(joint_properties(part.joint, parts[part.parent].link, part.link))
             self._change(body, index, **given)
@@ -165,33 +170,38 @@ class BodyMaker:
         pybullet.changeDynamics(body, index, physicsClientId=self._client, **properties)
 
     def _shapes(
-        self, link: Link, static: bool, origin: Vector
-    ) -> List[Tuple[Tuple[Collision, ...], int]]:
+        self, link: Link, axle: Optional[Vector], static: bool, origin: Vector
+    ) -> List[Tuple[Tuple[Collision, ...], int, Surface]]:
         """Return the shapes of a link as PyBullet takes them in one call, with its ids of them.
 
         PyBullet's origin of the link is at a place (m) in its frame.
         """
-        meshes = [(shape,) for shape in link.collisions if isinstance(shape.geometry, Mesh)]
-        simple = [shape for shape in link.collisions if not isinstance(shape.geometry, Mesh)]
-        starts = range(0, len(simple), MOST_SHAPES)
-        groups = [tuple(simple[start : start + MOST_SHAPES]) for start in starts]
-        found = []
-        for group in groups + meshes:
-            placed = [replace(shape, pose=_moved(shape.pose, origin)) for shape in group]
-            found += [(group, made) for made in self._once(placed, static)]
-        return found
+        groups: List[Tuple[List[Collision], Surface]] = []
+        for surface, shapes in by_surface(link.collisions, axle):
+            simple = [shape for shape in shapes if not isinstance(shape.geometry, Mesh)]
+            starts = range(0, len(simple), MOST_SHAPES)
+            groups += [(simple[start : start + MOST_SHAPES], surface) for start in starts]
+            groups += [([s], surface) for s in shapes if isinstance(s.geometry, Mesh)]
+        return [
+            (tuple(group), made, surface)
+            for group, surface in groups
+            for made in self._once(group, axle, static, origin)
+        ]
 
-    def _once(self, group: Sequence[Collision], static: bool) -> List[int]:
+    def _once(
+        self, group: Sequence[Collision], axle: Optional[Vector], static: bool, origin: Vector
+    ) -> List[int]:
         """Return PyBullet's ids of a group of shapes, or of the pieces of a mesh."""
-        key: Hashable = tuple((shape.geometry, shape.pose) for shape in group)
-        mesh, pose = group[0].geometry, group[0].pose
+        shapes = [replace(s, pose=_moved(s.pose, origin)) for s in on_treads(group, axle)]
+        mesh, pose = group[0].geometry, shapes[0].pose
+        key: Hashable = tuple((shape.geometry, shape.pose) for shape in shapes)
         if isinstance(mesh, Mesh):
             key = (key, file_version(mesh), static)
             if key not in self._made:
                 pieces = triangle_corners(mesh) if static else [hull_corners(mesh)]
                 self._made[key] = [self._mesh(corners.tolist(), pose, static) for corners in pieces]
         elif key not in self._made:
-            self._made[key] = [self._simple(group)]
+            self._made[key] = [self._simple(shapes)]
         return self._made[key]
 
     def _simple(self, group: Sequence[Collision]) -> int:
@@ -228,7 +238,7 @@ def _moved(pose: Pose, origin: Vector) -> Pose:
 def _joint_place(part: Part, parts: Sequence[Part]) -> Vector:
     """Return the place (m) of a part's joint from PyBullet's origin of its parent."""
     if part.joint is HELPER_JOINT:
-        return (0.0, 0.0, 0.0)
+        return ORIGIN
     at = part.joint.pose * Pose(part.origin) if any(part.origin) else part.joint.pose
     return subtract(at.position, parts[part.parent].origin)
 
@@ -283,24 +293,3 @@ def net_motor(joint: Joint, velocity: float, effort: float) -> Tuple[float, floa
     if effort > friction:
         return velocity, effort - friction
     return 0.0, friction - effort
-
-
-# What Bullet itself takes for a contact that only says the one or the other.
-HARD = 1e18
-DEFAULT_DAMPING = 0.1
-
-
-def contact_properties(link: Link) -> Dict[str, float]:
-    """Return friction, stiffness and damping of a link's contacts as PyBullet's properties.
-
-    PyBullet knows links only: the roughest and the softest shape decide. Shapes with a stiffness
-    or damping touch as a spring and damper, which are solved implicitly, as in ODE, so that stiff
-    ones do not blow up.
-    """
-    properties = {"lateralFriction": max((c.friction for c in link.collisions), default=1.0)}
-    stiffness = [c.stiffness for c in link.collisions if c.stiffness is not None]
-    damping = [c.damping for c in link.collisions if c.damping is not None]
-    if stiffness or damping:
-        properties["contactStiffness"] = min(stiffness, default=HARD)
-        properties["contactDamping"] = max(damping, default=DEFAULT_DAMPING)
-    return properties

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any, Dict, Iterable, Iterator
 from xml.etree.ElementTree import Element
 
-from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import WHITE, Link, PluginTag
 from bullet_lab.simulation.world.materials import MaterialLibrary
-from bullet_lab.simulation.world.report import ReportOnce
+from bullet_lab.simulation.world.report import ReportOnce, leaving_out
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.xml import TagReader, child_text
 
@@ -29,29 +28,33 @@ def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
             yield PluginTag(filename, name, tags, link, sensor, element)
 
 
-# Of a `<gazebo reference=…>`: Coulomb's coefficient, and N/m and N s/m of the link's contacts.
-COEFFICIENTS = {"mu1": "friction", "kp": "stiffness", "kd": "damping"}
-LINK_TAGS = frozenset((*COEFFICIENTS, "mu2", "material", "selfCollide"))
+# Of a `<gazebo reference=…>`: Coulomb's coefficients, and N/m and N s/m of the link's contacts.
+COEFFICIENTS = {
+    "mu1": "friction",
+    "mu2": "cross_friction",
+    "kp": "stiffness",
+    "kd": "damping",
+}
+LINK_TAGS = frozenset((*COEFFICIENTS, "fdir1", "material", "selfCollide"))
 # Read elsewhere, or for the eye alone.
 QUIET_TAGS = frozenset(("plugin", "sensor", "visualize", "visual"))
+# How ODE computes, which is its own business.
+QUIET_TAGS |= frozenset(("minDepth", "maxVel", "maxContacts"))
+QUIET_TAGS |= frozenset(("provideFeedback", "implicitSpringDamper"))
 
 
 class _LinkTag(TagReader):
     """Reads both spellings of a tag's `value`, as Gazebo does: <mu1>1</mu1>, <mu1 value="1"/>."""
 
-    def __init__(self, element: Element, where: str, report: ReportOnce):
+    def __init__(self, element: Element, where: str):
         self._element = element
         self._where = where
-        self._report = report
 
     def text(self, key: str, default: str = "") -> str:
         return (self._element.get(key) or self._element.text or "").strip()
 
     def where(self, key: str) -> str:
         return self._where
-
-    def doubt(self, error: LabError) -> None:
-        self._report(f"{error}; the default counts")
 
 
 class GazeboTags:
@@ -80,18 +83,27 @@ class GazeboTags:
             name = element.get("reference")
             if name is None:
                 for child in element.findall("static"):
-                    self.static = self._tag(child, "robot").boolean("value", False)
+                    with leaving_out(self._report):
+                        self.static = self._tag(child, "robot").boolean("value", False)
                 self._report_unknown(element, frozenset(("static",)))
                 continue
             if name not in known:
                 self._report(f"<gazebo reference='{name}'>: there is no such link or joint")
             for child in element:
-                self._read(child, self._told.setdefault(name, {}), name)
+                with leaving_out(self._report):
+                    self._read(child, self._told.setdefault(name, {}), name)
             self._report_unknown(element, LINK_TAGS)
 
     def apply(self, link: Link) -> Link:
         """Return a link as Gazebo would have it."""
         told = dict(self._told.get(link.name, {}))
+        cross = told.get("cross_friction")
+        if cross is not None and "direction" not in told:
+            mu = told.setdefault("friction", cross)
+            if mu != cross:
+                where = f"{self._source}: <mu2> of '{link.name}'"
+                said = f"without <fdir1>, friction has one coefficient here, <mu1>: {mu:g}"
+                self._report(f"{where}: {said}")
         look = told.pop("look", None)
         link = replace(link, self_collide=told.pop("self_collide", link.self_collide))
         if look is not None:
@@ -101,19 +113,16 @@ class GazeboTags:
         return replace(link, collisions=tuple(replace(c, **told) for c in link.collisions))
 
     def _tag(self, child: Element, part: str) -> _LinkTag:
-        return _LinkTag(child, f"{self._source}: <{child.tag}> of '{part}'", self._report)
+        return _LinkTag(child, f"{self._source}: <{child.tag}> of '{part}'")
 
     def _read(self, child: Element, told: Dict[str, Any], link: str) -> None:
         tag = self._tag(child, link)
         where = tag.where("value")
         if child.tag in COEFFICIENTS:
             told[COEFFICIENTS[child.tag]] = tag.coefficient("value", 0.0)
-        elif child.tag == "mu2":
-            # Bullet's friction is the same in all directions.
-            value = tag.coefficient("value", 0.0)
-            if value != told.setdefault("friction", value):
-                mu = told["friction"]
-                self._report(f"{where}: friction has one coefficient here, <mu1>: {mu:g}")
+        elif child.tag == "fdir1":
+            if any(tag.numbers("value", 3)):
+                told["direction"] = tag.direction("value", "")
         elif child.tag == "selfCollide":
             told["self_collide"] = tag.boolean("value", False)
         elif child.tag == "material":

@@ -26,6 +26,7 @@ from bullet_lab.simulation.world.description import (
 from bullet_lab.simulation.world.frames import Frames
 from bullet_lab.simulation.world.gazebo_tags import plugins_in, report_unknown
 from bullet_lab.simulation.world.inertia import INERTIA_KEYS, inertia_at
+from bullet_lab.simulation.world.report import leaving_out
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf_state import read_states
 from bullet_lab.simulation.world.sdf_structure import (
@@ -38,7 +39,7 @@ from bullet_lab.simulation.world.sdf_structure import (
 from bullet_lab.simulation.world.sdf_tag import NEWEST, Document, SdfError, version_of
 from bullet_lab.simulation.world.sdf_tag import SdfTag as _Tag
 from bullet_lab.simulation.world.shapes import SHAPES, Shape
-from bullet_lab.simulation.world.soundness import first_of_each, leaving_out
+from bullet_lab.simulation.world.soundness import first_of_each
 from bullet_lab.simulation.world.urdf import read_urdf
 from bullet_lab.simulation.world.xml import XmlError, parse_text, read_text
 
@@ -293,11 +294,13 @@ def _visual(tag: _Tag, geometry: Shape) -> Visual:
 
 
 def _collision(tag: _Tag, geometry: Shape) -> Collision:
-    mu = tag.coefficient("surface/friction/ode/mu", 1.0)
-    # Stiffness and damping of its contacts, None for what is not said.
-    paths = [f"surface/contact/ode/{key}" for key in ("kp", "kd")]
-    spring = [tag.coefficient(path, 0.0) if tag.text(path) else None for path in paths]
-    return Collision(geometry, tag.pose(), mu, tag.name, *spring)
+    friction, contact = "surface/friction/ode", "surface/contact/ode"
+    mu, fdir1 = tag.coefficient(f"{friction}/mu", 1.0), f"{friction}/fdir1"
+    # Stiffness and damping of its contacts, and a second friction: None for what is not said.
+    paths = (f"{contact}/kp", f"{contact}/kd", f"{friction}/mu2")
+    others = [tag.coefficient(path, 0.0) if tag.text(path) else None for path in paths]
+    direction = tag.direction(fdir1, "") if any(tag.numbers(fdir1, 3, "0 0 0")) else None
+    return Collision(geometry, tag.pose(), mu, tag.name, *others, direction)
 
 
 def _inertia(link: _Tag) -> Inertia:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 from dataclasses import replace
-from typing import Any, Callable, Iterable, Iterator, Sequence, Set, Tuple, TypeVar
+from typing import Any, Iterable, Sequence, Set, Tuple, TypeVar
 
 import numpy as np
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import WORLD_LINK, Joint, Link, Model
+from bullet_lab.simulation.world.report import leaving_out
 from bullet_lab.simulation.world.tree import top_down
 
 LOG = logging.getLogger(__name__)
@@ -21,15 +21,6 @@ RELATIVE_TOLERANCE = 1e-3
 BALL = 0.05
 
 Named = TypeVar("Named", bound=Any)
-
-
-@contextlib.contextmanager
-def leaving_out(report: Callable[[str], None]) -> Iterator[None]:
-    """Report what is wrong with a part, and go on without it."""
-    try:
-        yield
-    except LabError as error:
-        report(f"{error}; it is left out")
 
 
 def first_of_each(parts: Iterable[Named], what: str, source: str) -> Tuple[Named, ...]:

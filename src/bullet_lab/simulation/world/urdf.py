@@ -24,10 +24,10 @@ from bullet_lab.simulation.world.description import (
 from bullet_lab.simulation.world.gazebo_tags import GazeboTags, plugins_in
 from bullet_lab.simulation.world.inertia import INERTIA_KEYS, inertia_at
 from bullet_lab.simulation.world.materials import MaterialLibrary
-from bullet_lab.simulation.world.report import ReportOnce
+from bullet_lab.simulation.world.report import ReportOnce, leaving_out
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import SHAPES, Shape, ShapeTag
-from bullet_lab.simulation.world.soundness import leaving_out, with_sound_inertias
+from bullet_lab.simulation.world.soundness import with_sound_inertias
 from bullet_lab.simulation.world.tree import (
     check_tree,
     lump_fixed_joints,
