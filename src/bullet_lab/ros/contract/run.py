@@ -18,7 +18,7 @@ from bullet_lab.ros.contract.simulator import CallError, Simulator, SimulatorErr
 # Simulated seconds for which probes are listened to.
 ROUND_SECONDS = 2.6
 # Rows about what need not be a topic.
-NOT_HEARD = ("offers", "absent", "takes")
+NOT_HEARD = frozenset(("offers", "absent", "takes"))
 PLACE = probes.CORNER
 
 
@@ -73,13 +73,22 @@ class ContractRun:
             instead = "; ".join(filter(None, (judge(word, say, scene) for word, say in entries)))
         return verdict(row, judge(row.word, row.expected, scene), deviation, instead)
 
+    def _heard(self, named: Iterable[Tuple[Row, str]]) -> Iterable[str]:
+        """Return the topics that rows have to be judged by, from rows and their topics."""
+        for row, topic in named:
+            deviation = self._deviations.get(row.name)
+            if {row.word, *(deviation.instead if deviation else ())} - NOT_HEARD:
+                yield topic
+            if row.word == "stamped":
+                yield beside(topic, row.expected)
+
     # Rows that are followed in their order
 
     def _follow(self, chapter: Chapter) -> List[Verdict]:
         """Do and judge what the rows of a chapter say, one after the other."""
         asked = {row.name for row in self._asked(chapter.rows)}
         services = [row.topic for row in chapter.rows if row.word in NOT_HEARD]
-        self._simulator.listen(_heard((row, row.topic) for row in chapter.rows if row.topic))
+        self._simulator.listen(self._heard((row, row.topic) for row in chapter.rows if row.topic))
         offered = self._simulator.services(services)
         evidence = Evidence()
         found: List[Verdict] = []
@@ -134,7 +143,7 @@ class ContractRun:
         refused = {probe.name: self._place(probe, where[probe.name]) for probe in present}
         named = [(row, probes.topic_name(row.topic, probe)) for probe, row in rows if row.topic]
         services = [topic for row, topic in named if row.word in NOT_HEARD]
-        self._simulator.listen(_heard(named))
+        self._simulator.listen(self._heard(named))
         evidence = self._simulator.run(ROUND_SECONDS, _commands(present))
         evidence.services = self._simulator.services(services)
         found = []
@@ -177,15 +186,6 @@ class ContractRun:
                 self._simulator.must("delete_model", {"model_name": name})
         if rospy.has_param("/contract"):
             rospy.delete_param("/contract")
-
-
-def _heard(named: Iterable[Tuple[Row, str]]) -> Iterable[str]:
-    """Return the topics that rows have to be judged by, from rows and their topics."""
-    for row, topic in named:
-        if row.word not in NOT_HEARD:
-            yield topic
-        if row.word == "stamped":
-            yield beside(topic, row.expected)
 
 
 def _commands(present: Sequence[Probe]) -> List[Dict[str, Any]]:
