@@ -21,6 +21,7 @@ from bullet_lab.simulation.physics.bodies import (
     net_motor,
 )
 from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
+from bullet_lab.simulation.physics.surfaces import wants_friction_pyramid
 from bullet_lab.simulation.world.description import Joint, Model
 from bullet_lab.simulation.world.tree import top_down
 
@@ -260,12 +261,24 @@ class Physics:
                 if any(link.self_collide for link in links):
                     part_the_links(body)
                 body.place(place)
+                if not model.static and wants_friction_pyramid(links, joints):
+                    self._use_friction_pyramid()
         except LabError as error:
             self.remove(bodies)
             if isinstance(error, PhysicsError):
                 raise PhysicsError(f"model '{model.name}': {error}") from error
             raise
         return bodies
+
+    def _use_friction_pyramid(self) -> None:
+        """Limit friction along two directions each for itself, in the whole world.
+
+        ODE, Gazebo's engine, does so by default. Bullet's default, a cone, solves the directions
+        together, and wheels that slip sideways while they are driven then hardly push: a robot
+        that steers by slipping turned at 0.1 to 0.6 of what it was told, as its heading had it,
+        and at 0.6 to 0.8 with the pyramid (Coulomb's law says 0.61 for it).
+        """
+        pybullet.setPhysicsEngineParameter(enableConeFriction=0, physicsClientId=self.client)
 
     def remove(self, bodies: Dict[str, Body]) -> None:
         """Take the bodies of a model out of the world."""
@@ -287,14 +300,3 @@ def part_the_links(body: Body) -> None:
         ends = (body.unique_id, body.unique_id, first, second)
         together = int(touchy and not apart)
         pybullet.setCollisionFilterPair(*ends, together, physicsClientId=body.client)
-
-
-def use_friction_pyramid(body: Body) -> None:
-    """Limit friction along two directions each for itself, in the body's whole world.
-
-    ODE, Gazebo's engine, does so by default. Bullet's default, a cone, solves the directions
-    together, and wheels that slip sideways while they are driven then hardly push: a robot that
-    steers by slipping turned at 0.1 to 0.6 of what it was told, as its heading had it, and at
-    0.6 to 0.8 with the pyramid (Coulomb's law says 0.61 for it).
-    """
-    pybullet.setPhysicsEngineParameter(enableConeFriction=0, physicsClientId=body.client)

@@ -11,7 +11,7 @@ from typing import ClassVar, Tuple
 
 from bullet_lab.core.pose import Pose, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.physics.physics import Body, JointState, use_friction_pyramid
+from bullet_lab.simulation.physics.physics import Body, JointState
 from bullet_lab.simulation.plugins.mobile_base import (
     POSE_VARIANCES,
     STANDSTILL,
@@ -301,7 +301,6 @@ class SkidSteer(WheelDrive):
 
     def __init__(self, mount: Mount):
         super().__init__(mount, 0.4)
-        use_friction_pyramid(self._body)
         torque = mount.coefficient("torque", 5.0)
         names = [wheel_joint(mount, *tag).name for tag in LEFT + RIGHT]
         if len(set(names)) < len(names):

@@ -89,7 +89,9 @@ class Visual:
 class Collision:
     """A shape that touches others; `friction` is Coulomb's coefficient.
 
-    `stiffness` (N/m) and `damping` (N s/m) make its contacts springs; None for hard ones.
+    With a `direction`, a unit vector in the shape's own axes, it is the coefficient along it, and
+    `cross_friction` that across it. `stiffness` (N/m) and `damping` (N s/m) make its contacts
+    springs; None for hard ones.
     """
 
     geometry: Geometry
@@ -98,6 +100,8 @@ class Collision:
     name: str = ""
     stiffness: Optional[float] = None
     damping: Optional[float] = None
+    cross_friction: Optional[float] = None
+    direction: Optional[Vector] = None
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,19 @@ def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
             yield PluginTag(filename, name, tags, link, sensor, element)
 
 
-# Of a `<gazebo reference=…>`: Coulomb's coefficient, and N/m and N s/m of the link's contacts.
-COEFFICIENTS = {"mu1": "friction", "kp": "stiffness", "kd": "damping"}
-LINK_TAGS = frozenset((*COEFFICIENTS, "mu2", "material", "selfCollide"))
+# Of a `<gazebo reference=…>`: Coulomb's coefficients, and N/m and N s/m of the link's contacts.
+COEFFICIENTS = {
+    "mu1": "friction",
+    "mu2": "cross_friction",
+    "kp": "stiffness",
+    "kd": "damping",
+}
+LINK_TAGS = frozenset((*COEFFICIENTS, "fdir1", "material", "selfCollide"))
 # Read elsewhere, or for the eye alone.
 QUIET_TAGS = frozenset(("plugin", "sensor", "visualize", "visual"))
+# How ODE computes, which is its own business.
+QUIET_TAGS |= frozenset(("minDepth", "maxVel", "maxContacts"))
+QUIET_TAGS |= frozenset(("provideFeedback", "implicitSpringDamper"))
 
 
 class _LinkTag(TagReader):
@@ -85,6 +93,13 @@ class GazeboTags:
     def apply(self, link: Link) -> Link:
         """Return a link as Gazebo would have it."""
         told = dict(self._told.get(link.name, {}))
+        cross = told.get("cross_friction")
+        if cross is not None and "direction" not in told:
+            mu = told.setdefault("friction", cross)
+            if mu != cross:
+                where = f"{self._source}: <mu2> of '{link.name}'"
+                said = f"without <fdir1>, friction has one coefficient here, <mu1>: {mu:g}"
+                self._report(f"{where}: {said}")
         look = told.pop("look", None)
         link = replace(link, self_collide=told.pop("self_collide", link.self_collide))
         if look is not None:
@@ -98,12 +113,9 @@ class GazeboTags:
         tag = _LinkTag(child, where)
         if child.tag in COEFFICIENTS:
             told[COEFFICIENTS[child.tag]] = tag.coefficient("value", 0.0)
-        elif child.tag == "mu2":
-            # Bullet's friction is the same in all directions.
-            value = tag.coefficient("value", 0.0)
-            if value != told.setdefault("friction", value):
-                mu = told["friction"]
-                self._report(f"{where}: friction has one coefficient here, <mu1>: {mu:g}")
+        elif child.tag == "fdir1":
+            if any(tag.numbers("value", 3)):
+                told["direction"] = tag.direction("value", "")
         elif child.tag == "selfCollide":
             told["self_collide"] = tag.boolean("value", False)
         elif child.tag == "material":

@@ -311,11 +311,13 @@ def _visual(tag: _Tag, geometry: Shape) -> Visual:
 
 
 def _collision(tag: _Tag, geometry: Shape) -> Collision:
-    mu = tag.coefficient("surface/friction/ode/mu", 1.0)
-    # Stiffness and damping of its contacts, None for what is not said.
-    paths = [f"surface/contact/ode/{key}" for key in ("kp", "kd")]
-    spring = [tag.coefficient(path, 0.0) if tag.text(path) else None for path in paths]
-    return Collision(geometry, tag.pose(), mu, tag.name, *spring)
+    friction, contact = "surface/friction/ode", "surface/contact/ode"
+    mu, fdir1 = tag.coefficient(f"{friction}/mu", 1.0), f"{friction}/fdir1"
+    # Stiffness and damping of its contacts, and a second friction: None for what is not said.
+    paths = (f"{contact}/kp", f"{contact}/kd", f"{friction}/mu2")
+    others = [tag.coefficient(path, 0.0) if tag.text(path) else None for path in paths]
+    direction = tag.direction(fdir1, "") if any(tag.numbers(fdir1, 3, "0 0 0")) else None
+    return Collision(geometry, tag.pose(), mu, tag.name, *others, direction)
 
 
 def _inertia(link: _Tag) -> Inertia:

@@ -197,7 +197,11 @@ def _shape(shape: Union[Collision, Visual], uris: _Uris) -> Dict[str, Any]:
 
 
 def _surface(collision: Collision) -> Dict[str, Any]:
-    friction = {"mu": collision.friction, "mu2": collision.friction}
+    cross = collision.cross_friction
+    friction: Dict[str, Any] = {"mu": collision.friction}
+    friction["mu2"] = collision.friction if cross is None else cross
+    if collision.direction is not None:
+        friction["fdir1"] = collision.direction
     spring = {"kp": collision.stiffness, "kd": collision.damping}
     said = {tag: value for tag, value in spring.items() if value is not None}
     contact = {"contact": {"ode": said}} if said else {}

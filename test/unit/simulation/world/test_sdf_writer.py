@@ -155,6 +155,9 @@ def same_link(link, other):
     for shape, again in zip(link.collisions, other.collisions):
         assert again.geometry == shape.geometry
         assert again.friction == shape.friction
+        assert again.direction == shape.direction
+        if shape.cross_friction is not None:
+            assert again.cross_friction == shape.cross_friction
         assert (again.stiffness, again.damping) == (shape.stiffness, shape.damping)
         assert again.pose.position == pytest.approx(shape.pose.position)
     for shape, again in zip(link.visuals, other.visuals):
