@@ -39,7 +39,7 @@ class ContractRun:
         self._simulator = simulator
         self._wanted = {row.name for row in rows}
         self._deviations = deviations
-        self._spawned: List[str] = []
+        self._parameters: List[str] = []
 
     def verdicts(self) -> List[Verdict]:
         """Return what comes of the rows; raises SimulatorError where that cannot be found out."""
@@ -109,15 +109,17 @@ class ContractRun:
         return found
 
     def _call(self, row: Row, scene: Scene) -> None:
-        request = dict(row.request)
-        text = request.get("model_xml")
-        if isinstance(text, dict):
-            path = self._contract.folder / "probes" / text["file"]
-            request["model_xml"] = path.read_text(encoding="utf-8")
+        request = {name: self._read(value) for name, value in row.request.items()}
         try:
             scene.answer = self._simulator.call(row.call, request)
         except CallError as error:
             scene.error = str(error)
+
+    def _read(self, value: Any) -> Any:
+        """Return a value; the text of a file where it names one."""
+        if not (isinstance(value, dict) and set(value) == {"file"}):
+            return value
+        return (self._contract.folder / "probes" / value["file"]).read_text(encoding="utf-8")
 
     # Probes that are looked at together
 
@@ -161,8 +163,10 @@ class ContractRun:
     def _place(self, probe: Probe, place: probes.Place) -> str:
         """Put a probe into the world; return what is wrong where that fails."""
         space = probes.namespace(probe)
-        if probe.tf_prefix:
-            rospy.set_param(f"/{space}/tf_prefix", probe.tf_prefix)
+        prefix = {f"/{space}/tf_prefix": probe.tf_prefix} if probe.tf_prefix else {}
+        for name, value in {**prefix, **probe.parameters}.items():
+            self._parameters.append(name)
+            rospy.set_param(name, self._read(value))
         text = probes.probe_text(probe, self._contract.folder)
         pose = Pose.from_rpy(place, tuple(probe.rpy))
         try:
@@ -184,8 +188,8 @@ class ContractRun:
         for name in self._simulator.must("get_world_properties", {}).model_names:
             if name.startswith(probes.PREFIX):
                 self._simulator.must("delete_model", {"model_name": name})
-        if rospy.has_param("/contract"):
-            rospy.delete_param("/contract")
+        while self._parameters:
+            rospy.delete_param(self._parameters.pop())
 
 
 def _commands(present: Sequence[Probe]) -> List[Dict[str, Any]]:
