@@ -48,7 +48,7 @@ class Probe:
         parameters: of the master; `{file: …}` is a text in config/contract/probes.
         rpy: how it is turned at first, in rad.
         floor: whether there is a floor below it.
-        publish: commands: topic, `at` (s after the start), `type` and `message`.
+        publish: commands before time runs: topic, `type` and `message`.
         round: probes of different rounds are not in the world together.
     """
 

@@ -70,7 +70,7 @@ def test_each_plugin_has_a_probe_with_and_one_without_each_of_its_tags(plugin):
     own = [probe for probe in PROBES if probe.plugin == plugin]
     pages = (ROOT / "docs" / "plugins").glob("*.md")
     page = next(page for page in pages if plugin in page.read_text().split("\n", 1)[0])
-    cells = ",".join(TAG_ROW.findall(page.read_text()))
+    cells = ",".join(TAG_ROW.findall(page.read_text().partition("Passed over")[0]))
     tags = {tag.strip(" `") for tag in re.split(r",| … ", cells)} - OWN_TAGS
     tags = {tag for tag in tags if re.fullmatch(r"[a-zA-Z]\w\w+", tag)}
     used = {tag for probe in own for tag in probe.tags}
