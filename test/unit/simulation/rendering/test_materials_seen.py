@@ -116,6 +116,14 @@ def test_scale_tiles_and_scroll_shifts(quarters):
     assert quarters_seen(turned) == DOWN
 
 
+def test_sharp_pictures_have_square_pixels(tmp_path):
+    Image.fromarray(np.array([[0, 255], [255, 0]], np.uint8)).save(tmp_path / "tiny.png")
+    for sharp in (True, False):
+        picture = seen(Box((1.0, 1.0, 1.0)), Texture(tmp_path / "tiny.png", sharp=sharp))
+        inner = picture[190:230, 270:310]
+        assert (np.ptp(inner) == 0) == sharp
+
+
 COLOUR, DIM = (0.5, 0.0, 1.0, 1.0), (0.4, 0.4, 0.4, 1.0)
 AHEAD = Light("l", "directional", Pose(), (0.5, 0.5, 0.5, 1.0), (1.0, 0.0, 0.0))
 
