@@ -35,8 +35,10 @@ from bullet_lab.simulation.plugins.plugin import NAMESPACE
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
 from bullet_lab.simulation.world.description import Light, Model, PluginTag, Snapshot, World
 from bullet_lab.simulation.world.inertia import check_proportions
+from bullet_lab.simulation.world.report import leaving_out
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.soundness import usable
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 __all__ = ["ModelInstance", "Simulation", "SimulationError", "Snapshot", "Timer", "View"]
@@ -44,7 +46,6 @@ __all__ = ["ModelInstance", "Simulation", "SimulationError", "Snapshot", "Timer"
 LOG = logging.getLogger(__name__)
 
 TfPrefix = Union[str, Callable[[str], str]]
-Failed = Callable[[str, LabError], None]
 
 
 @dataclass(frozen=True)
@@ -62,13 +63,8 @@ class Simulation:
     PyBullet wants all calls from one thread at a time.
     """
 
-    def __init__(
-        self, world: Optional[World] = None, seed: int = 0, on_failure: Optional[Failed] = None
-    ):
-        """Load a world, an empty one by default; the noise of all sensors follows the seed.
-
-        `on_failure` is as for `go_on_after`.
-        """
+    def __init__(self, world: Optional[World] = None, seed: int = 0):
+        """Load a world, an empty one by default; the noise of all sensors follows the seed."""
         self.world = world or World("default")
         self._renderer: Optional[Renderer] = None
         self.seed = seed
@@ -81,22 +77,19 @@ class Simulation:
         self._acting: List[Plugin] = []
         self._measuring: List[Union[Plugin, Timer]] = []
         self._timers: List[Union[Plugin, Timer]] = []
-        self._on_failure = on_failure
+        self._on_failure: Optional[Callable[[str, LabError], None]] = None
         self._spent: DefaultDict[Union[Plugin, Timer], float] = defaultdict(float)
         self.forces = Forces()
-        try:
-            for model in self.world.models:
+        for model in self.world.models:
+            with leaving_out(lambda said: LOG.warning("%s", said)):
                 instance = self.add(model, namespace="")
                 if model.name in self.world.states:
                     instance.restore(self.world.states[model.name])
-        except LabError:
-            self.close()
-            raise
 
     @classmethod
-    def of(cls, world: str, seed: int = 0, on_failure: Optional[Failed] = None) -> Simulation:
+    def of(cls, world: str, seed: int = 0) -> Simulation:
         """Load the world file that a path or URI names; raises LabError."""
-        return cls(read_world_file(ResourceFinder.anywhere().find(world)), seed, on_failure)
+        return cls(read_world_file(ResourceFinder.anywhere().find(world)), seed)
 
     def __enter__(self) -> Simulation:
         return self
@@ -156,7 +149,7 @@ class Simulation:
                 the namespace of a plugin.
 
         Raises:
-            LabError: the name is taken, or the model or one of its plugins makes no sense.
+            LabError: the name is taken, or nothing of the model can be simulated.
         """
         name = name or model.name
         if name in self._instances:
@@ -168,15 +161,9 @@ class Simulation:
         check_proportions(model)
         plugins = tuple(_in_namespace(plugin, namespace) for plugin in model.plugins)
         model = replace(model, name=name, pose=pose or model.pose, plugins=plugins)
-        for visual in (visual for link in model.links for visual in link.visuals):
-            # Refuses a mesh that could not be drawn.
-            visual.geometry.bounds()
+        model = usable(model)
         bodies = self._physics.add(model)
-        try:
-            plugins = self._make_plugins(model, bodies, tf_prefix)
-        except LabError:
-            self._physics.remove(bodies)
-            raise
+        plugins = self._make_plugins(model, bodies, tf_prefix)
         instance = ModelInstance(model, bodies, plugins)
         self._instances[name] = instance
         for body in bodies.values():
@@ -256,11 +243,11 @@ class Simulation:
         """Call `call(step)` `rate` times per simulated second, before plugins send theirs."""
         self._timers.append(Timer(Schedule(rate, self.step), call))
 
-    def go_on_after(self, failed: Failed) -> None:
-        """Go on where a plugin cannot be, or cannot measure, as a camera without a driver.
+    def go_on_after(self, failed: Callable[[str, LabError], None]) -> None:
+        """Go on where a plugin cannot measure, as a camera without a driver to draw with.
 
-        `failed` is told the plugin's name and the reason, each time. Without this, `add` and
-        `run_until` raise what the plugin raises.
+        `failed` is told the plugin's name and the reason, each time. Without this, `run_until`
+        raises what the plugin raises.
         """
         self._on_failure = failed
 
@@ -280,13 +267,10 @@ class Simulation:
                     try:
                         timer.produce(self.step)
                     except LabError as error:
-                        self._fail(_name_of(timer), error)
+                        if self._on_failure is None:
+                            raise
+                        self._on_failure(_name_of(timer), error)
                     self._spent[timer] += time.perf_counter() - start
-
-    def _fail(self, name: str, error: LabError) -> None:
-        if self._on_failure is None:
-            raise error
-        self._on_failure(name, error)
 
     def take_spent(self) -> Dict[str, float]:
         """Return the wall seconds that each plugin's samples have taken since the last call."""
@@ -337,14 +321,14 @@ class Simulation:
         for tag in model.plugins:
             space = namespace_of(tag, model.name)
             prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
+            what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
             try:
                 plugin = make_plugin(Mount(model, bodies, tag, *common, prefix, *draws))
             except LabError as error:
-                self._fail(_described(tag, model), error)
+                LOG.warning("%s is left out: %s", what, error)
                 continue
             if plugin is None:
                 known = ", ".join(known_plugins())
-                what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
                 LOG.warning("%s is not simulated and skipped; known are %s", what, known)
                 continue
             plugin.reset(self.step)
@@ -360,11 +344,7 @@ def _name_of(timer: Union[Plugin, Timer]) -> str:
     """Name in messages what takes its time."""
     if isinstance(timer, Timer):
         return "clock and states"
-    return _described(timer.mount.plugin, timer.mount.model)
-
-
-def _described(tag: PluginTag, model: Model) -> str:
-    return f"plugin '{tag.name}' of '{model.name}'"
+    return f"plugin '{timer.mount.plugin.name}' of '{timer.mount.model.name}'"
 
 
 def _in_namespace(tag: PluginTag, namespace: str) -> PluginTag:

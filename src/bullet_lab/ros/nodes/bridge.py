@@ -140,7 +140,8 @@ class PyBulletBridge:
         check_choice(parameters.renderer)
         warnings = Warnings()
         self._failures: Set[Tuple[str, str]] = set()
-        self.simulation = Simulation.of(parameters.world, parameters.seed, self._report_failure)
+        self.simulation = Simulation.of(parameters.world, parameters.seed)
+        self.simulation.go_on_after(self._report_failure)
         self.stepper = Stepper(
             self.simulation,
             Pace(parameters.rtf),

@@ -95,16 +95,6 @@ def test_the_namespace_without_a_tag_is_that_of_gazebos_plugin(
     assert topic_of("<robotNamespace>own</robotNamespace>", "one") == f"/own/{topic}"
 
 
-def test_what_cannot_be_is_reported_and_left_out():
-    reported = []
-    text = ROBOT.format("libgazebo_ros_p3d.so")
-    with Simulation(on_failure=lambda *failure: reported.append(failure)) as simulation:
-        assert simulation.add(read_urdf(text, "here")).plugins == ()
-    ((name, error),) = reported
-    assert name == "plugin 'libgazebo_ros_p3d.so' of 'r'"
-    assert "<bodyName>: is missing" in str(error)
-
-
 @pytest.mark.parametrize("filename", ["libtest_altimeter.so", "libtest_altimeter_2"])
 def test_a_class_is_all_that_a_plugin_needs(altimeter, filename):
     assert set(altimeter.filenames) <= set(known_plugins())
