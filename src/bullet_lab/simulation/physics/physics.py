@@ -5,7 +5,6 @@ One `Physics` is one PyBullet client, so several simulations can live in one pro
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
