@@ -17,7 +17,6 @@ from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import ShapeTag
 from bullet_lab.simulation.world.xml import ElementReader, XmlError, numbers
 
-
 # That the writer writes, and that Gazebo 11 reads.
 NEWEST = (1, 7)
 
