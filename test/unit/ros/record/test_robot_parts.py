@@ -6,7 +6,7 @@ import pytest
 from bullet_lab.msg import ModelDescription, PluginDescription
 
 from bullet_lab.ros.record.robot_parts import choose, robot_of, topics_of
-from bullet_lab.ros.record.try_robot import assignments
+from bullet_lab.ros.record.try_robot import assignments, reason_in
 
 TWIST, ODOMETRY = "geometry_msgs/Twist", "nav_msgs/Odometry"
 
@@ -86,3 +86,10 @@ def test_arguments_of_a_launch_file():
     assert assignments("") == []
     assert assignments("a:=1 b=2") == ["a:=1", "b:=2"]
     assert assignments("world:='a b=c'") == ["world:=a b=c"]
+
+
+def test_why_a_launch_file_has_ended():
+    log = "logging to x\n\x1b[31mResource not found: lidar\nROS path [0]=/x\x1b[0m\nThe traceback\n"
+    assert reason_in(log) == "Resource not found: lidar"
+    assert reason_in("done\n") == "done"
+    assert reason_in("") == "without a word"
