@@ -54,7 +54,7 @@ noetic_packages() {
   local name names=()
   case $1 in
     base)
-      names=(actionlib actionlib-msgs catkin cv-bridge diagnostic-msgs gazebo-msgs geometry-msgs
+      names=(actionlib actionlib-msgs catkin control-msgs controller-manager-msgs cv-bridge diagnostic-msgs gazebo-msgs geometry-msgs
         message-filters message-generation message-runtime move-base-msgs nav-msgs robot-state-publisher rosbag rosbash
         rosgraph-msgs roslaunch rosmaster rospy sensor-msgs std-msgs std-srvs tf2-msgs tf2-ros visualization-msgs)
       echo ca-certificates g++ make cmake python3 python3-venv libegl1 libgl1-mesa-dri

@@ -462,11 +462,12 @@ class ForcesTest(GazeboCase):
         for name, frame in (("nix::link", ""), ("ball::link", "nix")):
             answer = apply(name, frame, Point(), push, now, none)
             self.assert_refused("ApplyBodyWrench: .*nix", answer)
-        place = Point(0.0, 0.0, 50.5)
         start, duration = rospy.Time(0, 100_000_000), rospy.Duration(0, 250_000_000)
-        self.assertTrue(apply("ball::link", "world", place, push, start, duration).success)
+        # In the world's axes, at the body, which is far from the world's origin.
+        self.assertTrue(apply("ball::link", "world", Point(), push, start, duration).success)
         step(1000)
         self.assert_near((0.5,), (state_of("ball").twist.linear.x,), 1e-3)
+        self.assert_near((0.0,), (state_of("ball").twist.angular.y,), 1e-3)
         # In its own frame and for ever, until it is cleared.
         own = Wrench(Vector3(0.0, 2.0, 0.0), Vector3())
         apply("ball::link", "ball::link", Point(), own, now, rospy.Duration(-1))

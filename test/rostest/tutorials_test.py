@@ -18,6 +18,7 @@ from pathlib import Path
 import rospkg
 import rospy
 import rostest
+from controller_manager_msgs.srv import ListControllers
 from gazebo_msgs.srv import GetJointProperties, GetModelState, GetWorldProperties
 from lab_testing import PACKAGE, wait_for
 from std_srvs.srv import Empty
@@ -298,6 +299,37 @@ class TutorialsTest(unittest.TestCase):
         expect("joints", "left_wheel_joint right_wheel_joint")
         expect("wheels", "5 5", 0.5)
         rospy.ServiceProxy("/gazebo/reset_world", Empty)()
+
+    def test_controllers_of_ros_control(self):
+        cart = Process("roslaunch", "--wait", "tutorials", "cart.launch")
+        try:
+            expect = self.check("ros_control.py")
+        finally:
+            cart.end()
+        self.assertNotIn("has died", cart.said())
+        velocity, wheels = "hardware_interface::VelocityJointInterface", "{0}left{1} {0}right{1}"
+        expect(
+            "controller",
+            [
+                "joint_state_controller running hardware_interface::JointStateInterface",
+                f"drive running {velocity} {wheels.format('', '_wheel_joint')}",
+                "mast running hardware_interface::EffortJointInterface mast_joint",
+            ],
+        )
+        # One that is not simulated, and one of which nobody knows.
+        expect("loaded", "False False")
+        expect("switched", "False")
+        expect("frames", "cart/odom cart/base_link")
+        # At most 0.5 m/s, for 1.5 s and the time-out; the truth is within 2 %.
+        expect("driven", "0.85", 0.2)
+        expect("off", "0", 0.017)
+        expect("speed", "0", 0.001)
+        expect("joints", "left_wheel_joint right_wheel_joint mast_joint")
+        expect("wheels", "6.25 6.25", 0.1)
+        expect("mast", "1 1 10", 0.02)
+        # The spawner has taken its controllers down.
+        listing = rospy.ServiceProxy("/cart/controller_manager/list_controllers", ListControllers)
+        self.assertEqual([], listing().controller)
 
     def test_planar_move_in_two_namespaces(self):
         expect = self.check("planar_move.py")

@@ -26,6 +26,7 @@ ROOMS = (
     "ros.node",
     "ros.bridge",
     "ros.gazebo",
+    "ros.contract",
     "ros.nodes",
     "ros.record",
     "ros.launcher",

@@ -32,7 +32,6 @@ from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_n
 from bullet_lab.simulation.physics.physics import Body, Physics
 from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
-from bullet_lab.simulation.rendering.surfaces import check_textures
 from bullet_lab.simulation.world.description import Model, PluginTag, Snapshot, World
 from bullet_lab.simulation.world.inertia import check_proportions
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -164,7 +163,6 @@ class Simulation:
         for visual in (visual for link in model.links for visual in link.visuals):
             # Refuses a mesh that could not be drawn.
             visual.geometry.bounds()
-        check_textures(model)
         bodies = self._physics.add(model)
         try:
             plugins = self._make_plugins(model, bodies, tf_prefix)

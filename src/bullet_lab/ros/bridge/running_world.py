@@ -7,7 +7,19 @@ import math
 import threading
 import time
 import xmlrpc.client
-from typing import Any, Callable, Dict, FrozenSet, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    FrozenSet,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
 import rosgraph
 import rosgraph.names
@@ -19,7 +31,8 @@ from bullet_lab.ros.bridge.timing import Arrival, CommandCounter
 from bullet_lab.ros.messages.conversions import INPUT_CONVERTERS, OUTPUT_CONVERTERS
 from bullet_lab.ros.node.node import TF_PREFIX, NodeError, Refusals
 from bullet_lab.ros.node.publishers import BatchPublisher
-from bullet_lab.simulation.plugins import Input, Output, PluginError
+from bullet_lab.simulation.plugins import Input, Output, Plugin, PluginError
+from bullet_lab.simulation.plugins.controllers.controller import Controller
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
 from bullet_lab.simulation.world.description import Model
 
@@ -30,6 +43,10 @@ ROUTES_SECONDS = 1.0
 CALLER = "/bullet_lab"
 # Wall seconds that a node may take to say that it is there.
 ANSWER_SECONDS = 5.0
+
+
+# What has outputs and inputs: a plugin, or a controller of one.
+Device = Union[Plugin, Controller]
 
 
 class TopicError(LabError):
@@ -80,22 +97,30 @@ class DeviceTopics:
 
     def connect(self, instance: ModelInstance) -> None:
         """Connect all devices of a model; raises TopicError for a topic that cannot be."""
-        for device in instance.plugins:
+        self.connect_devices(instance.plugins, f"model '{instance.name}'")
+        self._instances[instance.name] = instance
+
+    def disconnect(self, name: str) -> None:
+        """Give up what a model had on ROS; nothing happens where it had nothing."""
+        instance = self._instances.pop(name, None)
+        self.disconnect_devices(() if instance is None else instance.plugins)
+
+    def connect_devices(self, devices: Sequence[Device], owner: str) -> None:
+        """Connect what has outputs and inputs; raises TopicError for a topic that cannot be."""
+        for device in devices:
             for entry in (*device.outputs, *device.inputs):
                 # rospy would register the topic, and nobody could ever listen to it.
                 if not entry.topic or not rosgraph.names.is_legal_name(entry.topic):
-                    raise TopicError(f"model '{instance.name}': no topic is called '{entry.topic}'")
-        self._instances[instance.name] = instance
-        for device in instance.plugins:
+                    raise TopicError(f"{owner}: no topic is called '{entry.topic}'")
+        for device in devices:
             for output in device.outputs:
                 self._connect_output(output)
             for entry in device.inputs:
                 self._connect_input(entry)
 
-    def disconnect(self, name: str) -> None:
-        """Give up what a model had on ROS; nothing happens where it had nothing."""
-        instance = self._instances.pop(name, None)
-        for device in () if instance is None else instance.plugins:
+    def disconnect_devices(self, devices: Sequence[Device]) -> None:
+        """Give up what they had on ROS."""
+        for device in devices:
             for output in device.outputs:
                 self.release(output.topic)
             for entry in device.inputs:
@@ -155,13 +180,15 @@ class DeviceTopics:
 
         def receive(message: Any) -> None:
             command = converter.convert(message)
-            self._stepper.do_now(lambda: self._command(inputs, command))
+            self._stepper.do_now(lambda: self._command(topic, inputs, command))
 
         self.subscribe(topic, converter.message_kind, receive)
 
-    def _command(self, inputs: Sequence[Input], command: Any) -> None:
+    def _command(self, topic: str, inputs: Sequence[Input], command: Any) -> None:
         for entry in inputs:
             try:
+                if entry.alone and self._subscribers[topic].get_num_connections() > 1:
+                    raise PluginError("several nodes publish, and one may")
                 entry.handle(command)
             except PluginError as error:
                 self._refusals.refuse(entry.topic, str(error))

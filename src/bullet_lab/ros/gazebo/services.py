@@ -25,6 +25,7 @@ from bullet_lab.ros.messages.poses import (
 from bullet_lab.ros.node.node import Refusals
 from bullet_lab.simulation.forces import Effort, Period, Wrench
 from bullet_lab.simulation.models import (
+    WORLD_FRAMES,
     find_joint,
     find_link,
     find_model,
@@ -282,6 +283,9 @@ class GazeboServices:
         point = vector_of(request.reference_point, "the reference point")
         link = find_link(self._world.models, request.body_name)
         frame = frame_state(self._world.models, request.reference_frame)
+        if request.reference_frame in WORLD_FRAMES:
+            # As in Gazebo: the axes are the world's, the point is seen from the body.
+            frame = FrameState(Pose(link.frame.pose().position))
         wrench = Wrench.at_point(frame, link, force, torque, point, self._period(request))
         self._world.simulation.forces.add(wrench)
         return {}

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Callable, Dict, List, Type
 
 import numpy as np
-from geometry_msgs.msg import TransformStamped, Twist, Vector3, Wrench
+from geometry_msgs.msg import TransformStamped, Twist, TwistStamped, Vector3, Wrench
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import (
     CameraInfo,
@@ -18,8 +19,10 @@ from sensor_msgs.msg import (
     PointField,
     Range,
 )
+from std_msgs.msg import Bool, Float64, Float64MultiArray
 from tf2_msgs.msg import TFMessage
 
+from bullet_lab.ros.messages.control_types import JointControllerState
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import set_pose, set_quaternion, set_time, set_vector
 from bullet_lab.simulation.plugins.samples import (
@@ -27,15 +30,20 @@ from bullet_lab.simulation.plugins.samples import (
     ContactsSample,
     ImageSample,
     ImuSample,
+    JointCommand,
+    JointCommands,
     JointSample,
     LaserSample,
+    LoopSample,
     MotionSample,
     OdometrySample,
     PlanarCommand,
     PointsSample,
     RangeSample,
     ShapeContact,
+    Stop,
     TransformSample,
+    VelocitySample,
 )
 
 # As PCL's PointXYZRGB lies in memory, and Gazebo's messages; the colour is 0x00rrggbb.
@@ -86,6 +94,12 @@ def _odometry(message: Odometry, sample: OdometrySample) -> None:
     twist.angular.z = sample.velocity.wz
 
 
+def _velocity(message: TwistStamped, sample: VelocitySample) -> None:
+    twist = message.twist
+    twist.linear.x, twist.linear.y = sample.velocity.vx, sample.velocity.vy
+    twist.angular.z = sample.velocity.wz
+
+
 def _motion(message: Odometry, sample: MotionSample) -> None:
     message.child_frame_id = sample.child_frame
     set_pose(message.pose.pose, sample.pose)
@@ -103,6 +117,14 @@ def _transform(message: TransformStamped, sample: TransformSample) -> None:
 def _joints(message: JointState, sample: JointSample) -> None:
     message.name, message.position = sample.names, sample.positions
     message.velocity, message.effort = sample.velocities, sample.efforts
+
+
+def _loop(message: JointControllerState, sample: LoopSample) -> None:
+    message.set_point, message.process_value = sample.target, sample.value
+    message.process_value_dot, message.error = sample.slope, sample.error
+    message.time_step, message.command = sample.seconds, sample.command
+    message.p, message.i, message.d, message.i_clamp = sample.gains
+    message.antiwindup = sample.antiwindup
 
 
 def _image(message: Image, sample: ImageSample) -> None:
@@ -205,19 +227,29 @@ OUTPUT_CONVERTERS: Dict[type, Callable[[], Converter]] = {
     RangeSample: partial(Converter, Range, _range),
     ImuSample: partial(Converter, Imu, _imu),
     MotionSample: partial(Converter, Odometry, _motion),
+    LoopSample: partial(Converter, JointControllerState, _loop),
+    VelocitySample: partial(Converter, TwistStamped, _velocity),
     ContactsSample: partial(Converter, msg.ContactsState, _contacts),
 }
 
 
-class TwistConverter:
-    """geometry_msgs/Twist to PlanarCommand."""
+@dataclass(frozen=True)
+class CommandConverter:
+    """Turns messages of the class `message_kind` into commands, by `convert`."""
 
-    message_kind = Twist
-
-    @staticmethod
-    def convert(message: Twist) -> PlanarCommand:
-        """Return the planar part of a twist."""
-        return PlanarCommand(message.linear.x, message.linear.y, message.angular.z)
+    message_kind: Type[Any]
+    convert: Callable[[Any], Any]
 
 
-INPUT_CONVERTERS: Dict[type, Type[Any]] = {PlanarCommand: TwistConverter}
+def _planar(message: Twist) -> PlanarCommand:
+    return PlanarCommand(message.linear.x, message.linear.y, message.angular.z)
+
+
+INPUT_CONVERTERS: Dict[type, CommandConverter] = {
+    PlanarCommand: CommandConverter(Twist, _planar),
+    JointCommand: CommandConverter(Float64, lambda message: JointCommand(message.data)),
+    JointCommands: CommandConverter(
+        Float64MultiArray, lambda message: JointCommands(tuple(message.data))
+    ),
+    Stop: CommandConverter(Bool, lambda message: Stop(message.data)),
+}

@@ -12,6 +12,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.simulation.simulation import ModelInstance
 from bullet_lab.simulation.world.description import Visual
+from bullet_lab.simulation.world.mesh_parts import has_own_looks
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
 # A plane is drawn as a slab just below the floor, or it would flicker with RViz's grid.
@@ -41,7 +42,6 @@ def world_markers(models: Iterable[ModelInstance], frame: str) -> MarkerArray:
             marker.ns = instance.name
             marker.id = number
             marker.pose = pose_message(pose)
-            marker.color = ColorRGBA(*visual.colour)
             markers.append(marker)
     return MarkerArray(markers)
 
@@ -70,8 +70,12 @@ def _marker(visual: Visual) -> Marker:
     shape = visual.geometry
     kind, size = MARKERS[type(shape)](shape)
     marker = Marker(action=Marker.ADD, frame_locked=True, type=kind, scale=Vector3(*size))
+    marker.color = ColorRGBA(*visual.colour)
     if isinstance(shape, Mesh):
         # RViz knows package:// itself, and file:// for the rest.
         in_package = shape.uri.startswith("package://")
         marker.mesh_resource = shape.uri if in_package else shape.path.absolute().as_uri()
+        if not visual.material.covers and has_own_looks(shape):
+            # Where there is no colour at all, a mesh keeps its own.
+            marker.mesh_use_embedded_materials, marker.color = True, ColorRGBA()
     return marker

@@ -14,6 +14,7 @@
 :ROS Services:
     - /gazebo/pause_physics, unpause_physics, reset_world, reset_simulation (std_srvs/Empty)
     - the other services of /gazebo: see `bullet_lab.ros.gazebo`
+    - controller_manager/… of robots with controllers: see `bullet_lab.ros.gazebo.ros_control`
     - /bullet_lab/save_world (bullet_lab/SaveWorld): write the running world to a file
     - /bullet_lab/describe_models (bullet_lab/DescribeModels): what of the models acts
     - /bullet_lab/set_rtf (bullet_lab/SetRtf): change the speed of simulated time
@@ -52,6 +53,7 @@ from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, Sent, TimeGate
 from bullet_lab.ros.bridge.world_topics import OdometryFrames, TouchCounter
 from bullet_lab.ros.gazebo.descriptions import ModelDescriptions, Warnings
 from bullet_lab.ros.gazebo.interface import Gazebo
+from bullet_lab.ros.gazebo.ros_control import ControllerManagers
 from bullet_lab.ros.messages.poses import (
     NANOSECONDS_PER_STEP,
     first_step_at,
@@ -162,6 +164,7 @@ class PyBulletBridge:
         hidden = "" if robot is None else robot.name
         self._gazebo = Gazebo(world, parameters.world_frame, hidden, parameters.states_rate)
         self._descriptions = ModelDescriptions(world, warnings)
+        self._controllers = ControllerManagers(world)
         self._touches = TouchCounter(world)
         self._frames = OdometryFrames(
             world, parameters.world_frame if parameters.publish_world_tf else ""

@@ -1,8 +1,9 @@
 """Making bodies by PyBullet's calls, with what their joints allow and resist.
 
-PyBullet takes 16 shapes in one call, and a mesh by its corners alone. So a link carries the first
-such group of its shapes, and helper links without mass, fixed to it, carry one more each. It gives
-shapes back only with the whole world, so equal ones are made once.
+PyBullet takes 16 shapes in one call, and a mesh by its corners alone, and has one friction and
+softness for a link. So a link carries the first such group of its shapes, and helper links without
+mass, fixed to it, carry one more each. It gives shapes back only with the whole world, so equal
+ones are made once.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from bullet_lab.core.native_output import hidden_native_output
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
+from bullet_lab.simulation.physics.surfaces import Surface, axle_of, by_surface, on_treads
 from bullet_lab.simulation.world.description import Collision, Joint, Link
 from bullet_lab.simulation.world.inertia import FASTEST, mobility, principal_axes
 from bullet_lab.simulation.world.meshes import file_version, hull_corners, triangle_corners
@@ -63,7 +65,7 @@ class Part:
     """What is one link to PyBullet: a link of the description, or a helper fixed to one.
 
     It hangs on `joint`, None for the root; `parent` is its parent's place in the list of parts,
-    and `shape` PyBullet's id of the `shapes` that it carries.
+    and `shape` PyBullet's id of the `shapes` that it carries, which share a `surface`.
     """
 
     link: Link
@@ -71,6 +73,7 @@ class Part:
     parent: int
     shapes: Tuple[Collision, ...] = ()
     shape: int = NONE
+    surface: Surface = Surface()
 
     def mass_properties(self) -> Tuple[float, Vector, Pose]:
         """Return mass in kg, principal moments in kg m², and the pose of the principal frame."""
@@ -117,7 +120,7 @@ class BodyMaker:
         parts, helpers = [], []
         for place, link in enumerate(links):
             joint = above.get(link.name)
-            first, *more = self._shapes(link, static) or [((), NONE)]
+            first, *more = self._shapes(link, axle_of(joint), static) or [((), NONE)]
             parts.append(Part(link, joint, places[joint.parent] if joint else ROOT, *first))
             helpers += [Part(link, HELPER_JOINT, place, *group) for group in more]
         return parts + helpers
@@ -145,8 +148,8 @@ class BodyMaker:
         )
         # Not in one call with what is a link's: these turn any link's index into the root's.
         self._change(body, ROOT, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=FASTEST)
-        for index, (part, (_, moments, _)) in enumerate(zip(parts, inertias), start=ROOT):
-            given = {"localInertiaDiagonal": moments, **contact_properties(part.link)}
+        for index, (part, (_, moments, frame)) in enumerate(zip(parts, inertias), start=ROOT):
+            given = {"localInertiaDiagonal": moments, **part.surface.properties(frame, static)}
             if part.joint:
                 given.update(joint_properties(part.joint, parts[part.parent].link, part.link))
             self._change(body, index, **given)
@@ -157,25 +160,34 @@ class BodyMaker:
     def _change(self, body: int, index: int, **properties: Any) -> None:
         pybullet.changeDynamics(body, index, physicsClientId=self._client, **properties)
 
-    def _shapes(self, link: Link, static: bool) -> List[Tuple[Tuple[Collision, ...], int]]:
+    def _shapes(
+        self, link: Link, axle: Optional[Vector], static: bool
+    ) -> List[Tuple[Tuple[Collision, ...], int, Surface]]:
         """Return the shapes of a link as PyBullet takes them in one call, with its ids of them."""
-        meshes = [(shape,) for shape in link.collisions if isinstance(shape.geometry, Mesh)]
-        simple = [shape for shape in link.collisions if not isinstance(shape.geometry, Mesh)]
-        starts = range(0, len(simple), MOST_SHAPES)
-        groups = [tuple(simple[start : start + MOST_SHAPES]) for start in starts]
-        return [(group, made) for group in groups + meshes for made in self._once(group, static)]
+        groups: List[Tuple[List[Collision], Surface]] = []
+        for surface, shapes in by_surface(link.collisions, axle):
+            simple = [shape for shape in shapes if not isinstance(shape.geometry, Mesh)]
+            starts = range(0, len(simple), MOST_SHAPES)
+            groups += [(simple[start : start + MOST_SHAPES], surface) for start in starts]
+            groups += [([s], surface) for s in shapes if isinstance(s.geometry, Mesh)]
+        return [
+            (tuple(group), made, surface)
+            for group, surface in groups
+            for made in self._once(group, axle, static)
+        ]
 
-    def _once(self, group: Sequence[Collision], static: bool) -> List[int]:
+    def _once(self, group: Sequence[Collision], axle: Optional[Vector], static: bool) -> List[int]:
         """Return PyBullet's ids of a group of shapes, or of the pieces of a mesh."""
-        key: Hashable = tuple((shape.geometry, shape.pose) for shape in group)
         mesh, pose = group[0].geometry, group[0].pose
+        shapes = on_treads(group, axle)
+        key: Hashable = tuple((shape.geometry, shape.pose) for shape in shapes)
         if isinstance(mesh, Mesh):
             key = (key, file_version(mesh), static)
             if key not in self._made:
                 pieces = triangle_corners(mesh) if static else [hull_corners(mesh)]
                 self._made[key] = [self._mesh(corners.tolist(), pose, static) for corners in pieces]
         elif key not in self._made:
-            self._made[key] = [self._simple(group)]
+            self._made[key] = [self._simple(shapes)]
         return self._made[key]
 
     def _simple(self, group: Sequence[Collision]) -> int:
@@ -254,24 +266,3 @@ def net_motor(joint: Joint, velocity: float, effort: float) -> Tuple[float, floa
     if effort > friction:
         return velocity, effort - friction
     return 0.0, friction - effort
-
-
-# What Bullet itself takes for a contact that only says the one or the other.
-HARD = 1e18
-DEFAULT_DAMPING = 0.1
-
-
-def contact_properties(link: Link) -> Dict[str, float]:
-    """Return friction, stiffness and damping of a link's contacts as PyBullet's properties.
-
-    PyBullet knows links only: the roughest and the softest shape decide. Shapes with a stiffness
-    or damping touch as a spring and damper, which are solved implicitly, as in ODE, so that stiff
-    ones do not blow up.
-    """
-    properties = {"lateralFriction": max((c.friction for c in link.collisions), default=1.0)}
-    stiffness = [c.stiffness for c in link.collisions if c.stiffness is not None]
-    damping = [c.damping for c in link.collisions if c.damping is not None]
-    if stiffness or damping:
-        properties["contactStiffness"] = min(stiffness, default=HARD)
-        properties["contactDamping"] = max(damping, default=DEFAULT_DAMPING)
-    return properties

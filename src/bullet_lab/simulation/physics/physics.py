@@ -21,6 +21,7 @@ from bullet_lab.simulation.physics.bodies import (
     net_motor,
 )
 from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
+from bullet_lab.simulation.physics.surfaces import wants_friction_pyramid
 from bullet_lab.simulation.world.description import Joint, Model
 from bullet_lab.simulation.world.tree import top_down
 
@@ -153,9 +154,14 @@ class Body:
         velocity, effort = net_motor(self._joint(name), velocity, effort)
         self._control(name, pybullet.VELOCITY_CONTROL, targetVelocity=velocity, force=effort)
 
-    def hold_joint(self, name: str, position: float, effort: float) -> None:
-        """Let a motor hold a joint at a position (rad or m) with at most `effort` (N m or N)."""
-        gains = {"positionGain": HOLDING_GAIN, "velocityGain": 1.0}
+    def hold_joint(
+        self, name: str, position: float, effort: float, gain: float = HOLDING_GAIN
+    ) -> None:
+        """Let a motor hold a joint at a position (rad or m) with at most `effort` (N m or N).
+
+        `gain` is what part of its distance from there it is brought back in one step.
+        """
+        gains = {"positionGain": gain, "velocityGain": 1.0}
         force = net_motor(self._joint(name), 0.0, effort)[1]
         target = {"targetPosition": position, "targetVelocity": 0.0, "force": force}
         self._control(name, pybullet.POSITION_CONTROL, **target, **gains)
@@ -255,12 +261,24 @@ class Physics:
                 if any(link.self_collide for link in links):
                     part_the_links(body)
                 body.place(place)
+                if not model.static and wants_friction_pyramid(links, joints):
+                    self._use_friction_pyramid()
         except LabError as error:
             self.remove(bodies)
             if isinstance(error, PhysicsError):
                 raise PhysicsError(f"model '{model.name}': {error}") from error
             raise
         return bodies
+
+    def _use_friction_pyramid(self) -> None:
+        """Limit friction along two directions each for itself, in the whole world.
+
+        ODE, Gazebo's engine, does so by default. Bullet's default, a cone, solves the directions
+        together, and wheels that slip sideways while they are driven then hardly push: a robot
+        that steers by slipping turned at 0.1 to 0.6 of what it was told, as its heading had it,
+        and at 0.6 to 0.8 with the pyramid (Coulomb's law says 0.61 for it).
+        """
+        pybullet.setPhysicsEngineParameter(enableConeFriction=0, physicsClientId=self.client)
 
     def remove(self, bodies: Dict[str, Body]) -> None:
         """Take the bodies of a model out of the world."""
@@ -282,14 +300,3 @@ def part_the_links(body: Body) -> None:
         ends = (body.unique_id, body.unique_id, first, second)
         together = int(touchy and not apart)
         pybullet.setCollisionFilterPair(*ends, together, physicsClientId=body.client)
-
-
-def use_friction_pyramid(body: Body) -> None:
-    """Limit friction along two directions each for itself, in the body's whole world.
-
-    ODE, Gazebo's engine, does so by default. Bullet's default, a cone, solves the directions
-    together, and wheels that slip sideways while they are driven then hardly push: a robot that
-    steers by slipping turned at 0.1 to 0.6 of what it was told, as its heading had it, and at
-    0.6 to 0.8 with the pyramid (Coulomb's law says 0.61 for it).
-    """
-    pybullet.setPhysicsEngineParameter(enableConeFriction=0, physicsClientId=body.client)

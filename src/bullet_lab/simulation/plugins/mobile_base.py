@@ -33,6 +33,8 @@ class MobileBase(Plugin):
     def __init__(self, mount: Mount):
         super().__init__(mount)
         self._body = mount.body
+        root = mount.model.root_links()[0].pose
+        self._in_root = None if root == Pose() else root.inverse()
         self.frame = self._frame_name(mount.text("odometryFrame", "odom"))
         self._base_frame = self._frame_name(mount.text("robotBaseFrame", "base_footprint"))
         self.odometry = Output(mount.topic(mount.text("odometryTopic", "odom")), OdometrySample)
@@ -57,6 +59,11 @@ class MobileBase(Plugin):
 
     def _frame_name(self, name: str) -> str:
         return self.mount.frame(name)
+
+    def _pose(self) -> Pose:
+        """Return the pose of the model's frame in the world, which its first link need not have."""
+        pose = self._body.pose()
+        return pose if self._in_root is None else pose * self._in_root
 
     def _send_odometry(
         self, step: int, poses: Tuple[Pose, Pose], velocity: PlanarCommand, *variances: Diagonal

@@ -117,7 +117,7 @@ class PlanarMove(MobileBase):
         self._set_velocity((cosine * vx - sine * vy, sine * vx + cosine * vy, 0.0), (0.0, 0.0, wz))
 
     def produce(self, step: int) -> None:
-        pose = self._body.pose()
+        pose = self._pose()
         velocity = self._velocity_since(step, pose)
         self._last_step, self._last_pose = step, pose
         self._send_odometry(step, (self._flat(pose), pose), velocity, POSE_VARIANCES)
@@ -127,7 +127,7 @@ class PlanarMove(MobileBase):
         super().reset(step)
 
     def placed(self) -> None:
-        self._last_pose = self._body.pose()
+        self._last_pose = self._pose()
         self._height = self._body.com_pose().position[2]
         self._load = self._mass * self.gravity
 

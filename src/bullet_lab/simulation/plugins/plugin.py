@@ -188,11 +188,15 @@ class SensorTag(ElementReader):
 
 @dataclass(frozen=True)
 class Input:
-    """A topic that a plugin listens to; `handle(command)` raises PluginError to refuse one."""
+    """A topic that a plugin listens to; `handle(command)` raises PluginError to refuse one.
+
+    With `alone`, commands are refused while several send them.
+    """
 
     topic: str
     kind: type
     handle: Callable[[Any], None]
+    alone: bool = False
 
 
 class Output:

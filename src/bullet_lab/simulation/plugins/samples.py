@@ -37,6 +37,27 @@ class PlanarCommand:
 
 
 @dataclass(frozen=True)
+class JointCommand:
+    """What a joint shall do: a position (rad or m), a velocity or an effort."""
+
+    value: float
+
+
+@dataclass(frozen=True)
+class JointCommands:
+    """What the joints of a group shall do, in their order."""
+
+    values: Tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Whether the emergency stop is pressed."""
+
+    pressed: bool
+
+
+@dataclass(frozen=True)
 class OdometrySample(Sample):
     """Pose of `child_frame` in `frame`, and its velocity in its own frame.
 
@@ -49,6 +70,13 @@ class OdometrySample(Sample):
     velocity: PlanarCommand
     pose_variances: Diagonal
     twist_variances: Diagonal = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class VelocitySample(Sample):
+    """The velocity that a robot is told, as far as its limits allow."""
+
+    velocity: PlanarCommand
 
 
 @dataclass(frozen=True)
@@ -75,6 +103,26 @@ class JointSample:
     def of(cls, step: int, names: Tuple[str, ...], states: Iterable[JointState]) -> JointSample:
         """Make a sample of the states of joints."""
         return cls(step, names, *zip(*((s.position, s.velocity, s.effort) for s in states)))
+
+
+@dataclass(frozen=True)
+class LoopSample:
+    """How a control loop of one joint stands, `seconds` after the last time.
+
+    `value` is what it brings to `target`, `slope` the velocity of a position, `command` what the
+    joint is told; `gains` are p, i, d and the greatest contribution of the integral.
+    """
+
+    step: int
+    target: float
+    value: float
+    slope: float
+    error: float
+    seconds: float
+    command: float
+    gains: Tuple[float, float, float, float]
+    antiwindup: bool
+    frame: ClassVar[str] = ""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import ClassVar, Tuple
 
 from bullet_lab.core.pose import Pose, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.physics.physics import Body, JointState, use_friction_pyramid
+from bullet_lab.simulation.physics.physics import Body, JointState
 from bullet_lab.simulation.plugins.mobile_base import (
     POSE_VARIANCES,
     STANDSTILL,
@@ -119,12 +119,11 @@ class WheelDrive(MobileBase):
         raise NotImplementedError
 
 
-def base_motion(body: Body) -> Tuple[Pose, PlanarCommand]:
-    """Return the pose in the world, and the velocity of its origin in its own heading."""
-    pose = body.pose()
+def base_velocity(body: Body, pose: Pose) -> PlanarCommand:
+    """Return the velocity of a body's origin along the heading of a pose."""
     (vx, vy, _), (_, _, wz) = body.origin_velocity()
     cosine, sine = heading_of(pose.quaternion)
-    return pose, PlanarCommand(cosine * vx + sine * vy, cosine * vy - sine * vx, wz)
+    return PlanarCommand(cosine * vx + sine * vy, cosine * vy - sine * vx, wz)
 
 
 def wheel_joint(mount: Mount, tag: str, default: str) -> Joint:
@@ -235,7 +234,7 @@ class DiffDrive(WheelDrive):
 
     def reset(self, step: int) -> None:
         self._reckoning.restart(0.0, 0.0)
-        start = self._body.pose()
+        start = self._pose()
         upright = Pose.from_rpy(start.position, (0.0, 0.0, start.yaw))
         self.origin = upright if self._from_wheels else Pose()
         super().reset(step)
@@ -259,7 +258,8 @@ class DiffDrive(WheelDrive):
         if self._from_wheels:
             pose, velocity = self._reckoned(seconds)
         else:
-            pose, velocity = base_motion(self._body)
+            pose = self._pose()
+            velocity = base_velocity(self._body, pose)
         self._send_odometry(step, (pose, pose), velocity, POSE_VARIANCES)
         if self.wheel_transforms.wanted:
             for joint, wheel in zip(self._joints, self.wheels):
@@ -301,7 +301,6 @@ class SkidSteer(WheelDrive):
 
     def __init__(self, mount: Mount):
         super().__init__(mount, 0.4)
-        use_friction_pyramid(self._body)
         torque = mount.coefficient("torque", 5.0)
         names = [wheel_joint(mount, *tag).name for tag in LEFT + RIGHT]
         if len(set(names)) < len(names):
@@ -315,5 +314,6 @@ class SkidSteer(WheelDrive):
         self.reset(0)
 
     def _report(self, step: int, seconds: float) -> None:
-        pose, velocity = base_motion(self._body)
+        pose = self._pose()
+        velocity = base_velocity(self._body, pose)
         self._send_odometry(step, (self._flat(pose), pose), velocity, *2 * (self._variances,))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import logging
-import weakref
 from dataclasses import dataclass
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
@@ -14,9 +12,9 @@ from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering.graphics import panda3d
 from bullet_lab.simulation.rendering.lights import BITS, PICTURE
 from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
+from bullet_lab.simulation.rendering.textures import LoadedTexture, Textures
 from bullet_lab.simulation.world.description import Plane, Visual
-
-LOG = logging.getLogger(__name__)
+from bullet_lab.simulation.world.report import ReportOnce
 
 # Where a textured surface is, m in the link's frame, and its mean normal: with a length of 1 for a
 # plane, and of 0 for what faces all ways.
@@ -31,67 +29,80 @@ class Drawable:
     nodes: List[Tuple[Any, Optional[Patch]]]
     # Corners of the boxes around what throws shadows, (n, 8, 3) in m in the link's frame.
     boxes: np.ndarray
+    # What is on them, to be kept as long.
+    textures: List[LoadedTexture]
 
 
-def drawable_of(visuals: Sequence[Visual], casts: str, where: str) -> Drawable:
-    """Return what is to be seen of a link, to be drawn into shadow maps that are STILL or MOVING.
+class Drawables:
+    """Makes what is to be seen of links in a world's ambient light, RGB.
 
-    What cannot be read is left out, with a line in the log that says `where`.
+    What cannot be read is left out, with a line in the log, once each.
     """
-    # What is drawn with one call: in the same way, and with at most one image.
-    calls: Dict[tuple, List[Surface]] = {}
-    boxes = [np.zeros((0, 8, 3))]
-    for visual in visuals:
-        see_through, is_plane = visual.colour[3] < 1.0, isinstance(visual.geometry, Plane)
-        throws = visual.casts_shadows and not see_through and not is_plane
-        for surface in _surfaces(visual, where):
-            number = len(calls) if surface.image is not None else -1
-            calls.setdefault((number, see_through, is_plane, throws), []).append(surface)
-            if throws:
-                boxes.append(_box_around(surface.corners))
-    made = Drawable([], np.concatenate(boxes))
-    for (_, see_through, is_plane, throws), surfaces in calls.items():
-        path, patch = panda3d().NodePath(_node(surfaces)), None
-        if surfaces[0].image is not None:
-            texture, patch = _texture(surfaces[0].image), _patch(surfaces[0])
-            path.set_texture(texture)
-            # Without this, the driver keeps it for as long as the context lives.
-            weakref.finalize(made, texture.release_all)
-        if see_through:
-            path.set_transparency(panda3d().TransparencyAttrib.M_alpha)
-            path.set_bin("transparent", 0)
-        else:
-            # Floors last: most of them is hidden. Else in the order in which things were added,
-            # so that equal worlds give equal pictures. ("fixed" would come after "transparent".)
-            path.set_bin("background", int(is_plane))
-        path.hide(panda3d().BitMask32.all_on())
-        for kind in (PICTURE, casts) if throws else (PICTURE,):
-            path.show(panda3d().BitMask32.bit(BITS[kind]))
-        made.nodes.append((path.node(), patch))
-    return made
 
+    def __init__(self, ambient: Sequence[float]):
+        self._ambient = np.array(ambient[:3])
+        self._textures = Textures()
+        self._report = ReportOnce()
 
-def _surfaces(visual: Visual, where: str) -> List[Surface]:
-    """Return what is to be seen of a visual, in the link's frame."""
-    if visual.colour[3] <= 0.0:
-        return []
-    try:
-        return [s.placed(visual.pose, visual.colour) for s in surfaces_of(visual.geometry)]
-    except LabError as error:
-        LOG.warning("%s is not drawn as it should be: %s", where, error)
-        return []
+    def of(self, visuals: Sequence[Visual], casts: str, where: str) -> Drawable:
+        """Return what is to be seen of a link, to be drawn into shadow maps, STILL or MOVING.
 
+        `where` says which link it is.
+        """
+        # What is drawn with one call: in the same way, and with at most one picture.
+        calls: Dict[tuple, List[Surface]] = {}
+        boxes = [np.zeros((0, 8, 3))]
+        for visual in visuals:
+            is_plane = isinstance(visual.geometry, Plane)
+            for surface in self._surfaces(visual, where):
+                blends = surface.texture is not None and surface.texture.blends
+                see_through = surface.colour[3] < 1.0 or blends
+                throws = visual.casts_shadows and not see_through and not is_plane
+                number = len(calls) if surface.texture is not None else -1
+                calls.setdefault((number, see_through, is_plane, throws), []).append(surface)
+                if throws:
+                    boxes.append(_box_around(surface.corners))
+        made = Drawable([], np.concatenate(boxes), [])
+        for (_, see_through, is_plane, throws), surfaces in calls.items():
+            path, patch = panda3d().NodePath(_node(surfaces)), None
+            loaded = self._loaded(surfaces[0])
+            if loaded is not None:
+                path.set_texture(loaded.texture)
+                patch = _patch(surfaces[0])
+                made.textures.append(loaded)
+            if see_through:
+                path.set_transparency(panda3d().TransparencyAttrib.M_alpha)
+                path.set_bin("transparent", 0)
+            else:
+                # Floors last: most of them is hidden. Else in the order in which things were added,
+                # so that equal worlds give equal pictures. ("fixed" would come after
+                # "transparent".)
+                path.set_bin("background", int(is_plane))
+            path.hide(panda3d().BitMask32.all_on())
+            for kind in (PICTURE, casts) if throws else (PICTURE,):
+                path.show(panda3d().BitMask32.bit(BITS[kind]))
+            made.nodes.append((path.node(), patch))
+        return made
 
-def _texture(pixels: np.ndarray) -> Any:
-    core = panda3d()
-    height, width = pixels.shape[:2]
-    texture = core.Texture("image")
-    texture.setup_2d_texture(width, height, core.Texture.T_unsigned_byte, core.Texture.F_rgb)
-    # Panda3D has the lowest row first, and blue before green before red.
-    texture.set_ram_image(np.ascontiguousarray(pixels[::-1, :, ::-1]).tobytes())
-    texture.minfilter = core.SamplerState.FT_linear_mipmap_linear
-    texture.magfilter = core.SamplerState.FT_linear
-    return texture
+    def _surfaces(self, visual: Visual, where: str) -> List[Surface]:
+        """Return what is to be seen of a visual, in the link's frame."""
+        if visual.colour[3] <= 0.0:
+            return []
+        try:
+            found = surfaces_of(visual.geometry, self._report)
+        except LabError as error:
+            self._report(f"{where} is not drawn as it should be: {error}")
+            return []
+        return [surface.shown(visual, self._ambient, self._report) for surface in found]
+
+    def _loaded(self, surface: Surface) -> Optional[LoadedTexture]:
+        if surface.texture is None:
+            return None
+        try:
+            return self._textures.of(surface.texture)
+        except LabError as error:
+            self._report(f"{error}; drawn without")
+            return None
 
 
 def _node(surfaces: Sequence[Surface]) -> Any:
@@ -111,9 +122,12 @@ def _node(surfaces: Sequence[Surface]) -> Any:
 def _vertex_format() -> Any:
     """Return how Panda3D finds what `Surface.floats` gives."""
     core, kinds, columns = panda3d(), panda3d().Geom, panda3d().GeomVertexArrayFormat()
-    contents = (kinds.C_point, kinds.C_normal, kinds.C_color, kinds.C_texcoord)
-    for name, count, content in zip(
-        ("vertex", "normal", "color", "texcoord"), (3, 3, 4, 2), contents
+    for name, count, content in (
+        ("vertex", 3, kinds.C_point),
+        ("normal", 3, kinds.C_normal),
+        ("color", 4, kinds.C_color),
+        ("texcoord", 2, kinds.C_texcoord),
+        ("glow", 3, kinds.C_other),
     ):
         columns.add_column(name, count, kinds.NT_float32, content)
     return core.GeomVertexFormat.register_format(core.GeomVertexFormat(columns))

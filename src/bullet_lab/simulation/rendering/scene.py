@@ -10,7 +10,7 @@ import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
-from bullet_lab.simulation.rendering.drawables import Drawable, drawable_of
+from bullet_lab.simulation.rendering.drawables import Drawable, Drawables
 from bullet_lab.simulation.rendering.graphics import Graphics, Target, panda3d, set_pose
 from bullet_lab.simulation.rendering.lights import MOVING, STILL, Lighting
 from bullet_lab.simulation.rendering.shaders import PLAIN, SLANTED, TEXTURED
@@ -68,6 +68,7 @@ class Scene:
         # Links that look the same share one drawable for as long as any of them is there. The last
         # ones are kept, for models that go and come back: glibc, before 2.38, hardly uses again
         # what the driver gives back of a texture.
+        self._maker = Drawables(world.ambient)
         self._drawables: Any = weakref.WeakValueDictionary()
         self._last: Deque[Drawable] = deque(maxlen=KEPT_DRAWABLES)
         # Each model with its links, by its name.
@@ -129,12 +130,13 @@ class Scene:
         nodes, kind = [], _kind(instance)
         for body in instance.bodies.values():
             for link in filter(lambda link: link.visuals, body.links):
-                meshes = [v.geometry for v in link.visuals if isinstance(v.geometry, Mesh)]
-                key = (link.visuals, kind, tuple(map(file_version, meshes)))
+                files = [v.geometry for v in link.visuals if isinstance(v.geometry, Mesh)]
+                files += [v.material.texture for v in link.visuals if v.material.texture]
+                key = (link.visuals, kind, tuple(map(file_version, files)))
                 drawable = self._drawables.get(key)
                 if drawable is None:
                     where = f"model '{instance.name}': link '{link.name}'"
-                    drawable = self._drawables[key] = drawable_of(link.visuals, kind, where)
+                    drawable = self._drawables[key] = self._maker.of(link.visuals, kind, where)
                     self._last.append(drawable)
                 nodes.append(_LinkNode(self.root, AttachedFrame(body, link.name), drawable))
         return nodes

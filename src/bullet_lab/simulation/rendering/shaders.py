@@ -2,11 +2,13 @@
 
 Light is Lambert's, worked out for each pixel in the world's frame:
 
-    colour · exposure · (ambient + sum over lights of diffuse · max(0, normal · towards light)
-                         · fading · cone · what reaches the place by the shadow maps)
+    picture · exposure · (colour · (ambient + sum over lights of diffuse
+                                    · max(0, normal · towards light) · fading · cone
+                                    · what reaches the place by the shadow maps) + glow)
 
-with fading 1 / (constant + linear d + quadratic d²), 1 at most and 0 beyond the light's range.
-There are no highlights.
+where the glow is what a surface gives off by itself, and what is more than its colour in ambient
+light; with fading 1 / (constant + linear d + quadratic d²), 1 at most and 0 beyond the light's
+range. There are no highlights.
 """
 
 from __future__ import annotations
@@ -38,12 +40,15 @@ void main() {
 
 VERTEX = """#version 150
 uniform mat4 p3d_ModelViewProjectionMatrix, p3d_ModelMatrix;
+uniform float exposure;
 in vec4 p3d_Vertex;
 in vec3 p3d_Normal;
 in vec4 p3d_Color;
 in vec2 p3d_MultiTexCoord0;
+in vec3 glow;
 out vec3 place, normal;
 flat out vec4 colour;
+flat out vec3 given_off;
 out vec2 picture;
 DECLARED
 // Where a corner is in a shadow map. A place that is a little above a surface does not lie in the
@@ -60,6 +65,7 @@ void main() {
   place = (p3d_ModelMatrix * p3d_Vertex).xyz;
   normal = mat3(p3d_ModelMatrix) * p3d_Normal;
   colour = p3d_Color;
+  given_off = exposure * glow;
   picture = p3d_MultiTexCoord0;
 LIGHTS}
 """
@@ -75,6 +81,7 @@ uniform vec3 ambient;
 uniform sampler2D p3d_Texture0;
 in vec3 place, normal;
 flat in vec4 colour;
+flat in vec3 given_off;
 in vec2 picture;
 out vec4 drawn;
 DECLARED
@@ -120,7 +127,7 @@ float reach_around(sampler2DShadow maps, vec3 offset, vec3 lift) {
 
 // On a surface at a slant, what a pixel covers of a texture is longer than wide: four samples along
 // it, from finer copies of the texture than one sample would need.
-vec3 at_a_slant(vec2 there) {
+vec4 at_a_slant(vec2 there) {
   vec2 size = vec2(textureSize(p3d_Texture0, 0));
   vec2 right = dFdx(there), down = dFdy(there);
   vec2 r = right * size, d = down * size;
@@ -131,18 +138,19 @@ vec3 at_a_slant(vec2 there) {
   float level = log2(longer / count);
   // Samples a quarter of the length apart where it is four times the width, else nearer.
   vec2 step = (rr > dd ? right : down) * (count - 1.0) / (3.0 * count);
-  return 0.25 * (textureLod(p3d_Texture0, there - 1.5 * step, level).rgb
-                 + textureLod(p3d_Texture0, there - 0.5 * step, level).rgb
-                 + textureLod(p3d_Texture0, there + 0.5 * step, level).rgb
-                 + textureLod(p3d_Texture0, there + 1.5 * step, level).rgb);
+  return 0.25 * (textureLod(p3d_Texture0, there - 1.5 * step, level)
+                 + textureLod(p3d_Texture0, there - 0.5 * step, level)
+                 + textureLod(p3d_Texture0, there + 0.5 * step, level)
+                 + textureLod(p3d_Texture0, there + 1.5 * step, level));
 }
 
 void main() {
   vec3 n = normalize(normal);
   vec3 lit = ambient;
 LIGHTS
+  vec4 paint = PAINT;
   // Panda3D hands pixels out with blue first.
-  drawn = vec4((exposure * lit * colour.rgb * PAINT).bgr, colour.a);
+  drawn = vec4(((exposure * lit * colour.rgb + given_off) * paint.rgb).bgr, colour.a * paint.a);
 }
 """.replace("NEAREST", str(NEAREST)).replace("HALF_A_PIXEL", str(0.5 / LAMP_SIZE))
 # For both programs; the one hands out what the other takes in.
@@ -167,8 +175,8 @@ REACH = {
 # What the triangles' colour is multiplied by.
 PLAIN, TEXTURED, SLANTED = "plain", "textured", "slanted"
 PAINT = {
-    PLAIN: "1.0",
-    TEXTURED: "texture(p3d_Texture0, picture).rgb",
+    PLAIN: "vec4(1.0)",
+    TEXTURED: "texture(p3d_Texture0, picture)",
     SLANTED: "at_a_slant(picture)",
 }
 

@@ -1,34 +1,45 @@
-"""Shapes as triangles with normals and, where they have an image on them, its coordinates.
+"""Shapes as triangles with normals, and with coordinates of the picture that may be on them.
 
-Meshes with images are Wavefront .obj with the .mtl and the images that it names.
+Where a picture lies on boxes, cylinders, balls and planes is as in Gazebo, upright on the sides of
+boxes and not mirrored, upside down around cylinders.
 """
 
 from __future__ import annotations
 
-import contextlib
-import os
+import logging
 from dataclasses import dataclass, replace
-from io import BytesIO
-from pathlib import Path
-from typing import Any, Iterator, List, Optional, Sequence
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.core.pose import Pose
-from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import Box, Geometry, Mesh, Model, Plane, Sphere
-from bullet_lab.simulation.world.meshes import load_triangles, read_bytes, read_scene
-from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
+from bullet_lab.simulation.world.description import (
+    WHITE,
+    Box,
+    Colour,
+    Cylinder,
+    Geometry,
+    Material,
+    Mesh,
+    Plane,
+    Sphere,
+    Texture,
+    Visual,
+)
+from bullet_lab.simulation.world.mesh_parts import Look, Report, mesh_parts
 
+LOG = logging.getLogger(__name__)
 CYLINDER_SIDES = 48
 # Of a ball, from pole to pole and around.
 SPHERE_LINES = (18, 16)
-# Of an image's sides, in pixels: what the graphics side takes; larger images are made smaller.
-LARGEST_SIDE = 8192
-
-
-class TextureError(LabError):
-    """An image that a mesh names is not there or is none."""
+# Of a picture on a side of a box: what is to the right and up, by the side's axis and direction.
+BOX_SIDES = {
+    (0, 1): ((0, 1, 0), (0, 0, 1)),
+    (0, -1): ((0, -1, 0), (0, 0, 1)),
+    (1, 1): ((-1, 0, 0), (0, 0, 1)),
+    (1, -1): ((1, 0, 0), (0, 0, 1)),
+    (2, 1): ((0, -1, 0), (1, 0, 0)),
+    (2, -1): ((0, -1, 0), (-1, 0, 0)),
+}
 
 
 @dataclass(frozen=True)
@@ -38,159 +49,159 @@ class Surface:
     Attributes:
         corners: (n, 3, 3) positions.
         normals: (n, 3, 3) unit normals at the corners.
-        picture: (n, 3, 2) coordinates in the image, from its lower left; None without one.
-        image: on the surface, (height, width, 3) uint8, RGB; None without one.
-        colour: that all of it, and of the image, is multiplied by.
+        picture: (n, 3, 2) coordinates in a picture, from its lower left; None without any.
+        look: colour and material that it has of its own; None without.
+        colour: that light is scattered in.
+        glow: RGB that it gives off.
+        texture: on it, None without one.
     """
 
     corners: np.ndarray
     normals: np.ndarray
     picture: Optional[np.ndarray] = None
-    image: Optional[np.ndarray] = None
-    colour: Sequence[float] = (1.0, 1.0, 1.0, 1.0)
+    look: Optional[Look] = None
+    colour: Colour = WHITE
+    glow: Sequence[float] = (0.0, 0.0, 0.0)
+    texture: Optional[Texture] = None
 
-    def placed(self, pose: Pose, colour: Sequence[float]) -> Surface:
-        """Return the same in a colour, seen from the frame that `pose` is given in."""
-        turn = pose.rotation_matrix()
-        corners = self.corners @ turn.T + np.asarray(pose.position)
-        return replace(self, corners=corners, normals=self.normals @ turn.T, colour=colour)
+    def shown(self, visual: Visual, ambient: np.ndarray, report: Report) -> Surface:
+        """Return the same as a visual of a link shows it, in the link's frame.
+
+        `ambient` is the world's light, RGB; `report` is told what cannot be shown.
+        """
+        turn = visual.pose.rotation_matrix()
+        corners = self.corners @ turn.T + np.asarray(visual.pose.position)
+        colour, material = visual.colour, visual.material
+        if self.look is not None and not material.covers:
+            (*rgb, alpha), material = self.look
+            colour = (*rgb, alpha * colour[3])
+        texture, picture = material.texture, self.picture
+        if texture is not None and picture is None:
+            report(f"{texture.path}: lies on a mesh without picture coordinates; drawn without")
+            texture = None
+        return replace(
+            self,
+            corners=corners,
+            normals=self.normals @ turn.T,
+            picture=None if texture is None else texture.coordinates(picture),
+            colour=colour if material.lit else (0.0, 0.0, 0.0, colour[3]),
+            glow=_glow(colour, material, ambient),
+            texture=texture,
+        )
 
     def floats(self) -> np.ndarray:
-        """Return place, normal, colour and place in the image of all corners, (3 n, 12) float32."""
-        colour = np.broadcast_to(self.colour, (*self.corners.shape[:2], 4))
-        picture = np.zeros(colour.shape) if self.picture is None else self.picture
-        parts = (self.corners, self.normals, colour, picture[..., :2])
-        return np.concatenate(parts, axis=2, dtype=np.float32).reshape(-1, 12)
+        """Return place, normal, colour, place in the picture and glow of corners, (3 n, 15)."""
+        shape = self.corners.shape[:2]
+        colour, glow = (np.broadcast_to(c, (*shape, len(c))) for c in (self.colour, self.glow))
+        picture = np.zeros((*shape, 2)) if self.picture is None else self.picture
+        parts = (self.corners, self.normals, colour, picture, glow)
+        return np.concatenate(parts, axis=2, dtype=np.float32).reshape(-1, 15)
 
 
-def surfaces_of(geometry: Geometry) -> List[Surface]:
-    """Return what is seen of a shape; raises LabError for an unusable mesh or texture."""
+def _glow(colour: Colour, material: Material, ambient: np.ndarray) -> Tuple[float, ...]:
+    """Return what a surface gives off, with what is more than its colour in ambient light."""
+    if not material.lit:
+        return colour[:3]
+    glow = np.array(material.emissive[:3])
+    if material.ambient is not None:
+        glow += ambient * (np.array(material.ambient[:3]) - colour[:3])
+    return tuple(glow.tolist())
+
+
+def surfaces_of(geometry: Geometry, report: Report = LOG.warning) -> List[Surface]:
+    """Return what is seen of a shape; raises LabError for an unusable mesh.
+
+    `report` is told what is missing of it.
+    """
+    return SURFACES[type(geometry)](geometry, report)
+
+
+def _box(box: Box, _report: Report) -> List[Surface]:
     from trimesh import creation
 
-    if isinstance(geometry, Mesh):
-        return _mesh(geometry)
-    if isinstance(geometry, Plane):
-        return [_flat(_plane(geometry))]
-    if isinstance(geometry, Box):
-        return [_flat(creation.box(geometry.size).triangles)]
-    if isinstance(geometry, Sphere):
-        corners = creation.uv_sphere(radius=geometry.radius, count=SPHERE_LINES).triangles
-        return [Surface(corners, _unit(corners))]
-    flat = _flat(creation.cylinder(geometry.radius, geometry.length, CYLINDER_SIDES).triangles)
-    round_ = np.where(np.abs(flat.normals[..., 2:]) > 0.5, flat.normals, flat.corners * (1, 1, 0))
-    return [replace(flat, normals=_unit(round_))]
+    surface = flat(creation.box(box.size).triangles)
+    axes = np.argmax(np.abs(surface.normals[:, 0]), axis=1)
+    signs = np.sign(np.take_along_axis(surface.normals[:, 0], axes[:, None], axis=1))[:, 0]
+    sides = np.array([BOX_SIDES[(a, int(s))] for a, s in zip(axes.tolist(), signs.tolist())])
+    picture = 0.5 + np.einsum("nki,nji->nkj", surface.corners / box.size, sides)
+    return [replace(surface, picture=picture)]
 
 
-def check_textures(model: Model) -> None:
-    """Refuse a model whose meshes name images that are not there, or lie where they must not."""
-    for link in model.links:
-        for visual in link.visuals:
-            if isinstance(visual.geometry, Mesh):
-                _scene_with_images(visual.geometry)
+def _cylinder(cylinder: Cylinder, _report: Report) -> List[Surface]:
+    from trimesh import creation
+
+    made = creation.cylinder(cylinder.radius, cylinder.length, CYLINDER_SIDES)
+    surface = flat(made.triangles)
+    round_ = np.where(
+        np.abs(surface.normals[..., 2:]) > 0.5, surface.normals, surface.corners * (1, 1, 0)
+    )
+    x, y, z = np.moveaxis(surface.corners, -1, 0)
+    # The middle of each end shows the picture's upper left corner, in Gazebo as well.
+    middle = np.hypot(x, y) < 0.5 * cylinder.radius
+    turns = _turns(np.where(middle, np.nan, np.arctan2(x, y)))
+    picture = np.stack((turns, 0.5 - z / cylinder.length), axis=2)
+    picture[middle] = (0.0, 1.0)
+    return [replace(surface, normals=_unit(round_), picture=picture)]
 
 
-def _plane(plane: Plane) -> np.ndarray:
+def _sphere(sphere: Sphere, _report: Report) -> List[Surface]:
+    from trimesh import creation
+
+    made = creation.uv_sphere(radius=sphere.radius, count=SPHERE_LINES).triangles
+    # Gazebo's has its poles on y.
+    corners = made[..., (1, 2, 0)]
+    x, y, z = np.moveaxis(corners / sphere.radius, -1, 0)
+    at_pole = np.hypot(x, z) < 1e-6
+    turns = _turns(np.where(at_pole, np.nan, np.arctan2(x, z)))
+    height = 1.0 - np.arccos(np.clip(y, -1.0, 1.0)) / np.pi
+    return [Surface(corners, _unit(corners), np.stack((turns, height), axis=2))]
+
+
+def _turns(angles: np.ndarray) -> np.ndarray:
+    """Return how far around corners (n, 3) are, at angles (rad), without a jump in a triangle.
+
+    Corners without an angle, at poles, are in the middle between the others.
+    """
+    turns = angles / (2.0 * np.pi) % 1.0
+    turns = np.where(np.nanmax(turns, axis=1, keepdims=True) - turns > 0.5, turns + 1.0, turns)
+    between = np.nanmean(turns, axis=1, keepdims=True)
+    return np.where(np.isnan(turns), between, turns)
+
+
+def _plane(plane: Plane, _report: Report) -> List[Surface]:
     z = np.asarray(plane.normal) / np.linalg.norm(plane.normal)
-    x = np.cross((0.0, 1.0, 0.0) if abs(z[1]) < 0.9 else (0.0, 0.0, 1.0), z)
-    x /= np.linalg.norm(x)
+    y = np.cross(z, (1.0, 0.0, 0.0) if abs(z[0]) < 0.9 else (0.0, 1.0, 0.0))
+    y /= np.linalg.norm(y)
     square = np.array(((-1, -1), (1, -1), (1, 1), (-1, -1), (1, 1), (-1, 1)))
-    return (square * 0.5 * np.array(plane.size) @ (x, np.cross(z, x))).reshape(2, 3, 3)
+    corners = square * 0.5 * np.array(plane.size) @ (np.cross(y, z), y)
+    picture = (0.5 + 0.5 * square).reshape(2, 3, 2)
+    return [replace(flat(corners.reshape(2, 3, 3)), picture=picture)]
 
 
-def _mesh(mesh: Mesh) -> List[Surface]:
-    triangles, order = load_triangles(mesh), -1 if np.prod(mesh.scale) < 0.0 else 1
-    scene = _scene_with_images(mesh)
-    if scene is None:
-        return [_flat(triangles.vertices[triangles.faces[:, ::order]])]
-    found = []
-    for part in scene.geometry.values():
-        faces = part.faces[:, ::order]
-        surface = _flat((part.vertices * mesh.scale)[faces])
-        material = getattr(part.visual, "material", None)
-        # Where a material is not known, trimesh makes one up, without a name.
-        if material is not None and material.name is not None and material.image is not None:
-            if part.visual.uv is None:
-                raise TextureError(f"{mesh.path}: a face with a picture has no picture coordinates")
-            picture = part.visual.uv[faces][..., :2]
-            surface = replace(surface, picture=picture, image=_pixels(material.image, mesh.path))
-        found.append(surface)
-    return found
+def _mesh(mesh: Mesh, report: Report) -> List[Surface]:
+    made = []
+    for part in mesh_parts(mesh, report):
+        surface = flat(part.corners)
+        if part.normals is not None:
+            # Where there is none, the triangle's own.
+            lengths = np.linalg.norm(part.normals, axis=-1, keepdims=True)
+            normals = np.where(lengths > 1e-9, part.normals, surface.normals)
+            surface = replace(surface, normals=_unit(normals))
+        made.append(replace(surface, picture=part.picture, look=part.look))
+    return made
 
 
-def _scene_with_images(mesh: Mesh) -> Any:
-    """Return what trimesh reads of a mesh that names images; None if it names none."""
-    if mesh.path.suffix.lower() != ".obj":
-        return None
-    files = _Files(mesh.path)
-    scene = read_scene(mesh.path, files)
-    if files.refusal is not None:
-        raise files.refusal
-    return scene if files.has_images else None
+# What makes surfaces of each shape.
+SURFACES: Dict[type, Callable[[Any, Report], List[Surface]]] = {
+    Box: _box,
+    Cylinder: _cylinder,
+    Sphere: _sphere,
+    Plane: _plane,
+    Mesh: _mesh,
+}
 
 
-class _Files:
-    """What trimesh may read beside a mesh: its material file, and the images that this names."""
-
-    def __init__(self, mesh: Path):
-        self._user = mesh
-        # trimesh passes over what is raised here.
-        self.refusal: Optional[LabError] = None
-        self.has_images = False
-
-    def __getitem__(self, name: str) -> str:
-        """Return a material file; many meshes name one that nobody has."""
-        if not (self._user.parent / name).exists():
-            raise FileNotFoundError(name)
-        with self._remembering():
-            self._user = _find(name, self._user)
-            return read_bytes(self._user).decode("utf-8", errors="replace")
-
-    def get(self, name: str) -> bytes:
-        """Return an image; options such as "-s 1 1 1" may stand before its name."""
-        import PIL.Image
-
-        with self._remembering():
-            path = _find(name.split()[-1] if name.startswith("-") else name, self._user)
-            data = read_bytes(path)
-            try:
-                PIL.Image.open(BytesIO(data))
-            except Exception as error:
-                raise TextureError(f"{path}: not a readable image") from error
-            self.has_images = True
-            return data
-
-    @contextlib.contextmanager
-    def _remembering(self) -> Iterator[None]:
-        try:
-            yield
-        except LabError as error:
-            self.refusal = self.refusal or error
-            raise
-
-
-def _find(name: str, user: Path) -> Path:
-    """Return a file that another one names: in its folder, or that of its Gazebo model."""
-    folder = user.parent
-    try:
-        if "://" in name or Path(name).is_absolute():
-            return ResourceFinder(folder).find(name)
-        root = folder.parent if (folder.parent / "model.config").is_file() else folder
-        return ResourceFinder(root).find(os.path.relpath(folder / name, root))
-    except (ResourceError, ValueError) as error:
-        raise TextureError(f"{user}: '{name}': {error}") from error
-
-
-def _pixels(image: Any, user: Path) -> np.ndarray:
-    """Return an image without its transparency, and not too large."""
-    try:
-        plain = image.convert("RGB")
-        plain.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
-        return np.array(plain)
-    except Exception as error:
-        raise TextureError(f"{user}: not a readable image: {error}") from error
-
-
-def _flat(corners: np.ndarray) -> Surface:
+def flat(corners: np.ndarray) -> Surface:
     """Return triangles with the normal of each at its three corners."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return Surface(corners, np.repeat(_unit(normals)[:, None], 3, axis=1))

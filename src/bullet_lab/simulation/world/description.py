@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Dict, Mapping, Optional, Tuple, Union
 from xml.etree.ElementTree import Element
 
@@ -20,6 +21,56 @@ Geometry = Union[Box, Cylinder, Sphere, Plane, Mesh]
 Colour = Tuple[float, float, float, float]
 
 WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
+BLACK: Colour = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Texture:
+    """A picture that the colours of a surface are multiplied by.
+
+    Where it lies on the surface is said as in OGRE: `scale` sizes it about its middle, `scroll`
+    then shifts it by shares of its sides, and `rotation` (rad) turns it. Beyond its edges it
+    repeats, or its rim goes on. Where it `blends`, it lets through what is behind it.
+    """
+
+    path: Path
+    scale: Tuple[float, float] = (1.0, 1.0)
+    scroll: Tuple[float, float] = (0.0, 0.0)
+    rotation: float = 0.0
+    repeats: bool = True
+    blends: bool = False
+
+    def coordinates(self, surface: np.ndarray) -> np.ndarray:
+        """Return the places in the picture, (…, 2) from its lower left, for those of a surface."""
+        if (self.scale, self.scroll, self.rotation) == ((1.0, 1.0), (0.0, 0.0), 0.0):
+            return surface
+        # OGRE counts downwards, from the upper left.
+        offset = ((surface - 0.5) * (1.0, -1.0)) / self.scale + self.scroll
+        cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
+        return 0.5 + (offset @ np.array(((cosine, sine), (-sine, cosine)))) * (1.0, -1.0)
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a surface looks, beside the colour that it shows in the light of lamps.
+
+    Attributes:
+        ambient: its colour in ambient light; None for the same.
+        emissive: what it shows without any light.
+        texture: on it, if there is one.
+        lit: whether light counts; where not, the colour is seen as it is.
+        covers: whether it covers what a mesh has of its own: colours, textures.
+        name: in scripts of OGRE's; empty without one.
+        scripts: where that is defined, as was said and as it was found.
+    """
+
+    ambient: Optional[Colour] = None
+    emissive: Colour = BLACK
+    texture: Optional[Texture] = None
+    lit: bool = True
+    covers: bool = False
+    name: str = ""
+    scripts: Tuple[Tuple[str, Path], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -31,13 +82,16 @@ class Visual:
     colour: Colour = WHITE
     name: str = ""
     casts_shadows: bool = True
+    material: Material = Material()
 
 
 @dataclass(frozen=True)
 class Collision:
     """A shape that touches others; `friction` is Coulomb's coefficient.
 
-    `stiffness` (N/m) and `damping` (N s/m) make its contacts springs; None for hard ones.
+    With a `direction`, a unit vector in the shape's own axes, it is the coefficient along it, and
+    `cross_friction` that across it. `stiffness` (N/m) and `damping` (N s/m) make its contacts
+    springs; None for hard ones.
     """
 
     geometry: Geometry
@@ -46,6 +100,8 @@ class Collision:
     name: str = ""
     stiffness: Optional[float] = None
     damping: Optional[float] = None
+    cross_friction: Optional[float] = None
+    direction: Optional[Vector] = None
 
 
 @dataclass(frozen=True)

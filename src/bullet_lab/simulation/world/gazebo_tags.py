@@ -6,60 +6,15 @@ each by name.
 
 from __future__ import annotations
 
-import logging
 from dataclasses import replace
-from typing import Any, Dict, Iterable, Iterator, Optional, Set
+from typing import Any, Dict, Iterable, Iterator
 from xml.etree.ElementTree import Element
 
-from bullet_lab.simulation.world.description import Colour, Link, PluginTag
+from bullet_lab.simulation.world.description import WHITE, Link, PluginTag
+from bullet_lab.simulation.world.materials import MaterialLibrary
+from bullet_lab.simulation.world.report import ReportOnce
+from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.xml import TagReader, child_text
-
-LOG = logging.getLogger(__name__)
-
-# Diffuse colours of Gazebo's own materials that are drawn without a texture.
-_OPAQUE = {
-    "Black": (0.0, 0.0, 0.0),
-    "Blue": (0.0, 0.0, 1.0),
-    "DarkGrey": (0.175, 0.175, 0.175),
-    "FlatBlack": (0.1, 0.1, 0.1),
-    "Gold": (0.8, 0.64869, 0.120759),
-    "Green": (0.0, 1.0, 0.0),
-    "Grey": (0.7, 0.7, 0.7),
-    "Indigo": (0.33, 0.0, 0.5),
-    "LightOff": (1.0, 0.0, 0.0),
-    "LightOn": (0.0, 1.0, 0.0),
-    "Orange": (1.0, 0.5088, 0.0468),
-    "Purple": (1.0, 0.0, 1.0),
-    "Red": (1.0, 0.0, 0.0),
-    "RedBright": (0.87, 0.26, 0.07),
-    "SkyBlue": (0.0, 0.0, 1.0),
-    "Turquoise": (0.0, 1.0, 1.0),
-    "White": (1.0, 1.0, 1.0),
-    "Yellow": (1.0, 1.0, 0.0),
-    "ZincYellow": (0.9725, 0.9529, 0.2078),
-}
-_GLOWING = ("Blue", "Green", "Purple", "Red", "Turquoise", "White", "Yellow")
-_TRANSPARENT = {
-    "Blue": (0.0, 0.0, 1.0),
-    "Green": (0.0, 1.0, 0.0),
-    "Grey": (0.5, 0.5, 0.5),
-    "Orange": (1.0, 0.44, 0.0),
-    "Red": (1.0, 0.0, 0.0),
-    "Yellow": (1.0, 1.0, 0.0),
-}
-PREFIX = "Gazebo/"
-
-
-COLOURS: Dict[str, Colour] = {
-    **{name: (*rgb, 1.0) for name, rgb in _OPAQUE.items()},
-    **{f"{name}Glow": (*_OPAQUE[name], 1.0) for name in _GLOWING},
-    **{f"{name}Transparent": (*rgb, 0.5) for name, rgb in _TRANSPARENT.items()},
-}
-
-
-def gazebo_colour(material: str) -> Optional[Colour]:
-    """Return the colour of a material such as "Gazebo/Red", or None for any other name."""
-    return COLOURS.get(material[len(PREFIX) :]) if material.startswith(PREFIX) else None
 
 
 def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
@@ -72,24 +27,19 @@ def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
             yield PluginTag(filename, name, tags, link, sensor, element)
 
 
-class ReportOnce:
-    """Warnings that are given once each."""
-
-    def __init__(self) -> None:
-        self._given: Set[str] = set()
-
-    def __call__(self, message: str) -> None:
-        """Warn, unless this was said before."""
-        if message not in self._given:
-            self._given.add(message)
-            LOG.warning("%s", message)
-
-
-# Of a `<gazebo reference=…>`: Coulomb's coefficient, and N/m and N s/m of the link's contacts.
-COEFFICIENTS = {"mu1": "friction", "kp": "stiffness", "kd": "damping"}
-LINK_TAGS = frozenset((*COEFFICIENTS, "mu2", "material", "selfCollide"))
+# Of a `<gazebo reference=…>`: Coulomb's coefficients, and N/m and N s/m of the link's contacts.
+COEFFICIENTS = {
+    "mu1": "friction",
+    "mu2": "cross_friction",
+    "kp": "stiffness",
+    "kd": "damping",
+}
+LINK_TAGS = frozenset((*COEFFICIENTS, "fdir1", "material", "selfCollide"))
 # Read elsewhere, or for the eye alone.
 QUIET_TAGS = frozenset(("plugin", "sensor", "visualize", "visual"))
+# How ODE computes, which is its own business.
+QUIET_TAGS |= frozenset(("minDepth", "maxVel", "maxContacts"))
+QUIET_TAGS |= frozenset(("provideFeedback", "implicitSpringDamper"))
 
 
 class _LinkTag(TagReader):
@@ -110,15 +60,23 @@ class GazeboTags:
     """The `<gazebo>` elements of a URDF document: what Gazebo is told of its links.
 
     References to nothing but the names of links and joints in `references` are reported, too.
+    `materials` knows what the names of materials mean, and `finder` where their scripts are.
 
     Raises:
         XmlError: a tag that is simulated makes no sense.
     """
 
-    def __init__(self, elements: Iterable[Element], references: Iterable[str], source: str):
-        self._source = source
+    def __init__(
+        self,
+        elements: Iterable[Element],
+        references: Iterable[str],
+        source: str,
+        materials: MaterialLibrary,
+        finder: ResourceFinder,
+    ):
+        self._source, self._materials, self._finder = source, materials, finder
         self._report = ReportOnce()
-        # By link: fields of its collisions, and its `colour` and `self_collide`.
+        # By link: fields of its collisions, and its `look` and `self_collide`.
         self._told: Dict[str, Dict[str, Any]] = {}
         known = set(references)
         for element in elements:
@@ -135,10 +93,19 @@ class GazeboTags:
     def apply(self, link: Link) -> Link:
         """Return a link as Gazebo would have it."""
         told = dict(self._told.get(link.name, {}))
-        colour = told.pop("colour", None)
+        cross = told.get("cross_friction")
+        if cross is not None and "direction" not in told:
+            mu = told.setdefault("friction", cross)
+            if mu != cross:
+                where = f"{self._source}: <mu2> of '{link.name}'"
+                said = f"without <fdir1>, friction has one coefficient here, <mu1>: {mu:g}"
+                self._report(f"{where}: {said}")
+        look = told.pop("look", None)
         link = replace(link, self_collide=told.pop("self_collide", link.self_collide))
-        if colour is not None:
-            link = replace(link, visuals=tuple(replace(v, colour=colour) for v in link.visuals))
+        if look is not None:
+            colour, material = look
+            painted = (replace(v, colour=colour, material=material) for v in link.visuals)
+            link = replace(link, visuals=tuple(painted))
         return replace(link, collisions=tuple(replace(c, **told) for c in link.collisions))
 
     def _read(self, child: Element, told: Dict[str, Any], link: str) -> None:
@@ -146,21 +113,21 @@ class GazeboTags:
         tag = _LinkTag(child, where)
         if child.tag in COEFFICIENTS:
             told[COEFFICIENTS[child.tag]] = tag.coefficient("value", 0.0)
-        elif child.tag == "mu2":
-            # Bullet's friction is the same in all directions.
-            value = tag.coefficient("value", 0.0)
-            if value != told.setdefault("friction", value):
-                mu = told["friction"]
-                self._report(f"{where}: friction has one coefficient here, <mu1>: {mu:g}")
+        elif child.tag == "fdir1":
+            if any(tag.numbers("value", 3)):
+                told["direction"] = tag.direction("value", "")
         elif child.tag == "selfCollide":
             told["self_collide"] = tag.boolean("value", False)
         elif child.tag == "material":
-            name = tag.text("value")
-            colour = gazebo_colour(name)
-            if colour is None:
-                self._report(f"{where}: material '{name}' is not known and not drawn")
-            else:
-                told["colour"] = colour
+            look = self._materials.named(tag.text("value"), where, self._finder)
+            if look is not None:
+                told["look"] = look
+        elif child.tag == "visual" and child.find("material") is not None:
+            # As it would stand in SDF.
+            element = child.find("material")
+            colour, look = self._materials.of_element(element, where, self._finder, WHITE)
+            if look.covers:
+                told["look"] = (colour, look)
 
     def _report_unknown(self, element: Element, known: Iterable[str]) -> None:
         for child in element:
@@ -175,7 +142,7 @@ SDF_READ = {
     "world": {"model", "light", "include", "gravity", "scene", "state", "physics"},
     "model": {"link", "joint", "plugin", "pose", "static", "frame", "include", "model"},
     "link": {"pose", "inertial", "visual", "collision", "sensor", "plugin", "self_collide"},
-    "visual": {"geometry", "pose", "material", "cast_shadows"},
+    "visual": {"geometry", "pose", "material", "cast_shadows", "transparency"},
     "collision": {"geometry", "pose", "surface"},
     "joint": {"parent", "child", "pose", "axis", "axis2"},
     "surface": {"friction", "contact"},

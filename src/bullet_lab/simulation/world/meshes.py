@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any, List, Protocol, Tuple
-from xml.etree.ElementTree import Element, tostring
+from xml.etree.ElementTree import tostring
 
 import numpy as np
 
@@ -149,7 +149,7 @@ def _directions() -> np.ndarray:
 def _read(path: Path, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
     try:
         if suffix == ".dae":
-            return _read_collada(parse_text(read_text(path), str(path)), f"{path}: <unit>")
+            return _read_collada(path)
         scene = read_scene(path)
         merged = scene.to_geometry() if hasattr(scene, "to_geometry") else scene.dump(True)
         return np.asarray(merged.vertices, dtype=float), np.asarray(merged.faces, dtype=int)
@@ -214,12 +214,29 @@ def _index(index: bytes, count: int) -> bytes:
     return b"%d" % (count + int(index) + 1)
 
 
-def _read_collada(root: Element, where: str) -> Tuple[np.ndarray, np.ndarray]:
+def _read_collada(path: Path) -> Tuple[np.ndarray, np.ndarray]:
+    metres, sets = collada_triangles(path)
+    parts = [(np.asarray(s.vertex, float), np.asarray(s.vertex_index, int)) for s in sets]
+    if not parts:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
+    firsts = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
+    faces = [indices + first for (_, indices), first in zip(parts, firsts)]
+    return metres * np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
+
+
+def collada_triangles(path: Path) -> Tuple[float, List[Any]]:
+    """Return the length of a COLLADA file's unit, m, and its bound triangle sets, by pycollada.
+
+    Raises:
+        XmlError: the file is missing, not well-formed or has a document type.
+        Exception: anything, where what it says makes no sense.
+    """
     import collada
     from collada.triangleset import BoundTriangleSet
 
+    root = parse_text(read_text(path), str(path))
     unit = root.find(f"{COLLADA}asset/{COLLADA}unit")
-    metres = 1.0 if unit is None else number(unit.get("meter", "1"), where)
+    metres = 1.0 if unit is None else number(unit.get("meter", "1"), f"{path}: <unit>")
     for array in root.iter(f"{COLLADA}float_array"):
         if UNUSABLE_NUMBER.search(array.text or ""):
             # pycollada would make zeros of them.
@@ -233,13 +250,7 @@ def _read_collada(root: Element, where: str) -> Tuple[np.ndarray, np.ndarray]:
     primitives = (p for g in document.scene.objects("geometry") for p in g.primitives())
     cut = (p.triangleset() if hasattr(p, "triangleset") else p for p in primitives)
     # Points and lines are left out.
-    sets = [p for p in cut if isinstance(p, BoundTriangleSet) and len(p)]
-    parts = [(np.asarray(s.vertex, float), np.asarray(s.vertex_index, int)) for s in sets]
-    if not parts:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
-    firsts = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
-    faces = [indices + first for (_, indices), first in zip(parts, firsts)]
-    return metres * np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
+    return metres, [p for p in cut if isinstance(p, BoundTriangleSet) and len(p)]
 
 
 def read_bytes(path: Path) -> bytes:

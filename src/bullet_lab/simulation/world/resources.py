@@ -56,6 +56,12 @@ def gazebo_model_folders() -> Tuple[Path, ...]:
     return tuple(Path(folder) for folder in listed if folder) + (package_share() / "models",)
 
 
+def gazebo_media_folders() -> Tuple[Path, ...]:
+    """Return the folders with Gazebo's materials and pictures: GAZEBO_RESOURCE_PATH's `media`."""
+    listed = os.environ.get("GAZEBO_RESOURCE_PATH", "").split(os.pathsep)
+    return tuple(Path(folder) / "media" for folder in listed if folder)
+
+
 def package_uri(path: Path) -> str:
     """Return the package:// or model:// URI of a file; empty where only its path names it."""
     for folder in _package_above(path):
@@ -65,7 +71,7 @@ def package_uri(path: Path) -> str:
             if known is not None and os.path.realpath(known) == os.path.realpath(folder):
                 return f"package://{name}/{quote(os.path.relpath(path, folder))}"
     for folder in gazebo_model_folders():
-        if _is_below(path, folder):
+        if is_below(path, folder):
             return f"model://{quote(os.path.relpath(path, os.path.realpath(folder)))}"
     return ""
 
@@ -139,7 +145,7 @@ class ResourceFinder:
     def _absolute(self, uri: str, path: Path) -> Path:
         """Allow an absolute path only below the document, a model folder or a ROS package."""
         own = () if self._folder is None else (self._folder,)
-        if any(_is_below(path, root) for root in (*self._models, *own, *_package_above(path))):
+        if any(is_below(path, root) for root in (*self._models, *own, *_package_above(path))):
             return _existing(path, uri)
         raise ResourceError(f"'{uri}': outside the folders of the document and of all packages")
 
@@ -163,12 +169,13 @@ def _package_above(path: Path) -> Tuple[Path, ...]:
 
 
 def _inside(folder: Path, path: str, uri: str) -> Path:
-    if not _is_below(folder / path, folder):
+    if not is_below(folder / path, folder):
         raise ResourceError(f"'{uri}': leaves its folder")
     return _existing(folder / path, uri)
 
 
-def _is_below(path: Path, folder: Path) -> bool:
+def is_below(path: Path, folder: Path) -> bool:
+    """Return whether a path leads to what is in a folder."""
     # realpath, so that neither ".." nor a symbolic link inside a model leads out of it.
     inner, outer = os.path.realpath(path), os.path.realpath(folder)
     return os.path.commonpath([inner, outer]) == outer

@@ -28,12 +28,12 @@ from bullet_lab.simulation.world.description import (
     World,
 )
 from bullet_lab.simulation.world.gazebo_tags import (
-    ReportOnce,
-    gazebo_colour,
     plugins_in,
     report_unknown,
 )
 from bullet_lab.simulation.world.inertia import INERTIA_KEYS, inertia_at
+from bullet_lab.simulation.world.materials import MaterialLibrary
+from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import SHAPES, Shape, ShapeTag
 from bullet_lab.simulation.world.tree import check_forest, lump_fixed_joints, refuse_repeats
@@ -109,13 +109,14 @@ class _Document:
     """What an element stands in.
 
     `static` is what an <include> says about all models in it, if it says anything; `report`
-    tells the user what is not simulated.
+    tells the user what is not simulated; `materials` are all that were read so far.
     """
 
     finder: ResourceFinder
     depth: int = 0
     static: Optional[bool] = None
     report: ReportOnce = field(default_factory=ReportOnce)
+    materials: MaterialLibrary = field(default_factory=MaterialLibrary)
 
 
 class _Tag(ElementReader, ShapeTag):
@@ -300,20 +301,23 @@ def _shapes(link: _Tag, kind: str) -> Iterator[Tuple[_Tag, Shape]]:
 
 
 def _visual(tag: _Tag, geometry: Shape) -> Visual:
-    colour = WHITE if geometry.has_own_colours else DEFAULT_COLOUR
-    if tag.element.find("material") is not None:
-        colour = gazebo_colour(tag.text("material/script/name")) or DEFAULT_COLOUR
-        colour = tag.colour("material/diffuse", tag.colour("material/ambient", colour))
+    default = WHITE if geometry.has_own_colours else DEFAULT_COLOUR
+    where = f"{tag.source}: visual '{tag.element.get('name', '')}'"
+    element, document = tag.element.find("material"), tag.document
+    colour, look = document.materials.of_element(element, where, document.finder, default)
     colour = (*colour[:3], colour[3] * (1.0 - tag.number("transparency", 0.0)))
-    return Visual(geometry, tag.pose(), colour, tag.name, tag.boolean("cast_shadows", True))
+    casts = tag.boolean("cast_shadows", True)
+    return Visual(geometry, tag.pose(), colour, tag.name, casts, look)
 
 
 def _collision(tag: _Tag, geometry: Shape) -> Collision:
-    mu = tag.coefficient("surface/friction/ode/mu", 1.0)
-    # Stiffness and damping of its contacts, None for what is not said.
-    paths = [f"surface/contact/ode/{key}" for key in ("kp", "kd")]
-    spring = [tag.coefficient(path, 0.0) if tag.text(path) else None for path in paths]
-    return Collision(geometry, tag.pose(), mu, tag.name, *spring)
+    friction, contact = "surface/friction/ode", "surface/contact/ode"
+    mu, fdir1 = tag.coefficient(f"{friction}/mu", 1.0), f"{friction}/fdir1"
+    # Stiffness and damping of its contacts, and a second friction: None for what is not said.
+    paths = (f"{contact}/kp", f"{contact}/kd", f"{friction}/mu2")
+    others = [tag.coefficient(path, 0.0) if tag.text(path) else None for path in paths]
+    direction = tag.direction(fdir1, "") if any(tag.numbers(fdir1, 3, "0 0 0")) else None
+    return Collision(geometry, tag.pose(), mu, tag.name, *others, direction)
 
 
 def _inertia(link: _Tag) -> Inertia:

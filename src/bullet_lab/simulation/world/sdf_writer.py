@@ -20,6 +20,7 @@ from bullet_lab.simulation.world.description import (
     Joint,
     Light,
     Link,
+    Material,
     Mesh,
     Model,
     PluginTag,
@@ -27,6 +28,7 @@ from bullet_lab.simulation.world.description import (
     Visual,
     World,
 )
+from bullet_lab.simulation.world.mesh_parts import has_own_looks
 from bullet_lab.simulation.world.resources import package_uri
 
 VERSION = "1.6"
@@ -42,7 +44,7 @@ def world_text(snapshot: Snapshot, folder: Path) -> Tuple[str, List[str]]:
 
     Args:
         snapshot: the world and where everything is.
-        folder: where the file will lie; meshes below it are named by their path from it.
+        folder: where the file will lie; files below it are named by their path from it.
 
     Returns:
         The text of the file, and notes on what whoever loads it should know.
@@ -52,7 +54,7 @@ def world_text(snapshot: Snapshot, folder: Path) -> Tuple[str, List[str]]:
     world.find("physics").attrib.update(name="default", type="ode")
     for light in snapshot.world.lights:
         _add(world, "light", _light(light), name=light.name, type=light.kind)
-    uris = _MeshUris(folder)
+    uris = _Uris(folder)
     for model, state in snapshot.models:
         _add_model(world, model, state.pose, uris)
     _add_state(world, snapshot)
@@ -97,21 +99,21 @@ def _indent(element: Element, level: int = 0) -> None:
     element[-1].tail = "\n" + INDENT * level
 
 
-class _MeshUris:
-    """How a document in a folder can name mesh files, whatever they were called before."""
+class _Uris:
+    """How a document in a folder can name other files, whatever they were called before."""
 
     def __init__(self, folder: Path):
         self.notes: List[str] = []
         self._folder = folder.resolve()
-        self._uris: Dict[Mesh, str] = {}
+        self._uris: Dict[Path, str] = {}
 
-    def of(self, mesh: Mesh) -> str:
-        if mesh.uri.startswith(("package://", "model://")):
-            return mesh.uri
-        if mesh not in self._uris:
-            path = mesh.path.resolve()
-            self._uris[mesh] = package_uri(path) or self._relative(path)
-        return self._uris[mesh]
+    def of(self, uri: str, path: Path) -> str:
+        if uri.startswith(("package://", "model://")):
+            return uri
+        if path not in self._uris:
+            whole = path.resolve()
+            self._uris[path] = package_uri(whole) or self._relative(whole)
+        return self._uris[path]
 
     def _relative(self, path: Path) -> str:
         try:
@@ -121,7 +123,7 @@ class _MeshUris:
             return path.as_uri()
 
 
-def _add_model(parent: Element, model: Model, pose: Pose, uris: _MeshUris) -> None:
+def _add_model(parent: Element, model: Model, pose: Pose, uris: _Uris) -> None:
     element = _add(parent, "model", {"pose": pose, "static": model.static}, name=model.name)
     for name, (link, place) in model.frames.items():
         _add(_add(element, "frame", {}, name=name), "pose", place, frame=link)
@@ -134,7 +136,7 @@ def _add_model(parent: Element, model: Model, pose: Pose, uris: _MeshUris) -> No
     element.extend(plugin_element(plugin) for plugin in model.plugins if plugin.sensor is None)
 
 
-def _add_link(parent: Element, link: Link, model: Model, uris: _MeshUris) -> None:
+def _add_link(parent: Element, link: Link, model: Model, uris: _Uris) -> None:
     content: Dict[str, Any] = {"pose": link.pose}
     if link.self_collide:
         content["self_collide"] = True
@@ -150,9 +152,30 @@ def _add_link(parent: Element, link: Link, model: Model, uris: _MeshUris) -> Non
         content = _shape(visual, uris)
         if not visual.casts_shadows:
             content["cast_shadows"] = False
-        content["material"] = {"ambient": visual.colour, "diffuse": visual.colour}
-        _add(element, "visual", content, name=name)
+        _add_material(_add(element, "visual", content, name=name), visual, uris)
     element.extend(_sensors(link, model))
+
+
+def _add_material(parent: Element, visual: Visual, uris: _Uris) -> None:
+    """Add what a visual looks like, but for what a mesh brings itself."""
+    material, shape = visual.material, visual.geometry
+    said: Dict[str, Any] = {}
+    if material.covers or not (isinstance(shape, Mesh) and has_own_looks(shape)):
+        said = {"ambient": material.ambient or visual.colour, "diffuse": visual.colour}
+        if material.emissive != Material.emissive:
+            said["emissive"] = material.emissive
+        if not material.lit:
+            said["lighting"] = False
+    elif visual.colour[3] < 1.0:
+        _add(parent, "transparency", 1.0 - visual.colour[3])
+    if not said and not material.name:
+        return
+    element = _add(parent, "material", said)
+    if material.name:
+        script = _add(element, "script", {})
+        for uri, path in material.scripts:
+            _add(script, "uri", uris.of(uri, path))
+        _add(script, "name", material.name)
 
 
 def _named(shapes: Iterable[Any], kind: str) -> Iterator[Tuple[str, Any]]:
@@ -167,14 +190,18 @@ def _named(shapes: Iterable[Any], kind: str) -> Iterator[Tuple[str, Any]]:
         yield name, shape
 
 
-def _shape(shape: Union[Collision, Visual], uris: _MeshUris) -> Dict[str, Any]:
+def _shape(shape: Union[Collision, Visual], uris: _Uris) -> Dict[str, Any]:
     geometry = shape.geometry
-    uri = {"uri": uris.of(geometry)} if isinstance(geometry, Mesh) else {}
+    uri = {"uri": uris.of(geometry.uri, geometry.path)} if isinstance(geometry, Mesh) else {}
     return {"pose": shape.pose, "geometry": {geometry.tag: {**uri, **geometry.measures()}}}
 
 
 def _surface(collision: Collision) -> Dict[str, Any]:
-    friction = {"mu": collision.friction, "mu2": collision.friction}
+    cross = collision.cross_friction
+    friction: Dict[str, Any] = {"mu": collision.friction}
+    friction["mu2"] = collision.friction if cross is None else cross
+    if collision.direction is not None:
+        friction["fdir1"] = collision.direction
     spring = {"kp": collision.stiffness, "kd": collision.damping}
     said = {tag: value for tag, value in spring.items() if value is not None}
     contact = {"contact": {"ode": said}} if said else {}

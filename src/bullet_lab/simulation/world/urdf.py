@@ -21,6 +21,7 @@ from bullet_lab.simulation.world.description import (
 )
 from bullet_lab.simulation.world.gazebo_tags import GazeboTags, plugins_in
 from bullet_lab.simulation.world.inertia import INERTIA_KEYS, inertia_at
+from bullet_lab.simulation.world.materials import MaterialLibrary
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import SHAPES, Shape, ShapeTag
 from bullet_lab.simulation.world.tree import check_tree, lump_fixed_joints, place_links
@@ -113,7 +114,8 @@ def _model(root: _Tag) -> Model:
     joints = tuple(_joint(tag.named()) for tag in root.all("joint"))
     check_tree(links, joints, root.source)
     gazebo = root.element.findall("gazebo")
-    tags = GazeboTags(gazebo, [part.name for part in (*links, *joints)], root.source)
+    names = [part.name for part in (*links, *joints)]
+    tags = GazeboTags(gazebo, names, root.source, MaterialLibrary(), root.finder)
     links = place_links(tuple(map(tags.apply, links)), joints)
     found = (plugins_in(element, element.get("reference", "")) for element in gazebo)
     plugins = tuple(itertools.chain.from_iterable(found))

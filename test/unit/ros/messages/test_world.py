@@ -4,8 +4,9 @@ pytest.importorskip("rospy")
 
 from visualization_msgs.msg import Marker
 
-from bullet_lab.ros.messages.world import LARGEST_PLANE, world_markers
+from bullet_lab.ros.messages.world import LARGEST_PLANE, _marker, world_markers
 from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import Material, Mesh, Visual
 from bullet_lab.simulation.world.sdf import read_world_file
 
 WORLD = """<sdf version="1.6"><world name="shapes">
@@ -73,3 +74,17 @@ def test_a_plane_is_drawn_below_its_surface(markers):
 def test_colours_are_those_of_the_world(markers):
     colour = markers[0].color
     assert (colour.r, colour.g, colour.b, colour.a) == pytest.approx((0.1, 0.2, 0.3, 0.4))
+
+
+COLLADA = "<COLLADA><instance_material/></COLLADA>"
+
+
+def test_meshes_keep_what_they_bring_in_rviz(tmp_path):
+    """RViz takes no colour at all for "as the mesh is"."""
+    path = tmp_path / "m.dae"
+    path.write_text(COLLADA)
+    covered = Visual(Mesh(path, ""), colour=(0.0, 1.0, 0.0, 1.0), material=Material(covers=True))
+    plain = Visual(Mesh(tmp_path / "m.stl", ""), colour=(0.0, 1.0, 0.0, 1.0))
+    found = [_marker(v) for v in (Visual(Mesh(path, "")), covered, plain)]
+    assert [m.mesh_use_embedded_materials for m in found] == [True, False, False]
+    assert [(m.color.g, m.color.a) for m in found] == [(0, 0), (1, 1), (1, 1)]

@@ -585,21 +585,16 @@ def feet(shape, **properties):
 
 
 @pytest.mark.parametrize("meshed", [False, True])
-def test_a_helper_stands_and_slides_as_its_link(hall, cube, meshed):
+def test_a_helper_stands_and_slides_as_its_shape_alone(hall, cube, meshed):
     """On a floor with friction 1: bodies that stand on the seventeenth of their shapes.
 
-    Of the frictions of a link's shapes the greatest counts, wherever that shape is.
+    Its friction counts, not that of the others of its link.
     """
     foot = replace(cube, scale=(1.0, 1.0, 0.2)) if meshed else Box((1.0, 1.0, 0.2))
     inertia = Inertia(2.0, (0.0, 0.0, 0.0), 0.2 * np.eye(3))
-    for number, friction in enumerate((0.2, 0.5)):
-        shapes = feet(foot)
-        rough = number * (len(shapes) - 1)
-        shapes = tuple(
-            replace(shape, friction=friction if place == rough else 0.05)
-            for place, shape in enumerate(shapes)
-        )
-        plain_foot = replace(shapes[-1], friction=friction)
+    for number, (friction, others) in enumerate(((0.2, 1.0), (0.5, 0.05), (0.2, 0.2))):
+        *above, plain_foot = feet(foot, friction=friction)
+        shapes = (*(replace(shape, friction=others) for shape in above), plain_foot)
         bodies = [
             hall.add(
                 Model(f"m{number}{name}", (Link("l", Pose(), inertia, (), own),)),

@@ -1,4 +1,7 @@
+import logging
+import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +11,8 @@ from PIL import Image
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering.renderer import Shot
-from bullet_lab.simulation.rendering.surfaces import TextureError, surfaces_of
+from bullet_lab.simulation.rendering.surfaces import surfaces_of
+from bullet_lab.simulation.rendering.textures import read_pixels
 from bullet_lab.simulation.world.description import Mesh
 
 AHEAD = Pose((0.0, 0.0, 0.5))
@@ -79,7 +83,8 @@ def test_faces_that_show_a_single_point_have_its_colour(tmp_path):
         corners = ((y + 0.2, -0.2), (y - 0.2, -0.2), (y - 0.2, 0.2), (y + 0.2, 0.2))
         text += "".join(f"v 0 {a} {b}\n" for a, b in corners) + "f -4/5 -3/5 -2/5 -1/5\n"
     path.write_text(text)
-    model = thing("m", Mesh(path, path.name), Pose((3.0, 0, 0.5)), (0.5, 1.0, 0.5, 1.0))
+    (tmp_path / "quarters.mtl").write_text("newmtl face\nKd .5 1 .5\nmap_Kd quarters.png\n")
+    model = thing("m", Mesh(path, path.name), Pose((3.0, 0, 0.5)))
     with simulation_of(model) as simulation:
         picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
     for u in (320 - round(0.8 * CAMERA.fx / 3), 320 + round(0.8 * CAMERA.fx / 3)):
@@ -125,7 +130,7 @@ def test_several_materials_and_faces_without_a_picture(tmp_path):
     for n in (0, 1):
         Image.fromarray(flat(COLOURS[n])).save(tmp_path / f"c{n}.png")
     (tmp_path / "m.mtl").write_text(
-        "# two\nnewmtl a\nmap_Kd c0.png\nnewmtl b\nKd 1 1 1\nmap_Kd -s 1 1 1 c1.png\nnewmtl c\n"
+        "# two\nnewmtl a\nKd .5 .5 .5\nmap_Kd c0.png\nnewmtl b\nKd 1 1 1\nmap_Kd -s 1 1 1 c1.png\n"
     )
     text = "mtllib m.mtl\nvt 0 0\nvt 1 0\nvt 1 1\n"
     for n, material in enumerate("abc"):
@@ -134,10 +139,11 @@ def test_several_materials_and_faces_without_a_picture(tmp_path):
         text += f"usemtl {material}\n"
         text += "f -4/1 -3/2 -2/3 -1/3\n" if material != "c" else "f -4 -3 -2 -1\n"
     (tmp_path / "m.obj").write_text(text)
-    model = thing("m", Mesh(tmp_path / "m.obj", "m.obj"), Pose((4, 0, 0.5)), (0.5, 0.5, 0.5, 1))
+    model = thing("m", Mesh(tmp_path / "m.obj", "m.obj"), Pose((4, 0, 0.5)), (0.5, 0.4, 0.3, 1))
     with simulation_of(model) as simulation:
         picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
-    wanted = np.array([*COLOURS[:2], (255, 255, 255)]) / 2
+    # The model's own colour is for what brings none.
+    wanted = np.array([np.array(COLOURS[0]) / 2, COLOURS[1], (127.5, 102, 76.5)])
     assert colours_in(picture)[1:4] == pytest.approx(wanted, abs=3)
 
 
@@ -151,16 +157,20 @@ def test_several_materials_and_faces_without_a_picture(tmp_path):
         ("map_Kd link.png", "leaves its folder"),
     ],
 )
-def test_a_picture_that_is_not_there_is_one_line(tmp_path, statement, message):
+def test_a_picture_that_is_not_there_is_one_line(tmp_path, statement, message, caplog):
     folder = tmp_path / "meshes"
     folder.mkdir()
     path = write_plate(folder, "p", flat(COLOURS[0]), 1.0, 1.0)
     shutil.copy(folder / "p.png", tmp_path / "secret.png")
     (folder / "link.png").symlink_to(tmp_path / "secret.png")
     (folder / "p.mtl").write_text(f"newmtl face\n{statement}\n")
-    with pytest.raises(TextureError, match=message) as caught:
-        simulation_of(plate(path, AHEAD))
-    assert str(caught.value).startswith(f"{folder / 'p.mtl'}: ")
+    models = [replace(plate(path, Pose((3.0, y, 0.5))), name=f"m{y}") for y in (0.0, 5.0)]
+    with simulation_of(*models) as simulation, caplog.at_level(logging.WARNING):
+        picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
+    (line,) = caplog.messages
+    assert line.startswith(f"{folder / 'p.mtl'}: ")
+    assert message in line
+    assert (picture[240, 320] == 255).all()
 
 
 def test_pictures_beside_the_meshes_of_a_gazebo_model(tmp_path):
@@ -172,15 +182,13 @@ def test_pictures_beside_the_meshes_of_a_gazebo_model(tmp_path):
     (tmp_path / "meshes" / "p.mtl").write_text("newmtl face\nmap_Kd ../textures/q.png\n")
     (surface,) = surfaces_of(Mesh(path, ""))
     assert surface.corners.shape == (2, 3, 3)
-    assert (surface.image == COLOURS[1]).all()
+    _, material = surface.look
+    assert (read_pixels(material.texture) == COLOURS[1]).all()
 
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("p.png", b"no image", "not a readable image"),
-        ("p.png", b"", "not a readable image"),
-        ("p.obj", b"mtllib p.mtl\nusemtl face\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "picture"),
         ("p.obj", b"mtllib p.mtl\nv 0 0 0\nvt 0 0\nf 1/1 2/1 3/1\n", "not a readable mesh"),
         ("p.obj", b"mtllib p.mtl\nv 0 0 x\n", "not a readable mesh"),
         ("p.obj", b"mtllib p.mtl\nvt 0 0\nv 0 nan 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/1 3/1\n", "finite"),
@@ -194,8 +202,29 @@ def test_broken_files_are_one_line(tmp_path, name, content, message):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("p.png", b"no image", "not a readable image"),
+        ("p.png", b"", "not a readable image"),
+        ("p.obj", None, "without picture coordinates"),
+    ],
+)
+def test_a_picture_that_cannot_be_shown_is_named_and_left_out(
+    tmp_path, name, content, message, caplog
+):
+    path = write_plate(tmp_path, "p", flat(COLOURS[0]), 1.0, 1.0)
+    if content is None:
+        content = re.sub(rb"/\d", b"", path.read_bytes())
+    (tmp_path / name).write_bytes(content)
+    with simulation_of(plate(path, Pose((3.0, 0, 0.5)))) as simulation:
+        picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
+    assert message in "".join(caplog.messages)
+    assert (picture[240, 320] == 255).all()
+
+
 def test_a_material_file_that_nobody_has_is_passed_over(tmp_path):
     path = write_plate(tmp_path, "p", flat(COLOURS[0]), 1.0, 1.0)
     (tmp_path / "p.mtl").unlink()
     (surface,) = surfaces_of(Mesh(path, ""))
-    assert surface.image is None
+    assert surface.look is None

@@ -7,7 +7,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.gazebo_tags import COLOURS, gazebo_colour
+from bullet_lab.simulation.world.gazebo_materials import MATERIALS, gazebo_material
 from bullet_lab.simulation.world.sdf import read_model_text
 from bullet_lab.simulation.world.urdf import read_urdf
 
@@ -53,10 +53,11 @@ def test_without_a_material_the_urdfs_colour_stays():
 
 
 def test_the_table_of_colours():
-    assert len(COLOURS) >= 30
-    assert all(0.0 <= part <= 1.0 for colour in COLOURS.values() for part in colour)
-    assert gazebo_colour("Red") is None
-    assert gazebo_colour("Gazebo/Plaid") is None
+    assert len(MATERIALS) >= 60
+    colours = [c for m in MATERIALS.values() for c in (m.diffuse, m.ambient or m.diffuse)]
+    assert all(0.0 <= part <= 1.0 for colour in colours for part in colour)
+    assert gazebo_material("Red") is None
+    assert gazebo_material("Gazebo/Plaid") is None
 
 
 def test_an_unknown_material_is_reported_and_the_colour_stays(caplog):
@@ -117,7 +118,27 @@ def test_friction_of_several_elements_and_merged_links():
 
 def test_one_coefficient_only_is_said_once(caplog):
     (message,) = warnings_of(caplog, lambda: tagged("<mu1>1</mu1><mu2>0.5</mu2><mu2>0.5</mu2>"))
-    assert "<mu2> of 'base': friction has one coefficient here, <mu1>: 1" in message
+    said = "without <fdir1>, friction has one coefficient here, <mu1>: 1"
+    assert f"<mu2> of 'base': {said}" in message
+
+
+def test_a_direction_of_friction(caplog):
+    tags = "<mu1>1</mu1><mu2>0.5</mu2><fdir1>0 2 0</fdir1>"
+    assert warnings_of(caplog, lambda: tagged(tags)) == []
+    shape = tagged(tags).links[0].collisions[0]
+    assert (shape.friction, shape.cross_friction) == (1.0, 0.5)
+    assert shape.direction == (0.0, 1.0, 0.0)
+    assert tagged("<fdir1>0 0 0</fdir1>").links[0].collisions[0].direction is None
+
+
+def test_a_direction_of_friction_in_sdf():
+    ode = "<mu>0.8</mu><mu2>0.2</mu2><fdir1>0 0 3</fdir1>"
+    surface = f"<surface><friction><ode>{ode}</ode></friction></surface>"
+    shape = sdf(collision=surface).links[0].collisions[0]
+    assert (shape.friction, shape.cross_friction) == (0.8, 0.2)
+    assert shape.direction == (0.0, 0.0, 1.0)
+    plain = sdf().links[0].collisions[0]
+    assert (plain.friction, plain.cross_friction, plain.direction) == (1.0, None, None)
 
 
 # Soft contacts
@@ -235,16 +256,23 @@ def test_self_collide_in_sdf():
 # What is not known
 
 
+def test_how_ode_computes_is_its_own_business(caplog):
+    tags = "<minDepth>0.001</minDepth><maxVel>0.1</maxVel><maxContacts>4</maxContacts>"
+    robot = f"<gazebo reference='base'>{tags}</gazebo>"
+    assert warnings_of(caplog, lambda: carrier(robot)) == []
+
+
 def test_unknown_tags_are_reported_once_each_by_name(caplog):
     robot = (
-        "<gazebo reference='base'><turnGravityOff>true</turnGravityOff><maxVel>1</maxVel></gazebo>"
-        "<gazebo reference='base'><maxVel>1</maxVel></gazebo>"
+        "<gazebo reference='base'><turnGravityOff>true</turnGravityOff></gazebo>"
+        "<gazebo reference='base'><laserRetro>1</laserRetro></gazebo>"
+        "<gazebo reference='base'><laserRetro>1</laserRetro></gazebo>"
         "<gazebo><static>true</static></gazebo>"
     )
     messages = warnings_of(caplog, lambda: carrier(robot))
     assert messages == [
         "carrier: <gazebo>: <turnGravityOff> is not simulated",
-        "carrier: <gazebo>: <maxVel> is not simulated",
+        "carrier: <gazebo>: <laserRetro> is not simulated",
         "carrier: <gazebo>: <static> is not simulated",
     ]
 

@@ -21,7 +21,6 @@ def model_text(**parts):
         ("link", "<gravity>0</gravity>", "<link>: <gravity>"),
         ("link", "<kinematic>1</kinematic>", "<link>: <kinematic>"),
         ("link", "<velocity_decay><linear>1</linear></velocity_decay>", "<link>: <velocity_decay>"),
-        ("visual", "<transparency>0.5</transparency>", "<visual>: <transparency>"),
         (
             "collision",
             "<surface><bounce><restitution_coefficient>0.7</restitution_coefficient></bounce>"
@@ -42,7 +41,7 @@ def test_what_is_not_simulated_is_told_once(part, xml, said, caplog):
         ("model", "<self_collide>0</self_collide>"),
         ("link", "<gravity>1</gravity><kinematic>false</kinematic>"),
         ("link", "<sensor name='s' type='ray'><visualize>true</visualize></sensor>"),
-        ("visual", "<cast_shadows>1</cast_shadows><transparency>0</transparency><meta/>"),
+        ("visual", "<cast_shadows>1</cast_shadows><transparency>0.5</transparency><meta/>"),
         ("collision", "<max_contacts>10</max_contacts><laser_retro>0</laser_retro>"),
         ("collision", "<surface><bounce/><friction><ode><mu>1</mu></ode></friction></surface>"),
     ],

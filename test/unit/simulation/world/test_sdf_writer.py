@@ -155,6 +155,9 @@ def same_link(link, other):
     for shape, again in zip(link.collisions, other.collisions):
         assert again.geometry == shape.geometry
         assert again.friction == shape.friction
+        assert again.direction == shape.direction
+        if shape.cross_friction is not None:
+            assert again.cross_friction == shape.cross_friction
         assert (again.stiffness, again.damping) == (shape.stiffness, shape.damping)
         assert again.pose.position == pytest.approx(shape.pose.position)
     for shape, again in zip(link.visuals, other.visuals):
@@ -321,3 +324,56 @@ def test_the_state_of_a_world_that_gazebo_has_saved(tmp_path):
         path.write_text(text)
         with Simulation(read_world_file(path)) as again:
             assert same_state(simulation, again)
+
+
+LOOKS = """<sdf version="1.6"><world name="w"><model name="m"><static>1</static><link name="l">
+{}</link></model></world></sdf>"""
+LOOK = "<visual name='{}'><geometry>{}</geometry>{}</visual>"
+CUBE = "<box><size>1 1 1</size></box>"
+SCRIPTED = "<material><script><uri>scripts</uri><name>{}</name></script>{}</material>"
+SCRIPT = """material A { technique { pass { diffuse 1 0 0
+  ambient 0 1 0
+  emissive 0 0 1
+  texture_unit { texture a.png
+    scale 0.5 0.5 } } } }"""
+
+
+def test_looks_of_visuals(tmp_path):
+    (tmp_path / "scripts").mkdir()
+    (tmp_path / "scripts" / "a.material").write_text(SCRIPT)
+    (tmp_path / "scripts" / "a.png").write_bytes(b"")
+    (tmp_path / "own.obj").write_text("usemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "bare.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    own, bare = (f"<mesh><uri>{n}.obj</uri></mesh>" for n in ("own", "bare"))
+    colours = "<material><ambient>1 0 0 1</ambient><diffuse>0 1 0 .5</diffuse></material>"
+    unlit = "<material><diffuse>0 1 0 1</diffuse><lighting>0</lighting></material>"
+    visuals = (
+        (CUBE, SCRIPTED.format("A", "")),
+        (CUBE, SCRIPTED.format("A", "<diffuse>0 0 1 1</diffuse>")),
+        (CUBE, SCRIPTED.format("Gazebo/RedTransparent", "")),
+        (CUBE, SCRIPTED.format("Nobodys", "")),
+        (CUBE, colours),
+        (CUBE, unlit),
+        (own, ""),
+        (own, "<transparency>0.25</transparency>"),
+        (own, colours),
+        (bare, ""),
+    )
+    text = "".join(LOOK.format(n, *visual) for n, visual in enumerate(visuals))
+    world = tmp_path / "w.world"
+    world.write_text(LOOKS.format(text))
+    with Simulation.of(str(world)) as simulation:
+        path, notes = save(simulation, tmp_path)
+        before = simulation.models["m"].model.links[0].visuals
+    assert notes == []
+    after = read_world_file(path).models[0].links[0].visuals
+    assert [v.colour for v in after] == [v.colour for v in before]
+    assert [v.material.texture for v in after] == [v.material.texture for v in before]
+    assert before[0].material.texture.scale == (0.5, 0.5)
+    for one, other in zip(before, after):
+        assert (one.material.ambient or one.colour) == (other.material.ambient or other.colour)
+        assert one.material.emissive == other.material.emissive
+        assert (one.material.lit, one.material.name) == (other.material.lit, other.material.name)
+        is_bare = "bare" in getattr(one.geometry, "uri", "box bare")
+        assert is_bare or one.material.covers == other.material.covers
+    assert "<uri>scripts</uri>" in path.read_text()

@@ -1,0 +1,1 @@
+"""The contract that Gazebo's ROS interface is: rows in config/contract, checked on a master."""

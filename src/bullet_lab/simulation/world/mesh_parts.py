@@ -1,0 +1,262 @@
+"""What is seen of mesh files: triangles with normals, colours and the pictures on them.
+
+Pictures and the .mtl of an .obj are looked for as Gazebo does; what is missing is named and drawn
+without, and a mesh is never refused for it.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import os
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from urllib.parse import unquote
+
+import numpy as np
+
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.world.description import WHITE, Colour, Material, Mesh, Texture
+from bullet_lab.simulation.world.meshes import (
+    MeshError,
+    collada_triangles,
+    file_version,
+    load_triangles,
+    read_bytes,
+    read_scene,
+)
+from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
+
+LOG = logging.getLogger(__name__)
+# What tells that a file has materials of its own, and faces that name their normals.
+OWN_LOOKS = {".obj": b"usemtl", ".dae": b"instance_material"}
+FACE_WITH_NORMALS = re.compile(rb"^\s*f\s+-?\d+/-?\d*/-?\d", re.MULTILINE)
+
+Look = Tuple[Colour, Material]
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Triangles that look alike, three corners each, in m: arrays of shape (n, 3, …).
+
+    Attributes:
+        corners: (n, 3, 3) positions.
+        normals: (n, 3, 3) at the corners, of any length; None for flat ones.
+        picture: (n, 3, 2) coordinates in a picture, from its lower left; None without any.
+        look: colour and material of its own; None without any.
+    """
+
+    corners: np.ndarray
+    normals: Optional[np.ndarray] = None
+    picture: Optional[np.ndarray] = None
+    look: Optional[Look] = None
+
+
+def mesh_parts(mesh: Mesh, report: Report = LOG.warning) -> List[Part]:
+    """Return what is seen of a mesh with its scale applied; raises as `load_triangles`.
+
+    `report` is told what is missing, each a line.
+    """
+    # What is wrong with it is said there.
+    triangles = load_triangles(mesh)
+    if mesh.path.suffix.lower() == ".stl":
+        order = -1 if np.prod(mesh.scale) < 0.0 else 1
+        return [Part(triangles.vertices[triangles.faces[:, ::order]])]
+    return [_scaled(part, mesh) for part in _read(mesh, report)]
+
+
+def has_own_looks(mesh: Mesh) -> bool:
+    """Return whether a mesh brings materials of its own; not if it cannot be read."""
+    return _has_own_looks(mesh.path, file_version(mesh))
+
+
+@functools.lru_cache(maxsize=256)
+def _has_own_looks(path: Path, _version: Tuple[int, int]) -> bool:
+    word = OWN_LOOKS.get(path.suffix.lower())
+    try:
+        return word is not None and word in read_bytes(path)
+    except MeshError:
+        return False
+
+
+def _read(mesh: Mesh, report: Report) -> List[Part]:
+    read = _collada_parts if mesh.path.suffix.lower() == ".dae" else _wavefront_parts
+    try:
+        return list(read(mesh.path, report))
+    except LabError:
+        raise
+    except Exception as error:
+        raise MeshError(f"{mesh.path}: not a readable mesh: {error}") from error
+
+
+def _scaled(part: Part, mesh: Mesh) -> Part:
+    scale = np.asarray(mesh.scale)
+    # Mirrored triangles are turned over, so that they still look outward.
+    order = slice(None, None, -1 if np.prod(scale) < 0.0 else 1)
+    normals, picture = part.normals, part.picture
+    return replace(
+        part,
+        corners=(part.corners * scale)[:, order],
+        normals=None if normals is None else (normals / scale)[:, order],
+        picture=None if picture is None else picture[:, order],
+    )
+
+
+def _collada_parts(path: Path, report: Report) -> Iterator[Part]:
+    metres, sets = collada_triangles(path)
+    for part in sets:
+        corners = metres * np.asarray(part.vertex, float)[part.vertex_index]
+        normals = picture = None
+        if part.normal is not None and len(part.normal):
+            normals = np.asarray(part.normal, float)[part.normal_index]
+        if part.texcoordset:
+            # Gazebo, too, takes the first of several.
+            picture = np.asarray(part.texcoordset[0], float)[part.texcoord_indexset[0]][..., :2]
+        effect = getattr(part.material, "effect", None)
+        look = None if effect is None else _effect_look(effect, path, report)
+        yield Part(corners, normals, picture, look)
+
+
+def _effect_look(effect: Any, path: Path, report: Report) -> Look:
+    """Return how a material of COLLADA looks."""
+    texture, diffuse = None, _rgb(effect.diffuse)
+    sampler = getattr(effect.diffuse, "sampler", None)
+    if sampler is not None:
+        texture = _texture(sampler.surface.image.path, path, report)
+    opacity = 1.0
+    if isinstance(effect.transparent, tuple) and effect.transparency is not None:
+        share = effect.transparent[3] if len(effect.transparent) > 3 else 1.0
+        opacity = share * float(effect.transparency)
+        if str(getattr(effect, "opaque_mode", "")).endswith("RGB_ZERO"):
+            opacity = 1.0 - np.mean(effect.transparent[:3]) * float(effect.transparency)
+    # Nobody ships what is not seen: that is an exporter's mistake.
+    opacity = opacity if 0.0 < opacity <= 1.0 else 1.0
+    rest = Material(_rgb(effect.ambient), _rgb(effect.emission) or Material.emissive, texture)
+    return (*(diffuse or WHITE)[:3], opacity), rest
+
+
+def _rgb(value: Any) -> Optional[Colour]:
+    """Return a colour of COLLADA; None if there is none, or a picture."""
+    if not isinstance(value, tuple) or len(value) < 3:
+        return None
+    return (*np.clip(value[:3], 0.0, 1.0).tolist(), 1.0)
+
+
+class _Materials:
+    """Gives trimesh the .mtl files that an .obj names, and remembers what they say.
+
+    trimesh only gets the names in it: that is enough to tell the parts of a mesh apart.
+    """
+
+    def __init__(self, path: Path, report: Report):
+        self._path, self._report = path, report
+        self.looks: Dict[str, Look] = {}
+
+    def __getitem__(self, name: str) -> str:
+        """Return a material file; many meshes name one that nobody has."""
+        file = self._path.parent / name
+        if not file.exists():
+            raise FileNotFoundError(name)
+        try:
+            file = _find(name, self._path)
+            text = read_bytes(file).decode("utf-8", errors="replace")
+        except LabError as error:
+            self._report(f"{error}; drawn without")
+            raise FileNotFoundError(name) from error
+        for material, said in _statements(text).items():
+            self.looks[material] = _wavefront_look(said, file, self._report)
+        return "".join(f"newmtl {material}\n" for material in self.looks)
+
+    def get(self, name: str) -> bytes:
+        """Return no pictures."""
+        raise FileNotFoundError(name)
+
+
+def _wavefront_parts(path: Path, report: Report) -> Iterator[Part]:
+    materials = _Materials(path, report)
+    smooth = FACE_WITH_NORMALS.search(read_bytes(path)) is not None
+    for mesh in read_scene(path, materials).geometry.values():
+        material = getattr(mesh.visual, "material", None)
+        uv = getattr(mesh.visual, "uv", None)
+        yield Part(
+            mesh.vertices[mesh.faces],
+            mesh.vertex_normals[mesh.faces] if smooth else None,
+            None if uv is None else uv[mesh.faces][..., :2],
+            # Where a material is not known, trimesh makes one up, without a name.
+            materials.looks.get(getattr(material, "name", None)),
+        )
+
+
+def _statements(text: str) -> Dict[str, Dict[str, str]]:
+    """Return what a .mtl says of each of its materials, by the first words of the lines."""
+    found: Dict[str, Dict[str, str]] = {}
+    said: Dict[str, str] = {}
+    for line in text.splitlines():
+        word, _, rest = line.strip().partition(" ")
+        if word == "newmtl":
+            said = found.setdefault(rest.strip(), {})
+        elif word and not word.startswith("#"):
+            said[word] = rest.strip()
+    return found
+
+
+def _wavefront_look(said: Dict[str, str], path: Path, report: Report) -> Look:
+    """Return how a material of a .mtl file looks."""
+    diffuse, ambient, emissive = (_numbers(said.get(key, ""), 3) for key in ("Kd", "Ka", "Ke"))
+    alpha, through = _numbers(said.get("d", ""), 1), _numbers(said.get("Tr", ""), 1)
+    opacity = alpha[0] if alpha else 1.0 - through[0] if through else 1.0
+    name, texture = said.get("map_Kd", ""), None
+    if name:
+        # Options such as "-s 1 1 1" may stand before its name.
+        texture = _texture(name.split()[-1] if name.startswith("-") else name, path, report)
+    rest = Material(
+        (*ambient, 1.0) if ambient else None,
+        (*emissive, 1.0) if emissive else Material.emissive,
+        texture,
+    )
+    return (*(diffuse or WHITE[:3]), opacity if opacity > 0.0 else 1.0), rest
+
+
+def _numbers(text: str, count: int) -> Optional[Sequence[float]]:
+    """Return numbers within [0, 1]; None where there are not as many."""
+    try:
+        found = [min(max(float(word), 0.0), 1.0) for word in text.split()]
+    except ValueError:
+        return None
+    return found if len(found) == count else None
+
+
+def _texture(name: str, user: Path, report: Report) -> Optional[Texture]:
+    try:
+        return Texture(_find(name, user))
+    except ResourceError as error:
+        report(f"{error}; drawn without")
+        return None
+
+
+def _find(name: str, user: Path) -> Path:
+    """Return a file that another one names, within its Gazebo model or ROS package.
+
+    It lies where the name leads to from there, or in the model's textures.
+    """
+    folder, name = user.parent, unquote(name.replace("\\", "/"))
+    marks = ("model.config", "package.xml")
+    holders = (f for f in user.parents if any((f / mark).is_file() for mark in marks))
+    root = next(holders, folder)
+    finder = ResourceFinder(root)
+    bare = name.rpartition("/")[2]
+    places = (folder, folder.parent / "materials" / "textures", root / "materials" / "textures")
+    try:
+        if "://" in name or name.startswith("/"):
+            return finder.find(name)
+        return finder.find(os.path.relpath(folder / name, root))
+    except (ResourceError, ValueError) as error:
+        for path in (place / bare for place in places if bare):
+            try:
+                return finder.find(os.path.relpath(path, root))
+            except ResourceError:
+                continue
+        raise ResourceError(f"{user}: {error}") from error

@@ -1,0 +1,21 @@
+"""Telling the user what a document asks for and does not get."""
+
+from __future__ import annotations
+
+import logging
+from typing import Set
+
+LOG = logging.getLogger(__name__)
+
+
+class ReportOnce:
+    """Warnings that are given once each."""
+
+    def __init__(self) -> None:
+        self._given: Set[str] = set()
+
+    def __call__(self, message: str) -> None:
+        """Warn, unless this was said before."""
+        if message not in self._given:
+            self._given.add(message)
+            LOG.warning("%s", message)

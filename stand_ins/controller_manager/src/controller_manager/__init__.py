@@ -1,0 +1,1 @@
+"""What scripts import of ros_control's controller_manager."""

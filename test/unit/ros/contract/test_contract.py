@@ -1,0 +1,159 @@
+"""The package's contract: its files are sound, and they leave nothing of the bridge out."""
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from bullet_lab.ros.contract import probes
+from bullet_lab.ros.contract.judges import JUDGES
+from bullet_lab.ros.contract.program import ContractParameters, read_command
+from bullet_lab.ros.contract.results import (
+    DEVIATES,
+    FAILED,
+    PASSED,
+    Verdict,
+    deviations_table,
+    listing,
+    table,
+    verdict,
+    write_junit,
+)
+from bullet_lab.ros.contract.rows import ContractError, Deviation, Row, read_contract
+from bullet_lab.simulation.plugins import known_plugins
+
+ROOT = Path(__file__).resolve().parents[4]
+FOLDER = ROOT / "config" / "contract"
+CONTRACT = read_contract(FOLDER)
+PROBES = [probe for chapter in CONTRACT.chapters for probe in chapter.probes.values()]
+SOURCE = re.compile(r"gazebo_(ros|plugins)/[\w/]+\.(cpp|h):\d+(,\d+)*")
+# Of this simulation only, or of no consequence; see the plugins' pages.
+OWN_TAGS = {
+    *("samples", "exposure", "blur", "supportRadius"),
+    *("alwaysOn", "visualize", "rosDebugLevel", "the rest", "legacyMode"),
+    *("reduceNormals", "normalsTopicName", "reflectanceTopicName", "autoDistortion", "borderCrop"),
+}
+TAG_ROW = re.compile(r"^\| `([^|]*)` \|", re.MULTILINE)
+
+
+def plugins_of_gazebo():
+    return [name for name in known_plugins() if name.startswith("libgazebo_ros_")]
+
+
+@pytest.mark.parametrize("row", CONTRACT.rows, ids=lambda row: row.name)
+def test_a_row_stands_on_a_line_of_gazebo_ros_pkgs(row):
+    assert SOURCE.fullmatch(row.source)
+
+
+def test_each_word_is_used():
+    assert {row.word for row in CONTRACT.rows} == set(JUDGES)
+
+
+@pytest.mark.parametrize("probe", PROBES, ids=lambda probe: probe.name)
+def test_a_probe_is_a_model_with_its_plugin(probe):
+    model = ElementTree.fromstring(probes.probe_text(probe, FOLDER))
+    plugins = list(model.iter("plugin"))
+    assert [entry.get("filename") for entry in plugins] == [probe.plugin]
+    assert {entry.tag for entry in plugins[0]} == set(probe.tags)
+
+
+def test_probes_stand_apart_and_on_the_floor():
+    where = probes.places(PROBES)
+    assert len(set(where.values())) == len(PROBES)
+    floor = ElementTree.fromstring(probes.floor_text(list(where.values())))
+    assert len(list(floor.iter("collision"))) == len(PROBES)
+
+
+@pytest.mark.parametrize("plugin", plugins_of_gazebo())
+def test_each_plugin_has_a_probe_with_and_one_without_each_of_its_tags(plugin):
+    if plugin == "libgazebo_ros_control.so":
+        pytest.skip("is ros_control's, whose tests hold it to that")
+    own = [probe for probe in PROBES if probe.plugin == plugin]
+    pages = (ROOT / "docs" / "plugins").glob("*.md")
+    page = next(page for page in pages if plugin in page.read_text().split("\n", 1)[0])
+    cells = ",".join(TAG_ROW.findall(page.read_text()))
+    tags = {tag.strip(" `") for tag in re.split(r",| … ", cells)} - OWN_TAGS
+    tags = {tag for tag in tags if re.fullmatch(r"[a-zA-Z]\w\w+", tag)}
+    used = {tag for probe in own for tag in probe.tags}
+    # A namespace comes from the spawn service, too.
+    missing = {tag for tag in tags - used - {"robotNamespace"} if not _elsewhere(tag, page, plugin)}
+    assert not missing
+    for tag in tags:
+        assert any(tag not in probe.tags for probe in own)
+
+
+def _elsewhere(tag, page, plugin):
+    """Whether a page of several plugins says that a tag is another's."""
+    return any(
+        re.search(rf"`{tag}`.*\|.*`({other})`", page.read_text())
+        for other in ("imu", "imu_sensor")
+        if plugin != f"libgazebo_ros_{other}.so"
+    )
+
+
+@pytest.mark.parametrize("deviation", CONTRACT.deviations, ids=lambda entry: entry.rows[0])
+def test_a_deviation_has_a_reason(deviation):
+    assert len(deviation.reason) > 15
+
+
+def test_the_page_has_the_deviations():
+    assert deviations_table(CONTRACT) in (ROOT / "docs" / "gazebo_contract.md").read_text()
+
+
+ROW = Row("chapter/row", "gazebo_ros/a.cpp:1", "rate")
+KNOWN = Deviation(("chapter/row",), "it is better so", {"rate": 1})
+
+
+@pytest.mark.parametrize(
+    ("complaint", "known", "instead", "status"),
+    [
+        ("", None, "", PASSED),
+        ("2 Hz", None, "", FAILED),
+        ("2 Hz", KNOWN, "", DEVIATES),
+        ("2 Hz", KNOWN, "2 Hz", FAILED),
+        ("", KNOWN, "", FAILED),
+    ],
+)
+def test_a_row_holds_unless_it_is_known_to_deviate(complaint, known, instead, status):
+    assert verdict(ROW, complaint, known, instead).status == status
+
+
+def test_table_listing_and_junit_tell_of_each_row(tmp_path):
+    verdicts = [Verdict(ROW, PASSED), Verdict(ROW, FAILED, "2 Hz"), Verdict(ROW, DEVIATES, "so")]
+    lines = table(verdicts).splitlines()
+    assert "a.cpp:1  2 Hz" in lines[1]
+    assert lines[3].startswith("1 passed, 1 deviates, 1 FAILED")
+    assert "it is better so" in listing([ROW], {ROW.name: KNOWN})
+    write_junit(tmp_path / "a.xml", verdicts, 1.5)
+    suite = ElementTree.parse(tmp_path / "a.xml").getroot()
+    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("3", "1", "1")
+    assert suite.find("testcase/failure").get("message") == "2 Hz"
+
+
+def test_options_are_the_declared_parameters():
+    assert read_command(["--only", "imu", "--list"]) == ContractParameters(only="imu", list=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("rows: 3", "no rows"),
+        ("rows: [{name: a, line: 1}]", "expects none"),
+        ("rows: [{name: a, line: 1, rate: 1, tf: [a, b]}]", "too much"),
+        ("rows: [{name: a, rate: 1}]", "no line"),
+        ("rows: [{name: a, line: 1, probe: b, rate: 1}]", "no probe 'b'"),
+        ("rows: [{name: a, line: 1, rate: 1}, {name: a, line: 1, rate: 1}]", "rows twice"),
+        ("probes: {a: {robot: b, colour: red}}\nrows: []", "colour"),
+        ("rows: [", "while parsing"),
+    ],
+)
+def test_a_contract_that_makes_no_sense_is_refused(tmp_path, text, said):
+    (tmp_path / "bad.yaml").write_text(text)
+    with pytest.raises(ContractError, match=said):
+        read_contract(tmp_path)
+
+
+def test_an_empty_folder_is_no_contract(tmp_path):
+    with pytest.raises(ContractError, match="no contract"):
+        read_contract(tmp_path)

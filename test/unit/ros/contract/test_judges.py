@@ -1,0 +1,143 @@
+"""Each expectation holds for what is so, and says what is wrong for what is not."""
+
+from types import SimpleNamespace
+
+import pytest
+from geometry_msgs.msg import TransformStamped
+from nav_msgs.msg import Odometry
+
+from bullet_lab.ros.contract.evidence import Evidence, Heard, Scene
+from bullet_lab.ros.contract.judges import JUDGES, judge
+
+MD5 = Odometry._md5sum
+TYPES = {"nav_msgs/Odometry": MD5, "std_srvs/Empty": "d41d8cd98f00b204e9800998ecf8427e"}
+
+
+def serialized(message):
+    from io import BytesIO
+
+    stream = BytesIO()
+    message.serialize(stream)
+    return stream.getvalue()
+
+
+def odometry(stamp, x=0.0, frame="odom"):
+    message = Odometry()
+    message.header.stamp.secs, rest = divmod(round(stamp * 1e9), 10**9)
+    message.header.stamp.nsecs = rest
+    message.header.frame_id = frame
+    message.pose.pose.position.x = x
+    return serialized(message)
+
+
+def scene(**changes):
+    """Of a topic that said 21 messages, 20 a second, in which x went from 5 to 6."""
+    given = {
+        "buffers": [odometry(0.05 * number, 5.0 + 0.05 * number) for number in range(21)],
+        "type": "nav_msgs/Odometry",
+        "md5": MD5,
+        "latching": False,
+        **changes,
+    }
+    heard = Heard(given["type"], given["md5"], given["latching"], Odometry, given["buffers"])
+    evidence = Evidence(
+        published={"/a/odom": given["type"]},
+        taken={"/a/cmd": "geometry_msgs/Twist"},
+        services={"/a/zero": ("std_srvs/Empty", TYPES["std_srvs/Empty"])},
+        heard={"/a/odom": heard, "/a/twin": Heard("", "", False, Odometry, given["buffers"])},
+        frames={("odom", "base")},
+        parameters={"/use_sim_time": True},
+        seconds=1.0,
+    )
+    answer = SimpleNamespace(__slots__=[], success=True, names=["a", "b"], text="all is well")
+    made = Scene(evidence, TYPES, "/a/odom", (5.0, 0.0, 0.0), answer)
+    for name in ("topic", "error"):
+        setattr(made, name, changes.get(name, getattr(made, name)))
+    return made
+
+
+HOLD = [
+    ("publishes", "nav_msgs/Odometry", {}),
+    ("takes", "geometry_msgs/Twist", {"topic": "/a/cmd"}),
+    ("absent", True, {"topic": "/a/nothing"}),
+    ("offers", "std_srvs/Empty", {"topic": "/a/zero"}),
+    ("latched", False, {}),
+    ("silent", True, {"topic": "/a/nothing"}),
+    ("parameter", {"/use_sim_time": True}, {}),
+    ("rate", 20, {}),
+    ("fields", {"header.frame_id": "odom"}, {}),
+    ("fields", {"pose.pose.position.x": {"near": 1.0, "from": "x"}}, {}),
+    ("fields", {"pose.covariance": {"length": 36}, "pose.covariance[0]": 0.0}, {}),
+    ("change", {"pose.pose.position.x": {"near": 1.0, "within": 0.001}}, {}),
+    ("spread", {"pose.pose.position.y": 0.0}, {}),
+    ("stamped", "twin", {}),
+    ("tf", ["odom", "base"], {}),
+    ("no_tf", ["odom", "wheel"], {}),
+    ("answers", {"success": True, "names": {"holds": ["a"], "lacks": ["c"]}}, {}),
+    ("answers", {"text": {"matches": "^all"}, "names": ["a", "b"]}, {}),
+    ("fails", True, {"error": "no"}),
+]
+BREAK = [
+    ("publishes", "nav_msgs/Odometry", {"topic": "/a/path"}, "nobody publishes /a/path"),
+    ("publishes", "nav_msgs/Odometry", {"type": "nav_msgs/Path"}, "has nav_msgs/Path"),
+    ("publishes", "nav_msgs/Odometry", {"md5": "0"}, "md5 0"),
+    ("publishes", "nav_msgs/Odometry", {"buffers": []}, "nothing came"),
+    ("takes", "geometry_msgs/Twist", {"topic": "/a/go"}, "nobody"),
+    ("takes", "geometry_msgs/Pose", {"topic": "/a/cmd"}, "geometry_msgs/Twist"),
+    ("absent", True, {}, "there is /a/odom"),
+    ("absent", True, {"topic": "/a/zero"}, "there is /a/zero"),
+    ("offers", "std_srvs/Empty", {"topic": "/a/one"}, "no service"),
+    ("offers", "std_srvs/SetBool", {"topic": "/a/zero"}, "std_srvs/Empty"),
+    ("latched", False, {"latching": True}, "latched: True"),
+    ("silent", True, {}, "21 messages"),
+    ("parameter", {"/use_sim_time": False}, {}, "/use_sim_time is True"),
+    ("rate", 25, {}, "20 Hz"),
+    ("rate", 20, {"buffers": [odometry(1.0)]}, "nan"),
+    ("fields", {"header.frame_id": "map"}, {}, "header.frame_id is odom"),
+    ("fields", {"pose.pose.position.x": {"near": 1.2, "within": 0.1, "from": "x"}}, {}, "is 6"),
+    ("fields", {"pose.pose.nothing": 1}, {}, "no field"),
+    ("fields", {"pose.covariance[36]": 1}, {}, "only 36"),
+    ("fields", {"header.seq": False}, {}, "seq"),
+    ("change", {"pose.pose.position.x": {"near": 0.5, "within": 0.1}}, {}, "is 1"),
+    ("spread", {"pose.pose.position.x": 0.0}, {}, "is 0.30"),
+    ("stamped", "nix", {}, "nothing came on /a/nix"),
+    ("tf", ["map", "base"], {}, "in odom"),
+    ("tf", ["odom", "wheel"], {}, "not at all"),
+    ("no_tf", ["odom", "base"], {}, "on /tf"),
+    ("answers", {"success": False}, {}, "success is True"),
+    ("answers", {"success": True}, {"error": "no such service"}, "no such service"),
+    ("answers", {"names": {"holds": ["c"]}}, {}, "names is"),
+    ("answers", {"names": {"lacks": ["a"]}}, {}, "names is"),
+    ("answers", {"names": {"length": 3}}, {}, "names is"),
+    ("answers", {"text": {"matches": "^well"}}, {}, "text is"),
+    ("answers", {"names": ["b", "a"]}, {}, "names is"),
+    ("fails", True, {}, "it answered"),
+]
+
+
+@pytest.mark.parametrize(("word", "expected", "changes"), HOLD)
+def test_what_is_so_holds(word, expected, changes):
+    assert judge(word, expected, scene(**changes)) == ""
+
+
+@pytest.mark.parametrize(("word", "expected", "changes", "said"), BREAK)
+def test_what_is_not_so_is_said(word, expected, changes, said):
+    assert said in judge(word, expected, scene(**changes))
+
+
+def test_each_word_is_seen_to_hold_and_to_break():
+    assert {word for word, *_ in HOLD} == {word for word, *_ in BREAK} == set(JUDGES)
+
+
+def test_stamps_between_those_of_the_other_topic_are_found():
+    other = scene()
+    other.evidence.heard["/a/twin"].buffers = [odometry(0.05 * n + 0.01) for n in range(21)]
+    assert "no twin at" in judge("stamped", "twin", other)
+
+
+def test_what_has_no_stamps_is_counted():
+    counted = scene()
+    heard = counted.evidence.heard["/a/odom"]
+    heard.kind, heard.buffers = TransformStamped().transform.__class__, [b""] * 50
+    assert judge("rate", 50, counted) == ""
+    assert "50 Hz" in judge("rate", 100, counted)

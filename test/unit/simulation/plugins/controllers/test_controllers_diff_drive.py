@@ -1,0 +1,216 @@
+import math
+
+import pytest
+from control_robots import run, spawn
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.plugins.controllers.diff_drive import SpeedLimiter
+from bullet_lab.simulation.plugins.controllers.parameters import ControlError
+from bullet_lab.simulation.plugins.samples import PlanarCommand
+
+KIND = "diff_drive_controller/DiffDriveController"
+WHEELS = {
+    "type": KIND,
+    "left_wheel": "left_wheel_joint",
+    "right_wheel": ["right_wheel_joint"],
+    "pose_covariance_diagonal": [0.001, 0.002, 0.003, 0.004, 0.005, 0.03],
+    "twist_covariance_diagonal": [0.1, 0.2, 0.3, 0.4, 0.5, 3],
+}
+GENTLE = {
+    "linear": {"x": {"has_acceleration_limits": True, "max_acceleration": 0.5}},
+    "angular": {"z": {"has_acceleration_limits": True, "max_acceleration": 1.0}},
+}
+
+
+def drive(world, **parameters):
+    """A robot whose controller runs; return robot, controller and the odometry to come."""
+    robot, manager = spawn(world)
+    controller = run(manager, "drive", **WHEELS, **parameters)
+    samples = []
+    controller.odometry.connect(samples.append)
+    return robot, controller, samples
+
+
+def test_its_odometry_on_a_square_is_where_it_drove_to(world):
+    robot, controller, odometry = drive(world, cmd_vel_timeout=10.0, **GENTLE)
+    for command, seconds in 4 * ((PlanarCommand(vx=0.25), 4.0), (PlanarCommand(wz=0.5), math.pi)):
+        controller.command(command)
+        world.run_for(seconds)
+        controller.command(PlanarCommand())
+        world.run_for(1.0)
+    pose, driven = odometry[-1].pose, robot.pose()
+    assert math.hypot(*pose.position[:2]) < 0.01
+    assert abs(pose.yaw) < 0.01
+    # 4 m and a full turn.
+    assert math.dist(pose.position, driven.position) < 0.02 * 4.0
+    assert abs(driven.yaw) < 0.02 * math.tau
+
+
+def test_its_odometry_ahead_is_the_truth(world):
+    robot, controller, odometry = drive(world, **GENTLE, cmd_vel_timeout=10.0)
+    controller.command(PlanarCommand(vx=0.5))
+    world.run_for(3.0)
+    sample, pose = odometry[-1], robot.pose()
+    assert pose.position[0] > 1.0
+    assert sample.pose.position[0] == pytest.approx(pose.position[0], rel=0.02)
+    assert sample.velocity.vx == pytest.approx(0.5, rel=0.01)
+    assert (sample.frame, sample.child_frame) == ("odom", "base_link")
+    assert sample.pose_variances == (0.001, 0.002, 0.003, 0.004, 0.005, 0.03)
+    assert sample.twist_variances[-1] == 3.0
+
+
+def test_it_stops_when_no_command_comes(world):
+    robot, controller, _ = drive(world, cmd_vel_timeout=0.3)
+    controller.command(PlanarCommand(vx=0.2))
+    world.run_for(0.29)
+    assert controller.joints[0].velocity == pytest.approx(0.2 / 0.06, rel=0.02)
+    world.run_for(0.05)
+    assert controller.joints[0].command == 0.0
+    world.run_for(0.3)
+    # 0.2 m/s for 0.3 s, and nothing since.
+    assert robot.pose().position[0] == pytest.approx(0.06, abs=0.005)
+
+
+def test_commands_again_and_again_keep_it_going(world):
+    robot, controller, _ = drive(world, cmd_vel_timeout=0.3)
+    command = PlanarCommand(vx=0.2)
+    for _ in range(10):
+        controller.command(command)
+        world.run_for(0.2)
+    assert robot.pose().position[0] == pytest.approx(0.4, rel=0.03)
+
+
+def test_it_says_what_is_left_of_a_command_by_its_limits(world):
+    limits = {
+        "has_velocity_limits": True,
+        "max_velocity": 0.4,
+        "min_velocity": -0.1,
+        "has_acceleration_limits": True,
+        "max_acceleration": 2.0,
+    }
+    _, controller, _ = drive(world, linear={"x": limits}, publish_cmd=True)
+    told = []
+    controller.commanded.connect(told.append)
+    controller.command(PlanarCommand(vx=9.0))
+    world.run_for(0.101)
+    assert told[-1].velocity.vx == pytest.approx(0.2, abs=0.005)
+    world.run_for(0.3)
+    assert told[-1].velocity.vx == 0.4
+    controller.command(PlanarCommand(vx=-9.0))
+    world.run_for(0.4)
+    assert told[-1].velocity.vx == -0.1
+
+
+def test_a_jerk_is_limited():
+    limiter = SpeedLimiter(jerk=(-10.0, 10.0))
+    speeds = [0.0, 0.0]
+    for _ in range(3):
+        speeds.append(limiter.limited(9.0, speeds[-1], speeds[-2], 0.1))
+    # The step of the speed grows by 2 j dt2 = 0.2 each time, as in ros_controllers.
+    assert speeds[2:] == pytest.approx([0.2, 0.6, 1.2])
+
+
+def test_wheels_are_measured_by_the_urdf_or_by_parameters(world):
+    _, controller, _ = drive(world)
+    command = PlanarCommand(vx=0.3, wz=1.0)
+    assert rim_speeds(world, controller, command) == pytest.approx((0.15 / 0.06, 0.45 / 0.06))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "left", "right"),
+    [
+        ({"wheel_separation": 0.2, "wheel_radius": 0.1}, 2.0, 4.0),
+        ({"wheel_separation_multiplier": 2.0}, 0.0, 0.6 / 0.06),
+        ({"wheel_radius_multiplier": 0.5}, 0.15 / 0.03, 0.45 / 0.03),
+        ({"left_wheel_radius_multiplier": 0.5}, 0.15 / 0.03, 0.45 / 0.06),
+    ],
+)
+def test_parameters_change_the_wheels(world, parameters, left, right):
+    _, controller, _ = drive(world, **parameters)
+    command = PlanarCommand(vx=0.3, wz=1.0)
+    assert rim_speeds(world, controller, command) == pytest.approx((left, right))
+
+
+def rim_speeds(world, controller, command):
+    controller.command(command)
+    world.run_for(0.002)
+    return tuple(joint.command for joint in controller.joints)
+
+
+def test_open_loop_believes_its_commands(world):
+    robot, controller, odometry = drive(world, open_loop=True, cmd_vel_timeout=10.0)
+    for joint in controller.joints:
+        # Something blocks the wheels.
+        joint.limits = joint.limits.__class__(velocity=0.0)
+    controller.command(PlanarCommand(vx=0.2))
+    world.run_for(2.0)
+    assert abs(robot.pose().position[0]) < 0.01
+    assert odometry[-1].pose.position[0] == pytest.approx(0.4, abs=0.005)
+
+
+@pytest.mark.parametrize(("rate", "number"), [(None, 100), (20.0, 40), (41.2, 82)])
+def test_odometry_comes_at_its_rate(world, rate, number):
+    _, _, odometry = drive(world, **({} if rate is None else {"publish_rate": rate}))
+    world.run_for(2.0)
+    assert abs(len(odometry) - number) <= 1
+
+
+@pytest.mark.parametrize("switch", [True, False])
+def test_the_transform_is_a_parameter(world, switch):
+    _, controller, _ = drive(world, enable_odom_tf=switch, odom_frame_id="a", base_frame_id="b")
+    assert (controller.transform in controller.outputs) is switch
+    if switch:
+        samples = []
+        controller.transform.connect(samples.append)
+        world.run_for(0.1)
+        assert (samples[-1].frame, samples[-1].child_frame) == ("a", "b")
+
+
+def test_a_robot_that_is_put_elsewhere_has_not_driven(world):
+    robot, controller, odometry = drive(world, cmd_vel_timeout=10.0)
+    controller.command(PlanarCommand(vx=0.2))
+    world.run_for(1.0)
+    before = odometry[-1].pose.position[0]
+    robot.place(Pose((3.0, 0.0, 0.0)))
+    world.run_for(1.0)
+    assert odometry[-1].pose.position[0] - before == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_reset_begins_again(world):
+    robot, controller, odometry = drive(world, cmd_vel_timeout=10.0)
+    controller.command(PlanarCommand(vx=0.2))
+    world.run_for(1.0)
+    world.reset_simulation()
+    odometry.clear()
+    world.run_for(0.5)
+    assert len(odometry) == pytest.approx(25, abs=1)
+    assert odometry[-1].pose.position[0] == pytest.approx(0.0, abs=1e-3)
+    assert robot.pose().position[0] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "complaint"),
+    [
+        ({"left_wheel": []}, "left_wheel names no joint"),
+        ({"left_wheel": ["left_wheel_joint", "x"]}, "2 wheels on the left, 1 on the right"),
+        ({"left_wheel": "turntable_joint"}, "no joint 'turntable_joint' has a Velocity"),
+        ({"pose_covariance_diagonal": [1.0]}, "list of 6 numbers"),
+        ({"wheel_separation": 0.0}, "have to be positive"),
+        ({"publish_rate": 5000.0}, "5000 Hz"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(world, parameters, complaint):
+    _, manager = spawn(world)
+    with pytest.raises(ControlError, match=complaint):
+        run(manager, "drive", **{**WHEELS, **parameters})
+    assert not manager.controllers
+
+
+def test_commands_that_make_no_sense_are_refused(world):
+    _, manager = spawn(world)
+    controller = run(manager, "drive", **WHEELS)
+    with pytest.raises(ControlError, match="not finite"):
+        controller.command(PlanarCommand(vx=math.nan))
+    manager.switch([], ["drive"])
+    with pytest.raises(ControlError, match="not running"):
+        controller.command(PlanarCommand(vx=0.1))

@@ -1,0 +1,192 @@
+import pytest
+from control_robots import control_of, run, spawn
+
+from bullet_lab.simulation.plugins.controllers.controller import known_controllers
+from bullet_lab.simulation.plugins.controllers.description import EFFORT, POSITION, VELOCITY
+from bullet_lab.simulation.plugins.controllers.parameters import ControlError, ControlParameters
+from bullet_lab.simulation.plugins.samples import JointCommand, JointCommands
+
+STATES = {"type": "joint_state_controller/JointStateController"}
+JOINT = {"joint": "turntable_joint"}
+WHEELS = ["left_wheel_joint", "right_wheel_joint"]
+
+
+def listen(output):
+    samples = []
+    output.connect(samples.append)
+    return samples
+
+
+def test_joint_states_come_at_their_rate_for_all_that_have_a_transmission(world):
+    _, manager = spawn(world)
+    controller = run(manager, "states", publish_rate=50, **STATES)
+    samples = listen(controller.states)
+    world.run_for(1.0)
+    assert controller.states.topic == "/bot/joint_states"
+    assert len(samples) == pytest.approx(50, abs=1)
+    assert samples[0].names == (*WHEELS, "turntable_joint")
+    assert samples[0].step == 1
+
+
+def test_joint_states_of_some_joints_and_of_some_that_nobody_reads(world):
+    _, manager = spawn(world)
+    extra = [
+        {"name": "lid", "position": 0.3, "effort": 2},
+        {"name": "turntable_joint"},
+        {"position": 1.0},
+    ]
+    names = ["turntable_joint"]
+    controller = run(manager, "s", publish_rate=50, joints=names, extra_joints=extra, **STATES)
+    samples = listen(controller.states)
+    world.run_for(0.1)
+    assert samples[-1].names == ("turntable_joint", "lid")
+    assert (samples[-1].positions[1], samples[-1].efforts[1]) == (0.3, 2.0)
+
+
+@pytest.mark.parametrize("told", [{}, {"publish_rate": 50, "joints": ["tail"]}])
+def test_joint_states_that_cannot_be(world, told):
+    _, manager = spawn(world)
+    with pytest.raises(ControlError, match=r"publish_rate is missing|no joint 'tail'"):
+        run(manager, "states", **STATES, **told)
+
+
+def test_a_position_is_reached_by_an_effort_and_told(world):
+    _, manager = spawn(world)
+    gains = {"p": 2.0, "i": 0.5, "d": 0.05, "i_clamp": 1.0}
+    kind = "effort_controllers/JointPositionController"
+    controller = run(manager, "turn", type=kind, pid=gains, **JOINT)
+    samples = listen(controller.states)
+    world.run_for(0.1)
+    assert controller.states.topic == "/bot/turn/state"
+    # Each tenth update.
+    assert len(samples) == 10
+    controller.command(JointCommand(5.0))
+    world.run_for(1.5)
+    # Its limits are known to it.
+    assert samples[-1].target == 2.0
+    assert samples[-1].value == pytest.approx(2.0, abs=0.05)
+    assert samples[-1].error == pytest.approx(samples[-1].target - samples[-1].value)
+    assert samples[-1].gains == (2.0, 0.5, 0.05, 1.0)
+
+
+def test_a_speed_is_reached_by_an_effort(world):
+    _, manager = spawn(world, kind="continuous")
+    gains = {"p": 0.05, "i": 0.5, "i_clamp": 1.0}
+    kind = "effort_controllers/JointVelocityController"
+    controller = run(manager, "turn", type=kind, pid=gains, **JOINT)
+    samples = listen(controller.states)
+    controller.command(JointCommand(1.0))
+    world.run_for(1.0)
+    assert samples[-1].value == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_position_is_reached_by_a_speed(world):
+    _, manager = spawn(world, turntable=VELOCITY)
+    kind = "velocity_controllers/JointPositionController"
+    controller = run(manager, "turn", type=kind, pid={"p": 10.0}, **JOINT)
+    controller.command(JointCommand(-1.0))
+    world.run_for(1.0)
+    assert controller.joints[0].position == pytest.approx(-1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("kind", "interface", "what"),
+    [
+        ("velocity_controllers/JointGroupVelocityController", VELOCITY, "velocity"),
+        ("position_controllers/JointGroupPositionController", POSITION, "position"),
+    ],
+)
+def test_a_group_is_told_at_once(world, kind, interface, what):
+    _, manager = spawn(world, height=0.5, interface=interface)
+    world.set_gravity((0.0, 0.0, 0.0))
+    controller = run(manager, "wheels", type=kind, joints=WHEELS)
+    controller.command(JointCommands((0.5, -0.5)))
+    world.run_for(0.1)
+    found = [getattr(joint, what) for joint in controller.joints]
+    assert found == pytest.approx([0.5, -0.5], abs=1e-3)
+    with pytest.raises(ControlError, match="3 numbers for the 2 joints"):
+        controller.command(JointCommands((1.0, 2.0, 3.0)))
+    with pytest.raises(ControlError, match="not finite"):
+        controller.command(JointCommands((1.0, float("nan"))))
+
+
+def test_a_group_is_brought_to_positions_by_efforts(world):
+    _, manager = spawn(world, height=0.5, interface=EFFORT)
+    world.set_gravity((0.0, 0.0, 0.0))
+    kind = "effort_controllers/JointGroupPositionController"
+    gains = {name: {"pid": {"p": 0.05, "d": 0.005}} for name in WHEELS}
+    controller = run(manager, "wheels", type=kind, joints=WHEELS, **gains)
+    assert controller.outputs == ()
+    controller.command(JointCommands((0.5, -0.5)))
+    world.run_for(2.0)
+    found = [joint.position for joint in controller.joints]
+    assert found == pytest.approx([0.5, -0.5], abs=0.02)
+
+
+def test_a_controller_is_loaded_started_stopped_and_unloaded(world):
+    _, manager = spawn(world)
+    controller = manager.load("s", ControlParameters({"publish_rate": 50, **STATES}, "/bot/s"))
+    assert controller.state == "initialized"
+    with pytest.raises(ControlError, match="loaded already"):
+        manager.load("s", ControlParameters(STATES, "/bot/s"))
+    manager.switch(["s"], [])
+    assert controller.state == "running"
+    with pytest.raises(ControlError, match="running already"):
+        manager.switch(["s"], [])
+    with pytest.raises(ControlError, match="has to be stopped first"):
+        manager.unload("s")
+    manager.switch([], ["s"])
+    assert controller.state == "stopped"
+    manager.unload("s")
+    assert not manager.controllers
+    with pytest.raises(ControlError, match="no controller 's'"):
+        manager.unload("s")
+
+
+def test_a_kind_that_is_not_simulated_is_named_with_those_that_are(world):
+    _, manager = spawn(world)
+    kind = "joint_trajectory_controller/JointTrajectoryController"
+    with pytest.raises(ControlError, match=r"'arm'.*JointTrajectoryController.*diff_drive"):
+        manager.load("arm", ControlParameters({"type": kind}, "/bot/arm"))
+    with pytest.raises(ControlError, match="/bot/arm/type is missing"):
+        manager.load("arm", ControlParameters(None, "/bot/arm"))
+
+
+def test_two_controllers_of_one_joint_do_not_run_at_once(world):
+    _, manager = spawn(world)
+    kind = "effort_controllers/JointEffortController"
+    run(manager, "one", type=kind, **JOINT)
+    manager.load("two", ControlParameters({"type": kind, **JOINT}, "/bot/two"))
+    with pytest.raises(ControlError, match="would both command the joint 'turntable_joint'"):
+        manager.switch(["two"], [], strict=False)
+    assert not manager.controllers["two"].running
+    manager.switch(["two"], ["one"])
+    assert manager.controllers["two"].running
+
+
+def test_best_effort_passes_over_what_cannot_be(world):
+    _, manager = spawn(world)
+    with pytest.raises(ControlError, match="no controller 'tail'"):
+        manager.switch([], ["tail"])
+    run(manager, "s", publish_rate=50, **STATES)
+    manager.switch(["s", "tail"], ["nose"], strict=False)
+    assert manager.controllers["s"].running
+
+
+def test_the_control_period_is_a_tag(world):
+    tags = "<controlPeriod>0.005</controlPeriod>"
+    robot, manager = spawn(world, tags=tags)
+    # A plugin without a namespace has its model's.
+    assert control_of(robot).namespace == "/bot/"
+    periods = []
+    controller = run(manager, "s", publish_rate=50, **STATES)
+    controller.update = lambda step, seconds: periods.append(seconds)
+    world.run_for(0.1)
+    assert set(periods) == {0.005}
+
+
+def test_the_kinds_are_those_of_ros_controllers():
+    assert "diff_drive_controller/DiffDriveController" in known_controllers()
+    groups = [kind for kind in known_controllers() if "/JointGroup" in kind]
+    assert len(groups) == 4
+    assert len(known_controllers()) == 12

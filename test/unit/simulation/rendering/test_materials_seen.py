@@ -1,0 +1,348 @@
+"""Pictures of things with materials: where textures lie on shapes, and what colours do in light."""
+
+import numpy as np
+import pytest
+from picture_worlds import CAMERA, simulation_of, thing
+from PIL import Image
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.markers.faces import marker_cells, marker_image
+from bullet_lab.simulation.rendering.renderer import Shot
+from bullet_lab.simulation.world.description import (
+    Box,
+    Cylinder,
+    Light,
+    Link,
+    Material,
+    Mesh,
+    Model,
+    Plane,
+    Sphere,
+    Texture,
+    Visual,
+)
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
+
+# By quarters: upper left, upper right, lower left, lower right.
+COLOURS = np.array([(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30)])
+UPRIGHT, DOWN = [0, 1, 2, 3], [3, 2, 1, 0]
+
+
+@pytest.fixture
+def quarters(tmp_path):
+    """The file of a picture whose quarters have four colours."""
+    pixels = COLOURS[np.kron([[0, 1], [2, 3]], np.ones((32, 32), int))].astype(np.uint8)
+    path = tmp_path / "quarters.png"
+    Image.fromarray(pixels).save(path)
+    return path
+
+
+def seen(geometry, texture, eye=None, pose=None, **material):
+    """The picture of a thing with a texture."""
+    visual = Visual(geometry, material=Material(texture=texture, **material))
+    model = Model("m", (Link("l", visuals=(visual,)),), pose=pose or Pose(), static=True)
+    with simulation_of(model) as simulation:
+        return simulation.renderer().picture(eye or Pose((-3.0, 0, 0)), Shot(CAMERA))
+
+
+def quarters_seen(picture, offset=30):
+    """Which of the colours are around the middle, in their order."""
+    places = [(240 + v * offset, 320 + u * offset) for v in (-1, 1) for u in (-1, 1)]
+    gaps = [np.abs(COLOURS - picture[place].astype(int)).sum(axis=1) for place in places]
+    assert np.min(gaps, axis=1) == pytest.approx(np.zeros(4), abs=12)
+    return np.argmin(gaps, axis=1).tolist()
+
+
+# From where the sides of a box are seen: place and roll, pitch, yaw of the eye.
+SIDES = {
+    "-x": ((-3, 0, 0), (0, 0, 0)),
+    "+x": ((3, 0, 0), (0, 0, np.pi)),
+    "-y": ((0, -3, 0), (0, 0, np.pi / 2)),
+    "+y": ((0, 3, 0), (0, 0, -np.pi / 2)),
+    # With x upwards, and with -x.
+    "+z": ((0, 0, 3), (0, np.pi / 2, 0)),
+    "-z": ((0, 0, -3), (0, -np.pi / 2, 0)),
+}
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_picture_is_upright_on_all_sides_of_a_box(quarters, side):
+    picture = seen(Box((1.0, 0.8, 0.6)), Texture(quarters), Pose.from_rpy(*SIDES[side]))
+    assert quarters_seen(picture) == UPRIGHT
+
+
+@pytest.mark.parametrize(
+    ("normal", "eye"),
+    [
+        # Seen from above with y upwards, and from ahead with z upwards.
+        ((0, 0, 1), ((0, 0, 3), (0, np.pi / 2, np.pi / 2))),
+        ((1, 0, 0), ((3, 0, 0), (0, 0, np.pi))),
+    ],
+)
+def test_a_picture_on_a_plane(quarters, normal, eye):
+    picture = seen(Plane(normal, (1.0, 0.8)), Texture(quarters), Pose.from_rpy(*eye))
+    assert quarters_seen(picture) == UPRIGHT
+
+
+def test_a_picture_around_a_cylinder_and_a_ball(quarters):
+    # Their seams are at y and z: half of the picture is on the other side.
+    around = Pose.from_rpy((0, -3, 0), (0, 0, np.pi / 2))
+    assert quarters_seen(seen(Cylinder(0.5, 1.0), Texture(quarters), around)) == DOWN
+    # A ball's poles are on y; from -z, with y upwards.
+    below = Pose.from_rpy((0, 0, -3), (-np.pi / 2, -np.pi / 2, 0))
+    assert quarters_seen(seen(Sphere(0.7), Texture(quarters), below)) == UPRIGHT
+
+
+def test_the_seam_of_a_cylinder_shows_no_whole_picture_in_one_strip(quarters):
+    eye = Pose.from_rpy((0, 3, 0), (0, 0, -np.pi / 2))
+    picture = seen(Cylinder(0.5, 1.0), Texture(quarters), eye)
+    # The picture's ends meet there, upside down: its right is at the left.
+    assert quarters_seen(picture, 8) == [2, 3, 0, 1]
+
+
+def test_scale_tiles_and_scroll_shifts(quarters):
+    # Half as large, about the middle: a whole picture between the quarters of its sides.
+    eye = Pose((-3.0, 0, 0))
+    small = seen(Box((1.0, 1.0, 1.0)), Texture(quarters, (0.5, 0.5)), eye)
+    assert quarters_seen(small, 25) == UPRIGHT
+    assert quarters_seen(small, 75) == DOWN
+    clamped = seen(Box((1.0, 1.0, 1.0)), Texture(quarters, (0.5, 0.5), repeats=False), eye)
+    assert quarters_seen(clamped, 75) == UPRIGHT
+    shifted = seen(Box((1.0, 1.0, 1.0)), Texture(quarters, scroll=(0.5, 0.0)), eye)
+    assert quarters_seen(shifted) == [1, 0, 3, 2]
+    turned = seen(Box((1.0, 1.0, 1.0)), Texture(quarters, rotation=np.pi), eye)
+    assert quarters_seen(turned) == DOWN
+
+
+COLOUR, DIM = (0.5, 0.0, 1.0, 1.0), (0.4, 0.4, 0.4, 1.0)
+AHEAD = Light("l", "directional", Pose(), (0.5, 0.5, 0.5, 1.0), (1.0, 0.0, 0.0))
+
+
+def in_light(visual, *behind, ambient=DIM):
+    """The colour in the picture of a plate across the view, in dim light and some from the eye."""
+    model = Model("m", (Link("l", visuals=(visual,)),), static=True)
+    world = {"ambient": ambient, "lights": (AHEAD,), "background": (0.0, 0.0, 0.0, 1.0)}
+    with simulation_of(model, *behind, **world) as simulation:
+        return simulation.renderer().picture(Pose((-3.0, 0, 0)), Shot(CAMERA))[240, 320] / 255
+
+
+@pytest.mark.parametrize(
+    ("material", "wanted"),
+    [
+        (Material(), (0.45, 0.0, 0.9)),
+        (Material(ambient=(0.0, 1.0, 0.5, 1.0)), (0.25, 0.4, 0.7)),
+        (Material(emissive=(0.2, 0.1, 0.0, 1.0)), (0.65, 0.1, 0.9)),
+        (Material(ambient=(0.0, 0.0, 0.0, 1.0), lit=False), COLOUR[:3]),
+    ],
+)
+def test_ambient_and_emissive_colours(material, wanted):
+    visual = Visual(Box((0.1, 1.0, 1.0)), colour=COLOUR, material=material)
+    assert in_light(visual) == pytest.approx(wanted, abs=0.005)
+
+
+def test_a_picture_multiplies_what_is_lit_and_what_glows(tmp_path):
+    Image.new("RGB", (4, 4), (102, 204, 51)).save(tmp_path / "flat.png")
+    material = Material(emissive=(0.2, 0.1, 0.0, 1.0), texture=Texture(tmp_path / "flat.png"))
+    visual = Visual(Box((0.1, 1.0, 1.0)), colour=COLOUR, material=material)
+    assert in_light(visual) == pytest.approx((0.65 * 0.4, 0.1 * 0.8, 0.9 * 0.2), abs=0.006)
+
+
+def test_a_picture_that_blends_shows_what_is_behind_it(tmp_path):
+    Image.new("RGBA", (4, 4), (255, 0, 0, 51)).save(tmp_path / "glass.png")
+    wall = thing("wall", Box((0.1, 9.0, 9.0)), Pose((1.0, 0, 0)), (0.0, 1.0, 0.0, 1.0))
+    for blends, wanted in ((True, (0.2 * 0.9, 0.8 * 0.9, 0.0)), (False, (0.9, 0.0, 0.0))):
+        texture = Texture(tmp_path / "glass.png", blends=blends)
+        visual = Visual(Box((0.1, 1.0, 1.0)), material=Material(texture=texture))
+        found = in_light(visual, wall)
+        assert found == pytest.approx(wanted, abs=0.01)
+
+
+# A marker as courses have it: a thin box, or a plane, with a picture by a script.
+
+TAG = """<sdf version="1.6"><model name="tag"><static>true</static><link name="l">
+  <visual name="v"><pose>{}</pose><geometry>{}</geometry><material><script>
+    <uri>model://tag/materials/scripts</uri><uri>model://tag/materials/textures</uri>
+    <name>Tag/Seven</name></script></material></visual></link></model></sdf>"""
+TAG_SCRIPT = """material Tag/Seven
+{
+  technique
+  {
+    pass
+    {
+      texture_unit
+      {
+        // A relative path would not be found: OGRE knows files by their names.
+        texture seven.png
+        filtering anisotropic
+        max_anisotropy 16
+        scale 1 1
+      }
+    }
+  }
+}
+"""
+
+
+@pytest.fixture
+def tags(tmp_path):
+    """The folder of models with a tag."""
+    for folder in ("scripts", "textures"):
+        (tmp_path / "tag" / "materials" / folder).mkdir(parents=True)
+    materials = tmp_path / "tag" / "materials"
+    (materials / "scripts" / "tag.material").write_text(TAG_SCRIPT)
+    cells = marker_cells("apriltag_36h11", 7)
+    image = Image.fromarray(marker_image(cells, 50, quiet=1))
+    image.convert("P").save(materials / "textures" / "seven.png")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("pose", "shape"),
+    [
+        ("0 0 0 0 0 0", "<box><size>0.01 0.5 0.5</size></box>"),
+        ("0 0 0 0 0 1.57", "<box><size>0.5 0.01 0.5</size></box>"),
+        ("0 0 0 0 -1.57 0", "<box><size>0.5 0.5 0.01</size></box>"),
+        ("0 0 0 0 -1.57 0", "<plane><normal>0 0 1</normal><size>0.5 0.5</size></plane>"),
+        ("0 0 0 0 0 3.1416", "<plane><normal>1 0 0</normal><size>0.5 0.5</size></plane>"),
+    ],
+)
+def test_a_marker_by_a_script_is_detected(tags, pose, shape):
+    finder = ResourceFinder(None, model_folders=(tags,))
+    model = read_model_text(TAG.format(pose, shape), "tag.sdf", finder)
+    with simulation_of(model) as simulation:
+        picture = simulation.renderer().picture(Pose((-1.5, 0.05, 0.02)), Shot(CAMERA))
+    detector = MarkerDetector(DetectorSettings(dictionary="apriltag_36h11"))
+    (found,) = detector.detect(picture).markers
+    assert found.id == 7
+    # Its first corner is its upper left one, but where a plane's y, which is up, goes to the left.
+    first, _, third, _ = np.asarray(found.corners)
+    assert (third - first > 40).all() == ("<normal>0 0 1" not in shape)
+
+
+def test_pictures_are_shared(quarters):
+    material = Material(texture=Texture(quarters))
+    shapes = (Box((0.1, 0.2, 0.2 + 0.01 * n)) for n in range(3))
+    visuals = (Visual(shape, material=material) for shape in shapes)
+    links = (Link("l", visuals=(visual,)) for visual in visuals)
+    models = [Model(f"m{n}", (link,), static=True) for n, link in enumerate(links)]
+    with simulation_of(*models) as simulation:
+        renderer = simulation.renderer()
+        renderer.picture(Pose((-3.0, 0, 0)), Shot(CAMERA))
+        drawables = list(renderer._scene._drawables.values())
+        assert len(drawables) == 3
+        assert len({id(loaded) for made in drawables for loaded in made.textures}) == 1
+
+
+# Meshes
+
+COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit meter="1"/></asset>
+<library_images><image id="i"><init_from>{picture}</init_from></image></library_images>
+<library_effects>
+<effect id="e0"><profile_COMMON>
+  <newparam sid="s"><surface type="2D"><init_from>i</init_from></surface></newparam>
+  <newparam sid="t"><sampler2D><source>s</source></sampler2D></newparam>
+  <technique sid="c"><lambert><ambient><color>1 1 1 1</color></ambient>
+  <diffuse><texture texture="t" texcoord="u"/></diffuse></lambert></technique>
+</profile_COMMON></effect>
+<effect id="e1"><profile_COMMON><technique sid="c"><phong>
+  <emission><color>0 0 0.2 1</color></emission><ambient><color>0 0 0 1</color></ambient>
+  <diffuse><color>0.8 0.4 0 1</color></diffuse></phong></technique></profile_COMMON></effect>
+</library_effects>
+<library_materials><material id="m0"><instance_effect url="#e0"/></material>
+<material id="m1"><instance_effect url="#e1"/></material></library_materials>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="pa" count="24">0 1 -.5 0 0 -.5 0 0 .5 0 1 .5
+ 0 0 -.5 0 -1 -.5 0 -1 .5 0 0 .5</float_array>
+ <technique_common><accessor source="#pa" count="8" stride="3"><param name="X" type="float"/>
+ <param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<source id="n"><float_array id="na" count="3">-1 0 0</float_array><technique_common>
+ <accessor source="#na" count="1" stride="3"><param name="X" type="float"/>
+ <param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<source id="u"><float_array id="ua" count="8">0 0 1 0 1 1 0 1</float_array>
+ <technique_common><accessor source="#ua" count="4" stride="2"><param name="S" type="float"/>
+ <param name="T" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles material="a" count="2"><input semantic="VERTEX" source="#v" offset="0"/>
+ <input semantic="NORMAL" source="#n" offset="1"/>
+ <input semantic="TEXCOORD" source="#u" offset="2" set="0"/>
+ <p>0 0 0 1 0 1 2 0 2 0 0 0 2 0 2 3 0 3</p></triangles>
+<polylist material="b" count="1"><input semantic="VERTEX" source="#v" offset="0"/>
+ <vcount>4</vcount><p>4 5 6 7</p></polylist>
+</mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="w"><node><instance_geometry url="#g"><bind_material>
+<technique_common><instance_material symbol="a" target="#m0"/>
+<instance_material symbol="b" target="#m1"/></technique_common></bind_material>
+</instance_geometry></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#w"/></scene></COLLADA>"""
+
+
+def collada_seen(folder, picture, material=None, colour=(1.0, 1.0, 1.0, 1.0)):
+    path = folder / "meshes" / "two.dae"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(COLLADA.format(picture=picture))
+    visual = Visual(Mesh(path, path.name), colour=colour, material=material or Material())
+    model = Model("m", (Link("l", visuals=(visual,)),), static=True)
+    with simulation_of(model, ambient=DIM, lights=(AHEAD,)) as simulation:
+        picture = simulation.renderer().picture(Pose((-3.0, 0, 0)), Shot(CAMERA))
+    # A metre is 167 pixels; the left half has the picture.
+    spots = [(v, u) for v in (200, 280) for u in (200, 270)]
+    return np.array([picture[spot] for spot in spots], int), picture[240, 400] / 255
+
+
+@pytest.mark.parametrize("named", ["../quarters.png", "quarters.png", "C:\\own\\quarters.png"])
+def test_collada_with_a_picture_and_with_a_colour(tmp_path, quarters, named):
+    (tmp_path / "model.config").write_text("<model/>")
+    if named != "../quarters.png":
+        # Where Gazebo's models have them.
+        textures = tmp_path / "materials" / "textures"
+        textures.mkdir(parents=True)
+        quarters.rename(textures / "quarters.png")
+    left, right = collada_seen(tmp_path, named)
+    assert left == pytest.approx(COLOURS * 0.9, abs=3)
+    assert right == pytest.approx((0.8 * 0.5, 0.4 * 0.5, 0.2), abs=0.01)
+
+
+def test_a_visuals_material_covers_that_of_its_mesh(tmp_path, quarters):
+    (tmp_path / "model.config").write_text("<model/>")
+    green = (0.0, 1.0, 0.0, 1.0)
+    left, right = collada_seen(tmp_path, "../quarters.png", colour=green)
+    assert right == pytest.approx((0.4, 0.2, 0.2), abs=0.01)
+    left, right = collada_seen(tmp_path, "../quarters.png", Material(covers=True), green)
+    assert left / 255 == pytest.approx(np.tile((0.0, 0.9, 0.0), (4, 1)), abs=0.01)
+    assert right == pytest.approx((0.0, 0.9, 0.0), abs=0.01)
+
+
+def test_a_picture_that_collada_names_and_nobody_has(tmp_path, caplog):
+    left, right = collada_seen(tmp_path, "gone.png")
+    assert left / 255 == pytest.approx(np.full((4, 3), 0.9), abs=0.01)
+    assert right == pytest.approx((0.4, 0.2, 0.2), abs=0.01)
+    (line,) = caplog.messages
+    assert "two.dae: 'gone.png': no such file" in line
+
+
+def test_colours_and_normals_of_an_obj(tmp_path):
+    (tmp_path / "m.mtl").write_text("newmtl a\nKa 0 1 0\nKd 0.5 0 1\nKe 0.1 0 0\nd 1\n")
+    # A plate across the view whose normals say that it looks up.
+    (tmp_path / "m.obj").write_text(
+        "mtllib m.mtl\nusemtl a\nv 0 1 -1\nv 0 -1 -1\nv 0 -1 1\nv 0 1 1\nvn 0 0 1\n"
+        "f 1//1 2//1 3//1 4//1\n"
+    )
+    visual = Visual(Mesh(tmp_path / "m.obj", "m.obj"))
+    assert in_light(visual) == pytest.approx((0.1, 0.4, 0.0), abs=0.01)
+    down = Light("l", "directional", Pose(), (0.5, 0.5, 0.5, 1.0), (0.0, 0.0, -1.0))
+    model = Model("m", (Link("l", visuals=(visual,)),), static=True)
+    with simulation_of(model, ambient=DIM, lights=(down,)) as simulation:
+        picture = simulation.renderer().picture(Pose((-3.0, 0, 0)), Shot(CAMERA))
+    assert picture[240, 320] / 255 == pytest.approx((0.35, 0.4, 0.5), abs=0.01)
+
+
+def test_a_picture_by_a_script_on_a_mesh(tmp_path, quarters):
+    (tmp_path / "m.obj").write_text(
+        "v 0 .5 -.5\nv 0 -.5 -.5\nv 0 -.5 .5\nv 0 .5 .5\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+        "f 1/1 2/2 3/3 4/4\n"
+    )
+    mesh = Mesh(tmp_path / "m.obj", "m.obj")
+    assert quarters_seen(seen(mesh, Texture(quarters), covers=True)) == UPRIGHT
