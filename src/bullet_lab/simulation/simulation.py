@@ -164,6 +164,7 @@ class Simulation:
             # Refuses a mesh that could not be drawn.
             visual.geometry.bounds()
         bodies = self._physics.add(model)
+        model = self._on_the_floor(model, bodies)
         try:
             plugins = self._make_plugins(model, bodies, tf_prefix)
         except LabError:
@@ -176,6 +177,23 @@ class Simulation:
         self._acting.extend(plugin for plugin in plugins if plugin.acts)
         self._measuring.extend(plugin for plugin in plugins if plugin.schedule is not None)
         return instance
+
+    def _on_the_floor(self, model: Model, bodies: Mapping[str, Body]) -> Model:
+        """Lift a model that is put into the floor out of it; return it with its pose."""
+        roots = model.root_links()
+        if model.static or not all(root.inertia for root in roots):
+            return model
+        floors = (
+            body for i in self._instances.values() if i.model.static for body in i.bodies.values()
+        )
+        depth = self._physics.sunk(bodies.values(), floors)
+        if not depth:
+            return model
+        LOG.warning("model '%s' is put %.3f m into the floor and lifted out", model.name, depth)
+        model = replace(model, pose=Pose((0.0, 0.0, depth)) * model.pose)
+        for root in roots:
+            bodies[root.name].place(model.pose * root.pose)
+        return model
 
     def remove(self, name: str) -> None:
         """Take a model out of the world; raises SimulationError for an unknown name."""

@@ -27,6 +27,7 @@ from bullet_lab.simulation.world.description import (
     World,
 )
 from bullet_lab.simulation.world.meshes import MeshError
+from bullet_lab.simulation.world.urdf import read_urdf
 
 UNIT = Inertia(1.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3))
 CUBE = Box((0.2, 0.2, 0.2))
@@ -354,3 +355,23 @@ def test_where_wall_time_goes_is_known_by_plugin(world):
     assert spent["plugin 'planar_move' of 'block_robot'"] >= 0.08
     assert spent["clock and states"] >= 0.02
     assert world.take_spent() == {}
+
+
+SUNK = """<robot name="sunk"><link name="base">
+  <inertial><mass value="3"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><geometry><box size="0.6 0.4 0.3"/></geometry></collision>
+</link></robot>"""
+
+
+@pytest.mark.parametrize(("height", "stands"), [(0.0, 0.15), (0.149, 0.15), (0.3, 0.3)])
+def test_what_is_put_into_the_floor_is_lifted_out_and_stands(height, stands, caplog):
+    with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
+        pose = Pose((1.0, 0.0, height))
+        robot = simulation.add(read_urdf(SUNK, "sunk"), pose=pose)
+        assert ("lifted out" in caplog.text) == (height == 0.0)
+        assert robot.pose().position[2] == pytest.approx(stands, abs=2e-3)
+        simulation.run_for(1.0)
+        x, y, z = robot.pose().position
+        assert (x, y, z) == pytest.approx((1.0, 0.0, 0.15), abs=2e-3)
+        simulation.reset_world()
+        assert robot.pose().position[2] == pytest.approx(stands, abs=2e-3)

@@ -91,7 +91,10 @@ def robot_of(model: ModelDescription, answer: DescribeModelsResponse, master: Ma
     others = _topics(other for other in answer.models if other.name != model.name)
     own = _topics([model])
     drive = _nearest(_of_kind(master.heard, VELOCITIES), own, others, "")
-    odometry = _nearest(_of_kind(master.spoken, ODOMETRY), own, others, drive) if drive else ""
+    # A drive's odometry is its own plugin's; a controller's that of no plugin.
+    beside = {t for row in rows if drive in row.inputs for t in row.outputs}
+    strange = others if drive in own else others | own
+    odometry = _nearest(_of_kind(master.spoken, ODOMETRY), beside, strange, drive) if drive else ""
     names = {other.name for other in answer.models if other.of_world_file}
     said = [line for line in answer.said if not any(f"'{name}'" in line for name in names)]
     return Robot(
@@ -128,7 +131,9 @@ def _nearest(topics: Iterable[str], own: Set[str], others: Set[str], drive: str)
         shared = os.path.commonprefix([topic, drive])
         return topic in own, shared.count("/"), "odom" in topic
 
-    return max((topic for topic in topics if topic not in others - own), key=rank, default="")
+    return max(
+        (topic for topic in topics if topic in own or topic not in others), key=rank, default=""
+    )
 
 
 def topics_of(

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
-from typing import Any, Callable, Dict, Sequence, Tuple
+from itertools import combinations, product
+from typing import Any, Callable, Dict, Iterable, Sequence, Tuple
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.errors import LabError
@@ -30,6 +30,9 @@ __all__ = ["STEP_SECONDS", "Body", "JointState", "Physics", "PhysicsError"]
 STEP_SECONDS = 1e-3
 # What part of its distance from the held position a joint is brought back in one step.
 HOLDING_GAIN = 0.1
+# m; what is put in less deep than this is pushed out by Bullet without harm, and the z component
+# of the normal of what carries.
+DEEP, UPRIGHT = 0.01, 0.9
 # Bullet's collision group and mask of all that moves: it collides with everything.
 FREE_BODY_FILTER = (1, -1)
 
@@ -269,6 +272,21 @@ class Physics:
                 raise PhysicsError(f"model '{model.name}': {error}") from error
             raise
         return bodies
+
+    def sunk(self, bodies: Iterable[Body], floors: Iterable[Body]) -> float:
+        """Return how deep (m) bodies are in what carries them, 0.0 if by less than a contact is.
+
+        Bullet parts what overlaps within a step or two: a robot that is put 10 cm into the floor
+        is thrown over. ODE, as Gazebo sets it up, pushes it out slowly, and it stands.
+        """
+        floors, deepest = tuple(floors), 0.0
+        for body, floor in product(bodies, floors):
+            ends = (body.unique_id, floor.unique_id)
+            for point in pybullet.getClosestPoints(*ends, 0.0, physicsClientId=self.client):
+                (_, _, upward), distance = point[7:9]
+                if upward > UPRIGHT and distance < -DEEP:
+                    deepest = max(deepest, -distance)
+        return deepest
 
     def _use_friction_pyramid(self) -> None:
         """Limit friction along two directions each for itself, in the whole world.

@@ -68,11 +68,16 @@ def test_a_controller_drives_where_no_plugin_names_a_topic():
     husky = model("husky", plugin(), plugin([], ["/truth"]))
     now = master(
         {"/base/cmd_vel": TWIST, "/light": "std_msgs/Bool"},
-        {"/base/odom": ODOMETRY, "/truth": ODOMETRY, "/base/other": "std_msgs/Bool"},
+        {"/odom": ODOMETRY, "/truth": ODOMETRY, "/base/other": "std_msgs/Bool"},
     )
     robot = robot_of(husky, answer(husky), now)
-    assert robot.drive == "/base/cmd_vel"
-    assert robot.odometry in ("/base/odom", "/truth")
+    assert (robot.drive, robot.odometry) == ("/base/cmd_vel", "/odom")
+
+
+def test_the_odometry_is_that_of_the_plugin_that_drives():
+    rover = model("rover", plugin([], ["/cmd/odom"]), plugin(["/cmd/vel"], ["/driven"]))
+    now = master({"/cmd/vel": TWIST}, {"/cmd/odom": ODOMETRY, "/driven": ODOMETRY})
+    assert robot_of(rover, answer(rover), now).odometry == "/driven"
 
 
 def test_what_was_said_of_the_world_is_left_out():
