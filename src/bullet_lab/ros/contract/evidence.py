@@ -9,6 +9,7 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 _PART = re.compile(r"(\w+)((?:\[\d+\])*)")
 _STAMP = struct.Struct("<III")
+STAMP_ROUNDING = 1e-6
 
 
 class NotSeenError(LookupError):
@@ -42,6 +43,12 @@ class Heard:
     def has_stamps(self) -> bool:
         """Return whether the messages begin with a header."""
         return self.kind is not None and self.kind.__slots__[:1] == ["header"]
+
+    def cut(self, end: float) -> None:
+        """Forget messages that are stamped later than `end` (s), by a simulator that ran on."""
+        if self.has_stamps():
+            kept = zip(self.buffers, self.stamps())
+            self.buffers = [buffer for buffer, stamp in kept if stamp <= end + STAMP_ROUNDING]
 
     def stamps(self) -> List[float]:
         """Return the stamps of the messages, in s."""

@@ -45,9 +45,10 @@ class Probe:
         fill: what else is filled into the robot's file.
         namespace: for the spawn service; None for one of its own.
         tf_prefix: set in its namespace.
+        parameters: of the master; `{file: …}` is a text in config/contract/probes.
         rpy: how it is turned at first, in rad.
         floor: whether there is a floor below it.
-        publish: commands: topic, `at` (s after the start), `type` and `message`.
+        publish: commands before time runs: topic, `type` and `message`.
         round: probes of different rounds are not in the world together.
     """
 
@@ -58,6 +59,7 @@ class Probe:
     fill: Mapping[str, Any] = field(default_factory=dict)
     namespace: Any = None
     tf_prefix: str = ""
+    parameters: Mapping[str, Any] = field(default_factory=dict)
     rpy: Sequence[float] = (0.0, 0.0, 0.0)
     floor: bool = True
     publish: Sequence[Mapping[str, Any]] = ()

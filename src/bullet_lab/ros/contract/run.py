@@ -18,7 +18,7 @@ from bullet_lab.ros.contract.simulator import CallError, Simulator, SimulatorErr
 # Simulated seconds for which probes are listened to.
 ROUND_SECONDS = 2.6
 # Rows about what need not be a topic.
-NOT_HEARD = ("offers", "absent", "takes")
+NOT_HEARD = frozenset(("offers", "absent", "takes"))
 PLACE = probes.CORNER
 
 
@@ -39,7 +39,7 @@ class ContractRun:
         self._simulator = simulator
         self._wanted = {row.name for row in rows}
         self._deviations = deviations
-        self._spawned: List[str] = []
+        self._parameters: List[str] = []
 
     def verdicts(self) -> List[Verdict]:
         """Return what comes of the rows; raises SimulatorError where that cannot be found out."""
@@ -73,13 +73,22 @@ class ContractRun:
             instead = "; ".join(filter(None, (judge(word, say, scene) for word, say in entries)))
         return verdict(row, judge(row.word, row.expected, scene), deviation, instead)
 
+    def _heard(self, named: Iterable[Tuple[Row, str]]) -> Iterable[str]:
+        """Return the topics that rows have to be judged by, from rows and their topics."""
+        for row, topic in named:
+            deviation = self._deviations.get(row.name)
+            if {row.word, *(deviation.instead if deviation else ())} - NOT_HEARD:
+                yield topic
+            if row.word == "stamped":
+                yield beside(topic, row.expected)
+
     # Rows that are followed in their order
 
     def _follow(self, chapter: Chapter) -> List[Verdict]:
         """Do and judge what the rows of a chapter say, one after the other."""
         asked = {row.name for row in self._asked(chapter.rows)}
         services = [row.topic for row in chapter.rows if row.word in NOT_HEARD]
-        self._simulator.listen(_heard((row, row.topic) for row in chapter.rows if row.topic))
+        self._simulator.listen(self._heard((row, row.topic) for row in chapter.rows if row.topic))
         offered = self._simulator.services(services)
         evidence = Evidence()
         found: List[Verdict] = []
@@ -100,15 +109,17 @@ class ContractRun:
         return found
 
     def _call(self, row: Row, scene: Scene) -> None:
-        request = dict(row.request)
-        text = request.get("model_xml")
-        if isinstance(text, dict):
-            path = self._contract.folder / "probes" / text["file"]
-            request["model_xml"] = path.read_text(encoding="utf-8")
+        request = {name: self._read(value) for name, value in row.request.items()}
         try:
             scene.answer = self._simulator.call(row.call, request)
         except CallError as error:
             scene.error = str(error)
+
+    def _read(self, value: Any) -> Any:
+        """Return a value; the text of a file where it names one."""
+        if not (isinstance(value, dict) and set(value) == {"file"}):
+            return value
+        return (self._contract.folder / "probes" / value["file"]).read_text(encoding="utf-8")
 
     # Probes that are looked at together
 
@@ -134,7 +145,7 @@ class ContractRun:
         refused = {probe.name: self._place(probe, where[probe.name]) for probe in present}
         named = [(row, probes.topic_name(row.topic, probe)) for probe, row in rows if row.topic]
         services = [topic for row, topic in named if row.word in NOT_HEARD]
-        self._simulator.listen(_heard(named))
+        self._simulator.listen(self._heard(named))
         evidence = self._simulator.run(ROUND_SECONDS, _commands(present))
         evidence.services = self._simulator.services(services)
         found = []
@@ -152,8 +163,10 @@ class ContractRun:
     def _place(self, probe: Probe, place: probes.Place) -> str:
         """Put a probe into the world; return what is wrong where that fails."""
         space = probes.namespace(probe)
-        if probe.tf_prefix:
-            rospy.set_param(f"/{space}/tf_prefix", probe.tf_prefix)
+        prefix = {f"/{space}/tf_prefix": probe.tf_prefix} if probe.tf_prefix else {}
+        for name, value in {**prefix, **probe.parameters}.items():
+            self._parameters.append(name)
+            rospy.set_param(name, self._read(value))
         text = probes.probe_text(probe, self._contract.folder)
         pose = Pose.from_rpy(place, tuple(probe.rpy))
         try:
@@ -175,17 +188,8 @@ class ContractRun:
         for name in self._simulator.must("get_world_properties", {}).model_names:
             if name.startswith(probes.PREFIX):
                 self._simulator.must("delete_model", {"model_name": name})
-        if rospy.has_param("/contract"):
-            rospy.delete_param("/contract")
-
-
-def _heard(named: Iterable[Tuple[Row, str]]) -> Iterable[str]:
-    """Return the topics that rows have to be judged by, from rows and their topics."""
-    for row, topic in named:
-        if row.word not in NOT_HEARD:
-            yield topic
-        if row.word == "stamped":
-            yield beside(topic, row.expected)
+        while self._parameters:
+            rospy.delete_param(self._parameters.pop())
 
 
 def _commands(present: Sequence[Probe]) -> List[Dict[str, Any]]:

@@ -102,21 +102,28 @@ class Simulator:
         self._services.clear()
 
     def run(self, seconds: float, commands: Iterable[Mapping[str, Any]] = ()) -> Evidence:
-        """Let time run, send commands on the way, and return what was seen.
+        """Send commands, let time run, and return what was seen in just so many seconds.
 
-        Each command has a topic, a `type`, a `message` and the time `at` (s, from now).
+        Each command has a topic, a `type` and a `message`.
         """
-        speakers = [(float(entry.get("at", 0.0)), _speaker(entry)) for entry in commands]
+        speakers = [_speaker(entry) for entry in commands]
         evidence = Evidence(*self._topics())
         start = self.now()
         self._recorder.begin()
+        # While time stands, so that they act for all of the time however busy the machine is.
+        for publisher, message in speakers:
+            publisher.publish(message)
+        if speakers:
+            time.sleep(SETTLE_SECONDS)
         self.must("unpause_physics", {})
-        self._wait(start, seconds, sorted(speakers, key=lambda entry: entry[0]))
+        self._wait(start, seconds)
         self.must("pause_physics", {})
         time.sleep(SETTLE_SECONDS)
         evidence.heard, evidence.frames = self._recorder.end()
         evidence.seconds = self.now() - start
-        for _, (publisher, _) in speakers:
+        for heard in evidence.heard.values():
+            heard.cut(start + seconds)
+        for publisher, _ in speakers:
             publisher.unregister()
         return evidence
 
@@ -153,19 +160,15 @@ class Simulator:
         with self._lock:
             self._now = message.clock.to_sec()
 
-    def _wait(self, start: float, seconds: float, speakers: List[Tuple[float, Any]]) -> None:
-        """Wait until so much time has passed, and send what is to be sent by then."""
+    def _wait(self, start: float, seconds: float) -> None:
+        """Wait until so much time has passed; raises SimulatorError where it does not."""
         until = time.monotonic() + SLOWEST * max(seconds, 1.0)
         with self._lock:
             self._now = start
         while time.monotonic() < until:
             with self._lock:
-                passed = self._now - start
-            while speakers and speakers[0][0] <= passed:
-                publisher, message = speakers.pop(0)[1]
-                publisher.publish(message)
-            if passed >= seconds:
-                return
+                if self._now - start >= seconds:
+                    return
             time.sleep(0.002)
         raise SimulatorError(f"{seconds:g} s of /clock did not pass in {SLOWEST * seconds:g} s")
 

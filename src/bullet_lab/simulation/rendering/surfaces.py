@@ -25,7 +25,7 @@ from bullet_lab.simulation.world.description import (
     Texture,
     Visual,
 )
-from bullet_lab.simulation.world.mesh_parts import Look, Report, mesh_parts
+from bullet_lab.simulation.world.mesh_parts import Look, Part, Report, mesh_parts
 
 LOG = logging.getLogger(__name__)
 CYLINDER_SIDES = 48
@@ -179,16 +179,23 @@ def _plane(plane: Plane, _report: Report) -> List[Surface]:
 
 
 def _mesh(mesh: Mesh, report: Report) -> List[Surface]:
-    made = []
-    for part in mesh_parts(mesh, report):
-        surface = flat(part.corners)
-        if part.normals is not None:
-            # Where there is none, the triangle's own.
-            lengths = np.linalg.norm(part.normals, axis=-1, keepdims=True)
-            normals = np.where(lengths > 1e-9, part.normals, surface.normals)
-            surface = replace(surface, normals=_unit(normals))
-        made.append(replace(surface, picture=part.picture, look=part.look))
-    return made
+    return [_part(part) for part in mesh_parts(mesh, report)]
+
+
+def _part(part: Part) -> Surface:
+    surface = flat(part.corners)
+    if part.normals is not None:
+        # Where there is none, the triangle's own.
+        lengths = np.linalg.norm(part.normals, axis=-1, keepdims=True)
+        normals = _unit(np.where(lengths > 1e-9, part.normals, surface.normals))
+        outward = np.median(np.sum(surface.normals * normals, axis=-1))
+        surface = replace(surface, normals=normals)
+        if outward < 0.0:
+            # Mirrored, or wound the other way around: the normals know where outside is.
+            corners, normals = part.corners[:, ::-1], normals[:, ::-1]
+            picture = None if part.picture is None else part.picture[:, ::-1]
+            return Surface(corners, normals, picture, part.look)
+    return replace(surface, picture=part.picture, look=part.look)
 
 
 # What makes surfaces of each shape.

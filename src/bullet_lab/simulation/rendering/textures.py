@@ -38,7 +38,8 @@ class Textures:
 
     def of(self, texture: Texture) -> LoadedTexture:
         """Return what a texture shows; raises LabError for a file that is no picture."""
-        key = (texture.path, texture.blends, texture.repeats, file_version(texture))
+        kind = (texture.blends, texture.repeats, texture.sharp)
+        key = (texture.path, kind, file_version(texture))
         found = self._known.get(key)
         if found is None:
             found = self._known[key] = LoadedTexture(_panda_texture(texture))
@@ -68,7 +69,8 @@ def _panda_texture(texture: Texture) -> Any:
     # Panda3D has the lowest row first, and blue before green before red.
     made.set_ram_image(np.ascontiguousarray(pixels[::-1, :, _order(texture)]).tobytes())
     made.minfilter = core.SamplerState.FT_linear_mipmap_linear
-    made.magfilter = core.SamplerState.FT_linear
+    nearest, linear = core.SamplerState.FT_nearest, core.SamplerState.FT_linear
+    made.magfilter = nearest if texture.sharp else linear
     if not texture.repeats:
         made.wrap_u = made.wrap_v = core.SamplerState.WM_clamp
     return made

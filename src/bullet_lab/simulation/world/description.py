@@ -30,7 +30,8 @@ class Texture:
 
     Where it lies on the surface is said as in OGRE: `scale` sizes it about its middle, `scroll`
     then shifts it by shares of its sides, and `rotation` (rad) turns it. Beyond its edges it
-    repeats, or its rim goes on. Where it `blends`, it lets through what is behind it.
+    repeats, or its rim goes on. Where it `blends`, it lets through what is behind it. A `sharp`
+    one has square pixels from near by.
     """
 
     path: Path
@@ -39,6 +40,7 @@ class Texture:
     rotation: float = 0.0
     repeats: bool = True
     blends: bool = False
+    sharp: bool = False
 
     def coordinates(self, surface: np.ndarray) -> np.ndarray:
         """Return the places in the picture, (…, 2) from its lower left, for those of a surface."""

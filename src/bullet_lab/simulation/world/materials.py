@@ -266,6 +266,8 @@ class MaterialLibrary:
             math.radians(turn[0]) if turn else 0.0,
             unit.words("tex_address_mode")[:1] not in (("clamp",), ("border",)),
             blends,
+            # For less, more and between: one word stands for all three.
+            (unit.words("filtering") * 3)[1:2] in (("none",), ("point",)),
         )
 
     def _gazebo_look(self, name: str, known: GazeboMaterial) -> Look:

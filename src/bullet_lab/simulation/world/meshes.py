@@ -11,8 +11,8 @@ import re
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, List, Protocol, Tuple
-from xml.etree.ElementTree import tostring
+from typing import Any, Collection, List, Protocol, Tuple
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 
@@ -241,16 +241,37 @@ def collada_triangles(path: Path) -> Tuple[float, List[Any]]:
         if UNUSABLE_NUMBER.search(array.text or ""):
             # pycollada would make zeros of them.
             raise ValueError("a number is not finite")
+    for image in root.iter(f"{COLLADA}image"):
+        if not "".join(image.itertext()).strip():
+            # pycollada would refuse the mesh for a picture without a name.
+            image[:] = []
+            SubElement(image, f"{COLLADA}init_from").text = image.get("id", "picture")
     # Written anew, so that pycollada's own parser sees what was checked and nothing else: no
     # entities, no encodings. Images are not looked for; they may be missing.
     optional = [collada.common.DaeBrokenRefError, collada.common.DaeUnsupportedError]
     document = collada.Collada(BytesIO(tostring(root)), ignore=optional)
+    if _without_lost_materials(root, {f"#{material.id}" for material in document.materials}):
+        document = collada.Collada(BytesIO(tostring(root)), ignore=optional)
     if document.scene is None:
         raise ValueError("there is no scene")
     primitives = (p for g in document.scene.objects("geometry") for p in g.primitives())
     cut = (p.triangleset() if hasattr(p, "triangleset") else p for p in primitives)
     # Points and lines are left out.
     return metres, [p for p in cut if isinstance(p, BoundTriangleSet) and len(p)]
+
+
+def _without_lost_materials(root: Element, known: Collection[str]) -> bool:
+    """Take out what names materials that are not there; return whether there was any.
+
+    pycollada would leave out the geometry with them.
+    """
+    lost = False
+    for holder in root.iter(f"{COLLADA}technique_common"):
+        for element in holder.findall(f"{COLLADA}instance_material"):
+            if element.get("target") not in known:
+                holder.remove(element)
+                lost = True
+    return lost
 
 
 def read_bytes(path: Path) -> bytes:

@@ -116,6 +116,14 @@ def test_scale_tiles_and_scroll_shifts(quarters):
     assert quarters_seen(turned) == DOWN
 
 
+def test_sharp_pictures_have_square_pixels(tmp_path):
+    Image.fromarray(np.array([[0, 255], [255, 0]], np.uint8)).save(tmp_path / "tiny.png")
+    for sharp in (True, False):
+        picture = seen(Box((1.0, 1.0, 1.0)), Texture(tmp_path / "tiny.png", sharp=sharp))
+        inner = picture[190:230, 270:310]
+        assert (np.ptp(inner) == 0) == sharp
+
+
 COLOUR, DIM = (0.5, 0.0, 1.0, 1.0), (0.4, 0.4, 0.4, 1.0)
 AHEAD = Light("l", "directional", Pose(), (0.5, 0.5, 0.5, 1.0), (1.0, 0.0, 0.0))
 
@@ -279,16 +287,20 @@ COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" versi
 <scene><instance_visual_scene url="#w"/></scene></COLLADA>"""
 
 
-def collada_seen(folder, picture, material=None, colour=(1.0, 1.0, 1.0, 1.0)):
+def collada_seen(
+    folder, picture, material=None, colour=(1.0, 1.0, 1.0, 1.0), text=COLLADA, flip=False
+):
+    """What is seen of the quarters of the picture, and beside it; the sides changed if `flip`."""
     path = folder / "meshes" / "two.dae"
     path.parent.mkdir(exist_ok=True)
-    path.write_text(COLLADA.format(picture=picture))
+    path.write_text(text.format(picture=picture))
     visual = Visual(Mesh(path, path.name), colour=colour, material=material or Material())
     model = Model("m", (Link("l", visuals=(visual,)),), static=True)
     with simulation_of(model, ambient=DIM, lights=(AHEAD,)) as simulation:
         picture = simulation.renderer().picture(Pose((-3.0, 0, 0)), Shot(CAMERA))
     # A metre is 167 pixels; the left half has the picture.
-    spots = [(v, u) for v in (200, 280) for u in (200, 270)]
+    columns = (370, 440) if flip else (200, 270)
+    spots = [(v, u) for v in (200, 280) for u in columns]
     return np.array([picture[spot] for spot in spots], int), picture[240, 400] / 255
 
 
@@ -321,6 +333,29 @@ def test_a_picture_that_collada_names_and_nobody_has(tmp_path, caplog):
     assert right == pytest.approx((0.4, 0.2, 0.2), abs=0.01)
     (line,) = caplog.messages
     assert "two.dae: 'gone.png': no such file" in line
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("<init_from>{picture}</init_from>", ""),
+        ("<init_from>{picture}</init_from>", "<init_from/>"),
+        ('<instance_effect url="#e0"/>', '<instance_effect url="#gone"/>'),
+        ('target="#m0"', 'target="#gone"'),
+    ],
+)
+def test_a_mesh_whose_material_is_broken_is_drawn_without(tmp_path, old, new):
+    assert old in COLLADA
+    left, right = collada_seen(tmp_path, "gone.png", text=COLLADA.replace(old, new))
+    assert left / 255 == pytest.approx(np.full((4, 3), 0.9), abs=0.01)
+    assert right == pytest.approx((0.4, 0.2, 0.2), abs=0.01)
+
+
+def test_normals_tell_the_outside_of_a_mirrored_mesh(tmp_path, quarters):
+    (tmp_path / "model.config").write_text("<model/>")
+    mirrored = COLLADA.replace("<node>", "<node><scale>1 -1 1</scale>")
+    left, _ = collada_seen(tmp_path, "../quarters.png", text=mirrored, flip=True)
+    assert left == pytest.approx(COLOURS[[1, 0, 3, 2]] * 0.9, abs=3)
 
 
 def test_colours_and_normals_of_an_obj(tmp_path):

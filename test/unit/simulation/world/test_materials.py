@@ -23,6 +23,7 @@ material Shop/Crate : Shop/Base
       scale 0.5 0.25
       scroll 0.1 0
       rotate 90
+      filtering linear point none
       tex_address_mode clamp } } }
 }
 abstract material Shop/Base { technique { pass { lighting on } } }
@@ -95,6 +96,7 @@ def test_colours_and_picture_of_a_script(shop, uris):
         (0.1, 0.0),
         math.pi / 2,
         False,
+        sharp=True,
     )
 
 
