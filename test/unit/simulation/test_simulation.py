@@ -210,7 +210,7 @@ def test_half_a_model_does_not_stay(world, tmp_path):
 def test_unknown_plugins_are_named_once_and_skipped(world, caplog):
     known = PluginTag("libgazebo_ros_joint_state_publisher", "states", {})
     unknown = PluginTag("libgazebo_ros_teleporter.so", "beam", {})
-    robot = world.add(thing(plugins=(unknown, known)))
+    robot = world.add(thing(plugins=(unknown, known), pose=Pose((0.0, 0.0, 5.0))))
     world.run_for(0.1)
     (record,) = caplog.records
     assert record.levelname == "WARNING"
@@ -358,7 +358,8 @@ def test_where_wall_time_goes_is_known_by_plugin(world):
 
 
 SUNK = """<robot name="sunk"><link name="base">
-  <inertial><mass value="3"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
+  <inertial><mass value="3"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
   <collision><geometry><box size="0.6 0.4 0.3"/></geometry></collision>
 </link></robot>"""
 
