@@ -34,8 +34,10 @@ from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plu
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
 from bullet_lab.simulation.world.description import Model, PluginTag, Snapshot, World
 from bullet_lab.simulation.world.inertia import check_proportions
+from bullet_lab.simulation.world.report import leaving_out
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.soundness import usable
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 __all__ = ["ModelInstance", "Simulation", "SimulationError", "Snapshot", "Timer", "View"]
@@ -77,14 +79,11 @@ class Simulation:
         self._on_failure: Optional[Callable[[str, LabError], None]] = None
         self._spent: DefaultDict[Union[Plugin, Timer], float] = defaultdict(float)
         self.forces = Forces()
-        try:
-            for model in self.world.models:
+        for model in self.world.models:
+            with leaving_out(lambda said: LOG.warning("%s", said)):
                 instance = self.add(model)
                 if model.name in self.world.states:
                     instance.restore(self.world.states[model.name])
-        except LabError:
-            self.close()
-            raise
 
     @classmethod
     def of(cls, world: str, seed: int = 0) -> Simulation:
@@ -148,7 +147,7 @@ class Simulation:
                 the robotNamespace of a plugin.
 
         Raises:
-            LabError: the name is taken, or the model or one of its plugins makes no sense.
+            LabError: the name is taken, or nothing of the model can be simulated.
         """
         name = name or model.name
         if name in self._instances:
@@ -160,16 +159,9 @@ class Simulation:
         check_proportions(model)
         plugins = tuple(_in_namespace(plugin, namespace) for plugin in model.plugins)
         model = replace(model, name=name, pose=pose or model.pose, plugins=plugins)
-        for visual in (visual for link in model.links for visual in link.visuals):
-            # Refuses a mesh that could not be drawn.
-            visual.geometry.bounds()
+        model = usable(model)
         bodies = self._physics.add(model)
-        model = self._on_the_floor(model, bodies)
-        try:
-            plugins = self._make_plugins(model, bodies, tf_prefix)
-        except LabError:
-            self._physics.remove(bodies)
-            raise
+        plugins = self._make_plugins(model, bodies, tf_prefix)
         instance = ModelInstance(model, bodies, plugins)
         self._instances[name] = instance
         for body in bodies.values():
@@ -177,23 +169,6 @@ class Simulation:
         self._acting.extend(plugin for plugin in plugins if plugin.acts)
         self._measuring.extend(plugin for plugin in plugins if plugin.schedule is not None)
         return instance
-
-    def _on_the_floor(self, model: Model, bodies: Mapping[str, Body]) -> Model:
-        """Lift a model that is put into the floor out of it; return it with its pose."""
-        roots = model.root_links()
-        if model.static or not all(root.inertia for root in roots):
-            return model
-        floors = (
-            body for i in self._instances.values() if i.model.static for body in i.bodies.values()
-        )
-        depth = self._physics.sunk(bodies.values(), floors)
-        if not depth:
-            return model
-        LOG.warning("model '%s' is put %.3f m into the floor and lifted out", model.name, depth)
-        model = replace(model, pose=Pose((0.0, 0.0, depth)) * model.pose)
-        for root in roots:
-            bodies[root.name].place(model.pose * root.pose)
-        return model
 
     def remove(self, name: str) -> None:
         """Take a model out of the world; raises SimulationError for an unknown name."""
@@ -297,6 +272,8 @@ class Simulation:
         acting: List[Callable[[int], None]] = [plugin.before_step for plugin in self._acting]
         if self.forces.active:
             acting.append(self.forces.before_step)
+        if any(body.settling for body in self._bodies.values()):
+            acting.append(self._settle)
         advance = self._physics.step
         step = self.step
         while step < stop:
@@ -305,6 +282,12 @@ class Simulation:
             advance()
             step += 1
         self.step = step
+
+    def _settle(self, _: int) -> None:
+        """Let no body be thrown out of what it was put into."""
+        for body in self._bodies.values():
+            if body.settling:
+                body.settle()
 
     def _shape_name(self, unique_id: int, index: int, place: Vector) -> str:
         return shape_name(self._owners[unique_id], self._bodies[unique_id], index, place)
@@ -318,10 +301,14 @@ class Simulation:
         for tag in model.plugins:
             space = tag.tags.get("robotNamespace", "")
             prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
-            plugin = make_plugin(Mount(model, bodies, tag, *common, prefix, *draws))
+            what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
+            try:
+                plugin = make_plugin(Mount(model, bodies, tag, *common, prefix, *draws))
+            except LabError as error:
+                LOG.warning("%s is left out: %s", what, error)
+                continue
             if plugin is None:
                 known = ", ".join(known_plugins())
-                what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
                 LOG.warning("%s is not simulated and skipped; known are %s", what, known)
                 continue
             plugin.reset(self.step)

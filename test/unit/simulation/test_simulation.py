@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import BLOCK_ROBOT, EMPTY_WORLD
+from conftest import BLOCK_ROBOT, EMPTY_WORLD, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import ScheduleError
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.engine import pybullet
-from bullet_lab.simulation.physics.physics import PhysicsError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation, SimulationError, View, take_picture
 from bullet_lab.simulation.world.description import (
@@ -26,8 +25,6 @@ from bullet_lab.simulation.world.description import (
     Visual,
     World,
 )
-from bullet_lab.simulation.world.meshes import MeshError
-from bullet_lab.simulation.world.urdf import read_urdf
 
 UNIT = Inertia(1.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3))
 CUBE = Box((0.2, 0.2, 0.2))
@@ -192,25 +189,32 @@ def test_impossible_poses_leave_the_simulation_unharmed(world, robot, pose, mess
     assert robot.pose().position[0] == pytest.approx(0.19, abs=1e-3)
 
 
-def test_half_a_model_does_not_stay(world, tmp_path):
+def test_what_is_not_usable_of_a_model_is_left_out(world, tmp_path):
     (tmp_path / "bad.stl").write_text("nonsense")
     bad = Mesh(tmp_path / "bad.stl", "bad.stl")
     good, weightless = thing().links[0], Link("other")
+    below = Link("below", inertia=UNIT)
     invisible = Link("other", inertia=UNIT, visuals=(Visual(bad),))
     broken = Link("other", inertia=UNIT, collisions=(Collision(bad),))
+    for second in (invisible, broken):
+        with complains("^model 'm': link 'other': .*bad.stl: .*; it is left out$"):
+            made = world.add(Model("m", (good, second))).model
+        assert (made.links[1].visuals, made.links[1].collisions) == ((), ())
+        world.remove("m")
+    joint = Joint("j", "revolute", "other", "below")
+    with complains("link 'other' moves and has no mass; it is left out, and with it below$"):
+        made = world.add(Model("m", (good, weightless, below), (joint,))).model
+    assert (made.links, made.joints) == ((good,), ())
     count = bodies(world)
-    for second, error in ((weightless, PhysicsError), (invisible, MeshError), (broken, MeshError)):
-        with pytest.raises(error):
-            world.add(Model("m", (good, second)))
-        assert bodies(world) == count
-    with pytest.raises(PhysicsError, match="^model 'm': link 'other' moves and has no mass$"):
-        world.add(Model("m", (good, weightless)))
+    with pytest.raises(LabError, match="^model 'n': link 'other' moves and has no mass$"):
+        world.add(Model("n", (weightless,)))
+    assert bodies(world) == count
 
 
 def test_unknown_plugins_are_named_once_and_skipped(world, caplog):
     known = PluginTag("libgazebo_ros_joint_state_publisher", "states", {})
     unknown = PluginTag("libgazebo_ros_teleporter.so", "beam", {})
-    robot = world.add(thing(plugins=(unknown, known), pose=Pose((0.0, 0.0, 5.0))))
+    robot = world.add(thing(plugins=(unknown, known)))
     world.run_for(0.1)
     (record,) = caplog.records
     assert record.levelname == "WARNING"
@@ -218,11 +222,11 @@ def test_unknown_plugins_are_named_once_and_skipped(world, caplog):
     assert len(robot.plugins) == 1
 
 
-def test_planar_move_on_what_cannot_move_is_refused(world):
+def test_planar_move_on_what_cannot_move_is_left_out(world):
     plugin = PluginTag("libgazebo_ros_planar_move.so", "move", {})
-    with pytest.raises(LabError, match="model 'cube': planar_move on what cannot move"):
+    with complains("model 'cube': planar_move on what cannot move"):
         world.add(thing(plugins=(plugin,), static=True))
-    assert "cube" not in world.models
+    assert world.models["cube"].plugins == ()
 
 
 def test_timers(world):
@@ -300,12 +304,10 @@ def test_nothing_is_left_after_close(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_world_that_cannot_be_loaded_leaves_no_client(tmp_path):
+def test_a_model_that_cannot_be_leaves_the_rest_of_its_world():
     good, bad = thing(), thing("bad", inertia=None)
-    before = [n for n in range(20) if pybullet.isConnected(n)]
-    with pytest.raises(PhysicsError):
-        Simulation(World("w", (good, bad)))
-    assert [n for n in range(20) if pybullet.isConnected(n)] == before
+    with complains("model 'bad'"), Simulation(World("w", (good, bad))) as simulation:
+        assert list(simulation.models) == ["cube"]
 
 
 def test_files_that_the_user_names(tmp_path):
@@ -355,24 +357,3 @@ def test_where_wall_time_goes_is_known_by_plugin(world):
     assert spent["plugin 'planar_move' of 'block_robot'"] >= 0.08
     assert spent["clock and states"] >= 0.02
     assert world.take_spent() == {}
-
-
-SUNK = """<robot name="sunk"><link name="base">
-  <inertial><mass value="3"/>
-    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
-  <collision><geometry><box size="0.6 0.4 0.3"/></geometry></collision>
-</link></robot>"""
-
-
-@pytest.mark.parametrize(("height", "stands"), [(0.0, 0.15), (0.149, 0.15), (0.3, 0.3)])
-def test_what_is_put_into_the_floor_is_lifted_out_and_stands(height, stands, caplog):
-    with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
-        pose = Pose((1.0, 0.0, height))
-        robot = simulation.add(read_urdf(SUNK, "sunk"), pose=pose)
-        assert ("lifted out" in caplog.text) == (height == 0.0)
-        assert robot.pose().position[2] == pytest.approx(stands, abs=2e-3)
-        simulation.run_for(1.0)
-        x, y, z = robot.pose().position
-        assert (x, y, z) == pytest.approx((1.0, 0.0, 0.15), abs=2e-3)
-        simulation.reset_world()
-        assert robot.pose().position[2] == pytest.approx(stands, abs=2e-3)
