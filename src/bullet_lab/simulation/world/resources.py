@@ -133,7 +133,7 @@ class ResourceFinder:
                 raise ResourceError(f"'{uri}': no ROS package '{parts.netloc}'")
             return _inside(folder, unquote(parts.path).lstrip("/"), uri)
         if parts.scheme == "model":
-            name = parts.netloc + unquote(parts.path)
+            name = (parts.netloc + unquote(parts.path)).lstrip("/")
             for folder in self._models:
                 if (folder / name).exists():
                     return _inside(folder, name, uri)

@@ -38,6 +38,7 @@ def test_what_may_be_found(finder, files):
     assert finder.find(str(mesh)) == mesh
     assert finder.find("model://car") == files / "first/car"
     assert finder.find("model://tree") == files / "second/tree"
+    assert finder.find("model:///tree") == files / "second/tree"
 
 
 @pytest.mark.parametrize(
@@ -68,7 +69,7 @@ def test_what_may_be_found(finder, files):
         ("model://nix", "in none of the model folders"),
         ("model://../secret/s.stl", "leaves its folder"),
         ("model://car/../../secret/s.stl", "leaves its folder"),
-        ("model:///etc/passwd", "leaves its folder"),
+        ("model:///etc/passwd", "in none of the model folders"),
         ("model://way_out/s.stl", "leaves its folder"),
     ],
 )
