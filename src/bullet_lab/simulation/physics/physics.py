@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
-from typing import Any, Callable, Dict, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.errors import LabError
@@ -36,6 +36,7 @@ SETTLING_STEPS = 1000
 DEEP = 2e-4
 SLOW = 0.1
 NOWHERE = (0.0, 0.0, 0.0)
+NO_TURN = (0.0, 0.0, 0.0, 1.0)
 # Bullet's collision group and mask of all that moves: it collides with everything.
 FREE_BODY_FILTER = (1, -1)
 
@@ -63,7 +64,7 @@ class Body:
         unique_id: PyBullet's number of it.
         parts: what is a link to PyBullet, in its order; its index of the first, the root, is -1.
         links: of the description, the root first.
-        joint_names: of the movable joints.
+        joint_names: of the movable joints; balls, which have no single position, are not named.
         turned_inertia: whether the root's principal axes are turned against its frame.
         settling: in how many steps at most `settle` is still needed, since it was put somewhere.
     """
@@ -85,9 +86,16 @@ class Body:
         self._given = (NOWHERE, NOWHERE)
         self._links: Dict[str, Tuple[int, ...]] = {}
         self._joints: Dict[str, int] = {}
+        self._balls: List[int] = []
         for index, part in enumerate(parts, start=ROOT):
             self._links[part.link.name] = (*self._links.get(part.link.name, ()), index)
-            if part.joint and part.joint.kind != "fixed":
+            if part.joint and part.joint.kind == "ball":
+                self._balls.append(index)
+                # As the others, held by a motor.
+                free = {"targetPosition": NO_TURN, "positionGain": 0.0, "force": NOWHERE}
+                mode = pybullet.POSITION_CONTROL
+                self._call(pybullet.setJointMotorControlMultiDof, index, mode, **free)
+            elif part.joint and part.joint.kind != "fixed":
                 self._joints[part.joint.name] = index
                 # PyBullet holds every joint still with a motor until told otherwise.
                 self.drive_joint(part.joint.name, 0.0, 0.0)
@@ -117,6 +125,8 @@ class Body:
         self._put(pose, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         for name in self._joints:
             self.set_joint(name, 0.0)
+        for index in self._balls:
+            self._call(pybullet.resetJointStateMultiDof, index, NO_TURN, NOWHERE)
 
     def move(self, pose: Pose, linear: Vector, angular: Vector) -> None:
         """Put the body somewhere in motion; its joints keep their positions and stand still.
@@ -127,6 +137,9 @@ class Body:
         self._put(pose, add(linear, cross(angular, arm)), angular)
         for name in self._joints:
             self.set_joint(name, self.joint_state(name).position)
+        for index in self._balls:
+            turn = pybullet.getJointStateMultiDof(self.unique_id, index, self.client)[0]
+            self._call(pybullet.resetJointStateMultiDof, index, turn, NOWHERE)
 
     def push(self, link: str, force: Vector, torque: Vector, point: Vector) -> None:
         """Push (N, at a point) and turn (N m) a link in the coming step, all in the world."""
