@@ -118,16 +118,6 @@ class FailuresTest(unittest.TestCase):
         self.assert_refused(1, "bad.urdf", robot=self.file("bad.urdf", "<robot name='r'><link"))
         self.assert_refused(1, "bad.urdf", robot=self.file("bad.urdf", "<robot name='r'/>"))
 
-    def test_missing_and_malformed_mesh(self):
-        for uri in ("package://bullet_lab/meshes/nowhere.dae", self.file("bad.dae", "<COLLADA")):
-            link = (
-                '<link name="l"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" '
-                'ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry>'
-                f'<mesh filename="{uri}"/></geometry></collision></link>'
-            )
-            robot = self.file("robot.urdf", f'<robot name="r">{link}</robot>')
-            self.assert_refused(1, Path(uri).name, robot=robot)
-
     def test_malformed_robot_description(self):
         self.addCleanup(self.master.set_parameter, "/robot_description", "")
         for value in ("<robot", 5, [1, 2], {"a": "b"}, True):

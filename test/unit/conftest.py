@@ -1,10 +1,14 @@
+import contextlib
 import csv
+import logging
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bullet_lab.drive.square import Square, open_loop_side
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.urdf import read_urdf_file
@@ -12,6 +16,24 @@ from bullet_lab.simulation.world.urdf import read_urdf_file
 PACKAGE = Path(__file__).resolve().parents[2]
 BLOCK_ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 EMPTY_WORLD = "package://bullet_lab/worlds/empty.world"
+
+
+@contextlib.contextmanager
+def complains(said):
+    """Check that an error is raised or a warning given that says something, in one line."""
+    messages = []
+    handler = logging.Handler()
+    handler.emit = lambda record: messages.append(record.getMessage())
+    logger = logging.getLogger("bullet_lab")
+    logger.addHandler(handler)
+    try:
+        yield
+    except LabError as error:
+        messages.append(str(error))
+    finally:
+        logger.removeHandler(handler)
+    assert [line for line in messages if re.search(said, line)], messages
+    assert not [line for line in messages if "\n" in line]
 
 
 @pytest.fixture(scope="session")

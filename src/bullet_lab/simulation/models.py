@@ -15,12 +15,17 @@ from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
 from bullet_lab.simulation.physics.physics import Body
 from bullet_lab.simulation.plugins import Plugin
-from bullet_lab.simulation.world.description import FrameState, Model, ModelState
+from bullet_lab.simulation.world.description import (
+    SEPARATOR,
+    WORLD_LINK,
+    FrameState,
+    Model,
+    ModelState,
+)
 from bullet_lab.simulation.world.inertia import FARTHEST, FASTEST
 
 # Names of the world's own frame.
 WORLD_FRAMES = ("", "world", "map", "/map")
-SEPARATOR = "::"
 # Of the length of a quaternion from outside, which may have been rounded.
 QUATERNION_TOLERANCE = 1e-3
 
@@ -64,6 +69,8 @@ class ModelInstance:
     def pose(self) -> Pose:
         """Return the pose of the model's frame in the world."""
         root = self.model.root_links()[0]
+        if root.name == WORLD_LINK:
+            return self.frame().pose()
         return self.bodies[root.name].pose() * root.pose.inverse()
 
     def place(self, pose: Pose) -> None:
@@ -108,6 +115,8 @@ class ModelInstance:
     def state(self) -> ModelState:
         """Return where all parts of the model are and how they move."""
         links = {entity.link: entity.state() for entity in link_entities(self)}
+        if WORLD_LINK in self.bodies:
+            links[WORLD_LINK] = FrameState(self.bodies[WORLD_LINK].pose())
         joints = {}
         for body in self.bodies.values():
             for name in body.joint_names:
@@ -141,8 +150,8 @@ class ModelInstance:
     def frame(self, link: str = "") -> AttachedFrame:
         """Return the frame of a link, merged or not, or of the model; raises KeyError."""
         if link not in self._frames:
-            root = self.model.root_links()[0]
-            place = (link,) if link else (root.name, root.pose.inverse())
+            own = self.model.canonical_link()
+            place = (link,) if link else (own.name, own.pose.inverse())
             self._frames[link] = AttachedFrame.of(self.model, self.bodies.values(), *place)
         return self._frames[link]
 
@@ -216,9 +225,8 @@ def find_link(models: Mapping[str, ModelInstance], name: str) -> Entity:
     Raises:
         EntityError: there is none, or there are several.
     """
-    owner, separator, own = name.rpartition(SEPARATOR)
-    scoped = bool(separator) and owner in models
-    candidates, own = ([models[owner]], own) if scoped else (models.values(), name)
+    owner, own = _split(models, name)
+    candidates = [models[owner]] if owner else models.values()
     keepers = [(instance, instance.keeper(own)) for instance in candidates]
     found = [Entity(i, i.frame(own), keeper) for i, keeper in keepers if keeper is not None]
     if not found:
@@ -228,6 +236,19 @@ def find_link(models: Mapping[str, ModelInstance], name: str) -> Entity:
         owners = ", ".join(entity.instance.name for entity in found)
         raise EntityError(f"link [{name}] is ambiguous: {owners} have it; say model::link")
     return found[0]
+
+
+def _split(models: Mapping[str, ModelInstance], name: str) -> Tuple[str, str]:
+    """Return the model that a scoped name begins with, empty for none, and the rest of the name.
+
+    The rest may be scoped itself, by the names of nested models.
+    """
+    parts = name.split(SEPARATOR)
+    for count in range(len(parts) - 1, 0, -1):
+        owner = SEPARATOR.join(parts[:count])
+        if owner in models:
+            return owner, SEPARATOR.join(parts[count:])
+    return "", name
 
 
 def find_entity(models: Mapping[str, ModelInstance], name: str) -> Entity:
@@ -242,13 +263,13 @@ def find_entity(models: Mapping[str, ModelInstance], name: str) -> Entity:
 
 def model_entity(instance: ModelInstance) -> Entity:
     """Return a model's own frame."""
-    return Entity(instance, instance.frame(), instance.model.root_links()[0].name)
+    return Entity(instance, instance.frame(), instance.model.canonical_link().name)
 
 
 def link_entities(instance: ModelInstance) -> List[Entity]:
     """Return the links of a model."""
-    links = instance.model.links
-    return [Entity(instance, instance.frame(link.name), link.name) for link in links]
+    names = [link.name for link in instance.model.links if link.name != WORLD_LINK]
+    return [Entity(instance, instance.frame(name), name) for name in names]
 
 
 def find_joint(models: Mapping[str, ModelInstance], name: str) -> Tuple[ModelInstance, str]:
@@ -259,7 +280,7 @@ def find_joint(models: Mapping[str, ModelInstance], name: str) -> Tuple[ModelIns
     Raises:
         EntityError: none has.
     """
-    owner, _, own = name.rpartition(SEPARATOR)
+    owner, own = _split(models, name)
     for instance in models.values():
         for joint in instance.model.joints:
             if joint.name == name or (joint.name == own and instance.name == owner):

@@ -34,8 +34,10 @@ from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plu
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
 from bullet_lab.simulation.world.description import Model, PluginTag, Snapshot, World
 from bullet_lab.simulation.world.inertia import check_proportions
+from bullet_lab.simulation.world.report import leaving_out
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.soundness import usable
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 __all__ = ["ModelInstance", "Simulation", "SimulationError", "Snapshot", "Timer", "View"]
@@ -77,14 +79,11 @@ class Simulation:
         self._on_failure: Optional[Callable[[str, LabError], None]] = None
         self._spent: DefaultDict[Union[Plugin, Timer], float] = defaultdict(float)
         self.forces = Forces()
-        try:
-            for model in self.world.models:
+        for model in self.world.models:
+            with leaving_out(lambda said: LOG.warning("%s", said)):
                 instance = self.add(model)
                 if model.name in self.world.states:
                     instance.restore(self.world.states[model.name])
-        except LabError:
-            self.close()
-            raise
 
     @classmethod
     def of(cls, world: str, seed: int = 0) -> Simulation:
@@ -148,7 +147,7 @@ class Simulation:
                 the robotNamespace of a plugin.
 
         Raises:
-            LabError: the name is taken, or the model or one of its plugins makes no sense.
+            LabError: the name is taken, or nothing of the model can be simulated.
         """
         name = name or model.name
         if name in self._instances:
@@ -160,15 +159,9 @@ class Simulation:
         check_proportions(model)
         plugins = tuple(_in_namespace(plugin, namespace) for plugin in model.plugins)
         model = replace(model, name=name, pose=pose or model.pose, plugins=plugins)
-        for visual in (visual for link in model.links for visual in link.visuals):
-            # Refuses a mesh that could not be drawn.
-            visual.geometry.bounds()
+        model = usable(model)
         bodies = self._physics.add(model)
-        try:
-            plugins = self._make_plugins(model, bodies, tf_prefix)
-        except LabError:
-            self._physics.remove(bodies)
-            raise
+        plugins = self._make_plugins(model, bodies, tf_prefix)
         instance = ModelInstance(model, bodies, plugins)
         self._instances[name] = instance
         for body in bodies.values():
@@ -300,10 +293,14 @@ class Simulation:
         for tag in model.plugins:
             space = tag.tags.get("robotNamespace", "")
             prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
-            plugin = make_plugin(Mount(model, bodies, tag, *common, prefix, *draws))
+            what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
+            try:
+                plugin = make_plugin(Mount(model, bodies, tag, *common, prefix, *draws))
+            except LabError as error:
+                LOG.warning("%s is left out: %s", what, error)
+                continue
             if plugin is None:
                 known = ", ".join(known_plugins())
-                what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
                 LOG.warning("%s is not simulated and skipped; known are %s", what, known)
                 continue
             plugin.reset(self.step)

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import BLOCK_ROBOT, EMPTY_WORLD
+from conftest import BLOCK_ROBOT, EMPTY_WORLD, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import ScheduleError
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.engine import pybullet
-from bullet_lab.simulation.physics.physics import PhysicsError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation, SimulationError, View, take_picture
 from bullet_lab.simulation.world.description import (
@@ -26,7 +25,6 @@ from bullet_lab.simulation.world.description import (
     Visual,
     World,
 )
-from bullet_lab.simulation.world.meshes import MeshError
 
 UNIT = Inertia(1.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3))
 CUBE = Box((0.2, 0.2, 0.2))
@@ -191,19 +189,26 @@ def test_impossible_poses_leave_the_simulation_unharmed(world, robot, pose, mess
     assert robot.pose().position[0] == pytest.approx(0.19, abs=1e-3)
 
 
-def test_half_a_model_does_not_stay(world, tmp_path):
+def test_what_is_not_usable_of_a_model_is_left_out(world, tmp_path):
     (tmp_path / "bad.stl").write_text("nonsense")
     bad = Mesh(tmp_path / "bad.stl", "bad.stl")
     good, weightless = thing().links[0], Link("other")
+    below = Link("below", inertia=UNIT)
     invisible = Link("other", inertia=UNIT, visuals=(Visual(bad),))
     broken = Link("other", inertia=UNIT, collisions=(Collision(bad),))
+    for second in (invisible, broken):
+        with complains("^model 'm': link 'other': .*bad.stl: .*; it is left out$"):
+            made = world.add(Model("m", (good, second))).model
+        assert (made.links[1].visuals, made.links[1].collisions) == ((), ())
+        world.remove("m")
+    joint = Joint("j", "revolute", "other", "below")
+    with complains("link 'other' moves and has no mass; it is left out, and with it below$"):
+        made = world.add(Model("m", (good, weightless, below), (joint,))).model
+    assert (made.links, made.joints) == ((good,), ())
     count = bodies(world)
-    for second, error in ((weightless, PhysicsError), (invisible, MeshError), (broken, MeshError)):
-        with pytest.raises(error):
-            world.add(Model("m", (good, second)))
-        assert bodies(world) == count
-    with pytest.raises(PhysicsError, match="^model 'm': link 'other' moves and has no mass$"):
-        world.add(Model("m", (good, weightless)))
+    with pytest.raises(LabError, match="^model 'n': link 'other' moves and has no mass$"):
+        world.add(Model("n", (weightless,)))
+    assert bodies(world) == count
 
 
 def test_unknown_plugins_are_named_once_and_skipped(world, caplog):
@@ -217,11 +222,11 @@ def test_unknown_plugins_are_named_once_and_skipped(world, caplog):
     assert len(robot.plugins) == 1
 
 
-def test_planar_move_on_what_cannot_move_is_refused(world):
+def test_planar_move_on_what_cannot_move_is_left_out(world):
     plugin = PluginTag("libgazebo_ros_planar_move.so", "move", {})
-    with pytest.raises(LabError, match="model 'cube': planar_move on what cannot move"):
+    with complains("model 'cube': planar_move on what cannot move"):
         world.add(thing(plugins=(plugin,), static=True))
-    assert "cube" not in world.models
+    assert world.models["cube"].plugins == ()
 
 
 def test_timers(world):
@@ -299,12 +304,10 @@ def test_nothing_is_left_after_close(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_world_that_cannot_be_loaded_leaves_no_client(tmp_path):
+def test_a_model_that_cannot_be_leaves_the_rest_of_its_world():
     good, bad = thing(), thing("bad", inertia=None)
-    before = [n for n in range(20) if pybullet.isConnected(n)]
-    with pytest.raises(PhysicsError):
-        Simulation(World("w", (good, bad)))
-    assert [n for n in range(20) if pybullet.isConnected(n)] == before
+    with complains("model 'bad'"), Simulation(World("w", (good, bad))) as simulation:
+        assert list(simulation.models) == ["cube"]
 
 
 def test_files_that_the_user_names(tmp_path):

@@ -8,11 +8,11 @@ ones are made once.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from bullet_lab.core.native_output import hidden_native_output
-from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.pose import Pose, Vector, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
 from bullet_lab.simulation.physics.surfaces import Surface, axle_of, by_surface, on_treads
@@ -55,6 +55,9 @@ NO_MEASURES = {
 }
 # Around convex meshes, in m, instead of Bullet's 1 mm. Without one, most rays go through them.
 SKIN = 1e-4
+ORIGIN: Vector = (0.0, 0.0, 0.0)
+# What carries no shapes: none, PyBullet's id of none, and a surface.
+EMPTY = ((), NONE, Surface())
 HELPER_JOINT = Joint("", "fixed", "", "")
 # Bullet's collision group and mask of what never moves: it touches all but its like.
 STATIC_FILTER = (2, ~2)
@@ -65,7 +68,8 @@ class Part:
     """What is one link to PyBullet: a link of the description, or a helper fixed to one.
 
     It hangs on `joint`, None for the root; `parent` is its parent's place in the list of parts,
-    and `shape` PyBullet's id of the `shapes` that it carries, which share a `surface`.
+    and `shape` PyBullet's id of the `shapes` that it carries, which share a `surface`. PyBullet has
+    its joint in its origin, which is at the place `origin` (m) in the frame of the link.
     """
 
     link: Link
@@ -74,6 +78,7 @@ class Part:
     shapes: Tuple[Collision, ...] = ()
     shape: int = NONE
     surface: Surface = Surface()
+    origin: Vector = (0.0, 0.0, 0.0)
 
     def mass_properties(self) -> Tuple[float, Vector, Pose]:
         """Return mass in kg, principal moments in kg m², and the pose of the principal frame."""
@@ -120,9 +125,10 @@ class BodyMaker:
         parts, helpers = [], []
         for place, link in enumerate(links):
             joint = above.get(link.name)
-            first, *more = self._shapes(link, axle_of(joint), static) or [((), NONE)]
-            parts.append(Part(link, joint, places[joint.parent] if joint else ROOT, *first))
-            helpers += [Part(link, HELPER_JOINT, place, *group) for group in more]
+            origin, parent = (joint.anchor, places[joint.parent]) if joint else (ORIGIN, ROOT)
+            first, *more = self._shapes(link, axle_of(joint), static, origin) or [EMPTY]
+            parts.append(Part(link, joint, parent, *first, origin))
+            helpers += [Part(link, HELPER_JOINT, place, *group, origin) for group in more]
         return parts + helpers
 
     def _make(self, parts: Sequence[Part], static: bool, pose: Pose) -> int:
@@ -136,9 +142,12 @@ class BodyMaker:
             linkMasses=[mass for mass, _, _ in masses],
             linkCollisionShapeIndices=[part.shape for part in parts[1:]],
             linkVisualShapeIndices=[NONE for _ in masses],
-            linkPositions=[joint.pose.position for joint in joints],
+            linkPositions=[_joint_place(part, parts) for part in parts[1:]],
             linkOrientations=[joint.pose.quaternion for joint in joints],
-            linkInertialFramePositions=[centre.position for _, _, centre in masses],
+            linkInertialFramePositions=[
+                subtract(centre.position, part.origin)
+                for part, (_, _, centre) in zip(parts[1:], masses)
+            ],
             linkInertialFrameOrientations=[centre.quaternion for _, _, centre in masses],
             linkParentIndices=[part.parent for part in parts[1:]],
             linkJointTypes=[JOINT_TYPES[joint.kind] for joint in joints],
@@ -161,9 +170,12 @@ class BodyMaker:
         pybullet.changeDynamics(body, index, physicsClientId=self._client, **properties)
 
     def _shapes(
-        self, link: Link, axle: Optional[Vector], static: bool
+        self, link: Link, axle: Optional[Vector], static: bool, origin: Vector
     ) -> List[Tuple[Tuple[Collision, ...], int, Surface]]:
-        """Return the shapes of a link as PyBullet takes them in one call, with its ids of them."""
+        """Return the shapes of a link as PyBullet takes them in one call, with its ids of them.
+
+        PyBullet's origin of the link is at a place (m) in its frame.
+        """
         groups: List[Tuple[List[Collision], Surface]] = []
         for surface, shapes in by_surface(link.collisions, axle):
             simple = [shape for shape in shapes if not isinstance(shape.geometry, Mesh)]
@@ -173,13 +185,15 @@ class BodyMaker:
         return [
             (tuple(group), made, surface)
             for group, surface in groups
-            for made in self._once(group, axle, static)
+            for made in self._once(group, axle, static, origin)
         ]
 
-    def _once(self, group: Sequence[Collision], axle: Optional[Vector], static: bool) -> List[int]:
+    def _once(
+        self, group: Sequence[Collision], axle: Optional[Vector], static: bool, origin: Vector
+    ) -> List[int]:
         """Return PyBullet's ids of a group of shapes, or of the pieces of a mesh."""
-        mesh, pose = group[0].geometry, group[0].pose
-        shapes = on_treads(group, axle)
+        shapes = [replace(s, pose=_moved(s.pose, origin)) for s in on_treads(group, axle)]
+        mesh, pose = group[0].geometry, shapes[0].pose
         key: Hashable = tuple((shape.geometry, shape.pose) for shape in shapes)
         if isinstance(mesh, Mesh):
             key = (key, file_version(mesh), static)
@@ -214,6 +228,19 @@ class BodyMaker:
         self._change(body, ROOT, collisionMargin=0.0 if hollow else SKIN)
         pybullet.removeBody(body, self._client)
         return shape
+
+
+def _moved(pose: Pose, origin: Vector) -> Pose:
+    """Return a pose in a link's frame as PyBullet has it, whose origin is elsewhere."""
+    return pose if not any(origin) else Pose(subtract(pose.position, origin), pose.quaternion)
+
+
+def _joint_place(part: Part, parts: Sequence[Part]) -> Vector:
+    """Return the place (m) of a part's joint from PyBullet's origin of its parent."""
+    if part.joint is HELPER_JOINT:
+        return ORIGIN
+    at = part.joint.pose * Pose(part.origin) if any(part.origin) else part.joint.pose
+    return subtract(at.position, parts[part.parent].origin)
 
 
 # Where a joint that is limited on one side ends on the other, as in SDF.

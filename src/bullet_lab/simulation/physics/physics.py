@@ -249,10 +249,11 @@ class Physics:
                 names = top_down(root.name, model.joints)
                 links = [by_name[name] for name in names]
                 joints = [joint for joint in model.joints if joint.parent in names]
-                if model.static:
-                    # Without a centre of mass, the body's frame is that of its root link.
-                    links = [replace(link, inertia=None) for link in links]
-                for link in () if model.static else links:
+                # Without a mass, a body's root never moves; without a centre of mass, the body's
+                # frame is that of its root link.
+                held = len(links) if model.static else int(root.anchored)
+                links[:held] = [replace(link, inertia=None) for link in links[:held]]
+                for link in links[held:]:
                     if link.inertia is None or link.inertia.mass == 0.0:
                         raise PhysicsError(f"link '{link.name}' moves and has no mass")
                 place = model.pose * root.pose

@@ -10,6 +10,7 @@ this package in `plugins/__init__.py`.
 
 from __future__ import annotations
 
+import logging
 import warnings
 from dataclasses import dataclass, field
 from typing import Any, Callable, ClassVar, Dict, List, Mapping, Optional, Set, Tuple, Type
@@ -25,6 +26,8 @@ from bullet_lab.simulation.physics.physics import Body
 from bullet_lab.simulation.rendering.renderer import Renderer
 from bullet_lab.simulation.world.description import Model, PluginTag
 from bullet_lab.simulation.world.xml import ElementReader, TagReader
+
+LOG = logging.getLogger(__name__)
 
 
 class StepNoise:
@@ -77,8 +80,12 @@ class Mount(TagReader):
 
     @property
     def body(self) -> Body:
-        """The body of the model's first link."""
-        return self.bodies[self.model.root_links()[0].name]
+        """The body of the model's first link, or of that of the nested model that it is in."""
+        scope = self.plugin.scope
+        if not scope:
+            return self.bodies[self.model.root_links()[0].name]
+        first = next(link.name for link in self.model.links if link.name.startswith(scope))
+        return AttachedFrame.of(self.model, self.bodies.values(), first).body
 
     def text(self, key: str, default: str = "") -> str:
         self._read.add(key)
@@ -98,6 +105,9 @@ class Mount(TagReader):
     def offset(self) -> Pose:
         """Return the pose in the tags xyzOffset (m) and rpyOffset (rad); raises XmlError."""
         return Pose.from_rpy(self.vector("xyzOffset"), self.vector("rpyOffset"))
+
+    def doubt(self, error: LabError) -> None:
+        LOG.warning("%s; the default counts", error)
 
     def unread_tags(self) -> Tuple[str, ...]:
         """Return the tags of the plugin that nobody has asked for, but those that mean nothing."""
@@ -126,10 +136,17 @@ class Mount(TagReader):
             return name.lstrip("/")
         return f"{self.tf_prefix.strip('/')}/{name}"
 
+    def scoped(self, name: str) -> str:
+        """Return the full name of a link or joint; in a nested model, its own come first."""
+        parts = (*self.model.links_by_name(), *self.model.frames)
+        names = {*parts, *(joint.name for joint in self.model.joints)}
+        full = self.plugin.scope + name
+        return full if full in names else name
+
     def attached(self, link: str, offset: Pose = ORIGIN) -> AttachedFrame:
         """Return a frame that is fixed to a link; as `AttachedFrame.of`, but with PluginError."""
         try:
-            return AttachedFrame.of(self.model, self.bodies.values(), link, offset)
+            return AttachedFrame.of(self.model, self.bodies.values(), self.scoped(link), offset)
         except KeyError:
             where = f"model '{self.model.name}': plugin '{self.plugin.name}'"
             raise PluginError(f"{where}: no link '{link}'") from None
@@ -142,7 +159,8 @@ def _schedule(tags: TagReader, key: str, default: float) -> Schedule:
     try:
         return Schedule(tags.number(key, default))
     except ScheduleError as error:
-        raise PluginError(f"{tags.where(key)}: {error}") from error
+        tags.doubt(PluginError(f"{tags.where(key)}: {error}"))
+        return Schedule(default)
 
 
 def slower_of(one: Schedule, other: Schedule) -> Schedule:
@@ -172,13 +190,18 @@ class SensorTag(ElementReader):
     def count(self, path: str, default: int, most: int) -> int:
         """Return the whole number from 1 to `most` in a tag; raises LabError."""
         value = self.number(path, default)
-        if value != int(value) or not 1 <= value <= most:
-            raise PluginError(f"{self.where(path)}: {value:g} is no whole number in 1 … {most}")
-        return int(value)
+        if value == int(value) and 1 <= value <= most:
+            return int(value)
+        said = f"{self.where(path)}: {value:g} is no whole number in 1 … {most}"
+        self.doubt(PluginError(said))
+        return default
+
+    def doubt(self, error: LabError) -> None:  # noqa: D102
+        self._mount.doubt(error)
 
     def place(self, offset: Pose = ORIGIN) -> AttachedFrame:
         """Return a frame at an offset from the sensor, fixed to its link; raises LabError."""
-        link = self._mount.plugin.link or self._mount.model.root_links()[0].name
+        link = self._mount.plugin.link or self._mount.model.canonical_link().name
         return self._mount.attached(link, self.pose() * offset)
 
     def schedule(self) -> Schedule:

@@ -105,10 +105,11 @@ class RayScan:
 
 def _angles(tag: SensorTag, path: str) -> Angles:
     samples = tag.count(f"{path}/samples", 1, MOST_RAYS)
-    resolution = tag.number(f"{path}/resolution", 1.0)
-    number = round(samples * resolution)
-    if not 1 <= number <= MOST_RAYS:
-        raise PluginError(f"{tag.where(f'{path}/resolution')}: {resolution:g} leaves {number} rays")
+    resolution = tag.positive(f"{path}/resolution", 1.0)
+    # As in Gazebo, one is left at least.
+    number = max(1, round(samples * resolution))
+    if number > MOST_RAYS:
+        raise PluginError(f"{tag.where(f'{path}/resolution')}: {resolution:g} makes {number} rays")
     least = tag.number(f"{path}/min_angle", 0.0)
     greatest = tag.number(f"{path}/max_angle", 0.0)
     if greatest < least:

@@ -128,7 +128,7 @@ def base_velocity(body: Body, pose: Pose) -> PlanarCommand:
 
 def wheel_joint(mount: Mount, tag: str, default: str) -> Joint:
     """Return the joint that a tag names; raises PluginError where no wheel can turn on it."""
-    name = mount.text(tag, default)
+    name = mount.scoped(mount.text(tag, default))
     joints = {joint.name: joint for joint in mount.model.joints}
     if name not in mount.body.joint_names:
         raise PluginError(f"{mount.where(tag)}: no movable joint '{name}'")

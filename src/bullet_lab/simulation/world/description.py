@@ -21,6 +21,10 @@ Geometry = Union[Box, Cylinder, Sphere, Plane, Mesh]
 Colour = Tuple[float, float, float, float]
 
 WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
+# The link that joints to the world hang on; no document has one of its own with this name.
+WORLD_LINK = "world"
+# Between the names of a model and of what is in it.
+SEPARATOR = "::"
 BLACK: Colour = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -129,7 +133,7 @@ class Link:
     """A rigid part; `pose` is in the model's frame with all joints at zero.
 
     `self_collide` says whether it touches other links of its model; neighbours in the tree of
-    joints never touch.
+    joints never touch. One that is `anchored` is fixed to the world.
     """
 
     name: str
@@ -138,11 +142,15 @@ class Link:
     visuals: Tuple[Visual, ...] = ()
     collisions: Tuple[Collision, ...] = ()
     self_collide: bool = False
+    anchored: bool = False
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint; `pose` of the child's frame in the parent's, `axis` in the child's frame."""
+    """A joint; `pose` of the child's frame in the parent's, `axis` in the child's frame.
+
+    The axis goes through the place `anchor` (m) in the child's frame.
+    """
 
     name: str
     kind: str
@@ -153,6 +161,7 @@ class Joint:
     limits: Mapping[str, float] = field(default_factory=dict)
     damping: float = 0.0
     friction: float = 0.0
+    anchor: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -160,7 +169,8 @@ class PluginTag:
     """A `<plugin>` tag; `link` names the link that it refers to, if any.
 
     `tags` holds the text of each child by tag name; `sensor` is the `<sensor>` element around
-    the plugin, if there is one. `element` is the tag itself, as it was read.
+    the plugin, if there is one. `element` is the tag itself, as it was read. `scope` stands before
+    the names of links and joints that its tags say: that of the nested model it is in, with `::`.
     """
 
     filename: str
@@ -169,6 +179,7 @@ class PluginTag:
     link: str = ""
     sensor: Optional[Element] = None
     element: Optional[Element] = field(default=None, compare=False, repr=False)
+    scope: str = ""
 
 
 @dataclass(frozen=True)
@@ -191,6 +202,15 @@ class Model:
         """Return the links that are no joint's child."""
         children = {joint.child for joint in self.joints}
         return tuple(link for link in self.links if link.name not in children)
+
+    def canonical_link(self) -> Link:
+        """Return the link whose motion is the model's: its first root, or what hangs there."""
+        root = self.root_links()[0]
+        # The world's own link is the last of all.
+        if root.name != WORLD_LINK:
+            return root
+        hanging = {joint.child for joint in self.joints if joint.parent == WORLD_LINK}
+        return next(link for link in self.links if link.name in hanging)
 
     def links_by_name(self) -> Dict[str, Link]:
         """Return the links by their names."""

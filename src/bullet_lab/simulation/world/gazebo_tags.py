@@ -7,12 +7,13 @@ each by name.
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Dict, Iterable, Iterator
 from xml.etree.ElementTree import Element
 
 from bullet_lab.simulation.world.description import WHITE, Link, PluginTag
 from bullet_lab.simulation.world.materials import MaterialLibrary
-from bullet_lab.simulation.world.report import ReportOnce
+from bullet_lab.simulation.world.report import ReportOnce, leaving_out
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.xml import TagReader, child_text
 
@@ -59,11 +60,9 @@ class _LinkTag(TagReader):
 class GazeboTags:
     """The `<gazebo>` elements of a URDF document: what Gazebo is told of its links.
 
-    References to nothing but the names of links and joints in `references` are reported, too.
-    `materials` knows what the names of materials mean, and `finder` where their scripts are.
-
-    Raises:
-        XmlError: a tag that is simulated makes no sense.
+    References to nothing but the names of links and joints in `references` are reported, too, and
+    tags that make no sense. `static` is what is said of the whole robot. `materials` knows what
+    the names of materials mean, and `finder` where their scripts are.
     """
 
     def __init__(
@@ -78,16 +77,21 @@ class GazeboTags:
         self._report = ReportOnce()
         # By link: fields of its collisions, and its `look` and `self_collide`.
         self._told: Dict[str, Dict[str, Any]] = {}
+        self.static = False
         known = set(references)
         for element in elements:
             name = element.get("reference")
             if name is None:
-                self._report_unknown(element, frozenset())
+                for child in element.findall("static"):
+                    with leaving_out(self._report):
+                        self.static = self._tag(child, "robot").boolean("value", False)
+                self._report_unknown(element, frozenset(("static",)))
                 continue
             if name not in known:
                 self._report(f"<gazebo reference='{name}'>: there is no such link or joint")
             for child in element:
-                self._read(child, self._told.setdefault(name, {}), name)
+                with leaving_out(self._report):
+                    self._read(child, self._told.setdefault(name, {}), name)
             self._report_unknown(element, LINK_TAGS)
 
     def apply(self, link: Link) -> Link:
@@ -108,9 +112,12 @@ class GazeboTags:
             link = replace(link, visuals=tuple(painted))
         return replace(link, collisions=tuple(replace(c, **told) for c in link.collisions))
 
+    def _tag(self, child: Element, part: str) -> _LinkTag:
+        return _LinkTag(child, f"{self._source}: <{child.tag}> of '{part}'")
+
     def _read(self, child: Element, told: Dict[str, Any], link: str) -> None:
-        where = f"{self._source}: <{child.tag}> of '{link}'"
-        tag = _LinkTag(child, where)
+        tag = self._tag(child, link)
+        where = tag.where("value")
         if child.tag in COEFFICIENTS:
             told[COEFFICIENTS[child.tag]] = tag.coefficient("value", 0.0)
         elif child.tag == "fdir1":
@@ -146,7 +153,7 @@ SDF_READ = {
     "collision": {"geometry", "pose", "surface"},
     "joint": {"parent", "child", "pose", "axis", "axis2"},
     "surface": {"friction", "contact"},
-    "physics": set(),
+    "physics": {"gravity"},
 }
 # What Gazebo writes into every world that it saves, or what changes nothing that can be seen here.
 SDF_QUIET = {
@@ -176,6 +183,10 @@ SDF_AS_IT_IS = {
 }
 
 
+# Plugins of worlds and of the server that give Gazebo its ROS interface, which the bridge has.
+SERVER_PLUGINS = ("libgazebo_ros_api_plugin", "libgazebo_ros_paths_plugin", "libgazebo_ros")
+
+
 def report_unknown(element: Element, source: str, report: ReportOnce) -> None:
     """Warn of each kind of tag in an <sdf> that is not simulated; `source` names the document."""
     read, quiet = SDF_READ[element.tag], SDF_QUIET.get(element.tag, ())
@@ -190,6 +201,8 @@ def report_unknown(element: Element, source: str, report: ReportOnce) -> None:
 
 
 def _asks_for_something(element: Element) -> bool:
+    if element.tag == "plugin" and Path(element.get("filename", "")).stem in SERVER_PLUGINS:
+        return False
     if element.tag == "bounce":
         return child_text(element, "restitution_coefficient", "0") not in ("0", "0.0")
     return (element.text or "").strip() not in SDF_AS_IT_IS.get(element.tag, ())

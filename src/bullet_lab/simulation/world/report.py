@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-from typing import Set
+from typing import Callable, Iterator, Set
+
+from bullet_lab.errors import LabError
 
 LOG = logging.getLogger(__name__)
 
@@ -19,3 +22,12 @@ class ReportOnce:
         if message not in self._given:
             self._given.add(message)
             LOG.warning("%s", message)
+
+
+@contextlib.contextmanager
+def leaving_out(report: Callable[[str], None]) -> Iterator[None]:
+    """Report what is wrong with a part, and go on without it."""
+    try:
+        yield
+    except LabError as error:
+        report(f"{error}; it is left out")

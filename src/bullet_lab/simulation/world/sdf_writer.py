@@ -16,6 +16,8 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.world.description import (
+    SEPARATOR,
+    WORLD_LINK,
     Collision,
     Joint,
     Light,
@@ -23,6 +25,7 @@ from bullet_lab.simulation.world.description import (
     Material,
     Mesh,
     Model,
+    ModelState,
     PluginTag,
     Snapshot,
     Visual,
@@ -37,6 +40,8 @@ INDENT = "  "
 # Where a joint that is limited on one side ends on the other, as SDF has it.
 FAR = 1e16
 NAMESPACE = "robotNamespace"
+# What joints to the world are called, after the link that they hold.
+ANCHOR = "_to_world"
 
 
 def world_text(snapshot: Snapshot, folder: Path) -> Tuple[str, List[str]]:
@@ -56,7 +61,7 @@ def world_text(snapshot: Snapshot, folder: Path) -> Tuple[str, List[str]]:
         _add(world, "light", _light(light), name=light.name, type=light.kind)
     uris = _Uris(folder)
     for model, state in snapshot.models:
-        _add_model(world, model, state.pose, uris)
+        _add_model(world, model, _built_at(state), uris)
     _add_state(world, snapshot)
     _indent(sdf)
     text = tostring(sdf, encoding="unicode")
@@ -123,17 +128,36 @@ class _Uris:
             return path.as_uri()
 
 
+def _built_at(state: ModelState) -> Pose:
+    """Return where a model is built: where its joints to the world are, if there are any."""
+    return state.links[WORLD_LINK].pose if WORLD_LINK in state.links else state.pose
+
+
 def _add_model(parent: Element, model: Model, pose: Pose, uris: _Uris) -> None:
     element = _add(parent, "model", {"pose": pose, "static": model.static}, name=model.name)
     for name, (link, place) in model.frames.items():
         _add(_add(element, "frame", {}, name=name), "pose", place, frame=link)
-    for link in model.links:
+    for link in (link for link in model.links if link.name != WORLD_LINK):
         _add_link(element, link, model, uris)
+        if link.anchored:
+            ends = {"parent": WORLD_LINK, "child": link.name}
+            _add(element, "joint", ends, name=f"{link.name}{ANCHOR}", type="fixed")
     for joint in model.joints:
         # SDF has no continuous joints: they are revolute ones without limits.
         kind = "revolute" if joint.kind == "continuous" else joint.kind
         _add(element, "joint", _joint(joint), name=joint.name, type=kind)
-    element.extend(plugin_element(plugin) for plugin in model.plugins if plugin.sensor is None)
+    scopes: Dict[str, Element] = {"": element}
+    for plugin in (plugin for plugin in model.plugins if plugin.sensor is None):
+        _in_scope(scopes, plugin.scope).append(plugin_element(plugin))
+
+
+def _in_scope(scopes: Dict[str, Element], scope: str) -> Element:
+    """Return the element of a nested model, which holds plugins alone: all else is named fully."""
+    if scope not in scopes:
+        outer, _, name = scope[: -len(SEPARATOR)].rpartition(SEPARATOR)
+        within = _in_scope(scopes, outer + SEPARATOR if outer else "")
+        scopes[scope] = _add(within, "model", {}, name=name)
+    return scopes[scope]
 
 
 def _add_link(parent: Element, link: Link, model: Model, uris: _Uris) -> None:
@@ -218,7 +242,8 @@ def _joint(joint: Joint) -> Dict[str, Any]:
         "limit": {key: value for key, value in limits.items() if key in known},
         "dynamics": {"damping": joint.damping, "friction": joint.friction},
     }
-    return {"parent": joint.parent, "child": joint.child, "axis": axis}
+    place = {"pose": Pose(joint.anchor)} if any(joint.anchor) else {}
+    return {**place, "parent": joint.parent, "child": joint.child, "axis": axis}
 
 
 def plugin_element(plugin: PluginTag) -> Element:
@@ -243,7 +268,7 @@ def _sensors(link: Link, model: Model) -> Iterator[Element]:
     """Yield the sensors of a link, and those of the links that were merged into it."""
     written: Set[int] = set()
     for plugin in model.plugins:
-        sensor, holder = plugin.sensor, plugin.link or model.root_links()[0].name
+        sensor, holder = plugin.sensor, plugin.link or model.canonical_link().name
         keeper = model.frames[holder][0] if holder in model.frames else holder
         if sensor is None or keeper != link.name or id(sensor) in written:
             continue
@@ -300,9 +325,11 @@ def _add_state(world: Element, snapshot: Snapshot) -> None:
         # What never moves stands where its model says.
         if model.static:
             continue
-        child = _add(element, "model", {"pose": state.pose}, name=model.name)
+        child = _add(element, "model", {"pose": _built_at(state)}, name=model.name)
         for name, (position, _) in state.joints.items():
             _add(_add(child, "joint", {}, name=name), "angle", position, axis="0")
         for name, link in state.links.items():
+            if name == WORLD_LINK:
+                continue
             velocity = (*link.linear, *link.angular)
             _add(child, "link", {"pose": link.pose, "velocity": velocity}, name=name)

@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from typing import Dict, Iterable, List, Sequence, Tuple, Type
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.world.description import Collision, Joint, Link, Model
+from bullet_lab.simulation.world.description import WORLD_LINK, Collision, Joint, Link, Model
 from bullet_lab.simulation.world.inertia import combine
 from bullet_lab.simulation.world.xml import XmlError
+
+LOG = logging.getLogger(__name__)
 
 
 class TreeError(XmlError):
     """Links and joints do not make one tree."""
 
 
-def check_tree(links: Tuple[Link, ...], joints: Tuple[Joint, ...], source: str) -> None:
-    """Refuse several roots, and what `check_forest` refuses, with TreeError."""
-    roots = check_forest(links, joints, source)
-    if len(roots) > 1:
-        raise TreeError(f"{source}: several roots: {', '.join(roots)}")
+def check_tree(links: Sequence[Link], joints: Sequence[Joint], source: str) -> None:
+    """Refuse with TreeError what is not one tree of links with names of their own.
 
-
-def check_forest(links: Sequence[Link], joints: Sequence[Joint], source: str) -> Tuple[str, ...]:
-    """Refuse what is not made of trees of links with names of their own; return the roots.
-
-    Raises:
-        TreeError: no link, a name twice, a joint's end missing, a link with two parents, or a
-            loop.
+    That is no link, a name twice, a joint's end missing, a link with two parents, or a loop.
     """
-    if not links:
-        raise TreeError(f"{source}: there is no link")
     refuse_repeats((link.name for link in links), "link", source)
     refuse_repeats((joint.name for joint in joints), "joint", source)
     refuse_repeats((joint.child for joint in joints), "child link", source)
@@ -39,12 +31,92 @@ def check_forest(links: Sequence[Link], joints: Sequence[Joint], source: str) ->
         for end in (joint.parent, joint.child):
             if end not in names:
                 raise TreeError(f"{source}: joint '{joint.name}' names no link '{end}'")
-    roots = tuple(sorted(names - {joint.child for joint in joints}))
+    roots = sorted(names - {joint.child for joint in joints})
     # Each link has one parent at most: what no root reaches hangs on a loop.
     unreached = names.difference(*(top_down(root, joints) for root in roots))
     if unreached:
         raise TreeError(f"{source}: a loop of joints at {', '.join(sorted(unreached))}")
-    return roots
+    if len(roots) > 1:
+        raise TreeError(f"{source}: several roots: {', '.join(roots)}")
+    if not links:
+        raise TreeError(f"{source}: there is no link")
+
+
+def rooted(
+    links: Sequence[Link], joints: Sequence[Joint], source: str
+) -> Tuple[Tuple[Link, ...], Tuple[Joint, ...]]:
+    """Return links and joints as trees, whose joints lead away from their roots.
+
+    What is fixed to the world becomes an anchored root; what other joints hang on the world hangs
+    on an anchored link of the name WORLD_LINK. A joint that leads to a root is turned round. One
+    that closes a loop is left out with a warning, since the engine knows trees only.
+    """
+    names = [WORLD_LINK, *(link.name for link in links)]
+    held = [WORLD_LINK, *(link.name for link in links if link.anchored)]
+    kept = _without_loops(names, held, joints, source)
+    ends: Dict[str, List[Joint]] = {name: [] for name in names}
+    for joint in kept:
+        ends[joint.parent].append(joint)
+        ends[joint.child].append(joint)
+    children = {joint.child for joint in kept}
+    away: Dict[str, Joint] = {}
+    reached = set(held)
+    # Whatever hangs on no joint comes before what a joint would have to be turned round for.
+    for start in (*held, *(name for name in names if name not in children), *names):
+        queue = [start] if start in held or start not in reached else []
+        for name in queue:
+            reached.add(name)
+            for joint in (joint for joint in ends[name] if joint.name not in away):
+                away[joint.name] = joint if joint.parent == name else _turned(joint)
+                queue.append(away[joint.name].child)
+    return _anchored(links, [away[joint.name] for joint in kept])
+
+
+def _without_loops(
+    names: Iterable[str], held: Sequence[str], joints: Iterable[Joint], source: str
+) -> List[Joint]:
+    """Return joints without those that close a loop; what is `held` is joined already."""
+    group = {name: {name} for name in names}
+    for name in held:
+        group[name] = group[held[0]]
+    group[held[0]].update(held)
+    kept = []
+    for joint in joints:
+        one, other = group[joint.parent], group[joint.child]
+        if one is other:
+            LOG.warning("%s: joint '%s' closes a loop and is left out", source, joint.name)
+            continue
+        kept.append(joint)
+        one |= other
+        for name in other:
+            group[name] = one
+    return kept
+
+
+def _turned(joint: Joint) -> Joint:
+    """Return the same joint with parent and child changed round, which has the same positions."""
+    x, y, z = joint.pose.rotate(joint.axis)
+    return replace(
+        joint,
+        parent=joint.child,
+        child=joint.parent,
+        pose=joint.pose.inverse(),
+        axis=(-x, -y, -z),
+        anchor=(joint.pose * Pose(joint.anchor)).position,
+    )
+
+
+def _anchored(
+    links: Sequence[Link], joints: Sequence[Joint]
+) -> Tuple[Tuple[Link, ...], Tuple[Joint, ...]]:
+    """Return links and joints with those links anchored that are fixed to the world."""
+    to_world = {joint.child: joint.kind for joint in joints if joint.parent == WORLD_LINK}
+    fixed = {name for name, kind in to_world.items() if kind == "fixed"}
+    found = [replace(link, anchored=link.anchored or link.name in fixed) for link in links]
+    if len(fixed) < len(to_world):
+        found.append(Link(WORLD_LINK, anchored=True))
+    kept = (j for j in joints if j.parent != WORLD_LINK or j.child not in fixed)
+    return tuple(found), tuple(kept)
 
 
 def top_down(root: str, joints: Iterable[Joint]) -> List[str]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 from pathlib import Path
-from typing import Iterator, Mapping, Optional
+from typing import Any, Callable, Iterator, Mapping, Optional, Tuple
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import (
     WHITE,
+    WORLD_LINK,
     Collision,
     Colour,
     Inertia,
@@ -22,17 +24,22 @@ from bullet_lab.simulation.world.description import (
 from bullet_lab.simulation.world.gazebo_tags import GazeboTags, plugins_in
 from bullet_lab.simulation.world.inertia import INERTIA_KEYS, inertia_at
 from bullet_lab.simulation.world.materials import MaterialLibrary
+from bullet_lab.simulation.world.report import ReportOnce, leaving_out
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import SHAPES, Shape, ShapeTag
-from bullet_lab.simulation.world.tree import check_tree, lump_fixed_joints, place_links
-from bullet_lab.simulation.world.xacro import expand_xacro, is_xacro
-from bullet_lab.simulation.world.xml import (
-    XmlError,
-    parse_text,
-    read_text,
+from bullet_lab.simulation.world.soundness import with_sound_inertias
+from bullet_lab.simulation.world.tree import (
+    check_tree,
+    lump_fixed_joints,
+    place_links,
+    rooted,
 )
+from bullet_lab.simulation.world.xacro import expand_xacro, is_xacro
+from bullet_lab.simulation.world.xml import XmlError, parse_text, read_text
 
 SIMULATED_JOINTS = ("fixed", "revolute", "continuous", "prismatic")
+# Gazebo makes no joint of these: what hangs on them is free.
+LOOSE_JOINTS = ("floating", "planar")
 
 
 class UrdfError(XmlError):
@@ -48,28 +55,33 @@ def read_urdf_file(path: Path, finder: Optional[ResourceFinder] = None) -> Model
 def read_urdf(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
     """Read a robot from URDF text.
 
-    As in Gazebo, what hangs on a fixed joint is merged into its parent link, and
-    `<gazebo>` elements say what the robot can do (`<plugin>`) and how its links rub (`<mu1>`).
-    `source` names the text in messages.
+    As in Gazebo, what hangs on a fixed joint is merged into its parent link, what hangs on a link
+    called "world" is joined to the world, and `<gazebo>` elements say what the robot can do
+    (`<plugin>`) and how its links rub (`<mu1>`). What makes no sense of a link is named and left
+    out. `source` names the text in messages.
 
     Raises:
         XmlError: not XML, or no robot that could exist; the message says what and where.
-        ResourceError: a mesh cannot be found or must not be read.
     """
     root = parse_text(text, source)
     if root.tag != "robot":
         raise UrdfError(f"{source}: the root element is <{root.tag}>, not <robot>")
-    model = _model(_Tag(root, source, finder or ResourceFinder()))
-    return _with_shapes_named(lump_fixed_joints(model, rename=True))
+    tag = _Tag(root, source, finder or ResourceFinder(), ReportOnce())
+    model = lump_fixed_joints(_model(tag), rename=True)
+    return _with_shapes_named(with_sound_inertias(model, source))
 
 
 class _Tag(ShapeTag):
-    """A tag, read by its attributes; `source` names what it stands in in messages."""
+    """A tag, read by its attributes; `source` names what it stands in in messages.
 
-    def __init__(self, element: Element, source: str, finder: ResourceFinder):
+    `report` tells the user what makes no sense in it.
+    """
+
+    def __init__(self, element: Element, source: str, finder: ResourceFinder, report: ReportOnce):
         self.element = element
         self.source = source
         self.finder = finder
+        self.report = report
 
     def text(self, key: str, default: str = "") -> str:
         return self.element.get(key, default)
@@ -77,21 +89,28 @@ class _Tag(ShapeTag):
     def where(self, key: str) -> str:
         return f"{self.source}: {self.element.tag} {key}"
 
+    def doubt(self, error: LabError) -> None:
+        self.report(f"{error}; the default counts")
+
+    def other(self, element: Element, source: str = "") -> _Tag:
+        """Return another element of the same document."""
+        return _Tag(element, source or self.source, self.finder, self.report)
+
     def within(self, tag: str) -> _Tag:
         """Return a tag in it; an empty one if there is none."""
         found = self.element.find(tag)
-        return _Tag(Element(tag) if found is None else found, self.source, self.finder)
+        return self.other(Element(tag) if found is None else found)
 
     def all(self, tag: str) -> Iterator[_Tag]:
         for element in self.element.findall(tag):
-            yield _Tag(element, self.source, self.finder)
+            yield self.other(element)
 
     def named(self) -> _Tag:
         """Return it with its name in messages."""
         kind, name = self.element.tag, self.text("name")
         if not name:
             raise UrdfError(f"{self.source}: a <{kind}> without a name")
-        return _Tag(self.element, f"{self.source}: {kind} '{name}'", self.finder)
+        return self.other(self.element, f"{self.source}: {kind} '{name}'")
 
     def origin(self) -> Pose:
         tag = self.within("origin")
@@ -108,8 +127,12 @@ class _Tag(ShapeTag):
 
 
 def _model(root: _Tag) -> Model:
-    materials = (_Tag(e, root.source, root.finder) for e in root.element.iter("material"))
-    colours = {m.text("name"): _colour(m) for m in materials if m.element.find("color") is not None}
+    """Return a robot with its links as they stand in the document."""
+    colours = {}
+    for material in map(root.other, root.element.iter("material")):
+        with leaving_out(root.report):
+            if material.element.find("color") is not None:
+                colours[material.text("name")] = _colour(material)
     links = tuple(_link(tag.named(), colours) for tag in root.all("link"))
     joints = tuple(_joint(tag.named()) for tag in root.all("joint"))
     check_tree(links, joints, root.source)
@@ -117,22 +140,36 @@ def _model(root: _Tag) -> Model:
     names = [part.name for part in (*links, *joints)]
     tags = GazeboTags(gazebo, names, root.source, MaterialLibrary(), root.finder)
     links = place_links(tuple(map(tags.apply, links)), joints)
+    links, joints = rooted(
+        tuple(link for link in links if link.name != WORLD_LINK),
+        tuple(joint for joint in joints if joint.kind not in LOOSE_JOINTS),
+        root.source,
+    )
     found = (plugins_in(element, element.get("reference", "")) for element in gazebo)
     plugins = tuple(itertools.chain.from_iterable(found))
-    return Model(root.text("name") or "robot", links, joints, plugins)
+    return Model(root.text("name") or "robot", links, joints, plugins, static=tags.static)
 
 
 def _link(tag: _Tag, colours: Mapping[str, Colour]) -> Link:
-    name = tag.text("name")
     return Link(
-        name,
+        tag.text("name"),
         inertia=_inertia(tag),
-        visuals=tuple(_visual(visual, colours) for visual in tag.all("visual")),
-        collisions=tuple(
-            Collision(_geometry(c), c.origin(), name=c.text("name") or name)
-            for c in tag.all("collision")
-        ),
+        visuals=_shapes(tag, "visual", lambda visual: _visual(visual, colours)),
+        collisions=_shapes(tag, "collision", lambda shape: _collision(shape, tag.text("name"))),
     )
+
+
+def _shapes(link: _Tag, kind: str, read: Callable[[_Tag], Any]) -> Tuple[Any, ...]:
+    """Return those visuals or collisions of a link that make sense."""
+    found = []
+    for shape in link.all(kind):
+        with leaving_out(link.report):
+            found.append(read(shape))
+    return tuple(found)
+
+
+def _collision(tag: _Tag, link: str) -> Collision:
+    return Collision(_geometry(tag), tag.origin(), name=tag.text("name") or link)
 
 
 def _visual(tag: _Tag, colours: Mapping[str, Colour]) -> Visual:
@@ -148,11 +185,9 @@ def _inertia(link: _Tag) -> Optional[Inertia]:
     tag = link.within("inertial")
     if link.element.find("inertial") is None:
         return None
-    if tag.element.find("mass") is None or tag.element.find("inertia") is None:
-        raise UrdfError(f"{link.source}: <inertial> needs <mass> and <inertia>")
-    (mass,), moments = tag.within("mass").numbers("value", 1), tag.within("inertia")
+    mass, moments = tag.within("mass").coefficient("value", 0.0), tag.within("inertia")
     elements = [moments.number(key, 0.0) for key in INERTIA_KEYS]
-    return inertia_at(tag.origin(), mass, elements, link.source)
+    return inertia_at(tag.origin(), mass, elements)
 
 
 def _geometry(tag: _Tag) -> Shape:
@@ -163,14 +198,16 @@ def _geometry(tag: _Tag) -> Shape:
     kind = SHAPES.get(shape.tag)
     if kind is None or not kind.in_urdf:
         raise UrdfError(f"{tag.source}: no geometry is called <{shape.tag}>")
-    return kind.read(_Tag(shape, tag.source, tag.finder))
+    return kind.read(tag.other(shape))
 
 
 def _joint(tag: _Tag) -> Joint:
     kind = tag.text("type")
     if kind not in SIMULATED_JOINTS:
-        known = ", ".join(SIMULATED_JOINTS)
-        raise UrdfError(f"{tag.source}: type '{kind}' is not one of {known}")
+        free = kind in LOOSE_JOINTS
+        what = "its child is free" if free else "it holds its links fixed"
+        tag.report(f"{tag.source}: type '{kind}' is not simulated; {what}")
+        kind = kind if free else "fixed"
     limit, dynamics = tag.within("limit"), tag.within("dynamics")
     for end in ("parent", "child"):
         if not tag.within(end).text("link"):

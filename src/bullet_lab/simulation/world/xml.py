@@ -6,7 +6,7 @@ import math
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Optional, Sequence, Tuple, Type
+from typing import Callable, Optional, Sequence, Tuple, Type
 from xml.etree.ElementTree import Element, ParseError
 
 import defusedxml.ElementTree
@@ -99,7 +99,10 @@ def child_text(element: Element, tag: str, default: str = "") -> str:
 
 
 class TagReader:
-    """What a tag says, by the names of what it holds; raises XmlError where that makes no sense."""
+    """What a tag says, by the names of what it holds; raises XmlError where that makes no sense.
+
+    Where there is a default, `doubt` decides whether it counts instead.
+    """
 
     def text(self, key: str, default: str = "") -> str:
         """Return a text, or the default where there is none."""
@@ -109,9 +112,13 @@ class TagReader:
         """Name the place of a text in messages."""
         raise NotImplementedError
 
+    def doubt(self, error: LabError) -> None:
+        """Take note of what makes no sense, and return for its default to count; or raise it."""
+        raise error
+
     def numbers(self, key: str, count: int, default: str = "") -> Tuple[float, ...]:
         """Return `count` finite numbers."""
-        return numbers(self.text(key, default), count, self.where(key))
+        return self._checked(key, count, default, lambda values: "")
 
     def number(self, key: str, default: float) -> float:
         """Return a finite number."""
@@ -119,17 +126,19 @@ class TagReader:
 
     def coefficient(self, key: str, default: float) -> float:
         """Return a number that is not negative."""
-        value = self.number(key, default)
-        if value < 0.0:
-            raise XmlError(f"{self.where(key)}: {value:g} is negative")
-        return value
+
+        def check(values: Tuple[float, ...]) -> str:
+            return f"{values[0]:g} is negative" if values[0] < 0.0 else ""
+
+        return self._checked(key, 1, repr(default), check)[0]
 
     def sizes(self, key: str, count: int, default: str = "") -> Tuple[float, ...]:
         """Return `count` positive numbers."""
-        values = self.numbers(key, count, default)
-        if min(values) <= 0.0:
-            raise XmlError(f"{self.where(key)}: {min(values):g} is not positive")
-        return values
+
+        def check(values: Tuple[float, ...]) -> str:
+            return f"{min(values):g} is not positive" if min(values) <= 0.0 else ""
+
+        return self._checked(key, count, default, check)
 
     def positive(self, key: str, default: float) -> float:
         """Return a positive number."""
@@ -137,33 +146,57 @@ class TagReader:
 
     def scale(self, key: str) -> Vector:
         """Return three factors, all 1 by default; negative ones mirror."""
-        values = self.numbers(key, 3, "1 1 1")
-        if 0.0 in values:
-            raise XmlError(f"{self.where(key)}: a scale of 0 leaves nothing")
-        return values
+
+        def check(values: Tuple[float, ...]) -> str:
+            return "a scale of 0 leaves nothing" if 0.0 in values else ""
+
+        return self._checked(key, 3, "1 1 1", check)
 
     def direction(self, key: str, default: str) -> Vector:
         """Return a unit vector."""
-        values = self.numbers(key, 3, default)
-        length = math.sqrt(sum(value * value for value in values))
-        if length == 0.0:
-            raise XmlError(f"{self.where(key)}: a zero vector has no direction")
-        return tuple(value / length for value in values)
+
+        def check(values: Tuple[float, ...]) -> str:
+            return "" if _length(values) > 0.0 else "a zero vector has no direction"
+
+        values = self._checked(key, 3, default, check)
+        return tuple(value / _length(values) for value in values)
 
     def choice(self, key: str, known: Sequence[str]) -> str:
         """Return one of several words, the first of them by default."""
         word = self.text(key, known[0])
-        if word not in known:
-            raise XmlError(f"{self.where(key)}: '{word}' is not one of {', '.join(known)}")
-        return word
+        if word in known:
+            return word
+        self.doubt(XmlError(f"{self.where(key)}: '{word}' is not one of {', '.join(known)}"))
+        return known[0]
 
     def boolean(self, key: str, default: bool) -> bool:
         """Return the truth value of true, false, 1 or 0."""
         text = self.text(key, repr(default))
         lowered = text.strip().lower()
-        if lowered not in ("true", "1", "false", "0"):
-            raise XmlError(f"{self.where(key)}: '{text}' is not true or false")
-        return lowered in ("true", "1")
+        if lowered in ("true", "1", "false", "0"):
+            return lowered in ("true", "1")
+        self.doubt(XmlError(f"{self.where(key)}: '{text}' is not true or false"))
+        return default
+
+    def _checked(
+        self, key: str, count: int, default: str, check: Callable[[Tuple[float, ...]], str]
+    ) -> Tuple[float, ...]:
+        """Return finite numbers that `check` says nothing about."""
+        try:
+            values = numbers(self.text(key, default), count, self.where(key))
+            trouble = check(values)
+            if trouble:
+                raise XmlError(f"{self.where(key)}: {trouble}")
+            return values
+        except XmlError as error:
+            if not default:
+                raise
+            self.doubt(error)
+            return numbers(default, count, self.where(key))
+
+
+def _length(values: Sequence[float]) -> float:
+    return math.sqrt(sum(value * value for value in values))
 
 
 class ElementReader(TagReader):

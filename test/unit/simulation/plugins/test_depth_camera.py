@@ -5,10 +5,10 @@ import re
 
 import numpy as np
 import pytest
+from conftest import complains
 from picture_worlds import simulation_of, thing
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.errors import LabError
 from bullet_lab.simulation.plugins.camera import DepthCamera
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Sphere
@@ -269,5 +269,5 @@ def test_millimetres_where_they_are_asked_for():
     ],
 )
 def test_tags_that_make_no_depth_camera(changes, message):
-    with world() as simulation, pytest.raises(LabError, match=re.escape(message)):
-        add(simulation, **changes)
+    with world() as simulation, complains(re.escape(message)):
+        simulation.add(read_urdf(robot_text(**changes), "robot"))

@@ -3,9 +3,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import complains
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.engine import pybullet
 from bullet_lab.simulation.physics.physics import JointState
 from bullet_lab.simulation.plugins import PluginError
@@ -508,37 +508,34 @@ def test_commands_that_are_not_finite_are_refused_and_the_old_one_stays(world, s
 @pytest.mark.parametrize(
     ("tags", "message"),
     [
-        ({"leftJoint": None}, "<leftJoint>: no movable joint 'left_joint'$"),
-        ({"rightJoint": "nix"}, "<rightJoint>: no movable joint 'nix'$"),
-        ({"rightJoint": "left_wheel_joint"}, "'left_wheel_joint' is the left one already$"),
-        ({"leftJoint": "base_joint"}, "<leftJoint>: no movable joint 'base_joint'$"),
-        ({"wheelSeparation": "0"}, "<wheelSeparation>: 0 is not positive$"),
-        ({"wheelDiameter": "-0.1"}, "<wheelDiameter>: -0.1 is not positive$"),
-        ({"wheelTorque": "-1"}, "<wheelTorque>: -1 is negative$"),
-        ({"wheelAcceleration": "-0.5"}, "<wheelAcceleration>: -0.5 is negative$"),
+        ({"leftJoint": None}, "<leftJoint>: no movable joint 'left_joint'"),
+        ({"rightJoint": "nix"}, "<rightJoint>: no movable joint 'nix'"),
+        ({"rightJoint": "left_wheel_joint"}, "'left_wheel_joint' is the left one already"),
+        ({"leftJoint": "base_joint"}, "<leftJoint>: no movable joint 'base_joint'"),
+        ({"wheelSeparation": "0"}, "<wheelSeparation>: 0 is not positive"),
+        ({"wheelDiameter": "-0.1"}, "<wheelDiameter>: -0.1 is not positive"),
+        ({"wheelTorque": "-1"}, "<wheelTorque>: -1 is negative"),
+        ({"wheelAcceleration": "-0.5"}, "<wheelAcceleration>: -0.5 is negative"),
         ({"wheelDiameter": "nan"}, "<wheelDiameter>"),
-        ({"odometrySource": "gps"}, "<odometrySource>: 'gps' is not one of world, encoder$"),
+        ({"odometrySource": "gps"}, "<odometrySource>: 'gps' is not one of world, encoder"),
         ({"updateRate": "-5"}, "<updateRate>: a rate of -5 Hz"),
         ({"publishTf": "perhaps"}, "<publishTf>"),
     ],
 )
 def test_tags_that_make_no_drive_are_refused(world, spawn, tags, message):
-    with pytest.raises(LabError, match=message) as caught:
+    with complains(f"model 'camera_robot': plugin 'drive': .*{message}"):
         spawn(**tags)
-    assert "\n" not in str(caught.value)
-    assert str(caught.value).startswith("model 'camera_robot': plugin 'drive': <")
-    assert "camera_robot" not in world.models
 
 
 def test_a_sliding_joint_is_no_wheel(world, model):
     left, right = model.joints
     joints = (left, replace(right, kind="prismatic"))
     robot = replace(model, joints=joints, plugins=(PluginTag(FILENAME, "drive", TAGS),))
-    with pytest.raises(PluginError, match="'right_wheel_joint' is prismatic: no wheel turns on it"):
+    with complains("'right_wheel_joint' is prismatic: no wheel turns on it"):
         world.add(robot)
 
 
 def test_what_cannot_move_is_refused(world, model):
     plugins = (PluginTag(FILENAME, "drive", TAGS),)
-    with pytest.raises(PluginError, match="model 'camera_robot': diff_drive on what cannot move"):
+    with complains("model 'camera_robot': diff_drive on what cannot move"):
         world.add(replace(model, static=True, plugins=plugins))

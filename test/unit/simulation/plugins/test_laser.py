@@ -1,13 +1,14 @@
 import logging
 import math
+import re
 
 import numpy as np
 import pytest
+from conftest import complains
 from scipy import stats
 from sensor_worlds import box, carrier, empty, record, sensor, thing
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.attached_frame import RAYS_AT_A_TIME, AttachedFrame
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
@@ -388,25 +389,22 @@ def in_range(tag, value):
     ],
 )
 def test_refusals(world, inner, message):
-    with pytest.raises(LabError) as refusal:
+    with complains(f"model 'carrier': plugin 'the_sensor_plugin'.*{re.escape(message)}"):
         world.add(laser(inner))
-    assert message in str(refusal.value)
-    assert "model 'carrier': plugin 'the_sensor_plugin'" in str(refusal.value)
-    assert "\n" not in str(refusal.value)
-    assert not world.models
 
 
 def test_a_rate_that_cannot_be_kept_is_refused(world):
-    with pytest.raises(LabError, match="<update_rate>: a rate of 2000 Hz"):
+    with complains("<update_rate>: a rate of 2000 Hz"):
         world.add(laser(rate=2000))
 
 
 @pytest.mark.parametrize("kind", ["camera", ""])
 def test_a_plugin_outside_a_ray_sensor_is_refused(world, kind):
-    with pytest.raises(LabError, match='needs a <sensor type="ray">'):
+    with complains('needs a <sensor type="ray">'):
         world.add(laser(kind=kind))
+    world.remove("carrier")
     alone = f'<gazebo><plugin name="p" filename="{PLUGIN}"/></gazebo>'
-    with pytest.raises(LabError, match='needs a <sensor type="ray">'):
+    with complains('needs a <sensor type="ray">'):
         world.add(carrier(alone))
 
 

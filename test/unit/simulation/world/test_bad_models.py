@@ -5,7 +5,7 @@ import random
 import re
 
 import pytest
-from conftest import BLOCK_ROBOT
+from conftest import BLOCK_ROBOT, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
@@ -34,7 +34,7 @@ BROKEN = [
     (SDF, "<sdf", "<!DOCTYPE sdf [<!ENTITY e 'x'>]><sdf", "document types and entities"),
     (SDF, "sdf", "html", "neither <sdf> nor <robot>"),
     (SDF, "model", "world", "0 models where one is wanted"),
-    (SDF, "<mass>1<", "<mass>-1<", "link 'a'.*mass -1 kg is negative"),
+    (SDF, "<mass>1<", "<mass>-1<", "link 'a'.*<mass>: -1 is not positive"),
     (SDF, "<mass>1<", "<mass>nan<", "link 'a'.*<mass>: 'nan' is not a finite number"),
     (SDF, "<ixx>0.1", "<ixx>5", "link 'a'.*no body has the principal moments"),
     (SDF, "0.2 0.3 0.4", "0.2 0.3", "<size>: '0.2 0.3' is not 3 finite numbers"),
@@ -45,7 +45,7 @@ BROKEN = [
     (SDF, "0 0 1 0 0 0", "0 0 1e12 0 0 0", "link 'b': pose: 1e\\+12 is out of all"),
     (SDF, "</model>", '<link name="a"/></model>', "link 'a' appears twice"),
     (SDF, "<child>b", "<child>c", "joint 'j'.*no link 'c'"),
-    (SDF, "</model>", LOOP, "loop of joints at a, b"),
+    (SDF, "</model>", LOOP, "joint 'k' closes a loop"),
     (SDF, "revolute", "ball", "joint 'j'.*type 'ball'"),
     (SDF, "<box><size>0.2 0.3 0.4</size></box>", MESH.format("model://nix/a.dae"), "model://nix"),
     (SDF, "<box><size>0.2 0.3 0.4</size></box>", MESH.format("http://x/a.dae"), "http://x/a.dae"),
@@ -68,7 +68,7 @@ BROKEN = [
         "a mesh is one of",
     ),
     (SDF, SDF, "<sdf><include><uri>model://nix</uri></include></sdf>", "model://nix"),
-    (URDF, 'value="1"', 'value="-3"', "link 'a'.*mass -3 kg is negative"),
+    (URDF, 'value="1"', 'value="-3"', "link 'a'.*mass value: -3 is negative"),
     (URDF, 'value="1"', 'value="0"', "link 'a' moves and has no mass"),
     (URDF, 'ixx="0.1"', 'ixx="-0.1"', "link 'a'.*no body has the principal moments"),
     (URDF, "0.1 0.1 0.1", "0.1 inf 0.1", "box size.*not 3 finite numbers"),
@@ -79,14 +79,11 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("text", "old", "new", "said"), BROKEN)
-def test_broken_models_are_refused_with_what_and_where(world, text, old, new, said):
+def test_what_is_broken_is_named_with_what_and_where(world, text, old, new, said):
     assert old in text
-    with pytest.raises(LabError) as caught:
+    with complains(said):
         world.add(read_description(text.replace(old, new), "model_xml of 'm'"))
-    message = str(caught.value)
-    assert re.search(said, message), message
-    assert "\n" not in message
-    assert list(world.models) == ["ground_plane"]
+    world.run_for(0.01)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 import math
 
 import pytest
+from conftest import complains
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import Box, Cylinder, Mesh, Plane, Sphere
@@ -118,7 +119,7 @@ def test_shapes_throw_shadows_unless_they_say_otherwise():
     shapes = "".join(shape("<sphere><radius>1</radius></sphere>", s, "visual") for s in said)
     (body,) = read_model_text(model(link(shapes)), "s").links
     assert [visual.casts_shadows for visual in body.visuals] == [True, True, False]
-    with pytest.raises(LabError, match="cast_shadows"):
+    with complains("cast_shadows"):
         read_model_text(model(link(shapes.replace(">0<", ">some<"))), "s")
 
 
@@ -266,11 +267,7 @@ BAD_MODELS = {
     "pose": (model("<pose>1 2 3</pose>" + link()), "<pose>: '1 2 3' is not 6 finite numbers"),
     "frame": (
         model(link('<pose frame="x">1 2 3 0 0 0</pose>')),
-        "link 'a': a <pose> relative to another frame is not read",
-    ),
-    "relative_to": (
-        model('<pose relative_to="x">1 2 3 0 0 0</pose>' + link()),
-        "a <pose> relative to another frame is not read",
+        "model 'm': frame 'x' is not there; the model's counts",
     ),
     "no geometry": (
         model(link('<collision name="c"/>')),
@@ -315,20 +312,19 @@ BAD_MODELS = {
     ),
     "no mass": (
         model(link("<inertial><mass>0</mass></inertial>")),
-        "link 'a': the mass is 0; a thing that never moves is <static>",
+        "link 'a': <mass>: 0 is not positive; the default counts",
     ),
-    "negative mass": (model(link("<inertial><mass>-1</mass></inertial>")), "is negative"),
+    "negative mass": (
+        model(link("<inertial><mass>-1</mass></inertial>")),
+        "<mass>: -1 is not positive",
+    ),
     "inertia": (
         model(link("<inertial><inertia><izz>3</izz></inertia></inertial>")),
         "no body has the principal moments 1, 1, 3",
     ),
     "joint type": (
         model(link() + link("", "b") + joint("ball")),
-        "joint 'j': type 'ball' is not one of fixed, revolute, prismatic",
-    ),
-    "joint pose": (
-        model(link() + link("", "b") + joint("fixed", inside="<pose>1 0 0 0 0 0</pose>")),
-        "joint 'j': a joint with a <pose> of its own is not read",
+        "joint 'j': type 'ball' is not simulated; it holds its links fixed",
     ),
     "joint end": (model(link() + joint("fixed", child="x")), "joint 'j': names no link 'x'"),
     "axis": (
@@ -337,14 +333,7 @@ BAD_MODELS = {
     ),
     "loop": (
         model(link() + link("", "b") + joint("fixed") + joint("fixed", "b", "a", name="k")),
-        "a loop of joints at a, b",
-    ),
-    "two parents": (
-        model(
-            link() + link("", "b") + link("", "c")
-            + joint("fixed", "a", "c") + joint("fixed", "b", "c", name="k")
-        ),
-        "child link 'c' appears twice",
+        "joint 'k' closes a loop and is left out",
     ),
     "wrong root": ("<robot/>", "the root element is <robot>, not <sdf>"),
     "malformed": ("<sdf>", "not well-formed XML"),
@@ -359,10 +348,8 @@ BAD_MODELS = {
 
 @pytest.mark.parametrize(("text", "message"), BAD_MODELS.values(), ids=BAD_MODELS)
 def test_a_bad_model_is_one_line_that_names_source_and_place(text, message):
-    with pytest.raises(LabError, match=message) as caught:
+    with complains(f"^s: (.*: )?{message}"):
         read_model_text(text, "s")
-    assert str(caught.value).startswith("s: ")
-    assert "\n" not in str(caught.value)
 
 
 BAD_WORLDS = {
@@ -370,7 +357,7 @@ BAD_WORLDS = {
         '<model name="m"><link name="a"/></model>' * 2,
         "model 'm' appears twice",
     ),
-    "gravity": ("<gravity>down</gravity>", "gravity: 'down' is not 3 finite numbers"),
+    "gravity": ("<gravity>down</gravity>", "<gravity>: 'down' is not 3 finite numbers"),
     "light type": ('<light name="l" type="dark"/>', "light 'l': type 'dark' is not point, dir"),
     "light colour": (
         '<light name="l" type="point"><diffuse>red</diffuse></light>',
@@ -393,7 +380,7 @@ BAD_WORLDS = {
     ),
     "include frame": (
         include('<uri>model://good</uri><pose frame="x">0 0 0 0 0 0</pose>'),
-        "a <pose> relative to another frame is not read",
+        "frame 'x' is not there; the model's counts",
     ),
 }
 
@@ -403,17 +390,14 @@ def test_a_bad_world_is_one_line_that_names_file_and_place(
     read_world, save_model, tmp_path, inside, message
 ):
     save_model("good", model(link()))
-    with pytest.raises(LabError, match=message) as caught:
-        read_world(inside)
-    assert str(caught.value).startswith(f"{tmp_path / 'test.world'}: ")
-    assert "\n" not in str(caught.value)
+    with complains(f"^{tmp_path}.*: {message}"):
+        assert read_world(inside).name == "w"
 
 
 @pytest.mark.parametrize(
     ("config", "message"),
     [
         ("<model/>", "model.config: names no <sdf> file"),
-        ('<model><sdf version="new">model.sdf</sdf></model>', "version: 'new' is not a finite"),
         ("<model><sdf>../../secret.sdf</sdf></model>", "leaves its folder"),
         ("<model><sdf>nix.sdf</sdf></model>", "no such file"),
         ("<model>", "model.config: not well-formed XML"),
@@ -422,14 +406,14 @@ def test_a_bad_world_is_one_line_that_names_file_and_place(
 def test_a_bad_model_config(read_world, save_model, tmp_path, config, message):
     (tmp_path / "secret.sdf").write_text(model(link()))
     save_model("thing", model(link()), config)
-    with pytest.raises(LabError, match=message):
+    with complains(message):
         read_world(include("<uri>model://thing</uri>"))
 
 
-def test_a_circle_of_includes_is_refused(read_world, save_model):
+def test_a_circle_of_includes_is_named(read_world, save_model):
     save_model("hen", sdf(include("<uri>model://egg</uri>")))
     save_model("egg", sdf(include("<uri>model://hen</uri>")))
-    with pytest.raises(LabError, match="models include each other in a circle"):
+    with complains("models include each other in a circle"):
         read_world(include("<uri>model://hen</uri>"))
 
 

@@ -13,7 +13,6 @@ from bullet_lab.simulation.world.description import (
 )
 from bullet_lab.simulation.world.tree import (
     TreeError,
-    check_forest,
     check_tree,
     lump_fixed_joints,
     place_links,
@@ -57,12 +56,6 @@ def test_joint_names_are_not_shared():
     same = (Joint("j", "fixed", "a", "b"), Joint("j", "fixed", "a", "c"))
     with pytest.raises(TreeError, match="joint 'j' appears twice"):
         check_tree(links("abc"), same, "s")
-
-
-def test_a_forest_may_have_several_roots_but_no_loop():
-    assert check_forest(links("abcd"), joints("cd"), "s") == ("a", "b", "c")
-    with pytest.raises(TreeError, match="a loop of joints at b, c"):
-        check_forest(links("abc"), joints("bc", "cb"), "s")
 
 
 def test_links_are_placed_along_the_joints():

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import complains
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import WHITE, Box, Cylinder, Mesh, Sphere
@@ -186,13 +187,13 @@ BAD = {
         with_shape('<mesh filename="package://bullet_lab/meshes/beacon.dae" scale="1 1 0"/>'),
         "link 'a': mesh scale: a scale of 0 leaves nothing",
     ),
-    "negative mass": (with_inertia("-1"), "link 'a': the mass -1 kg is negative"),
+    "negative mass": (with_inertia("-1"), "link 'a': mass value: -1 is negative"),
     "bad mass": (with_inertia("heavy"), "link 'a': mass value: 'heavy' is not a finite number"),
     "bad moment": (with_inertia(ixy="x"), "link 'a': inertia ixy: 'x' is not a finite number"),
     "unphysical": (with_inertia(izz="3"), "link 'a': no body has the principal moments 1, 1, 3"),
     "half an inertial": (
         robot('<link name="a"><inertial><mass value="1"/></inertial></link>'),
-        "link 'a': <inertial> needs <mass> and <inertia>",
+        "link 'a': no body has the principal moments 0, 0, 0",
     ),
     "origin": (
         robot('<link name="a"><visual><origin xyz="0 0"/><geometry><sphere radius="1"/>'
@@ -205,9 +206,12 @@ BAD = {
     ),
     "joint type": (
         robot(ARM + JOINT.format("floating", "")),
-        "joint 'j': type 'floating' is not one of fixed, revolute, continuous, prismatic",
+        "joint 'j': type 'floating' is not simulated; its child is free",
     ),
-    "no joint type": (robot(ARM + JOINT.format("", "")), "joint 'j': type '' is not one of"),
+    "no joint type": (
+        robot(ARM + JOINT.format("", "")),
+        "joint 'j': type '' is not simulated; it holds its links fixed",
+    ),
     "axis": (
         robot(ARM + JOINT.format("revolute", '<axis xyz="0 0 0"/>')),
         "joint 'j': axis xyz: a zero vector has no direction",
@@ -243,10 +247,8 @@ BAD = {
 def test_bad_urdf_is_one_line_that_names_file_and_place(tmp_path, text, message):
     path = tmp_path / "bad.urdf"
     path.write_text(text)
-    with pytest.raises(LabError, match=message) as caught:
+    with complains(f"^{path}: (.*: )?{message}"):
         read_urdf_file(path)
-    assert str(caught.value).startswith(f"{path}: ")
-    assert "\n" not in str(caught.value)
 
 
 def test_a_missing_file(tmp_path):
@@ -265,5 +267,5 @@ def test_meshes_beside_the_file_are_found_and_links_out_of_its_folder_are_not(tm
     assert geometry.path == inner / "mesh.stl"
     for name in ("link.stl", "../secret.stl", str(tmp_path / "secret.stl")):
         (inner / "r.urdf").write_text(with_shape(f'<mesh filename="{name}"/>'))
-        with pytest.raises(LabError, match="leaves its folder|outside the folders"):
+        with complains("leaves its folder|outside the folders"):
             read_urdf_file(inner / "r.urdf", ResourceFinder(model_folders=[]))

@@ -1,0 +1,334 @@
+"""Nested models, frames and joints to the world: where things are, and how they move."""
+
+import math
+
+import pytest
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import World
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.sdf import read_description, read_world_file
+from bullet_lab.simulation.world.sdf_writer import world_text
+
+BOX = "<geometry><box><size>0.2 0.2 0.2</size></box></geometry>"
+BODY = (
+    "<inertial><mass>1</mass><inertia><ixx>0.01</ixx><iyy>0.01</iyy><izz>0.01</izz></inertia>"
+    f'</inertial><collision name="c">{BOX}</collision><visual name="v">{BOX}</visual>'
+)
+
+
+def link(name, pose="", inside=BODY, base=""):
+    said = f' relative_to="{base}"' if base else ""
+    return f'<link name="{name}"><pose{said}>{pose or "0 0 0 0 0 0"}</pose>{inside}</link>'
+
+
+def joint(kind, parent, child, inside="", name="j"):
+    ends = f"<parent>{parent}</parent><child>{child}</child>"
+    return f'<joint name="{name}" type="{kind}">{ends}{inside}</joint>'
+
+
+def axis(xyz, extra="", said=""):
+    return f"<axis><xyz{said}>{xyz}</xyz>{extra}</axis>"
+
+
+def model(inside, version="1.7", name="m"):
+    text = f'<sdf version="{version}"><model name="{name}">{inside}</model></sdf>'
+    return read_description(text, "s")
+
+
+def poses(described):
+    return {link.name: link.pose for link in described.links}
+
+
+def near(pose, *numbers):
+    position, rpy = numbers[:3], numbers[3:] or (0, 0, 0)
+    assert pose.position == pytest.approx(position, abs=1e-9)
+    turned = Pose.from_rpy((0, 0, 0), rpy).inverse() * Pose(quaternion=pose.quaternion)
+    assert abs(turned.quaternion[3]) == pytest.approx(1.0)
+
+
+TURN = math.pi / 2
+
+
+def test_models_in_models_stand_where_the_outer_ones_have_them():
+    cup = f'<model name="cup"><pose>0 0 1 0 0 0</pose>{link("l", "0.1 0 0 0 0 0")}</model>'
+    table = f'<model name="table"><pose>1 0 0 0 0 {TURN}</pose>{link("l")}{cup}</model>'
+    found = model(link("floor") + table)
+    assert list(poses(found)) == ["floor", "table::l", "table::cup::l"]
+    near(poses(found)["table::l"], 1, 0, 0, 0, 0, TURN)
+    near(poses(found)["table::cup::l"], 1, 0.1, 1, 0, 0, TURN)
+    link_, pose = found.frames["table::cup"]
+    near(poses(found)[link_] * pose, 1, 0, 1, 0, 0, TURN)
+
+
+def test_joints_lead_into_nested_models_and_within_them():
+    arm = link("a") + link("b", "0 0 1 0 0 0") + joint("revolute", "a", "b", axis("1 0 0"))
+    found = model(
+        link("base")
+        + f'<model name="arm"><pose>0 0 0.5 0 0 0</pose>{arm}</model>'
+        + joint("prismatic", "base", "arm::a", axis("0 0 1"), name="lift")
+        + joint("fixed", "m::base", "m::arm::b", name="loop")
+    )
+    joints = {joint.name: joint for joint in found.joints}
+    assert (joints["arm::j"].parent, joints["arm::j"].child) == ("arm::a", "arm::b")
+    assert (joints["lift"].parent, joints["lift"].child) == ("base", "arm::a")
+    near(joints["lift"].pose, 0, 0, 0.5)
+    # A loop of joints has one less.
+    assert set(joints) == {"arm::j", "lift"} or "arm::b" in found.frames
+
+
+def test_frames_are_given_in_each_other():
+    frames = (
+        f'<frame name="f"><pose relative_to="a">0 1 0 0 0 {TURN}</pose></frame>'
+        '<frame name="g" attached_to="f"><pose>1 0 0 0 0 0</pose></frame>'
+    )
+    found = model(link("a", "1 0 0 0 0 0") + link("b", "0 0 2 0 0 0", base="g") + frames)
+    near(poses(found)["b"], 1, 2, 2, 0, 0, TURN)
+    near(found.frames["g"][1], 0, 2, 0, 0, 0, TURN)
+    shape = f'<visual name="v"><pose relative_to="a">0 0 0 0 0 0</pose>{BOX}</visual>'
+    found = model(link("a", "1 0 0 0 0 0") + link("b", "5 0 0 0 0 0", shape))
+    near(found.links[1].visuals[0].pose, -4, 0, 0)
+
+
+def test_a_frame_in_itself_or_in_nothing_is_named(caplog):
+    frames = '<frame name="f"><pose relative_to="g"/></frame><frame name="g" attached_to="f"/>'
+    found = model(link("a", "1 0 0 0 0 0", base="f") + link("b", "2 0 0 0 0 0", base="x") + frames)
+    near(poses(found)["a"], 1, 0, 0)
+    near(poses(found)["b"], 2, 0, 0)
+    assert "is given in itself" in caplog.text
+    assert "frame 'x' is not there" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("version", "said", "extra", "expected"),
+    [
+        ("1.4", "", "", (0, -1, 0)),
+        ("1.6", "", "", (1, 0, 0)),
+        ("1.6", "", "<use_parent_model_frame>1</use_parent_model_frame>", (0, -1, 0)),
+        ("1.7", ' expressed_in="__model__"', "", (0, -1, 0)),
+        ("1.7", ' expressed_in="a"', "", (0, -1, 0)),
+        ("1.7", "", "", (1, 0, 0)),
+    ],
+)
+def test_axes_are_in_the_joint_or_the_model(version, said, extra, expected):
+    found = model(
+        link("a")
+        + f'<link name="b"><pose>0 0 1 0 0 {TURN}</pose>{BODY}</link>'
+        + joint("revolute", "a", "b", axis("1 0 0", extra, said)),
+        version,
+    )
+    assert found.joints[0].axis == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_joint_turns_about_its_own_place():
+    found = model(
+        link("a", inside=BODY)
+        + link("b", "2 0 0 0 0 0")
+        + joint("revolute", "a", "b", "<pose>-1 0 0 0 0 0</pose>" + axis("0 0 1"))
+        + joint("fixed", "world", "a", name="k")
+    )
+    with Simulation(World("w", gravity=(0, 0, 0))) as world:
+        instance = world.add(found)
+        instance.configure({"j": TURN})
+        near(instance.frame("b").pose(), 1, 1, 0, 0, 0, TURN)
+        assert world.contacts("m") == {}
+
+
+def test_what_is_joined_to_the_world_hangs_there():
+    door = link("door", "0.6 0 1 0 0 0")
+    hinge = joint("revolute", "world", "door", "<pose>-0.5 0 0 0 0 0</pose>" + axis("0 1 0"))
+    post = link("post") + joint("fixed", "post", "world", name="k")
+    with Simulation(World("w")) as world:
+        instance = world.add(model(post + door + hinge), pose=Pose((3.0, 0.0, 0.0)))
+        assert [link.name for link in instance.model.links if link.anchored] == ["post", "world"]
+        world.run_for(0.2)
+        near(instance.frame("post").pose(), 3, 0, 0)
+        fallen = instance.frame("door").pose()
+        assert math.dist(fallen.position, (3.1, 0, 1)) == pytest.approx(0.5, abs=1e-3)
+        assert fallen.position[2] < 0.95
+        instance.place(Pose((1.0, 0.0, 0.0)))
+        near(instance.frame("door").pose(), 1.6, 0, 1)
+
+
+def test_a_model_on_a_joint_to_the_world_is_where_its_link_is():
+    lift = link("car") + joint("prismatic", "world", "car", axis("0 0 1"))
+    with Simulation(World("w", gravity=(0, 0, 0))) as world:
+        instance = world.add(model(lift))
+        instance.configure({"j": 2.0})
+        near(instance.pose(), 0, 0, 2)
+        assert list(instance.state().joints) == ["j"]
+
+
+URDF = """<robot name="r"><link name="world"/><link name="base">{body}</link><link name="arm">{body}
+  </link><joint name="hold" type="{kind}"><parent link="world"/><child link="base"/>
+  <origin xyz="0 0 1"/><axis xyz="0 0 1"/></joint>
+  <joint name="j" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="0 0 1"/>
+  <axis xyz="1 0 0"/><limit lower="-3" upper="3" effort="9" velocity="9"/></joint></robot>"""
+URDF_BODY = (
+    '<inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
+    "</inertial>"
+)
+
+
+@pytest.mark.parametrize("kind", ["fixed", "continuous"])
+def test_a_urdf_on_the_link_world_stays(kind):
+    robot = read_description(URDF.format(body=URDF_BODY, kind=kind), "s")
+    with Simulation(World("w")) as world:
+        instance = world.add(robot, pose=Pose((2.0, 0.0, 0.0)))
+        world.run_for(0.3)
+        near(instance.frame("base").pose(), 2, 0, 1)
+        assert list(instance.state().joints) == (["j"] if kind == "fixed" else ["hold", "j"])
+
+
+def test_a_floating_joint_lets_go(caplog):
+    robot = read_description(URDF.format(body=URDF_BODY, kind="floating"), "s")
+    assert "type 'floating' is not simulated" in caplog.text
+    with Simulation(World("w")) as world:
+        instance = world.add(robot)
+        world.run_for(0.1)
+        assert instance.frame("base").pose().position[2] < 0.96
+
+
+def test_two_joints_to_one_link_make_a_tree(caplog):
+    found = model(
+        link("a") + link("b", "1 0 0 0 0 0") + link("c", "2 0 0 0 0 0")
+        + joint("revolute", "a", "c", axis("0 0 1"), name="ac")
+        + joint("revolute", "b", "c", "<pose>0.5 0 0 0 0 0</pose>" + axis("0 1 0"), name="bc")
+    )  # fmt: skip
+    assert caplog.text == ""
+    turned = {joint.name: joint for joint in found.joints}["bc"]
+    assert (turned.parent, turned.child) == ("c", "b")
+    assert turned.axis == (0, -1, 0)
+    assert turned.anchor == pytest.approx((1.5, 0, 0))
+    near(turned.pose, -1, 0, 0)
+
+
+def test_a_loop_of_joints_is_opened_and_named(caplog):
+    found = model(
+        link("a") + link("b") + joint("revolute", "a", "b", axis("0 0 1"))
+        + joint("revolute", "b", "a", axis("0 0 1"), name="k")
+    )  # fmt: skip
+    assert [joint.name for joint in found.joints] == ["j"]
+    assert "joint 'k' closes a loop and is left out" in caplog.text
+
+
+def test_a_static_model_in_one_that_moves_stays():
+    rail = f'<model name="rail"><static>1</static>{link("l", "0 0 1 0 0 0")}</model>'
+    car = link("car", "1 0 1 0 0 0")
+    slide = joint("prismatic", "car", "rail::l", axis("1 0 0"))
+    with Simulation(World("w")) as world:
+        instance = world.add(model(car + rail + slide))
+        world.run_for(0.2)
+        near(instance.frame("rail::l").pose(), 0, 0, 1)
+        assert instance.frame("car").pose().position[2] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_two_joints_on_the_world_are_one_body():
+    wings = link("l", "-1 0 1 0 0 0") + link("r", "1 0 1 0 0 0")
+    wings += joint("prismatic", "world", "l", axis("1 0 0"), name="jl")
+    wings += joint("prismatic", "world", "r", axis("1 0 0"), name="jr")
+    with Simulation(World("w")) as world:
+        instance = world.add(model(wings))
+        instance.configure({"jl": 0.1, "jr": -0.1})
+        near(instance.frame("l").pose(), -0.9, 0, 1)
+        near(instance.frame("r").pose(), 0.9, 0, 1)
+        near(instance.pose(), 0.1, 0, 0)
+
+
+PLUGIN = """<plugin name="p" filename="libgazebo_ros_p3d.so"><bodyName>l</bodyName>
+  <topicName>truth</topicName></plugin>"""
+
+
+@pytest.fixture
+def load(tmp_path):
+    """Write a world, read it, and return it with what was said."""
+
+    def read(inside, version="1.7"):
+        path = tmp_path / "a.world"
+        path.write_text(f'<sdf version="{version}"><world name="w">{inside}</world></sdf>')
+        folder = tmp_path / "models"
+        return read_world_file(path, ResourceFinder(model_folders=[folder]))
+
+    return read
+
+
+@pytest.fixture
+def chair(tmp_path):
+    folder = tmp_path / "models" / "chair"
+    folder.mkdir(parents=True)
+    inside = f"<pose>9 9 9 0 0 0</pose>{link('l', '0 0 0.5 0 0 0')}{PLUGIN}"
+    text = f'<sdf version="1.6"><model name="chair">{inside}</model></sdf>'
+    (folder / "model.sdf").write_text(text)
+    return "<include><uri>model://chair</uri>{}</include>"
+
+
+def test_models_are_included_anywhere(load, chair):
+    at = "<name>one</name><pose>1 0 0 0 0 0</pose><static>true</static>"
+    inner = chair.format("<name>two</name><pose>0 2 0 0 0 0</pose>")
+    room = f'<model name="room"><pose>0 0 1 0 0 0</pose>{link("floor")}{inner}</model>'
+    world = load(chair.format(at) + room + chair.format(""))
+    one, room, other = world.models
+    assert (one.name, one.static, one.pose.position) == ("one", True, (1, 0, 0))
+    assert (other.name, other.static, other.pose.position) == ("chair", False, (9, 9, 9))
+    near(poses(room)["two::l"], 0, 2, 0.5)
+    with Simulation(world) as simulation:
+        (truth,) = simulation.models["room"].plugins
+        near(truth._place.pose(), 0, 2, 1.5)
+
+
+def test_models_are_placed_relative_to_others(load, chair):
+    placed = "<name>a</name><pose>0 1 0 0 0 0</pose>"
+    frame = f'<frame name="f" attached_to="a"><pose>0 0 3 0 0 {TURN}</pose></frame>'
+    on_it = '<name>b</name><pose relative_to="f">1 0 0 0 0 0</pose>'
+    world = load(frame + chair.format(placed) + chair.format(on_it))
+    near(world.models[1].pose, 0, 2, 3, 0, 0, TURN)
+
+
+def test_an_odd_model_leaves_the_rest_of_its_world(load, chair, caplog):
+    world = load(
+        "<include><uri>model://nix</uri></include><include/>"
+        '<model name="hollow"/><model><link name="l"/></model>'
+        '<light name="l" type="dark"/>' + chair.format("") * 2 + "<gravity>0 0 -1</gravity>"
+    )
+    assert [model.name for model in world.models] == ["chair"]
+    assert world.gravity == (0, 0, -1)
+    for said in (
+        "'model://nix': in none",
+        "an <include> without <uri>",
+        "model 'hollow': there is no link",
+        "a <model> without a name",
+        "type 'dark' is not point",
+        "model 'chair' appears twice",
+    ):
+        assert caplog.text.count(said) == 1, said
+
+
+def test_what_is_nested_and_held_is_saved(load, chair, tmp_path):
+    hinge = "<pose>-0.5 0 0 0 0 0</pose>" + axis("0 1 0")
+    world = load(
+        f'<model name="room"><pose>0 0 2 0 0 0.3</pose>{link("floor")}'
+        + chair.format("<name>two</name><pose>0 2 0 0 0 0</pose>")
+        + link("door", "1 0 1 0 0 0")
+        + joint("fixed", "world", "floor")
+        + joint("revolute", "world", "door", hinge, name="k")
+        + joint("revolute", "floor", "two::l", axis("1 0 0"), name="rock")
+        + "</model>"
+    )
+    with Simulation(world) as simulation:
+        simulation.run_for(0.3)
+        before = simulation.models["room"].state()
+        text, _ = world_text(simulation.snapshot(), tmp_path)
+    (tmp_path / "b.world").write_text(text)
+    with Simulation(read_world_file(tmp_path / "b.world")) as again:
+        after = again.models["room"].state()
+        assert [p.mount.plugin.scope for p in again.models["room"].plugins] == ["two::"]
+        assert after.links.keys() == before.links.keys()
+        for name, state in before.links.items():
+            assert after.links[name].pose.position == pytest.approx(state.pose.position, abs=1e-6)
+            assert after.links[name].angular == pytest.approx(state.angular, abs=1e-6)
+        for name, (position, speed) in before.joints.items():
+            assert after.joints[name] == pytest.approx((position, speed), abs=1e-6)
+        assert abs(before.joints["k"][1]) > 1.0
+        frames = again.models["room"].model.frames
+        assert set(frames) == set(world.models[0].frames)
