@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import threading
+import time
 import xmlrpc.client
 from typing import Any, Callable, Dict, List, Optional
 
@@ -78,6 +79,7 @@ class _Manager:
         with self._lock:
             for service in self._services:
                 service.shutdown()
+            self._services.clear()
 
     def _begin(self) -> None:
         where = f"controller_manager in {self._plugin.namespace}"
@@ -120,10 +122,21 @@ class _Manager:
                 self._ok(self._reload),
             ),
         }
-        with self._lock:
-            if not self._ended.is_set():
-                for name, (kind, answer) in answers.items():
-                    self._services.append(rospy.Service(f"{space}/{name}", kind, answer))
+        for name, (kind, answer) in answers.items():
+            self._offer_one(f"{space}/{name}", kind, answer)
+
+    def _offer_one(self, name: str, kind: Any, answer: Callable[[Any], Any]) -> None:
+        """Offer a service, once that of a robot that has gone is away; raises ServiceException."""
+        end = time.monotonic() + PATIENCE
+        while not self._ended.is_set():
+            try:
+                with self._lock:
+                    self._services.append(rospy.Service(name, kind, answer))
+                return
+            except rospy.ServiceException:
+                if time.monotonic() > end:
+                    raise
+                self._ended.wait(LOOK_SECONDS)
 
     def _ok(self, act: Callable[[Any], None]) -> Callable[[Any], bool]:
         """Return what answers whether something could be done, and says why it could not."""
