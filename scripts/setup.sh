@@ -33,11 +33,12 @@ debian_packages() {
         python3-actionlib python3-actionlib-msgs python3-cv-bridge python3-diagnostic-msgs \
         python3-geometry-msgs python3-message-filters python3-move-base-msgs python3-nav-msgs \
         python3-rosgraph-msgs python3-sensor-msgs python3-std-msgs python3-std-srvs python3-tf2-msgs python3-tf2-ros python3-visualization-msgs \
+        python3-dynamic-reconfigure python3-trajectory-msgs libtrajectory-msgs-dev \
         libactionlib-msgs-dev libdiagnostic-msgs-dev \
         libgeometry-msgs-dev libnav-msgs-dev libsensor-msgs-dev libstd-msgs-dev \
         libstd-srvs-dev libtf2-ros-dev libvisualization-msgs-dev libroscpp-dev \
         ros-actionlib-msgs ros-diagnostic-msgs ros-geometry-msgs ros-move-base-msgs ros-nav-msgs \
-        ros-rosgraph-msgs ros-sensor-msgs ros-std-msgs ros-std-srvs ros-tf2-msgs ros-visualization-msgs \
+        ros-rosgraph-msgs ros-sensor-msgs ros-std-msgs ros-std-srvs ros-tf2-msgs ros-trajectory-msgs ros-visualization-msgs \
         ros-robot-state-publisher libegl1 libgl1-mesa-dri
       ;;
     rviz) echo rviz xvfb ;;
@@ -54,9 +55,9 @@ noetic_packages() {
   local name names=()
   case $1 in
     base)
-      names=(actionlib actionlib-msgs catkin control-msgs controller-manager-msgs cv-bridge diagnostic-msgs gazebo-msgs geometry-msgs
+      names=(actionlib actionlib-msgs catkin control-msgs controller-manager-msgs cv-bridge diagnostic-msgs dynamic-reconfigure gazebo-msgs geometry-msgs
         message-filters message-generation message-runtime move-base-msgs nav-msgs robot-state-publisher rosbag rosbash
-        rosgraph-msgs roslaunch rosmaster rospy sensor-msgs std-msgs std-srvs tf2-msgs tf2-ros visualization-msgs)
+        rosgraph-msgs roslaunch rosmaster rospy sensor-msgs std-msgs std-srvs tf2-msgs tf2-ros trajectory-msgs visualization-msgs)
       echo ca-certificates g++ make cmake python3 python3-venv libegl1 libgl1-mesa-dri
       ;;
     rviz)
@@ -357,6 +358,8 @@ main() {
   for i in "${!steps[@]}"; do
     take_step "${steps[i]}" $((i + 1)) ${#steps[@]}
   done
+  # PyPI's command of this name needs ROS 2, and would hide the one that works.
+  rm -f "$LAB_VENV/bin/xacro"
 }
 
 main "$@"

@@ -2,6 +2,7 @@
 """The camera speaks as Gazebo's does, and never loses a frame."""
 
 import contextlib
+import importlib
 import os
 import tempfile
 import unittest
@@ -15,7 +16,8 @@ import rostest
 from bullet_lab.srv import Step
 from lab_testing import Node, Topic, wait_for
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Empty
 
 ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
@@ -87,6 +89,58 @@ class CameraTest(unittest.TestCase):
         # The marker stands 3.84 m before the camera and 0.06 m above it.
         middle = corners[0].mean(axis=0)
         np.testing.assert_allclose(middle, (319.5, 239.5 - focal * 0.06 / 3.84), atol=1.0)
+
+    def test_compressed_pictures(self):
+        with bridge(paused=True):
+            image, compressed = self.images(), self.topic(f"{IMAGE}/compressed", CompressedImage)
+            advance(100)
+            (raw, *_), (small, *_) = image.wait(3), compressed.wait(3)
+            self.assertEqual(raw.header.stamp, small.header.stamp)
+            self.assertEqual(raw.header.frame_id, small.header.frame_id)
+            self.assertEqual("rgb8; jpeg compressed bgr8", small.format)
+            self.assertLess(len(small.data), 0.2 * len(raw.data))
+            self.assert_like(raw, small, 8.0)
+            client = self.reconfigured("mycamera/image_raw/compressed")
+            self.assertEqual(80, client.get_configuration()["jpeg_quality"])
+            client.update_configuration({"format": "png"})
+            advance(100)
+            raw, png = image.wait(6)[-1], compressed.wait(6)[-1]
+            self.assertEqual("rgb8; png compressed bgr8", png.format)
+            self.assert_like(raw, png, 0.0)
+
+    def assert_like(self, raw, compressed, tolerance):
+        decoded = cv2.imdecode(np.frombuffer(compressed.data, np.uint8), cv2.IMREAD_COLOR)
+        difference = np.abs(decoded[..., ::-1].astype(float) - pixels(raw))
+        self.assertLessEqual(difference.mean(), tolerance)
+
+    def reconfigured(self, name):
+        try:
+            client = importlib.import_module("dynamic_reconfigure.client")
+        except ImportError:
+            self.skipTest("dynamic_reconfigure is not installed")
+        return client.Client(name, timeout=30.0)
+
+    def test_the_rate_can_be_changed(self):
+        with bridge(paused=True):
+            info = self.infos()
+            client = self.reconfigured("mycamera")
+            self.assertEqual(30.0, client.get_configuration()["imager_rate"])
+            client.update_configuration({"imager_rate": 10.0})
+            advance(500)
+            self.assertEqual([100, 200, 300, 400, 500], milliseconds(info)[:5])
+
+    def test_the_calibration_can_be_set(self):
+        with bridge(paused=True):
+            info = self.infos()
+            rospy.wait_for_service("mycamera/set_camera_info", 30.0)
+            told = CameraInfo(width=640, height=480, distortion_model="plumb_bob", D=[0.1] * 5)
+            told.K[0] = 500.0
+            answer = rospy.ServiceProxy("mycamera/set_camera_info", SetCameraInfo)(told)
+            self.assertTrue(answer.success, answer.status_message)
+            advance(100)
+            found = info.wait(3)[-1]
+            self.assertEqual((500.0, [0.1] * 5), (found.K[0], list(found.D)))
+            self.assertEqual("camera_optical_frame", found.header.frame_id)
 
     def count_frames(self, rtf, count):
         with bridge(rtf=rtf):

@@ -1,6 +1,8 @@
 #!/usr/bin/env python3
 """Clients in the manner of Gazebo's find its services and topics, types and habits."""
 
+import copy
+import importlib
 import math
 import subprocess
 import sys
@@ -14,13 +16,23 @@ import rosgraph
 import rospy
 import rostest
 from bullet_lab.srv import Advance, SaveWorld, SetRtf, Step
-from gazebo_msgs.msg import LinkState, LinkStates, ModelState, ModelStates, ODEPhysics
+from gazebo_msgs.msg import (
+    LinkState,
+    LinkStates,
+    ModelState,
+    ModelStates,
+    ODEJointProperties,
+    ODEPhysics,
+    PerformanceMetrics,
+)
 from gazebo_msgs.srv import (
     ApplyBodyWrench,
     ApplyJointEffort,
     BodyRequest,
+    DeleteLight,
     DeleteModel,
     GetJointProperties,
+    GetLightProperties,
     GetLinkProperties,
     GetLinkState,
     GetModelProperties,
@@ -28,6 +40,11 @@ from gazebo_msgs.srv import (
     GetPhysicsProperties,
     GetWorldProperties,
     JointRequest,
+    SetJointProperties,
+    SetLightProperties,
+    SetLightPropertiesRequest,
+    SetLinkProperties,
+    SetLinkPropertiesRequest,
     SetLinkState,
     SetModelConfiguration,
     SetModelState,
@@ -38,6 +55,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3, Wrench
 from lab_testing import PACKAGE, Node, Topic, publisher, wait_for
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import ColorRGBA
 from std_srvs.srv import Empty
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -64,6 +82,10 @@ PENDULUM = """<robot name="pendulum">
   <joint name="hinge" type="continuous"><origin xyz="0 0 1"/>
     <parent link="foot"/><child link="rod"/><axis xyz="0 0 1"/></joint>
 </robot>"""
+
+LAMP = """<sdf version="1.6"><light name="bulb" type="point"><pose>0 0 3 0 0 0</pose>
+  <diffuse>1 0.5 0.25 1</diffuse><attenuation><range>20</range><constant>0.5</constant>
+  <linear>0.1</linear><quadratic>0.02</quadratic></attenuation></light></sdf>"""
 
 # As the course's scripts do it: positional arguments, the model's file from the package.
 SPAWN_CLIENT = """
@@ -255,9 +277,13 @@ class SpawnTest(GazeboCase):
         crooked = at(0.0, 0.0, 1.0)
         crooked.orientation.w = math.inf
         self.assert_refused("not finite", spawn("bad", BALL, crooked))
-        clash = BLOCK.replace("<odometryTopic>odom<", "<odometryTopic>no good name!<")
-        self.assert_refused("no topic is called 'no good name!'", spawn("bad", clash))
         self.assertEqual(["ground_plane", "block_robot"], names())
+        # What is wrong with a plugin is said, and the rest is there.
+        for tag, told in (("Topic>odom", "Topic>no good name!"), ("Rate>20.0", "Rate>far")):
+            spawn("odd", BLOCK.replace(f"<odometry{tag}<", f"<odometry{told}<"), at(0.0, 3.0, 0.0))
+            call("/gazebo/delete_model", DeleteModel, "odd")
+        self.assertIn("no topic is called 'no good name!'", bridge.err)
+        self.assertIn("'far' is not a finite number", bridge.err)
         clock.wait(len(clock.messages) + 20)
         self.assertTrue(bridge.runs())
         self.assertNotIn("Traceback", bridge.err)
@@ -473,6 +499,98 @@ class ForcesTest(GazeboCase):
         self.assertTrue(configure("swing", "", ["hinge"], [1.5]).success)
         self.assertEqual((1.5, 0.0), (look("hinge").position[0], look("hinge").rate[0]))
         self.assert_refused("different lengths", configure("swing", "", ["hinge"], []))
+
+
+class PropertiesTest(GazeboCase):
+    """What lights, joints and links are like, and how fast it goes."""
+
+    def test_lights_come_change_and_go(self):
+        self.start()
+        look = rospy.ServiceProxy("/gazebo/get_light_properties", GetLightProperties)
+        self.assert_refused("lamp.*not found", look("lamp"))
+        self.assertTrue(spawn("lamp", LAMP).success)
+        self.assert_refused("entity already exists", spawn("lamp", LAMP))
+        self.assertEqual(["ground_plane"], names())
+        found = look("lamp")
+        self.assert_near((1.0, 0.5, 0.25, 1.0), rgba(found.diffuse))
+        self.assert_near((0.5, 0.1, 0.02), fading(found))
+        change = rospy.ServiceProxy("/gazebo/set_light_properties", SetLightProperties)
+        told = SetLightPropertiesRequest(light_name="lamp", attenuation_linear=0.3)
+        told.diffuse = ColorRGBA(0.0, 0.0, 1.0, 1.0)
+        answer = change(told)
+        self.assertEqual((True, ""), (answer.success, answer.status_message))
+        self.assert_near((0.0, 0.0, 1.0, 1.0), rgba(look("lamp").diffuse))
+        self.assert_near((0.0, 0.3, 0.0), fading(look("lamp")))
+        told.diffuse.r = -1.0
+        self.assert_refused("SetLightProperties: .*negative", change(told))
+        gone = call("/gazebo/delete_light", DeleteLight, "lamp")
+        self.assertEqual("DeleteLight: lamp successfully deleted", gone.status_message)
+        self.assert_refused("lamp.*not found", call("/gazebo/delete_light", DeleteLight, "lamp"))
+
+    def test_joints_and_links_can_be_changed(self):
+        self.start()
+        spawn("swing", PENDULUM, at(0.0, 0.0, 0.1))
+        joint = rospy.ServiceProxy("/gazebo/set_joint_properties", SetJointProperties)
+        self.assert_refused("joint .nix. not found", joint("nix", ODEJointProperties()))
+        # ODE's motor turns it up to a stop.
+        config = ODEJointProperties(hiStop=[0.5], loStop=[-0.5], vel=[2.0], fmax=[5.0], cfm=[0.1])
+        answer = joint("hinge", config)
+        self.assertTrue(answer.success, answer.status_message)
+        self.assertIn("cfm do nothing", answer.status_message)
+        step(1000)
+        look = rospy.ServiceProxy("/gazebo/get_joint_properties", GetJointProperties)
+        self.assert_near((0.5,), look("hinge").position, 0.02)
+        self.assertEqual(GetJointProperties._response_class.REVOLUTE, look("hinge").type)
+        joint("hinge", ODEJointProperties(damping=[0.7]))
+        self.assertEqual([0.7], list(look("hinge").damping))
+        change = rospy.ServiceProxy("/gazebo/set_link_properties", SetLinkProperties)
+        told = SetLinkPropertiesRequest(link_name="swing::rod", gravity_mode=True, mass=3.0)
+        told.ixx = told.iyy = told.izz = 1.5
+        self.assertTrue(change(told).success)
+        rod = call("/gazebo/get_link_properties", GetLinkProperties, "swing::rod")
+        self.assertEqual((3.0, 1.5), (rod.mass, rod.izz))
+        for field, value, said in (
+            ("gravity_mode", False, "gravity cannot"),
+            ("mass", -1.0, "no body has"),
+            ("link_name", "nix", "link .nix. does not exist"),
+            ("link_name", "ground_plane::link", "never moves"),
+        ):
+            odd = copy.deepcopy(told)
+            setattr(odd, field, value)
+            self.assert_refused(f"SetLinkProperties: .*{said}", change(odd))
+        told.com.position.x = 0.1
+        self.assert_refused("centre of mass", change(told))
+
+    def test_performance_is_told_while_it_runs(self):
+        self.start(robot=ROBOT, paused=False, rtf=2)
+        told = self.topic("/gazebo/performance_metrics", PerformanceMetrics)
+        last = told.wait(3)[-1]
+        self.assertAlmostEqual(2.0, last.real_time_factor, delta=0.5)
+        (laser,) = last.sensors
+        # The link that is left of those on fixed joints.
+        self.assertEqual("default::block_robot::base_footprint::laser", laser.name)
+        self.assertEqual((10.0, -1.0), (laser.sim_update_rate, laser.fps))
+
+    def test_physics_can_be_reconfigured(self):
+        self.start()
+        try:
+            client = importlib.import_module("dynamic_reconfigure.client").Client
+        except ImportError:
+            self.skipTest("dynamic_reconfigure is not installed")
+        gazebo = client("/gazebo", timeout=30.0)
+        self.assertEqual(-9.8, gazebo.get_configuration()["gravity_z"])
+        gazebo.update_configuration({"gravity_z": -1.6})
+        found = call("/gazebo/get_physics_properties", GetPhysicsProperties)
+        self.assertEqual((-1.6, 0.0), (found.gravity.z, found.max_update_rate))
+
+
+def rgba(colour):
+    return colour.r, colour.g, colour.b, colour.a
+
+
+def fading(light):
+    keys = ("constant", "linear", "quadratic")
+    return tuple(getattr(light, f"attenuation_{key}") for key in keys)
 
 
 class SaveTest(GazeboCase):

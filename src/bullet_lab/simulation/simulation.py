@@ -30,9 +30,10 @@ from bullet_lab.simulation.forces import Forces
 from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose
 from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_name
 from bullet_lab.simulation.physics.physics import Body, Physics
-from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin
+from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin, namespace_of
+from bullet_lab.simulation.plugins.plugin import NAMESPACE
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
-from bullet_lab.simulation.world.description import Model, PluginTag, Snapshot, World
+from bullet_lab.simulation.world.description import Light, Model, PluginTag, Snapshot, World
 from bullet_lab.simulation.world.inertia import check_proportions
 from bullet_lab.simulation.world.report import leaving_out
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -81,7 +82,7 @@ class Simulation:
         self.forces = Forces()
         for model in self.world.models:
             with leaving_out(lambda said: LOG.warning("%s", said)):
-                instance = self.add(model)
+                instance = self.add(model, namespace="")
                 if model.name in self.world.states:
                     instance.restore(self.world.states[model.name])
 
@@ -133,7 +134,7 @@ class Simulation:
         model: Model,
         name: str = "",
         pose: Optional[Pose] = None,
-        namespace: str = "",
+        namespace: str = "/",
         tf_prefix: TfPrefix = "",
     ) -> ModelInstance:
         """Put a model into the world.
@@ -142,9 +143,10 @@ class Simulation:
             model: what to add.
             name: its name in the world; the model's own if empty.
             pose: of the model's frame in the world; the model's own pose if None.
-            namespace: robotNamespace of every plugin that has none.
+            namespace: robotNamespace of every plugin that has none; empty for what a plugin
+                does without: some are named by their model.
             tf_prefix: what stands before the names of its frames on TF; or what gives that for
-                the robotNamespace of a plugin.
+                the namespace of a plugin.
 
         Raises:
             LabError: the name is taken, or nothing of the model can be simulated.
@@ -205,6 +207,32 @@ class Simulation:
         for instance in self._instances.values():
             for plugin in instance.plugins:
                 plugin.gravity = -gravity[2]
+
+    def light(self, name: str) -> Light:
+        """Return a light; raises SimulationError for an unknown name."""
+        for light in self.world.lights:
+            if light.name == name:
+                return light
+        raise SimulationError(f"light [{name}] not found")
+
+    def set_light(self, light: Light) -> None:
+        """Put a light into the world, in the place of one of the same name."""
+        names = [one.name for one in self.world.lights]
+        if light.name not in names:
+            self._set_lights((*self.world.lights, light))
+        else:
+            lights = (light if one.name == light.name else one for one in self.world.lights)
+            self._set_lights(tuple(lights))
+
+    def remove_light(self, name: str) -> None:
+        """Take a light out of the world; raises SimulationError for an unknown name."""
+        gone = self.light(name)
+        self._set_lights(tuple(light for light in self.world.lights if light is not gone))
+
+    def _set_lights(self, lights: Tuple[Light, ...]) -> None:
+        self.world = replace(self.world, lights=lights)
+        if self._renderer is not None:
+            self._renderer.relight(self.world)
 
     def snapshot(self) -> Snapshot:
         """Return all that makes up the present state, to be written by whoever has time."""
@@ -299,7 +327,7 @@ class Simulation:
         common = (-self.world.gravity[2], self.seed)
         draws = (self.renderer, self._shape_name)
         for tag in model.plugins:
-            space = tag.tags.get("robotNamespace", "")
+            space = namespace_of(tag, model.name)
             prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
             what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
             try:
@@ -328,8 +356,9 @@ def _name_of(timer: Union[Plugin, Timer]) -> str:
 
 
 def _in_namespace(tag: PluginTag, namespace: str) -> PluginTag:
-    named = not namespace or tag.tags.get("robotNamespace")
-    return tag if named else replace(tag, tags={**tag.tags, "robotNamespace": namespace})
+    # An empty tag is one, as in Gazebo.
+    named = not namespace or NAMESPACE in tag.tags
+    return tag if named else replace(tag, tags={**tag.tags, NAMESPACE: namespace})
 
 
 class ViewError(LabError):

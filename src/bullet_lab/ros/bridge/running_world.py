@@ -33,6 +33,7 @@ from bullet_lab.ros.node.node import TF_PREFIX, NodeError, Refusals
 from bullet_lab.ros.node.publishers import BatchPublisher
 from bullet_lab.simulation.plugins import Input, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.controllers.controller import Controller
+from bullet_lab.simulation.plugins.plugin import NAMESPACE
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
 from bullet_lab.simulation.world.description import Model
 
@@ -292,12 +293,13 @@ class RunningWorld:
         self.do(change)
 
 
-def tf_prefixes(model: Model, namespace: str) -> Callable[[str], str]:
-    """Return what gives the tf_prefix for the robotNamespace of each of a model's plugins.
+def tf_prefixes(model: Model, namespace: str, name: str = "") -> Callable[[str], str]:
+    """Return what gives the tf_prefix for the namespace of each of a model's plugins.
 
-    Those that name none are in `namespace`.
+    Those that name none are in `namespace`; `name` is the model's in the world, its own if empty.
     """
-    spaces = {namespace, *(p.tags.get("robotNamespace", "") for p in model.plugins)}
+    told = (namespace, *(plugin.tags.get(NAMESPACE, "") for plugin in model.plugins))
+    spaces = {name or model.name, *(space.strip("/") for space in told)}
     prefixes = {space: _tf_prefix_in(space) for space in spaces}
     return lambda space: prefixes.get(space, "")
 

@@ -219,7 +219,7 @@ class TouchCounter:
             instance = self._world.models.get(model)
             devices = [d for d in (instance.plugins if instance else ()) if d.inputs]
             if devices and model not in self._watched:
-                namespace = devices[0].mount.text("robotNamespace").strip("/")
+                namespace = devices[0].mount.namespace
                 topic = f"/{namespace}{TOUCHED}" if namespace else TOUCHED
                 publisher = self._world.topics.publisher(topic, TouchedModels)
                 self._watched[model] = _Watched(publisher, topic)

@@ -1,102 +1,35 @@
-"""All that the bridge offers under /gazebo, with the services and topics on the whole world.
+"""All that the bridge offers under /gazebo, with what is about the whole world.
 
-The latter are /gazebo/get_physics_properties and set_physics_properties, /bullet_lab/set_rtf,
-which changes the speed and nothing else, and /bullet_lab/save_world: the running world as an SDF
-file; and the topics /gazebo/model_states and link_states.
+The latter are /bullet_lab/save_world, the running world as an SDF file, and the topics
+/gazebo/model_states, link_states and performance_metrics.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
 import threading
 import time
 from pathlib import Path
 from typing import Any, Callable, Dict
 
 import rospy
-from geometry_msgs.msg import Vector3
 
 from bullet_lab.core.files import replace_file
-from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.bridge.world_topics import WorldMarkers
-from bullet_lab.ros.gazebo.services import Answer, GazeboServices, offer
-from bullet_lab.ros.messages.gazebo_types import msg, srv
-from bullet_lab.ros.messages.poses import (
-    InputError,
-    pose_message,
-    time_of,
-    twist_message,
-    vector_of,
-)
+from bullet_lab.ros.gazebo.cameras import CameraServices
+from bullet_lab.ros.gazebo.lights import GazeboLights
+from bullet_lab.ros.gazebo.performance import Performance
+from bullet_lab.ros.gazebo.physics import GazeboPhysics
+from bullet_lab.ros.gazebo.properties import GazeboProperties
+from bullet_lab.ros.gazebo.services import GazeboServices
+from bullet_lab.ros.messages.gazebo_types import msg
+from bullet_lab.ros.messages.poses import pose_message, time_of, twist_message
 from bullet_lab.simulation.models import Entity, ModelInstance, link_entities, model_entity
-from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.world.sdf_writer import world_text
-from bullet_lab.srv import SaveWorld, SaveWorldResponse, SetRtf, SetRtfResponse
-
-# What Gazebo starts with; clients send back what they were told.
-ODE_DEFAULTS = {
-    "sor_pgs_iters": 50,
-    "sor_pgs_w": 1.3,
-    "contact_surface_layer": 0.001,
-    "contact_max_correcting_vel": 100.0,
-    "erp": 0.2,
-    "max_contacts": 20,
-}
-
-
-class GazeboPhysics:
-    """Offers the services on the engine and on the speed."""
-
-    def __init__(self, world: RunningWorld):
-        self._world = world
-        self._ode = msg.ODEPhysics(**ODE_DEFAULTS)
-        read = "GetPhysicsProperties: got properties"
-        written = "physics engine updated"
-        self._services = [
-            offer("get_physics_properties", srv.GetPhysicsProperties, self._get, read),
-            offer("set_physics_properties", srv.SetPhysicsProperties, self._set, written),
-            rospy.Service("/bullet_lab/set_rtf", SetRtf, self._set_rtf),
-        ]
-
-    def _get(self, _request: Any) -> Answer:
-        stepper = self._world.stepper
-        return {
-            "time_step": STEP_SECONDS,
-            "pause": stepper.paused,
-            "max_update_rate": STEPS_PER_SECOND * stepper.pace.real_time_factor,
-            "gravity": Vector3(*self._world.do(lambda: self._world.simulation.world.gravity)),
-            "ode_config": self._ode,
-        }
-
-    def _set(self, request: Any) -> Answer:
-        if not math.isclose(request.time_step, STEP_SECONDS, rel_tol=1e-9):
-            always = f"it is {STEP_SECONDS:g} s here, always"
-            raise InputError(f"time_step is {request.time_step:g} s: {always}")
-        gravity = vector_of(request.gravity, "gravity")
-        factor = _factor(request.max_update_rate / STEPS_PER_SECOND, "max_update_rate")
-        self._world.do(lambda: self._world.simulation.set_gravity(gravity))
-        self._world.stepper.set_real_time_factor(factor)
-        if request.ode_config == self._ode:
-            return {}
-        self._ode = request.ode_config
-        return {"status_message": "physics engine updated; ode_config is kept and does nothing"}
-
-    def _set_rtf(self, request: Any) -> SetRtfResponse:
-        try:
-            self._world.stepper.set_real_time_factor(_factor(request.rtf, "rtf"))
-        except LabError as error:
-            return SetRtfResponse(success=False, status_message=str(error))
-        return SetRtfResponse(success=True, status_message="")
-
-
-def _factor(factor: float, name: str) -> float:
-    if not 0.0 <= factor < math.inf:
-        raise InputError(f"{name} must be a number >= 0, 0 for as fast as it goes")
-    return factor
+from bullet_lab.srv import SaveWorld, SaveWorldResponse
 
 
 class SaveError(LabError):
@@ -216,9 +149,13 @@ class Gazebo:
             WorldMarkers(world, frame, hidden),
             _States(world, "/gazebo/model_states", msg.ModelStates, _model, states_rate),
             _States(world, "/gazebo/link_states", msg.LinkStates, _links, states_rate),
+            Performance(world),
             GazeboServices(world),
+            GazeboProperties(world),
+            GazeboLights(world),
             GazeboPhysics(world),
             WorldSaver(world),
+            CameraServices(world),
         ]
 
     def everything_moved(self) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import traceback
+from dataclasses import replace
 from functools import partial
-from typing import Any, Callable, Dict
+from typing import Any, Callable
 
 import rospy
 
@@ -12,6 +12,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld, tf_prefixes
 from bullet_lab.ros.bridge.stepper import StepperError
+from bullet_lab.ros.gazebo.offers import Answer, offer, offer_between_steps
 from bullet_lab.ros.messages.gazebo_types import msg, srv
 from bullet_lab.ros.messages.poses import (
     InputError,
@@ -35,52 +36,14 @@ from bullet_lab.simulation.models import (
     move_link,
     relative_to,
 )
-from bullet_lab.simulation.world.description import FrameState, Model
-from bullet_lab.simulation.world.sdf import read_description
+from bullet_lab.simulation.world.description import FrameState, Light, Model
+from bullet_lab.simulation.world.sdf import read_spawned
 
-# Fields of a response besides success and status_message.
-Answer = Dict[str, Any]
-JOINT_TYPES = {
-    "revolute": srv.GetJointPropertiesResponse.REVOLUTE,
-    "continuous": srv.GetJointPropertiesResponse.CONTINUOUS,
-    "prismatic": srv.GetJointPropertiesResponse.PRISMATIC,
-}
 QUEUE_SIZE = 10
 
 
 class SpawnError(LabError):
     """A model cannot be put into the world."""
-
-
-def offer(
-    name: str, kind: Any, answer: Callable[[Any], Answer], done: str = "", failed: str = ""
-) -> rospy.Service:
-    """Offer a service of /gazebo that answers errors with success=False and what was wrong.
-
-    `answer` returns the fields of the response, and `done` is the status message where all went
-    well; `failed` stands before an error, the type's name by default.
-    """
-    fields = kind._response_class.__slots__
-    prefix = failed or f"{kind.__name__}: "
-
-    def handle(request: Any) -> Any:
-        values: Answer = {"success": True, "status_message": done}
-        try:
-            values.update(answer(request))
-        except LabError as error:
-            values = {"success": False, "status_message": f"{prefix}{error}"}
-        except rospy.ROSInterruptException:
-            raise
-        except Exception as error:
-            # Whatever a client sends, it gets an answer, and the others' simulation goes on.
-            rospy.logerr("/gazebo/%s: %s", name, traceback.format_exc())
-            values = {"success": False, "status_message": f"{prefix}{error!r}"}
-        if not values["success"] and "success" not in fields:
-            rospy.logwarn("%s", values["status_message"])
-        known = {key: value for key, value in values.items() if key in fields}
-        return kind._response_class(**known)
-
-    return rospy.Service(f"/gazebo/{name}", kind, handle)
 
 
 class GazeboServices:
@@ -89,6 +52,7 @@ class GazeboServices:
     def __init__(self, world: RunningWorld):
         self._world = world
         self._refusals = Refusals()
+        offered = partial(offer_between_steps, world)
         spawn = (srv.SpawnModel, self._spawn, "SpawnModel: Successfully spawned entity")
         set_model, set_link = self._change(self._set_model), self._change(self._set_link)
         self._services = [
@@ -119,35 +83,19 @@ class GazeboServices:
                 self._change(self._configure),
                 "SetModelConfiguration: success",
             ),
-            self._offer("get_world_properties", srv.GetWorldProperties, self._world_properties),
-            self._offer("get_model_properties", srv.GetModelProperties, self._model_properties),
-            self._offer("get_joint_properties", srv.GetJointProperties, self._joint_properties),
-            self._offer("get_link_properties", srv.GetLinkProperties, self._link_properties),
-            self._offer("get_model_state", srv.GetModelState, self._model_state),
-            self._offer("get_link_state", srv.GetLinkState, self._link_state, "got state"),
-            self._offer("apply_body_wrench", srv.ApplyBodyWrench, self._apply_wrench, ""),
-            self._offer("clear_body_wrenches", srv.BodyRequest, self._clear_wrenches, ""),
-            self._offer("apply_joint_effort", srv.ApplyJointEffort, self._apply_effort, ""),
-            self._offer("clear_joint_forces", srv.JointRequest, self._clear_efforts, ""),
+            offered("get_world_properties", srv.GetWorldProperties, self._world_properties),
+            offered("get_model_properties", srv.GetModelProperties, self._model_properties),
+            offered("get_model_state", srv.GetModelState, self._model_state),
+            offered("get_link_state", srv.GetLinkState, self._link_state, "got state"),
+            offered("apply_body_wrench", srv.ApplyBodyWrench, self._apply_wrench, ""),
+            offered("clear_body_wrenches", srv.BodyRequest, self._clear_wrenches, ""),
+            offered("apply_joint_effort", srv.ApplyJointEffort, self._apply_effort, ""),
+            offered("clear_joint_forces", srv.JointRequest, self._clear_efforts, ""),
             # Gazebo knows it by this name, too.
-            self._offer("clear_joint_efforts", srv.JointRequest, self._clear_efforts, ""),
+            offered("clear_joint_efforts", srv.JointRequest, self._clear_efforts, ""),
         ]
         self._listen("set_model_state", msg.ModelState, set_model)
         self._listen("set_link_state", msg.LinkState, set_link)
-
-    def _offer(
-        self,
-        name: str,
-        kind: Any,
-        answer: Callable[[Any], Answer],
-        done: str = "got properties",
-    ) -> rospy.Service:
-        """Offer a service that is answered between two steps."""
-
-        def between_steps(request: Any) -> Answer:
-            return self._world.do(partial(answer, request))
-
-        return offer(name, kind, between_steps, done and f"{kind.__name__}: {done}")
 
     def _change(self, change: Callable[[Any], str]) -> Callable[[Any], Answer]:
         """Return what answers by a change between two steps, which names the changed model."""
@@ -175,8 +123,11 @@ class GazeboServices:
         name = request.model_name
         pose = normalised_pose(request.initial_pose)
         # Read in this thread, so that the simulation does not wait for it.
-        model = read_description(request.model_xml, f"model_xml of '{name}'")
-        prefixes = tf_prefixes(model, request.robot_namespace)
+        model = read_spawned(request.model_xml, f"model_xml of '{name}'")
+        if isinstance(model, Light):
+            self._world.do(lambda: self._add_light(replace(model, name=name or model.name)))
+            return {}
+        prefixes = tf_prefixes(model, request.robot_namespace, name)
         self._world.change(lambda: self._add(model, pose, request, prefixes))
         return {}
 
@@ -194,6 +145,13 @@ class GazeboServices:
             self._take_out(name)
             raise SpawnError(f"cannot connect its topics: {error}") from error
         return name
+
+    def _add_light(self, light: Light) -> None:
+        simulation = self._world.simulation
+        if light.name in (*simulation.models, *(one.name for one in simulation.world.lights)):
+            raise SpawnError("entity already exists.")
+        # It stays where its text has it, as in Gazebo.
+        simulation.set_light(light)
 
     def _delete(self, request: Any) -> str:
         find_model(self._world.models, request.model_name)
@@ -240,27 +198,6 @@ class GazeboServices:
             "joint_names": [joint.name for joint in model.joints],
             "is_static": model.static,
         }
-
-    def _joint_properties(self, request: Any) -> Answer:
-        instance, name = find_joint(self._world.models, request.joint_name)
-        state = instance.body_of_joint(name).joint_state(name)
-        joint = next(j for j in instance.model.joints if j.name == name)
-        return {
-            "type": JOINT_TYPES[joint.kind],
-            "damping": [joint.damping],
-            "position": [state.position],
-            "rate": [state.velocity],
-        }
-
-    def _link_properties(self, request: Any) -> Answer:
-        link = find_link(self._world.models, request.link_name)
-        model = link.instance.model
-        inertia = model.links_by_name()[link.link].inertia
-        if inertia is None:
-            return {"com": pose_message(Pose())}
-        com = pose_message(Pose(inertia.centre))
-        properties = {"com": com, "gravity_mode": not model.static, "mass": inertia.mass}
-        return {**properties, **inertia.elements()}
 
     def _model_state(self, request: Any) -> Answer:
         entity = model_entity(find_model(self._world.models, request.model_name))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Callable, Dict, List, Type
+from typing import Any, Callable, Dict, List, Mapping, Type
 
+import cv2
 import numpy as np
 from geometry_msgs.msg import TransformStamped, Twist, TwistStamped, Vector3, Wrench
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import (
     CameraInfo,
+    CompressedImage,
     Image,
     Imu,
     JointState,
@@ -55,6 +57,16 @@ POINT = np.dtype(
         "itemsize": 32,
     }
 )
+TO_BGR = {"rgb8": cv2.COLOR_RGB2BGR}
+# OpenCV's parameters of each format, by what image_transport calls them.
+COMPRESSIONS = {
+    "jpeg": {
+        cv2.IMWRITE_JPEG_QUALITY: "jpeg_quality",
+        cv2.IMWRITE_JPEG_PROGRESSIVE: "jpeg_progressive",
+        cv2.IMWRITE_JPEG_OPTIMIZE: "jpeg_optimize",
+    },
+    "png": {cv2.IMWRITE_PNG_COMPRESSION: "png_level"},
+}
 
 
 class Converter:
@@ -134,6 +146,19 @@ def _image(message: Image, sample: ImageSample) -> None:
     message.data = sample.pixels.tobytes()
 
 
+def compressed_message(sample: ImageSample, settings: Mapping[str, Any]) -> CompressedImage:
+    """Return a picture as compressed_image_transport sends it, with its settings by their names."""
+    kind, code = settings["format"], TO_BGR.get(sample.encoding)
+    pixels = sample.pixels if code is None else cv2.cvtColor(sample.pixels, code)
+    choices = [value for key, name in COMPRESSIONS[kind].items() for value in (key, settings[name])]
+    message = CompressedImage(format=f"{sample.encoding}; {kind} compressed ")
+    message.format += "" if pixels.ndim == 2 else "bgr8"
+    set_time(message.header.stamp, sample.step)
+    message.header.frame_id = sample.frame
+    message.data = cv2.imencode(f".{kind}", pixels, list(map(int, choices)))[1].tobytes()
+    return message
+
+
 def _camera_info(message: CameraInfo, sample: CameraInfoSample) -> None:
     camera = sample.camera
     message.width, message.height = camera.width, camera.height
@@ -143,6 +168,8 @@ def _camera_info(message: CameraInfo, sample: CameraInfoSample) -> None:
     shift = 0.0 - camera.fx * sample.baseline
     message.P = [camera.fx, 0.0, camera.cx, shift, 0.0, camera.fy, camera.cy, 0.0]
     message.P += [0.0, 0.0, 1.0, 0.0]
+    for name, value in sample.calibration.items():
+        setattr(message, name, value)
 
 
 def _points(message: PointCloud2, sample: PointsSample) -> None:
@@ -162,9 +189,9 @@ def _points(message: PointCloud2, sample: PointsSample) -> None:
 
 
 def _scan(message: LaserScan, sample: LaserSample) -> None:
-    # `time_increment` stays 0: all rays are of one time.
+    # `time_increment` and `scan_time` stay 0: all rays are of one time, as Gazebo has it.
     message.angle_min, message.angle_max = sample.angle_min, sample.angle_max
-    message.angle_increment, message.scan_time = sample.angle_increment, sample.period
+    message.angle_increment = sample.angle_increment
     message.range_min, message.range_max = sample.range_min, sample.range_max
     # Lists are written four times as fast as arrays.
     message.ranges = sample.ranges.tolist()

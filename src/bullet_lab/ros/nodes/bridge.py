@@ -24,6 +24,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import threading
 import time
@@ -68,6 +69,8 @@ from bullet_lab.simulation.world.description import Model
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
 from bullet_lab.srv import Advance, AdvanceResponse, Step, StepResponse
+
+LOG = logging.getLogger(__name__)
 
 # Hz; setting the time of this node's log costs more than a message on /clock.
 LOG_TIME_RATE = 5.0
@@ -136,8 +139,8 @@ class PyBulletBridge:
         self._parameters = parameters
         check_choice(parameters.renderer)
         warnings = Warnings()
-        self.simulation = Simulation.of(parameters.world, parameters.seed)
         self._failures: Set[Tuple[str, str]] = set()
+        self.simulation = Simulation.of(parameters.world, parameters.seed)
         self.simulation.go_on_after(self._report_failure)
         self.stepper = Stepper(
             self.simulation,
@@ -200,10 +203,11 @@ class PyBulletBridge:
             return None
         x, y, z, roll, pitch, yaw = self._parameters.robot_pose
         pose = Pose.from_rpy((x, y, z), (roll, pitch, yaw))
-        namespace = self._parameters.robot_namespace
-        robot = self.simulation.add(
-            model, self._parameters.robot_name, pose, namespace, tf_prefixes(model, namespace)
-        )
+        name = self._parameters.robot_name
+        # As spawn_model has it, so that no plugin is named by its model.
+        namespace = self._parameters.robot_namespace or "/"
+        prefixes = tf_prefixes(model, namespace, name)
+        robot = self.simulation.add(model, name, pose, namespace, prefixes)
         self._topics.connect(robot)
         if self._parameters.camera_rate:
             _set_camera_rate(robot, self._parameters.camera_rate)
@@ -267,7 +271,7 @@ class PyBulletBridge:
         failure = (device, str(error))
         if failure not in self._failures:
             self._failures.add(failure)
-            rospy.logerr("%s: %s; the rest goes on", *failure)
+            LOG.error("%s: %s; the rest goes on", *failure)
 
     def _report_stall(self, holding: Sequence[str]) -> None:
         """Say who holds time back; go on without members that have died."""

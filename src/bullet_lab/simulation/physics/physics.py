@@ -18,11 +18,13 @@ from bullet_lab.simulation.physics.bodies import (
     BodyMaker,
     Part,
     allowed_effort,
+    joint_properties,
     net_motor,
 )
 from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
 from bullet_lab.simulation.physics.surfaces import wants_friction_pyramid
-from bullet_lab.simulation.world.description import Joint, Model
+from bullet_lab.simulation.world.description import Inertia, Joint, Model
+from bullet_lab.simulation.world.inertia import principal_axes
 from bullet_lab.simulation.world.tree import top_down
 
 __all__ = ["STEP_SECONDS", "Body", "JointState", "Physics", "PhysicsError"]
@@ -30,6 +32,8 @@ __all__ = ["STEP_SECONDS", "Body", "JointState", "Physics", "PhysicsError"]
 STEP_SECONDS = 1e-3
 # What part of its distance from the held position a joint is brought back in one step.
 HOLDING_GAIN = 0.1
+# In m, and of a quaternion: what rounding leaves of a pose that did not change.
+NEARLY = 1e-6
 # A body that was put into another is pushed out at once, and may not keep the speed of that: for
 # so many steps, from so deep in m, and faster than that in m/s.
 SETTLING_STEPS = 1000
@@ -217,6 +221,37 @@ class Body:
         """Return the part that has an index of PyBullet's."""
         return self.parts[index - ROOT]
 
+    def change_joint(self, joint: Joint) -> None:
+        """Let the joint of that name allow and resist something else; raises KeyError."""
+        index = self._joints[joint.name]
+        part = self._replace_part(index, joint=joint)
+        properties = joint_properties(joint, self.parts[part.parent].link, part.link)
+        self._call(pybullet.changeDynamics, index, **properties)
+
+    def change_inertia(self, link: str, inertia: Inertia) -> None:
+        """Change mass and moments of a link.
+
+        Raises:
+            PhysicsError: no body has such, or its principal frame would lie elsewhere.
+        """
+        index = self.link_index(link)
+        moments, frame = principal_axes(inertia)
+        before = self.part_at(index).mass_properties()[2]
+        if inertia.mass <= 0.0 or min(moments) <= 0.0:
+            raise PhysicsError(f"link '{link}': no body has such a mass and inertia")
+        if not same_place(frame, before):
+            where = "its centre of mass and principal axes stay where they are"
+            raise PhysicsError(f"link '{link}': {where}, once it is there")
+        self._replace_part(index, link=replace(self.part_at(index).link, inertia=inertia))
+        properties = {"mass": inertia.mass, "localInertiaDiagonal": moments}
+        self._call(pybullet.changeDynamics, index, **properties)
+
+    def _replace_part(self, index: int, **changes: Any) -> Part:
+        parts = list(self.parts)
+        parts[index - ROOT] = replace(parts[index - ROOT], **changes)
+        self.parts = tuple(parts)
+        return parts[index - ROOT]
+
     def _joint(self, name: str) -> Joint:
         return self.part_at(self._joints[name]).joint
 
@@ -331,6 +366,12 @@ class Physics:
         """Take the bodies of a model out of the world."""
         for body in bodies.values():
             pybullet.removeBody(body.unique_id, self.client)
+
+
+def same_place(one: Pose, other: Pose) -> bool:
+    """Return whether two poses are the same, but for rounding."""
+    way = one.inverse() * other
+    return max(map(abs, (*way.position, *way.quaternion[:3]))) < NEARLY
 
 
 def part_the_links(body: Body) -> None:

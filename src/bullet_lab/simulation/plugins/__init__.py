@@ -14,9 +14,19 @@ from bullet_lab.simulation.plugins.plugin import (
     PluginError,
     known_plugins,
     make_plugin,
+    namespace_of,
 )
 
-__all__ = ["Input", "Mount", "Output", "Plugin", "PluginError", "known_plugins", "make_plugin"]
+__all__ = [
+    "Input",
+    "Mount",
+    "Output",
+    "Plugin",
+    "PluginError",
+    "known_plugins",
+    "make_plugin",
+    "namespace_of",
+]
 
 for _module in pkgutil.iter_modules(__path__, f"{__name__}."):
     importlib.import_module(_module.name)

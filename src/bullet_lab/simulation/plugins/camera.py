@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import ClassVar, Optional, Tuple
+from typing import Any, ClassVar, Mapping, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -48,10 +48,17 @@ class Camera(Plugin):
     The picture is drawn only while somebody wants it; camera_info tells the geometry that it
     really has, with the principal point in the middle and the lens's distortion, which is
     simulated. `settings` may be changed at any time, the rate by `set_rate`.
+
+    Attributes:
+        name: stands before its topics, if it is not empty.
+        calibration: what somebody has set of camera_info, by the names of its fields.
     """
 
     filenames = ("libgazebo_ros_camera.so",)
+    named_by_model = (False, True)
     sensors: ClassVar[Tuple[str, ...]] = ("camera",)
+    # Of the topics of pictures, where the plugin names none.
+    prefix: ClassVar[str] = ""
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
@@ -67,11 +74,12 @@ class Camera(Plugin):
         self.frame = mount.frame(mount.text("frameName", mount.plugin.link))
         self._noise = mount.noise()
         self._table: Optional[Tuple[tuple, SensorNoise]] = None
-        own = tag.element.find("camera")
-        own_name = "" if own is None else own.get("name", "")
-        self._name = mount.text("cameraName", own_name or "camera")
-        self.image = self.output("imageTopicName", "image_raw", ImageSample)
-        self.info = self.output("cameraInfoTopicName", "camera_info", CameraInfoSample)
+        self.name = mount.text("cameraName")
+        self.calibration: Mapping[str, Any] = {}
+        self.image = self.output("imageTopicName", f"{self.prefix}image_raw", ImageSample)
+        self.info = self.output(
+            "cameraInfoTopicName", f"{self.prefix}camera_info", CameraInfoSample
+        )
         self.outputs = (self.image, self.info)
         rates = (tag.number("update_rate", 0.0), mount.number("updateRate", 0.0))
         given = [rate for rate in rates if rate != 0.0]
@@ -96,10 +104,12 @@ class Camera(Plugin):
 
     def output(self, tag: str, default: str, kind: type) -> Output:
         """Return an output on the topic in a tag, which is below the camera's name."""
-        name = self.mount.text(tag, default)
-        return Output(
-            self.mount.topic(name if name.startswith("/") else f"{self._name}/{name}"), kind
-        )
+        return Output(self.topic(self.mount.text(tag, default)), kind)
+
+    def topic(self, name: str) -> str:
+        """Return the full name of what is called so below the camera's name, if it has one."""
+        below = self.name and not name.startswith("/")
+        return self.mount.topic(f"{self.name}/{name}" if below else name)
 
     def produce(self, step: int) -> None:
         if self.image.wanted:
@@ -109,7 +119,10 @@ class Camera(Plugin):
     def send_geometry(self, step: int, output: Output) -> None:
         """Send the geometry of the picture, if somebody wants it there."""
         if output.wanted:
-            output.send(CameraInfoSample(step, self.frame, self.camera, self._baseline))
+            sample = CameraInfoSample(
+                step, self.frame, self.camera, self._baseline, self.calibration
+            )
+            output.send(sample)
 
     def take(self, step: int) -> np.ndarray:
         """Return the picture of this moment, (height, width, 3) or, in grey, (height, width) uint8.
@@ -190,6 +203,7 @@ class DepthCamera(Camera):
 
     filenames = ("libgazebo_ros_openni_kinect.so", "libgazebo_ros_depth_camera.so")
     sensors: ClassVar[Tuple[str, ...]] = ("depth",)
+    prefix = "ir/"
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
@@ -237,8 +251,9 @@ class DepthCamera(Camera):
     def _depth_image(self, step: int, depths: np.ndarray) -> ImageSample:
         if not self._in_millimetres:
             return ImageSample(step, self.frame, "32FC1", depths)
-        # 0 is for what has no depth, in this format.
-        whole = np.nan_to_num(np.rint(1e3 * depths), nan=0.0)
+        # 0 is for what has no depth, in this format. What is left of a millimetre is cut off, as
+        # in Gazebo.
+        whole = np.nan_to_num(np.floor(1e3 * depths.astype(float)), nan=0.0)
         pixels = np.where(whole > MOST_MILLIMETRES, 0, whole).astype(np.uint16)
         return ImageSample(step, self.frame, "16UC1", pixels)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Deque, Optional, Tuple
+from typing import ClassVar, Deque, Optional, Tuple
 
 import numpy as np
 
@@ -77,11 +77,14 @@ class AxisNoise:
 class InertialUnit(Plugin):
     """What the two plugins have in common.
 
-    Reports the orientation in the world (REP 145), the angular velocity and the specific force
-    (+9.8 m/s² along z at rest) in the sensor's own axes. gaussianNoise is the deviation of each
-    component: in rad/s, in m/s², and in rad as a small turn of the orientation.
+    Reports the orientation in the world (REP 145), the angular velocity and what accelerates in
+    the sensor's own axes: the specific force (+9.8 m/s² along z at rest), or what changes the
+    velocity (0 at rest) where `feels_gravity` is false. Frames have no prefix. gaussianNoise is
+    the deviation of each component: in rad/s, in m/s², and in rad as a small turn of the
+    orientation.
     """
 
+    feels_gravity: ClassVar[bool] = True
     place: AttachedFrame
     reference: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
@@ -106,7 +109,8 @@ class InertialUnit(Plugin):
         pose = self.place.pose()
         into = Pose(quaternion=pose.inverse().quaternion)
         rate = np.array(into.rotate(angular))
-        force = np.array(into.rotate((ax, ay, az + self.gravity)))
+        upwards = self.gravity if self.feels_gravity else 0.0
+        force = np.array(into.rotate((ax, ay, az + upwards)))
         orientation = (Pose(quaternion=self.reference) * pose).quaternion
         self.imu.send(self._reading(step, orientation, rate, force))
 
@@ -141,14 +145,17 @@ class InertialUnit(Plugin):
 class Imu(InertialUnit):
     """The plugin of a model, which names the link that it sits on.
 
-    serviceName is read and nothing is offered there: in Gazebo the service does nothing.
+    As in Gazebo it feels no gravity. There, rates and accelerations are turned by the orientation
+    the wrong way round; here they are what the sensor's axes see. serviceName is read and nothing
+    is offered there: in Gazebo the service does nothing.
     """
 
     filenames = ("libgazebo_ros_imu.so",)
+    feels_gravity = False
 
     def __init__(self, mount: Mount):
         body = mount.required("bodyName")
-        frame = mount.frame(mount.text("frameName", body))
+        frame = mount.text("frameName", body)
         super().__init__(mount, frame, mount.text("topicName", "/default_imu"))
         mount.text("serviceName")
         self.place = mount.attached(body, mount.offset())
@@ -159,10 +166,11 @@ class ImuSensor(InertialUnit):
     """The plugin of an `<sensor type="imu">`."""
 
     filenames = ("libgazebo_ros_imu_sensor.so",)
+    named_by_model = (True, False)
 
     def __init__(self, mount: Mount):
         tag = SensorTag(mount, ("imu",))
-        frame = mount.frame(mount.required("frameName"))
+        frame = mount.required("frameName")
         super().__init__(mount, frame, mount.text("topicName", "imu_data"))
         self.place = tag.place(mount.offset())
         if mount.boolean("initialOrientationAsReference", False):

@@ -35,8 +35,8 @@ class MobileBase(Plugin):
         self._body = mount.body
         root = mount.model.root_links()[0].pose
         self._in_root = None if root == Pose() else root.inverse()
-        self.frame = self._frame_name(mount.text("odometryFrame", "odom"))
-        self._base_frame = self._frame_name(mount.text("robotBaseFrame", "base_footprint"))
+        self.frame = mount.frame(mount.text("odometryFrame", "odom"))
+        self._base_frame = mount.frame(mount.text("robotBaseFrame", "base_footprint"))
         self.odometry = Output(mount.topic(mount.text("odometryTopic", "odom")), OdometrySample)
         self.transform = Output("/tf", TransformSample)
         topic = mount.topic(mount.text("commandTopic", "cmd_vel"))
@@ -56,9 +56,6 @@ class MobileBase(Plugin):
         self._command = STANDSTILL
         self._last_step = step
         self.placed()
-
-    def _frame_name(self, name: str) -> str:
-        return self.mount.frame(name)
 
     def _pose(self) -> Pose:
         """Return the pose of the model's frame in the world, which its first link need not have."""

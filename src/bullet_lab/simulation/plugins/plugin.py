@@ -11,8 +11,9 @@ this package in `plugins/__init__.py`.
 from __future__ import annotations
 
 import logging
+import re
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Callable, ClassVar, Dict, List, Mapping, Optional, Set, Tuple, Type
 from zlib import crc32
 
@@ -52,7 +53,10 @@ class StepNoise:
 
 
 # Tags that Gazebo's plugins themselves pass over, or that only they have a use for.
-QUIET_TAGS = frozenset(("robotNamespace", "rosDebugLevel", "alwaysOn", "visualize"))
+NAMESPACE = "robotNamespace"
+# What ROS takes for a name.
+TOPIC = re.compile(r"[~/A-Za-z][\w/]*", re.ASCII)
+QUIET_TAGS = frozenset((NAMESPACE, "rosDebugLevel", "alwaysOn", "visualize"))
 
 
 class PluginError(LabError):
@@ -66,6 +70,7 @@ class Mount(TagReader):
     `gravity` is in m/s² and points down, `seed` is the simulation's, `tf_prefix` stands
     before the names of the robot's frames, `renderer` gives what draws its pictures, and
     `name_shape` the full name of the shape at a place on a link (`physics.contacts.shape_name`).
+    `namespace` stands before topics.
     """
 
     model: Model
@@ -76,6 +81,7 @@ class Mount(TagReader):
     tf_prefix: str = ""
     renderer: Optional[Callable[[], Renderer]] = field(default=None, repr=False)
     name_shape: Optional[Callable[[int, int, Vector], str]] = field(default=None, repr=False)
+    namespace: str = ""
     _read: Set[str] = field(default_factory=set, repr=False)
 
     @property
@@ -118,9 +124,13 @@ class Mount(TagReader):
         return _schedule(self, tag, default)
 
     def topic(self, name: str) -> str:
-        """Return a topic's name within the plugin's robotNamespace."""
-        namespace = self.text("robotNamespace").strip("/")
-        return name if name.startswith("/") or not namespace else f"/{namespace}/{name}"
+        """Return a topic's name within the plugin's namespace; raises PluginError for none."""
+        absolute = name.startswith("/") or not self.namespace
+        full = name if absolute else f"/{self.namespace}/{name}"
+        if not TOPIC.fullmatch(full):
+            plugin = f"model '{self.model.name}': plugin '{self.plugin.name}'"
+            raise PluginError(f"{plugin}: no topic is called '{full}'")
+        return full
 
     def noise(self, part: str = "") -> StepNoise:
         """Return the noise of this plugin, or of a part of it.
@@ -254,6 +264,8 @@ class Plugin:
 
     Attributes:
         filenames: the files of Gazebo's plugins that the class stands for.
+        named_by_model: whether the model's name is the namespace where the plugin has no
+            robotNamespace, and where it has an empty one: Gazebo's plugins do not agree.
         acts: whether `before_step` does anything; the loop skips those that do not.
         inputs: topics with commands for it.
         outputs: topics with what it measures.
@@ -262,6 +274,7 @@ class Plugin:
     """
 
     filenames: ClassVar[Tuple[str, ...]] = ()
+    named_by_model: ClassVar[Tuple[bool, bool]] = (False, False)
     acts: ClassVar[bool] = False
 
     def __init_subclass__(cls, **arguments: Any):
@@ -298,10 +311,25 @@ def known_plugins() -> Tuple[str, ...]:
 
 def make_plugin(mount: Mount) -> Optional[Plugin]:
     """Return the plugin for a tag, or None where its kind is not simulated; raises LabError."""
+    kind = _kind_of(mount.plugin)
+    namespace = namespace_of(mount.plugin, mount.model.name)
+    return None if kind is None else kind(replace(mount, namespace=namespace))
+
+
+def namespace_of(tag: PluginTag, model: str) -> str:
+    """Return the namespace of a plugin of a model's: its robotNamespace, or what stands in for it.
+
+    It has no slash at its ends.
+    """
+    kind, told = _kind_of(tag), tag.tags.get(NAMESPACE)
+    if kind is not None and not told and kind.named_by_model[told is not None]:
+        return model
+    return (told or "").strip("/")
+
+
+def _kind_of(tag: PluginTag) -> Optional[Type[Plugin]]:
     # Gazebo accepts the name without .so as well.
-    filename = mount.plugin.filename
-    kind = _KINDS.get(filename) or _KINDS.get(f"{filename}.so")
-    return None if kind is None else kind(mount)
+    return _KINDS.get(tag.filename) or _KINDS.get(f"{tag.filename}.so")
 
 
 def _device(*filenames: str) -> Callable[[Type[Plugin]], Type[Plugin]]:

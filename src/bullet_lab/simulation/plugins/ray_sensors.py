@@ -134,6 +134,7 @@ class Laser(Plugin):
     """
 
     filenames = ("libgazebo_ros_laser.so", "libgazebo_ros_gpu_laser.so")
+    named_by_model = (False, True)
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
@@ -150,7 +151,7 @@ class Laser(Plugin):
             return
         scanner, angles = self._scanner, self._scanner.horizontal
         ranges = scanner.measure(self._noise.at(step))
-        seen = (angles.least, angles.greatest, angles.increment, self.schedule.period)
+        seen = (angles.least, angles.greatest, angles.increment)
         reach = (scanner.least, scanner.greatest)
         zeros = np.zeros(len(ranges))
         self.scan.send(LaserSample(step, self._frame, *seen, *reach, ranges, zeros))

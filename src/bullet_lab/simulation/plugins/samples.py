@@ -6,14 +6,13 @@ kind into its message in `bullet_lab.ros.messages.conversions`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, Iterable, Tuple
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Mapping, Tuple
 
 import numpy as np
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Quaternion, Vector
-from bullet_lab.simulation.physics.physics import JointState
 
 # Row-major diagonals in REP 103 order x, y, z, rotation about x, y, z.
 Diagonal = Tuple[float, float, float, float, float, float]
@@ -89,20 +88,18 @@ class TransformSample(Sample):
 
 @dataclass(frozen=True)
 class JointSample:
-    """States of joints: positions in rad or m, velocities per second, efforts in N m or N."""
+    """States of joints: positions in rad or m, velocities per second, efforts in N m or N.
+
+    Velocities and efforts may be left out.
+    """
 
     step: int
     names: Tuple[str, ...]
     positions: Tuple[float, ...]
-    velocities: Tuple[float, ...]
-    efforts: Tuple[float, ...]
+    velocities: Tuple[float, ...] = ()
+    efforts: Tuple[float, ...] = ()
     # They are in no frame.
     frame: ClassVar[str] = ""
-
-    @classmethod
-    def of(cls, step: int, names: Tuple[str, ...], states: Iterable[JointState]) -> JointSample:
-        """Make a sample of the states of joints."""
-        return cls(step, names, *zip(*((s.position, s.velocity, s.effort) for s in states)))
 
 
 @dataclass(frozen=True)
@@ -140,10 +137,14 @@ class ImageSample(Sample):
 
 @dataclass(frozen=True)
 class CameraInfoSample(Sample):
-    """Geometry of the images of one camera; `baseline` in metres is Gazebo's hackBaseline."""
+    """Geometry of the images of one camera; `baseline` in metres is Gazebo's hackBaseline.
+
+    `calibration` has what somebody says instead, by the names of the message's fields.
+    """
 
     camera: PinholeCamera
     baseline: float = 0.0
+    calibration: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -162,15 +163,14 @@ class PointsSample(Sample):
 class LaserSample(Sample):
     """Distances that a laser scanner has measured, all at one moment.
 
-    Angles in rad about the z axis of `frame`; `period` in s between two scans; `ranges` and
-    `intensities` of shape (rays,), the former in m, +inf for nothing within `range_max` and -inf
-    for something nearer than `range_min`; several rows one after the other.
+    Angles in rad about the z axis of `frame`; `ranges` and `intensities` of shape (rays,), the
+    former in m, +inf for nothing within `range_max` and -inf for something nearer than
+    `range_min`; several rows one after the other.
     """
 
     angle_min: float
     angle_max: float
     angle_increment: float
-    period: float
     range_min: float
     range_max: float
     ranges: np.ndarray

@@ -66,6 +66,7 @@ class JointStates(Plugin):
     """libgazebo_ros_joint_state_publisher.so: reports where the joints stand and how they move."""
 
     filenames = ("libgazebo_ros_joint_state_publisher.so",)
+    named_by_model = (True, True)
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
@@ -84,4 +85,6 @@ class JointStates(Plugin):
         if not self._names or not self.states.wanted:
             return
         states = [self._body.joint_state(name) for name in self._names]
-        self.states.send(JointSample.of(step, self._names, states))
+        positions, velocities = zip(*((state.position, state.velocity) for state in states))
+        # Without efforts, as Gazebo sends it.
+        self.states.send(JointSample(step, self._names, positions, velocities))

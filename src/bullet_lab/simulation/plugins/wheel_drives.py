@@ -202,6 +202,7 @@ class DiffDrive(WheelDrive):
     """
 
     filenames = ("libgazebo_ros_diff_drive.so",)
+    named_by_model = (True, True)
     name = "diff_drive"
 
     def __init__(self, mount: Mount):
@@ -243,13 +244,6 @@ class DiffDrive(WheelDrive):
         super().placed()
         self._reckoning.resume(*self._angles())
 
-    def _frame_name(self, name: str) -> str:
-        """Return a frame's name; robotNamespace stands in for a missing prefix, as in Gazebo."""
-        namespace = self.mount.text("robotNamespace").strip("/")
-        if self.mount.tf_prefix or name.startswith("/") or not namespace:
-            return self.mount.frame(name)
-        return f"{namespace}/{name}"
-
     def _angles(self) -> Tuple[float, float]:
         left, right = self.wheels
         return left.state().position, right.state().position
@@ -263,13 +257,12 @@ class DiffDrive(WheelDrive):
         self._send_odometry(step, (pose, pose), velocity, POSE_VARIANCES)
         if self.wheel_transforms.wanted:
             for joint, wheel in zip(self._joints, self.wheels):
-                frames = (self._frame_name(joint.parent), self._frame_name(joint.child))
+                frames = (self.mount.frame(joint.parent), self.mount.frame(joint.child))
                 place = _hub_pose(joint, wheel.state().position)
                 self.wheel_transforms.send(TransformSample(step, *frames, place))
         if self.wheel_states.wanted:
             names = tuple(wheel.joint for wheel in self.wheels)
-            states = [wheel.state() for wheel in self.wheels]
-            self.wheel_states.send(JointSample.of(step, names, states))
+            self.wheel_states.send(JointSample(step, names, self._angles()))
 
     def _reckoned(self, seconds: float) -> Tuple[Pose, PlanarCommand]:
         """Return the pose by the wheels, and the mean velocity since the last update."""

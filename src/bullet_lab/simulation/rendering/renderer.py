@@ -87,6 +87,10 @@ class Renderer:
         depths[depths == 0.0] = np.inf
         return depths
 
+    def relight(self, world: World) -> None:
+        """Take the lights of a world from now on."""
+        self._scene.relight(world)
+
     def close(self) -> None:
         """Give everything back."""
         self._scene.close()

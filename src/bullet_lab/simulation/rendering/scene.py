@@ -64,6 +64,7 @@ class Scene:
     def __init__(self, world: World, models: Mapping[str, Any], graphics: Graphics):
         self.root = panda3d().NodePath("scene")
         self._models = models
+        self._graphics = graphics
         self._lighting = Lighting(world, graphics, self.root)
         # Links that look the same share one drawable for as long as any of them is there. The last
         # ones are kept, for models that go and come back: glibc, before 2.38, hardly uses again
@@ -105,6 +106,11 @@ class Scene:
                 link.face(eye, programs)
         kinds = (STILL, MOVING) if seen else (STILL,)
         return self._lighting.update({kind: self._versions[kind] for kind in kinds}, self._boxes)
+
+    def relight(self, world: World) -> None:
+        """Take the lights of a world from now on."""
+        self._lighting.remove()
+        self._lighting = Lighting(world, self._graphics, self.root)
 
     def close(self) -> None:
         """Give everything back."""

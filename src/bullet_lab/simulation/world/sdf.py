@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Callable, Container, Iterator, List, Optional, Tuple, Union
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 from bullet_lab.simulation.world.description import (
     WHITE,
@@ -86,15 +86,41 @@ def read_description(text: str, source: str, finder: Optional[ResourceFinder] = 
     raise XmlError(f"{source}: the root element is <{root.tag}>, neither <sdf> nor <robot>")
 
 
+def read_spawned(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Part:
+    """Return what is to be spawned by a text: a model, as `read_description` has it, or a light.
+
+    As in Gazebo, the pose of a model that an <include> in a <world> names does not count.
+
+    Raises:
+        LabError: as `read_description`.
+    """
+    root = parse_text(text, source)
+    if root.tag != "sdf":
+        return read_description(text, source, finder)
+    light = root.find("light") if root.find("model") is None else None
+    if light is not None:
+        return _light(_root_tag(root, source, finder).below(light))
+    for include in root.iterfind("world/include"):
+        if include.find("pose") is None:
+            SubElement(include, "pose").text = "0 0 0 0 0 0"
+    return _first_model(_root_tag(root, source, finder))
+
+
 def read_model_text(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
     """Read one model from SDF text; raises as `read_world_file`.
 
     As in Gazebo, it may stand in a <world>, and what comes after it does not count.
     """
-    root = parse_text(text, source)
-    tag = _checked_root(_Tag(root, source, Document(finder or ResourceFinder(), version_of(root))))
-    world = root.find("world")
-    held = [*root, *(() if world is None else world)]
+    return _first_model(_root_tag(parse_text(text, source), source, finder))
+
+
+def _root_tag(root: Element, source: str, finder: Optional[ResourceFinder]) -> _Tag:
+    return _checked_root(_Tag(root, source, Document(finder or ResourceFinder(), version_of(root))))
+
+
+def _first_model(tag: _Tag) -> Model:
+    world, source = tag.element.find("world"), tag.source
+    held = [*tag.element, *(() if world is None else world)]
     parts = [_resolved(child, tag) for child in held if child.tag in PARTS]
     models = [part for part in parts if part.element.tag == "model"]
     if not models:

@@ -1,12 +1,13 @@
 import struct
 
+import cv2
 import numpy as np
 import pytest
 
 pytest.importorskip("rospy")
 
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.ros.messages.conversions import OUTPUT_CONVERTERS
+from bullet_lab.ros.messages.conversions import OUTPUT_CONVERTERS, compressed_message
 from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
 
 CAMERA = PinholeCamera(64, 48, 50.0, 51.0, 31.5, 23.5, (0.1, 0.2, 0.3, 0.4, 0.5))
@@ -79,3 +80,26 @@ def test_points_are_read_as_what_they_were():
     assert not converter.convert(sample).is_dense
     smaller = PointsSample(9, "optical", points[:2], colours[:2])
     assert len(converter.convert(smaller).data) == 2 * 4 * 32
+
+
+@pytest.mark.parametrize(
+    ("encoding", "format", "said"),
+    [
+        ("rgb8", "png", "rgb8; png compressed bgr8"),
+        ("bgr8", "png", "bgr8; png compressed bgr8"),
+        ("mono8", "png", "mono8; png compressed "),
+        ("rgb8", "jpeg", "rgb8; jpeg compressed bgr8"),
+    ],
+)
+def test_pictures_are_compressed_as_image_transport_does(encoding, format, said):
+    settings = {"format": format, "jpeg_quality": 90, "jpeg_progressive": False}
+    settings.update(jpeg_optimize=True, png_level=3)
+    colour = np.array([200, 100, 50], np.uint8)
+    pixels = np.tile(colour, (8, 12, 1)) if encoding != "mono8" else np.full((8, 12), 99, np.uint8)
+    message = compressed_message(ImageSample(1500, "eye", encoding, pixels), settings)
+    assert message.format == said
+    assert (message.header.stamp.to_sec(), message.header.frame_id) == (1.5, "eye")
+    decoded = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_UNCHANGED)
+    wanted = pixels[..., ::-1] if encoding == "rgb8" else pixels
+    assert decoded.shape == wanted.shape
+    assert np.abs(decoded.astype(int) - wanted).max() <= (3 if format == "jpeg" else 0)

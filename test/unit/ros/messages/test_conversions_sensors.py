@@ -43,12 +43,12 @@ def numbers(vector):
 
 def test_scans():
     ranges = np.array([1.5, math.inf, -math.inf])
-    sample = LaserSample(2001, "laser", -1.0, 1.5, 1.25, 0.1, 0.2, 8.0, ranges, np.zeros(3))
+    sample = LaserSample(2001, "laser", -1.0, 1.5, 1.25, 0.2, 8.0, ranges, np.zeros(3))
     message = message_of(sample)
     assert message.header.stamp == genpy.Time(2, 1_000_000)
     assert message.header.frame_id == "laser"
     assert (message.angle_min, message.angle_max, message.angle_increment) == (-1.0, 1.5, 1.25)
-    assert (message.time_increment, message.scan_time) == (0.0, pytest.approx(0.1))
+    assert (message.time_increment, message.scan_time) == (0.0, 0.0)
     assert (message.range_min, message.range_max) == (pytest.approx(0.2), 8.0)
     assert message.ranges == (1.5, math.inf, -math.inf)
     assert message.intensities == (0.0, 0.0, 0.0)

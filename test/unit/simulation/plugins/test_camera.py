@@ -77,13 +77,13 @@ def test_names_follow_the_tags(wall):
 
 def test_names_without_tags(wall):
     _, camera = add(wall)
-    assert [output.topic for output in camera.outputs] == ["eye/image_raw", "eye/camera_info"]
+    assert [output.topic for output in camera.outputs] == ["image_raw", "camera_info"]
     assert camera.frame == "mast"
 
 
 def test_geometry(wall):
     robot, camera = add(wall, tags="<hackBaseline>0.07</hackBaseline>")
-    infos = listen(robot, "eye/camera_info")
+    infos = listen(robot, "camera_info")
     wall.run_for(0.1)
     pinhole = infos[0].camera
     assert (pinhole.width, pinhole.height, pinhole.cx, pinhole.cy) == (160, 120, 79.5, 59.5)
@@ -129,7 +129,7 @@ def test_distortion_of_the_plugin(wall):
 
 def test_exactly_as_many_pictures_as_the_rate_says(wall):
     robot, _ = add(wall, rate=12)
-    images, infos = listen(robot, "eye/image_raw"), listen(robot, "eye/camera_info")
+    images, infos = listen(robot, "image_raw"), listen(robot, "camera_info")
     wall.run_for(1.0)
     steps = [sample.step for sample in images]
     assert steps == [math.ceil(1000 * k / 12) for k in range(1, 13)]
@@ -141,14 +141,14 @@ def test_exactly_as_many_pictures_as_the_rate_says(wall):
 )
 def test_the_slower_rate_counts(wall, sensor, plugin, rate):
     robot, _ = add(wall, rate=sensor, tags=f"<updateRate>{plugin}</updateRate>")
-    infos = listen(robot, "eye/camera_info")
+    infos = listen(robot, "camera_info")
     wall.run_for(1.0)
     assert len(infos) == rate
 
 
 def test_another_rate_from_now_on(wall):
     robot, camera = add(wall)
-    infos = listen(robot, "eye/camera_info")
+    infos = listen(robot, "camera_info")
     camera.set_rate(5.0, wall.step)
     wall.run_for(1.0)
     assert [sample.step for sample in infos] == [200, 400, 600, 800, 1000]
@@ -159,7 +159,7 @@ def test_nothing_is_drawn_for_nobody(wall, monkeypatch):
     drawn = []
     monkeypatch.setattr(camera, "take", drawn.append)
     wall.run_for(0.2)
-    infos = listen(robot, "eye/camera_info")
+    infos = listen(robot, "camera_info")
     wall.run_for(0.2)
     assert infos
     assert not drawn
@@ -182,7 +182,7 @@ def test_nothing_is_drawn_for_nobody(wall, monkeypatch):
 )
 def test_formats(wall, name, encoding, levels):
     robot, _ = add(wall, format=name)
-    images = listen(robot, "eye/image_raw")
+    images = listen(robot, "image_raw")
     wall.run_for(0.05)
     assert images[0].encoding == encoding
     assert images[0].pixels.shape[:2] == (120, 160)

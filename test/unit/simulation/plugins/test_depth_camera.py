@@ -182,8 +182,9 @@ def test_names_without_tags(plugin, caplog):
     tags = "<reduceNormals>50</reduceNormals><normalsTopicName>n</normalsTopicName>"
     with world() as simulation:
         _, camera = add(simulation, plugin=plugin, tags=tags)
-    names = ["image_raw", "camera_info", "depth/image_raw", "depth/camera_info", "points"]
-    assert [output.topic for output in camera.outputs] == [f"eye/{name}" for name in names]
+    names = ["ir/image_raw", "ir/camera_info"]
+    names += ["depth/image_raw", "depth/camera_info", "points"]
+    assert [output.topic for output in camera.outputs] == names
     assert not caplog.messages
 
 
@@ -212,17 +213,17 @@ def test_each_output_is_worked_out_only_while_it_is_wanted(monkeypatch):
 
         def calls_for(*topics):
             wanted.clear()
-            wanted.update(dict.fromkeys(f"eye/{topic}" for topic in topics))
+            wanted.update(dict.fromkeys(topics))
             calls.clear()
             simulation.run_for(0.05)
             return calls[:]
 
         assert calls_for() == []
-        assert calls_for("camera_info", "depth/camera_info") == []
-        assert calls_for("image_raw") == ["take"]
+        assert calls_for("ir/camera_info", "depth/camera_info") == []
+        assert calls_for("ir/image_raw") == ["take"]
         assert calls_for("depth/image_raw") == ["measure"]
         assert calls_for("points") == ["take", "measure"]
-        assert calls_for("points", "image_raw", "depth/image_raw") == ["take", "measure"]
+        assert calls_for("points", "ir/image_raw", "depth/image_raw") == ["take", "measure"]
 
 
 @pytest.mark.parametrize("format", ["R8G8B8", "B8G8R8", "L8"])
@@ -235,20 +236,20 @@ def test_all_is_of_one_moment_and_points_have_the_colours_of_the_picture(format)
         assert {topic: [s.step for s in samples] for topic, samples in found.items()} == (
             dict.fromkeys(topics, [50, 100])
         )
-        cloud, depth = found["eye/points"][0], found["eye/depth/image_raw"][0]
+        cloud, depth = found["points"][0], found["depth/image_raw"][0]
         assert depth.encoding == "32FC1"
         np.testing.assert_array_equal(cloud.points[..., 2], depth.pixels)
         grey = 0.299 * 255 + 0.587 * 128 + 0.114 * 64
         wanted = (grey,) * 3 if format == "L8" else (255, 128, 64)
         assert cloud.colours[60, 80] == pytest.approx(wanted, abs=1.5)
-        geometry = {found[f"eye/{name}camera_info"][0].camera for name in ("", "depth/")}
+        geometry = {found[f"{name}camera_info"][0].camera for name in ("ir/", "depth/")}
         assert geometry == {camera.camera}
 
 
 def test_millimetres_where_they_are_asked_for():
     with world(wall(2.0, 0.9)[0]) as simulation:
         robot, _ = add(simulation, tags="<useDepth16UC1Format>true</useDepth16UC1Format>")
-        images = listen(robot, "eye/depth/image_raw")
+        images = listen(robot, "depth/image_raw")
         simulation.run_for(0.05)
     (image,) = images
     assert (image.encoding, image.pixels.dtype) == ("16UC1", np.uint16)

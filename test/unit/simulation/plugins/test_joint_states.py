@@ -54,7 +54,7 @@ def test_a_hinge_swings_under_gravity(world):
     assert positions == pytest.approx(expected[:, 0], abs=0.03)
     assert velocities == pytest.approx(expected[:, 1], abs=0.1)
     assert max(positions) == pytest.approx(math.pi, abs=0.03)
-    assert {len(sample.efforts) for sample in samples} == {1}
+    assert {sample.efforts for sample in samples} == {()}
 
 
 def test_damping_takes_energy(world):

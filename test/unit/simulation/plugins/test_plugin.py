@@ -57,6 +57,44 @@ def heights(filename):
     return [sample.range for sample in samples]
 
 
+SENSOR = """<gazebo reference="base"><sensor type="{}" name="s">
+  <ray><range><max>1</max></range></ray><plugin name="p" filename="{}">
+  <topicName>it</topicName><imageTopicName>it</imageTopicName><frameName>f</frameName>{}</plugin>
+  </sensor></gazebo></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("name", "sensor", "topic", "missing", "empty"),
+    [
+        ("planar_move", "", "cmd_vel", "", ""),
+        ("joint_state_publisher", "", "joint_states", "/r/", "/r/"),
+        ("laser", "ray", "it", "", "/r/"),
+        ("camera", "camera", "it", "", "/r/"),
+        ("imu_sensor", "imu", "it", "/r/", ""),
+        ("range", "ray", "it", "", ""),
+    ],
+)
+def test_the_namespace_without_a_tag_is_that_of_gazebos_plugin(
+    name, sensor, topic, missing, empty
+):
+    def topic_of(tag, namespace):
+        filename = f"libgazebo_ros_{name}.so"
+        text = ROBOT.format(filename).replace("<updateRate>50</updateRate>", tag)
+        if sensor:
+            text = text[: text.index("<gazebo>")] + SENSOR.format(sensor, filename, tag)
+        with Simulation() as simulation:
+            robot = simulation.add(read_urdf(text, "here"), namespace=namespace)
+            (plugin,) = robot.plugins
+            return next(entry.topic for entry in (*plugin.inputs, *plugin.outputs))
+
+    assert topic_of("", "") == f"{missing}{topic}"
+    assert topic_of("", "/") == topic
+    assert topic_of("", "/one/") == f"/one/{topic}"
+    for given in ("", "one"):
+        assert topic_of("<robotNamespace></robotNamespace>", given) == f"{empty}{topic}"
+    assert topic_of("<robotNamespace>own</robotNamespace>", "one") == f"/own/{topic}"
+
+
 @pytest.mark.parametrize("filename", ["libtest_altimeter.so", "libtest_altimeter_2"])
 def test_a_class_is_all_that_a_plugin_needs(altimeter, filename):
     assert set(altimeter.filenames) <= set(known_plugins())

@@ -5,6 +5,7 @@ import pytest
 from picture_worlds import CAMERA, plate, simulation_of, thing, write_plate
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.world.description import Attenuation, Box, Cone, Light
 
@@ -133,3 +134,28 @@ def test_standing_things_are_lit_where_they_are_put():
         simulation.models["box"].place(Pose.from_rpy((2.0, 0.0, 0.5), (0.0, 0.0, 0.6)))
         levels.append(renderer.picture(AHEAD, Shot(CAMERA))[240, 320, 0])
     assert levels == pytest.approx([204 * 0.75, 204 * (0.25 + 0.5 * math.cos(0.6))], abs=2)
+
+
+def test_lights_that_come_change_and_go_while_pictures_are_drawn():
+    shot = Shot(CAMERA)
+    wanted = {
+        lights: take(BOX, ambient=GREY, lights=lights)
+        for lights in ((), (sun((1.0, 0.0, 0.0), 0.5),), (sun((1.0, 0.0, 0.0), 0.2), lamp(0.0)))
+    }
+    none, one, two = wanted
+    with simulation_of(BOX, ambient=GREY) as simulation:
+
+        def seen():
+            return simulation.renderer().picture(AHEAD, shot, 1.0)
+
+        assert np.array_equal(seen(), wanted[none])
+        simulation.set_light(one[0])
+        assert np.array_equal(seen(), wanted[one])
+        simulation.set_light(two[0])
+        simulation.set_light(two[1])
+        assert np.array_equal(seen(), wanted[two])
+        simulation.remove_light("sun")
+        simulation.remove_light("lamp")
+        assert np.array_equal(seen(), wanted[none])
+        with pytest.raises(LabError, match="not found"):
+            simulation.remove_light("lamp")

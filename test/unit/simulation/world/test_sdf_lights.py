@@ -5,7 +5,8 @@ import pytest
 from conftest import complains
 
 from bullet_lab.simulation.world.description import Attenuation, Cone
-from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.sdf import read_spawned, read_world_file
 
 
 @pytest.fixture
@@ -70,3 +71,27 @@ def test_impossible_lights_are_named(read, wrong):
 @pytest.mark.parametrize(("said", "shadows"), [("", True), ("<shadows>false</shadows>", False)])
 def test_shadows(read, said, shadows):
     assert read(f"<scene>{said}</scene>").shadows is shadows
+
+
+def test_a_light_may_be_spawned_and_a_model_stands_before_it():
+    lamp = '<light name="lamp" type="point"><pose>1 2 3 0 0 0</pose></light>'
+    found = read_spawned(f"<sdf version='1.6'>{lamp}</sdf>", "here")
+    assert (found.name, found.kind, found.pose.position) == ("lamp", "point", (1.0, 2.0, 3.0))
+    model = '<model name="m"><static>true</static><link name="l"/></model>'
+    assert read_spawned(f"<sdf version='1.6'>{lamp}{model}</sdf>", "here").name == "m"
+
+
+@pytest.mark.parametrize(
+    ("world", "pose", "height"),
+    [(True, "", 0.0), (True, "<pose>0 0 2 0 0 0</pose>", 2.0), (False, "", 0.5)],
+)
+def test_an_include_in_a_world_has_the_last_word_on_the_pose(tmp_path, world, pose, height):
+    (tmp_path / "thing.sdf").write_text(
+        '<sdf version="1.6"><model name="m"><pose>0 0 0.5 0 0 0</pose><static>true</static>'
+        '<link name="l"/></model></sdf>'
+    )
+    include = f"<include><uri>thing.sdf</uri>{pose}</include>"
+    inner = f'<world name="default">{include}</world>' if world else include
+    finder = ResourceFinder(tmp_path)
+    found = read_spawned(f'<sdf version="1.4">{inner}</sdf>', "here", finder)
+    assert found.pose.position == (0.0, 0.0, height)

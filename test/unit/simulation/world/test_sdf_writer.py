@@ -199,13 +199,21 @@ def test_plugins_keep_all_their_tags_their_link_and_their_sensor(busy, tmp_path)
     assert camera.link in found["camera"].frames
 
 
-@pytest.mark.parametrize("tag", ["", "<robotNamespace></robotNamespace>"])
-def test_the_namespace_that_a_plugin_was_given_is_saved(tmp_path, world, tag):
+@pytest.mark.parametrize(
+    ("tag", "given", "saved"),
+    [
+        ("", "left", {"left"}),
+        ("", "/", {"/"}),
+        # An empty one is one; the other plugin has none.
+        ("<robotNamespace></robotNamespace>", "left", {"", "left"}),
+    ],
+)
+def test_the_namespace_that_a_plugin_was_given_is_saved(tmp_path, world, tag, given, saved):
     text = MACHINE.replace("<updateRate>", f"{tag}<updateRate>")
-    world.add(read_description(text, "machine"), namespace="left")
+    world.add(read_description(text, "machine"), namespace=given)
     path, _ = save(world, tmp_path)
     plugins = read_world_file(path).models[-1].plugins
-    assert [plugin.tags["robotNamespace"] for plugin in plugins] == ["left", "left"]
+    assert {plugin.tags["robotNamespace"] for plugin in plugins} == saved
 
 
 def test_a_camera_sees_the_same_in_a_saved_world(tmp_path):

@@ -332,3 +332,10 @@ def test_what_is_nested_and_held_is_saved(load, chair, tmp_path):
         assert abs(before.joints["k"][1]) > 1.0
         frames = again.models["room"].model.frames
         assert set(frames) == set(world.models[0].frames)
+
+
+def test_what_spawn_model_sends_of_the_database_is_a_model(chair, tmp_path):
+    """The real one wraps the <include> in a <world>."""
+    text = f'<sdf version="1.4"><world name="default">{chair.format("")}</world></sdf>'
+    finder = ResourceFinder(model_folders=[tmp_path / "models"])
+    assert read_description(text, "s", finder).name == "chair"

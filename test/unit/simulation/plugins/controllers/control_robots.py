@@ -85,7 +85,7 @@ def control_of(instance):
 def spawn(simulation, parameters=None, height=0.0, **robot):
     """Put the robot into a simulation; return it, and the manager of its controllers."""
     urdf = robot_urdf(**robot)
-    instance = simulation.add(read_urdf(urdf, "bot"), pose=Pose((0.0, 0.0, height)))
+    instance = simulation.add(read_urdf(urdf, "bot"), pose=Pose((0.0, 0.0, height)), namespace="")
     return instance, control_of(instance).configure(urdf, parameters or {})
 
 

@@ -1,0 +1,151 @@
+"""What cameras offer beside their topics: compressed pictures, their calibration, their settings.
+
+Below a camera's name: set_camera_info, and set_parameters of dynamic_reconfigure (imager_rate);
+below the topic of its pictures: compressed, as image_transport sends it, with the parameters of
+compressed_image_transport. A picture is compressed only while somebody listens.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import xmlrpc.client
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Dict, List
+
+import rosgraph
+import rospy
+from sensor_msgs.msg import CompressedImage
+from sensor_msgs.srv import SetCameraInfo, SetCameraInfoResponse
+
+from bullet_lab.ros.bridge.running_world import RunningWorld
+from bullet_lab.ros.bridge.stepper import StepperError
+from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
+from bullet_lab.ros.messages.conversions import compressed_message
+from bullet_lab.simulation.plugins.camera import Camera
+from bullet_lab.simulation.plugins.samples import ImageSample
+
+# Those of compressed_image_transport, but what restarts a JPEG.
+COMPRESSION = (
+    Setting("format", "jpeg", "how pictures are compressed", choices=("jpeg", "png")),
+    Setting("jpeg_quality", 80, "of a JPEG, in percent", 1, 100),
+    Setting("jpeg_progressive", False, "JPEGs that are seen before they are whole"),
+    Setting("jpeg_optimize", False, "smaller JPEGs, in more time"),
+    Setting("png_level", 9, "of a PNG: 1 is fast, 9 is small", 1, 9),
+)
+# Hz.
+LEAST_RATE, GREATEST_RATE = 1.0, 50.0
+# Where there is no master any more.
+UNREACHABLE = (OSError, xmlrpc.client.Error)
+# What set_camera_info changes.
+CALIBRATED = ("height", "width", "distortion_model", "D", "K", "R", "P", "binning_x", "binning_y")
+
+
+class CompressedPictures:
+    """The compressed pictures of one camera. Belongs to the thread that steps the simulation."""
+
+    def __init__(self, world: RunningWorld, camera: Camera):
+        self.topic = f"{camera.image.topic}/compressed"
+        self.settings: Values = {setting.name: setting.default for setting in COMPRESSION}
+        self._publisher = world.topics.publisher(self.topic, CompressedImage)
+        camera.image.connect(self._publish, self._publisher.has_connections)
+
+    def set(self, values: Values) -> Values:
+        """Compress differently from now on; return what holds."""
+        formats = COMPRESSION[0].choices
+        known = {setting.name: values[setting.name] for setting in COMPRESSION}
+        if known["format"] not in formats:
+            known["format"] = self.settings["format"]
+        self.settings = known
+        return known
+
+    def _publish(self, sample: ImageSample) -> None:
+        if self._publisher.has_connections():
+            self._publisher.publish(compressed_message(sample, self.settings))
+
+
+@dataclass
+class _Offered:
+    """What a camera offers: the topic, and what can be shut down."""
+
+    topic: str
+    services: List[Any] = field(default_factory=list)
+
+
+class CameraServices:
+    """Offers what the cameras of all models have beside their topics, while they are there."""
+
+    def __init__(self, world: RunningWorld):
+        self._world = world
+        self._offered: Dict[str, List[_Offered]] = {}
+        # Asking the master for each of them would hold the simulation up.
+        self._clerk = ThreadPoolExecutor(1)
+        world.changed.append(self._changed)
+        self._changed("")
+
+    def _changed(self, name: str) -> None:
+        """Follow a model that has come or gone, or all with an empty name."""
+        for model in [name] if name else {*self._world.models, *self._offered}:
+            instance = self._world.models.get(model)
+            cameras = [p for p in (instance.plugins if instance else ()) if isinstance(p, Camera)]
+            if cameras and model not in self._offered:
+                self._offered[model] = [self._offer(camera) for camera in cameras]
+            elif not cameras and model in self._offered:
+                for offered in self._offered.pop(model):
+                    self._world.topics.release(offered.topic)
+                    self._clerk.submit(_shut_down, offered.services)
+
+    def _offer(self, camera: Camera) -> _Offered:
+        pictures = CompressedPictures(self._world, camera)
+        offered = _Offered(pictures.topic)
+        self._clerk.submit(self._register, camera, pictures, offered.services)
+        return offered
+
+    def _register(self, camera: Camera, pictures: CompressedPictures, services: List[Any]) -> None:
+        service = rospy.resolve_name(camera.topic("set_camera_info"))
+        space = service.rsplit("/", 1)[0]
+        calibrate, change = partial(self._calibrate, camera), partial(self._set_rate, camera)
+        offers = [
+            partial(rospy.Service, service, SetCameraInfo, calibrate),
+            partial(Reconfigurable, rospy.resolve_name(pictures.topic), COMPRESSION, pictures.set),
+        ]
+        if camera.name:
+            offers.append(partial(Reconfigurable, space, [_rate_of(camera)], change))
+        for offer in offers:
+            try:
+                services.append(offer())
+            except (rospy.ServiceException, rosgraph.MasterException, *UNREACHABLE) as error:
+                # Two cameras without a name want the same services.
+                if not rospy.is_shutdown():
+                    rospy.logwarn("camera '%s': %s", camera.mount.plugin.name, error)
+
+    def _calibrate(self, camera: Camera, request: Any) -> SetCameraInfoResponse:
+        told = {name: getattr(request.camera_info, name) for name in CALIBRATED}
+
+        def change() -> None:
+            camera.calibration = told
+
+        try:
+            self._world.do(change)
+        except StepperError as error:
+            return SetCameraInfoResponse(False, str(error))
+        return SetCameraInfoResponse(True, "")
+
+    def _set_rate(self, camera: Camera, values: Values) -> Values:
+        rate = values["imager_rate"]
+        with contextlib.suppress(StepperError):
+            self._world.do(lambda: camera.set_rate(rate, self._world.simulation.step))
+        return values
+
+
+def _rate_of(camera: Camera) -> Setting:
+    default = min(max(1.0 / camera.schedule.period, LEAST_RATE), GREATEST_RATE)
+    return Setting(
+        "imager_rate", default, "pictures per simulated second", LEAST_RATE, GREATEST_RATE
+    )
+
+
+def _shut_down(services: List[Any]) -> None:
+    for service in services:
+        service.shutdown()

@@ -1,0 +1,48 @@
+"""Settings as dynamic_reconfigure's generator would describe them."""
+
+import pytest
+
+pytest.importorskip("dynamic_reconfigure.encoding")
+
+from dynamic_reconfigure.encoding import decode_description, encode_description
+
+from bullet_lab.ros.gazebo import reconfigure
+from bullet_lab.ros.gazebo.cameras import COMPRESSION
+from bullet_lab.ros.gazebo.reconfigure import Setting, _type_of
+
+
+def test_clients_read_names_kinds_limits_and_choices():
+    read = decode_description(encode_description(_type_of(COMPRESSION)))
+    found = {parameter["name"]: parameter for parameter in read["parameters"]}
+    assert list(found) == [setting.name for setting in COMPRESSION]
+    quality, switch = found["jpeg_quality"], found["jpeg_optimize"]
+    assert (quality["type"], quality["min"], quality["max"], quality["default"]) == (
+        *("int", 1, 100, 80),
+    )
+    assert (switch["type"], switch["min"], switch["max"]) == ("bool", False, True)
+    assert "png" in found["format"]["edit_method"]
+
+
+def test_what_is_changed_is_asked_for_and_the_start_is_not(monkeypatch):
+    class Server:
+        def __init__(self, kind, take, namespace):
+            self.namespace = namespace
+            self.config = take(dict(kind.defaults), -1)
+            self.take = take
+
+    monkeypatch.setattr(reconfigure, "Server", Server)
+    asked = []
+
+    def change(values):
+        asked.append(values)
+        return {"rate": 5.0}
+
+    made = reconfigure.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz", 1.0, 50.0)], change)
+    assert not asked
+    assert made._server.take({"rate": 9.0}, 1) == {"rate": 5.0}
+    assert asked == [{"rate": 9.0}]
+
+
+def test_without_the_package_nothing_is_offered(monkeypatch):
+    monkeypatch.setattr(reconfigure, "Server", None)
+    reconfigure.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz")], dict).shutdown()

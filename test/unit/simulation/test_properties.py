@@ -1,0 +1,85 @@
+"""Joints and links that are changed while they are there."""
+
+import numpy as np
+import pytest
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.models import find_link
+from bullet_lab.simulation.properties import change_inertia, change_joint
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import Inertia
+from bullet_lab.simulation.world.urdf import read_urdf
+
+# A flywheel about the vertical on a heavy foot.
+FLYWHEEL = """<robot name="flywheel">
+  <link name="foot"><inertial><mass value="500"/>
+    <inertia ixx="99" iyy="99" izz="99"/></inertial></link>
+  <link name="wheel"><inertial><mass value="1"/>
+    <inertia ixx="0.5" iyy="0.5" izz="0.5"/></inertial></link>
+  <joint name="axle" type="continuous"><parent link="foot"/><child link="wheel"/>
+    <axis xyz="0 0 1"/></joint></robot>"""
+
+
+@pytest.fixture
+def world():
+    with Simulation() as simulation:
+        simulation.set_gravity((0.0, 0.0, 0.0))
+        simulation.add(read_urdf(FLYWHEEL, "flywheel"))
+        yield simulation
+
+
+def speed_after(world, effort, seconds=0.5):
+    """Turn the wheel for a while and return how fast it has become."""
+    robot = world.models["flywheel"]
+    body = robot.body_of_joint("axle")
+    for _ in range(round(1000 * seconds)):
+        body.exert("axle", effort)
+        world.run_until(world.step + 1)
+    return body.joint_state("axle").velocity
+
+
+def test_a_heavier_wheel_turns_more_slowly(world):
+    assert speed_after(world, 1.0) == pytest.approx(1.0, rel=0.01)
+    world.reset_world()
+    robot = world.models["flywheel"]
+    wheel = find_link(world.models, "flywheel::wheel")
+    change_inertia(wheel, Inertia(4.0, (0.0, 0.0, 0.0), 2.0 * np.eye(3)))
+    assert speed_after(world, 1.0) == pytest.approx(0.25, rel=0.03)
+    assert robot.model.links_by_name()["wheel"].inertia.mass == 4.0
+
+
+def test_stops_and_damping(world):
+    robot = world.models["flywheel"]
+    change_joint(robot, "axle", damping=0.5)
+    assert speed_after(world, 1.0, 5.0) == pytest.approx(2.0, rel=0.02)
+    world.reset_world()
+    change_joint(robot, "axle", lower=-0.3, upper=0.2)
+    speed_after(world, 1.0, 2.0)
+    body = robot.body_of_joint("axle")
+    assert body.joint_state("axle").position == pytest.approx(0.2, abs=0.02)
+    (joint,) = robot.model.joints
+    assert (joint.kind, joint.damping) == ("revolute", 0.5)
+    assert dict(joint.limits) == {"lower": -0.3, "upper": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("inertia", "said"),
+    [
+        (Inertia(0.0, (0.0, 0.0, 0.0), np.eye(3)), "no body has"),
+        (Inertia(1.0, (0.0, 0.0, 0.0), np.diag((1.0, -1.0, 1.0))), "no body has"),
+        (Inertia(1.0, (0.1, 0.0, 0.0), np.eye(3)), "centre of mass and principal axes"),
+        (Inertia(1e13, (0.0, 0.0, 0.0), np.eye(3)), "out of all proportion"),
+    ],
+)
+def test_refusals(world, inertia, said):
+    with pytest.raises(LabError, match=said):
+        change_inertia(find_link(world.models, "wheel"), inertia)
+    assert world.models["flywheel"].model.links_by_name()["wheel"].inertia.mass == 1.0
+
+
+def test_what_never_moves_is_refused(world):
+    with Simulation.of("package://bullet_lab/worlds/empty.world") as floor:
+        link = find_link(floor.models, "ground_plane::link")
+        with pytest.raises(LabError, match="never moves"):
+            change_inertia(link, Inertia(1.0, Pose().position, np.eye(3)))
