@@ -9,7 +9,7 @@
 
 # In a shell that is somebody else's, nothing is left behind but the environment.
 _lab_course() {
-  local scripts root folder word words=()
+  local scripts root folder word words=() packages=${ROS_PACKAGE_PATH-}
   scripts=$(cd -P "$(dirname "${BASH_SOURCE[0]}")" && pwd) || return
   "$scripts/setup.sh" --with course || return
   root=$(dirname "$scripts")
@@ -17,6 +17,7 @@ _lab_course() {
   unset PYTHONPATH PYTHONHOME
   # shellcheck disable=SC1091
   source "$root/build/ws/devel/setup.bash" || return
+  [[ -z $packages || $packages == "$ROS_PACKAGE_PATH" ]] || ROS_PACKAGE_PATH+=:$packages
   # A virtual environment of the lab, or of anybody, has an OpenCV of its own.
   folder=$root/build/course
   IFS=: read -r -a words <<<"$PATH"

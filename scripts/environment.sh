@@ -31,9 +31,13 @@ source_setup_file() {
 
 # The built workspace and the virtual environment, for everything that runs.
 enter_lab() {
-  local given_master=${ROS_MASTER_URI-}
+  local given_master=${ROS_MASTER_URI-} given_packages=${ROS_PACKAGE_PATH-}
   use_lab_python
   source_setup_file "$LAB_WS/devel/setup.bash"
+  # They forget where else the user has packages.
+  if [[ -n $given_packages && $given_packages != "$ROS_PACKAGE_PATH" ]]; then
+    export ROS_PACKAGE_PATH=$ROS_PACKAGE_PATH:$given_packages
+  fi
   # PyPI's xacro asks ROS 2 for packages: its stand-in, which is built where ROS has none, does not.
   PATH=$LAB_WS/devel/lib/xacro:$LAB_VENV/bin:$PATH
   # catkin's files set a default, which would look like a master that the user named.

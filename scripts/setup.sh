@@ -87,6 +87,7 @@ inputs_of() {
     python-base)
       readlink -f /usr/bin/python3
       cat "$LAB_ROOT/requirements.txt"
+      echo "$OWN_TOOLKITS"
       ;;
     python-test) cat "$LAB_ROOT/requirements.txt" "$LAB_ROOT/requirements-test.txt" ;;
     build)
@@ -213,11 +214,24 @@ pip_install() {
     --no-color --progress-bar off "$@"
 }
 
+# Debian's matplotlib, where it is installed, puts its own mpl_toolkits before those of ours, which
+# they do not fit: here ours come first. site runs each line of a .pth as it is read.
+OWN_TOOLKITS="import os, sys, types; \
+sys.modules.setdefault('mpl_toolkits', types.ModuleType('mpl_toolkits')).__dict__\
+.setdefault('__path__', []).append(os.path.join(sys._getframe(1).f_locals['sitedir'], 'mpl_toolkits'))"
+
+put_own_toolkits_first() {
+  local site
+  site=$("$LAB_VENV/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+  echo "$OWN_TOOLKITS" >"$site/mpl_toolkits.pth"
+}
+
 # ROS's modules are the system's. An old pip knows too few kinds of wheels.
 create_venv() {
   /usr/bin/python3 -m venv --system-site-packages "$LAB_VENV" \
     && pip_install 'pip>=21' \
-    && pip_install -r "$LAB_ROOT/requirements.txt"
+    && pip_install -r "$LAB_ROOT/requirements.txt" \
+    && put_own_toolkits_first
 }
 
 step_python() {

@@ -272,6 +272,8 @@ class Simulation:
         acting: List[Callable[[int], None]] = [plugin.before_step for plugin in self._acting]
         if self.forces.active:
             acting.append(self.forces.before_step)
+        if any(body.settling for body in self._bodies.values()):
+            acting.append(self._settle)
         advance = self._physics.step
         step = self.step
         while step < stop:
@@ -280,6 +282,12 @@ class Simulation:
             advance()
             step += 1
         self.step = step
+
+    def _settle(self, _: int) -> None:
+        """Let no body be thrown out of what it was put into."""
+        for body in self._bodies.values():
+            if body.settling:
+                body.settle()
 
     def _shape_name(self, unique_id: int, index: int, place: Vector) -> str:
         return shape_name(self._owners[unique_id], self._bodies[unique_id], index, place)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -70,3 +72,39 @@ def test_models_that_went_are_not_named(world):
     world.remove("cube")
     with pytest.raises(SimulationError, match="^there is no model 'cube'$"):
         world.contacts("cube")
+
+
+SPRINGS = {"hard": {}, "stiff": {"stiffness": 1e7, "damping": 1.0}, "soft": {"stiffness": 5e3}}
+
+
+@pytest.mark.parametrize("spring", SPRINGS)
+@pytest.mark.parametrize("depth", [0.001, 0.01, 0.09])
+def test_what_is_put_into_the_floor_comes_out_and_stays(world, spring, depth):
+    """As launch files do that leave z at 0, and as often as they do."""
+    model = cube("cube", (0.0, 0.0, 0.5 * SIDE - depth))
+    shape = replace(model.links[0].collisions[0], **SPRINGS[spring])
+    thing = world.add(replace(model, links=(replace(model.links[0], collisions=(shape,)),)))
+
+    def highest():
+        heights = []
+        for _ in range(1200):
+            world.run_for(0.001)
+            heights.append(thing.pose().position[2])
+        return max(heights)
+
+    # Its weight presses a soft one in by 1 to 4 mm; without this, it is thrown up by metres.
+    near = pytest.approx(0.5 * SIDE, abs=0.01)
+    assert highest() == near
+    thing.move(model.pose, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert highest() == near
+    world.reset_world()
+    assert highest() == near
+
+
+def test_what_falls_later_bounces_as_it_does(world):
+    """Nothing is taken off what falls on a spring."""
+    model = cube("cube", (0.0, 0.0, 0.5 * SIDE + 0.05))
+    shape = replace(model.links[0].collisions[0], stiffness=1e4, damping=0.0)
+    thing = world.add(replace(model, links=(replace(model.links[0], collisions=(shape,)),)))
+    world.run_for(0.3)
+    assert abs(thing.bodies["link"].velocity()[0][2]) > 0.1

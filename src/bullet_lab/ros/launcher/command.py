@@ -57,8 +57,10 @@ def main() -> None:
     The status is 0 at success; 2 for a wrong command line; 128 + n after a signal n; otherwise
     that of the first node that failed, or 1.
     """
+    # ROS would take them for its own.
+    words, sys.argv[1:] = sys.argv[1:], []
     try:
-        status = _dispatch(sys.argv[1:])
+        status = _dispatch(words)
     except LabError as error:
         print(f"run.sh: {error}", file=sys.stderr)
         wrong = isinstance(error, (UsageError, ParameterError))

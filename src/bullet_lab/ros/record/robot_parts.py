@@ -26,6 +26,8 @@ from bullet_lab.srv import DescribeModels, DescribeModelsResponse
 SERVICE = "/bullet_lab/describe_models"
 VELOCITIES, ODOMETRY, PICTURES = "geometry_msgs/Twist", "nav_msgs/Odometry", "sensor_msgs/Image"
 CONTROLLERS = "/list_controllers"
+# What is listened to for so many messages only: drawing and sending it takes long.
+HEAVY, ENOUGH = (PICTURES, "sensor_msgs/PointCloud2"), 10
 # What the simulator itself says.
 OWN_TOPICS = ("/clock", "/rosout", "/tf", "/tf_static", "/gazebo/", "/bullet_lab/")
 # What a header begins with: its number, and the stamp in s and ns.
@@ -91,7 +93,10 @@ def robot_of(model: ModelDescription, answer: DescribeModelsResponse, master: Ma
     others = _topics(other for other in answer.models if other.name != model.name)
     own = _topics([model])
     drive = _nearest(_of_kind(master.heard, VELOCITIES), own, others, "")
-    odometry = _nearest(_of_kind(master.spoken, ODOMETRY), own, others, drive) if drive else ""
+    # A drive's odometry is its own plugin's; a controller's that of no plugin.
+    beside = {t for row in rows if drive in row.inputs for t in row.outputs}
+    strange = others if drive in own else others | own
+    odometry = _nearest(_of_kind(master.spoken, ODOMETRY), beside, strange, drive) if drive else ""
     names = {other.name for other in answer.models if other.of_world_file}
     said = [line for line in answer.said if not any(f"'{name}'" in line for name in names)]
     return Robot(
@@ -128,7 +133,9 @@ def _nearest(topics: Iterable[str], own: Set[str], others: Set[str], drive: str)
         shared = os.path.commonprefix([topic, drive])
         return topic in own, shared.count("/"), "odom" in topic
 
-    return max((topic for topic in topics if topic not in others - own), key=rank, default="")
+    return max(
+        (topic for topic in topics if topic in own or topic not in others), key=rank, default=""
+    )
 
 
 def topics_of(
@@ -166,18 +173,18 @@ class Listeners:
     def __init__(self, report: RobotReport, now: Callable[[], int], take: Callable[[Any], None]):
         self._report, self._now, self._take = report, now, take
         # As they come: most of them are only counted.
-        self._subscribers = [
-            subscriber(topic, rospy.AnyMsg, self._receiver(topic, count.kind))
+        self._subscribers = {
+            topic: subscriber(topic, rospy.AnyMsg, self._receiver(topic, count.kind))
             for topic, count in report.counts.items()
-        ]
+        }
 
     def are_connected(self) -> bool:
         """Return whether every topic has its publisher."""
-        return all(one.get_num_connections() > 0 for one in self._subscribers)
+        return all(one.get_num_connections() > 0 for one in self._subscribers.values())
 
     def close(self) -> None:
         """Listen no longer."""
-        for one in self._subscribers:
+        for one in self._subscribers.values():
             one.unregister()
 
     def _receiver(self, topic: str, kind: str) -> Callable[[rospy.AnyMsg], None]:
@@ -195,6 +202,8 @@ class Listeners:
                 self._take(message_class().deserialize(raw._buff))
             elif kind == PICTURES and count.messages == 1:
                 self._keep(topic, Image().deserialize(raw._buff))
+            if kind in HEAVY and count.messages == ENOUGH:
+                self._subscribers[topic].unregister()
 
         return receive
 

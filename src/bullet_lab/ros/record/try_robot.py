@@ -83,6 +83,15 @@ def assignments(words: str) -> List[str]:
     return [re.sub("^([^=:]+):?=", r"\1:=", word) for word in shlex.split(words)]
 
 
+def reason_in(log: str) -> str:
+    """Return the line in what roslaunch has printed that says most about why it has ended."""
+    lines = [
+        line for line in re.sub(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)", "", log).splitlines() if line
+    ]
+    telling = [line for line in lines if re.search(r"rror\b|Exception|not found|died", line)]
+    return (telling or lines or ["without a word"])[0].strip()
+
+
 class Launched:
     """A launch file that runs as long as this is open, by a roslaunch of its own."""
 
@@ -98,9 +107,8 @@ class Launched:
     def check(self) -> None:
         """Raise NodeError if it has ended."""
         if self._process.poll() is not None:
-            lines = self._log.read_text(errors="replace").strip().splitlines()
-            last = lines[-1] if lines else "without a word"
-            raise NodeError(f"{self._path} has ended, see {self._log}: {last}")
+            reason = reason_in(self._log.read_text(errors="replace"))
+            raise NodeError(f"{self._path} has ended, see {self._log}: {reason}")
 
     def close(self) -> None:
         """End all that it has started."""

@@ -31,6 +31,7 @@ JOINT_TYPES = {
     "continuous": pybullet.JOINT_REVOLUTE,
     "revolute": pybullet.JOINT_REVOLUTE,
     "prismatic": pybullet.JOINT_PRISMATIC,
+    "ball": pybullet.JOINT_SPHERICAL,
 }
 # What `createCollisionShapeArray` is told of a shape; a mesh is made by its corners.
 SHAPES: Dict[type, Callable[[Any], Dict[str, Any]]] = {
@@ -255,6 +256,8 @@ def joint_properties(joint: Joint, parent: Link, child: Link) -> Dict[str, float
     link would so turn the velocity round, and swing up. It gets no stronger here than what stops
     the two links at once, if nothing else held them.
     """
+    if joint.kind == "ball":
+        return {}
     properties = {"jointDamping": joint.damping}
     if joint.damping > 0.0:
         # The acceleration per effort, if nothing else held the two.

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
-from typing import Any, Callable, Dict, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.errors import LabError
@@ -30,6 +30,13 @@ __all__ = ["STEP_SECONDS", "Body", "JointState", "Physics", "PhysicsError"]
 STEP_SECONDS = 1e-3
 # What part of its distance from the held position a joint is brought back in one step.
 HOLDING_GAIN = 0.1
+# A body that was put into another is pushed out at once, and may not keep the speed of that: for
+# so many steps, from so deep in m, and faster than that in m/s.
+SETTLING_STEPS = 1000
+DEEP = 2e-4
+SLOW = 0.1
+NOWHERE = (0.0, 0.0, 0.0)
+NO_TURN = (0.0, 0.0, 0.0, 1.0)
 # Bullet's collision group and mask of all that moves: it collides with everything.
 FREE_BODY_FILTER = (1, -1)
 
@@ -57,8 +64,9 @@ class Body:
         unique_id: PyBullet's number of it.
         parts: what is a link to PyBullet, in its order; its index of the first, the root, is -1.
         links: of the description, the root first.
-        joint_names: of the movable joints.
+        joint_names: of the movable joints; balls, which have no single position, are not named.
         turned_inertia: whether the root's principal axes are turned against its frame.
+        settling: in how many steps at most `settle` is still needed, since it was put somewhere.
     """
 
     def __init__(self, client: int, unique_id: int, parts: Sequence[Part]):
@@ -73,11 +81,21 @@ class Body:
         self._com = self.parts[0].mass_properties()[2]
         self._com_inverse = self._com.inverse()
         self.turned_inertia = self._com.quaternion != (0.0, 0.0, 0.0, 1.0)
+        self.settling = 0
+        self._way_out = NOWHERE
+        self._given = (NOWHERE, NOWHERE)
         self._links: Dict[str, Tuple[int, ...]] = {}
         self._joints: Dict[str, int] = {}
+        self._balls: List[int] = []
         for index, part in enumerate(parts, start=ROOT):
             self._links[part.link.name] = (*self._links.get(part.link.name, ()), index)
-            if part.joint and part.joint.kind != "fixed":
+            if part.joint and part.joint.kind == "ball":
+                self._balls.append(index)
+                # As the others, held by a motor.
+                free = {"targetPosition": NO_TURN, "positionGain": 0.0, "force": NOWHERE}
+                mode = pybullet.POSITION_CONTROL
+                self._call(pybullet.setJointMotorControlMultiDof, index, mode, **free)
+            elif part.joint and part.joint.kind != "fixed":
                 self._joints[part.joint.name] = index
                 # PyBullet holds every joint still with a motor until told otherwise.
                 self.drive_joint(part.joint.name, 0.0, 0.0)
@@ -104,21 +122,24 @@ class Body:
 
     def place(self, pose: Pose) -> None:
         """Put the body somewhere, at rest, its joints at zero."""
-        self._put(pose)
-        self.set_velocity((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        self._put(pose, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         for name in self._joints:
             self.set_joint(name, 0.0)
+        for index in self._balls:
+            self._call(pybullet.resetJointStateMultiDof, index, NO_TURN, NOWHERE)
 
     def move(self, pose: Pose, linear: Vector, angular: Vector) -> None:
         """Put the body somewhere in motion; its joints keep their positions and stand still.
 
         The velocities, in m/s and rad/s in the world, are those of the root link's frame.
         """
-        self._put(pose)
         arm = pose.rotate(self._com.position)
-        self.set_velocity(add(linear, cross(angular, arm)), angular)
+        self._put(pose, add(linear, cross(angular, arm)), angular)
         for name in self._joints:
             self.set_joint(name, self.joint_state(name).position)
+        for index in self._balls:
+            turn = pybullet.getJointStateMultiDof(self.unique_id, index, self.client)[0]
+            self._call(pybullet.resetJointStateMultiDof, index, turn, NOWHERE)
 
     def push(self, link: str, force: Vector, torque: Vector, point: Vector) -> None:
         """Push (N, at a point) and turn (N m) a link in the coming step, all in the world."""
@@ -199,9 +220,34 @@ class Body:
     def _joint(self, name: str) -> Joint:
         return self.part_at(self._joints[name]).joint
 
-    def _put(self, pose: Pose) -> None:
+    def settle(self) -> None:
+        """Take off, before a step, what threw the body out of what it was put into.
+
+        Gazebo lets no contact push faster than its maxVel. Here it pushes as fast as it needs to
+        end the overlap, which would throw a robot that is put 0.1 m into the floor up by 100 m.
+        """
+        first = self.settling == SETTLING_STEPS
+        self.settling -= 1
+        if first:
+            # Nothing is known yet of what it touches there.
+            return
+        deepest = min(self.near_points(), key=lambda point: point[8], default=None)
+        deep = deepest is not None and deepest[8] < -DEEP
+        if deep:
+            self._way_out = deepest[7]
+        if self._way_out != NOWHERE:
+            (linear, _), out = self.velocity(), self._way_out
+            if sum(v * n for v, n in zip(linear, out)) > SLOW:
+                self.set_velocity(*self._given)
+        if not deep:
+            self.settling = 0
+
+    def _put(self, pose: Pose, linear: Vector, angular: Vector) -> None:
         com = pose * self._com
         self._call(pybullet.resetBasePositionAndOrientation, com.position, com.quaternion)
+        self.set_velocity(linear, angular)
+        self._given = (linear, angular)
+        self._way_out, self.settling = NOWHERE, SETTLING_STEPS
 
     def _control(self, joint: str, mode: int, **targets: float) -> None:
         self._call(pybullet.setJointMotorControl2, self._joints[joint], mode, **targets)

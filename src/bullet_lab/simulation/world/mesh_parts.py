@@ -24,6 +24,7 @@ from bullet_lab.simulation.world.meshes import (
     collada_triangles,
     file_version,
     load_triangles,
+    middle_of,
     read_bytes,
     read_scene,
 )
@@ -65,7 +66,9 @@ def mesh_parts(mesh: Mesh, report: Report = LOG.warning) -> List[Part]:
     if mesh.path.suffix.lower() == ".stl":
         order = -1 if np.prod(mesh.scale) < 0.0 else 1
         return [Part(triangles.vertices[triangles.faces[:, ::order]])]
-    return [_scaled(part, mesh) for part in _read(mesh, report)]
+    parts = _read(mesh, report)
+    middle = middle_of([part.corners for part in parts], mesh)
+    return [_scaled(part, mesh, middle) for part in parts]
 
 
 def has_own_looks(mesh: Mesh) -> bool:
@@ -85,28 +88,28 @@ def _has_own_looks(path: Path, _version: Tuple[int, int]) -> bool:
 def _read(mesh: Mesh, report: Report) -> List[Part]:
     read = _collada_parts if mesh.path.suffix.lower() == ".dae" else _wavefront_parts
     try:
-        return list(read(mesh.path, report))
+        return list(read(mesh, report))
     except LabError:
         raise
     except Exception as error:
         raise MeshError(f"{mesh.path}: not a readable mesh: {error}") from error
 
 
-def _scaled(part: Part, mesh: Mesh) -> Part:
+def _scaled(part: Part, mesh: Mesh, middle: np.ndarray) -> Part:
     scale = np.asarray(mesh.scale)
     # Mirrored triangles are turned over, so that they still look outward.
     order = slice(None, None, -1 if np.prod(scale) < 0.0 else 1)
     normals, picture = part.normals, part.picture
     return replace(
         part,
-        corners=(part.corners * scale)[:, order],
+        corners=((part.corners - middle) * scale)[:, order],
         normals=None if normals is None else (normals / scale)[:, order],
         picture=None if picture is None else picture[:, order],
     )
 
 
-def _collada_parts(path: Path, report: Report) -> Iterator[Part]:
-    metres, sets = collada_triangles(path)
+def _collada_parts(mesh: Mesh, report: Report) -> Iterator[Part]:
+    metres, sets = collada_triangles(mesh)
     for part in sets:
         corners = metres * np.asarray(part.vertex, float)[part.vertex_index]
         normals = picture = None
@@ -116,7 +119,7 @@ def _collada_parts(path: Path, report: Report) -> Iterator[Part]:
             # Gazebo, too, takes the first of several.
             picture = np.asarray(part.texcoordset[0], float)[part.texcoord_indexset[0]][..., :2]
         effect = getattr(part.material, "effect", None)
-        look = None if effect is None else _effect_look(effect, path, report)
+        look = None if effect is None else _effect_look(effect, mesh.path, report)
         yield Part(corners, normals, picture, look)
 
 
@@ -175,16 +178,16 @@ class _Materials:
         raise FileNotFoundError(name)
 
 
-def _wavefront_parts(path: Path, report: Report) -> Iterator[Part]:
-    materials = _Materials(path, report)
-    smooth = FACE_WITH_NORMALS.search(read_bytes(path)) is not None
-    for mesh in read_scene(path, materials).geometry.values():
-        material = getattr(mesh.visual, "material", None)
-        uv = getattr(mesh.visual, "uv", None)
+def _wavefront_parts(mesh: Mesh, report: Report) -> Iterator[Part]:
+    materials = _Materials(mesh.path, report)
+    smooth = FACE_WITH_NORMALS.search(read_bytes(mesh.path)) is not None
+    for part in read_scene(mesh.path, materials).geometry.values():
+        material = getattr(part.visual, "material", None)
+        uv = getattr(part.visual, "uv", None)
         yield Part(
-            mesh.vertices[mesh.faces],
-            mesh.vertex_normals[mesh.faces] if smooth else None,
-            None if uv is None else uv[mesh.faces][..., :2],
+            part.vertices[part.faces],
+            part.vertex_normals[part.faces] if smooth else None,
+            None if uv is None else uv[part.faces][..., :2],
             # Where a material is not known, trimesh makes one up, without a name.
             materials.looks.get(getattr(material, "name", None)),
         )

@@ -7,11 +7,12 @@ it, and costs 0.3 s to import, which only worlds with .stl and .obj files pay.
 from __future__ import annotations
 
 import functools
+import logging
 import re
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Collection, List, Protocol, Tuple
+from typing import Any, Collection, Iterator, List, Optional, Protocol, Sequence, Tuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
@@ -19,6 +20,8 @@ import numpy as np
 from bullet_lab.core.pose import Vector
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.xml import file_bytes, number, parse_text, read_text
+
+LOG = logging.getLogger(__name__)
 
 KNOWN_SUFFIXES = (".dae", ".stl", ".obj")
 MAXIMUM_BYTES = 200_000_000
@@ -39,10 +42,15 @@ class MeshError(LabError):
 
 
 class MeshFile(Protocol):
-    """What names a mesh: its file, and three factors for the coordinates in it."""
+    """What names a mesh: its file, three factors for the coordinates in it, and which part of it.
+
+    With a name, that is the part of this name, with its middle at the origin if it is centred.
+    """
 
     path: Path
     scale: Vector
+    submesh: str
+    centred: bool
 
 
 @dataclass(frozen=True)
@@ -81,8 +89,8 @@ def _load(mesh: MeshFile, _version: Tuple[int, int]) -> Triangles:
     suffix = mesh.path.suffix.lower()
     if suffix not in KNOWN_SUFFIXES:
         raise MeshError(f"{mesh.path}: a mesh is one of {', '.join(KNOWN_SUFFIXES)}")
-    vertices, faces = _read(mesh.path, suffix)
-    vertices = vertices * np.asarray(mesh.scale)
+    vertices, faces = _read(mesh, suffix)
+    vertices = (vertices - middle_of([vertices], mesh)) * np.asarray(mesh.scale)
     if len(faces) == 0 or not np.isfinite(vertices).all():
         raise MeshError(f"{mesh.path}: no triangles with finite corners")
     if faces.min() < 0 or faces.max() >= len(vertices):
@@ -91,6 +99,14 @@ def _load(mesh: MeshFile, _version: Tuple[int, int]) -> Triangles:
         # Others get the same arrays.
         array.setflags(write=False)
     return Triangles(vertices, faces)
+
+
+def middle_of(parts: Sequence[np.ndarray], mesh: MeshFile) -> np.ndarray:
+    """Return what of the places (…, 3) in a mesh is to be at its origin, unscaled."""
+    if not (mesh.submesh and mesh.centred and any(map(len, parts))):
+        return np.zeros(3)
+    places = np.concatenate([part.reshape(-1, 3) for part in parts])
+    return 0.5 * (places.min(axis=0) + places.max(axis=0))
 
 
 def mesh_bounds(mesh: MeshFile) -> np.ndarray:
@@ -146,10 +162,13 @@ def _directions() -> np.ndarray:
     return np.column_stack((level * np.cos(turn), level * np.sin(turn), height))
 
 
-def _read(path: Path, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
+def _read(mesh: MeshFile, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
+    path = mesh.path
     try:
         if suffix == ".dae":
-            return _read_collada(path)
+            return _read_collada(mesh)
+        if mesh.submesh:
+            LOG.warning("%s: submeshes of .dae alone are told apart; all of it is taken", path)
         scene = read_scene(path)
         merged = scene.to_geometry() if hasattr(scene, "to_geometry") else scene.dump(True)
         return np.asarray(merged.vertices, dtype=float), np.asarray(merged.faces, dtype=int)
@@ -214,8 +233,8 @@ def _index(index: bytes, count: int) -> bytes:
     return b"%d" % (count + int(index) + 1)
 
 
-def _read_collada(path: Path) -> Tuple[np.ndarray, np.ndarray]:
-    metres, sets = collada_triangles(path)
+def _read_collada(mesh: MeshFile) -> Tuple[np.ndarray, np.ndarray]:
+    metres, sets = collada_triangles(mesh)
     parts = [(np.asarray(s.vertex, float), np.asarray(s.vertex_index, int)) for s in sets]
     if not parts:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
@@ -224,8 +243,8 @@ def _read_collada(path: Path) -> Tuple[np.ndarray, np.ndarray]:
     return metres * np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
 
 
-def collada_triangles(path: Path) -> Tuple[float, List[Any]]:
-    """Return the length of a COLLADA file's unit, m, and its bound triangle sets, by pycollada.
+def collada_triangles(mesh: MeshFile) -> Tuple[float, List[Any]]:
+    """Return the length of a COLLADA mesh's unit, m, and its bound triangle sets, by pycollada.
 
     Raises:
         XmlError: the file is missing, not well-formed or has a document type.
@@ -234,6 +253,7 @@ def collada_triangles(path: Path) -> Tuple[float, List[Any]]:
     import collada
     from collada.triangleset import BoundTriangleSet
 
+    path = mesh.path
     root = parse_text(read_text(path), str(path))
     unit = root.find(f"{COLLADA}asset/{COLLADA}unit")
     metres = 1.0 if unit is None else number(unit.get("meter", "1"), f"{path}: <unit>")
@@ -254,10 +274,31 @@ def collada_triangles(path: Path) -> Tuple[float, List[Any]]:
         document = collada.Collada(BytesIO(tostring(root)), ignore=optional)
     if document.scene is None:
         raise ValueError("there is no scene")
-    primitives = (p for g in document.scene.objects("geometry") for p in g.primitives())
+    geometries = list(document.scene.objects("geometry"))
+    if mesh.submesh:
+        named = [g for name, g in _in_nodes(document.scene.nodes) if name == mesh.submesh]
+        if not named:
+            LOG.warning("%s: no submesh '%s'; all of it is taken", path, mesh.submesh)
+        geometries = named or geometries
+    primitives = (p for g in geometries for p in g.primitives())
     cut = (p.triangleset() if hasattr(p, "triangleset") else p for p in primitives)
     # Points and lines are left out.
     return metres, [p for p in cut if isinstance(p, BoundTriangleSet) and len(p)]
+
+
+def _in_nodes(
+    nodes: Sequence[Any], outer: Optional[np.ndarray] = None, name: str = ""
+) -> Iterator[Tuple[str, Any]]:
+    """Yield the bound geometries in nodes, with the names of the nodes that they are in."""
+    from collada.scene import Node
+
+    outer = np.eye(4) if outer is None else outer
+    for node in nodes:
+        if isinstance(node, Node):
+            inner = getattr(node, "node", node).xmlnode.get("name", name)
+            yield from _in_nodes(node.children, outer @ node.matrix, inner)
+        else:
+            yield from ((name, bound) for bound in node.objects("geometry", outer))
 
 
 def _without_lost_materials(root: Element, known: Collection[str]) -> bool:

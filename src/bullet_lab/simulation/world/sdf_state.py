@@ -54,6 +54,8 @@ def _model_state(element: Element, model: Model, source: str) -> ModelState:
     }
     joints = {}
     for joint in model.joints:
+        if joint.kind == "ball":
+            continue
         position, rate = _joint_state(joint, links)
         joints[joint.name] = (positions.get(joint.name, position), rate)
     return ModelState(ElementReader(element, source).pose(), links, joints)

@@ -18,7 +18,7 @@ from bullet_lab.simulation.world.sdf_tag import SdfError, SdfTag
 from bullet_lab.simulation.world.soundness import with_sound_inertias
 from bullet_lab.simulation.world.tree import lump_fixed_joints, rooted
 
-JOINT_KINDS = ("fixed", "revolute", "continuous", "prismatic")
+JOINT_KINDS = ("fixed", "revolute", "continuous", "prismatic", "ball")
 NO_BOUND = 1e16
 # Before version 1.5, axes were given in the model's frame.
 AXES_IN_JOINTS = (1, 5)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Optional, Tuple
@@ -17,8 +16,6 @@ from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import ShapeTag
 from bullet_lab.simulation.world.xml import ElementReader, XmlError, numbers
-
-LOG = logging.getLogger(__name__)
 
 # That the writer writes, and that Gazebo 11 reads.
 NEWEST = (1, 7)
@@ -110,8 +107,6 @@ class SdfTag(ElementReader, ShapeTag):
         uri = self.text("uri")
         if not uri:
             raise SdfError(f"{self.source}: a <mesh> without <uri>")
-        if self.element.find("submesh") is not None:
-            LOG.warning("%s: <submesh> is not read, the whole mesh is used", self.source)
         return uri
 
     def find(self, uri: str) -> Path:  # noqa: D102

@@ -216,8 +216,12 @@ def _named(shapes: Iterable[Any], kind: str) -> Iterator[Tuple[str, Any]]:
 
 def _shape(shape: Union[Collision, Visual], uris: _Uris) -> Dict[str, Any]:
     geometry = shape.geometry
-    uri = {"uri": uris.of(geometry.uri, geometry.path)} if isinstance(geometry, Mesh) else {}
-    return {"pose": shape.pose, "geometry": {geometry.tag: {**uri, **geometry.measures()}}}
+    said: Dict[str, Any] = {}
+    if isinstance(geometry, Mesh):
+        said["uri"] = uris.of(geometry.uri, geometry.path)
+        if geometry.submesh:
+            said["submesh"] = {"name": geometry.submesh, "center": geometry.centred}
+    return {"pose": shape.pose, "geometry": {geometry.tag: {**said, **geometry.measures()}}}
 
 
 def _surface(collision: Collision) -> Dict[str, Any]:

@@ -202,21 +202,24 @@ class Mesh(Shape):
     """A triangle mesh file (.dae, .stl or .obj).
 
     `uri` is what the description said, for those who resolve it themselves (RViz); `path` is
-    the file that it means here. What asks for its triangles raises MeshError or XmlError for a
-    file that is not usable. Its inertia is about its centre of mass.
+    the file that it means here. With a `submesh`, only what a COLLADA file has in nodes of that
+    name, with its middle at the origin if it is `centred`. What asks for its triangles raises
+    MeshError or XmlError for a file that is not usable. Its inertia is about its centre of mass.
     """
 
     path: Path
     uri: str
     scale: Vector = (1.0, 1.0, 1.0)
+    submesh: str = ""
+    centred: bool = False
     tag = "mesh"
     # It may bring colours and pictures, which nothing shall darken.
     has_own_colours = True
 
     @classmethod
     def read(cls, tag: ShapeTag) -> Mesh:
-        uri, scale = tag.uri(), tag.scale("scale")
-        return cls(tag.find(uri), uri, scale)
+        uri, scale, part = tag.uri(), tag.scale("scale"), tag.text("submesh/name")
+        return cls(tag.find(uri), uri, scale, part, tag.boolean("submesh/center", False))
 
     def measures(self) -> Dict[str, Tuple[float, ...]]:
         return {"scale": self.scale}

@@ -6,7 +6,7 @@ import pytest
 from bullet_lab.msg import ModelDescription, PluginDescription
 
 from bullet_lab.ros.record.robot_parts import choose, robot_of, topics_of
-from bullet_lab.ros.record.try_robot import assignments
+from bullet_lab.ros.record.try_robot import assignments, reason_in
 
 TWIST, ODOMETRY = "geometry_msgs/Twist", "nav_msgs/Odometry"
 
@@ -68,11 +68,16 @@ def test_a_controller_drives_where_no_plugin_names_a_topic():
     husky = model("husky", plugin(), plugin([], ["/truth"]))
     now = master(
         {"/base/cmd_vel": TWIST, "/light": "std_msgs/Bool"},
-        {"/base/odom": ODOMETRY, "/truth": ODOMETRY, "/base/other": "std_msgs/Bool"},
+        {"/odom": ODOMETRY, "/truth": ODOMETRY, "/base/other": "std_msgs/Bool"},
     )
     robot = robot_of(husky, answer(husky), now)
-    assert robot.drive == "/base/cmd_vel"
-    assert robot.odometry in ("/base/odom", "/truth")
+    assert (robot.drive, robot.odometry) == ("/base/cmd_vel", "/odom")
+
+
+def test_the_odometry_is_that_of_the_plugin_that_drives():
+    rover = model("rover", plugin([], ["/cmd/odom"]), plugin(["/cmd/vel"], ["/driven"]))
+    now = master({"/cmd/vel": TWIST}, {"/cmd/odom": ODOMETRY, "/driven": ODOMETRY})
+    assert robot_of(rover, answer(rover), now).odometry == "/driven"
 
 
 def test_what_was_said_of_the_world_is_left_out():
@@ -86,3 +91,10 @@ def test_arguments_of_a_launch_file():
     assert assignments("") == []
     assert assignments("a:=1 b=2") == ["a:=1", "b:=2"]
     assert assignments("world:='a b=c'") == ["world:=a b=c"]
+
+
+def test_why_a_launch_file_has_ended():
+    log = "logging to x\n\x1b[31mResource not found: lidar\nROS path [0]=/x\x1b[0m\nThe traceback\n"
+    assert reason_in(log) == "Resource not found: lidar"
+    assert reason_in("done\n") == "done"
+    assert reason_in("") == "without a word"

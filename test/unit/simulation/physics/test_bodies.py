@@ -923,3 +923,28 @@ def test_nothing_is_printed(space, frame, cube, capfd):
         space.add(thing(Sphere(0.0), name="flat"))
     space.run_for(0.01)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_cart_on_ball_joints_rolls_every_way(hall):
+    """Three balls with friction below a plate: they roll, where held ones would brake."""
+    ball = Collision(Sphere(0.03), friction=0.8)
+    inertia = Inertia(0.05, (0.0, 0.0, 0.0), 2e-5 * np.eye(3))
+    places = [(0.1, 0.0, 0.03), (-0.1, 0.1, 0.03), (-0.1, -0.1, 0.03)]
+    balls = [Link(f"b{n}", Pose(p), inertia, (), (ball,)) for n, p in enumerate(places)]
+    joints = [Joint(f"j{n}", "ball", "plate", f"b{n}", Pose(p)) for n, p in enumerate(places)]
+    plate = Link("plate", Pose(), replace(UNIT, centre=(0.0, 0.0, 0.06)))
+    cart = hall.add(Model("cart", (plate, *balls), tuple(joints)))
+    body = cart.bodies["plate"]
+    assert body.joint_names == ()
+    for velocity in ((0.5, 0.0, 0.0), (-0.3, 0.3, 0.0)):
+        hall.run_for(0.2)
+        cart.move(Pose(), velocity, (0.0, 0.0, 0.0))
+        hall.run_for(0.5)
+        # Speeding the balls up takes a part: 3 · 2e-5 / 0.03² of 2.15 kg.
+        assert body.velocity()[0] == pytest.approx(0.97 * np.array(velocity), abs=0.03)
+    cart.place(Pose())
+    hall.run_for(0.2)
+    assert np.abs(body.velocity()[0]).max() < 1e-3
+    restored = cart.state()
+    assert restored.joints == {}
+    cart.restore(restored)

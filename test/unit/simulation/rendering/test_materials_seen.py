@@ -1,5 +1,7 @@
 """Pictures of things with materials: where textures lie on shapes, and what colours do in light."""
 
+import weakref
+
 import numpy as np
 import pytest
 from picture_worlds import CAMERA, simulation_of, thing
@@ -229,7 +231,7 @@ def test_a_marker_by_a_script_is_detected(tags, pose, shape):
     assert (third - first > 40).all() == ("<normal>0 0 1" not in shape)
 
 
-def test_pictures_are_shared(quarters):
+def test_pictures_are_shared_and_given_back(quarters):
     material = Material(texture=Texture(quarters))
     shapes = (Box((0.1, 0.2, 0.2 + 0.01 * n)) for n in range(3))
     visuals = (Visual(shape, material=material) for shape in shapes)
@@ -238,9 +240,19 @@ def test_pictures_are_shared(quarters):
     with simulation_of(*models) as simulation:
         renderer = simulation.renderer()
         renderer.picture(Pose((-3.0, 0, 0)), Shot(CAMERA))
-        drawables = list(renderer._scene._drawables.values())
-        assert len(drawables) == 3
-        assert len({id(loaded) for made in drawables for loaded in made.textures}) == 1
+        scene = renderer._scene
+        made = list(scene._drawables.values())
+        assert len(made) == 3
+        (loaded,) = {loaded for drawable in made for loaded in drawable.textures}
+        given_back = weakref.ref(loaded)
+        for model in models:
+            simulation.remove(model.name)
+        renderer.picture(Pose((-3.0, 0, 0)), Shot(CAMERA))
+        # The last drawables are kept, and their pictures with them.
+        assert given_back() is not None
+        scene._last.clear()
+        del made, loaded
+        assert given_back() is None
 
 
 # Meshes

@@ -46,7 +46,7 @@ BROKEN = [
     (SDF, "</model>", '<link name="a"/></model>', "link 'a' appears twice"),
     (SDF, "<child>b", "<child>c", "joint 'j'.*no link 'c'"),
     (SDF, "</model>", LOOP, "joint 'k' closes a loop"),
-    (SDF, "revolute", "ball", "joint 'j'.*type 'ball'"),
+    (SDF, "revolute", "screw", "joint 'j'.*type 'screw'"),
     (SDF, "<box><size>0.2 0.3 0.4</size></box>", MESH.format("model://nix/a.dae"), "model://nix"),
     (SDF, "<box><size>0.2 0.3 0.4</size></box>", MESH.format("http://x/a.dae"), "http://x/a.dae"),
     (

@@ -10,6 +10,7 @@ from bullet_lab.simulation.physics.engine import pybullet
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.world import meshes
 from bullet_lab.simulation.world.description import Mesh, Model
+from bullet_lab.simulation.world.mesh_parts import mesh_parts
 from bullet_lab.simulation.world.meshes import MeshError, load_triangles
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
@@ -72,6 +73,31 @@ def test_the_transform_and_the_scale_size_the_beacon(load, beacon_text):
 def test_the_unit_of_a_collada_file_counts(load, beacon_text):
     inches = beacon_text.replace('meter="1"', 'meter="0.0254"')
     assert extent(load("b.dae", inches))[1] == pytest.approx((0.00635, 0.00635, 0.0508))
+
+
+# Beside the beacon, a smaller one in a node within a node, and that again, elsewhere.
+NODES = """<node name="group"><translate>5 0 0</translate><node name="small">
+  <scale>0.1 0.1 0.1</scale><instance_geometry url="#beacon-mesh"/></node></node>
+<node id="again" name="other"><translate>0 3 0</translate>
+  <instance_geometry url="#beacon-mesh"/></node></visual_scene>"""
+
+
+def test_a_part_of_a_collada_file_by_the_name_of_its_node(tmp_path, beacon_text, caplog):
+    path = tmp_path / "m.dae"
+    path.write_text(beacon_text.replace("</visual_scene>", NODES))
+
+    def bounds(submesh, centred=False):
+        return Mesh(path, "", (2.0, 1.0, 1.0), submesh, centred).bounds()
+
+    assert bounds("beacon") == pytest.approx(np.array([[-0.5, -0.25, 0], [0.5, 0.25, 2]]))
+    assert bounds("small") == pytest.approx(np.array([[9.8, -0.1, -0.1], [10.2, 0.1, 0.1]]))
+    assert bounds("small", True) == pytest.approx(np.array([[-0.2, -0.1, -0.1], [0.2, 0.1, 0.1]]))
+    (part,) = mesh_parts(Mesh(path, "", (2.0, 1.0, 1.0), "small", True))
+    assert part.corners.reshape(-1, 3).max(axis=0) == pytest.approx((0.2, 0.1, 0.1))
+    assert bounds("other")[0] == pytest.approx((-2, 2, -1))
+    assert caplog.messages == []
+    assert bounds("gone").tolist() == bounds("").tolist()
+    assert "m.dae: no submesh 'gone'; all of it is taken" in caplog.text
 
 
 @pytest.mark.parametrize(

@@ -323,8 +323,8 @@ BAD_MODELS = {
         "no body has the principal moments 1, 1, 3",
     ),
     "joint type": (
-        model(link() + link("", "b") + joint("ball")),
-        "joint 'j': type 'ball' is not simulated; it holds its links fixed",
+        model(link() + link("", "b") + joint("screw")),
+        "joint 'j': type 'screw' is not simulated; it holds its links fixed",
     ),
     "joint end": (model(link() + joint("fixed", child="x")), "joint 'j': names no link 'x'"),
     "axis": (

@@ -344,6 +344,7 @@ def test_looks_of_visuals(tmp_path):
     (tmp_path / "scripts" / "a.png").write_bytes(b"")
     (tmp_path / "own.obj").write_text("usemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "bare.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    part = "<mesh><uri>bare.obj</uri><submesh><name>a</name><center>1</center></submesh></mesh>"
     own, bare = (f"<mesh><uri>{n}.obj</uri></mesh>" for n in ("own", "bare"))
     colours = "<material><ambient>1 0 0 1</ambient><diffuse>0 1 0 .5</diffuse></material>"
     unlit = "<material><diffuse>0 1 0 1</diffuse><lighting>0</lighting></material>"
@@ -358,6 +359,7 @@ def test_looks_of_visuals(tmp_path):
         (own, "<transparency>0.25</transparency>"),
         (own, colours),
         (bare, ""),
+        (part, ""),
     )
     text = "".join(LOOK.format(n, *visual) for n, visual in enumerate(visuals))
     world = tmp_path / "w.world"
@@ -367,6 +369,8 @@ def test_looks_of_visuals(tmp_path):
         before = simulation.models["m"].model.links[0].visuals
     assert notes == []
     after = read_world_file(path).models[0].links[0].visuals
+    assert [v.geometry for v in after] == [v.geometry for v in before]
+    assert (after[-1].geometry.submesh, after[-1].geometry.centred) == ("a", True)
     assert [v.colour for v in after] == [v.colour for v in before]
     assert [v.material.texture for v in after] == [v.material.texture for v in before]
     assert before[0].material.texture.scale == (0.5, 0.5)
