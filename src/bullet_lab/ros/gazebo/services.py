@@ -89,7 +89,7 @@ class GazeboServices:
             offered("get_link_state", srv.GetLinkState, self._link_state, "got state"),
             offered("apply_body_wrench", srv.ApplyBodyWrench, self._apply_wrench, ""),
             offered("clear_body_wrenches", srv.BodyRequest, self._clear_wrenches, ""),
-            offered("apply_joint_effort", srv.ApplyJointEffort, self._apply_effort, ""),
+            offered("apply_joint_effort", srv.ApplyJointEffort, self._apply_effort, "effort set"),
             offered("clear_joint_forces", srv.JointRequest, self._clear_efforts, ""),
             # Gazebo knows it by this name, too.
             offered("clear_joint_efforts", srv.JointRequest, self._clear_efforts, ""),

@@ -261,8 +261,11 @@ class DiffDrive(WheelDrive):
                 place = _hub_pose(joint, wheel.state().position)
                 self.wheel_transforms.send(TransformSample(step, *frames, place))
         if self.wheel_states.wanted:
-            names = tuple(wheel.joint for wheel in self.wheels)
-            self.wheel_states.send(JointSample(step, names, self._angles()))
+            # As in Gazebo, the right wheel first.
+            wheels = self.wheels[::-1]
+            names = tuple(wheel.joint for wheel in wheels)
+            angles = tuple(wheel.state().position for wheel in wheels)
+            self.wheel_states.send(JointSample(step, names, angles))
 
     def _reckoned(self, seconds: float) -> Tuple[Pose, PlanarCommand]:
         """Return the pose by the wheels, and the mean velocity since the last update."""

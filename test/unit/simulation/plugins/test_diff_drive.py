@@ -282,7 +282,7 @@ def test_transforms_of_the_wheels(world, spawn):
     world.run_for(1.0)
     assert len(transforms) == 40
     assert len(states) == 20
-    assert states[-1].names == ("left_wheel_joint", "right_wheel_joint")
+    assert states[-1].names == ("right_wheel_joint", "left_wheel_joint")
     (body,) = robot.bodies.values()
     for side, transform in enumerate(transforms[-2:]):
         assert transform.frame == "base_footprint"
