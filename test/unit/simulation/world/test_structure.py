@@ -158,6 +158,8 @@ def test_a_model_on_a_joint_to_the_world_is_where_its_link_is():
         instance.configure({"j": 2.0})
         near(instance.pose(), 0, 0, 2)
         assert list(instance.state().joints) == ["j"]
+        assert instance.model.canonical_link().name == "car"
+        assert [link.name for link in instance.model.own_links()] == ["car"]
 
 
 URDF = """<robot name="r"><link name="world"/><link name="base">{body}</link><link name="arm">{body}
