@@ -358,6 +358,8 @@ main() {
   for i in "${!steps[@]}"; do
     take_step "${steps[i]}" $((i + 1)) ${#steps[@]}
   done
+  # PyPI's command of this name needs ROS 2, and would hide the one that works.
+  rm -f "$LAB_VENV/bin/xacro"
 }
 
 main "$@"

@@ -1,13 +1,18 @@
 #!/usr/bin/env python3
-"""Each kind of the contract's rows fails where it is broken."""
+"""The contract holds for the bridge, and each kind of its rows fails where it is broken."""
 
+import os
 import subprocess
 import sys
+import tempfile
+import time
 import unittest
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import rospy
 import rostest
-from lab_testing import PACKAGE, wait_for
+from lab_testing import PACKAGE, Master, Node, wait_for
 
 from bullet_lab.ros.contract.results import FAILED, PASSED
 from bullet_lab.ros.contract.rows import read_contract
@@ -15,6 +20,8 @@ from bullet_lab.ros.contract.run import ContractRun
 from bullet_lab.ros.contract.simulator import Simulator
 
 HERE = PACKAGE / "test" / "rostest"
+# All of the contract, with a simulator that is up; wall seconds.
+LONGEST = 60.0
 
 
 class StandIn:
@@ -58,6 +65,35 @@ class BrokenContractTest(unittest.TestCase):
             if row.name != "asked/clock":
                 with self.subTest(row.name):
                     self.assertEqual(self.failed(row.name.partition("/")[2]), [row.name])
+
+
+class BridgeContractTest(unittest.TestCase):
+    def test_the_bridge_keeps_the_contract(self):
+        master = Master()
+        self.addCleanup(master.end)
+        master.set_parameter("/use_sim_time", True)
+        bridge = Node("pybullet_bridge.py", master=master.uri)
+        self.addCleanup(bridge.end)
+        wait_for(lambda: master.offers("/bullet_lab/advance"), lambda: bridge.err)
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        junit = Path(folder.name) / "contract.xml"
+        start = time.monotonic()
+        run = subprocess.run(
+            [sys.executable, str(PACKAGE / "scripts/gazebo_contract.py"), "--junit", str(junit)],
+            env=dict(os.environ, ROS_MASTER_URI=master.uri),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=180,
+        )
+        failed = [line for line in run.stdout.splitlines() if line.startswith(FAILED)]
+        self.assertEqual(failed, [])
+        self.assertEqual(run.returncode, 0, run.stdout[-2000:])
+        self.assertLess(time.monotonic() - start, LONGEST)
+        suite = ElementTree.parse(junit).getroot()
+        self.assertEqual(suite.get("failures"), "0")
+        self.assertGreater(int(suite.get("tests")), 300)
 
 
 def setUpModule():

@@ -268,7 +268,7 @@ def model_entity(instance: ModelInstance) -> Entity:
 
 def link_entities(instance: ModelInstance) -> List[Entity]:
     """Return the links of a model."""
-    names = [link.name for link in instance.model.links if link.name != WORLD_LINK]
+    names = [link.name for link in instance.model.own_links()]
     return [Entity(instance, instance.frame(name), name) for name in names]
 
 

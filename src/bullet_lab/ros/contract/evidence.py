@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 _PART = re.compile(r"(\w+)((?:\[\d+\])*)")
-_STAMP = struct.Struct("<III")
+_STAMP = struct.Struct("<II")
 STAMP_ROUNDING = 1e-6
 
 
@@ -41,8 +41,8 @@ class Heard:
         return self.kind().deserialize(self.buffers[index])
 
     def has_stamps(self) -> bool:
-        """Return whether the messages begin with a header."""
-        return self.kind is not None and self.kind.__slots__[:1] == ["header"]
+        """Return whether the messages begin with a header, or are the time themselves."""
+        return self.kind is not None and self.kind.__slots__[:1] in (["header"], ["clock"])
 
     def cut(self, end: float) -> None:
         """Forget messages that are stamped later than `end` (s), by a simulator that ran on."""
@@ -52,8 +52,10 @@ class Heard:
 
     def stamps(self) -> List[float]:
         """Return the stamps of the messages, in s."""
-        parts = (_STAMP.unpack_from(buffer) for buffer in self.buffers)
-        return [seconds + 1e-9 * nanoseconds for _, seconds, nanoseconds in parts]
+        # A header begins with its number.
+        offset = _STAMP.size // 2 if self.kind.__slots__[0] == "header" else 0
+        parts = (_STAMP.unpack_from(buffer, offset) for buffer in self.buffers)
+        return [seconds + 1e-9 * nanoseconds for seconds, nanoseconds in parts]
 
 
 @dataclass

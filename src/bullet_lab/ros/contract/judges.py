@@ -9,8 +9,9 @@ from typing import Any, Callable, Dict, Mapping, Sequence
 
 from bullet_lab.ros.contract.evidence import NotSeenError, Scene, beside, find_field, plain
 
-# Of a rate, and of a number for which nothing else is said: 3 % and rounding of floats.
+# Of a rate by stamps and by counting, and of a number for which nothing else is said.
 RATE_TOLERANCE = 0.03
+COUNT_TOLERANCE = 0.1
 ROUNDING = 1e-6
 AXES = {"x": 0, "y": 1, "z": 2}
 
@@ -79,6 +80,7 @@ def _parameter(expected: Mapping[str, Any], scene: Scene) -> str:
 def _rate(hertz: float, scene: Scene) -> str:
     """Messages come so often per simulated second, by the median between stamps."""
     heard = scene.heard()
+    tolerance = RATE_TOLERANCE if heard.has_stamps() else COUNT_TOLERANCE
     if not heard.has_stamps():
         found = len(heard.buffers) / scene.evidence.seconds if scene.evidence.seconds else math.nan
     else:
@@ -86,7 +88,7 @@ def _rate(hertz: float, scene: Scene) -> str:
         gaps = [later - sooner for sooner, later in zip(stamps, stamps[1:])]
         middle = statistics.median(gaps) if gaps else 0.0
         found = 1.0 / middle if middle > 0.0 else math.nan
-    holds = abs(found - hertz) <= RATE_TOLERANCE * hertz
+    holds = abs(found - hertz) <= tolerance * hertz
     return "" if holds else f"{found:.4g} Hz, by {len(heard.buffers)} messages"
 
 

@@ -60,7 +60,7 @@ class ModelDescriptions:
             name=model.name,
             is_static=model.static,
             of_world_file=model.name in of_world_file,
-            links=[link.name for link in model.links],
+            links=[link.name for link in model.own_links()],
             joints=[joint.name for joint in model.joints],
             plugins=[_described_plugin(one) for one in survey(instance)],
             least=Point(*least),

@@ -55,5 +55,5 @@ class Performance:
             for plugin in instance.plugins:
                 tag = plugin.mount.plugin
                 if tag.sensor is not None and plugin.schedule is not None:
-                    link = instance.keeper(tag.link) or instance.model.root_links()[0].name
+                    link = instance.keeper(tag.link) or instance.model.canonical_link().name
                     yield f"{world}::{instance.name}::{link}::{tag.sensor.get('name', '')}", plugin

@@ -192,8 +192,8 @@ class GazeboServices:
     def _model_properties(self, request: Any) -> Answer:
         model = find_model(self._world.models, request.model_name).model
         return {
-            "canonical_body_name": model.root_links()[0].name,
-            "body_names": [link.name for link in model.links],
+            "canonical_body_name": model.canonical_link().name,
+            "body_names": [link.name for link in model.own_links()],
             "geom_names": [shape.name for link in model.links for shape in link.collisions],
             "joint_names": [joint.name for joint in model.joints],
             "is_static": model.static,

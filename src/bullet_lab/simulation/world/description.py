@@ -212,6 +212,10 @@ class Model:
         hanging = {joint.child for joint in self.joints if joint.parent == WORLD_LINK}
         return next(link for link in self.links if link.name in hanging)
 
+    def own_links(self) -> Tuple[Link, ...]:
+        """Return the links less the world's own, which carries those that move on it."""
+        return tuple(link for link in self.links if link.name != WORLD_LINK)
+
     def links_by_name(self) -> Dict[str, Link]:
         """Return the links by their names."""
         return {link.name: link for link in self.links}

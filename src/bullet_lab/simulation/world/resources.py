@@ -1,8 +1,9 @@
 """Where the files live that worlds and robots refer to.
 
-`package://` is looked up among ROS packages, `model://` in the folders of GAZEBO_MODEL_PATH
-and in this package's `models/`. A reference never reaches the network, and never a file
-outside the folders that the lab was given.
+`package://` is looked up among ROS packages; `model://` in ~/.gazebo/models, the folders of
+GAZEBO_MODEL_PATH and this package's `models/`; a relative path beside its document, then in the
+folders of GAZEBO_RESOURCE_PATH, as `file://media/…` is. A reference never reaches the network, and
+never a file outside the folders that the lab was given.
 """
 
 from __future__ import annotations
@@ -51,15 +52,21 @@ def ros_package_folder(name: str) -> Optional[Path]:
 
 
 def gazebo_model_folders() -> Tuple[Path, ...]:
-    """Return the folders to look for `model://` in, in the order of the search."""
-    listed = os.environ.get("GAZEBO_MODEL_PATH", "").split(os.pathsep)
-    return tuple(Path(folder) for folder in listed if folder) + (package_share() / "models",)
+    """Return the folders to look for `model://` in, in the order of the search: Gazebo's."""
+    home = os.environ.get("HOME", "")
+    own = (Path(home) / ".gazebo" / "models",) if home else ()
+    return (*own, *listed_folders("GAZEBO_MODEL_PATH"), package_share() / "models")
 
 
 def gazebo_media_folders() -> Tuple[Path, ...]:
     """Return the folders with Gazebo's materials and pictures: GAZEBO_RESOURCE_PATH's `media`."""
-    listed = os.environ.get("GAZEBO_RESOURCE_PATH", "").split(os.pathsep)
-    return tuple(Path(folder) / "media" for folder in listed if folder)
+    return tuple(folder / "media" for folder in listed_folders("GAZEBO_RESOURCE_PATH"))
+
+
+def listed_folders(variable: str) -> Tuple[Path, ...]:
+    """Return the folders that an environment variable lists, between colons."""
+    listed = os.environ.get(variable, "").split(os.pathsep)
+    return tuple(Path(folder) for folder in listed if folder)
 
 
 def package_uri(path: Path) -> str:
@@ -126,21 +133,31 @@ class ResourceFinder:
                 raise ResourceError(f"'{uri}': no ROS package '{parts.netloc}'")
             return _inside(folder, unquote(parts.path).lstrip("/"), uri)
         if parts.scheme == "model":
-            name = parts.netloc + unquote(parts.path)
+            name = (parts.netloc + unquote(parts.path)).lstrip("/")
             for folder in self._models:
                 if (folder / name).exists():
                     return _inside(folder, name, uri)
             raise ResourceError(f"'{uri}': in none of the model folders (GAZEBO_MODEL_PATH)")
         if parts.scheme == "file" and parts.netloc in ("", "localhost"):
             return self._absolute(uri, Path(unquote(parts.path)))
+        if parts.scheme == "file":
+            return self._relative(uri, parts.netloc + unquote(parts.path))
         if parts.scheme:
             raise ResourceError(f"'{uri}': only package://, model://, file:// and paths are read")
         path = Path(uri)
         if path.is_absolute():
             return self._absolute(uri, path)
-        if self._folder is None:
+        return self._relative(uri, uri)
+
+    def _relative(self, uri: str, path: str) -> Path:
+        own = () if self._folder is None else (self._folder,)
+        folders = (*own, *listed_folders("GAZEBO_RESOURCE_PATH"))
+        for folder in folders:
+            if (folder / path).exists():
+                return _inside(folder, path, uri)
+        if not folders:
             raise ResourceError(f"'{uri}': a relative path in a text that lies in no folder")
-        return _inside(self._folder, uri, uri)
+        return _inside(folders[0], path, uri)
 
     def _absolute(self, uri: str, path: Path) -> Path:
         """Allow an absolute path only below the document, a model folder or a ROS package."""

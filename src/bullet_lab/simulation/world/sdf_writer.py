@@ -137,7 +137,7 @@ def _add_model(parent: Element, model: Model, pose: Pose, uris: _Uris) -> None:
     element = _add(parent, "model", {"pose": pose, "static": model.static}, name=model.name)
     for name, (link, place) in model.frames.items():
         _add(_add(element, "frame", {}, name=name), "pose", place, frame=link)
-    for link in (link for link in model.links if link.name != WORLD_LINK):
+    for link in model.own_links():
         _add_link(element, link, model, uris)
         if link.anchored:
             ends = {"parent": WORLD_LINK, "child": link.name}

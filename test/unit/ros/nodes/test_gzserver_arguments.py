@@ -1,6 +1,9 @@
 import os
+from pathlib import Path
 
 import pytest
+from roslaunch.config import ROSLaunchConfig
+from roslaunch.xmlloader import XmlLoader
 
 from bullet_lab.core.parameters import ArgumentsError
 from bullet_lab.ros.nodes.gzserver import (
@@ -67,3 +70,16 @@ def test_worlds_are_looked_up_as_in_gazebo(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["/nix/a.world", "package://p/w.world", "model://m/w.world"])
 def test_worlds_that_need_no_search(name):
     assert find_world(name) == name
+
+
+@pytest.mark.parametrize(
+    ("said", "value"), [("true", True), ("false", False), ("0.1", 0.1), ("1", 1)]
+)
+def test_use_sim_time_has_the_type_of_its_value(said, value):
+    """As in gazebo_ros's own launch file: use_sim_time:=0.1 is no mistake there."""
+    launch = Path(__file__).parents[4] / "stand_ins/gazebo_ros/launch/empty_world.launch"
+    config, arguments = ROSLaunchConfig(), [f"use_sim_time:={said}", "use_clock_frequency:=1"]
+    XmlLoader().load(str(launch), config, argv=arguments, verbose=False)
+    assert config.params["/use_sim_time"].value == value
+    assert type(config.params["/use_sim_time"].value) is type(value)
+    assert config.params["/gazebo/pub_clock_frequency"].value == 100

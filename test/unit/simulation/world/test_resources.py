@@ -1,6 +1,11 @@
 import pytest
 
-from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder, ros_package_folder
+from bullet_lab.simulation.world.resources import (
+    ResourceError,
+    ResourceFinder,
+    package_share,
+    ros_package_folder,
+)
 
 
 @pytest.fixture
@@ -33,6 +38,7 @@ def test_what_may_be_found(finder, files):
     assert finder.find(str(mesh)) == mesh
     assert finder.find("model://car") == files / "first/car"
     assert finder.find("model://tree") == files / "second/tree"
+    assert finder.find("model:///tree") == files / "second/tree"
 
 
 @pytest.mark.parametrize(
@@ -54,7 +60,7 @@ def test_what_may_be_found(finder, files):
         ("//etc/passwd", "outside the folders"),
         ("file:///etc/passwd", "outside the folders"),
         ("FILE:///etc/passwd", "outside the folders"),
-        ("file://elsewhere/etc/passwd", "only package://"),
+        ("file://elsewhere/etc/passwd", "no such file"),
         ("http://127.0.0.1:1/m.stl", "only package://"),
         ("https://127.0.0.1:1/m.stl", "only package://"),
         ("ftp://127.0.0.1:1/m.stl", "only package://"),
@@ -63,7 +69,7 @@ def test_what_may_be_found(finder, files):
         ("model://nix", "in none of the model folders"),
         ("model://../secret/s.stl", "leaves its folder"),
         ("model://car/../../secret/s.stl", "leaves its folder"),
-        ("model:///etc/passwd", "leaves its folder"),
+        ("model:///etc/passwd", "in none of the model folders"),
         ("model://way_out/s.stl", "leaves its folder"),
     ],
 )
@@ -110,3 +116,30 @@ def test_the_lab_finds_itself_and_gazebo_model_path_comes_first(package, tmp_pat
     monkeypatch.setenv("GAZEBO_MODEL_PATH", f":{tmp_path}")
     assert ResourceFinder().find("model://sun") == tmp_path / "sun"
     assert ResourceFinder().find("model://beacon") == package / "models/beacon"
+
+
+def test_the_order_of_model_folders_is_gazebos(files, monkeypatch):
+    monkeypatch.setenv("HOME", str(files))
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", f"{files}/first:{files}/second")
+    own = files / ".gazebo" / "models"
+    for name in ("car", "tree", "beacon"):
+        (own / name).mkdir(parents=True)
+    assert ResourceFinder().find("model://car") == own / "car"
+    assert ResourceFinder().find("model://beacon") == own / "beacon"
+    for name in ("car", "beacon"):
+        (own / name).rmdir()
+    assert ResourceFinder().find("model://car") == files / "first/car"
+    assert ResourceFinder().find("model://beacon") == package_share() / "models/beacon"
+
+
+def test_relative_paths_are_looked_up_in_gazebo_resource_path(finder, files, monkeypatch):
+    (files / "media").mkdir()
+    (files / "media/m.stl").touch()
+    (files / "a.urdf").touch()
+    monkeypatch.setenv("GAZEBO_RESOURCE_PATH", str(files))
+    assert finder.find("file://media/m.stl") == files / "media/m.stl"
+    assert finder.find("media/m.stl") == files / "media/m.stl"
+    assert finder.find("a.urdf") == files / "pkg/urdf/a.urdf"
+    assert ResourceFinder(None, {}.get, []).find("media/m.stl") == files / "media/m.stl"
+    with pytest.raises(ResourceError, match="leaves its folder"):
+        finder.find("file://media/../../x")

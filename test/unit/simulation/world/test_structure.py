@@ -158,6 +158,8 @@ def test_a_model_on_a_joint_to_the_world_is_where_its_link_is():
         instance.configure({"j": 2.0})
         near(instance.pose(), 0, 0, 2)
         assert list(instance.state().joints) == ["j"]
+        assert instance.model.canonical_link().name == "car"
+        assert [link.name for link in instance.model.own_links()] == ["car"]
 
 
 URDF = """<robot name="r"><link name="world"/><link name="base">{body}</link><link name="arm">{body}
@@ -332,3 +334,10 @@ def test_what_is_nested_and_held_is_saved(load, chair, tmp_path):
         assert abs(before.joints["k"][1]) > 1.0
         frames = again.models["room"].model.frames
         assert set(frames) == set(world.models[0].frames)
+
+
+def test_what_spawn_model_sends_of_the_database_is_a_model(chair, tmp_path):
+    """The real one wraps the <include> in a <world>."""
+    text = f'<sdf version="1.4"><world name="default">{chair.format("")}</world></sdf>'
+    finder = ResourceFinder(model_folders=[tmp_path / "models"])
+    assert read_description(text, "s", finder).name == "chair"

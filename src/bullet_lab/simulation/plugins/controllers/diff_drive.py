@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import deque
 from dataclasses import dataclass
@@ -25,6 +26,8 @@ from bullet_lab.simulation.plugins.samples import (
     VelocitySample,
 )
 from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning
+
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,8 @@ class DiffDriveController(Controller):
             *((self.commanded,) if given.boolean("publish_cmd", False) else ()),
         )
         self._forget_commands()
+        if given.boolean("publish_wheel_joint_controller_state", False):
+            LOG.warning("%s/publish_wheel_joint_controller_state is not simulated", given.where)
 
     def command(self, command: PlanarCommand) -> None:
         """Take over a velocity; it acts from the next update on.

@@ -32,11 +32,16 @@ def test_an_effort_turns_as_newton_has_it(world):
 
 
 def test_an_effort_is_limited_and_ends_at_the_greatest_speed(world):
-    joint, _ = turntable(world, EFFORT, 99.0, kind="continuous",
-                         limit='<limit effort="0.003" velocity="2"/>')  # fmt: skip
-    world.run_for(1.0)
-    assert joint.command <= 0.003
+    limit = '<limit effort="0.003" velocity="2"/>'
+    joint, controller = turntable(world, EFFORT, 99.0, kind="continuous", limit=limit)
+    world.run_for(0.1)
+    assert joint.effort == 0.003
+    world.run_for(0.9)
     assert joint.velocity == pytest.approx(2.0, abs=0.02)
+    assert joint.effort == 0.0
+    controller.command(JointCommand(-99.0))
+    world.run_for(0.01)
+    assert joint.effort == -0.003
 
 
 def test_a_position_is_reached_at_the_greatest_speed_and_not_passed(world):
