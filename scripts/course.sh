@@ -21,9 +21,9 @@ _lab_course() {
   # A virtual environment of the lab, or of anybody, has an OpenCV of its own.
   folder=$root/build/course
   IFS=: read -r -a words <<<"$PATH"
-  PATH=$folder:$root/build/ws/devel/lib/xacro
+  PATH=$folder:$root/build/ws/devel/bin
   for word in "${words[@]}"; do
-    [[ $word == "$folder" || $word == */devel/lib/xacro ]] || PATH=$PATH:$word
+    [[ :$PATH: == *":$word:"* ]] || PATH=$PATH:$word
   done
   mkdir -p "$folder"
   ln -sfn /usr/bin/python3 "$folder/python3"

@@ -38,8 +38,7 @@ enter_lab() {
   if [[ -n $given_packages && $given_packages != "$ROS_PACKAGE_PATH" ]]; then
     export ROS_PACKAGE_PATH=$ROS_PACKAGE_PATH:$given_packages
   fi
-  # PyPI's xacro asks ROS 2 for packages: its stand-in, which is built where ROS has none, does not.
-  PATH=$LAB_WS/devel/lib/xacro:$LAB_VENV/bin:$PATH
+  PATH=$LAB_VENV/bin:$PATH
   # catkin's files set a default, which would look like a master that the user named.
   if [[ -z $given_master ]]; then
     unset ROS_MASTER_URI
