@@ -91,7 +91,7 @@ simulation.devices > simulation.plugins: bumper camera depth_camera=camera devic
     diff_drive=wheel_drives imu joint_states=true_states laser=ray_sensors noise=plugin
     p3d=true_states planar_move range_sensor=ray_sensors ray_scan=ray_sensors sensor_tag=plugin
     skid_steer=wheel_drives wheels=wheel_drives
-simulation.rendering > simulation.rendering: choice=graphics textures=surfaces
+simulation.rendering > simulation.rendering: choice=graphics
 studies.detection_range > studies.detection_range: __main__=study
 studies.dock_campaign > studies.dock_campaign: __main__=study
 studies.noise_study > studies.noise_study: __main__=study

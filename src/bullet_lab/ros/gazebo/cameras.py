@@ -1,4 +1,4 @@
-"""What cameras offer beside their topics: compressed pictures, their calibration, their settings.
+"""What sensors offer beside their topics: compressed pictures, calibration, settings.
 
 Below a camera's name: set_camera_info, and set_parameters of dynamic_reconfigure (imager_rate);
 below the topic of its pictures: compressed, as image_transport sends it, with the parameters of
@@ -12,18 +12,21 @@ import xmlrpc.client
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Dict, List
+from typing import Any, Callable, Dict, List
 
 import rosgraph
 import rospy
 from sensor_msgs.msg import CompressedImage
 from sensor_msgs.srv import SetCameraInfo, SetCameraInfoResponse
+from std_srvs.srv import Empty, EmptyResponse
 
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
 from bullet_lab.ros.messages.conversions import compressed_message
-from bullet_lab.simulation.plugins.camera import Camera
+from bullet_lab.simulation.plugins import Plugin
+from bullet_lab.simulation.plugins.camera import Camera, DepthCamera
+from bullet_lab.simulation.plugins.imu import Imu
 from bullet_lab.simulation.plugins.samples import ImageSample
 
 # Those of compressed_image_transport, but what restarts a JPEG.
@@ -67,20 +70,21 @@ class CompressedPictures:
 
 @dataclass
 class _Offered:
-    """What a camera offers: the topic, and what can be shut down."""
+    """What a sensor offers: a topic, if any, and what can be shut down."""
 
     topic: str
     services: List[Any] = field(default_factory=list)
 
 
-class CameraServices:
-    """Offers what the cameras of all models have beside their topics, while they are there."""
+class SensorServices:
+    """Offers what the sensors of all models have beside their topics, while they are there."""
 
     def __init__(self, world: RunningWorld):
         self._world = world
         self._offered: Dict[str, List[_Offered]] = {}
         # Asking the master for each of them would hold the simulation up.
         self._clerk = ThreadPoolExecutor(1)
+        self._offers = {Camera: self._offer, DepthCamera: self._offer, Imu: self._offer_calibration}
         world.changed.append(self._changed)
         self._changed("")
 
@@ -88,18 +92,26 @@ class CameraServices:
         """Follow a model that has come or gone, or all with an empty name."""
         for model in [name] if name else {*self._world.models, *self._offered}:
             instance = self._world.models.get(model)
-            cameras = [p for p in (instance.plugins if instance else ()) if isinstance(p, Camera)]
-            if cameras and model not in self._offered:
-                self._offered[model] = [self._offer(camera) for camera in cameras]
-            elif not cameras and model in self._offered:
+            sensors = [p for p in (instance.plugins if instance else ()) if type(p) in self._offers]
+            if sensors and model not in self._offered:
+                self._offered[model] = [self._offers[type(sensor)](sensor) for sensor in sensors]
+            elif not sensors and model in self._offered:
                 for offered in self._offered.pop(model):
-                    self._world.topics.release(offered.topic)
+                    if offered.topic:
+                        self._world.topics.release(offered.topic)
                     self._clerk.submit(_shut_down, offered.services)
 
     def _offer(self, camera: Camera) -> _Offered:
         pictures = CompressedPictures(self._world, camera)
         offered = _Offered(pictures.topic)
         self._clerk.submit(self._register, camera, pictures, offered.services)
+        return offered
+
+    def _offer_calibration(self, imu: Imu) -> _Offered:
+        offered = _Offered("")
+        name = rospy.resolve_name(imu.service)
+        offer = partial(rospy.Service, name, Empty, lambda _: EmptyResponse())
+        self._clerk.submit(_take_up, [offer], offered.services, imu)
         return offered
 
     def _register(self, camera: Camera, pictures: CompressedPictures, services: List[Any]) -> None:
@@ -112,13 +124,7 @@ class CameraServices:
         ]
         if camera.name:
             offers.append(partial(Reconfigurable, space, [_rate_of(camera)], change))
-        for offer in offers:
-            try:
-                services.append(offer())
-            except (rospy.ServiceException, rosgraph.MasterException, *UNREACHABLE) as error:
-                # Two cameras without a name want the same services.
-                if not rospy.is_shutdown():
-                    rospy.logwarn("camera '%s': %s", camera.mount.plugin.name, error)
+        _take_up(offers, services, camera)
 
     def _calibrate(self, camera: Camera, request: Any) -> SetCameraInfoResponse:
         told = {name: getattr(request.camera_info, name) for name in CALIBRATED}
@@ -144,6 +150,16 @@ def _rate_of(camera: Camera) -> Setting:
     return Setting(
         "imager_rate", default, "pictures per simulated second", LEAST_RATE, GREATEST_RATE
     )
+
+
+def _take_up(offers: List[Callable[[], Any]], services: List[Any], sensor: Plugin) -> None:
+    for offer in offers:
+        try:
+            services.append(offer())
+        except (rospy.ServiceException, rosgraph.MasterException, *UNREACHABLE) as error:
+            # Two sensors without a name of their own want the same services.
+            if not rospy.is_shutdown():
+                rospy.logwarn("sensor '%s': %s", sensor.mount.plugin.name, error)
 
 
 def _shut_down(services: List[Any]) -> None:

@@ -19,7 +19,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.bridge.world_topics import WorldMarkers
-from bullet_lab.ros.gazebo.cameras import CameraServices
+from bullet_lab.ros.gazebo.cameras import SensorServices
 from bullet_lab.ros.gazebo.lights import GazeboLights
 from bullet_lab.ros.gazebo.performance import Performance
 from bullet_lab.ros.gazebo.physics import GazeboPhysics
@@ -155,7 +155,7 @@ class Gazebo:
             GazeboLights(world),
             GazeboPhysics(world),
             WorldSaver(world),
-            CameraServices(world),
+            SensorServices(world),
         ]
 
     def everything_moved(self) -> None:

@@ -146,8 +146,10 @@ class Imu(InertialUnit):
     """The plugin of a model, which names the link that it sits on.
 
     As in Gazebo it feels no gravity. There, rates and accelerations are turned by the orientation
-    the wrong way round; here they are what the sensor's axes see. serviceName is read and nothing
-    is offered there: in Gazebo the service does nothing.
+    the wrong way round; here they are what the sensor's axes see. Nothing happens by the service.
+
+    Attributes:
+        service: name of that to calibrate it, which it need not be.
     """
 
     filenames = ("libgazebo_ros_imu.so",)
@@ -157,7 +159,7 @@ class Imu(InertialUnit):
         body = mount.required("bodyName")
         frame = mount.text("frameName", body)
         super().__init__(mount, frame, mount.text("topicName", "/default_imu"))
-        mount.text("serviceName")
+        self.service = mount.topic(mount.text("serviceName", "/default_imu"))
         self.place = mount.attached(body, mount.offset())
         self.schedule = mount.schedule("updateRate", 0.0)
 

@@ -261,11 +261,9 @@ class DiffDrive(WheelDrive):
                 place = _hub_pose(joint, wheel.state().position)
                 self.wheel_transforms.send(TransformSample(step, *frames, place))
         if self.wheel_states.wanted:
-            # As in Gazebo, the right wheel first.
-            wheels = self.wheels[::-1]
-            names = tuple(wheel.joint for wheel in wheels)
-            angles = tuple(wheel.state().position for wheel in wheels)
-            self.wheel_states.send(JointSample(step, names, angles))
+            # The right wheel before the left one, as Gazebo sends them.
+            names = tuple(wheel.joint for wheel in self.wheels[::-1])
+            self.wheel_states.send(JointSample(step, names, self._angles()[::-1]))
 
     def _reckoned(self, seconds: float) -> Tuple[Pose, PlanarCommand]:
         """Return the pose by the wheels, and the mean velocity since the last update."""
