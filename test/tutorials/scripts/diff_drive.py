@@ -18,7 +18,7 @@ for _ in range(20):
 joints = rospy.wait_for_message("joint_states", JointState, timeout=10)
 turning = dict(zip(joints.name, joints.velocity))
 publisher.publish(Twist())
-rospy.sleep(0.5)
+rospy.sleep(1.0)
 odom = rospy.wait_for_message("odom", Odometry, timeout=10)
 truth = rospy.wait_for_message("ground_truth", Odometry, timeout=10)
 print("frames:", odom.header.frame_id, odom.child_frame_id)

@@ -11,12 +11,18 @@ from gazebo_msgs.srv import (
     SetModelState,
     SpawnModel,
 )
+from geometry_msgs.msg import Point, Pose, Quaternion
 
 CRATE = '<sdf version="1.6"><include><uri>model://crate</uri></include></sdf>'
 
 rospy.init_node("states")
 rospy.wait_for_service("/gazebo/spawn_sdf_model")
-rospy.ServiceProxy("/gazebo/spawn_sdf_model", SpawnModel)(model_name="mover", model_xml=CRATE)
+# Beside the rover, which is at the origin.
+rospy.ServiceProxy("/gazebo/spawn_sdf_model", SpawnModel)(
+    model_name="mover",
+    model_xml=CRATE,
+    initial_pose=Pose(Point(-3.0, 6.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0)),
+)
 get_state = rospy.ServiceProxy("/gazebo/get_model_state", GetModelState)
 set_state = rospy.ServiceProxy("/gazebo/set_model_state", SetModelState)
 

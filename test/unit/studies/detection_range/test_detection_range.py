@@ -178,7 +178,7 @@ def test_the_picture_is_drawn_of_whatever_was_tried():
         *rows_of({1.0: 0.5}, world="docking", light="dark"),
     ]
     figure = range_figure(rows, detection_summary(rows), {})
-    assert "found from nowhere" in figure.get_suptitle()
+    assert "found from nowhere" in figure._suptitle.get_text()
     assert len(heat_map("marker_panel", rows[:2]).axes) == 1
 
 
@@ -191,7 +191,7 @@ def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_the
         ("marker_panel", row["distance_m"]): found if row["found"] > 10 else missed for row in rows
     }
     figure = range_figure(rows, detection_summary(rows), pictures)
-    assert "from 0.5 m to 2 m" in figure.get_suptitle()
+    assert "from 0.5 m to 2 m" in figure._suptitle.get_text()
     shown = {axes.get_title(): axes.get_xlabel() for axes in figure.axes[3:]}
     assert shown == {"0.5 m": "found", "1 m": "found", "2 m": "found", "3 m": "not found"}
 
