@@ -83,7 +83,7 @@ run_rostest() {
 run_part() {
   case $1 in
     lint) run_lint ;;
-    unit) run_pytest "$LAB_ROOT/test/unit" -q -n auto --dist loadfile ;;
+    unit) run_pytest "$LAB_ROOT/test/unit" -q -n auto --dist loadfile -m "not long" ;;
     *) run_rostest "$1" ;;
   esac
 }
@@ -113,7 +113,10 @@ main() {
   export ROS_IP=127.0.0.1
   # shellcheck disable=SC2016 # expanded by the shell that xargs starts
   parts | xargs -d '\n' -n 1 -P "$AT_ONCE" bash -c 'run_part "$1"' run_part
-  [[ -z $long ]] || run_pytest "$LAB_ROOT/test/long"
+  if [[ $long ]]; then
+    run_pytest "$LAB_ROOT/test/unit" -q -n auto -m long
+    run_pytest "$LAB_ROOT/test/long"
+  fi
   read -r passed failed < <(awk '{p += $1; f += $2} END {print p + 0, f + 0}' "$LAB_TALLY")
   echo "$passed passed, $failed failed"
   ((passed && !failed))

@@ -36,14 +36,18 @@ def check_docked(run):
     assert run.result.yaw == pytest.approx(run.yaw_error, abs=0.01)
 
 
+def long(*values):
+    return pytest.param(*values, marks=pytest.mark.long)
+
+
 @pytest.mark.parametrize(
     "stand",
     [
-        PLAIN,
-        replace(PLAIN, image_rate=30.0),
+        long(PLAIN),
+        long(replace(PLAIN, image_rate=30.0)),
         replace(PLAIN, start=(3.1, 0.15, 3.0)),  # between the walls, looking out
         replace(PLAIN, start=(3.2, -0.1, 0.3)),  # too near to correct its offset from there
-        replace(PLAIN, start=(3.1, 1.05, 1.0), seed=3),  # beside the left wall
+        long(replace(PLAIN, start=(3.1, 1.05, 1.0), seed=3)),  # beside the left wall
         replace(PLAIN, start=(0.5, -4.5, -2.0), dock_error=(0.3, 0.3, -0.17)),
         replace(PLAIN, dock=(-2.0, 5.0, 2.2), start=(-0.48, 2.4, 2.6)),  # any frame
         replace(PLAIN, model="report", std=0.1, seed=4),
@@ -55,7 +59,7 @@ def test_docks(stand):
     check_docked(standin.run(stand))
 
 
-@pytest.mark.parametrize("start", [(1.5, 1.6, 0.0), (3.1, 1.0, -1.0)])
+@pytest.mark.parametrize("start", [long((1.5, 1.6, 0.0)), (3.1, 1.0, -1.0)])
 def test_is_not_fooled_by_a_larger_copy_beside_the_dock(start):
     prints = (standin.Print(), DECOY)
     check_docked(standin.run(replace(PLAIN, start=start, prints=prints, obstacles=(DECOY_PANEL,))))
@@ -73,7 +77,8 @@ def test_same_numbers_give_the_same_drive():
 
 
 @pytest.mark.parametrize(
-    "prints", [(), (standin.Print(id=1),), (standin.Print(height=0.9),), (DECOY,)]
+    "prints",
+    [(), long((standin.Print(id=1),)), long((standin.Print(height=0.9),)), (DECOY,)],
 )
 def test_says_that_the_marker_is_not_there(prints):
     run = standin.run(replace(PLAIN, prints=prints, obstacles=(DECOY_PANEL,)))
@@ -83,6 +88,7 @@ def test_says_that_the_marker_is_not_there(prints):
     assert math.isnan(run.result.lateral)
 
 
+@pytest.mark.long
 def test_a_covered_camera_sees_nothing_but_is_there():
     run = standin.run(replace(PLAIN, dropout=1.0))
     assert run.result.error == DockingError.NOT_DETECTED
@@ -220,6 +226,7 @@ def test_no_camera_at_all():
     assert feed.moved == 0.0
 
 
+@pytest.mark.long
 def test_gives_up_after_its_retries():
     # A tolerance that nothing meets.
     stand = replace(PLAIN, start=(1.5, 0.0, 0.0))

@@ -179,6 +179,7 @@ def case_of(name, model, std, paths=PATHS):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PATHS_BY_NAME)
 @pytest.mark.parametrize("model", MODELS)
 def test_ellipses_cover_95_percent_where_the_error_is_gaussian_enough(name, model):

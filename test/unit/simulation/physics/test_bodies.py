@@ -819,6 +819,7 @@ def test_beacons_one_after_another_leave_no_memory_behind(package):
         assert resident_megabytes() - before < 4.0
 
 
+@pytest.mark.long
 def test_robots_with_joints_one_after_another_leave_little_memory_behind(cube):
     chance = random.Random(2)
     model = some_tree(chance, cube, 12)

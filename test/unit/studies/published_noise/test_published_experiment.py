@@ -132,6 +132,7 @@ def test_tables(run):
     assert median == pytest.approx(found, abs=1e-5)
 
 
+@pytest.mark.long
 def test_same_settings_same_files(run, tmp_path):
     folder, _ = run
     run_published_noise(tmp_path, PublishedNoiseSettings(seeds=SEEDS))
@@ -186,6 +187,7 @@ def test_the_words_that_roslaunch_adds_are_ignored(tmp_path, capsys):
     assert "figure 1b strays" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_noise_that_is_not_there_explains_nothing(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main([str(tmp_path), "--seeds", "20", "--std", "0"])
