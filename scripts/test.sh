@@ -10,7 +10,7 @@ LOG=$LAB_DIR/log/test
 export LAB_TALLY=$LOG/tally
 ROSTEST_TIMEOUT=600
 # Much of a rostest is waiting: for nodes that start, for what must not come.
-AT_ONCE=$(($(nproc) + 2))
+AT_ONCE=$(($(nproc) + 1))
 
 # count PASSED FAILED: one line in the tally.
 count() { echo "$1 $2" >>"$LAB_TALLY"; }

@@ -27,7 +27,7 @@ class DockFailuresTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.robot = StandIn()
-        cls.node = Node("dock.py", patience=1.0)
+        cls.node = Node("dock.py", patience=4.0)
         cls.dock = SimpleActionClient("dock", DockAction)
         cls.undock = SimpleActionClient("undock", UndockAction)
         cls.commands = Topic("cmd_vel", Twist)
