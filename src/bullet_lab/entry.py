@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
 
 from bullet_lab.errors import LabError
@@ -21,16 +22,32 @@ def run(target: str) -> None:
     name = os.path.basename(sys.argv[0])
     # With several, the last bit of a sum depends on how many cores there are.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    end_at_once_when_interrupted()
     try:
         main = getattr(importlib.import_module(module), function or "main")
-    except KeyboardInterrupt:
-        sys.exit(STATUS_INTERRUPTED)
     except LabError as error:
         _end(f"{name}: {error}")
     except ImportError as error:
         hint = "run scripts/setup.sh, or install what package.xml and requirements.txt name"
         _end(f"{name}: {error} (for {sys.executable}): {hint}")
+    if signal.getsignal(signal.SIGINT) is _end_at_once:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     main()
+
+
+def end_at_once_when_interrupted() -> None:
+    """Answer Ctrl-C by the end of this process, for as long as there is nothing to put in order.
+
+    Modules that are being imported may swallow a KeyboardInterrupt, and where it has come through
+    `exec`, as of dataclasses, Python kills itself by SIGINT whatever status it is told to end with.
+    """
+    # A shell's background job is not to be interrupted.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _end_at_once)
+
+
+def _end_at_once(*_) -> None:
+    os._exit(STATUS_INTERRUPTED)
 
 
 def _end(line: str) -> None:

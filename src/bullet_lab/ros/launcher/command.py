@@ -14,7 +14,7 @@ from pathlib import Path
 import rospkg
 
 from bullet_lab.core.parameters import ParameterError
-from bullet_lab.entry import STATUS_INTERRUPTED
+from bullet_lab.entry import end_at_once_when_interrupted
 from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher.jobs import (
     FILE,
@@ -57,6 +57,8 @@ def main() -> None:
     The status is 0 at success; 2 for a wrong command line; 128 + n after a signal n; otherwise
     that of the first node that failed, or 1.
     """
+    # Until a job's `StopSignals` take over.
+    end_at_once_when_interrupted()
     # ROS would take them for its own.
     words, sys.argv[1:] = sys.argv[1:], []
     try:
@@ -65,8 +67,6 @@ def main() -> None:
         print(f"run.sh: {error}", file=sys.stderr)
         wrong = isinstance(error, (UsageError, ParameterError))
         status = STATUS_BAD_VALUE if wrong else STATUS_FAILED
-    except KeyboardInterrupt:
-        status = STATUS_INTERRUPTED
     sys.exit(status)
 
 
