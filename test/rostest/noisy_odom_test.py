@@ -5,6 +5,7 @@ import copy
 import math
 import sys
 import unittest
+from dataclasses import asdict
 
 import numpy as np
 import rospy
@@ -16,6 +17,7 @@ from visualization_msgs.msg import Marker
 
 from bullet_lab.core.se2 import SQUARE_RADIUS, quaternion_from_yaw
 from bullet_lab.noise.odometry_noise import NoisyPath
+from bullet_lab.noise.systematic import SystematicErrors, SystematicPath
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdometry, NoisyOdomParameters
 
 sys.path.insert(0, str(PACKAGE / "test" / "unit"))
@@ -181,6 +183,22 @@ class NoisyOdomTest(unittest.TestCase):
             expected = step.motion_covariance / 0.2**2
             np.testing.assert_allclose(expected, planar_part(added), atol=1e-12)
 
+    def test_systematic_errors_come_below_the_noise(self):
+        errors = SystematicErrors(0.1, -0.05, 0.02, 0.01, 0.5)
+        self.start(std=0.1, seed=2, **asdict(errors))
+        perfect = arc(30, period=0.2)
+        noisy = self.send(perfect)
+        reported, path = SystematicPath(errors), NoisyPath(make_rule("report", 0.1), 2)
+        for given, got in zip(perfect, noisy):
+            step = reported.update(*pose(given))
+            noise = path.update(*step.pose)
+            np.testing.assert_allclose(noise.pose, pose(got), rtol=0, atol=1e-12)
+            if given is not perfect[0]:
+                twist = got.twist.twist
+                error = (twist.linear.x - 1.0, twist.linear.y, twist.angular.z - 1.0)
+                expected = (np.array(step.motion_error) + noise.motion_error) / 0.2
+                np.testing.assert_allclose(expected, error, atol=1e-12)
+
     def test_robot_at_rest_gets_no_noise(self):
         self.start(std=1.0)
         still = [odometry(0.05 * k, 1.0, 2.0, 2.5) for k in range(1, 30)]
@@ -247,6 +265,7 @@ class NoisyOdomTest(unittest.TestCase):
             ("seed", "-1"),
             ("alpha1", ".nan"),
             ("rate", "0"),
+            ("base_error", "2"),
             ("stdd", "0.1"),
         ):
             node = Node("noisy_odom.py", **{name: value})

@@ -20,6 +20,7 @@ from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.drive.square import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
 from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, rule_of
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
+from bullet_lab.noise.systematic import SystematicErrors, SystematicPath
 from bullet_lab.reports.squares import PathsRecording, noise_figure, squares_summary
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
@@ -99,7 +100,7 @@ def _planar(pose: Pose) -> PlanarPose:
 
 
 @dataclass(frozen=True)
-class SquaresSettings:
+class SquaresSettings(SystematicErrors):
     """Settings of a run; the names are those of the job's arguments."""
 
     std: float = number(0.1, "parameter of the noise", 0.0)
@@ -143,13 +144,18 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
 def _noise(settings: SquaresSettings) -> Callable[[int, Sequence[float]], List[PlanarPose]]:
     """Return what gives the noisy poses that noisy_odom publishes for a perfect one: 0 or 1."""
     rule = rule_of(settings.model, {"std": settings.std})
+    errors = SystematicPath(SystematicErrors.of(settings))
     if not settings.as_published:
         path = NoisyPath(rule, settings.seed)
-        return lambda step, pose: [path.update(*pose).pose]
+        return lambda step, pose: [path.update(*errors.update(*pose).pose).pose]
     published, sampler = PublishedNoise(settings.std, settings.seed), Sampler(PUBLISHED_RATE)
-    return lambda step, pose: (
-        [published.update(*pose)] if sampler.due(step * SECONDS_PER_STEP) else []
-    )
+
+    def noisy(step: int, pose: Sequence[float]) -> List[PlanarPose]:
+        reported = errors.update(*pose).pose
+        due = sampler.due(step * SECONDS_PER_STEP)
+        return [published.update(*reported)] if due else []
+
+    return noisy
 
 
 def _run(folder: Path, settings: SquaresSettings, _tell: Tell) -> None:

@@ -13,7 +13,7 @@ With ~robots, one node does this for as many robots, each in its namespace: robo
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, make_dataclass, replace
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 import rospy
@@ -35,6 +35,7 @@ from bullet_lab.noise.odometry_noise import (
     rule_of,
 )
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
+from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, SystematicStep
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
@@ -51,8 +52,11 @@ _NoiseParameters: Any = make_dataclass("_NoiseParameters", noise_fields(), froze
 
 
 @dataclass(frozen=True)
-class NoisyOdomParameters(_NoiseParameters):
-    """Private parameters of noisy_odom, beside those of the noise models, ~std and so on."""
+class NoisyOdomParameters(_NoiseParameters, SystematicErrors):
+    """Private parameters of noisy_odom, beside ~std and so on of the noise models.
+
+    Systematic errors, ~scale_error and so on, come first; the noise goes on top.
+    """
 
     model: str = parameters.choice("report", "rule of the noise", MODELS)
     seed: int = parameters.integer(0, "of the random draws", minimum=0)
@@ -83,6 +87,7 @@ class NoisyOdometry:
         self._model = parameters.model
         self._noise = asdict(parameters)
         self._path = NoisyPath(rule_of(self._model, self._noise), parameters.seed)
+        self._systematic = SystematicPath(SystematicErrors.of(parameters))
         self._frames = FrameGuard()
         self._refusals = Refusals()
         self.pub = publisher(f"{namespace}noisy_odom", Odometry, QUEUE_SIZE)
@@ -103,18 +108,20 @@ class NoisyOdometry:
             self._refusals.refuse(self._topic, str(error))
             return
         self.msg = msg
+        reported = self._systematic.update(*pose)
         if self._sampler is None or self._sampler.due(msg.header.stamp.to_sec()):
-            self.compute_noise(msg, pose)
+            self.compute_noise(msg, reported)
 
-    def compute_noise(self, msg: Odometry, pose: Tuple[float, float, float]) -> None:
-        """Publish the noisy version of a message, whose pose is (m, m, rad)."""
+    def compute_noise(self, msg: Odometry, reported: SystematicStep) -> None:
+        """Publish the noisy version of a message, of which systematic errors leave `reported`."""
         noisy = _copy(msg)
         if self._sampler is not None:
-            self.pose = list(self._published.update(*pose))
+            self.pose = list(self._published.update(*reported.pose))
         else:
-            step = self._path.update(*pose)
+            step = self._path.update(*reported.pose)
             self.pose = list(step.pose)
-            _set_uncertainty(noisy, step, self._seconds_since_last(msg))
+            errors = (reported.motion_error, step.motion_error)
+            _set_uncertainty(noisy, step, errors, self._seconds_since_last(msg))
         _set_pose(noisy, self.pose)
         self.last_odom = msg
         self.pub.publish(noisy)
@@ -144,6 +151,7 @@ class NoisyOdometry:
         if stamp < last:
             rospy.loginfo("time was set back: the noisy path starts anew")
             self.last_odom = None
+            self._systematic.restart()
             self._path.restart()
             self._published.restart()
             if self._sampler is not None:
@@ -195,12 +203,17 @@ def _set_pose(message: Odometry, pose: List[float]) -> None:
     turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(pose[2])
 
 
-def _set_uncertainty(message: Odometry, step: NoisyStep, seconds: Optional[float]) -> None:
-    """Add the noise to the twist, and its covariances to those of the perfect odometry."""
+def _set_uncertainty(
+    message: Odometry,
+    step: NoisyStep,
+    errors: Sequence[Tuple[float, float, float]],
+    seconds: Optional[float],
+) -> None:
+    """Add the errors of the step to the twist, and covariances to those of the odometry."""
     _add_covariance(message.pose.covariance, step.covariance, 1.0)
     if seconds is None:
         return
-    dx, dy, dyaw = step.motion_error
+    dx, dy, dyaw = map(sum, zip(*errors))
     twist = message.twist.twist
     twist.linear.x += dx / seconds
     twist.linear.y += dy / seconds

@@ -1,0 +1,260 @@
+"""Systematic errors of odometry: what it believes of its wheels and of its gyro is not so.
+
+A robot on two wheels at its left and right moves on arcs. Between two poses its axle's middle
+drives a way s and turns by phi, so that with the base B (distance of the wheels' contacts)
+
+    s_left = s - phi B / 2,    s_right = s + phi B / 2
+
+are rolled off. Odometry counts the wheels' turns and multiplies them by diameters that it believes
+in. Where the wheel of a side is rho times as large as believed, it takes s_side / rho_side for the
+way; where the base is b for it, it reports
+
+    s' = (s_right / rho_right + s_left / rho_left) / 2
+    phi' = (s_right / rho_right - s_left / rho_left) / b + gyro_bias_per_metre |s|
+
+The diameters are said by their mean and their ratio, as by Borenstein and Feng, Measurement and
+correction of systematic odometry errors in mobile robots (1996).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import NamedTuple, Optional, Tuple
+
+import numpy as np
+
+from bullet_lab.core.parameters import ParameterError, check_parameters, number
+from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.noise.odometry_noise import NoiseError, check_pose
+
+_LARGEST_ERROR = 0.5
+_LARGEST_BIAS = 10.0  # rad/m; more than a turn on each metre
+
+
+def _relative(doc: str):
+    return number(0.0, doc, minimum=-_LARGEST_ERROR, maximum=_LARGEST_ERROR)
+
+
+@dataclass(frozen=True)
+class SystematicErrors:
+    """What is really there, relative to what the odometry believes; 0 for no error.
+
+    Attributes:
+        scale_error: mean diameter of the wheels / the believed one - 1. Wheels that are larger
+            make the odometry report ways and turns that are too small.
+        base_error: base / the believed one - 1. A base that is wider makes it report turns that
+            are too large.
+        diameter_error: right diameter / left diameter - 1, where equal ones are believed in. A
+            larger right wheel turns the robot to the left while the odometry reports straight on.
+        gyro_bias_per_metre: rad/m, what the reported heading gains on each metre, forwards or
+            back. Going forwards it is hard to tell from a diameter_error of
+            -gyro_bias_per_metre · wheel_base.
+        wheel_base: m, the believed base; of account to diameter_error alone.
+
+    Raises:
+        NoiseError: a value is not allowed.
+
+    >>> SystematicErrors(base_error=0.25).steps([[0.0, 0.0, 0.8], [1.0, 0.0, 0.0]])
+    array([[0., 0., 1.],
+           [1., 0., 0.]])
+    """
+
+    scale_error: float = _relative("mean diameter of the wheels / what odometry believes - 1")
+    base_error: float = _relative("distance of the wheels / what odometry believes - 1")
+    diameter_error: float = _relative("right diameter / left diameter of the wheels - 1")
+    gyro_bias_per_metre: float = number(
+        0.0, "rad that the heading gains on each metre", -_LARGEST_BIAS, maximum=_LARGEST_BIAS
+    )
+    wheel_base: float = number(0.38, "m, distance of the wheels that diameter_error is for", 0.01)
+
+    def __post_init__(self) -> None:
+        """Raise NoiseError where a parameter is not allowed."""
+        try:
+            check_parameters(self)
+        except ParameterError as error:
+            raise NoiseError(str(error)) from None
+
+    @classmethod
+    def of(cls, parameters) -> SystematicErrors:
+        """Return those that stand among the parameters of a node or a study."""
+        return cls(**{entry.name: getattr(parameters, entry.name) for entry in fields(cls)})
+
+    @property
+    def none(self) -> bool:
+        """Whether odometry is right about everything."""
+        wheels = (self.scale_error, self.base_error, self.diameter_error)
+        return not any((*wheels, self.gyro_bias_per_metre))
+
+    @property
+    def diameters(self) -> Tuple[float, float]:
+        """Diameter of the left and of the right wheel / the believed ones.
+
+        Their ratio is 1 + diameter_error and their mean 1 + scale_error.
+
+        >>> SystematicErrors(scale_error=0.5, diameter_error=-0.5).diameters[0]
+        2.0
+        """
+        mean = (1.0 + self.scale_error) / (1.0 + 0.5 * self.diameter_error)
+        return mean, mean * (1.0 + self.diameter_error)
+
+    def matrix(self) -> np.ndarray:
+        """Return what makes reported way and turn (m, rad) of true ones, gyro aside: 2x2."""
+        left, right = self.diameters
+        total, difference = 1.0 / right + 1.0 / left, 1.0 / right - 1.0 / left
+        base = self.wheel_base * (1.0 + self.base_error)
+        return np.array(
+            (
+                (0.5 * total, 0.25 * base * difference),
+                (difference / self.wheel_base, 0.5 * (1.0 + self.base_error) * total),
+            )
+        )
+
+    def steps(self, steps) -> np.ndarray:
+        """Return what is reported for true steps.
+
+        Args:
+            steps: (dx m, dy m, dyaw rad) in the body frame before each, shape (..., 3). A motion
+                across the wheels, which those do not see, is scaled as the way is.
+
+        Returns:
+            The reported ones, shape (..., 3), |dyaw| not wrapped.
+        """
+        way, across, turn = np.moveaxis(arcs(steps), -1, 0)
+        matrix = self.matrix()
+        drift = self.gyro_bias_per_metre * np.abs(way)
+        new_way = matrix[0, 0] * way + matrix[0, 1] * turn
+        new_turn = matrix[1, 0] * way + matrix[1, 1] * turn + drift
+        return chords(np.stack((new_way, matrix[0, 0] * across, new_turn), axis=-1))
+
+    def path(self, poses) -> np.ndarray:
+        """Return what is reported of a true path: what `SystematicPath` does, to the bit.
+
+        Args:
+            poses: x (m), y (m) and yaw (rad), shape (n, 3).
+        """
+        path = SystematicPath(self)
+        return np.array([path.update(*pose).pose for pose in np.asarray(poses, float).tolist()])
+
+
+def arcs(steps) -> np.ndarray:
+    """Return the arcs that lead from pose to pose: way, way across (m) and turn (rad).
+
+    Each is the motion at a constant velocity that leads to (dx, dy, dyaw); a robot on two wheels
+    has no way across.
+
+    Args:
+        steps: (dx m, dy m, dyaw rad), shape (..., 3), |dyaw| <= pi.
+
+    >>> arcs([2.0, 2.0, np.pi / 2.0]).round(6)
+    array([3.141593, 0.      , 1.570796])
+    """
+    dx, dy, dyaw = np.moveaxis(np.asarray(steps, dtype=float), -1, 0)
+    half = 0.5 * dyaw
+    cos, sin, chord = np.cos(half), np.sin(half), np.sinc(half / np.pi)
+    return np.stack(((cos * dx + sin * dy) / chord, (cos * dy - sin * dx) / chord, dyaw), axis=-1)
+
+
+def chords(arcs_) -> np.ndarray:
+    """Return the steps (dx m, dy m, dyaw rad) that arcs lead to: the inverse of `arcs`.
+
+    >>> chords([np.pi, 0.0, np.pi / 2.0]).round(6)
+    array([2.      , 2.      , 1.570796])
+    """
+    way, across, turn = np.moveaxis(np.asarray(arcs_, dtype=float), -1, 0)
+    half = 0.5 * turn
+    cos, sin, chord = np.cos(half), np.sin(half), np.sinc(half / np.pi)
+    return np.stack(
+        (chord * (cos * way - sin * across), chord * (sin * way + cos * across), turn), axis=-1
+    )
+
+
+class SystematicStep(NamedTuple):
+    """What odometry reports for one message.
+
+    Attributes:
+        pose: reported x (m), y (m) and yaw (rad, in [-pi, pi)).
+        motion_error: reported minus true step as (dx m, dy m, dyaw rad), each step in the body
+            frame before it.
+    """
+
+    pose: PlanarPose
+    motion_error: Tuple[float, float, float]
+
+
+_NO_ERROR = (0.0, 0.0, 0.0)
+
+
+class SystematicPath:
+    """Makes what odometry reports out of a true path, pose by pose.
+
+    The first pose comes back as it is; without errors all of them do, bit for bit.
+
+    >>> path = SystematicPath(SystematicErrors(scale_error=-0.5))
+    >>> [path.update(x, 0.0, 0.0).pose for x in (1.0, 2.0)]
+    [(1.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
+    """
+
+    def __init__(self, errors: SystematicErrors):
+        self._errors = errors
+        self._matrix = errors.matrix().tolist()
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the path: the next pose starts a new one."""
+        self._true: Optional[PlanarPose] = None
+        self._reported: PlanarPose = _NO_ERROR
+
+    def update(self, x: float, y: float, yaw: float) -> SystematicStep:
+        """Take the next true pose (m, m, rad) and return the reported one.
+
+        Raises:
+            NoiseError: the pose is not finite; nothing has changed then.
+        """
+        check_pose(x, y, yaw)
+        before, self._true = self._true, (x, y, yaw)
+        if before is None or self._errors.none:
+            self._reported = (x, y, yaw)
+            return SystematicStep(self._reported, _NO_ERROR)
+        cos, sin = math.cos(before[2]), math.sin(before[2])
+        dx, dy = x - before[0], y - before[1]
+        true = (cos * dx + sin * dy, cos * dy - sin * dx, wrap(yaw - before[2]))
+        step = self._step(*true)
+        x, y, yaw = self._reported
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        dx, dy, dyaw = step
+        self._reported = (x + cos * dx - sin * dy, y + sin * dx + cos * dy, wrap(yaw + dyaw))
+        error = (dx - true[0], dy - true[1], dyaw - true[2])
+        return SystematicStep(self._reported, error)
+
+    def _step(self, dx: float, dy: float, dyaw: float) -> Tuple[float, float, float]:
+        """Do what `SystematicErrors.steps` does, for floats and many times as fast."""
+        half = 0.5 * dyaw
+        cos, sin, chord = math.cos(half), math.sin(half), _sinc(half)
+        way, across = (cos * dx + sin * dy) / chord, (cos * dy - sin * dx) / chord
+        (way_way, way_turn), (turn_way, turn_turn) = self._matrix
+        turn = turn_way * way + turn_turn * dyaw + self._errors.gyro_bias_per_metre * abs(way)
+        way, across = way_way * way + way_turn * dyaw, way_way * across
+        half = 0.5 * turn
+        cos, sin, chord = math.cos(half), math.sin(half), _sinc(half)
+        return chord * (cos * way - sin * across), chord * (sin * way + cos * across), turn
+
+
+def _sinc(angle: float) -> float:
+    return math.sin(angle) / angle if angle else 1.0
+
+
+def end_of(steps) -> np.ndarray:
+    """Return where steps lead from the origin: (dx m, dy m, dyaw rad), (..., n, 3) -> (..., 3).
+
+    The heading is not wrapped.
+
+    >>> end_of([[1.0, 0.0, np.pi / 2.0], [1.0, 0.0, 0.0]]).round(6)
+    array([1.      , 1.      , 1.570796])
+    """
+    dx, dy, dyaw = np.moveaxis(np.asarray(steps, dtype=float), -1, 0)
+    heading = np.cumsum(dyaw, axis=-1)
+    before = heading - dyaw
+    x = np.sum(np.cos(before) * dx - np.sin(before) * dy, axis=-1)
+    y = np.sum(np.sin(before) * dx + np.cos(before) * dy, axis=-1)
+    return np.stack((x, y, heading[..., -1]), axis=-1)
