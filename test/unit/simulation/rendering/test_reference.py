@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -77,34 +78,44 @@ def nearest(starts, ways):
     return distance, colour, normal, what
 
 
-def reference(lights):
-    """A picture (480, 640, 3), white at 1, depths and what is seen, both (480, 640)."""
+@lru_cache(maxsize=None)
+def first_hits():
+    """Where the picture's rays meet something: places, distances, colours, normals, on what."""
     v, u = np.mgrid[0:480, 0:640]
     x, y = (u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy
     local = np.stack((np.ones_like(x), -x, -y), axis=-1).reshape(-1, 3)
     ways = local @ EYE.rotation_matrix().T
-    distance, colour, normal, what = nearest(np.tile(EYE.position, (len(ways), 1)), ways)
-    seen = np.isfinite(distance)
-    places = np.where(seen, distance, 0.0)[:, None] * ways + EYE.position
-    lit = np.tile(AMBIENT[:3], (len(ways), 1))
-    for light in lights:
-        along = np.array(light.pose.rotate(light.direction))
-        along /= np.linalg.norm(along)
-        if light.kind == "directional":
-            towards, far, share = np.tile(-along, (len(ways), 1)), np.inf, 1.0
-        else:
-            offsets = light.pose.position - places
-            far = np.linalg.norm(offsets, axis=1)
-            towards = offsets / far[:, None]
-            share = light.attenuation.at(far)
-            if light.kind == "spot":
-                share = share * light.cone.at(-(towards @ along))
-        cosine = np.maximum(0.0, np.sum(normal * towards, axis=1))
-        if light.casts_shadows:
-            blocked = nearest(places + 1e-6 * normal, towards)[0] < far
-            cosine[blocked] = 0.0
-        lit += (cosine * share)[:, None] * np.array(light.diffuse[:3])
-    picture = np.where(seen[:, None], colour * lit, (0.0, 0.0, 1.0))
+    distance, *found = nearest(np.tile(EYE.position, (len(ways), 1)), ways)
+    places = np.where(np.isfinite(distance), distance, 0.0)[:, None] * ways + EYE.position
+    return (places, distance, *found)
+
+
+@lru_cache(maxsize=None)
+def brightness(light):
+    """What one light adds to each pixel of a white world, (n, 3)."""
+    places, _, _, normal, _ = first_hits()
+    along = np.array(light.pose.rotate(light.direction))
+    along /= np.linalg.norm(along)
+    if light.kind == "directional":
+        towards, far, share = np.tile(-along, (len(places), 1)), np.inf, 1.0
+    else:
+        offsets = light.pose.position - places
+        far = np.linalg.norm(offsets, axis=1)
+        towards = offsets / far[:, None]
+        share = light.attenuation.at(far)
+        if light.kind == "spot":
+            share = share * light.cone.at(-(towards @ along))
+    cosine = np.maximum(0.0, np.sum(normal * towards, axis=1))
+    if light.casts_shadows:
+        cosine[nearest(places + 1e-6 * normal, towards)[0] < far] = 0.0
+    return (cosine * share)[:, None] * np.array(light.diffuse[:3])
+
+
+def reference(lights):
+    """A picture (480, 640, 3), white at 1, depths and what is seen, both (480, 640)."""
+    _, distance, colour, _, what = first_hits()
+    lit = sum(map(brightness, lights), np.array(AMBIENT[:3]))
+    picture = np.where(np.isfinite(distance)[:, None], colour * lit, (0.0, 0.0, 1.0))
     return picture.reshape(480, 640, 3), distance.reshape(480, 640), what.reshape(480, 640)
 
 

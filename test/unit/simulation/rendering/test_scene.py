@@ -158,10 +158,10 @@ def test_panels_that_come_and_go_leave_no_memory_behind(tmp_path):
                 simulation.remove("panel")
                 look(simulation)
 
-        come_and_go(30)
+        come_and_go(15)
         before = resident_megabytes()
-        come_and_go(60)
-        # Of 51 MB: a texture with its smaller copies has 0.85 MB. The allocator of a process that
+        come_and_go(40)
+        # Of 34 MB: a texture with its smaller copies has 0.85 MB. The allocator of a process that
         # has run other tests moves by several.
         assert resident_megabytes() - before < 15.0
 
@@ -252,7 +252,7 @@ def test_shadow_maps_that_change_their_size_are_given_back():
     sun = Light("sun", "directional", Pose(), casts_shadows=True)
     with simulation_of(cube("a", RED), lights=(sun,)) as simulation:
         before = resident_megabytes()
-        for _ in range(20):
+        for _ in range(10):
             # The map grows from 256 to 4096 pixels along each side, which are 64 MB.
             simulation.add(cube("b", GREEN, 12.0))
             simulation.renderer().picture(AHEAD, Shot(CAMERA))
