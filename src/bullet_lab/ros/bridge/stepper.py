@@ -9,9 +9,11 @@ from __future__ import annotations
 import queue
 import threading
 import time
+from collections import deque
 from concurrent import futures
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Callable, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Deque, NamedTuple, Optional, Sequence, Tuple
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.timing import FOR_EVER, WAITING, Lag, LoopWatch, Pace, TimeGate
@@ -35,6 +37,14 @@ class Reached(NamedTuple):
     success: bool
     step: int
     epoch: int
+
+
+@dataclass
+class _Advance:
+    """Steps that somebody asked for: how many are left, and the step that they led to."""
+
+    steps: int
+    reached: futures.Future = field(default_factory=futures.Future)
 
 
 class Stepper:
@@ -72,7 +82,7 @@ class Stepper:
     ):
         self.simulation, self.pace, self.gate = simulation, pace, gate
         self._tick, self.paused = tick, paused
-        self._advancing = False
+        self._advances: Deque[_Advance] = deque()
         self._is_over, self._after_steps = is_over, after_steps
         self._report_stall, self._report_lag = report_stall, report_lag
         self.watch = watch or LoopWatch()
@@ -86,7 +96,7 @@ class Stepper:
     @property
     def hurried(self) -> bool:
         """Whether steps are made faster than the wall clock has it, and nothing may be lost."""
-        return self.pace.free or self._advancing
+        return self.pace.free or bool(self._advances)
 
     def run(self) -> None:
         """Advance until all is over; to be called by one thread, once."""
@@ -114,10 +124,7 @@ class Stepper:
         result: futures.Future = futures.Future()
         self._tasks.put((result, action))
         self.wake()
-        while not futures.wait([result], LONGEST_WAIT).done:
-            if self._is_over():
-                raise StepperError("the simulation has ended")
-        return result.result()
+        return self._result_of(result)
 
     def do_now(self, action: Callable[[], None]) -> None:
         """Have something done at the present moment of wall time.
@@ -138,7 +145,7 @@ class Stepper:
             self.do(catch_up_and_act)
 
     def pause(self) -> None:
-        """Stop time."""
+        """Stop time, and end what `advance_by` has begun."""
         self.do(partial(self._set_paused, True))
 
     def unpause(self) -> None:
@@ -155,8 +162,14 @@ class Stepper:
         self.do(change)
 
     def advance_by(self, steps: int) -> int:
-        """Advance by exactly so many steps, paused or not, and return the step reached."""
-        return self.do(partial(self._advance_by, steps))
+        """Advance by exactly so many steps, paused or not, and return the step reached.
+
+        Others are served between batches of steps. Raises StepperError where time is stopped, or
+        all is over, before that.
+        """
+        advance = _Advance(steps)
+        self.do(partial(self._advances.append, advance))
+        return self._result_of(advance.reached)
 
     def reset_world(self) -> None:
         """Put all models back; time goes on."""
@@ -196,6 +209,12 @@ class Stepper:
                 self._wake.wait(LONGEST_WAIT)
             return self._reached_in(epoch, step)
 
+    def _result_of(self, future: futures.Future) -> Any:
+        while not futures.wait([future], LONGEST_WAIT).done:
+            if self._is_over():
+                raise StepperError("the simulation has ended")
+        return future.result()
+
     def _reached_in(self, epoch: int, step: float) -> Reached:
         reached = self._reached >= step and self.epoch == epoch
         return Reached(reached, self._reached, self.epoch)
@@ -206,6 +225,9 @@ class Stepper:
         """Advance as far as is due and allowed, or wait."""
         # Read before anything is looked at: what changes from here on cuts the wait short.
         wakeups = self._wakeups
+        if self._advances:
+            self._advance()
+            return
         step = self.simulation.step
         limit = -1 if self.paused else self.gate.limit()
         if limit is None or limit <= step:
@@ -253,21 +275,23 @@ class Stepper:
 
     def _set_paused(self, paused: bool) -> None:
         self.paused = paused
+        while paused and self._advances:
+            advance = self._advances.popleft()
+            left = f"time was stopped with {advance.steps} steps to go"
+            advance.reached.set_exception(StepperError(left))
         self._restart(self.simulation.step)
 
-    def _advance_by(self, steps: int) -> int:
-        goal = self.simulation.step + steps
-        self._advancing = True
-        try:
-            while self.simulation.step < goal:
-                # Years of simulated time may be asked for.
-                if self._is_over():
-                    raise StepperError("the simulation has ended")
-                self._run_until(min(goal, self.simulation.step + STEPS_AT_A_TIME))
-        finally:
-            self._advancing = False
-        self._restart(goal)
-        return goal
+    def _advance(self) -> None:
+        """Make a batch of the steps that were asked for; who asks for few waits for no one's many."""
+        advance = self._advances[0]
+        batch = min(advance.steps, STEPS_AT_A_TIME)
+        self._run_until(self.simulation.step + batch)
+        advance.steps -= batch
+        self._advances.rotate(-1)
+        if not advance.steps:
+            self._advances.pop()
+            self._restart(self.simulation.step)
+            advance.reached.set_result(self.simulation.step)
 
     def _reset(self, reset: Callable[[], None]) -> None:
         """Reset, and take back what members have granted: they know nothing of it."""

@@ -49,7 +49,7 @@ from bullet_lab.ros.bridge.running_world import (
     refuse_second_simulator,
     tf_prefixes,
 )
-from bullet_lab.ros.bridge.stepper import Reached, Stepper
+from bullet_lab.ros.bridge.stepper import Reached, Stepper, StepperError
 from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, Sent, TimeGate
 from bullet_lab.ros.bridge.world_topics import OdometryFrames, TouchCounter
 from bullet_lab.ros.gazebo.descriptions import ModelDescriptions, Warnings
@@ -243,7 +243,10 @@ class PyBulletBridge:
         self._gazebo.everything_moved()
 
     def _handle_step(self, request: Any) -> StepResponse:
-        reached = self.stepper.advance_by(request.steps)
+        try:
+            reached = self.stepper.advance_by(request.steps)
+        except StepperError as error:
+            return StepResponse(time_of(self.simulation.step), False, str(error))
         return StepResponse(now=time_of(reached), success=True, status_message="")
 
     def _handle_advance(self, request: Any) -> AdvanceResponse:

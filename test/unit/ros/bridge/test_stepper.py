@@ -78,6 +78,13 @@ def in_thread(function, *arguments):
     return thread, results
 
 
+def error_of(function, *arguments):
+    """Call a function; return the line of the error that it raises."""
+    with pytest.raises(StepperError) as caught:
+        function(*arguments)
+    return caught.value
+
+
 def assert_stands(run):
     """Time does not move within a while (a test that is too quick passes wrongly, not fails)."""
     before = run.step
@@ -104,6 +111,20 @@ def test_advances_by_exactly_so_many_steps_while_paused(running):
     run = running(paused=True)
     assert [run.stepper.advance_by(n) for n in (7, 0, 1, 993)] == [7, 7, 8, 1001]
     assert assert_stands(run) == 1001
+
+
+def test_who_advances_far_stops_nobody_else(running):
+    run = running(paused=True)
+    thread, errors = in_thread(error_of, run.stepper.advance_by, 2**32 - 1)
+    wait_for(lambda: run.step > 0)
+    assert run.stepper.advance_by(7) > 0
+    assert run.stepper.do(lambda: "served") == "served"
+    run.stepper.reset_simulation()
+    wait_for(lambda: run.step > 500)
+    run.stepper.pause()
+    assert_stands(run)
+    thread.join(PATIENCE)
+    assert ["time was stopped with" in str(error) for error in errors] == [True]
 
 
 def test_tasks_run_in_the_thread_of_the_loop(running):
@@ -237,15 +258,7 @@ def test_end_releases_who_wants_something(running):
 
 def test_end_cuts_a_long_way_short(running):
     run = running(paused=True)
-    errors = []
-
-    def go_far():
-        try:
-            run.stepper.advance_by(2**32 - 1)
-        except StepperError as error:
-            errors.append(error)
-
-    thread, _ = in_thread(go_far)
+    thread, errors = in_thread(error_of, run.stepper.advance_by, 2**32 - 1)
     wait_for(lambda: run.step > 0)
     run.end()
     thread.join(PATIENCE)
