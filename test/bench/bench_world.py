@@ -44,6 +44,7 @@ class Bridge:
     def __init__(self, robot: str):
         rospy.set_param("/use_sim_time", False)
         command = ["rosrun", "bullet_lab", "pybullet_bridge.py", "_paused:=true", "_rtf:=0"]
+        command.append("_save_folder:=/")
         command.append(f"_robot:=package://bullet_lab/urdf/{ROBOTS[robot]}.urdf")
         self._process = subprocess.Popen(command)
         rospy.wait_for_service("/bullet_lab/advance", 60.0)
@@ -130,7 +131,7 @@ def crowd(count: int, folder: Path) -> Dict[str, float]:
     spawned = time.perf_counter() - start
     bridge.step(100)
     path = folder / "crowd.world"
-    saved = [bridge.save(str(path)).seconds for _ in range(5)]
+    saved = [bridge.save(str(path), False).seconds for _ in range(5)]
     error = largest_error(bridge, path)
     start = time.perf_counter()
     for number in range(count):

@@ -11,10 +11,13 @@ from pathlib import Path
 import rospy
 import rostest
 from actionlib import GoalStatus, SimpleActionClient
+from actionlib_msgs.msg import GoalStatusArray
 from bullet_lab.msg import DockAction, DockGoal, DockResult, UndockAction, UndockGoal
 from dock_standin import StandIn
-from geometry_msgs.msg import PoseStamped, Twist
+from geometry_msgs.msg import PoseStamped, Transform, TransformStamped, Twist
 from lab_testing import Node, Topic, wait_for
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
 
 from bullet_lab.docking.types import DockingState
 
@@ -212,10 +215,26 @@ class DockFailuresTest(unittest.TestCase):
         self.wait_until_approaching()
         self.robot.time = 0.5
         self.assert_failed(DockResult.UNKNOWN, "set back")
-        # A new goal is pursued as ever.
+        # A new goal is pursued as ever, and both actions say how their goals stand.
+        for action in ("dock", "undock"):
+            status = Topic(f"{action}/status", GoalStatusArray)
+            self.addCleanup(status.close)
+            status.wait(2)
         self.setUp()
         self.send()
         self.wait_until_approaching()
+
+    def test_transforms_from_after_the_end_of_time(self):
+        self.send()
+        self.wait_until_approaching()
+        sender = rospy.Publisher("/tf", TFMessage, queue_size=1)
+        self.addCleanup(sender.unregister)
+        wait_for(lambda: sender.get_num_connections() >= 1, "the node")
+        late = TransformStamped(Header(0, rospy.Time(2**32 - 1), "odom"), "nobody", Transform())
+        late.transform.rotation.w = 1.0
+        sender.publish(TFMessage([late]))
+        wait_for(lambda: "/tf: refused: a stamp after the end" in self.node.err, "a warning")
+        self.assertTrue(self.result().success)
 
     # Whoever wants it
 

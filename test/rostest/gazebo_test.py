@@ -597,12 +597,13 @@ class SaveTest(GazeboCase):
     """The running world as a file."""
 
     def test_world_is_saved_while_it_runs(self):
-        self.start(robot=ROBOT, paused=False, rtf=1)
+        folder = self.folder()
+        self.start(robot=ROBOT, paused=False, rtf=1, save_folder=folder)
         spawn("beacon_7", BEACON, at(3.0, 1.0, 0.0, 0.4))
         clock = self.topic("/clock", Clock)
-        path = self.folder() / "saved.world"
+        path = folder / "saved.world"
         path.write_text("what was there before")
-        saved = call("/bullet_lab/save_world", SaveWorld, str(path))
+        saved = call("/bullet_lab/save_world", SaveWorld, str(path), False)
         self.assertTrue(saved.success, saved.status_message)
         self.assertEqual((3, str(path)), (saved.models, saved.path))
         clock.wait(len(clock.messages) + 10)
@@ -611,10 +612,30 @@ class SaveTest(GazeboCase):
         self.assert_near((3.0, 1.0, 0.0), world["beacon_7"].pose.position)
         self.assertAlmostEqual(0.4, world["beacon_7"].pose.yaw, 9)
         self.assertEqual([path], list(path.parent.iterdir()))
-        # The robot is in the file, plugins and all: a bridge on it has the same.
-        for bad, said in (("", "no file"), ("/nix/nix.world", "no folder"), ("/", "is a folder")):
-            refused = call("/bullet_lab/save_world", SaveWorld, bad)
+        text = call("/bullet_lab/save_world", SaveWorld, "/nix/nix.world", True).text
+        self.assertEqual(path.read_text().count("beacon_7"), text.count("beacon_7"))
+        self.assert_no_other_file_is_written(folder)
+
+    def assert_no_other_file_is_written(self, folder):
+        elsewhere = self.folder()
+        (folder / "way_out").symlink_to(elsewhere)
+        (folder / "file_out").symlink_to(elsewhere / "new")
+        bad = {
+            "": "no file",
+            "nix/nix.world": "no folder",
+            str(folder): "is a folder",
+            "/": "is not in",
+            "../new": "is not in",
+            f"{folder}/../new": "is not in",
+            str(elsewhere / "new"): "is not in",
+            "way_out/new": "is not in",
+            "file_out": "is not in",
+        }
+        for name, said in bad.items():
+            refused = call("/bullet_lab/save_world", SaveWorld, name, False)
             self.assert_refused(said, refused)
+        self.assertEqual([], list(elsewhere.iterdir()))
+        self.assertFalse((folder.parent / "new").exists())
 
     def test_a_bridge_on_a_saved_world_goes_on(self):
         path = self.folder() / "saved.world"

@@ -209,13 +209,17 @@ class NoisyOdomTest(unittest.TestCase):
         node = self.start(std=0.1, seed=4)
         perfect = arc(10)
         self.send(perfect[:5])
-        bad = [odometry(0.26) for _ in range(6)]
+        bad = [odometry(0.26) for _ in range(10)]
         bad[0].pose.pose.position.x = math.nan
         bad[1].pose.pose.position.y = math.inf
         bad[2].pose.pose.orientation.w = 0.0
         bad[3].header.frame_id = "map"
         bad[4].child_frame_id = "wheel"
         bad[5].header.stamp = perfect[4].header.stamp
+        bad[6].pose.pose.position.x = 1e308
+        bad[7].twist.twist.linear.y = math.nan
+        bad[8].pose.covariance[7] = math.inf
+        bad[9].pose.pose.position.z = -math.inf
         noisy = self.send(bad + perfect[5:], 10)
         self.assertEqual([m.header.stamp for m in perfect], [m.header.stamp for m in noisy])
         # Nothing of the refused ones is in the path.

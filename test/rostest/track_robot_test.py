@@ -89,8 +89,9 @@ class TrackRobotTest(unittest.TestCase):
 
     def test_what_cannot_be_used_is_refused(self):
         node = self.start()
-        bad = [odometry(2.0, 1.0, 2.0) for _ in range(3)]
+        bad = [odometry(2.0, 1.0, 2.0) for _ in range(4)]
         bad[0].pose.pose.position.x = math.nan
+        bad[3].pose.pose.position.y = -1e308
         bad[1].pose.pose.orientation.w = 0.0
         bad[2].header.frame_id = "map"
         for message in [odometry(1.0), *bad, odometry(3.0)]:

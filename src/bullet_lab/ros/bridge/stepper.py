@@ -282,7 +282,7 @@ class Stepper:
         self._restart(self.simulation.step)
 
     def _advance(self) -> None:
-        """Make a batch of the steps that were asked for; who asks for few waits for no one's many."""
+        """Make a batch of the steps that were asked for, by whoever waits the longest."""
         advance = self._advances[0]
         batch = min(advance.steps, STEPS_AT_A_TIME)
         self._run_until(self.simulation.step + batch)

@@ -14,7 +14,7 @@ from typing import Any, Callable, Dict
 
 import rospy
 
-from bullet_lab.core.files import replace_file
+from bullet_lab.core.files import make_folder, replace_file
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
@@ -37,39 +37,65 @@ class SaveError(LabError):
 
 
 class WorldSaver:
-    """Offers the service; only the look at where everything is holds the simulation up."""
+    """Offers the service; only the look at where everything is holds the simulation up.
 
-    def __init__(self, world: RunningWorld):
+    The bridge writes below one folder only. Whoever wants a file elsewhere takes the text and
+    writes it with rights of their own, as `save_world.py` does.
+    """
+
+    def __init__(self, world: RunningWorld, folder: Path):
         self._world = world
+        self._folder = folder.expanduser().absolute()
         self._lock = threading.Lock()
         self._service = rospy.Service("/bullet_lab/save_world", SaveWorld, self._save)
 
     def _save(self, request: Any) -> SaveWorldResponse:
         start = time.perf_counter()
         try:
-            # One at a time, or the later file could be put in place before the earlier one.
-            with self._lock:
-                response = self._write(request.path)
+            if not request.path or "\0" in request.path:
+                raise SaveError("no file is named")
+            if request.return_text:
+                response = self._describe(self._folder / Path(request.path).expanduser())
+            else:
+                # One at a time, or the later file could be put in place before the earlier one.
+                with self._lock:
+                    response = self._write(self._place(request.path))
         except LabError as error:
             return SaveWorldResponse(success=False, status_message=str(error))
         response.seconds = time.perf_counter() - start
         return response
 
-    def _write(self, name: str) -> SaveWorldResponse:
-        if not name or "\0" in name:
-            raise SaveError("no file is named")
-        path = Path(name).expanduser().absolute()
-        if path.is_dir():
+    def _place(self, name: str) -> Path:
+        """Return where a file will be once links are followed, if that is in the folder."""
+        folder = self._folder.resolve()
+        try:
+            path = (folder / name).resolve()
+        except (OSError, RuntimeError) as error:
+            raise SaveError(f"{name}: {error}") from error
+        if path != folder and folder not in path.parents:
+            places = f"{path} is not in {folder}, the bridge's ~save_folder"
+            raise SaveError(f"{places}; save_world.py writes anywhere")
+        if path.is_dir() or path == folder:
             raise SaveError(f"{path} is a folder")
+        make_folder(folder)
         if not path.parent.is_dir():
             raise SaveError(f"there is no folder {path.parent}")
+        return path
+
+    def _write(self, path: Path) -> SaveWorldResponse:
+        response = self._describe(path)
+        text, response.text = response.text, ""
+        replace_file(path, lambda part: part.write_text(text, encoding="utf-8"))
+        return response
+
+    def _describe(self, path: Path) -> SaveWorldResponse:
         snapshot = self._world.do(self._world.simulation.snapshot)
         text, notes = world_text(snapshot, path.parent)
-        replace_file(path, lambda part: part.write_text(text, encoding="utf-8"))
         return SaveWorldResponse(
             success=True,
             status_message="; ".join(notes),
             path=str(path),
+            text=text,
             models=len(snapshot.models),
             saved_at=time_of(snapshot.step),
         )
@@ -140,10 +166,12 @@ class Gazebo:
     """Gazebo's services and topics on a running world, and its markers in a frame of RViz.
 
     RViz shows the model `hidden` as a robot. `states_rate` is that of /gazebo/model_states and
-    link_states, in messages per simulated second.
+    link_states, in messages per simulated second. Worlds are saved in `folder`.
     """
 
-    def __init__(self, world: RunningWorld, frame: str, hidden: str, states_rate: float):
+    def __init__(
+        self, world: RunningWorld, frame: str, hidden: str, states_rate: float, folder: Path
+    ):
         self._world = world
         self._parts = [
             WorldMarkers(world, frame, hidden),
@@ -154,7 +182,7 @@ class Gazebo:
             GazeboProperties(world),
             GazeboLights(world),
             GazeboPhysics(world),
-            WorldSaver(world),
+            WorldSaver(world, folder),
             SensorServices(world),
         ]
 

@@ -83,6 +83,18 @@ class GoalServer(SimpleActionServer):
         self.register_goal_callback(lambda: on_goal(self.next_goal))
         self.register_preempt_callback(self._preempt)
 
+    def start(self) -> None:
+        """Serve, and go on saying how goals stand where time is set back.
+
+        actionlib's own timer ends there.
+        """
+        super().start()
+        server = self.action_server
+        if server.status_frequency > 0.0:
+            server.status_timer.shutdown()
+            period = rospy.Duration(1.0 / server.status_frequency)
+            server.status_timer = rospy.Timer(period, server.publish_status_async, reset=True)
+
     @property
     def is_cancelled(self) -> bool:
         """Whether the goal that is pursued was cancelled, and not for a new one."""

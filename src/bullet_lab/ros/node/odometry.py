@@ -8,6 +8,7 @@ import time
 from typing import Optional, Tuple
 
 import rospy
+from geometry_msgs.msg import Vector3
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.se2 import yaw_from_quaternion
@@ -18,6 +19,10 @@ from bullet_lab.ros.node.node import NodeError, Refusals
 from bullet_lab.ros.node.publishers import subscriber
 
 
+# m; beyond any place on Earth in any of its grids. Squares of what is nearer stay finite.
+FARTHEST = 1e8
+
+
 class OdometryError(LabError):
     """An odometry message that cannot be used."""
 
@@ -26,16 +31,32 @@ def planar_pose(message: Odometry) -> Tuple[float, float, float]:
     """Return x (m), y (m) and yaw (rad) of an odometry message.
 
     Raises:
-        OdometryError: not finite, or an orientation that is no unit quaternion.
+        OdometryError: not finite, farther than `FARTHEST` from the origin, or an orientation that
+            is no unit quaternion.
     """
     place, turn = message.pose.pose.position, message.pose.pose.orientation
     quaternion = (turn.x, turn.y, turn.z, turn.w)
     if not all(map(math.isfinite, (place.x, place.y, *quaternion))):
         raise OdometryError("a pose that is not finite")
+    if max(abs(place.x), abs(place.y)) > FARTHEST:
+        raise OdometryError(f"a pose at ({place.x:.3g}, {place.y:.3g}) m is out of this world")
     norm = math.sqrt(sum(value * value for value in quaternion))
     if abs(norm - 1.0) > NORM_TOLERANCE:
         raise OdometryError(f"an orientation of length {norm:.3g} is no unit quaternion")
     return place.x, place.y, yaw_from_quaternion(*quaternion)
+
+
+def check_numbers(message: Odometry) -> None:
+    """Raise OdometryError if a number of a message that is passed on is not finite."""
+    twist = message.twist.twist
+    motion = (*_vector(twist.linear), *_vector(twist.angular))
+    covariances = (*message.pose.covariance, *message.twist.covariance)
+    if not all(map(math.isfinite, (message.pose.pose.position.z, *motion, *covariances))):
+        raise OdometryError("a height, twist or covariance that is not finite")
+
+
+def _vector(value: Vector3) -> Tuple[float, float, float]:
+    return value.x, value.y, value.z
 
 
 class FrameGuard:

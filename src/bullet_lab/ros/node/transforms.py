@@ -8,13 +8,16 @@ from typing import Tuple
 import rospy
 import tf2_ros
 from geometry_msgs.msg import PoseStamped
+from tf2_msgs.msg import TFMessage
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import InputError, pose_of
 from bullet_lab.ros.node.lock_step import in_lock_step
-from bullet_lab.ros.node.node import TF_PREFIX
+from bullet_lab.ros.node.node import TF_PREFIX, Refusals
 
+# s; tf2 ends the process over stamps beyond the end of ROS time.
+END_OF_TIME = 2**31 - 1
 # Wall seconds for a transform that nobody has sent yet.
 PATIENCE = 2.0
 # Likewise in lock step for the thread that drives: time stands meanwhile.
@@ -26,6 +29,29 @@ class FrameError(LabError):
     """A pose cannot be brought into the wanted frame."""
 
 
+class CarefulListener(tf2_ros.TransformListener):
+    """Fills a buffer from /tf and /tf_static, but for what tf2 cannot bear."""
+
+    def __init__(self, buffer: tf2_ros.Buffer):
+        self._refusals = Refusals()
+        super().__init__(buffer)
+
+    def callback(self, data: TFMessage) -> None:
+        """Take transforms from /tf."""
+        super().callback(self._usable("/tf", data))
+
+    def static_callback(self, data: TFMessage) -> None:
+        """Take transforms from /tf_static."""
+        super().static_callback(self._usable("/tf_static", data))
+
+    def _usable(self, topic: str, message: TFMessage) -> TFMessage:
+        usable = [one for one in message.transforms if one.header.stamp.secs <= END_OF_TIME]
+        if len(usable) < len(message.transforms):
+            self._refusals.refuse(topic, "a stamp after the end of ROS time")
+            message.transforms = usable
+        return message
+
+
 class FrameFinder:
     """Brings poses from one frame into another, by the newest transforms of TF.
 
@@ -35,7 +61,7 @@ class FrameFinder:
 
     def __init__(self):
         self._buffer = tf2_ros.Buffer()
-        self._listener = tf2_ros.TransformListener(self._buffer)
+        self._listener = CarefulListener(self._buffer)
 
     def clear(self) -> None:
         """Forget what was known: time was set back."""

@@ -30,6 +30,7 @@ import threading
 import time
 from collections import Counter
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Callable, List, Optional, Sequence, Set, Tuple
 
 import rospy
@@ -126,6 +127,9 @@ class BridgeParameters:
     )
     paused: bool = parameters.boolean(False, "start paused")
     lock_step: Tuple[str, ...] = parameters.name_list("nodes that time waits for")
+    save_folder: str = parameters.text(
+        "results", "folder in which /bullet_lab/save_world may write, for whoever calls it"
+    )
     world_frame: str = parameters.text("world", "frame of the markers on /bullet_lab/world")
     publish_world_tf: bool = parameters.boolean(
         False, "say on /tf_static that the odometry frames lie in the world frame"
@@ -165,7 +169,10 @@ class PyBulletBridge:
         robot = self._add_robot()
         world = RunningWorld(self.stepper, self._topics)
         hidden = "" if robot is None else robot.name
-        self._gazebo = Gazebo(world, parameters.world_frame, hidden, parameters.states_rate)
+        folder = Path(parameters.save_folder)
+        self._gazebo = Gazebo(
+            world, parameters.world_frame, hidden, parameters.states_rate, folder
+        )
         self._descriptions = ModelDescriptions(world, warnings)
         self._controllers = ControllerManagers(world)
         self._touches = TouchCounter(world)

@@ -38,7 +38,7 @@ from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sam
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, SystematicStep
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
-from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
+from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_numbers, planar_pose
 from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
@@ -101,6 +101,7 @@ class NoisyOdometry:
         """Take the next message; refuse it if it is no pose in the frames of the first."""
         try:
             pose = planar_pose(msg)
+            check_numbers(msg)
             self._frames.check(msg)
             if self.msg is not None:
                 self._check_time(msg)

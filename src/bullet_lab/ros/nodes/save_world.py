@@ -1,4 +1,4 @@
-"""The node that has the bridge write the running world to an SDF file.
+"""The node that writes the running world, as the bridge tells it, to an SDF file.
 
 Usage: rosrun bullet_lab save_world.py FILE
 
@@ -16,7 +16,7 @@ from pathlib import Path
 import rospy
 
 from bullet_lab.core import parameters
-from bullet_lab.core.files import make_folder, write_json
+from bullet_lab.core.files import make_folder, replace_file, write_json
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.node.node import NodeError, private_parameters, run_node, wait_until
@@ -41,7 +41,9 @@ def save_world(parameters: SaveWorldParameters) -> None:
     path = Path(names[0]).expanduser().absolute()
     make_folder(path.parent)
     wait_until(lambda: _count() >= parameters.models, f"{parameters.models} models")
-    saved = call("/bullet_lab/save_world", SaveWorld, str(path))
+    # The bridge writes into its own folder only; this is the user's file.
+    saved = call("/bullet_lab/save_world", SaveWorld, str(path), True)
+    replace_file(path, lambda part: part.write_text(saved.text, encoding="utf-8"))
     if saved.status_message:
         rospy.logwarn("%s", saved.status_message)
     if parameters.summary:
