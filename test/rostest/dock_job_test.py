@@ -16,6 +16,9 @@ FOLDER = tempfile.TemporaryDirectory()
 # m, m and degrees: what section 6 of the figures allows at most.
 LARGEST = {"distance_error_m": 0.02, "lateral_error_m": 0.01, "yaw_error_deg": 1.0}
 
+# To be quick; farther starts, such as the job's own, are in test/long.
+NEAR = ("x:=1.6", "y:=0.1")
+
 
 @functools.lru_cache(maxsize=None)
 def dock(*words, status=0):
@@ -28,7 +31,7 @@ def summary_of(out):
 
 
 class DockJobTest(unittest.TestCase):
-    """Each start is within some metres, to be quick; other worlds are in test/long."""
+    """Other worlds are in test/long."""
 
     def assert_docked(self, out):
         summary = summary_of(out)
@@ -42,21 +45,21 @@ class DockJobTest(unittest.TestCase):
         self.assertAlmostEqual(0.0, end[1], delta=0.01)
 
     def test_docks_and_says_how(self):
-        out = dock()
+        out = dock(*NEAR)
         self.assert_docked(out)
         summary = summary_of(out)
         said = {"job": "dock", "seed": 1, "world": "docking", "odom": "odom", "finished": True}
         self.assertEqual(said, {key: summary[key] for key in said})
         path = read_tum(out / "truth.tum")
         self.assertAlmostEqual(path.stamps[-1] - path.stamps[0], summary["sim_time_s"])
-        self.assertAlmostEqual(0.0, path.poses[0, 0], delta=0.001)
+        self.assertAlmostEqual(1.6, path.poses[0, 0], delta=0.001)
         self.assertGreater(summary["images"], 20)
         for name in ("path.png", "camera.png"):
             self.assertTrue((out / name).read_bytes().startswith(b"\x89PNG"), name)
 
     def test_the_same_seed_gives_the_same_path(self):
-        again = dock("seed:=1")
-        same = (dock() / "truth.tum").read_bytes() == (again / "truth.tum").read_bytes()
+        again = dock(*NEAR, "seed:=1")
+        same = (dock(*NEAR) / "truth.tum").read_bytes() == (again / "truth.tum").read_bytes()
         # Not assertEqual, which would print them.
         self.assertTrue(same, "truth.tum differs")
 
