@@ -131,6 +131,47 @@ def steps(poses) -> np.ndarray:
     return between(poses[..., :-1, :], poses[..., 1:, :])
 
 
+def logarithm(poses) -> np.ndarray:
+    """Return the exponential coordinates (m, m, rad) of poses, shape (..., 3).
+
+    They are the constant velocity that leads from the origin to the pose in one unit of time, along
+    an arc; `exponential` goes there. With p = x + iy and h the yaw, in [-pi, pi), the first two
+    are (h/2) (cot(h/2) - i) p.
+    (G. S. Chirikjian, Stochastic Models, Information Theory, and Lie Groups 2, 2012, section 10.6.)
+
+    >>> logarithm([[2.0, 2.0, np.pi / 2.0], [1.0, -2.0, 0.0]]).round(6)
+    array([[ 3.141593,  0.      ,  1.570796],
+           [ 1.      , -2.      ,  0.      ]])
+    """
+    x, y, yaw = np.moveaxis(np.asarray(poses, dtype=float), -1, 0)
+    yaw = wrap(yaw)
+    velocity = straightening(yaw) * (x + 1j * y)
+    return np.stack([velocity.real, velocity.imag, yaw], axis=-1)
+
+
+def straightening(yaw) -> np.ndarray:
+    """Return (h/2) (cot(h/2) - i) for angles h (rad, within a turn), 1 for 0; see `logarithm`."""
+    half = 0.5 * np.asarray(yaw, dtype=float)
+    small = np.abs(half) < 1e-4
+    tangent = np.tan(np.where(small, 1.0, half))
+    return np.where(small, 1.0 - half * half / 3.0, half / tangent) - 1j * half
+
+
+def exponential(coordinates) -> np.ndarray:
+    """Return the poses that `logarithm` gives these coordinates (m, m, rad) of, shape (..., 3).
+
+    The yaw of the coordinates may be any; that of the poses is in [-pi, pi).
+
+    >>> exponential([np.pi, 0.0, np.pi / 2.0]).round(6)
+    array([2.      , 2.      , 1.570796])
+    """
+    x, y, yaw = np.moveaxis(np.asarray(coordinates, dtype=float), -1, 0)
+    # sin(h)/h and (1 - cos h)/h, from a function that is right at 0.
+    arc = np.sinc(yaw / math.pi) + 0.5j * yaw * np.square(np.sinc(0.5 * yaw / math.pi))
+    place = arc * (x + 1j * y)
+    return np.stack([place.real, place.imag, wrap(yaw)], axis=-1)
+
+
 def line(count: int, spacing: float) -> List[PlanarPose]:
     """Return places along x from the origin on, `spacing` m apart, all with yaw 0."""
     return [(spacing * index, 0.0, 0.0) for index in range(count)]

@@ -29,8 +29,8 @@ covariance, so that nothing is lost to rounding where the noise is small:
 With C = E |P - E P|² and G = E (P - E P)²: Var x, Var y = (C ± Re G) / 2, Cov(x, y) = Im G / 2.
 The inner sums over j < k are running sums, so all poses of a path take O(n).
 
-The covariance to first order is what the recursion F S F' + G Q G' of `NoisyPath` adds up to:
-noise of the heading at pose m moves pose n by i (P_n - P_m) per radian.
+The covariance to first order is what the recursion F S F' + G Q G' of textbooks adds up to: noise
+of the heading at pose m moves pose n by i (P_n - P_m) per radian.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps
+from bullet_lab.noise.noisy_paths import NoisySteps
+
+_NO_VARIANCE = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +62,10 @@ class Moments:
         spread = self.covariance[:, 0, 0] + self.covariance[:, 1, 1]
         return np.sqrt(bias + np.maximum(spread, 0.0))
 
+    def about_perfect(self) -> np.ndarray:
+        """Return E(e e') of the errors themselves, shape (n+1, 3, 3): `NoisyPath` publishes it."""
+        return self.covariance + self.mean[:, :, None] * self.mean[:, None, :]
+
 
 def exact_moments(steps: NoisySteps) -> Moments:
     """Return the moments for independent Gaussian noise; see the head of this module.
@@ -72,8 +78,7 @@ def exact_moments(steps: NoisySteps) -> Moments:
     array([0.25, 0.  , 0.  ])
     """
     d, s2, unit = steps.trans, steps.variance_trans, steps.direction
-    turned = steps.variance1 + steps.variance2
-    v = np.cumsum(turned) - steps.variance2
+    turned, v = steps.variance1 + steps.variance2, _acting_variances(steps)
     way, faded = d * unit, np.exp(-0.5 * v)
     lost = np.expm1(-v)
 
@@ -107,7 +112,7 @@ def _fading_sum(terms: np.ndarray, factors: np.ndarray) -> np.ndarray:
 
 def first_order_moments(steps: NoisySteps) -> Moments:
     """Return the moments to first order: no bias, and the covariance along the perfect path."""
-    before, after = steps.position[:-1], steps.position[1:]
+    end, before, after = steps.position, steps.position[:-1], steps.position[1:]
     a, b = steps.variance1, steps.variance2
     sums = (
         a + b,
@@ -117,52 +122,77 @@ def first_order_moments(steps: NoisySteps) -> Moments:
         steps.variance_trans,
         steps.variance_trans * steps.direction**2,
     )
-    sums = [_from_zero(np.cumsum(terms)) for terms in sums]
-    covariance = _first_order(steps.position, *sums)
+    turned, first, second, square, driven, along = (_from_zero(np.cumsum(t)) for t in sums)
+    levers = end * end * turned - 2.0 * end * first + second
+    square_levers = np.abs(end) ** 2 * turned - 2.0 * (end.conj() * first).real + square
+    covariance = _covariance(
+        square_levers + driven, along - levers, 1j * (end * turned - first), turned
+    )
     return Moments(np.zeros((len(covariance), 3)), covariance)
 
 
-def published_covariances(steps: NoisySteps, block: NoisyBlock) -> np.ndarray:
-    """Return the covariance that `NoisyPath` gives with the last pose of each path of a block.
+def quadratic_covariances(steps: NoisySteps) -> np.ndarray:
+    """Return the covariance of what is quadratic in the noise, at each pose.
 
-    It follows the noisy path, the only one that a robot knows, not the perfect one.
+    To second order, translation k errs by
+
+        exp(i psi_k) (et_k + i d_k H_k + i et_k H_k - d_k H_k² / 2).
+
+    The first two terms are linear, and Gaussian. For the others, with j < k,
+
+        Cov(H_j², H_k²) = 2 V_j²,    Var(et_k H_k) = s_k² V_k,
+
+    and all else is uncorrelated. Where their share of the exact covariance is small in each
+    direction, the error is nearly Gaussian; see `quadratic_shares`.
 
     Returns:
-        Of (x, y, yaw) in the odometry frame, shape (b, 3, 3).
+        Of the errors of x (m), y (m) and heading (rad), shape (n+1, 3, 3); the heading has none.
     """
-    weights = np.zeros(len(steps) + 1)
-    weights[:-1] += steps.variance1
-    weights[1:] += steps.variance2
-    position = block.position
-    # einsum would do as well; products with a vector of the same type are some times as fast.
-    complex_weights = weights.astype(complex)
-    along = steps.variance_trans.astype(complex)
-    return _first_order(
-        position[:, -1],
-        weights.sum(),
-        position @ complex_weights,
-        np.square(position) @ complex_weights,
-        np.square(position.real) @ weights + np.square(position.imag) @ weights,
-        steps.variance_trans.sum(),
-        np.square(block.direction) @ along,
-    )
+    s2, unit = steps.variance_trans, steps.direction
+    v = _acting_variances(steps)
+    way = steps.trans * unit
+    bent = way * v * v
+    before = _from_zero(np.cumsum(bent))[:-1]
+    c = s2 * v + 0.5 * (bent * way.conj()).real + (way * before.conj()).real
+    g = -s2 * v * unit * unit + 0.5 * bent * way + way * before
+    c, g = (_from_zero(np.cumsum(terms)) for terms in (c, g))
+    return _covariance(c, g, 0.0 * g, 0.0)
 
 
-def _first_order(end, turned, first, second, square, driven, along) -> np.ndarray:
-    """Return covariances from sums over the noise of the headings and of the translations.
+def quadratic_shares(quadratic, covariance) -> np.ndarray:
+    """Return which share of the variance is quadratic in the noise, where that is largest.
+
+    It is the largest of u' Q u / u' C u over all directions u of (x, y, heading): 0 for an error
+    that is Gaussian, and some 1 for a banana.
 
     Args:
-        end: P of the pose in question.
-        turned: sum of the variances w of the heading.
-        first: sum of w P, P where each of them acts.
-        second: sum of w P².
-        square: sum of w |P|².
-        driven: sum of the variances of the translations.
-        along: sum of them times exp(2i psi).
+        quadratic: Q, `quadratic_covariances` at some poses, shape (..., 3, 3).
+        covariance: C, the exact ones there, of the same shape.
+
+    Returns:
+        Shape (...); 0 where there is no noise.
+
+    >>> from bullet_lab.noise.noisy_paths import noisy_steps
+    >>> from bullet_lab.noise.odometry_noise import RateInvariantRule
+    >>> line = [(0.1 * k, 0.0, 0.0) for k in range(41)]
+    >>> for std in (0.05, 0.1, 0.3):
+    ...     steps = noisy_steps(line, RateInvariantRule(std))
+    ...     quadratic, exact = quadratic_covariances(steps)[-1], exact_moments(steps).covariance[-1]
+    ...     print(f"{quadratic_shares(quadratic, exact):.3f}")
+    0.013
+    0.052
+    0.390
     """
-    levers = end * end * turned - 2.0 * end * first + second
-    square_levers = np.abs(end) ** 2 * turned - 2.0 * (end.conj() * first).real + square
-    return _covariance(square_levers + driven, along - levers, 1j * (end * turned - first), turned)
+    scale = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), _NO_VARIANCE))
+    size = scale[..., :, None] * scale[..., None, :]
+    # What has no variance at all has no share in it.
+    inverse = np.linalg.pinv(covariance / size, rcond=1e-12, hermitian=True)
+    return np.linalg.eigvals((quadratic / size) @ inverse).real.max(axis=-1)
+
+
+def _acting_variances(steps: NoisySteps) -> np.ndarray:
+    """Return V_k, the variance (rad²) of the heading along which each translation is made."""
+    return np.cumsum(steps.variance1 + steps.variance2) - steps.variance2
 
 
 def _covariance(c, g, heading, turned) -> np.ndarray:

@@ -18,12 +18,12 @@ import numpy as np
 from bullet_lab.core.parameters import ParameterError, check_parameters, declarations, number
 from bullet_lab.core.se2 import wrap
 from bullet_lab.errors import LabError
+from bullet_lab.noise.running_moments import RunningMoments
 
 MIN_TRANSLATION = 1e-4
 """m; a shorter step has no direction (at 20 Hz that is a crawl of 2 mm/s)."""
 
 _LARGEST_PARAMETER = 1e6  # far beyond any robot; keeps squares and sums finite
-_NO_COVARIANCE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class NoiseError(LabError):
@@ -321,11 +321,13 @@ class NoisyStep:
 
     Attributes:
         pose: noisy x (m), y (m) and yaw (rad, in [-pi, pi)) in the odometry frame.
-        covariance: 3x3, of (x, y, yaw) in the odometry frame, accumulated since the start.
+        covariance: 3x3, of (x, y, yaw) in the odometry frame, accumulated since the start: the
+            exact second moments of what has been added to the perfect pose, about it, so that
+            the mean NEES is 3 however large the noise is. Its axes are those of the perfect path.
         motion_error: noisy minus true step as (dx m, dy m, dyaw rad), each step in the body
             frame before it.
-        motion_covariance: 3x3, of this step alone, in the body frame before it. Divided by the
-            square of the time of the step it is that of the twist.
+        motion_covariance: 3x3, likewise, of this step alone, in the body frame before it. Divided
+            by the square of the time of the step it is that of the twist.
     """
 
     pose: tuple[float, float, float]
@@ -361,7 +363,7 @@ class NoisyPath:
         self._generator = make_generator(seed)
         self._true = None
         self._noisy = None
-        self._covariance = _NO_COVARIANCE
+        self._moments = RunningMoments()
 
     def restart(self) -> None:
         """Forget the path: the next pose starts a new one. The random generator goes on."""
@@ -386,6 +388,9 @@ class NoisyPath:
         direction, trans = _direction(dx, dy)
         variances = self._rule.variances(*decompose(dx, dy, dyaw))
         error1, error_trans, error2 = self._draw(variances)
+        self._moments.add(before[2] + direction, trans, variances)
+        motion = RunningMoments()
+        motion.add(direction, trans, variances)
 
         # The true direction is kept even where the step is too short to have a rot1, so that
         # the small sideways drift of a robot that turns is not laid ahead of it.
@@ -397,24 +402,20 @@ class NoisyPath:
             trans * math.sin(direction) - dy,
             error_yaw,
         )
-        motion_covariance = _add_step(_NO_COVARIANCE, direction, trans, variances)
-
         noisy_x, noisy_y, noisy_yaw = self._noisy
         direction += noisy_yaw
-        self._covariance = _add_step(self._covariance, direction, trans, variances)
         self._noisy = (
             noisy_x + trans * math.cos(direction),
             noisy_y + trans * math.sin(direction),
             wrap(noisy_yaw + dyaw + error_yaw),
         )
-        return NoisyStep(
-            self._noisy, _matrix(self._covariance), motion_error, _matrix(motion_covariance)
-        )
+        covariance, own = self._moments.second_moments(), motion.second_moments()
+        return NoisyStep(self._noisy, covariance, motion_error, own)
 
     def _start(self, x: float, y: float, yaw: float) -> NoisyStep:
         self._noisy = (x, y, wrap(yaw))
-        self._covariance = _NO_COVARIANCE
-        nothing = _matrix(_NO_COVARIANCE)
+        self._moments = RunningMoments()
+        nothing = self._moments.second_moments()
         return NoisyStep(self._noisy, nothing, (0.0, 0.0, 0.0), nothing)
 
     def _draw(self, variances) -> tuple[float, float, float]:
@@ -432,37 +433,3 @@ def _body_step(before, after) -> tuple[float, float, float]:
     dx, dy = after[0] - before[0], after[1] - before[1]
     cos, sin = math.cos(before[2]), math.sin(before[2])
     return cos * dx + sin * dy, cos * dy - sin * dx, wrap(after[2] - before[2])
-
-
-def _add_step(covariance, direction: float, trans: float, variances):
-    """Return the covariance of a pose after one more step, to first order.
-
-    It is F S F' + G Q G', with Q = diag(variances), written out: the noise of rot1 is more
-    uncertainty of the heading that the translation is laid along.
-
-    Args:
-        covariance: xx, xy, yy, x-yaw, y-yaw and yaw-yaw of the pose before.
-        direction: rad, of travel, in the frame of the covariance.
-        trans: m, signed.
-        variances: of rot1, trans and rot2.
-    """
-    xx, xy, yy, xt, yt, tt = covariance
-    variance1, variance_trans, variance2 = variances
-    cos, sin = math.cos(direction), math.sin(direction)
-    lever_x, lever_y = -trans * sin, trans * cos
-    tt += variance1
-    return (
-        xx + lever_x * (2.0 * xt + lever_x * tt) + cos * cos * variance_trans,
-        xy + lever_x * yt + lever_y * xt + lever_x * lever_y * tt + cos * sin * variance_trans,
-        yy + lever_y * (2.0 * yt + lever_y * tt) + sin * sin * variance_trans,
-        xt + lever_x * tt,
-        yt + lever_y * tt,
-        tt + variance2,
-    )
-
-
-def _matrix(covariance) -> np.ndarray:
-    xx, xy, yy, xt, yt, tt = covariance
-    matrix = np.array(((xx, xy, xt), (xy, yy, yt), (xt, yt, tt)))
-    matrix.setflags(write=False)
-    return matrix

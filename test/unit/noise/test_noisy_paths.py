@@ -11,7 +11,7 @@ from recorded_paths import poses_of
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.noise.exact_moments import first_order_moments, published_covariances
+from bullet_lab.noise.exact_moments import exact_moments, first_order_moments
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import (
     NoiseError,
@@ -22,7 +22,8 @@ from bullet_lab.noise.odometry_noise import (
 )
 from bullet_lab.studies.noise_study import statistics as study_statistics
 from bullet_lab.studies.noise_study.paths import ResamplingError, find_corners, resample
-from bullet_lab.studies.noise_study.statistics import level_rule, study_case
+from bullet_lab.studies.noise_study.statistics import study_case
+from bullet_lab.studies.noise_study.theory import level_rule
 
 RULES = [ReportRule(0.3), RateInvariantRule(0.2), ProbabilisticRule(0.1, 0.02, 0.1, 0.03)]
 
@@ -76,30 +77,27 @@ def test_the_same_draws_give_the_paths_of_the_loop(rule):
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_the_published_covariance_is_that_of_the_loop(rule):
+def test_the_covariance_of_the_loop_is_that_of_the_exact_moments(rule):
     poses, path = wild_path(), NoisyPath(rule, 42)
-    steps = noisy_steps(poses, rule)
-    (block,) = noisy_blocks(steps, np.random.default_rng(42), 3)
-    for covariance in published_covariances(steps, block):
+    expected = exact_moments(noisy_steps(poses, rule)).about_perfect()
+    for _ in range(2):
         path.restart()
-        expected = [path.update(*pose) for pose in poses.tolist()][-1].covariance
-        np.testing.assert_allclose(covariance, expected, rtol=0.0, atol=1e-11 * expected.max())
-
-
-class NoDraws:
-    def standard_normal(self, count):
-        return np.zeros(count)
+        actual = np.array([path.update(*pose).covariance for pose in poses.tolist()])
+        np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-12 * expected.max())
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_first_order_is_the_recursion_of_the_loop_along_the_perfect_path(rule):
-    poses, path = wild_path(), NoisyPath(rule, 0)
-    path._generator = NoDraws()
-    expected = np.array([path.update(*pose).covariance for pose in poses.tolist()])
-    moments = first_order_moments(noisy_steps(poses, rule))
-    np.testing.assert_allclose(
-        moments.covariance, expected, rtol=0.0, atol=1e-11 * expected.max()
-    )
+def test_first_order_is_the_recursion_of_textbooks(rule):
+    steps = noisy_steps(wild_path(), rule)
+    moments, covariance = first_order_moments(steps), np.zeros((3, 3))
+    rows = zip(*(getattr(steps, name) for name in ("angle", "trans", "variance1")))
+    for k, (psi, d, variance1) in enumerate(rows):
+        sin, cos = math.sin(psi), math.cos(psi)
+        f = np.array([[1, 0, -d * sin], [0, 1, d * cos], [0, 0, 1]])
+        g = np.array([[-d * sin, cos, 0], [d * cos, sin, 0], [1, 0, 1]])
+        noise = np.diag([variance1, steps.variance_trans[k], steps.variance2[k]])
+        covariance = f @ covariance @ f.T + g @ noise @ g.T
+        np.testing.assert_allclose(moments.covariance[k + 1], covariance, rtol=0.0, atol=1e-12)
     assert not moments.mean.any()
 
 

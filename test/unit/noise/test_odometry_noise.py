@@ -243,29 +243,20 @@ def test_a_pose_that_is_not_finite_changes_nothing(bad):
     assert path.update(0.1, 0.1, 0.1).pose == untouched.update(0.1, 0.1, 0.1).pose
 
 
-def first_order(trans, direction, variances):
-    """Return F and G Q G' as the notes write them."""
-    sin, cos = math.sin(direction), math.cos(direction)
-    f = np.array([[1, 0, -trans * sin], [0, 1, trans * cos], [0, 0, 1]])
-    g = np.array([[-trans * sin, cos, 0], [trans * cos, sin, 0], [1, 0, 1]])
-    return f, g @ np.diag(variances) @ g.T
+def test_the_covariance_does_not_depend_on_the_draws():
+    poses = wandering_path(50)
+    one, other = (run(NoisyPath(RateInvariantRule(0.3), seed), poses)[0] for seed in (13, 14))
+    np.testing.assert_array_equal(one[-1].covariance, other[-1].covariance)
+    assert one[-1].pose != other[-1].pose
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_covariance_is_first_order_along_the_noisy_path(rule):
-    poses = wandering_path(100)
-    steps, noisy = run(NoisyPath(rule, 13), poses)
-    recovered = recover_noise(poses, noisy)
-    motions = se2.steps(noisy)
-    covariance = np.zeros((3, 3))
-    for k, step in enumerate(steps[1:]):
-        trans = recovered.components[k, 1] + recovered.noise[k, 1]
-        direction = math.atan2(motions[k, 1], motions[k, 0])
-        trans, direction = (abs(trans), direction) if trans else (0.0, 0.0)
-        variances = rule.variances(*recovered.components[k])
-        _, own = first_order(trans, direction, variances)
-        np.testing.assert_allclose(step.motion_covariance, own, atol=1e-12)
-        f, gain = first_order(trans, direction + noisy[k, 2], variances)
-        covariance = f @ covariance @ f.T + gain
-        np.testing.assert_allclose(step.covariance, covariance, rtol=1e-6, atol=1e-9)
+def test_the_covariance_of_a_step_is_that_of_a_path_of_one_step(rule):
+    poses = wandering_path(50)
+    steps, _ = run(NoisyPath(rule, 13), poses)
+    for before, after, step in zip(poses, poses[1:], steps[1:]):
+        alone = NoisyPath(rule, 0)
+        alone.update(0.0, 0.0, 0.0)
+        own = alone.update(*se2.between(before, after).tolist())
+        np.testing.assert_allclose(step.motion_covariance, own.covariance, atol=1e-15)
     assert np.linalg.eigvalsh(steps[-1].covariance).min() > 0.0

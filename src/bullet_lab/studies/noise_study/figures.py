@@ -17,19 +17,29 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogFormatter, NullLocator
 
-from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
+from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.core.se2 import LEVEL, ellipse_points
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import Moments
 from bullet_lab.noise.noisy_paths import noisy_steps
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.paths import find_corners, resample
-from bullet_lab.studies.noise_study.statistics import Case, level_rule, theory
+from bullet_lab.studies.noise_study.regions import METHODS
+from bullet_lab.studies.noise_study.statistics import Case
+from bullet_lab.studies.noise_study.theory import GAUSSIAN_SHARE, level_rule, theory
 
 COLUMNS = 5
 CURVES = 5
 SHOWN_RATES = 3
 TYPICAL_LEVEL = 0.1
+
+STYLES = {
+    "exact": ("o-", BLACK),
+    "first_order": ("s--", VERMILION),
+    "exponential": ("D-", GREEN),
+    "published": ("^:", BLUE),
+}
+"""Lines and colours of the methods."""
 
 _LARGEST_MARGIN = 0.6  # of the size of the path; what goes beyond is cut off
 _RATES_ON_CURVE = 24
@@ -69,16 +79,16 @@ def distance_figure(cases: Sequence[Case]) -> Figure:
 
     The cases are of one rate; each model has a panel.
     """
-    by_model = _by_model(cases)
+    by_model = by_model_of(cases)
     figure = new_figure(4.3 * len(by_model) + 0.6, 4.6)
     figure.suptitle(f"Error against distance, at {cases[0].rate:g} Hz")
     panels = figure.subplots(1, len(by_model), squeeze=False, sharey=True)[0]
     for axes, (model, of_model) in zip(panels, by_model.items()):
-        shown = _shown_levels(of_model)
+        shown = shown_levels(of_model)
         for case, colour in zip(shown, _colours(len(shown))):
             _draw_error(axes, case, colour)
         axes.set(title=MODELS[model].title, xlabel="distance travelled (m)", yscale="log")
-        _plain_numbers(axes.yaxis)
+        plain_numbers(axes.yaxis)
         axes.grid(alpha=0.3)
         axes.margins(x=0.0)
         axes.set_xlim(right=1.2 * cases[0].trajectory.length())
@@ -98,7 +108,7 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
 
     The cases are of all models, rates and levels; the trajectory is the path as it was given.
     """
-    by_model = _by_model(cases)
+    by_model = by_model_of(cases)
     rates = _spread(sorted({case.rate for case in cases}), SHOWN_RATES)
     level = min({case.std for case in cases}, key=lambda std: abs(std - TYPICAL_LEVEL))
     sheets = [case for case in cases if case.std == level and case.rate in rates]
@@ -129,28 +139,27 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
 
 
 def coverage_figure(cases: Sequence[Case]) -> Figure:
-    """Draw where the 95 % ellipses are right, and the NEES, at the highest rate of the cases."""
+    """Draw where the 95 % ellipses are right, at the highest rate of the cases, and why not."""
     rate = max(case.rate for case in cases)
-    by_model = _by_model([case for case in cases if case.rate == rate])
+    by_model = by_model_of([case for case in cases if case.rate == rate])
     figure = new_figure(4.0 * len(by_model) + 0.8, 6.0)
-    figure.suptitle(f"How far to trust an ellipse: last pose, at {rate:g} Hz")
+    figure.suptitle(f"How far to trust an ellipse: last position, at {rate:g} Hz")
     grid = figure.subplots(2, len(by_model), squeeze=False, sharex=True, sharey="row")
     for column, (model, of_model) in zip(grid.T, by_model.items()):
-        known = [case for case in of_model if case.sample.nees is not None]
+        known = [case for case in of_model if case.sample.coverage["first_order"] is not None]
         _draw_coverage(column[0], known)
         column[0].set_title(MODELS[model].title)
         std = [case.std for case in known]
-        column[1].axhline(1.0, color=GREY, linewidth=5.0, alpha=0.5)
-        nees = [case.sample.nees / 3.0 for case in known]
-        column[1].plot(std, nees, "^-", color=BLUE, label="NEES of noisy_odom / 3")
+        shares, title = [c.theory.quadratic_share() for c in known], "quadratic in the noise"
+        column[1].axhspan(0.0, GAUSSIAN_SHARE, color=GREY, alpha=0.35, linewidth=0.0)
+        column[1].plot(std, shares, "o-", color=BLACK, label=f"share of the variance\n{title}")
         areas, label = [c.theory.area_ratio() for c in known], "area of the ellipse,\nfirst order"
         column[1].plot(std, areas, "s--", color=VERMILION, label=f"{label} / exact")
         column[1].set_xlabel("std")
         column[1].grid(alpha=0.3)
     grid[0, 0].set_ylabel("in the 95 % ellipse (%)")
-    grid[1, 0].set_ylabel("ratio; 1 is right")
-    grid[0, 0].legend(loc="lower left", fontsize=8)
-    grid[1, 0].legend(loc="upper left", fontsize=8)
+    grid[1, 0].set_ylabel("ratio; grey: Gaussian enough")
+    add_legends(grid, "lower left", "upper left")
     figure.tight_layout()
     return figure
 
@@ -158,13 +167,10 @@ def coverage_figure(cases: Sequence[Case]) -> Figure:
 def _draw_coverage(axes: Axes, cases: Sequence[Case]) -> None:
     axes.axhspan(94.0, 96.0, color=GREY, alpha=0.35, linewidth=0.0)
     std = [case.std for case in cases]
-    for name, label, style, colour in (
-        ("exact", "exact", "o-", BLACK),
-        ("first_order", "first order", "s--", VERMILION),
-        ("published", "as noisy_odom sends it", "^-", BLUE),
-    ):
+    for name in cases[0].sample.coverage if cases else ():
         values = [100.0 * case.sample.coverage[name] for case in cases]
-        axes.plot(std, values, style, color=colour, label=label, markersize=5)
+        style, colour = STYLES[name]
+        axes.plot(std, values, style, color=colour, label=METHODS[name], markersize=5)
     axes.grid(alpha=0.3)
 
 
@@ -247,7 +253,7 @@ def _label(axes: Axes, text: str, point: Tuple[float, float], gap: float) -> Non
 def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> None:
     """Draw the error at the end against the rate: samples, and the exact curve through them."""
     all_rates = sorted({case.rate for case in cases})
-    shown = _shown_levels([case for case in cases if case.rate == all_rates[0]])
+    shown = shown_levels([case for case in cases if case.rate == all_rates[0]])
     rates = np.unique(
         [*np.geomspace(0.8 * all_rates[0], 1.25 * all_rates[-1], _RATES_ON_CURVE), *all_rates]
     )
@@ -266,26 +272,37 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
     axes.xaxis.set_major_locator(FixedLocator(all_rates))
     axes.xaxis.set_minor_locator(NullLocator())
     for axis in (axes.xaxis, axes.yaxis):
-        _plain_numbers(axis)
+        plain_numbers(axis)
     axes.tick_params(labelsize=8)
     axes.grid(alpha=0.3)
 
 
-def _plain_numbers(axis: Axis) -> None:
+def add_legends(grid: np.ndarray, *where: str) -> None:
+    """Add a legend to each of the first rows of panels, in the first panel that has anything."""
+    for row, place in zip(grid, where):
+        for axes in row:
+            if axes.get_legend_handles_labels()[0]:
+                axes.legend(loc=place, fontsize=8)
+                break
+
+
+def plain_numbers(axis: Axis) -> None:
+    """Write the numbers of a logarithmic axis without powers of ten."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(LogFormatter())
 
 
-def _by_model(cases: Sequence[Case]) -> Dict[str, List[Case]]:
+def by_model_of(cases: Sequence[Case]) -> Dict[str, List[Case]]:
+    """Return the cases of each model, in their order."""
     result: Dict[str, List[Case]] = {}
     for case in cases:
         result.setdefault(case.model, []).append(case)
     return result
 
 
-def _shown_levels(cases: Sequence[Case]) -> List[Case]:
+def shown_levels(cases: Sequence[Case], count: int = CURVES) -> List[Case]:
     """Return cases with noise, from low to high, as many as can be told apart."""
-    return _spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), CURVES)
+    return _spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), count)
 
 
 def _spread(values: Sequence, count: int) -> List:

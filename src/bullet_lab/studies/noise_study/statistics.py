@@ -12,19 +12,20 @@ from dataclasses import dataclass
 from typing import Any, Dict, List, NamedTuple, Optional
 
 import numpy as np
-from scipy.special import chdtri
 
-from bullet_lab.core.se2 import LEVEL, SQUARE_RADIUS
+from bullet_lab.core.se2 import SQUARE_RADIUS
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
-from bullet_lab.noise.exact_moments import (
-    Moments,
-    exact_moments,
-    first_order_moments,
-    published_covariances,
-)
 from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps, noisy_blocks, noisy_steps
-from bullet_lab.noise.odometry_noise import MIN_TRANSLATION, NoiseRule, model_named
+from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
+from bullet_lab.studies.noise_study.regions import MEANT, RegionCounter, Regions
+from bullet_lab.studies.noise_study.theory import (
+    Theory,
+    inverse_of,
+    level_rule,
+    position_of,
+    theory,
+)
 
 DELTA_TOLERANCE = 0.25
 """How far, as a share of it, the distance between two poses may be from the delta of the RPE."""
@@ -35,16 +36,8 @@ LAP_TOLERANCE = math.radians(10.0)
 MOST_LAPS = 50
 """Who turns round more often than this is not going round in laps."""
 
-NEES_BOUND = float(chdtri(3, 1.0 - LEVEL))
-"""The quantile at `LEVEL` of chi-square with 3 degrees of freedom."""
-
 QUANTILE_PATHS = 100_000
 """Medians and 95 % quantiles are of the first so many paths; everything else is of all."""
-
-GAUSSIAN_SHIFT, GAUSSIAN_AREA = 0.1, 0.05
-"""Standard deviations, and a share of the area; see `Theory.gaussian_enough`."""
-
-_SINGULAR = 1e-12
 
 METRICS = (
     "final_error_m",
@@ -222,52 +215,6 @@ def _tangents(steps: NoisySteps) -> np.ndarray:
     return steps.direction[np.concatenate([[begin], latest])]
 
 
-def level_rule(model: str, std: float) -> NoiseRule:
-    """Return the rule of a model at a level of noise; raises NoiseError."""
-    return model_named(model).at_level(std)
-
-
-@dataclass(frozen=True, eq=False)
-class Theory:
-    """What is known of the pose errors without drawing a path.
-
-    Attributes:
-        exact: the exact moments at each pose.
-        first_order: those to first order.
-    """
-
-    exact: Moments
-    first_order: Moments
-
-    def shift(self) -> float:
-        """Return how far first order misses the mean at the end, in its standard deviations.
-
-        This is the Mahalanobis length, in the position, of the exact bias; 0 without noise.
-        """
-        bias, inverse = self.exact.mean[-1, :2], _inverse(_position(self.first_order))
-        return 0.0 if inverse is None else math.sqrt(float(bias @ inverse @ bias))
-
-    def area_ratio(self) -> float:
-        """Return the area of the first-order ellipse at the end over that of the exact one."""
-        first, exact = (np.linalg.det(_position(m)) for m in (self.first_order, self.exact))
-        return math.sqrt(max(first, 0.0) / exact) if exact > 0.0 else 1.0
-
-    def gaussian_enough(self) -> bool:
-        """Return whether first order is good enough for its 95 % ellipse to cover 95 ± 1 %.
-
-        The sign that it is not is the bias: a bent path ends short of the straight one, and the
-        cloud of ends is a banana; where all sense of direction is lost, so is that of the area.
-        See `GAUSSIAN_SHIFT` and `GAUSSIAN_AREA`.
-        """
-        area_is_right = abs(self.area_ratio() - 1.0) <= GAUSSIAN_AREA
-        return self.shift() <= GAUSSIAN_SHIFT and area_is_right
-
-
-def theory(steps: NoisySteps) -> Theory:
-    """Return the exact and the first-order moments of the noisy versions of a path."""
-    return Theory(exact_moments(steps), first_order_moments(steps))
-
-
 @dataclass(frozen=True, eq=False)
 class Sample:
     """What was measured of many noisy versions of a path.
@@ -280,9 +227,7 @@ class Sample:
         coverage: share of the paths whose last position lies in the 95 % ellipse, by the ellipse:
             "first_order" and "exact", each around its mean, and "published", the one that
             noisy_odom sends along, around what it sends. None for an ellipse without area.
-        nees: mean of the normalised estimation error squared of the last pose under the
-            published covariance, 3 if that is right; None where it is singular.
-        nees_within: share of the paths with a NEES below its 95 % bound.
+        regions: how often the regions of all three coordinates hold the pose, along the path.
         rms_distance: m, root mean square distance from the perfect path at each pose, (n+1,).
         kept: x + iy (m), the first paths themselves, seen from their start, (k, n+1).
         kept_heading: rad, their heading errors, (k, n+1).
@@ -292,9 +237,8 @@ class Sample:
     mean: np.ndarray
     covariance: np.ndarray
     metrics: Dict[str, Dict[str, float]]
-    coverage: Dict[str, float]
-    nees: float
-    nees_within: float
+    coverage: Dict[str, Optional[float]]
+    regions: Regions
     rms_distance: np.ndarray
     kept: np.ndarray
     kept_heading: np.ndarray
@@ -332,6 +276,7 @@ class Case:
     def summary(self) -> Dict[str, Any]:
         """Return the figures of the case for summary.json; null where there is nothing to say."""
         sample, known = self.sample, self.theory
+        published = sample.regions.found["published"][-1]
         return {
             "model": self.model,
             "rate_hz": self.rate,
@@ -348,13 +293,18 @@ class Case:
             "first_order": {
                 "mean_missed_by_std": known.shift(),
                 "ellipse_area_over_exact": known.area_ratio(),
-                "gaussian_enough": known.gaussian_enough(),
+                "good_enough": known.first_order_enough(),
             },
+            "quadratic_share": known.quadratic_share(),
+            "gaussian_enough": known.gaussian_enough(),
             "coverage_of_95_percent_ellipse": dict(sample.coverage),
             "nees": {
-                "mean": sample.nees,
+                "mean": published and published.nees,
                 "expected": 3.0,
-                "share_within_95_percent": sample.nees_within,
+                "share_within_95_percent": published and published.coverage[MEANT],
+            },
+            "region_right_until_m": {
+                name: sample.regions.right_until(name) for name in sample.regions.found
             },
             "metrics": sample.metrics,
             "perfect_closure_m": self.perfect_closure,
@@ -387,9 +337,12 @@ def study_case(
     known = theory(steps)
     metrics = PathMetrics(trajectory, steps, delta)
     sampler = _Sampler(steps, known, metrics, paths, keep)
+    counter = RegionCounter(trajectory, steps, known)
     for block in noisy_blocks(steps, generator, paths):
         sampler.add(block)
-    return Case(trajectory, model, rate, std, known, sampler.sample(), metrics.perfect_closure())
+        counter.add(block)
+    sample = sampler.sample(counter.regions())
+    return Case(trajectory, model, rate, std, known, sample, metrics.perfect_closure())
 
 
 class _Sampler:
@@ -403,17 +356,16 @@ class _Sampler:
         self._exact_mean = known.exact.mean[-1]
         # Centre and inverse covariance.
         self._ellipses = {
-            "first_order": (np.zeros(2), _inverse(_position(known.first_order))),
-            "exact": (self._exact_mean[:2], _inverse(_position(known.exact))),
+            "first_order": (np.zeros(2), inverse_of(position_of(known.first_order))),
+            "exact": (self._exact_mean[:2], inverse_of(position_of(known.exact))),
+            "published": (np.zeros(2), inverse_of(known.exact.about_perfect()[-1, :2, :2])),
         }
-        self._published_is_regular = _inverse(known.first_order.covariance[-1]) is not None
         self._paths = 0
         self._sum = np.zeros(3)
         self._squares = np.zeros((3, 3))
         self._metric_sums = np.zeros(len(metrics.names))
         self._metric_values = np.empty((min(paths, QUANTILE_PATHS), len(metrics.names)))
-        self._inside = {"first_order": 0, "exact": 0, "published": 0}
-        self._nees_sum, self._nees_inside = 0.0, 0
+        self._inside = dict.fromkeys(self._ellipses, 0)
         self._distance_squares = np.zeros(len(steps) + 1)
         self._kept = np.empty((min(keep, paths), len(steps) + 1), dtype=complex)
         self._kept_heading = np.empty(self._kept.shape)
@@ -440,30 +392,20 @@ class _Sampler:
         for name, (centre, inverse) in self._ellipses.items():
             if inverse is not None:
                 off = last[:, :2] - centre
-                self._count(name, np.einsum("ni,ij,nj->n", off, inverse, off))
-        if self._published_is_regular:
-            covariance = published_covariances(self._steps, block)
-            self._count("published", _square_lengths(last[:, :2], covariance[:, :2, :2]))
-            nees = _square_lengths(last, covariance)
-            self._nees_sum += float(nees.sum())
-            self._nees_inside += int(np.count_nonzero(nees <= NEES_BOUND))
+                lengths = np.einsum("ni,ij,nj->n", off, inverse, off)
+                self._inside[name] += int(np.count_nonzero(lengths <= SQUARE_RADIUS))
 
-    def _count(self, name: str, square_lengths: np.ndarray) -> None:
-        self._inside[name] += int(np.count_nonzero(square_lengths <= SQUARE_RADIUS))
-
-    def sample(self) -> Sample:
+    def sample(self, regions: Regions) -> Sample:
         n = self._paths
         shift = self._sum / n
         known = {name: inverse is not None for name, (_, inverse) in self._ellipses.items()}
-        known["published"] = self._published_is_regular
         return Sample(
             paths=n,
             mean=self._exact_mean + shift,
             covariance=(self._squares - n * np.outer(shift, shift)) / (n - 1),
             metrics=self._metric_summaries(),
             coverage={k: self._inside[k] / n if regular else None for k, regular in known.items()},
-            nees=self._nees_sum / n if self._published_is_regular else None,
-            nees_within=self._nees_inside / n if self._published_is_regular else None,
+            regions=regions,
             rms_distance=np.sqrt(self._distance_squares / n),
             kept=self._kept,
             kept_heading=self._kept_heading,
@@ -476,24 +418,3 @@ class _Sampler:
             name: {"mean": float(means[i]), "p50": float(median[i]), "p95": float(high[i])}
             for i, name in enumerate(self._metrics.names)
         }
-
-
-def _position(moments: Moments) -> np.ndarray:
-    return moments.covariance[-1, :2, :2]
-
-
-def _inverse(covariance: np.ndarray) -> Optional[np.ndarray]:
-    """Return the inverse of a covariance, None where that is lost in rounding."""
-    scale = np.sqrt(np.abs(np.diag(covariance)))
-    if (scale == 0.0).any():
-        return None
-    correlation = covariance / np.outer(scale, scale)
-    if np.linalg.eigvalsh(correlation)[0] < _SINGULAR:
-        return None
-    return np.linalg.inv(correlation) / np.outer(scale, scale)
-
-
-def _square_lengths(vectors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """Return v' C^-1 v for each of the vectors (b, d) and its covariance (b, d, d)."""
-    solved = np.linalg.solve(covariances, vectors[..., None])[..., 0]
-    return np.einsum("ni,ni->n", vectors, solved)

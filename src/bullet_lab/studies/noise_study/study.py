@@ -28,6 +28,12 @@ from bullet_lab.studies.noise_study.figures import (
     rates_figure,
 )
 from bullet_lab.studies.noise_study.paths import check_path, read_path, resample, write_tum
+from bullet_lab.studies.noise_study.region_figures import (
+    banana_figure,
+    distances_figure,
+    regions_figure,
+)
+from bullet_lab.studies.noise_study.regions import HEADER, MEANT, METHODS
 from bullet_lab.studies.noise_study.statistics import Case, study_case
 from bullet_lab.studies.squares import drive_square
 from bullet_lab.studies.study import (
@@ -121,19 +127,19 @@ def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = silent) 
 
 
 def _verdict(cases: Sequence[Case]) -> str:
-    """Say in words up to which level the first-order ellipse is to be trusted."""
-    noisy = [case for case in cases if case.sample.coverage["first_order"] is not None]
-    bad = min((c.std for c in noisy if not c.theory.gaussian_enough()), default=None)
-    if not noisy:
-        return "no ellipses"
-    if bad is None:
-        return "ellipses are right at all levels"
-    worst = max(noisy, key=lambda case: case.std)
-    covered = 100.0 * worst.sample.coverage["first_order"]
-    return (
-        f"first-order ellipses are right below std {bad:g} and at {worst.std:g} cover "
-        f"{covered:.1f} %, their area {worst.theory.area_ratio():.2f} of the exact one"
-    )
+    """Say in words up to which level each method's 95 % region is right at the end of the path."""
+    noisy = sorted((case for case in cases if case.std > 0.0), key=lambda case: case.std)
+    said = []
+    for method, title in METHODS.items():
+        regions = [(case.std, case.sample.regions.found[method][-1]) for case in noisy]
+        known = [(std, region) for std, region in regions if region is not None]
+        wrong = [number for number, (_, region) in enumerate(known) if region.wrong()]
+        if known:
+            last = known[-1 if not wrong else wrong[0] - 1][0]
+            said.append(f"{title} {'nowhere' if wrong[:1] == [0] else f'up to {last:g}'}")
+    if not said:
+        return "no regions"
+    return f"95 % regions are right at the end: {', '.join(said)}"
 
 
 def run_study(
@@ -173,6 +179,8 @@ def run_study(
         write_json(part / SUMMARY, summary)
         write_table(part / "metrics.csv", metrics_rows(cases))
         write_table(part / "error_by_distance.csv", distance_rows(cases))
+        write_table(part / "regions.csv", region_rows(cases))
+        write_table(part / "where_right.csv", where_right_rows(cases))
         _write_tum_files(part / "tum", cases, max(settings.rates))
         _draw(part, cases, trajectory, settings)
     return summary
@@ -187,17 +195,19 @@ def metrics_rows(cases: Sequence[Case]) -> List[List[Any]]:
         *("model", "rate_hz", "std", "paths", *(f"{name}_{part}" for name, part in metrics)),
         *("coverage_first_order", "coverage_exact", "coverage_published"),
         *("nees_mean", "nees_within_95", "mean_missed_by_std", "area_over_exact"),
-        "gaussian_enough",
+        *("quadratic_share", "gaussian_enough"),
     ]
     rows: List[List[Any]] = [header]
     for case in cases:
         sample, known = case.sample, case.theory
+        published = sample.regions.found["published"][-1]
         rows.append(
             [
                 *(case.model, case.rate, case.std, sample.paths),
                 *(sample.metrics.get(name, {}).get(part) for name, part in metrics),
                 *(sample.coverage[name] for name in ("first_order", "exact", "published")),
-                *(sample.nees, sample.nees_within, known.shift(), known.area_ratio()),
+                *((published.nees, published.coverage[MEANT]) if published else (None, None)),
+                *(known.shift(), known.area_ratio(), known.quadratic_share()),
                 str(known.gaussian_enough()).lower(),
             ]
         )
@@ -215,6 +225,28 @@ def distance_rows(cases: Sequence[Case]) -> Iterator[List[Any]]:
         count = min(_DISTANCES_PER_CASE, len(travelled))
         for index in np.unique(np.linspace(0, len(travelled) - 1, count).round().astype(int)):
             yield [case.model, case.rate, case.std, *(float(column[index]) for column in columns)]
+
+
+def region_rows(cases: Sequence[Case]) -> Iterator[List[Any]]:
+    """Yield a header and rows with the regions of each case, method and pose; see `Regions`."""
+    yield ["model", "rate_hz", "std", *HEADER]
+    for case in cases:
+        yield from ([case.model, case.rate, case.std, *row] for row in case.sample.regions.rows())
+
+
+def where_right_rows(cases: Sequence[Case]) -> Iterator[List[Any]]:
+    """Yield a header and a row for each case: how far, in m, the 95 % region of a method is right.
+
+    It is right as long as the band around its share overlaps 95 ± 1 %. None: it has no volume.
+    """
+    yield [
+        *("model", "rate_hz", "std", "length_m", "quadratic_share"),
+        *(f"{method}_right_until_m" for method in METHODS),
+    ]
+    for case in cases:
+        until = (case.sample.regions.right_until(method) for method in METHODS)
+        length, share = case.trajectory.length(), case.theory.quadratic_share()
+        yield [case.model, case.rate, case.std, length, share, *until]
 
 
 def _write_tum_files(folder: Path, cases: Sequence[Case], rate: float) -> None:
@@ -236,6 +268,10 @@ def _draw(
     save(distance_figure(fastest), folder / "error_by_distance.png")
     save(rates_figure(cases, trajectory), folder / "message_rate.png")
     save(coverage_figure(cases), folder / "coverage.png")
+    save(regions_figure(fastest), folder / "regions.png")
+    save(distances_figure(fastest), folder / "regions_by_distance.png")
+    if any(case.std > 0.0 for case in fastest):
+        save(banana_figure(fastest, settings.seed), folder / "banana.png")
 
 
 def _run(folder: Path, settings: StudySettings, perfect: PathSettings, tell: Tell) -> None:

@@ -15,10 +15,10 @@ from bullet_lab.studies.noise_study.statistics import (
     PathMetrics,
     PathMetricsError,
     find_laps,
-    level_rule,
     pairs_at_distance,
     study_case,
 )
+from bullet_lab.studies.noise_study.theory import level_rule
 
 CASES = [
     ("report", 0.5, 0.9),

@@ -25,6 +25,7 @@ from bullet_lab.studies.study import whole_results, write_table
 
 SMALL = StudySettings(levels=(0.0, 0.1), rates=(0.9, 5.0), paths=20)
 FILES = {
+    "banana.png",
     "coverage.png",
     "error_by_distance.csv",
     "error_by_distance.png",
@@ -39,8 +40,12 @@ FILES = {
     "rate_invariant_std_0.1.tum",
     "rate_invariant_std_0.tum",
     "report_std_0.1.tum",
+    "regions.csv",
+    "regions.png",
+    "regions_by_distance.png",
     "report_std_0.tum",
     "summary.json",
+    "where_right.csv",
 }
 
 

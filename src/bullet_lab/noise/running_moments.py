@@ -1,0 +1,66 @@
+"""Exact second moments of a noisy path's error, pose by pose.
+
+They are those of `exact_moments`, whose head derives them, in the order in which steps come.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+
+class RunningMoments:
+    """Adds up how far a noisy path may be from the perfect one, for independent Gaussian noise.
+
+    >>> moments = RunningMoments()
+    >>> moments.add(0.0, 1.0, (0.0, 0.25, 0.5))
+    >>> moments.second_moments().diagonal()
+    array([0.25, 0.  , 0.5 ])
+    """
+
+    def __init__(self) -> None:
+        self._turned = 0.0  # variance of the heading
+        self._acted = 0.0  # what it was as the latest translation was made
+        self._mean = 0j
+        self._spread, self._pseudo, self._with_heading = 0.0, 0j, 0j
+        # What the translations so far have in common with the next one, and with its conjugate.
+        self._shared, self._mirrored = 0j, 0j
+
+    def add(self, direction: float, trans: float, variances: tuple[float, float, float]) -> None:
+        """Take the next step of the perfect path.
+
+        Args:
+            direction: rad, of travel, in the frame of the path.
+            trans: m, signed.
+            variances: of the rotation before it (rad²), of trans (m²) and of that after it (rad²).
+        """
+        variance1, variance_trans, variance2 = variances
+        v = self._turned + variance1
+        unit = complex(math.cos(direction), math.sin(direction))
+        way, square = trans * unit, trans * trans
+        faded, lost = math.exp(-0.5 * v), math.expm1(-v)
+
+        self._shared *= math.exp(-0.5 * (v - self._acted))
+        self._spread += variance_trans - square * lost + 2.0 * (way * self._shared).real
+        own = variance_trans * faded**4 + square * faded**2 * lost
+        self._pseudo += unit * unit * own + 2.0 * way * faded * self._mirrored
+        self._with_heading += 1j * v * faded * way
+        self._mean += way * math.expm1(-0.5 * v)
+        self._shared -= way.conjugate() * lost
+        self._mirrored += way * faded * lost
+        self._acted, self._turned = v, v + variance2
+
+    def second_moments(self) -> np.ndarray:
+        """Return E(e e') of the error e = noisy - perfect, (x, y, yaw), shape (3, 3), read-only.
+
+        It is about the perfect pose, not about the mean of the noisy ones: covariance plus the
+        square of the bias. Units are m and rad, the frame is that of the directions.
+        """
+        size = self._spread + abs(self._mean) ** 2
+        pseudo = self._pseudo + self._mean * self._mean
+        xx, yy, xy = 0.5 * (size + pseudo.real), 0.5 * (size - pseudo.real), 0.5 * pseudo.imag
+        xt, yt = self._with_heading.real, self._with_heading.imag
+        matrix = np.array(((xx, xy, xt), (xy, yy, yt), (xt, yt, self._turned)))
+        matrix.setflags(write=False)
+        return matrix
