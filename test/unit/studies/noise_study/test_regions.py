@@ -165,6 +165,7 @@ def test_the_promises_of_the_page(path, model):
     enough, slack = 0, 0.006
     for std in (0.05, 0.1, 0.2, 0.3, 0.5):
         regions = counted(path, model, std, 20_000)
+        known = theory(noisy_steps(path.poses, level_rule(model, std)))
         for k, gaussian_enough in enumerate(regions.gaussian_enough):
             if regions.found["published"][k] is None:
                 continue
@@ -175,6 +176,8 @@ def test_the_promises_of_the_page(path, model):
             if gaussian_enough:
                 enough += 1
                 assert missed["published"] < 0.01 + slack, (std, k)
+            if known.first_order_enough(regions.poses[k]):
+                assert missed["first_order"] < 0.01 + slack, (std, k)
             if missed["first_order"] > 0.02:
                 assert missed["exponential"] <= missed["first_order"] / 3.0 + slack, (std, k)
     assert enough > 0 or (model == "report")
