@@ -6,6 +6,8 @@ set -euo pipefail
 # shellcheck source=scripts/environment.sh
 source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 
+# Without a trap, bash forgets a SIGINT that comes to it alone while another program runs.
+trap 'exit 130' INT
 "$LAB_ROOT/scripts/setup.sh"
 enter_lab
 exec python -m bullet_lab.ros.launcher "$@"

@@ -17,6 +17,7 @@ PACKAGE = Path(__file__).resolve().parents[2]
 JOBS = sorted(find_jobs(PACKAGE / "launch"))
 # Other ways that jobs go than by default, on top of those that rostests take.
 WAYS = [
+    ("dock", "world:=docking_dots", "odom:=noisy_odom", "x:=1.2", "y:=0.3", "yaw:=-30"),
     ("dock", "world:=docking_nested", "x:=1.0", "y:=-0.3", "yaw:=20"),
     ("dock", "world:=docking_decoy", "x:=1.5", "y:=0.4", "yaw:=10"),
 ]

@@ -63,10 +63,6 @@ class DockJobTest(unittest.TestCase):
         # Not assertEqual, which would print them.
         self.assertTrue(same, "truth.tum differs")
 
-    def test_dots_on_noisy_odometry(self):
-        out = dock("world:=docking_dots", "odom:=noisy_odom", "x:=1.2", "y:=0.3", "yaw:=-30")
-        self.assert_docked(out)
-
     def test_a_start_inside_of_a_wall(self):
         summary = summary_of(dock("x:=2.8", "y:=0.45", status=1))
         self.assertFalse(summary["docked"])

@@ -16,11 +16,14 @@ import rostest
 TIMEOUT = 120
 
 
-def start(folder, *words, **environment):
+RUN = Path(__file__).resolve().parents[2] / "scripts" / "run.sh"
+
+
+def start(folder, *words, program=(sys.executable, "-m", "bullet_lab.ros.launcher"), **environment):
     """Start the launcher in a folder, without the master of this test."""
     inherited = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
     return subprocess.Popen(
-        [sys.executable, "-m", "bullet_lab.ros.launcher", *words],
+        [*program, *words],
         cwd=folder,
         env={**inherited, **environment},
         stdout=subprocess.PIPE,
@@ -52,10 +55,17 @@ def processes_of(out):
 
 def wait_for_nodes(out, number):
     """Wait until so many nodes run, and a little longer for them to come up."""
-    deadline = time.monotonic() + 30
-    while len(processes_of(out)) < number and time.monotonic() < deadline:
-        time.sleep(0.1)
+    wait_until(lambda: len(processes_of(out)) >= number)
     time.sleep(3)
+
+
+def wait_until(condition):
+    """Wait for half a minute at most."""
+    deadline = time.monotonic() + 30
+    while not condition():
+        if time.monotonic() > deadline:
+            raise AssertionError("it did not come")
+        time.sleep(0.1)
 
 
 class LauncherTest(unittest.TestCase):
@@ -92,6 +102,15 @@ class LauncherTest(unittest.TestCase):
             self.assertNotIn("Traceback", err)
             self.assertEqual([], processes_of(out))
 
+    def test_killed_it_leaves_no_node_and_all_that_was_recorded(self):
+        out = self.folder / "out"
+        run = start(self.folder, "squares", f"out:={out}", "rtf:=1")
+        wait_until((out / "paths.csv").is_file)
+        run.kill()
+        finish(run)
+        wait_until(lambda: not processes_of(out))
+        self.assertFalse(json.loads((out / "summary.json").read_text())["finished"])
+
     def test_ctrl_c_while_it_starts_is_no_failure(self):
         for delay in (0.4, 0.8, 1.1, 1.3, 1.6):
             run = start(self.folder, "squares", "out:=out", "rtf:=1")
@@ -101,6 +120,13 @@ class LauncherTest(unittest.TestCase):
             self.assertEqual(130, status, f"after {delay} s: {err}")
             self.assertNotIn("Traceback", out + err)
             self.assertEqual([], processes_of(self.folder / "out"))
+
+    def test_ctrl_c_that_comes_to_run_sh_alone_is_not_lost(self):
+        for delay in (0.15, 0.3):
+            run = start(self.folder, "squares", "out:=out", "rtf:=1", program=[str(RUN)])
+            time.sleep(delay)
+            run.send_signal(signal.SIGINT)
+            self.assertEqual(130, finish(run)[0], f"after {delay} s")
 
     def test_wrong_values_are_refused_before_anything_starts(self):
         for word, line in (

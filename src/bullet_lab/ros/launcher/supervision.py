@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
 import socket
 import time
@@ -28,6 +29,9 @@ from bullet_lab.ros.launcher.jobs import Job
 _POLL_PERIOD = 0.05
 _SIGINT_TIMEOUT = 6.0
 _SIGTERM_TIMEOUT = 2.0
+# Starts a program that ends when the thread that started it does, here the launcher's main one:
+# whoever kills the launcher with SIGKILL leaves no node behind.
+_TIED = "setpriv --pdeathsig TERM"
 # What the setup files of ROS put into every shell, so that it says nothing by itself.
 STOCK_URI = "http://localhost:11311"
 _CONNECT_TIMEOUT = 2.0
@@ -146,6 +150,8 @@ class Launch:
         # track of nodes that it is about to start.
         for node in self._config.nodes:
             node.required = False
+            if shutil.which("setpriv"):
+                node.launch_prefix = f"{_TIED} {node.launch_prefix or ''}".strip()
         self._deaths = Deaths()
         self._parent = roslaunch.parent.ROSLaunchParent(
             master.run_id,

@@ -18,7 +18,6 @@ from bullet_lab.ros.node.lock_step import in_lock_step
 from bullet_lab.ros.node.node import NodeError, Refusals
 from bullet_lab.ros.node.publishers import subscriber
 
-
 # m; beyond any place on Earth in any of its grids. Squares of what is nearer stay finite.
 FARTHEST = 1e8
 
