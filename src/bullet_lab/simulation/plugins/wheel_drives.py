@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import ClassVar, Tuple
+from typing import ClassVar, Optional, Tuple
 
 from bullet_lab.core.pose import Pose, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -86,6 +86,10 @@ class WheelDrive(MobileBase):
     command, v ∓ ω·separation/2 at the rim. The physics does the rest: wheels roll, slip or stall
     as torque and friction have it. Commands stay until the next one; there is no time-out, as in
     Gazebo.
+
+    Attributes:
+        separation: m, of the wheels on both sides, as the tags say.
+        radii: m, of the wheels on the left and on the right, as the tags say.
     """
 
     name: ClassVar[str]
@@ -96,19 +100,20 @@ class WheelDrive(MobileBase):
         if mount.model.static:
             raise PluginError(f"model '{mount.model.name}': {self.name} on what cannot move")
         super().__init__(mount)
-        self._separation = mount.positive("wheelSeparation", separation)
-        self._radius = 0.5 * mount.positive("wheelDiameter", 0.15)
+        self.separation = mount.positive("wheelSeparation", separation)
+        self.radii = 2 * (0.5 * mount.positive("wheelDiameter", 0.15),)
         self.schedule = mount.schedule("updateRate", 100.0)
 
     def produce(self, step: int) -> None:
         seconds = (step - self._last_step) / STEPS_PER_SECOND
         self._last_step = step
         self._report(step, seconds)
-        side = 0.5 * self._command.wz * self._separation
+        side = 0.5 * self._command.wz * self.separation
         left, right = self._command.vx - side, self._command.vx + side
         on_the_left = len(self.wheels) // 2
         for number, wheel in enumerate(self.wheels):
-            wheel.follow((left if number < on_the_left else right) / self._radius, seconds)
+            is_right = number >= on_the_left
+            wheel.follow((left, right)[is_right] / self.radii[is_right], seconds)
 
     def placed(self) -> None:
         for wheel in self.wheels:
@@ -150,12 +155,13 @@ class DeadReckoning:
     >>> driven, turned, reckoning.pose
     (0.5, 0.0, (0.5, 0.0, 0.0))
 
-    `separation` is that of the wheels' contacts with the floor, in m; `radius` the wheels', in m.
+    `separation` is that of the wheels' contacts with the floor, in m; `radius` the wheels', in m,
+    or the left wheel's, where the right one has another, `right_radius`.
     """
 
-    def __init__(self, separation: float, radius: float):
+    def __init__(self, separation: float, radius: float, right_radius: Optional[float] = None):
         self._separation = separation
-        self._radius = radius
+        self._radii = (radius, radius if right_radius is None else right_radius)
         self.restart(0.0, 0.0)
 
     def restart(self, left: float, right: float) -> None:
@@ -174,8 +180,8 @@ class DeadReckoning:
 
     def advance(self, left: float, right: float) -> Tuple[float, float]:
         """Take new angles (rad); return what was driven (m) and turned (rad) since the last."""
-        left_way = (left - self._left) * self._radius
-        right_way = (right - self._right) * self._radius
+        left_way = (left - self._left) * self._radii[0]
+        right_way = (right - self._right) * self._radii[1]
         self.resume(left, right)
         driven, turned = 0.5 * (left_way + right_way), (right_way - left_way) / self._separation
         half = 0.5 * turned
@@ -195,7 +201,8 @@ class DiffDrive(WheelDrive):
 
     Unlike in Gazebo, publishTf only takes away transforms, never the odometry. legacyMode, with
     which the plugins of ROS Jade to Lunar took the left wheel for the right one, is passed over,
-    as Noetic's plugin does: leftJoint is the wheel on the left.
+    as Noetic's plugin does: leftJoint is the wheel on the left. Each wheel may have a diameter of
+    its own, for which Gazebo has no tag.
 
     Attributes:
         origin: pose of the odometry's frame in the world, before any drift.
@@ -218,9 +225,16 @@ class DiffDrive(WheelDrive):
             raise PluginError(f"{where}: '{right.name}' is the left one already")
         self._joints = joints = (left, right)
         torque = mount.coefficient("wheelTorque", 5.0)
-        limit = mount.coefficient("wheelAcceleration", 0.0) / self._radius
-        self.wheels = tuple(Wheel(self._body, joint.name, torque, limit) for joint in joints)
-        self._reckoning = DeadReckoning(self._separation, self._radius)
+        limit = mount.coefficient("wheelAcceleration", 0.0)
+        tags = ("leftWheelDiameter", "rightWheelDiameter")
+        self.radii = tuple(
+            0.5 * mount.positive(tag, 2.0 * radius) for tag, radius in zip(tags, self.radii)
+        )
+        self.wheels = tuple(
+            Wheel(self._body, joint.name, torque, limit / radius)
+            for joint, radius in zip(joints, self.radii)
+        )
+        self._reckoning = DeadReckoning(self.separation, *self.radii)
         self.wheel_transforms = Output("/tf", TransformSample)
         self.wheel_states = Output(mount.topic("joint_states"), JointSample)
         transforms = mount.boolean("publishTf", True)

@@ -1,0 +1,249 @@
+"""What squares say of the wheels: in the field's closed forms, and by a fit of the full model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+from scipy import optimize, stats
+
+from bullet_lab.core import se2
+from bullet_lab.core.se2 import wrap
+from bullet_lab.noise.systematic import SystematicErrors, arcs, chords, end_of
+from bullet_lab.studies.umbmark.runs import (
+    DIRECTIONS,
+    Run,
+    RunError,
+    return_errors,
+)
+
+CONFIDENCE = 0.95
+PARAMETERS = ("diameter_error", "base_error")
+_STEP = 1e-6  # of a parameter, for derivatives
+
+
+@dataclass(frozen=True)
+class Umbmark:
+    """The figures of Borenstein and Feng's benchmark.
+
+    Attributes:
+        centre_cw: x, y (m) of the centre of gravity of the return errors, clockwise.
+        centre_ccw: likewise, counter-clockwise.
+        r_cw: m, how far that is from no error.
+        r_ccw: likewise.
+        alpha: rad, of each turn, error of type A: too little where it is > 0.
+        beta: rad, of each side, error of type B: to the left where it is > 0.
+        e_b: base / the believed one.
+        e_d: right diameter / left diameter, relative to what is believed.
+    """
+
+    centre_cw: Tuple[float, float]
+    centre_ccw: Tuple[float, float]
+    r_cw: float
+    r_ccw: float
+    alpha: float
+    beta: float
+    e_b: float
+    e_d: float
+
+    @property
+    def e_max_syst(self) -> float:
+        """The larger of both distances, m."""
+        return max(self.r_cw, self.r_ccw)
+
+
+def umbmark(runs: Sequence[Run], side: float, base: float) -> Umbmark:
+    """Return the benchmark's figures by its closed forms, which are for small angles.
+
+    With the start along +x, turns by 90° - alpha and sides that bend by beta, side k of the
+    square to the left has in the mean the heading k (90° - alpha + beta) + beta / 2. So the sum of
+    the four ends at 2 L (beta - alpha) (1, -1), to first order; to the right, by the mirrored
+    square, at -2 L (alpha + beta) (1, 1).
+
+    Args:
+        runs: both ways.
+        side: L, m.
+        base: the believed one, m.
+
+    Raises:
+        RunError: one of the ways is missing.
+    """
+    clockwise, counter = (return_errors(runs, direction)[:, :2] for direction in DIRECTIONS)
+    if not (len(clockwise) and len(counter)):
+        raise RunError("squares have to be driven both ways, clockwise and counter-clockwise")
+    cw, ccw = clockwise.mean(axis=0), counter.mean(axis=0)
+    alpha = float(cw[0] + ccw[0]) / (-4.0 * side)
+    beta = float(cw[0] - ccw[0]) / (-4.0 * side)
+    # R = (L / 2) / sin(beta / 2) and E_d = (R + b / 2) / (R - b / 2), without dividing by 0.
+    bend = base * math.sin(0.5 * beta) / side
+    return Umbmark(
+        (float(cw[0]), float(cw[1])),
+        (float(ccw[0]), float(ccw[1])),
+        float(np.hypot(*cw)),
+        float(np.hypot(*ccw)),
+        alpha,
+        beta,
+        e_b=0.5 * math.pi / (0.5 * math.pi - alpha),
+        e_d=(1.0 + bend) / (1.0 - bend),
+    )
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the wheels are, by a fit of the full kinematic model to all runs.
+
+    Attributes:
+        errors: with diameter_error and base_error.
+        intervals: of 95 % confidence by their names; None where no way was driven twice.
+        residual: m, how far from no error the farther centre of gravity of the return errors is
+            once the fit has been applied to the odometry that there is.
+    """
+
+    errors: SystematicErrors
+    intervals: Optional[Dict[str, Tuple[float, float]]]
+    residual: float
+
+    def holds(self, name: str, value: float) -> bool:
+        """Return whether an interval holds a value."""
+        assert self.intervals is not None
+        low, high = self.intervals[name]
+        return low <= value <= high
+
+
+def fit(runs: Sequence[Run], base: float) -> Estimate:
+    """Fit diameter_error and base_error to where the robot was at the end of each run.
+
+    Each reported step is an arc, whose way and turn say how far each wheel is believed to have
+    rolled; with other wheels it is another arc, and all arcs in a row end where the robot should
+    be. The squares of what is left at the ends (x, y and heading) are weighted as for a random
+    walk of distance and heading (`end_covariance`), for which this is maximum likelihood.
+
+    The intervals do not rest on that: they follow from how the runs of each way differ, by each
+    run's own share in the estimate, and Student's t. They are exact for any Gaussian noise that
+    is small enough for the model to be linear in it.
+
+    Args:
+        runs: both ways.
+        base: the believed one, m.
+
+    Raises:
+        RunError: one of the ways is missing.
+    """
+    if {run.direction for run in runs} != set(DIRECTIONS):
+        raise RunError("squares have to be driven both ways, clockwise and counter-clockwise")
+    data = [_Data.of(run) for run in runs]
+
+    def left(parameters: np.ndarray) -> np.ndarray:
+        matrix = np.linalg.inv(_errors(parameters, base).matrix())
+        return np.concatenate([one.root @ one.left(matrix) for one in data])
+
+    bounds = (-0.3, 0.3)
+    found = optimize.least_squares(left, (0.0, 0.0), bounds=bounds, x_scale=1e-2, xtol=1e-13)
+    errors = _errors(found.x, base)
+    slopes = [
+        (left(found.x + step) - left(found.x - step)) / (2.0 * _STEP)
+        for step in _STEP * np.eye(len(PARAMETERS))
+    ]
+    jacobian = np.stack(slopes, axis=-1)
+    shares = np.linalg.pinv(jacobian).reshape(len(PARAMETERS), len(runs), 3)
+    shares = -np.einsum("prk,rk->rp", shares, left(found.x).reshape(len(runs), 3))
+    directions = [run.direction for run in runs]
+    matrix = np.linalg.inv(errors.matrix())
+    ends = np.array([one.left(matrix)[:2] for one in data])
+    centres = [ends[[way == one for way in directions]].mean(axis=0) for one in DIRECTIONS]
+    return Estimate(
+        errors,
+        _intervals(found.x, shares, directions),
+        float(max(np.hypot(*centre) for centre in centres)),
+    )
+
+
+def _errors(parameters: Sequence[float], base: float) -> SystematicErrors:
+    named = dict(zip(PARAMETERS, map(float, parameters)))
+    return SystematicErrors(**named, wheel_base=base)
+
+
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """A run as the fit takes it: reported arcs, true end, and a root of the weight of its end."""
+
+    arcs: np.ndarray
+    moved: np.ndarray
+    root: np.ndarray
+
+    @classmethod
+    def of(cls, run: Run) -> _Data:
+        steps = run.steps()
+        root = np.linalg.inv(np.linalg.cholesky(end_covariance(steps)))
+        return cls(arcs(steps), run.moved(), root)
+
+    def left(self, matrix: np.ndarray) -> np.ndarray:
+        """Return the true end minus that by wheels whose errors are undone by a 2x2 matrix."""
+        way, across, turn = self.arcs.T
+        new_way, new_turn = matrix @ np.stack((way, turn))
+        difference = self.moved - end_of(chords(np.stack((new_way, across, new_turn), axis=-1)))
+        difference[2] = wrap(float(difference[2]))
+        return difference
+
+
+def end_covariance(steps: np.ndarray) -> np.ndarray:
+    """Return the covariance (m², m rad, rad²) of where steps end, to first order: 3x3.
+
+    Distance gains 1 m² of variance on each metre, heading 1 rad² on each metre and each radian, as
+    in the rate-invariant noise of std 1; the frame is that of the first pose.
+
+    Args:
+        steps: (dx m, dy m, dyaw rad), shape (n, 3).
+    """
+    heading = np.cumsum(steps[:, 2]) - steps[:, 2]
+    moves = np.exp(1j * heading) * (steps[:, 0] + 1j * steps[:, 1])
+    ends = np.cumsum(moves)
+    lengths = np.abs(moves)
+    # What turns half way through a step swings all that is left of the path.
+    rest = ends[-1] - (ends - 0.5 * moves)
+    levers = np.stack((-rest.imag, rest.real, np.ones(len(steps))), axis=-1)
+    alongs = moves / np.where(lengths > 0.0, lengths, 1.0)
+    alongs = np.stack((alongs.real, alongs.imag, np.zeros(len(steps))), axis=-1)
+    turned = lengths + np.abs(steps[:, 2])
+    return (levers.T * turned) @ levers + (alongs.T * lengths) @ alongs
+
+
+def _intervals(
+    found: np.ndarray, shares: np.ndarray, directions: Sequence[str]
+) -> Optional[Dict[str, Tuple[float, float]]]:
+    """Return the intervals of the parameters by the shares of each run in them, (n, 2)."""
+    variance, freedom = np.zeros(len(found)), 0
+    for direction in DIRECTIONS:
+        own = shares[[one == direction for one in directions]]
+        if len(own) > 1:
+            variance += len(own) * own.var(axis=0, ddof=1)
+        else:
+            return None
+        freedom += len(own) - 1
+    reach = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom) * np.sqrt(variance)
+    ends: List[Tuple[float, float]] = list(zip((found - reach).tolist(), (found + reach).tolist()))
+    return dict(zip(PARAMETERS, ends))
+
+
+def centre_ellipse(errors: np.ndarray) -> Optional[np.ndarray]:
+    """Return a 2x2 matrix (m²) whose 95 % ellipse is that of the centre of return errors.
+
+    `core.se2.ellipse_points` draws the ellipse of a known covariance; this is the covariance of
+    the mean, estimated from the errors, widened as Hotelling's T² has it.
+
+    Args:
+        errors: x, y (m) and so on, shape (n, 2) or wider.
+
+    Returns:
+        None for fewer than three errors.
+    """
+    count = len(errors)
+    if count < 3:
+        return None
+    known = se2.SQUARE_RADIUS
+    hotelling = 2.0 * (count - 1) / (count - 2) * stats.f.ppf(CONFIDENCE, 2, count - 2)
+    return np.cov(errors[:, :2].T) / count * hotelling / known
+
+
