@@ -159,7 +159,8 @@ def run_campaign(
 
 def campaign_summary(records: Sequence[Record]) -> Record:
     """Return what the records of a campaign come down to."""
-    falls = [r["e_max_syst_m"] / r["e_max_syst_after_m"] for r in records if r["e_max_syst_after_m"]]
+    ends = [(record["e_max_syst_m"], record["e_max_syst_after_m"]) for record in records]
+    falls = [before / after for before, after in ends if after > 0.0]
     summary: Record = {"finished": True, "least_fall": min(falls, default=None)}
     for name in PARAMETERS:
         misses = [abs(r[f"{name}_found"] - r[name]) for r in records]

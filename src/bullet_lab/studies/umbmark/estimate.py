@@ -22,6 +22,7 @@ from bullet_lab.studies.umbmark.runs import (
 CONFIDENCE = 0.95
 PARAMETERS = ("diameter_error", "base_error")
 _STEP = 1e-6  # of a parameter, for derivatives
+_LARGEST = 0.4
 
 
 @dataclass(frozen=True)
@@ -133,26 +134,23 @@ def fit(runs: Sequence[Run], base: float) -> Estimate:
     """
     if {run.direction for run in runs} != set(DIRECTIONS):
         raise RunError("squares have to be driven both ways, clockwise and counter-clockwise")
-    data = [_Data.of(run) for run in runs]
+    data = _Data.of(runs)
 
     def left(parameters: np.ndarray) -> np.ndarray:
-        matrix = np.linalg.inv(_errors(parameters, base).matrix())
-        return np.concatenate([one.root @ one.left(matrix) for one in data])
+        return data.weighted(data.left(_errors(parameters, base))).ravel()
 
-    bounds = (-0.3, 0.3)
+    bounds = (-_LARGEST, _LARGEST)
     found = optimize.least_squares(left, (0.0, 0.0), bounds=bounds, x_scale=1e-2, xtol=1e-13)
     errors = _errors(found.x, base)
     slopes = [
         (left(found.x + step) - left(found.x - step)) / (2.0 * _STEP)
         for step in _STEP * np.eye(len(PARAMETERS))
     ]
-    jacobian = np.stack(slopes, axis=-1)
-    shares = np.linalg.pinv(jacobian).reshape(len(PARAMETERS), len(runs), 3)
+    shares = np.linalg.pinv(np.stack(slopes, axis=-1)).reshape(len(PARAMETERS), len(runs), 3)
     shares = -np.einsum("prk,rk->rp", shares, left(found.x).reshape(len(runs), 3))
-    directions = [run.direction for run in runs]
-    matrix = np.linalg.inv(errors.matrix())
-    ends = np.array([one.left(matrix)[:2] for one in data])
-    centres = [ends[[way == one for way in directions]].mean(axis=0) for one in DIRECTIONS]
+    directions = np.array([run.direction for run in runs])
+    ends = data.left(errors)[:, :2]
+    centres = [ends[directions == direction].mean(axis=0) for direction in DIRECTIONS]
     return Estimate(
         errors,
         _intervals(found.x, shares, directions),
@@ -167,25 +165,42 @@ def _errors(parameters: Sequence[float], base: float) -> SystematicErrors:
 
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """A run as the fit takes it: reported arcs, true end, and a root of the weight of its end."""
+    """Runs as the fit takes them.
+
+    Attributes:
+        arcs: reported way, way across (m) and turn (rad) of each step, (runs, n, 3); a run with
+            fewer steps than others stands still at its end.
+        moved: true ends as seen from the true starts (m, m, rad), (runs, 3).
+        roots: of the weights of the ends, (runs, 3, 3).
+    """
 
     arcs: np.ndarray
     moved: np.ndarray
-    root: np.ndarray
+    roots: np.ndarray
 
     @classmethod
-    def of(cls, run: Run) -> _Data:
-        steps = run.steps()
-        root = np.linalg.inv(np.linalg.cholesky(end_covariance(steps)))
-        return cls(arcs(steps), run.moved(), root)
+    def of(cls, runs: Sequence[Run]) -> _Data:
+        every = [run.steps() for run in runs]
+        padded = np.zeros((len(runs), max(map(len, every)), 3))
+        for row, steps in zip(padded, every):
+            row[: len(steps)] = arcs(steps)
+        covariances = np.array([end_covariance(steps) for steps in every])
+        roots = np.linalg.inv(np.linalg.cholesky(covariances))
+        return cls(padded, np.array([run.moved() for run in runs]), roots)
 
-    def left(self, matrix: np.ndarray) -> np.ndarray:
-        """Return the true end minus that by wheels whose errors are undone by a 2x2 matrix."""
-        way, across, turn = self.arcs.T
-        new_way, new_turn = matrix @ np.stack((way, turn))
+    def left(self, errors: SystematicErrors) -> np.ndarray:
+        """Return true ends less those by wheels that are as said: (m, m, rad), (runs, 3)."""
+        undo = np.linalg.inv(errors.matrix())
+        way, across, turn = np.moveaxis(self.arcs, -1, 0)
+        new_way = undo[0, 0] * way + undo[0, 1] * turn
+        new_turn = undo[1, 0] * way + undo[1, 1] * turn
         difference = self.moved - end_of(chords(np.stack((new_way, across, new_turn), axis=-1)))
-        difference[2] = wrap(float(difference[2]))
+        difference[:, 2] = wrap(difference[:, 2])
         return difference
+
+    def weighted(self, left: np.ndarray) -> np.ndarray:
+        """Return what is left in units of what is expected, (runs, 3)."""
+        return np.einsum("rij,rj->ri", self.roots, left)
 
 
 def end_covariance(steps: np.ndarray) -> np.ndarray:
@@ -211,16 +226,15 @@ def end_covariance(steps: np.ndarray) -> np.ndarray:
 
 
 def _intervals(
-    found: np.ndarray, shares: np.ndarray, directions: Sequence[str]
+    found: np.ndarray, shares: np.ndarray, directions: np.ndarray
 ) -> Optional[Dict[str, Tuple[float, float]]]:
     """Return the intervals of the parameters by the shares of each run in them, (n, 2)."""
     variance, freedom = np.zeros(len(found)), 0
     for direction in DIRECTIONS:
-        own = shares[[one == direction for one in directions]]
-        if len(own) > 1:
-            variance += len(own) * own.var(axis=0, ddof=1)
-        else:
+        own = shares[directions == direction]
+        if len(own) < 2:
             return None
+        variance += len(own) * own.var(axis=0, ddof=1)
         freedom += len(own) - 1
     reach = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom) * np.sqrt(variance)
     ends: List[Tuple[float, float]] = list(zip((found - reach).tolist(), (found + reach).tolist()))

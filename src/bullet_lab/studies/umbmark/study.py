@@ -33,7 +33,7 @@ from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings
 from bullet_lab.studies.umbmark.campaign import CampaignSettings, describe_campaign, run_campaign
 from bullet_lab.studies.umbmark.drives import drive_square
 from bullet_lab.studies.umbmark.figures import clusters_figure
-from bullet_lab.studies.umbmark.robots import FloorRobot
+from bullet_lab.studies.umbmark.robots import FloorRobot, wheeled_model
 from bullet_lab.studies.umbmark.runs import DIRECTIONS, Run
 from bullet_lab.studies.umbmark.sources import read_runs
 from bullet_lab.studies.workers import Run as RunTasks
@@ -199,6 +199,9 @@ def _run(
 ) -> None:
     make_folder(folder)
     about = asdict(drive)
+    if not files.path:
+        # Better known now than from each worker.
+        wheeled_model(drive.robot)
     run = workers(work.workers)
     if campaign.robots:
         found = run_campaign(folder, drive, campaign, run, tell)

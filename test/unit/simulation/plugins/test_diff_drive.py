@@ -379,6 +379,22 @@ def test_encoders_count_what_slips_on_a_slippery_floor(world, spawn, direction):
     assert direction * samples[-1].velocity.vx == pytest.approx(1.0, abs=0.01)
 
 
+def test_each_wheel_may_be_believed_to_have_a_diameter_of_its_own(world, spawn):
+    tags = {"leftWheelDiameter": "0.25", "rightWheelDiameter": "0.3"}
+    robot = spawn(odometrySource="encoder", **tags)
+    samples = record(robot)
+    robot.command("cmd_vel", PlanarCommand(vx=0.3))
+    world.run_for(1.5)
+    left, right = (wheel.state() for wheel in robot.plugins[0].wheels)
+    assert (left.velocity, right.velocity) == pytest.approx((0.3 / 0.125, 0.3 / 0.15), rel=1e-3)
+    reckoning = DeadReckoning(TRACK, 0.125, 0.15)
+    driven, turned = reckoning.advance(left.position, right.position)
+    assert samples[-1].pose.position[0] == pytest.approx(driven, rel=1e-2)
+    assert samples[-1].velocity.wz == pytest.approx(0.0, abs=1e-3)
+    # The wheels are equal, so that the robot turns to the side of the slower one.
+    assert robot.pose().yaw < -0.1
+
+
 def test_encoders_drive_on_at_a_kerb(world, spawn):
     world.add(kerb(0.4))
     robot = spawn(grip=0.1, odometrySource="encoder")

@@ -1,0 +1,121 @@
+"""Recorded runs come out of files as they went into them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bullet_lab.core import se2
+from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
+from bullet_lab.drive.square import Square
+from bullet_lab.errors import LabError
+from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.studies.noise_study.paths import write_tum
+from bullet_lab.studies.umbmark.drives import drive_square
+from bullet_lab.studies.umbmark.estimate import fit
+from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels
+from bullet_lab.studies.umbmark.runs import RunError
+from bullet_lab.studies.umbmark.sources import perfect_square, read_runs
+
+BELIEVED = Wheels(0.28, 0.28, 0.38)
+WRONG = SystematicErrors(diameter_error=0.004, base_error=-0.02)
+ELSEWHERE = np.array((3.0, -1.0, 2.0))
+
+
+def recorded(turn):
+    """True and reported path of a square, the true one in a frame of its own."""
+    robot = IdealRobot(BELIEVED.times(WRONG), BELIEVED)
+    true = [robot.pose()]
+    drive = robot.drive
+
+    def follow(*command):
+        drive(*command)
+        true.append(robot.pose())
+
+    robot.drive = follow
+    run = drive_square(robot, Square(side=1.0, speed=1.0, turn_speed=turn), "run")
+    stamps = 0.05 * np.arange(len(true))
+    return Trajectory(stamps, se2.compose(ELSEWHERE, true)), Trajectory(stamps, run.odometry)
+
+
+def write_pair(folder, name, true, reported):
+    write_tum(folder / f"{name}_truth.tum", true)
+    write_tum(folder / f"{name}_odom.tum", reported)
+
+
+def write_table(folder, name, true, reported):
+    rows = np.column_stack((true.stamps, true.poses, reported.poses))
+    text = [CSV_HEADER, *(",".join(map(repr, row)) for row in rows.tolist())]
+    (folder / f"{name}.csv").write_text("\n".join(text))
+
+
+def write_bag(folder, name, true, reported):
+    rosbag = pytest.importorskip("rosbag")
+    rospy = pytest.importorskip("rospy")
+    from nav_msgs.msg import Odometry
+
+    with rosbag.Bag(str(folder / f"{name}.bag"), "w") as bag:
+        for topic, path in (("/odom", reported), ("/truth", true)):
+            for stamp, (x, y, yaw) in zip(path.stamps, path.poses.tolist()):
+                message = Odometry()
+                message.header.stamp = rospy.Time.from_sec(float(stamp) + 1.0)
+                message.pose.pose.position.x, message.pose.pose.position.y = x, y
+                turn = message.pose.pose.orientation
+                turn.x, turn.y, turn.z, turn.w = se2.quaternion_from_yaw(yaw)
+                bag.write(topic, message, message.header.stamp)
+
+
+@pytest.mark.parametrize("write", [write_pair, write_table, write_bag])
+def test_files_of_both_ways_say_what_the_wheels_are(write, tmp_path):
+    for name, turn in (("a", 0.5), ("b", -0.5)):
+        write(tmp_path, name, *recorded(turn))
+    runs = read_runs(tmp_path, "/odom", "/truth", 1.0)
+    assert [run.direction for run in runs] == ["ccw", "cw"]
+    found = fit(runs, BELIEVED.base).errors
+    assert found.diameter_error == pytest.approx(WRONG.diameter_error, rel=1e-3)
+    assert found.base_error == pytest.approx(WRONG.base_error, rel=1e-3)
+
+
+def test_a_table_of_what_was_measured_with_a_rule(tmp_path):
+    # At corners 90° - alpha: the odometry's square is perfect, the true one is known.
+    alpha = 0.01
+    ends = {}
+    for way, sign in (("ccw", 1.0), ("cw", -1.0)):
+        turns = sign * (0.5 * math.pi - alpha) * np.arange(5)
+        end = 2.0 * np.exp(1j * turns[:4]).sum()
+        ends[way] = (end.real, end.imag, turns[4] - sign * math.tau)
+    rows = [f"{way},{x!r},{y!r},{yaw!r}" for way, (x, y, yaw) in ends.items()]
+    file = tmp_path / "returns.csv"
+    file.write_text("\n".join(["direction,x,y,yaw", *rows]))
+    runs = read_runs(file, "", "", 2.0)
+    found = fit(runs, 0.4).errors
+    assert found.base_error == pytest.approx(0.5 * math.pi / (0.5 * math.pi - alpha) - 1.0)
+    assert found.diameter_error == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_perfect_square_comes_back():
+    for way, sign in (("ccw", 1.0), ("cw", -1.0)):
+        square = perfect_square(2.0, way)
+        assert square[-1] == pytest.approx((0.0, 0.0, sign * math.tau), abs=1e-12)
+        assert square[6][:2] == pytest.approx((2.0, sign * 2.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a,b\n1,2\n", "has to name the columns"),
+        ("direction,x,y,yaw\nleft,0,0,0\n", "line 2: the direction has to be one of cw, ccw"),
+        ("direction,x,y,yaw\ncw,0,nan,0\n", "line 2"),
+        (CSV_HEADER + "\n0,0,0,0,0,0,0\n", "two rows"),
+        (CSV_HEADER + "\n0,0,0,0,0,0,0\n1,1,0,0,1,0,0\n", "not once round"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(text, said, tmp_path):
+    (tmp_path / "run.csv").write_text(text)
+    with pytest.raises(LabError, match=said):
+        read_runs(tmp_path, "/odom", "/truth", 1.0)
+
+
+def test_a_folder_without_runs_is_refused(tmp_path):
+    with pytest.raises(RunError, match="there is no bag"):
+        read_runs(tmp_path, "/odom", "/truth", 1.0)

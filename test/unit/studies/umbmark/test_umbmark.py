@@ -1,0 +1,267 @@
+"""The benchmark's figures and the fit, against closed forms, on wheels that roll ideally."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bullet_lab.core.se2 import SQUARE_RADIUS, ellipse_points
+from bullet_lab.drive.square import Square
+from bullet_lab.noise.odometry_noise import RateInvariantRule
+from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.studies.study import UnfinishedError
+from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings
+from bullet_lab.studies.umbmark.campaign import (
+    CampaignSettings,
+    calibrate_robot,
+    campaign_summary,
+    describe_campaign,
+    draw_robot,
+)
+from bullet_lab.studies.umbmark.drives import drive_square
+from bullet_lab.studies.umbmark.estimate import centre_ellipse, end_covariance, fit, umbmark
+from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels
+from bullet_lab.studies.umbmark.runs import Run, RunError, return_errors
+from bullet_lab.studies.umbmark.sources import perfect_square
+from bullet_lab.studies.umbmark.study import calibrated, run_umbmark
+
+BELIEVED = Wheels(0.28, 0.28, 0.38)
+NONE = SystematicErrors()
+
+
+def errors(diameter=0.0, base=0.0):
+    return SystematicErrors(diameter_error=diameter, base_error=base)
+
+
+def ideal_runs(wrong, side=4.0, correction=NONE, believed=BELIEVED):
+    runs = []
+    for turn in (0.5, -0.5):
+        robot = IdealRobot(believed.times(wrong), believed.times(correction))
+        runs.append(drive_square(robot, Square(side=side, speed=1.0, turn_speed=turn), "run"))
+    return runs
+
+
+def measured(ends):
+    """Runs at squares of 1 m that were perfect by the odometry, by (direction, true end)."""
+    start = (0.0, 0.0, 0.0)
+    return [Run("run", perfect_square(1.0, way), start, tuple(end)) for way, end in ends]
+
+
+def test_a_wrong_base_leaves_both_centres_on_the_same_side():
+    base_error = 1e-5
+    counter, clockwise = ideal_runs(errors(base=base_error))
+    # Each turn is too small by alpha, so that the four sides end at -2 L alpha (1, -1).
+    alpha = 0.5 * math.pi * (1.0 - 1.0 / (1.0 + base_error))
+    offset = 2.0 * 4.0 * alpha
+    assert counter.return_error()[:2] == pytest.approx((-offset, offset), rel=2e-3)
+    assert clockwise.return_error()[:2] == pytest.approx((-offset, -offset), rel=2e-3)
+    assert counter.return_error()[2] == pytest.approx(-4.0 * alpha, rel=2e-3)
+    assert (counter.direction, clockwise.direction) == ("ccw", "cw")
+
+
+def test_unequal_wheels_leave_the_centres_on_opposite_sides():
+    diameter_error = 1e-5
+    counter, clockwise = ideal_runs(errors(diameter=diameter_error))
+    # Each side bends to the left by beta.
+    offset = 2.0 * 4.0 * (4.0 * diameter_error / BELIEVED.base)
+    assert counter.return_error()[:2] == pytest.approx((offset, -offset), rel=2e-3)
+    assert clockwise.return_error()[:2] == pytest.approx((-offset, -offset), rel=2e-3)
+
+
+def test_the_figures_are_those_of_the_paper():
+    cw, ccw = (-0.05, -0.03, 0.0), (-0.01, 0.02, 0.0)
+    found = umbmark(measured([("cw", cw), ("ccw", ccw), ("ccw", ccw)]), 1.0, 0.4)
+    alpha, beta = -0.06 / -4.0, -0.04 / -4.0
+    radius = 0.5 / math.sin(0.5 * beta)
+    assert (found.alpha, found.beta) == pytest.approx((alpha, beta))
+    assert found.e_b == pytest.approx(90.0 / (90.0 - math.degrees(alpha)))
+    assert found.e_d == pytest.approx((radius + 0.2) / (radius - 0.2))
+    assert found.e_max_syst == pytest.approx(math.hypot(0.05, 0.03))
+    assert found.r_ccw == pytest.approx(math.hypot(0.01, 0.02))
+
+
+@pytest.mark.parametrize("diameter", [0.001, -0.01])
+@pytest.mark.parametrize("base", [0.005, -0.03])
+def test_the_fit_recovers_what_was_injected_and_the_correction_undoes_it(diameter, base):
+    wrong = errors(diameter, base)
+    before = Benchmark.of(ideal_runs(wrong), BELIEVED.base)
+    found = before.estimate.errors
+    assert found.diameter_error == pytest.approx(diameter, rel=1e-4)
+    assert found.base_error == pytest.approx(base, rel=1e-4)
+    after = Benchmark.of(ideal_runs(wrong, correction=found), BELIEVED.base)
+    assert after.figures.e_max_syst < 1e-4 * before.figures.e_max_syst
+
+
+def test_the_closed_forms_are_for_small_errors():
+    found = Benchmark.of(ideal_runs(errors(0.01, 0.005)), BELIEVED.base)
+    # The wrong sign of the base's error, which the fit has right.
+    assert found.figures.e_b < 1.0
+    assert found.estimate.errors.base_error == pytest.approx(0.005, rel=1e-4)
+    small = Benchmark.of(ideal_runs(errors(1e-5, 2e-5)), BELIEVED.base).figures
+    assert small.e_d - 1.0 == pytest.approx(1e-5, rel=0.01)
+    assert small.e_b - 1.0 == pytest.approx(2e-5, rel=0.01)
+
+
+def test_corrected_parameters_keep_the_mean_of_the_diameters():
+    corrected = calibrated(errors(0.01, 0.02))
+    left, right, base = corrected.values()
+    assert (left, right) == pytest.approx((2.0 / 2.01, 2.0 / (1.0 / 1.01 + 1.0)))
+    assert left + right == pytest.approx(2.0)
+    assert base == 1.02
+
+
+def test_the_weight_is_that_of_a_random_walk():
+    count, length = 400, 3.0
+    steps = np.zeros((count, 3))
+    steps[:, 0] = length / count
+    found = end_covariance(steps)
+    assert found[0, 0] == pytest.approx(length)
+    assert found[1, 1] == pytest.approx(length**3 / 3.0, rel=1e-5)
+    assert (found[1, 2], found[2, 2]) == pytest.approx((length**2 / 2.0, length))
+    turning = np.zeros((10, 3))
+    turning[:, 2] = -0.1
+    assert np.diag(end_covariance(turning)) == pytest.approx((0.0, 0.0, 1.0))
+    assert RateInvariantRule(1.0).variances(0.0, length, 0.0)[1] == length
+
+
+def perturbed(generator, root):
+    """Ten runs of wheels that are right, with noise at their ends; clockwise ones are mirrored."""
+    ends = []
+    for way, mirror in (("ccw", 1.0), ("cw", -1.0)):
+        noise = generator.standard_normal((5, 3)) @ root.T
+        ends += [(way, end * (1.0, mirror, mirror)) for end in noise]
+    return measured(ends)
+
+
+def test_an_interval_is_that_of_the_means_of_both_ways():
+    root = 1e-4 * np.array(((1.0, 0.0, 0.0), (-0.5, 2.0, 0.0), (0.3, 1.0, 0.5)))
+    runs = perturbed(np.random.default_rng(4), root)
+    found = fit(runs, 0.38)
+    # In linear order an estimate is the sum of the means of two numbers, one for each way, of
+    # which each run has its own: what it changes where its end is moved.
+    ways = np.array([run.direction for run in runs])
+    shares = np.array([_shares(runs, number) for number in range(len(runs))])
+    for own, name in zip(shares.T, ("diameter_error", "base_error")):
+        variance = sum(own[ways == way].var(ddof=1) * 5.0 for way in ("cw", "ccw"))
+        reach = stats.t.ppf(0.975, 8) * math.sqrt(variance)
+        low, high = found.intervals[name]
+        assert 0.5 * (high - low) == pytest.approx(reach, rel=0.01)
+        assert 0.5 * (high + low) == pytest.approx(getattr(found.errors, name))
+
+
+def _shares(runs, number):
+    """How much a run's own noise has moved the estimates."""
+    run, without = runs[number], list(runs)
+    without[number] = Run(run.name, run.odometry, run.start, run.start)
+    both = [fit(some, 0.38).errors for some in (runs, without)]
+    return [one - other for one, other in zip(*((e.diameter_error, e.base_error) for e in both))]
+
+
+@pytest.mark.long
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    # Noise that is nothing like what the weights are made for.
+    root = 2e-4 * np.array(((3.0, 0.0, 0.0), (-1.0, 0.5, 0.0), (0.3, 1.0, 2.0)))
+    generator, count = np.random.default_rng(5), 1000
+    held = np.zeros(2)
+    for _ in range(count):
+        found = fit(perturbed(generator, root), 0.38)
+        held += [found.holds(name, 0.0) for name in ("diameter_error", "base_error")]
+    low, high = stats.binom.ppf((0.0005, 0.9995), count, 0.95)
+    assert (low <= held).all() and (held <= high).all()
+
+
+def test_a_centre_lies_within_its_ellipse_by_hotelling():
+    points = np.random.default_rng(6).normal(0.0, (1.0, 2.0), (6, 2))
+    shape = centre_ellipse(points)
+    t_squared = 2.0 * 5.0 / 4.0 * stats.f.ppf(0.95, 2, 4)
+    border = ellipse_points(shape)
+    lengths = np.einsum("ni,ij,nj->n", border, np.linalg.inv(np.cov(points.T) / 6.0), border)
+    np.testing.assert_allclose(lengths, t_squared)
+    assert t_squared > SQUARE_RADIUS
+    assert centre_ellipse(points[:2]) is None
+
+
+def test_squares_have_to_go_both_ways():
+    one_way = measured([("ccw", (0.0, 0.0, 0.0))])
+    for evaluate in (lambda: fit(one_way, 0.4), lambda: umbmark(one_way, 1.0, 0.4)):
+        with pytest.raises(RunError, match="both ways"):
+            evaluate()
+    assert return_errors(one_way, "cw").shape == (0, 3)
+    with pytest.raises(RunError, match="not once round"):
+        Run("a side", np.array(((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))), (0, 0, 0), (1, 0, 0))
+
+
+def test_a_robot_that_stands_does_not_come_round():
+    robot = IdealRobot(BELIEVED, BELIEVED)
+    robot.drive = lambda *_: robot.odometry.append(robot.odometry[-1])
+    with pytest.raises(UnfinishedError, match="does not come round"):
+        drive_square(robot, Square(side=0.2, speed=1.0, turn_speed=1.0), "run")
+
+
+def test_noise_follows_from_the_seed():
+    settings = DriveSettings(side=0.5, speed=1.0, turn_speed=1.0)
+
+    def end(number, laps):
+        robot = IdealRobot(BELIEVED, BELIEVED)
+        return drive_square(robot, settings.square("cw"), "run", settings.noise(number, laps)).end
+
+    assert end(0, 0) == end(0, 0)
+    assert len({end(0, 0), end(1, 0), end(0, 1)}) == 3
+
+
+def test_robots_of_a_campaign_are_drawn_by_their_number():
+    drive = DriveSettings()
+    robots = [draw_robot(drive, False, index) for index in range(40)]
+    assert robots[7] == draw_robot(drive, False, 7)
+    sizes = np.abs([(r.drive.diameter_error, r.drive.base_error) for r in robots])
+    assert ((sizes >= (0.001, 0.005)) & (sizes <= (0.01, 0.03))).all()
+    signs = {(r.drive.diameter_error > 0, r.drive.base_error > 0) for r in robots}
+    assert len(signs) == 4
+    assert draw_robot(drive, True, 3).drive.speed == drive.speed
+
+
+def test_a_campaign_says_what_was_recovered():
+    drive = DriveSettings(runs=2, std=0.0)
+    record = calibrate_robot(drive, False, 1)
+    summary = campaign_summary([record])
+    assert summary["diameter_error"]["recovered"] == summary["base_error"]["recovered"] == 1
+    assert summary["least_fall"] > 1000.0
+    lines = describe_campaign(1, summary)
+    assert lines[0].startswith("diameter_error without noise: 1 of 1 recovered")
+    assert CampaignSettings().robots == 0
+
+
+@pytest.mark.long
+def test_twenty_random_robots_are_calibrated():
+    records = [calibrate_robot(DriveSettings(), False, index) for index in range(20)]
+    summary = campaign_summary(records)
+    held = 0
+    for name in ("diameter_error", "base_error"):
+        assert summary[name]["recovered"] == 20
+        held += summary[name]["held_by_interval"]
+    # Of 40, with 99.9 % confidence.
+    assert held >= stats.binom.ppf(0.001, 40, 0.95)
+    assert summary["least_fall"] > 10.0
+
+
+@pytest.mark.long
+def test_robots_on_the_floor_are_calibrated_as_well():
+    drive = DriveSettings(runs=2)
+    summary = campaign_summary([calibrate_robot(drive, True, index) for index in range(2)])
+    assert summary["diameter_error"]["recovered"] == summary["base_error"]["recovered"] == 2
+    assert summary["least_fall"] > 10.0
+
+
+def test_results_are_left_behind(tmp_path):
+    wrong = errors(0.002, 0.01)
+    before = Benchmark.of(2 * ideal_runs(wrong, 1.0), BELIEVED.base)
+    correction = before.estimate.errors
+    after = Benchmark.of(2 * ideal_runs(wrong, 1.0, correction), BELIEVED.base)
+    summary = run_umbmark(tmp_path, before, after, {"seed": 1})
+    assert summary["squares"] == {"cw": 2, "ccw": 2}
+    assert summary["recovered"]["diameter_error"] == pytest.approx(0.002, rel=1e-4)
+    assert summary["corrected"]["wheel_base_m"] == pytest.approx(0.38 * 1.01, rel=1e-5)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"summary.json", "returns.csv", "corrected.yaml", "clusters.png"}
+    assert len((tmp_path / "returns.csv").read_text().splitlines()) == 9
