@@ -14,6 +14,7 @@ from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, derived_seed, mod
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.study import MOST_SEED, Settings
 from bullet_lab.studies.umbmark.estimate import Estimate, Umbmark, fit, umbmark
+from bullet_lab.studies.umbmark.floor import FloorPlan
 from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, Run
 
 LARGEST_ERROR = 0.1
@@ -25,6 +26,9 @@ class DriveSettings(Settings):
 
     robot: str = text(
         "package://bullet_lab/urdf/camera_robot.urdf", "URDF of a robot on two wheels"
+    )
+    controller: str = text(
+        "", "YAML file of its diff_drive_controller; else its plugin diff_drive drives it"
     )
     diameter_error: float = number(
         0.0,
@@ -45,6 +49,11 @@ class DriveSettings(Settings):
     std: float = number(0.0005, "level of random noise on the odometry", 0.0)
     model: str = choice("rate_invariant", "rule of the noise", MODELS)
     seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
+
+    @property
+    def plan(self) -> FloorPlan:
+        """The robot that is driven."""
+        return FloorPlan(self.robot, self.controller)
 
     @property
     def errors(self) -> SystematicErrors:

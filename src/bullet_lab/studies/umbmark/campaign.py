@@ -18,7 +18,7 @@ from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings
 from bullet_lab.studies.umbmark.drives import Robot, drive_square
 from bullet_lab.studies.umbmark.estimate import PARAMETERS
 from bullet_lab.studies.umbmark.figures import campaign_figure
-from bullet_lab.studies.umbmark.robots import FloorRobot, IdealRobot, Wheels
+from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels
 from bullet_lab.studies.umbmark.runs import DIRECTIONS
 from bullet_lab.studies.workers import Run as RunTasks
 from bullet_lab.studies.workers import TaskLostError
@@ -80,28 +80,33 @@ def calibrate_robot(drive: DriveSettings, floor: bool, index: int) -> Record:
     """Calibrate a random robot, and return what came of it.
 
     Without noise a square each way is driven, as all others would be the same; once more with the
-    correction. With noise, the squares of the settings.
+    correction, and on the floor once without errors. With noise, the squares of the settings.
     """
     robot = draw_robot(drive, floor, index)
     still = replace(robot.drive, std=0.0, runs=1)
+    right = SystematicErrors()
+    if floor:
+        nothing = replace(still, diameter_error=0.0, base_error=0.0)
+        right = _benchmark(robot, nothing, floor, right).estimate.errors
     before = _benchmark(robot, still, floor, SystematicErrors())
     after = _benchmark(robot, still, floor, before.estimate.errors)
-    noisy = _benchmark(robot, robot.drive, floor, SystematicErrors())
+    noisy = _benchmark(robot, robot.drive, floor, SystematicErrors()).estimate.beside(right)
+    found_still = before.estimate.beside(right).errors
     record: Record = {"robot": index, "side_m": still.side, "base_m": before.base}
     for name, closed in zip(PARAMETERS, (before.figures.e_d, before.figures.e_b)):
         injected = getattr(still, name)
-        found = getattr(before.estimate.errors, name)
-        low, high = (noisy.estimate.intervals or {}).get(name, (None, None))
+        found = getattr(found_still, name)
+        low, high = (noisy.intervals or {}).get(name, (None, None))
         record.update(
             {
                 name: injected,
                 f"{name}_closed_form": closed - 1.0,
                 f"{name}_found": found,
                 f"{name}_recovered": abs(found - injected) <= max(SHARE * abs(injected), LEAST),
-                f"{name}_with_noise": getattr(noisy.estimate.errors, name),
+                f"{name}_with_noise": getattr(noisy.errors, name),
                 f"{name}_low": low,
                 f"{name}_high": high,
-                f"{name}_held": low is not None and noisy.estimate.holds(name, injected),
+                f"{name}_held": low is not None and noisy.holds(name, injected),
             }
         )
     record["e_max_syst_m"] = before.figures.e_max_syst
@@ -115,7 +120,7 @@ def _benchmark(
     runs, base = [], robot.base
     for number in range(len(DIRECTIONS) * drive.runs):
         direction = DIRECTIONS[number % len(DIRECTIONS)]
-        one: Any = _robot(robot, floor, correction)
+        one: Any = _robot(robot.base, drive, floor, correction)
         try:
             square, noise = drive.square(direction), drive.noise(number, 0)
             runs.append(drive_square(one, square, f"{direction} {number}", noise))
@@ -125,11 +130,13 @@ def _benchmark(
     return Benchmark.of(runs, base, drive.side)
 
 
-def _robot(robot: RandomRobot, floor: bool, correction: SystematicErrors) -> Robot:
+def _robot(
+    base: float, drive: DriveSettings, floor: bool, correction: SystematicErrors
+) -> Robot:
     if floor:
-        return FloorRobot(robot.drive.robot, robot.drive.errors, correction)
-    believed = Wheels(DIAMETER, DIAMETER, robot.base)
-    return IdealRobot(believed.times(robot.drive.errors), believed.times(correction))
+        return drive.plan.build(drive.errors, correction)
+    believed = Wheels(DIAMETER, DIAMETER, base)
+    return IdealRobot(believed.times(drive.errors), believed.times(correction))
 
 
 def run_campaign(

@@ -113,6 +113,25 @@ class Estimate:
         return low <= value <= high
 
 
+    def beside(self, floor: SystematicErrors) -> Estimate:
+        """Return what is wrong beyond what is found on this floor where nothing is."""
+        errors = _relative(self.errors, floor)
+        intervals = self.intervals and {
+            name: tuple(_ratio(end, getattr(floor, name)) for end in ends)
+            for name, ends in self.intervals.items()
+        }
+        return Estimate(errors, intervals, self.residual)
+
+
+def _ratio(one: float, other: float) -> float:
+    return (1.0 + one) / (1.0 + other) - 1.0
+
+
+def _relative(errors: SystematicErrors, floor: SystematicErrors) -> SystematicErrors:
+    found = {name: _ratio(getattr(errors, name), getattr(floor, name)) for name in PARAMETERS}
+    return SystematicErrors(**found, wheel_base=errors.wheel_base)
+
+
 def fit(runs: Sequence[Run], base: float) -> Estimate:
     """Fit diameter_error and base_error to where the robot was at the end of each run.
 

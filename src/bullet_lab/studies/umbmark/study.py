@@ -9,7 +9,7 @@ Example:
 from __future__ import annotations
 
 import functools
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Dict, List, NoReturn, Optional, Sequence, Tuple
 
@@ -32,8 +32,9 @@ from bullet_lab.studies.study import (
 from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings
 from bullet_lab.studies.umbmark.campaign import CampaignSettings, describe_campaign, run_campaign
 from bullet_lab.studies.umbmark.drives import drive_square
+from bullet_lab.studies.umbmark.estimate import PARAMETERS
 from bullet_lab.studies.umbmark.figures import clusters_figure
-from bullet_lab.studies.umbmark.robots import FloorRobot, wheeled_model
+from bullet_lab.studies.umbmark.floor import multipliers
 from bullet_lab.studies.umbmark.runs import DIRECTIONS, Run
 from bullet_lab.studies.umbmark.sources import read_runs
 from bullet_lab.studies.workers import Run as RunTasks
@@ -65,7 +66,7 @@ def drive_run(
         number: of the run, from 0 on.
     """
     direction = DIRECTIONS[number % len(DIRECTIONS)]
-    robot = FloorRobot(settings.robot, settings.errors, correction)
+    robot = settings.plan.build(settings.errors, correction)
     try:
         name, noise = f"{direction} {number // len(DIRECTIONS) + 1}", settings.noise(number, laps)
         return drive_square(robot, settings.square(direction), name, noise), robot.believed.base
@@ -78,14 +79,14 @@ def drive_runs(
     correction: SystematicErrors,
     laps: int,
     run: RunTasks,
+    title: str,
     tell: Tell = silent,
 ) -> Benchmark:
     """Drive all runs of both ways on the floor and evaluate them; raises LabError."""
     numbers = range(len(DIRECTIONS) * settings.runs)
     task = functools.partial(drive_run, settings, correction, laps)
     found: Dict[int, Tuple[Run, float]] = {}
-    title = "with the correction" if laps else "as the odometry is"
-    with progress(title, len(numbers), tell, unit="square", things=" squares") as note:
+    with progress(title, len(numbers), tell, unit="square", things=f" squares {title}") as note:
         for index, result in run(task, numbers):
             if isinstance(result, TaskLostError):
                 raise result
@@ -96,41 +97,40 @@ def drive_runs(
     return Benchmark.of(runs, found[0][1], settings.side)
 
 
-def calibrated(found: SystematicErrors) -> Dict[str, float]:
-    """Return the parameters of diff_drive_controller that undo what was found.
-
-    They keep the mean of the diameters: 2 / (E_d + 1), 2 / (1 / E_d + 1) and E_b.
-    """
-    left, right = found.diameters
-    return {
-        "left_wheel_radius_multiplier": left,
-        "right_wheel_radius_multiplier": right,
-        "wheel_separation_multiplier": 1.0 + found.base_error,
-    }
-
-
 def run_umbmark(
     folder: Path,
     before: Benchmark,
     after: Optional[Benchmark],
     about: Dict[str, Any],
+    floor: SystematicErrors = NONE,
 ) -> Dict[str, Any]:
-    """Leave tables, picture, corrected parameters and summary.json; return what that says."""
+    """Leave tables, picture, corrected parameters and summary.json; return what that says.
+
+    Args:
+        folder: for the files.
+        before: the runs by the odometry as it is.
+        after: those with the correction, if there are any.
+        about: what else summary.json says.
+        floor: what is found where nothing is wrong, which is not among what is recovered.
+    """
     found = before.estimate
+    recovered = found.beside(floor)
     summary: Dict[str, Any] = {
         "job": "umbmark",
         **about,
         "finished": True,
         **before.summary(),
         "recovered": {
-            "diameter_error": found.errors.diameter_error,
-            "base_error": found.errors.base_error,
-            "intervals_95": found.intervals and {k: list(v) for k, v in found.intervals.items()},
-            "unexplained_m": found.residual,
+            **_named(recovered.errors),
+            "intervals_95": recovered.intervals
+            and {name: list(ends) for name, ends in recovered.intervals.items()},
         },
+        "floor": _named(floor),
+        "effective": _named(found.errors),
+        "unexplained_m": found.residual,
         "corrected": {
             "wheel_base_m": before.base * (1.0 + found.errors.base_error),
-            **calibrated(found.errors),
+            **multipliers(found.errors),
         },
     }
     if after is not None:
@@ -138,11 +138,15 @@ def run_umbmark(
         summary.update(after=after.summary(), falls_by=times)
     with whole_results(folder) as part:
         write_table(part / "returns.csv", _return_rows(before, after))
-        text_ = yaml.safe_dump(calibrated(found.errors), sort_keys=False)
+        text_ = yaml.safe_dump(multipliers(found.errors), sort_keys=False)
         (part / "corrected.yaml").write_text(text_)
         save(clusters_figure(before, after), part / "clusters.png")
         write_json(part / SUMMARY, summary)
     return summary
+
+
+def _named(errors: SystematicErrors) -> Dict[str, float]:
+    return {name: getattr(errors, name) for name in PARAMETERS}
 
 
 def _ratio(before: float, after: float) -> Optional[float]:
@@ -156,7 +160,9 @@ def _return_rows(before: Benchmark, after: Optional[Benchmark]):
             yield (name, run.name, run.direction, *run.return_error().tolist())
 
 
-def describe(before: Benchmark, after: Optional[Benchmark]) -> List[str]:
+def describe(
+    before: Benchmark, after: Optional[Benchmark], floor: SystematicErrors = NONE
+) -> List[str]:
     """Return what came of it as lines for people."""
     lines = [*_figures(before)]
     found, figures = before.estimate, before.figures
@@ -170,7 +176,10 @@ def describe(before: Benchmark, after: Optional[Benchmark]) -> List[str]:
             low, high = found.intervals[name]
             between = f", 95 % within {1.0 + low:.6f} to {1.0 + high:.6f}"
         lines.append(f"fit of the full model: {title} {1.0 + value:.6f}{between}")
-    parameters = ", ".join(f"{k} {v:.6f}" for k, v in calibrated(found.errors).items())
+    if not floor.none:
+        recovered = ", ".join(f"{k} {v:.6f}" for k, v in _named(found.beside(floor).errors).items())
+        lines.append(f"of that, beyond what this floor does to wheels that are right: {recovered}")
+    parameters = ", ".join(f"{k} {v:.6f}" for k, v in multipliers(found.errors).items())
     base = before.base * (1.0 + found.errors.base_error)
     lines.append(f"corrected: base {base:.6f} m; {parameters}")
     if after is not None:
@@ -201,7 +210,7 @@ def _run(
     about = asdict(drive)
     if not files.path:
         # Better known now than from each worker.
-        wheeled_model(drive.robot)
+        drive.plan.build(NONE, NONE).close()
     run = workers(work.workers)
     if campaign.robots:
         found = run_campaign(folder, drive, campaign, run, tell)
@@ -209,22 +218,32 @@ def _run(
             tell(line)
         return
     after: Optional[Benchmark] = None
+    floor = NONE
     if files.path:
         source = Path(files.base) / files.path
         runs = read_runs(source, files.topic, files.truth_topic, drive.side)
         before = Benchmark.of(runs, files.wheel_base)
         about = {"source": str(source), "wheel_base_m": files.wheel_base}
     else:
-        before = drive_runs(drive, NONE, 0, run, tell)
-        after = drive_runs(drive, before.estimate.errors, 1, run, tell)
+        if not drive.errors.none:
+            right = replace(drive, diameter_error=0.0, base_error=0.0, std=0.0, runs=1)
+            floor = drive_runs(right, NONE, 0, run, "without errors", tell).estimate.errors
+            tell(f"without errors, {_effective(floor)}")
+        before = drive_runs(drive, NONE, 0, run, "by the odometry as it is", tell)
+        after = drive_runs(drive, before.estimate.errors, 1, run, "with the correction", tell)
         if drive.errors.none:
-            tell(
-                "no errors were injected: what is found is how the wheels roll on this floor, "
-                "their effective base and diameters"
-            )
-    run_umbmark(folder, before, after, about)
-    for line in describe(before, after):
+            tell(f"no errors were injected, and {_effective(before.estimate.errors)}")
+    run_umbmark(folder, before, after, about, floor)
+    for line in describe(before, after, floor):
         tell(line)
+
+
+def _effective(errors: SystematicErrors) -> str:
+    return (
+        "these wheels roll on this floor as if D_right/D_left were "
+        f"{1.0 + errors.diameter_error:.6f} and the base {1.0 + errors.base_error:.6f} of what is "
+        "believed"
+    )
 
 
 def main(words: Optional[Sequence[str]] = None) -> NoReturn:

@@ -21,10 +21,11 @@ from bullet_lab.studies.umbmark.campaign import (
 )
 from bullet_lab.studies.umbmark.drives import drive_square
 from bullet_lab.studies.umbmark.estimate import centre_ellipse, end_covariance, fit, umbmark
+from bullet_lab.studies.umbmark.floor import multipliers
 from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels
 from bullet_lab.studies.umbmark.runs import Run, RunError, return_errors
 from bullet_lab.studies.umbmark.sources import perfect_square
-from bullet_lab.studies.umbmark.study import calibrated, run_umbmark
+from bullet_lab.studies.umbmark.study import run_umbmark
 
 BELIEVED = Wheels(0.28, 0.28, 0.38)
 NONE = SystematicErrors()
@@ -104,7 +105,7 @@ def test_the_closed_forms_are_for_small_errors():
 
 
 def test_corrected_parameters_keep_the_mean_of_the_diameters():
-    corrected = calibrated(errors(0.01, 0.02))
+    corrected = multipliers(errors(0.01, 0.02))
     left, right, base = corrected.values()
     assert (left, right) == pytest.approx((2.0 / 2.01, 2.0 / (1.0 / 1.01 + 1.0)))
     assert left + right == pytest.approx(2.0)

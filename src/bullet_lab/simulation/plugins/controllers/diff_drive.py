@@ -104,6 +104,10 @@ class DiffDriveController(Controller):
 
     Its parameters are those of ros_controllers. Its wheels stop when no command has come for
     cmd_vel_timeout.
+
+    Attributes:
+        separation: m, of the wheels on both sides, by its parameters.
+        radii: m, of the wheels on the left and on the right, likewise.
     """
 
     kinds = {"diff_drive_controller/DiffDriveController": VELOCITY}
@@ -116,7 +120,7 @@ class DiffDriveController(Controller):
             raise ControlError(f"{len(sides[0])} wheels on the left, {len(sides[1])} on the right")
         self._left, self._right = (setup.joints(names, VELOCITY) for names in sides)
         self.joints = self._left + self._right
-        self._separation, self._radii = self._geometry(given)
+        self.separation, self.radii = self._geometry(given)
         self._limits = [SpeedLimiter.of(given.below(path)) for path in ("linear/x", "angular/z")]
         self._timeout = given.number("cmd_vel_timeout", 0.5)
         self._open_loop = given.boolean("open_loop", False)
@@ -129,7 +133,7 @@ class DiffDriveController(Controller):
             given.numbers(f"{what}_covariance_diagonal", 6) for what in ("pose", "twist")
         )
         window = max(1, int(given.number("velocity_rolling_window_size", 10)))
-        self._odometry = WheelOdometry(self._separation, window, *self._ways())
+        self._odometry = WheelOdometry(self.separation, window, *self._ways())
         alone = not given.boolean("allow_multiple_cmd_vel_publishers", True)
         self.inputs = (Input(setup.topic("cmd_vel"), PlanarCommand, self.command, alone),)
         self.odometry = Output(setup.topic("odom"), OdometrySample)
@@ -215,21 +219,21 @@ class DiffDriveController(Controller):
         )
         self._before, self._last = last, command
         for side, speed, radius in zip(
-            (self._left, self._right), self._rim_speeds(command), self._radii
+            (self._left, self._right), self._rim_speeds(command), self.radii
         ):
             for joint in side:
                 joint.command = speed / radius
         return command
 
     def _rim_speeds(self, command: PlanarCommand) -> Tuple[float, float]:
-        side = 0.5 * command.wz * self._separation
+        side = 0.5 * command.wz * self.separation
         return command.vx - side, command.vx + side
 
     def _ways(self) -> Tuple[float, float]:
         """Return how far (m) the wheels of each side have rolled, in the mean."""
         left, right = (
             radius * sum(joint.position for joint in side) / len(side)
-            for radius, side in zip(self._radii, (self._left, self._right))
+            for radius, side in zip(self.radii, (self._left, self._right))
         )
         return left, right
 

@@ -1,0 +1,89 @@
+"""Robots on the floor believe of their wheels what they are told to, and nothing else."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.simulation.plugins.wheel_drives import DiffDrive
+from bullet_lab.studies.umbmark.floor import FloorPlan, RobotError
+
+TUTORIALS = Path(__file__).resolve().parents[3] / "tutorials"
+CART = str(TUTORIALS / "urdf" / "cart.urdf")
+CONTROL = str(TUTORIALS / "config" / "cart.yaml")
+CAMERA = "package://bullet_lab/urdf/camera_robot.urdf"
+NONE = SystematicErrors()
+WRONG = SystematicErrors(diameter_error=0.01, base_error=-0.02)
+
+
+@pytest.fixture
+def built():
+    robots = []
+
+    def build(plan, *errors):
+        robots.append(plan.build(*errors))
+        return robots[-1]
+
+    yield build
+    for robot in robots:
+        robot.close()
+
+
+def roll(robot):
+    """Drive straight on; return by how much wheels and robot turn (rad) once they are at speed."""
+    plugin = next(p for p in robot._robot.plugins if isinstance(p, DiffDrive))
+
+    def measured():
+        return np.array((*(wheel.state().position for wheel in plugin.wheels), robot.pose()[2]))
+
+    robot.drive(0.4, 0.0, 0.5)
+    before = measured()
+    robot.drive(0.4, 0.0, 0.8)
+    return measured() - before
+
+
+def test_wheels_of_a_plugin_are_made_larger_and_the_base_is_told_wrong(built):
+    robot = built(FloorPlan(CAMERA), WRONG, NONE)
+    assert robot.believed.base == pytest.approx(0.38 / 0.98)
+    # It believes in what was drawn: both wheels are told the same speed, and the robot turns.
+    assert (robot.believed.left, robot.believed.right) == (0.28, 0.28)
+    left, right, turned = roll(robot)
+    assert left == pytest.approx(right, rel=1e-3)
+    expected = 0.14 * (right * WRONG.diameters[1] - left * WRONG.diameters[0]) / 0.38
+    assert turned == pytest.approx(expected, rel=0.02)
+    assert robot.odometry[-1][2] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_correction_is_what_the_plugin_believes_in(built):
+    robot = built(FloorPlan(CAMERA), WRONG, WRONG)
+    left, right = WRONG.diameters
+    assert robot.believed.base == pytest.approx(0.38)
+    assert robot.believed.left == pytest.approx(0.28 * left)
+    assert robot.believed.right == pytest.approx(0.28 * right)
+    assert roll(robot)[2] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_controller_is_told_by_its_multipliers(built):
+    plan = FloorPlan(CART, CONTROL)
+    left, right = WRONG.diameters
+    robot = built(plan, WRONG, NONE)
+    assert robot.believed.left == pytest.approx(0.16 / left)
+    assert robot.believed.right == pytest.approx(0.16 / right)
+    assert robot.believed.base == pytest.approx(0.4 / 0.98)
+    assert built(plan, WRONG, WRONG).believed.base == pytest.approx(0.4)
+    robot.drive(0.2, 0.0, 0.2)
+    assert robot.odometry[-1][0] > 0.02
+
+
+@pytest.mark.parametrize(
+    ("plan", "said"),
+    [
+        (FloorPlan(CART), "there is no plugin libgazebo_ros_diff_drive.so"),
+        (FloorPlan(CAMERA, CONTROL), "there is no plugin libgazebo_ros_control.so"),
+        (FloorPlan(CART, CART), "cannot read|there is no controller"),
+    ],
+)
+def test_robots_without_wheels_to_calibrate_are_refused(plan, said):
+    with pytest.raises(RobotError, match=said):
+        plan.build(NONE, NONE)
