@@ -45,7 +45,7 @@ def clusters_figure(before: Any, after: Optional[Any]) -> Figure:
         for axes in every[:2]:
             axes.set_adjustable("box")
             axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
-    every[0].legend(loc="best", fontsize=8)
+    every[-1].legend(loc="best", fontsize=8)
     figure.tight_layout()
     return figure
 
@@ -61,9 +61,13 @@ def _draw(axes: Axes, benchmark: Any) -> None:
         axes.plot(*centre, "+", color=BLACK, markersize=11, label=label)
         shape = centre_ellipse(errors)
         if shape is not None:
-            axes.fill(*(centre + ellipse_points(shape)).T, color=colour, alpha=0.2, linewidth=0)
-            cluster = centre + ellipse_points(np.cov(errors[:, :2].T))
-            axes.plot(*cluster.T, color=colour, linewidth=0.8, alpha=0.8)
+            last = direction == COUNTER_CLOCKWISE
+            border = centre + ellipse_points(shape)
+            label = "95 % ellipses of the centres" if last else None
+            axes.fill(*border.T, color=colour, alpha=0.25, linewidth=0, label=label)
+            border = centre + ellipse_points(np.cov(errors[:, :2].T))
+            label = "95 % ellipses of the runs" if last else None
+            axes.plot(*border.T, color=colour, linewidth=0.9, label=label)
 
 
 def campaign_figure(records: Sequence[Mapping[str, Any]]) -> Figure:
@@ -83,9 +87,10 @@ def campaign_figure(records: Sequence[Mapping[str, Any]]) -> Figure:
         style = {"fmt": ".", "color": BLUE, "elinewidth": 1.0}
         axes.errorbar(injected, noisy, reach, label="fit, with noise: 95 % intervals", **style)
         axes.plot(injected, less("found"), "o", color=GREEN, markersize=4, label="fit, no noise")
-        axes.set(xlabel=f"injected {name}", ylabel="found less injected")
+        axes.set(xlabel=f"injected {name} (%)", ylabel="found less injected")
+        axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:g}")
         axes.set_yscale("symlog", linthresh=1e-4)
         axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
-    figure.tight_layout()
+    figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncol=3, fontsize=9)
+    figure.tight_layout(rect=(0.0, 0.06, 1.0, 1.0))
     return figure

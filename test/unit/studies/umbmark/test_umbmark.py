@@ -247,10 +247,9 @@ def test_twenty_random_robots_are_calibrated():
 
 
 @pytest.mark.long
-def test_robots_on_the_floor_are_calibrated_as_well():
-    drive = DriveSettings(runs=2)
-    summary = campaign_summary([calibrate_robot(drive, True, index) for index in range(2)])
-    assert summary["diameter_error"]["recovered"] == summary["base_error"]["recovered"] == 2
+def test_a_robot_on_the_floor_is_calibrated_as_well():
+    summary = campaign_summary([calibrate_robot(DriveSettings(runs=1, speed=0.4), True, 0)])
+    assert summary["diameter_error"]["recovered"] == summary["base_error"]["recovered"] == 1
     assert summary["least_fall"] > 10.0
 
 
