@@ -45,8 +45,11 @@ def clusters_figure(before: Any, after: Optional[Any]) -> Figure:
         for axes in every[:2]:
             axes.set_adjustable("box")
             axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
-    every[-1].legend(loc="best", fontsize=8)
-    figure.tight_layout()
+    handles, labels = every[0].get_legend_handles_labels()
+    columns = 2 if after is None else len(labels)
+    figure.legend(handles, labels, loc="lower center", ncol=columns, fontsize=9)
+    below = 0.15 if after is None else 0.06
+    figure.tight_layout(rect=(0.0, below, 1.0, 1.0))
     return figure
 
 
