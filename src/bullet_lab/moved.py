@@ -36,7 +36,8 @@ numerics > reports: square_path=squares
 numerics > studies.dock_campaign: binomial=results
 numerics > studies.noise_study: path_metrics=statistics resampling=paths
     study_statistics=statistics
-numerics > studies.published_noise: likeness=results published_defects=defects side_deviation
+numerics > studies.published_noise: likeness=results published_defects=defects
+    side_deviation=drawn_paths
 plotting > core: floor_plan=figures style=figures
 plotting > reports: beacons_figure=sensors docking_figure=dock fleet_figure=fleet goal_figure=goal
     noise_figure=squares sensors_figure=sensors vision_figure=vision
@@ -50,7 +51,7 @@ recording > reports: distances=sensors docking_run=dock fleet_summary=fleet goal
 recording > studies.detection_range: detection_summary=study
 recording > studies.dock_campaign: dock_log=results dock_summary=results
 recording > studies.noise_study: study_files=paths
-recording > studies.published_noise: published_figure=side_deviation published_summary=results
+recording > studies.published_noise: published_figure=drawn_paths published_summary=results
 ros > core: parameters
 ros > reports: odometry_recorder=squares
 ros > ros.bridge: loop_watch=timing odometry_frames=world_topics pace=timing

@@ -20,9 +20,10 @@ _STAMP_TOLERANCE = 1e-6  # s; a double cannot tell stamps of today much closer
 class PublishedNoise:
     """The algorithm of listings 3 to 7 of the report.
 
-    Its four defects are kept on purpose: the message that it remembers as the last perfect one
-    is the one it then overwrites with the noisy pose; rot1 is not wrapped; a robot at rest gets
-    noise in proportion to its heading; and the noise depends on the message rate.
+    Its defects are kept on purpose: the message that it remembers as the last perfect one is the
+    one it then overwrites with the noisy pose; rot1 is not wrapped; a robot at rest gets noise in
+    proportion to its heading; the noise depends on the message rate; and a step is laid along the
+    remembered heading, not along the noisy one.
 
     Args:
         std: standard deviation per metre and per radian, >= 0.

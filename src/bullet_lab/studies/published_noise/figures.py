@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Mapping, Optional, Sequence, Tuple
 
 import numpy as np
@@ -13,14 +14,8 @@ from matplotlib.patches import Patch
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.core.se2 import wrap
 from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
-from bullet_lab.studies.published_noise.results import (
-    RESOLUTION,
-    SIGNIFICANCE,
-    Result,
-    groups_of_same,
-    log10_to_best,
-)
-from bullet_lab.studies.published_noise.side_deviation import PublishedFigure
+from bullet_lab.studies.published_noise.drawn_paths import LENGTHS, PublishedFigure
+from bullet_lab.studies.published_noise.results import EVIDENCE, PValue, Result, groups_of_same
 
 PLAIN_NAMES = {
     "aliasing": "aliasing",
@@ -37,10 +32,10 @@ _PERFECT = {"color": ORANGE, "linewidth": 3.2, "zorder": 3}
 _NOISY = {"color": BLUE, "linewidth": 1.2, "zorder": 4}
 _OTHERS = {"color": BLUE, "linewidth": 0.5, "alpha": 0.3, "zorder": 2}
 _PERFECT_MARKS = {"color": ORANGE, "marker": "s", "linestyle": "", "markersize": 4}
-_SMALLEST_DRAWN = 1e-4  # m; below, the deviations are all the same on paper
+_SMALLEST_DRAWN = 1e-4  # m; below, lengths are all the same on paper
 
 
-Shown = Mapping[Defects, Tuple[np.ndarray, float]]
+Shown = Mapping[Defects, Tuple[np.ndarray, PValue]]
 
 
 def compare_figure(
@@ -50,7 +45,7 @@ def compare_figure(
 
     Args:
         figure_1b: what is digitised of it.
-        corners: of the simulated square (m), shape (5, 2).
+        corners: of the simulated perfect path (m), shape (5, 2).
         replays: points of the two algorithms (m), shape (n, 2).
         seed: of both.
     """
@@ -58,7 +53,7 @@ def compare_figure(
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
     figure.subplots_adjust(left=0.06, right=0.99, top=0.91, bottom=0.2, wspace=0.06)
     contents = (
-        ("Figure 1b as published", figure_1b.points, figure_1b.corners),
+        ("Figure 1b as published", figure_1b.points, figure_1b.perfect_corners),
         (f"The report's algorithm, seed {seed}", replays[0], corners),
         (f"The mended algorithm, seed {seed}", replays[1], corners),
     )
@@ -80,14 +75,14 @@ def compare_figure(
 def defects_figure(
     figure_1b: PublishedFigure, corners: np.ndarray, shown: Shown, best: Defects, std: float
 ) -> Figure:
-    """Draw a sheet of small paths: figure 1b, all defects, the best, none, each, all but each.
+    """Draw a sheet of small paths: figure 1b, all defects, the best one, none, each, all but each.
 
     Args:
         figure_1b: what is digitised of it.
-        corners: of the simulated square (m), shape (5, 2).
+        corners: of the simulated perfect path (m), shape (5, 2).
         shown: some noisy paths (m), shape (n, m, 2), and the p-value of figure 1b for each
             combination that is drawn; the first path is drawn in bold.
-        best: the combination that explains figure 1b best.
+        best: the combination under which figure 1b would be most usual.
         std: of the noise.
     """
     figure = new_figure(11.5, 7.9)
@@ -99,8 +94,8 @@ def defects_figure(
     first, alone, all_but = panels
     first[0].set_title("figure 1b, as published", fontsize=9, fontweight="bold")
     first[0].plot(*figure_1b.points.T, **_NOISY)
-    first[0].plot(*figure_1b.corners.T, **_PERFECT)
-    found = "the best: " + (" + ".join(PLAIN_NAMES[name] for name in best.names) or "none")
+    first[0].plot(*figure_1b.perfect_corners.T, **_PERFECT)
+    found = "the most usual: " + (" + ".join(PLAIN_NAMES[name] for name in best.names) or "none")
     drawn = [
         (first[1], "all five: as published", ALL),
         (first[2], found, best),
@@ -123,17 +118,17 @@ def _frame(axes: Axes) -> None:
 
 
 def _draw_paths(
-    axes: Axes, title: str, corners: np.ndarray, paths: np.ndarray, p_value: float
+    axes: Axes, title: str, corners: np.ndarray, paths: np.ndarray, p_value: PValue
 ) -> None:
     axes.set_title(_in_two_lines(title), fontsize=9)
     axes.plot(paths[:, 1:, 0], paths[:, 1:, 1], **_OTHERS)
     axes.plot(*paths[:, 0].T, **_NOISY)
     axes.plot(*corners.T, **_PERFECT)
-    explains = p_value >= SIGNIFICANCE
-    p_text = f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"
+    explains = p_value.explains
+    words = "explains 1b" if explains else "does not" if p_value.excludes else "too few seeds"
     axes.text(
         *corners[:4].mean(axis=0),
-        f"{p_text}\n{'explains 1b' if explains else 'does not'}",
+        f"p {_p_text(p_value, '= ')}\n{words}",
         ha="center",
         va="center",
         fontsize=9,
@@ -163,35 +158,70 @@ def _draw_legend(axes: Axes, std: float) -> None:
     axes.text(0.5, 0.5, text, ha="center", va="top", fontsize=9, transform=axes.transAxes)
 
 
-def sides_figure(results: Sequence[Result], measured: np.ndarray) -> Figure:
-    """Draw the deviations on the sides and at the end for all combinations, and figure 1b's.
+def corners_figure(
+    figure_1b: PublishedFigure, corners: np.ndarray, shown: Mapping[str, np.ndarray]
+) -> Figure:
+    """Draw the beginning of the first side and its end, close up: figure 1b and some replays.
 
     Args:
-        results: of the combinations, best first; those that do the same share a line.
-        measured: deviations of figure 1b (m), shape (5,).
+        figure_1b: what is digitised of it.
+        corners: of the simulated perfect path (m), shape (5, 2).
+        shown: noisy paths (m), shape (n, m, 2), by what they are called; the first is in bold.
     """
-    ratios = dict(zip((result.defects for result in results), log10_to_best(results)))
+    figure = new_figure(11.0, 6.4)
+    panels = figure.subplots(2, 1 + len(shown), sharex="row", sharey="row")
+    figure.subplots_adjust(left=0.07, right=0.99, top=0.94, bottom=0.16, wspace=0.06, hspace=0.27)
+    published = figure_1b.points[:, np.newaxis], figure_1b.perfect_corners
+    contents = {"figure 1b": published, **{name: (p, corners) for name, p in shown.items()}}
+    for (start, corner), (title, (paths, square)) in zip(panels.T, contents.items()):
+        start.set_title(title, fontsize=11)
+        for axes, place in ((start, square[0]), (corner, square[1])):
+            lines = np.moveaxis(1e3 * (paths - place), 2, 0)
+            axes.plot(*lines[:, :, 1:], **_OTHERS)
+            axes.plot(*lines[:, :, 0], marker="o", markersize=4, **_NOISY)
+            axes.plot(*(1e3 * (square - place)).T, **_PERFECT)
+            axes.grid(alpha=0.3)
+        start.set(xlim=(-30, 900), ylim=(-8, 8), xlabel="x from the start (mm)")
+        corner.set(xlim=(-80, 80), ylim=(-40, 20), xlabel="x from corner 1 (mm)")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("y (mm)")
+    handles = [
+        Line2D([], [], label="noisy odometry", marker="o", **_NOISY),
+        Line2D([], [], label="other seeds", **_OTHERS),
+        Line2D([], [], label="perfect odometry", **_PERFECT),
+    ]
+    figure.legend(handles=handles, loc="lower center", ncol=3, frameon=False)
+    return figure
+
+
+def lengths_figure(results: Sequence[Result], measured: np.ndarray) -> Figure:
+    """Draw the lengths read from replays of all combinations, and from figure 1b.
+
+    Args:
+        results: of the combinations, ranked; those that do the same share a line.
+        measured: the lengths in figure 1b (m), shape (6,).
+    """
     rows = groups_of_same(results)
-    figure = new_figure(12.5, 1.45 + 0.26 * len(rows))
+    figure = new_figure(13.5, 1.45 + 0.26 * len(rows))
     head = 0.48 / figure.get_figheight()
     grid = figure.add_gridspec(
         1,
-        7,
-        width_ratios=(1.25, 1, 1, 1, 1, 1, 1.1),
+        2 + len(LENGTHS),
+        width_ratios=[2.0, *[1.7] * len(LENGTHS), 2.6],
         left=0.01,
         right=0.995,
         top=1.0 - head,
         bottom=0.95 / figure.get_figheight(),
         wspace=0.06,
     )
-    left, *sides, right = [figure.add_subplot(cell) for cell in grid]
+    left, *middle, right = [figure.add_subplot(cell) for cell in grid]
     _draw_switches(left, rows)
-    quantiles = np.array([group[0].quantiles() for group in rows])
-    for side, axes in enumerate(sides):
-        axes.set_title("end of the drive" if side == 4 else f"side {side + 1}", fontsize=10)
-        _draw_side(axes, quantiles[:, :, side], measured[side])
-    _draw_scores(right, [(ratios[group[0].defects], group[0].likeness.p_value) for group in rows])
-    for axes in (left, *sides, right):
+    quantiles = np.array([group[0].quantiles for group in rows])
+    for number, (axes, name) in enumerate(zip(middle, LENGTHS)):
+        axes.set_title(name.replace("side", "side "), fontsize=10)
+        _draw_length(axes, quantiles[:, :, number], measured[number])
+    _draw_p_values(right, [group[0].p_values for group in rows])
+    for axes in (left, *middle, right):
         axes.set_ylim(len(rows) - 0.5, -0.5)
         for y in range(0, len(rows), 2):
             axes.axhspan(y - 0.5, y + 0.5, color="0.94", zorder=0, linewidth=0)
@@ -200,7 +230,6 @@ def sides_figure(results: Sequence[Result], measured: np.ndarray) -> Figure:
         Line2D([], [], label="mended", **_mark(False)),
         Line2D([], [], label="in or mended: the same", **_mark(None)),
         Line2D([], [], color=VERMILION, linewidth=1.5, label="figure 1b"),
-        Patch(facecolor=VERMILION, alpha=0.25, label="as far as it can be read"),
         Line2D([], [], color=BLUE, linewidth=1.0, label="5 to 95 % of the seeds"),
         Line2D([], [], color=BLUE, linewidth=4.0, label="25 to 75 %"),
         Line2D([], [], color="white", marker="o", markeredgecolor=BLACK, label="median"),
@@ -218,7 +247,7 @@ def _draw_switches(axes: Axes, rows: Sequence[Sequence[Result]]) -> None:
     axes.set_xticks(range(len(DEFECTS)))
     axes.xaxis.tick_top()
     axes.set_xticklabels(
-        ["alias-\ning", "no\nwrap", "noise\nat rest", "0.9\nHz", "bends\nnothing"], fontsize=8
+        ["alias-\ning", "no\nwrap", "noise\nat rest", "0.9\nHz", "bends\nnothing"], fontsize=7
     )
     axes.tick_params(length=0, left=False, labelleft=False)
     for spine in axes.spines.values():
@@ -234,44 +263,40 @@ def _mark(switch: Optional[bool]) -> dict:
     return {"linestyle": "", "markersize": 6.5, **look}
 
 
-def _draw_side(axes: Axes, quantiles: np.ndarray, measured: float) -> None:
+def _draw_length(axes: Axes, quantiles: np.ndarray, measured: float) -> None:
     """Draw quantiles (m), a row of five for each line, and what was measured."""
     low, lower, middle, upper, high = np.maximum(quantiles, _SMALLEST_DRAWN).T
     y = np.arange(len(quantiles))
     axes.hlines(y, low, high, color=BLUE, linewidth=1.0, zorder=2)
     axes.hlines(y, lower, upper, color=BLUE, linewidth=4.0, zorder=2)
     axes.plot(middle, y, "o", color="white", markeredgecolor=BLACK, markersize=4.5, zorder=4)
-    read = max(measured - RESOLUTION, 0.0), measured + RESOLUTION
-    axes.axvspan(max(read[0], 0.1 * _SMALLEST_DRAWN), read[1], color=VERMILION, alpha=0.25, lw=0)
     axes.axvline(max(measured, _SMALLEST_DRAWN), color=VERMILION, linewidth=1.5, zorder=3)
     axes.set_xscale("log")
     axes.set_xlim(0.8 * _SMALLEST_DRAWN, 6.0)
     axes.set_xticks([1e-4, 1e-3, 1e-2, 0.1, 1.0])
     axes.set_xticklabels(["≤.1", "1", "10", "100", "1000"], fontsize=8)
     axes.minorticks_off()
-    axes.set_xlabel("deviation (mm)", fontsize=8)
+    axes.set_xlabel("length (mm)", fontsize=8)
     axes.tick_params(left=False, labelleft=False)
     axes.grid(axis="x", alpha=0.3)
 
 
-def _draw_scores(axes: Axes, scores: Sequence[Tuple[float, float]]) -> None:
-    axes.set_xlim(0.0, 1.0)
+def _draw_p_values(axes: Axes, rows: Sequence[Mapping[str, PValue]]) -> None:
     axes.axis("off")
-    for x, text in ((0.28, "likelihood\n(best: 1)"), (0.78, "p of\nfigure 1b")):
-        axes.text(x, -0.75, text, ha="center", va="bottom", fontsize=8)
-    for y, (log10_ratio, p_value) in enumerate(scores):
-        weight = "bold" if p_value >= SIGNIFICANCE else "normal"
-        p_text = f"{p_value:.2f}" if p_value >= 0.01 else "< 0.01"
-        for x, text in ((0.28, _ratio_text(log10_ratio)), (0.78, p_text)):
+    axes.set_xlim(-0.5, len(EVIDENCE) - 0.5)
+    for x, name in enumerate(EVIDENCE):
+        axes.text(x, -0.75, f"p of\n{name}", ha="center", va="bottom", fontsize=8)
+        for y, row in enumerate(rows):
+            weight = "bold" if row[name].explains else "normal"
+            text = _p_text(row[name])
             axes.text(x, y, text, ha="center", va="center", fontsize=9, fontweight=weight)
 
 
-def _ratio_text(log10_ratio: float) -> str:
-    if log10_ratio > -1.0:
-        return f"{10.0**log10_ratio:.2f}"
-    if log10_ratio > -4.0:
-        return f"1 / {10.0**-log10_ratio:,.0f}"
-    return f"$10^{{{log10_ratio:.0f}}}$"
+def _p_text(p_value: PValue, equals: str = "") -> str:
+    """Return a p-value, or the bound below which it is known to be."""
+    if p_value.excludes:
+        return f"< {math.ceil(1e3 * p_value.high) / 1e3:g}"
+    return f"{equals}{p_value.value:.2f}"
 
 
 def first_turns_figure(

@@ -6,7 +6,7 @@ Example:
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Dict, List, NoReturn, Optional, Sequence
 
@@ -28,28 +28,31 @@ from bullet_lab.studies.published_noise.defects import (
     noisy_paths,
     sampled,
 )
+from bullet_lab.studies.published_noise.drawn_paths import (
+    LENGTHS,
+    SIDES,
+    PublishedFigure,
+    drawn,
+    find_corners,
+    measure,
+    read_published_figure,
+)
 from bullet_lab.studies.published_noise.figures import (
     compare_figure,
+    corners_figure,
     defects_figure,
     first_turns_figure,
-    sides_figure,
+    lengths_figure,
 )
 from bullet_lab.studies.published_noise.results import (
     Result,
     combination_rows,
-    compare,
-    deviation_rows,
+    length_rows,
+    nearest,
     published_summary,
     ranked,
     rounded,
     verdict_lines,
-)
-from bullet_lab.studies.published_noise.side_deviation import (
-    SEEN_AT_END,
-    SIDES,
-    PublishedFigure,
-    read_published_figure,
-    side_deviations,
 )
 from bullet_lab.studies.squares import SquareDrive, drive_square
 from bullet_lab.studies.study import (
@@ -57,7 +60,9 @@ from bullet_lab.studies.study import (
     SUMMARY,
     Settings,
     Tell,
+    progress,
     run_from,
+    silent,
     whole_results,
     write_table,
 )
@@ -79,7 +84,10 @@ class PublishedNoiseSettings(Settings):
     std: float = number(
         0.1, "standard deviation of the noise per metre and per radian", 0.0, maximum=LARGEST_STD
     )
-    seeds: int = integer(1000, "noisy paths for each combination", FEWEST_SEEDS, MOST_SEEDS)
+    seeds: int = integer(2000, "noisy paths for each combination", FEWEST_SEEDS, MOST_SEEDS)
+    reading: float = number(
+        2e-4, "standard deviation with which x and y are read from a figure, m", 0.0, maximum=0.1
+    )
     seed: int = integer(
         1, "seed of the first noisy path; the others have those that follow", 0, MOST_SEED
     )
@@ -96,6 +104,9 @@ class Replay:
     Args:
         drive: the perfect path.
         settings: what is run.
+
+    Attributes:
+        corners: of the perfect path, as it is drawn (m), shape (5, 2).
     """
 
     def __init__(self, drive: SquareDrive, settings: PublishedNoiseSettings):
@@ -104,25 +115,29 @@ class Replay:
         # Nobody knows when, within its period, the node of figure 1b looked: any time will do.
         phases = np.random.default_rng([settings.seed, 1]).uniform(size=settings.seeds)
         self._messages = sampled(drive.stamps, PUBLISHED_RATE, phases / PUBLISHED_RATE)
+        perfect = drawn(drive.poses[:, :2])
+        self.corners = perfect[find_corners(perfect)]
 
-    def deviations(self, paths: Sequence[int]) -> Dict[Defects, np.ndarray]:
-        """Return the deviations (m) of m paths for each combination, shape (m, 5).
+    def lengths(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
+        """Return the `LENGTHS` (m) read from what is drawn of m paths, shape (m, 6)."""
+        noisy = self.noisy(defects, paths)[..., :2]
+        return np.array([self._read(noisy[:, k], path) for k, path in enumerate(paths)])
 
-        They are the largest on each of the four sides, and the distance at the end.
-        """
-        drive, draws = self.drive, self._draws(paths)
-        found = {}
-        for defects in combinations():
-            messages = self.messages(defects, paths)
-            noisy = self._noisy(defects, messages, draws)[..., :2]
-            at_end = np.hypot(*(noisy[-1] - drive.poses[messages[-1], :2]).T)
-            sides = side_deviations(noisy, drive.sides[messages], drive.corners)
-            found[defects] = np.column_stack([sides, at_end])
-        return found
+    def _read(self, points: np.ndarray, path: int) -> np.ndarray:
+        # Whatever the defects, the corners of the perfect path are misread alike.
+        errors = np.random.default_rng([self._settings.seed, 2, path])
+        corners, vertices = (
+            true + self._settings.reading * errors.standard_normal(true.shape)
+            for true in (self.corners, drawn(points))
+        )
+        return measure(vertices, corners)
 
     def noisy(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
         """Return noisy poses, shape (n, m, 3), of the m paths with these numbers."""
-        return self._noisy(defects, self.messages(defects, paths), self._draws(paths))
+        poses = self.drive.poses[self.messages(defects, paths)]
+        generators = [make_generator(self._settings.seed + int(path)) for path in paths]
+        draws = np.stack([g.standard_normal((len(poses) - 1, 3)) for g in generators], axis=1)
+        return noisy_paths(poses, draws, self._settings.std, defects)
 
     def messages(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
         """Return the indices of the perfect poses that the algorithm sees, (n, m) or (n, 1)."""
@@ -130,67 +145,68 @@ class Replay:
             return self._messages[:, paths]
         return np.arange(len(self.drive.steps))[:, np.newaxis]
 
-    def _noisy(self, defects: Defects, messages: np.ndarray, draws: np.ndarray) -> np.ndarray:
-        poses = self.drive.poses[messages]
-        return noisy_paths(poses, draws[: len(poses) - 1], self._settings.std, defects)
 
-    def _draws(self, paths: Sequence[int]) -> np.ndarray:
-        steps = len(self.drive.steps) - 1
-        generators = [make_generator(self._settings.seed + int(path)) for path in paths]
-        return np.stack([g.standard_normal((steps, 3)) for g in generators], axis=1)
-
-
-def run_published_noise(folder: Path, settings: PublishedNoiseSettings) -> Dict[str, Any]:
+def run_published_noise(
+    folder: Path, settings: PublishedNoiseSettings, tell: Tell = silent
+) -> Dict[str, Any]:
     """Run the experiment, leave pictures, tables and summary.json, and return what that says.
 
     The same settings give the same files. Nothing is written before all is known.
+
+    Args:
+        folder: for the results.
+        settings: what is run.
+        tell: gets lines about the progress.
 
     Raises:
         LabError: a folder that cannot be written to, or files of the package that are missing.
     """
     make_folder(folder)
-    drive = replay_drive()
-    figure = read_published_figure(package_share() / FIGURE_DATA, drive.corners)
-    replay = Replay(drive, settings)
-    results = ranked(_results(replay, figure, settings))
-    summary = published_summary(
-        asdict(settings), _figure_facts(figure, drive), figure.deviations, results
-    )
+    figure = read_published_figure(package_share() / FIGURE_DATA)
+    replay = Replay(replay_drive(), settings)
+    results = ranked(_results(replay, figure, settings, tell))
+    summary = published_summary(asdict(settings), _figure_facts(figure, replay.drive), results)
     pictures = _pictures(replay, figure, results, settings)
     with whole_results(folder) as part:
         for name, picture in pictures.items():
             save(picture, part / name)
         write_table(part / "combinations.csv", combination_rows(results))
-        write_table(part / "deviations.csv", deviation_rows(results, settings.seed))
+        write_table(part / "lengths.csv", length_rows(results, settings.seed))
         write_json(part / SUMMARY, summary)
     return summary
 
 
 def _results(
-    replay: Replay, figure: PublishedFigure, settings: PublishedNoiseSettings
+    replay: Replay, figure: PublishedFigure, settings: PublishedNoiseSettings, tell: Tell
 ) -> List[Result]:
-    blocks = [
-        replay.deviations(range(start, min(start + _SEEDS_AT_A_TIME, settings.seeds)))
-        for start in range(0, settings.seeds, _SEEDS_AT_A_TIME)
-    ]
+    starts = range(0, settings.seeds, _SEEDS_AT_A_TIME)
+    blocks = [range(start, min(start + _SEEDS_AT_A_TIME, settings.seeds)) for start in starts]
+    every = [d for d in combinations() if not (d.aliasing and d.unbent)]
     results = []
-    for defects in combinations():
-        deviations = np.concatenate([block[defects] for block in blocks])
-        likeness = compare(figure.deviations, deviations, settings.seed)
-        results.append(Result(defects, deviations, likeness))
-    return results
+    with progress(
+        "published_noise", len(every) * len(blocks), tell, unit="block", things=" blocks"
+    ) as note:
+        for defects in every:
+            lengths = []
+            for block in blocks:
+                lengths.append(replay.lengths(defects, block))
+                note()
+            results.append(Result.of(defects, np.concatenate(lengths), figure.lengths))
+    # With aliasing, bent or not is the same to the last bit.
+    aliased = [result for result in results if result.defects.aliasing]
+    return [*results, *(replace(r, defects=replace(r.defects, unbent=True)) for r in aliased)]
 
 
 def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> Dict[str, Any]:
-    simulated, drawn = (
-        float(np.hypot(*(corners[3] - corners[2]))) for corners in (drive.corners, figure.corners)
+    simulated, shown = (
+        float(np.hypot(*(corners[3] - corners[2])))
+        for corners in (drive.corners, figure.perfect_corners)
     )
     speed = simulated * OPEN_LOOP_RATE / Square().side_commands
     return {
-        "side_deviation_m": rounded(figure.deviations[:SIDES]),
-        "end_deviation_m": SEEN_AT_END,
+        "lengths_m": dict(zip(LENGTHS, rounded(figure.lengths))),
         "third_side_steps": figure.third_side_steps,
-        "sampling_rate_hz": round(speed * figure.third_side_steps / drawn, 3),
+        "sampling_rate_hz": round(speed * figure.third_side_steps / shown, 3),
     }
 
 
@@ -200,35 +216,42 @@ def _pictures(
     results: List[Result],
     settings: PublishedNoiseSettings,
 ) -> Dict[str, Any]:
-    drive = replay.drive
-    likeness = {result.defects: result.likeness for result in results}
-    nearest = [likeness[ALL].nearest]
+    drive, corners = replay.drive, replay.corners
+    by_defects = {result.defects: result for result in results}
+    example = nearest(figure.lengths, by_defects[ALL].lengths)
     best = results[0].defects
     # All, the best, none, each alone, all but each.
     alone = [Defects(**{name: True}) for name in DEFECTS]
-    all_but = [Defects(**{n: n != name for n in DEFECTS}) for name in DEFECTS]
+    all_but = {name: replace(ALL, **{name: False}) for name in DEFECTS}
     examples = range(min(_EXAMPLES, settings.seeds))
-    shown = {
-        defects: (replay.noisy(defects, examples)[..., :2], likeness[defects].p_value)
-        for defects in dict.fromkeys([ALL, best, NONE, *alone, *all_but])
+    paths = {
+        defects: replay.noisy(defects, examples)[..., :2]
+        for defects in dict.fromkeys([ALL, best, NONE, *alone, *all_but.values()])
     }
+    shown = {defects: (p, by_defects[defects].p_values["all"]) for defects, p in paths.items()}
     ways = np.hypot(*np.diff(drive.poses[:, :2], axis=0, prepend=np.nan).T)
     third = drive.stamps[(drive.sides == 2) & (ways > MIN_TRANSLATION)]
     turns = {}
-    for defects in (ALL, Defects(**{n: n != "unwrapped" for n in DEFECTS})):
-        seen = replay.messages(defects, nearest)[:, 0]
-        turns[defects] = drive.stamps[seen], drive.poses[seen], replay.noisy(defects, nearest)[:, 0]
-    replays = [replay.noisy(defects, nearest)[:, 0, :2] for defects in (ALL, NONE)]
+    for defects in (ALL, all_but["unwrapped"]):
+        seen = replay.messages(defects, [example])[:, 0]
+        noisy = replay.noisy(defects, [example])[:, 0]
+        turns[defects] = drive.stamps[seen], drive.poses[seen], noisy
+    replays = [replay.noisy(defects, [example])[:, 0, :2] for defects in (ALL, NONE)]
     return {
-        "compare.png": compare_figure(figure, drive.corners, replays, settings.seed + nearest[0]),
-        "defects.png": defects_figure(figure, drive.corners, shown, best, settings.std),
+        "compare.png": compare_figure(figure, corners, replays, settings.seed + example),
+        "corners.png": corners_figure(
+            figure,
+            corners,
+            {"as published": paths[ALL], "all but aliasing": paths[all_but["aliasing"]]},
+        ),
+        "defects.png": defects_figure(figure, corners, shown, best, settings.std),
         "first_turns.png": first_turns_figure(turns, (third[0], third[-1])),
-        "sides.png": sides_figure(results, figure.deviations),
+        "lengths.png": lengths_figure(results, figure.lengths),
     }
 
 
-def _run(folder: Path, settings: PublishedNoiseSettings, _tell: Tell) -> None:
-    print("\n".join(verdict_lines(run_published_noise(folder, settings))))
+def _run(folder: Path, settings: PublishedNoiseSettings, tell: Tell) -> None:
+    print("\n".join(verdict_lines(run_published_noise(folder, settings, tell))))
 
 
 def main(words: Optional[Sequence[str]] = None) -> NoReturn:

@@ -3,17 +3,19 @@ import pytest
 
 from bullet_lab.core.figures import save
 from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
+from bullet_lab.studies.published_noise.drawn_paths import LENGTHS, PublishedFigure
 from bullet_lab.studies.published_noise.figures import (
     compare_figure,
+    corners_figure,
     defects_figure,
     first_turns_figure,
-    sides_figure,
+    lengths_figure,
 )
-from bullet_lab.studies.published_noise.results import QUANTILES, Likeness, Result
-from bullet_lab.studies.published_noise.side_deviation import PublishedFigure
+from bullet_lab.studies.published_noise.results import EVIDENCE, QUANTILES, PValue, Result
 
 CORNERS = np.array([(0, 0), (2, 0), (2, -2), (0, -2), (0, 0)], dtype=float)
-FIGURE_1B = PublishedFigure(CORNERS + 0.01, CORNERS, np.zeros(5), 9)
+FIGURE_1B = PublishedFigure(CORNERS + 0.01, np.arange(5), CORNERS, np.zeros(6))
+EXPLAINS, EXCLUDED, OPEN = PValue(0.5, 0.6), PValue(0.001, 0.002), PValue(0.04, 0.1)
 
 
 def saved(figure, path):
@@ -41,7 +43,8 @@ def test_sheet_shows_the_published_figure_first_then_each_combination(tmp_path, 
     all_but = [Defects(**{other: other != name for other in DEFECTS}) for name in DEFECTS]
     paths = np.stack([CORNERS, CORNERS + 0.1, CORNERS + 0.2], axis=1)
     every = [ALL, best, NONE, *alone, *all_but]
-    shown = {d: (paths, 0.5 if d in (ALL, best) else 0.001) for d in every}
+    shown = {d: (paths, EXPLAINS if d in (ALL, best) else EXCLUDED) for d in every}
+    shown[alone[-1]] = paths, OPEN
     figure = defects_figure(FIGURE_1B, CORNERS, shown, best, 0.1)
     first, *others = figure.axes
     assert "1b" in first.get_title()
@@ -52,37 +55,44 @@ def test_sheet_shows_the_published_figure_first_then_each_combination(tmp_path, 
     explaining = [axes.get_title() for axes in drawn if "explains" in texts(axes)]
     assert len(explaining) == (3 if best == NONE else 2)
     assert any("as published" in title for title in explaining)
+    assert sum("too few seeds" in texts(axes) for axes in drawn) == 1
     saved(figure, tmp_path / "a.png")
 
 
-def result_of(defects, quantiles, log10_ratio, p_value):
+def test_corners(tmp_path):
+    paths = np.stack([CORNERS, CORNERS + 0.003], axis=1)
+    figure = corners_figure(FIGURE_1B, CORNERS, {"one": paths, "other": paths + 0.001})
+    starts, ends = figure.axes[:3], figure.axes[3:]
+    assert [axes.get_title() for axes in starts] == ["figure 1b", "one", "other"]
+    bold = [axes.lines[-2] for axes in (starts[0], starts[2], ends[2])]
+    assert [line.get_ydata()[0] for line in bold[:2]] == pytest.approx([10.0, 1.0])
+    # In mm from the first corner.
+    assert bold[2].get_xdata()[:2] == pytest.approx([-1999.0, 1.0])
+    saved(figure, tmp_path / "a.png")
+
+
+def result_of(defects, quantiles, p_value):
     # Runs whose quantiles these are.
     runs = np.array([np.interp(np.linspace(0, 1, 21), QUANTILES, q) for q in quantiles.T]).T
-    logarithm = log10_ratio * np.log(10.0)
-    return Result(defects, runs, Likeness(logarithm, 0.0, np.zeros(5), p_value, 0))
+    return Result(defects, runs, dict.fromkeys(EVIDENCE, p_value), np.zeros(6))
 
 
-def test_sides(tmp_path):
-    quantiles = np.outer([1e-5, 1e-4, 1e-3, 1e-2, 0.1], [1, 1, 2, 1, 1])
+def test_lengths(tmp_path):
+    quantiles = np.outer([1e-5, 1e-4, 1e-3, 1e-2, 0.1], [1, 1, 2, 1, 1, 1])
     alike = [Defects(aliasing=True, unwrapped=is_in, sampled=True) for is_in in (True, False)]
     results = [
-        *(result_of(defects, quantiles, 0.0, 0.4) for defects in alike),
-        result_of(NONE, 0.0 * quantiles, -2.0, 0.002),
-        result_of(ALL, 10 * quantiles, -40.0, 0.001),
+        *(result_of(defects, quantiles, EXPLAINS) for defects in alike),
+        result_of(NONE, 0.0 * quantiles, OPEN),
+        result_of(ALL, 10 * quantiles, EXCLUDED),
     ]
-    figure = sides_figure(results, np.array([0.001, 0.0, 0.2, 0.003, 0.0]))
-    switches, *sides, scores = figure.axes
+    figure = lengths_figure(results, np.array([0.001, 0.0, 0.2, 0.003, 0.0, 0.001]))
+    switches, *middle, right = figure.axes
     assert len(switches.lines) == 15
     assert [line.get_marker() for line in switches.lines[:5]] == ["o", "_", "o", "o", "o"]
-    assert [axes.get_title() for axes in sides] == [
-        *(f"side {k}" for k in (1, 2, 3, 4)),
-        "end of the drive",
-    ]
-    medians = sides[2].lines[0].get_xdata()
+    assert [axes.get_title().replace(" ", "") for axes in middle] == list(LENGTHS)
+    medians = middle[2].lines[0].get_xdata()
     assert medians == pytest.approx([2e-3, 1e-4, 2e-2])
-    assert {"1.00", "0.40", "1 / 100", "$10^{-40}$", "< 0.01"} <= {
-        text.get_text() for text in scores.texts
-    }
+    assert {"0.50", "0.04", "< 0.002", "p of\ncorners"} <= {text.get_text() for text in right.texts}
     saved(figure, tmp_path / "a.png")
 
 
