@@ -117,6 +117,14 @@ class DockLogError(LabError):
     """A log that this campaign cannot go on with."""
 
 
+def _finite(text: str) -> float:
+    """Return a number that is written out; raises ValueError for NaN and what is too large."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(text)
+    return value
+
+
 class DockLog:
     """Lines of JSON: the campaign's parameters, then a docking each, in the order they came.
 
@@ -201,7 +209,7 @@ class DockLog:
 
     def _parse(self, line: bytes, number: int) -> Dict[str, Any]:
         try:
-            values = json.loads(line)
+            values = json.loads(line, parse_constant=_finite, parse_float=_finite)
         except ValueError:
             values = None
         if not isinstance(values, dict):

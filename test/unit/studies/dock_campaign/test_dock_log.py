@@ -120,3 +120,12 @@ def test_a_full_disk_is_an_error(path):
         log.append(record(0))
     assert log.records == {}
     log.close()
+
+
+@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999"])
+def test_numbers_that_are_none_are_refused(path, number):
+    written(path, 0)
+    with path.open("a") as file:
+        file.write(f'{{"index": 1, "x": {number}}}\n')
+    with pytest.raises(DockLogError, match="line 3: this is no line of a campaign"):
+        DockLog(path, PARAMETERS)
