@@ -10,7 +10,7 @@ from bullet_lab.errors import LabError
     [
         ("std is -1", "std is -1"),
         ("a\nb\t c", "a b c"),
-        (f"id is {10_000 * '9'}: no id", f"id is {150 * '9'}…{150 * '9'}: no id"),
+        (f"id is {10_000 * '9'}: no id", f"id is {150 * '9'}…{149 * '9'}: no id"),
         ("x" * 399, "x" * 399),
     ],
 )
