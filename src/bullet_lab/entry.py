@@ -6,6 +6,7 @@ import importlib
 import os
 import signal
 import sys
+from urllib.parse import urlsplit
 
 from bullet_lab.errors import LabError
 
@@ -22,6 +23,7 @@ def run(target: str) -> None:
     name = os.path.basename(sys.argv[0])
     # With several, the last bit of a sum depends on how many cores there are.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    keep_to_this_machine()
     end_at_once_when_interrupted()
     try:
         main = getattr(importlib.import_module(module), function or "main")
@@ -33,6 +35,22 @@ def run(target: str) -> None:
     if signal.getsignal(signal.SIGINT) is _end_at_once:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     main()
+
+
+def keep_to_this_machine() -> None:
+    """Have rospy listen on the loopback, unless the environment names an address or a master.
+
+    rospy itself listens on all interfaces, and whoever reaches a node may stop it.
+    """
+    if any(os.environ.get(name) for name in ("ROS_IP", "ROS_HOSTNAME")):
+        return
+    try:
+        master = urlsplit(os.environ.get("ROS_MASTER_URI", "")).hostname or "localhost"
+    except ValueError:
+        # rospy will say so.
+        return
+    if master in ("localhost", "::1") or master.startswith("127."):
+        os.environ["ROS_HOSTNAME"] = "localhost"
 
 
 def end_at_once_when_interrupted() -> None:

@@ -4,6 +4,9 @@ import subprocess
 import sys
 
 import pytest
+from rosgraph.network import get_bind_address
+
+from bullet_lab.entry import keep_to_this_machine
 
 INTERRUPT = "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
 SWALLOWED = f"try:\n    exec({INTERRUPT!r})\nexcept KeyboardInterrupt:\n    pass\n"
@@ -30,3 +33,27 @@ def test_main_gets_the_interrupt_again(tmp_path):
         [sys.executable, "-m", "program"], cwd=tmp_path, capture_output=True, text=True
     )
     assert run.stdout == "in order\n", run.stderr
+
+
+@pytest.mark.parametrize(
+    ("given", "address"),
+    [
+        ({}, "127.0.0.1"),
+        ({"ROS_MASTER_URI": "http://localhost:11311"}, "127.0.0.1"),
+        ({"ROS_MASTER_URI": "http://127.0.0.1:4", "ROS_IP": ""}, "127.0.0.1"),
+        ({"ROS_MASTER_URI": "nonsense"}, "127.0.0.1"),
+        ({"ROS_MASTER_URI": "http://robot:11311"}, "0.0.0.0"),
+        ({"ROS_MASTER_URI": "http://localhost:11311", "ROS_IP": "192.168.1.2"}, "0.0.0.0"),
+        ({"ROS_HOSTNAME": "robot"}, "0.0.0.0"),
+    ],
+)
+def test_nodes_listen_on_the_loopback_unless_they_are_opened(monkeypatch, given, address):
+    for name in ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME", "ROS_IPV6"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("sys.argv", ["node"])
+    # Set and taken back: what the function itself sets goes with it.
+    monkeypatch.setenv("ROS_HOSTNAME", "")
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    keep_to_this_machine()
+    assert get_bind_address() == address
