@@ -30,6 +30,7 @@ from bullet_lab.simulation.forces import Forces
 from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose
 from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_name
 from bullet_lab.simulation.physics.physics import Body, Physics
+from bullet_lab.simulation.physics.traction import Traction
 from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin, namespace_of
 from bullet_lab.simulation.plugins.plugin import NAMESPACE
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
@@ -74,6 +75,7 @@ class Simulation:
         # Names of the models, and their bodies, by the bodies' unique ids.
         self._owners: Dict[int, str] = {}
         self._bodies: Dict[int, Body] = {}
+        self._tractions: List[Traction] = []
         self._acting: List[Plugin] = []
         self._measuring: List[Union[Plugin, Timer]] = []
         self._timers: List[Union[Plugin, Timer]] = []
@@ -168,6 +170,7 @@ class Simulation:
         self._instances[name] = instance
         for body in bodies.values():
             self._owners[body.unique_id], self._bodies[body.unique_id] = name, body
+        self._find_tractions()
         self._acting.extend(plugin for plugin in plugins if plugin.acts)
         self._measuring.extend(plugin for plugin in plugins if plugin.schedule is not None)
         return instance
@@ -183,6 +186,7 @@ class Simulation:
             self._spent.pop(plugin, None)
         for body in instance.bodies.values():
             del self._owners[body.unique_id], self._bodies[body.unique_id]
+        self._find_tractions()
         self._acting = [p for p in self._acting if p not in instance.plugins]
         self._measuring = [p for p in self._measuring if p not in instance.plugins]
 
@@ -302,6 +306,7 @@ class Simulation:
             acting.append(self.forces.before_step)
         if any(body.settling for body in self._bodies.values()):
             acting.append(self._settle)
+        acting += [traction.before_step for traction in self._tractions]
         advance = self._physics.step
         step = self.step
         while step < stop:
@@ -310,6 +315,10 @@ class Simulation:
             advance()
             step += 1
         self.step = step
+
+    def _find_tractions(self) -> None:
+        tractions = (body.traction for body in self._bodies.values())
+        self._tractions = [traction for traction in tractions if traction is not None]
 
     def _settle(self, _: int) -> None:
         """Let no body be thrown out of what it was put into."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.errors import LabError
@@ -22,7 +22,9 @@ from bullet_lab.simulation.physics.bodies import (
     net_motor,
 )
 from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
+from bullet_lab.simulation.physics.skidding import skidding_wheels, fit_for_skidding
 from bullet_lab.simulation.physics.surfaces import wants_friction_pyramid
+from bullet_lab.simulation.physics.traction import Traction
 from bullet_lab.simulation.world.description import Inertia, Joint, Model
 from bullet_lab.simulation.world.inertia import principal_axes
 from bullet_lab.simulation.world.tree import top_down
@@ -71,7 +73,10 @@ class Body:
         joint_names: of the movable joints; balls, which have no single position, are not named.
         turned_inertia: whether the root's principal axes are turned against its frame.
         settling: in how many steps at most `settle` is still needed, since it was put somewhere.
+        traction: the friction of wheels that steer it by slipping, if it has such.
     """
+
+    traction: Optional[Traction] = None
 
     def __init__(self, client: int, unique_id: int, parts: Sequence[Part]):
         self.unique_id = unique_id
@@ -198,6 +203,8 @@ class Body:
         creeps. A point that sticks is pulled back to where it first touched, by a force within
         the limits of friction. Not for wheels that roll: they would bump.
         """
+        if self.traction is not None:
+            return
         for index in self._links[self.part_at(self._joints[name]).link.name]:
             self._call(pybullet.changeDynamics, index, frictionAnchor=int(sticking))
             if sticking:
@@ -208,6 +215,7 @@ class Body:
         """Let the body slide freely, for a device that models its friction itself."""
         for index in range(ROOT, len(self.parts) - 1):
             self._call(pybullet.changeDynamics, index, lateralFriction=0.0)
+        self.traction = None
 
     def link_index(self, name: str) -> int:
         """Return PyBullet's index of a link, -1 for the root."""
@@ -245,6 +253,8 @@ class Body:
         self._replace_part(index, link=replace(self.part_at(index).link, inertia=inertia))
         properties = {"mass": inertia.mass, "localInertiaDiagonal": moments}
         self._call(pybullet.changeDynamics, index, **properties)
+        if self.traction is not None:
+            self.traction.tune()
 
     def _replace_part(self, index: int, **changes: Any) -> Part:
         parts = list(self.parts)
@@ -283,6 +293,8 @@ class Body:
         self.set_velocity(linear, angular)
         self._given = (linear, angular)
         self._way_out, self.settling = NOWHERE, SETTLING_STEPS
+        if self.traction is not None:
+            self.traction.forget()
 
     def _control(self, joint: str, mode: int, **targets: float) -> None:
         self._call(pybullet.setJointMotorControl2, self._joints[joint], mode, **targets)
@@ -304,6 +316,7 @@ class Physics:
             deterministicOverlappingPairs=1, physicsClientId=self.client
         )
         self._maker = BodyMaker(self.client)
+        self._bodies: Dict[int, Body] = {}
 
     def close(self) -> None:
         """Give everything back; the object is of no use afterwards."""
@@ -338,12 +351,19 @@ class Physics:
                     if link.inertia is None or link.inertia.mass == 0.0:
                         raise PhysicsError(f"link '{link.name}' moves and has no mass")
                 place = model.pose * root.pose
+                skidding = [] if held else skidding_wheels(links, joints)
+                if skidding:
+                    links = fit_for_skidding(links, skidding)
                 body = Body(self.client, *self._maker.make(links, joints, model.static, place))
-                bodies[root.name] = body
+                bodies[root.name] = self._bodies[body.unique_id] = body
+                if skidding:
+                    body.traction = Traction(body, skidding, self._bodies)
                 if any(link.self_collide for link in links):
                     part_the_links(body)
                 body.place(place)
-                if not model.static and wants_friction_pyramid(links, joints):
+                names = [wheel.link for wheel in skidding]
+                rest = [link for link in links if link.name not in names]
+                if not model.static and wants_friction_pyramid(rest, joints):
                     self._use_friction_pyramid()
         except LabError as error:
             self.remove(bodies)
@@ -366,6 +386,10 @@ class Physics:
         """Take the bodies of a model out of the world."""
         for body in bodies.values():
             pybullet.removeBody(body.unique_id, self.client)
+            del self._bodies[body.unique_id]
+        for body in self._bodies.values():
+            if body.traction is not None:
+                body.traction.forget()
 
 
 def same_place(one: Pose, other: Pose) -> bool:

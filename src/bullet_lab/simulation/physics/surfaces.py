@@ -66,7 +66,7 @@ class Surface:
         axis = shape.direction and shape.pose.rotate(shape.direction)
         if axis and shape.cross_friction is not None:
             other = shape.cross_friction
-            if axle and abs(_cosine(axis, axle)) < ALIGNED:
+            if axle and abs(cosine(axis, axle)) < ALIGNED:
                 axis, one, other = axle, other, one
         most = max(one, other)
         if one == other:
@@ -122,7 +122,7 @@ def on_treads(shapes: Sequence[Collision], axle: Optional[Vector]) -> List[Colli
         return list(shapes)
     (wheel,) = shapes
     radius, width = wheel.geometry.radius, wheel.geometry.length
-    aslant = abs(_cosine(wheel.pose.rotate((0.0, 0.0, 1.0)), axle)) < ALIGNED
+    aslant = abs(cosine(wheel.pose.rotate((0.0, 0.0, 1.0)), axle)) < ALIGNED
     if aslant or width <= TREAD:
         return [wheel]
     rim = Cylinder((1.0 - RIM) * radius, width)
@@ -143,11 +143,12 @@ def wants_friction_pyramid(links: Sequence[Link], joints: Sequence[Joint]) -> bo
         return True
     lines = [(link.pose.position, link.pose.rotate(axles[link.name])) for link in wheels]
     return any(
-        abs(_cosine(one, other)) > ALIGNED
+        abs(cosine(one, other)) > ALIGNED
         and math.hypot(*cross(subtract(place, origin), one)) > NEAR
         for (origin, one), (place, other) in combinations(lines, 2)
     )
 
 
-def _cosine(one: Vector, other: Vector) -> float:
+def cosine(one: Vector, other: Vector) -> float:
+    """Return the cosine between two unit vectors."""
     return sum(a * b for a, b in zip(one, other))
