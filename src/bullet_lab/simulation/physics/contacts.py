@@ -18,7 +18,8 @@ class ContactPoint:
 
     `index` is PyBullet's of the link, or of the helper that carries what touches; `other` the
     other body's unique id and link's index. Places and depth are in m, the normal points from the
-    other link to this one, and `force` is that on this link, friction included, in N.
+    other link to this one, and `force` is that on this link in N, friction included but that of
+    wheels with a `Traction` of their own.
     """
 
     index: int

@@ -22,7 +22,7 @@ from bullet_lab.simulation.physics.bodies import (
     net_motor,
 )
 from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
-from bullet_lab.simulation.physics.skidding import skidding_wheels, fit_for_skidding
+from bullet_lab.simulation.physics.skidding import fit_for_skidding, skidding_wheels
 from bullet_lab.simulation.physics.surfaces import wants_friction_pyramid
 from bullet_lab.simulation.physics.traction import Traction
 from bullet_lab.simulation.world.description import Inertia, Joint, Model
@@ -203,9 +203,9 @@ class Body:
         creeps. A point that sticks is pulled back to where it first touched, by a force within
         the limits of friction. Not for wheels that roll: they would bump.
         """
-        if self.traction is not None:
-            return
         for index in self._links[self.part_at(self._joints[name]).link.name]:
+            if self.traction is not None and self.traction.rubs(index):
+                continue
             self._call(pybullet.changeDynamics, index, frictionAnchor=int(sticking))
             if sticking:
                 # Only new points stick: setting the filter, to what it is, drops the old.
@@ -215,6 +215,8 @@ class Body:
         """Let the body slide freely, for a device that models its friction itself."""
         for index in range(ROOT, len(self.parts) - 1):
             self._call(pybullet.changeDynamics, index, lateralFriction=0.0)
+        slick = (replace(part, surface=replace(part.surface, friction=0.0)) for part in self.parts)
+        self.parts = tuple(slick)
         self.traction = None
 
     def link_index(self, name: str) -> int:
@@ -376,9 +378,7 @@ class Physics:
         """Limit friction along two directions each for itself, in the whole world.
 
         ODE, Gazebo's engine, does so by default. Bullet's default, a cone, solves the directions
-        together, and wheels that slip sideways while they are driven then hardly push: a robot
-        that steers by slipping turned at 0.1 to 0.6 of what it was told, as its heading had it,
-        and at 0.6 to 0.8 with the pyramid (Coulomb's law says 0.61 for it).
+        together, and wheels that slip sideways while they are driven then hardly push.
         """
         pybullet.setPhysicsEngineParameter(enableConeFriction=0, physicsClientId=self.client)
 
@@ -389,7 +389,7 @@ class Physics:
             del self._bodies[body.unique_id]
         for body in self._bodies.values():
             if body.traction is not None:
-                body.traction.forget()
+                body.traction.forget_others()
 
 
 def same_place(one: Pose, other: Pose) -> bool:

@@ -182,7 +182,7 @@ def _columns(links: Sequence[Link], joints: Sequence[Joint]) -> Tuple[Dict[str, 
             continue
         place = np.array((link.pose * Pose(joint.anchor)).position)
         turn = link.pose.rotation_matrix()
-        axes = turn.T if joint.kind == "ball" else [turn @ joint.axis]
+        axes = {"ball": turn.T, "fixed": ()}.get(joint.kind, [turn @ joint.axis])
         at = None if joint.kind == "prismatic" else place
         own = [(count + number, axis, at) for number, axis in enumerate(axes)]
         columns[link.name] = columns[joint.parent] + own

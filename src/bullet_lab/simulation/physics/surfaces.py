@@ -133,7 +133,7 @@ def wants_friction_pyramid(links: Sequence[Link], joints: Sequence[Joint]) -> bo
     """Return whether the friction of a body needs a limit for each direction.
 
     So it does where wheels slip while they are driven: slippery ones, and those on parallel axles
-    apart, which steer by slipping; and if a shape names a direction.
+    apart; and if a shape names a direction. Wheels with a `Traction` of their own do not count.
     """
     if any(shape.direction for link in links for shape in link.collisions):
         return True

@@ -13,29 +13,30 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Protocol, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.simulation.physics.bodies import Part
 from bullet_lab.simulation.physics.engine import pybullet
 from bullet_lab.simulation.physics.skidding import SkiddingWheel, wheel_mobility
-
-if TYPE_CHECKING:
-    from bullet_lab.simulation.physics.physics import Body
+from bullet_lab.simulation.world.description import Link
 
 # Something along a wheel's way, and across it.
 Both = Tuple[float, float]
 # Of what would stop a slip: the part that acts in a step, and the part of it that is kept for the
 # next ones, as a spring keeps it.
-STOPPING = 0.6
-KEEPING = 0.02
+STOPPING = 1.5
+KEEPING = 0.2
 # What part of a step's load counts; Bullet may carry a wheel in small pushes.
 LOAD_SMOOTHING = 0.1
-# In N: a limit is no smaller.
-SLIGHT = 1e-6
-ITERATIONS = 2
+# No load (N) and no coefficient is smaller.
+SLIGHT = SLICK = 1e-6
+# Of Newton's method: how near 1 is near enough, and how many iterations at most.
+NEARLY = 1.0 + 1e-5
+ITERATIONS = 20
 # A body that gives way to a push at its rim gives way so much more than its mass says.
 YIELDING = 4.0
 # Sine of the angle between an axle and the normal of what the wheel's flank touches, at most.
@@ -72,11 +73,26 @@ def limited(wanted: Both, gains: Both, most: Both) -> Tuple[float, float, float]
     for _ in range(ITERATIONS):
         u, v = x / (1.0 + s * p), y / (1.0 + s * q)
         square = u * u + v * v
+        length = math.sqrt(square)
+        if length < NEARLY:
+            break
         slope = u * u * p / (1.0 + s * p) + v * v * q / (1.0 + s * q)
-        s += (math.sqrt(square) - 1.0) * square / slope
-    u, v = x / (1.0 + s * p), y / (1.0 + s * q)
-    length = math.sqrt(u * u + v * v)
+        s += (length - 1.0) * square / slope
     return u / length * most[0], v / length * most[1], 1.0 / (1.0 + s * min(p, q))
+
+
+class Body(Protocol):
+    """What is needed here of `physics.Body`."""
+
+    unique_id: int
+    client: int
+    links: Tuple[Link, ...]
+    parts: Tuple[Part, ...]
+    com_place: Callable[[], Tuple[Vector, Any]]
+    near_points: Callable[[], Sequence[tuple]]
+    velocity: Callable[[], Tuple[Vector, Vector]]
+    link_indices: Callable[[str], Tuple[int, ...]]
+    part_at: Callable[[int], Part]
 
 
 @dataclass(frozen=True)
@@ -118,13 +134,16 @@ class Wheel:
         if not touching:
             self._kept = (0.0, 0.0)
 
-    def rub(self, slip: Both, contact: Contact) -> Both:
-        """Return the friction (N) that a slip (m/s) makes, each along and across."""
-        (mu, mu2), (gain, gain2) = contact.coefficients, self.gains
-        gain, gain2 = contact.share * gain, contact.share * gain2
+    def rub(self, slip: Both, coefficients: Both, share: float) -> Both:
+        """Return the friction (N) that a slip (m/s) makes, each along and across.
+
+        `share` is the part of the gains that counts.
+        """
+        gain, gain2 = share * self.gains[0], share * self.gains[1]
         stop, stop2 = gain * slip[0], gain2 * slip[1]
         wanted = self._kept[0] - STOPPING * stop, self._kept[1] - STOPPING * stop2
-        most = max(SLIGHT, mu * self.load), max(SLIGHT, mu2 * self.load)
+        load = max(self.load, SLIGHT)
+        most = coefficients[0] * load, coefficients[1] * load
         along, across, left = limited(wanted, (gain, gain2), most)
         passing = left * (STOPPING - KEEPING)
         self._kept = along + passing * stop, across + passing * stop2
@@ -142,7 +161,9 @@ class Traction:
 
     def __init__(self, body: Body, wheels: Sequence[SkiddingWheel], others: Mapping[int, Body]):
         self._body, self._others, self._told = body, others, tuple(wheels)
-        self._wheels = [Wheel(body.link_index(w.link), _principal_axle(body, w)) for w in wheels]
+        self._wheels = [
+            Wheel(body.link_indices(w.link)[0], _principal_axle(body, w)) for w in wheels
+        ]
         self.tune()
         # By PyBullet's index of a wheel's link or of a helper.
         self._owners = {
@@ -153,6 +174,7 @@ class Traction:
         for index in self._owners:
             self._call(pybullet.changeDynamics, body, index, lateralFriction=0.0)
         self._contacts: Dict[Tuple[int, int, int], Contact] = {}
+        self._known = False
         indices = [wheel.index for wheel in self._wheels]
         self._states = partial(pybullet.getLinkStates, body.unique_id, indices, 1, 0, body.client)
 
@@ -168,14 +190,26 @@ class Traction:
         for wheel, along, across in zip(self._wheels, gains[::2], gains[1::2]):
             wheel.gains = (along, across)
 
-    def forget(self) -> None:
-        """Begin anew where the body was put somewhere, or another was taken away."""
+    def forget_others(self) -> None:
+        """Learn anew what other bodies are like, where one was taken away."""
         self._contacts.clear()
+
+    def forget(self) -> None:
+        """Begin anew where the body was put somewhere."""
+        self._known = False
         for wheel in self._wheels:
             wheel.let_go()
 
+    def rubs(self, index: int) -> bool:
+        """Return whether the friction of the link with PyBullet's index is made here."""
+        return index in self._owners
+
     def before_step(self, _: int) -> None:
         """Let the wheels rub in the coming step."""
+        if not self._known:
+            # What they touch there is not.
+            self._known = True
+            return
         touching: Dict[int, List[tuple]] = {wheel.index: [] for wheel in self._wheels}
         for point in self._body.near_points():
             # What is merely near does not rub; what comes apart overlaps without a force.
@@ -191,22 +225,25 @@ class Traction:
 
     def _rub(self, wheel: Wheel, state: tuple, points: Sequence[Tuple[float, tuple]]) -> None:
         axle = Pose(quaternion=state[1]).rotate(wheel.axle)
-        along = across = 0.0
-        touches = []
+        # Friction is shared out among the points by what each can hold.
+        one = other = along = across = 0.0
+        gives, touches = 1.0, []
         for share, point in points:
             contact, place = self._contact(point), point[5]
             way, side = _tangents(axle, point[7])
             slip = add(state[6], cross(state[7], subtract(place, state[0])))
             if contact.other is not None:
                 slip = subtract(slip, _velocity_of(*contact.other, place))
-            along += share * _dot(slip, way)
-            across += share * _dot(slip, side)
-            touches.append((share, contact, place, way, side))
-        # Of several things that a wheel touches, what carries most of it counts.
-        strongest = max(touches, key=lambda touch: touch[0])[1]
-        along, across = wheel.rub((along, across), strongest)
-        for share, contact, place, way, side in touches:
-            x, y = share * along, share * across
+            mu, mu2 = share * contact.coefficients[0], share * contact.coefficients[1]
+            one, other = one + mu, other + mu2
+            along += mu * _dot(slip, way)
+            across += mu2 * _dot(slip, side)
+            gives = min(gives, contact.share)
+            touches.append((mu, mu2, contact, place, way, side))
+        one, other = max(one, SLICK), max(other, SLICK)
+        along, across = wheel.rub((along / one, across / other), (one, other), gives)
+        for mu, mu2, contact, place, way, side in touches:
+            x, y = mu / one * along, mu2 / other * across
             force = (x * way[0] + y * side[0], x * way[1] + y * side[1], x * way[2] + y * side[2])
             self._push(self._body, wheel.index, force, place)
             if contact.other is not None:
@@ -238,7 +275,7 @@ class Traction:
 
 
 def _principal_axle(body: Body, wheel: SkiddingWheel) -> Vector:
-    frame = body.part_at(body.link_index(wheel.link)).mass_properties()[2]
+    frame = body.part_at(body.link_indices(wheel.link)[0]).mass_properties()[2]
     return frame.inverse().rotate(wheel.axle)
 
 

@@ -299,9 +299,9 @@ def _hub_pose(joint: Joint, angle: float) -> Pose:
 class SkidSteer(WheelDrive):
     """Turns the wheels of each side as commanded and reports where the robot is.
 
-    To turn, the wheels must slip sideways, so the robot turns less than commanded; how much less
-    is up to the friction, which is that of ODE's pyramid in a world with such a robot. The
-    odometry is the true pose (z is 0 in it, not in the transform).
+    To turn, the wheels must slip sideways, so the robot turns less than commanded, as Coulomb's
+    law has it (`physics/traction.py`). The odometry is the true pose (z is 0 in it, not in the
+    transform).
     """
 
     filenames = ("libgazebo_ros_skid_steer_drive.so",)
