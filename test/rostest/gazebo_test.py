@@ -548,9 +548,12 @@ class PropertiesTest(GazeboCase):
         told.ixx = told.iyy = told.izz = 1.5
         self.assertTrue(change(told).success)
         rod = call("/gazebo/get_link_properties", GetLinkProperties, "swing::rod")
-        self.assertEqual((3.0, 1.5), (rod.mass, rod.izz))
+        self.assertEqual((3.0, 1.5, True), (rod.mass, rod.izz, rod.gravity_mode))
+        told.gravity_mode = False
+        self.assertTrue(change(told).success)
+        rod = call("/gazebo/get_link_properties", GetLinkProperties, "swing::rod")
+        self.assertFalse(rod.gravity_mode)
         for field, value, said in (
-            ("gravity_mode", False, "gravity cannot"),
             ("mass", -1.0, "no body has"),
             ("link_name", "nix", "link .nix. does not exist"),
             ("link_name", "ground_plane::link", "never moves"),

@@ -2,6 +2,7 @@
 """Launch files, robots and scripts written for Gazebo do here what they do there."""
 
 import contextlib
+import importlib
 import math
 import os
 import re
@@ -125,6 +126,15 @@ def world():
 def state_of(name):
     """State of a model."""
     return rospy.ServiceProxy("/gazebo/get_model_state", GetModelState)(name, "")
+
+
+def reconfigured(name, **settings):
+    """Change settings of a node; return all of them, None where dynamic_reconfigure is missing."""
+    try:
+        client = importlib.import_module("dynamic_reconfigure.client").Client
+    except ImportError:
+        return None
+    return client(name, timeout=30.0).update_configuration(settings)
 
 
 class TutorialsTest(unittest.TestCase):
@@ -304,6 +314,7 @@ class TutorialsTest(unittest.TestCase):
         cart = Process("roslaunch", "--wait", "tutorials", "cart.launch")
         try:
             expect = self.check("ros_control.py")
+            adjusted = reconfigured("/cart/drive", wheel_separation_multiplier=9.0, publish_rate=20)
         finally:
             cart.end()
         self.assertNotIn("has died", cart.said())
@@ -327,6 +338,9 @@ class TutorialsTest(unittest.TestCase):
         expect("joints", "left_wheel_joint right_wheel_joint mast_joint")
         expect("wheels", "6.25 6.25", 0.1)
         expect("mast", "1 1 10", 0.02)
+        if adjusted is not None:
+            settings = ("wheel_separation_multiplier", "publish_rate", "enable_odom_tf")
+            self.assertEqual([1.5, 20.0, True], [adjusted[name] for name in settings])
         # The spawner has taken its controllers down.
         listing = rospy.ServiceProxy("/cart/controller_manager/list_controllers", ListControllers)
         self.assertEqual([], listing().controller)

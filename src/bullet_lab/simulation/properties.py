@@ -38,8 +38,8 @@ def change_joint(
     instance.model = replace(instance.model, joints=joints)
 
 
-def change_inertia(entity: Entity, inertia: Inertia) -> None:
-    """Change mass and moments of a link.
+def change_link(entity: Entity, inertia: Inertia, gravity: bool) -> None:
+    """Change mass and moments of a link, and whether gravity pulls it.
 
     Raises:
         LabError: it never moves, was merged into another one, or no body has such an inertia; or
@@ -50,9 +50,10 @@ def change_inertia(entity: Entity, inertia: Inertia) -> None:
     where = f"link '{instance.name}::{name}'"
     if instance.model.static or link.inertia is None:
         raise SimulationError(f"{where} never moves")
-    changed = replace(link, inertia=inertia)
+    changed = replace(link, inertia=inertia, gravity=gravity)
     links = tuple(changed if one is link else one for one in instance.model.links)
     model = replace(instance.model, links=links)
     check_proportions(model)
     entity.frame.body.change_inertia(name, inertia)
+    entity.frame.body.change_gravity(name, gravity)
     instance.model = model

@@ -306,6 +306,8 @@ class Simulation:
             acting.append(self.forces.before_step)
         if any(body.settling for body in self._bodies.values()):
             acting.append(self._settle)
+        if any(body.floats for body in self._bodies.values()):
+            acting.append(self._bear)
         acting += [traction.before_step for traction in self._tractions]
         advance = self._physics.step
         step = self.step
@@ -325,6 +327,12 @@ class Simulation:
         for body in self._bodies.values():
             if body.settling:
                 body.settle()
+
+    def _bear(self, _: int) -> None:
+        """Hold up what gravity does not pull."""
+        for body in self._bodies.values():
+            if body.floats:
+                body.bear(self._physics.gravity)
 
     def _shape_name(self, unique_id: int, index: int, place: Vector) -> str:
         return shape_name(self._owners[unique_id], self._bodies[unique_id], index, place)

@@ -6,7 +6,7 @@ import pytest
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.models import find_link
-from bullet_lab.simulation.properties import change_inertia, change_joint
+from bullet_lab.simulation.properties import change_joint, change_link
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Inertia
 from bullet_lab.simulation.world.urdf import read_urdf
@@ -44,7 +44,7 @@ def test_a_heavier_wheel_turns_more_slowly(world):
     world.reset_world()
     robot = world.models["flywheel"]
     wheel = find_link(world.models, "flywheel::wheel")
-    change_inertia(wheel, Inertia(4.0, (0.0, 0.0, 0.0), 2.0 * np.eye(3)))
+    change_link(wheel, Inertia(4.0, (0.0, 0.0, 0.0), 2.0 * np.eye(3)), True)
     assert speed_after(world, 1.0) == pytest.approx(0.25, rel=0.03)
     assert robot.model.links_by_name()["wheel"].inertia.mass == 4.0
 
@@ -74,7 +74,7 @@ def test_stops_and_damping(world):
 )
 def test_refusals(world, inertia, said):
     with pytest.raises(LabError, match=said):
-        change_inertia(find_link(world.models, "wheel"), inertia)
+        change_link(find_link(world.models, "wheel"), inertia, True)
     assert world.models["flywheel"].model.links_by_name()["wheel"].inertia.mass == 1.0
 
 
@@ -82,4 +82,4 @@ def test_what_never_moves_is_refused(world):
     with Simulation.of("package://bullet_lab/worlds/empty.world") as floor:
         link = find_link(floor.models, "ground_plane::link")
         with pytest.raises(LabError, match="never moves"):
-            change_inertia(link, Inertia(1.0, Pose().position, np.eye(3)))
+            change_link(link, Inertia(1.0, Pose().position, np.eye(3)), True)

@@ -255,11 +255,16 @@ class CommandCounter:
     Args:
         routes: returns, for (member, topic, receiver), where arrives what the member sends to
             that node; nothing if it does not arrive at the bridge.
+        changed: what it waits at for arrivals.
     """
 
-    def __init__(self, routes: Callable[[str, str, str], Set[Arrival]]):
+    def __init__(
+        self,
+        routes: Callable[[str, str, str], Set[Arrival]],
+        changed: Optional[threading.Condition] = None,
+    ):
         self._routes = routes
-        self._changed = threading.Condition()
+        self._changed = changed or threading.Condition()
         self._arrived: Counter = Counter()
         self._connections: Dict[Arrival, Any] = {}
         self._ways: Dict[Tuple[str, str, str], _Way] = {}

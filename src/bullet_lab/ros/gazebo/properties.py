@@ -12,7 +12,7 @@ from bullet_lab.ros.gazebo.offers import Answer, offer_between_steps
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import InputError, pose_message, vector_of
 from bullet_lab.simulation.models import find_joint, find_link
-from bullet_lab.simulation.properties import change_inertia, change_joint
+from bullet_lab.simulation.properties import change_joint, change_link
 from bullet_lab.simulation.world.description import Inertia
 from bullet_lab.simulation.world.inertia import INERTIA_KEYS, matrix_from_elements
 
@@ -69,22 +69,22 @@ class GazeboProperties:
     def _link(self, request: Any) -> Answer:
         link = find_link(self._world.models, request.link_name)
         model = link.instance.model
-        inertia = model.links_by_name()[link.link].inertia
+        found = model.links_by_name()[link.link]
+        inertia = found.inertia
         if inertia is None:
             return {"com": pose_message(Pose())}
-        com = pose_message(Pose(inertia.centre))
-        properties = {"com": com, "gravity_mode": not model.static, "mass": inertia.mass}
+        com, pulled = pose_message(Pose(inertia.centre)), found.gravity and not model.static
+        properties = {"com": com, "gravity_mode": pulled, "mass": inertia.mass}
         return {**properties, **inertia.elements()}
 
     def _set_link(self, request: Any) -> Answer:
         link = find_link(self._world.models, request.link_name)
-        if not request.gravity_mode:
-            raise InputError("gravity cannot be switched off for one link")
         elements: Dict[str, float] = {key: getattr(request, key) for key in INERTIA_KEYS}
         if not all(map(math.isfinite, (request.mass, *elements.values()))):
             raise InputError("mass or inertia is not finite")
         centre = vector_of(request.com.position, "the centre of mass")
-        change_inertia(link, Inertia(request.mass, centre, matrix_from_elements(**elements)))
+        inertia = Inertia(request.mass, centre, matrix_from_elements(**elements))
+        change_link(link, inertia, request.gravity_mode)
         return {}
 
 

@@ -3,14 +3,18 @@
 :ROS Services: in the robot's namespace, controller_manager/
     list_controllers, list_controller_types, load_controller, unload_controller,
     switch_controller, reload_controller_libraries (controller_manager_msgs)
+    and below the name of a controller that can be adjusted, set_parameters of dynamic_reconfigure
 """
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 import xmlrpc.client
-from typing import Any, Callable, Dict, List, Optional
+from dataclasses import astuple
+from functools import partial
+from typing import Any, Callable, Collection, Dict, List, Optional
 
 import rosgraph
 import rospy
@@ -18,6 +22,7 @@ import rospy
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
+from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
 from bullet_lab.ros.messages.control_types import msg, srv
 from bullet_lab.simulation.plugins.controllers.controller import Controller, known_controllers
 from bullet_lab.simulation.plugins.controllers.parameters import ControlError, ControlParameters
@@ -63,6 +68,7 @@ class _Manager:
         self._world, self._plugin = world, plugin
         self._ended = threading.Event()
         self._services: List[rospy.Service] = []
+        self._adjusted: Dict[str, Reconfigurable] = {}
         # Of one client at a time.
         self._lock = threading.Lock()
         threading.Thread(target=self._begin, daemon=True).start()
@@ -77,9 +83,10 @@ class _Manager:
 
     def _withdraw(self) -> None:
         with self._lock:
-            for service in self._services:
+            for service in (*self._services, *self._adjusted.values()):
                 service.shutdown()
             self._services.clear()
+            self._adjusted.clear()
 
     def _begin(self) -> None:
         where = f"controller_manager in {self._plugin.namespace}"
@@ -159,9 +166,18 @@ class _Manager:
         if not request.name or not rosgraph.names.is_legal_name(where):
             raise ControlError(f"no controller can be called '{request.name}'")
         parameters = ControlParameters(_parameters(where), where)
-        self._world.do(lambda: self._add(request.name, parameters))
+        controller = self._world.do(lambda: self._add(request.name, parameters))
+        settings = [Setting(*astuple(one)) for one in controller.adjustables]
+        if settings:
+            change = partial(self._adjust, controller)
+            self._adjusted[request.name] = Reconfigurable(where, settings, change)
 
-    def _add(self, name: str, parameters: ControlParameters) -> None:
+    def _adjust(self, controller: Controller, values: Values) -> Values:
+        with contextlib.suppress(StepperError):
+            self._world.do(lambda: controller.adjust(values, self._world.simulation.step))
+        return values
+
+    def _add(self, name: str, parameters: ControlParameters) -> Controller:
         manager = self._manager()
         controller = manager.load(name, parameters)
         try:
@@ -169,9 +185,16 @@ class _Manager:
         except LabError:
             manager.unload(name)
             raise
+        return controller
 
     def _unload(self, request: Any) -> None:
         self._world.do(lambda: self._take_out(request.name))
+        self._keep_adjusted({*self._adjusted} - {request.name})
+
+    def _keep_adjusted(self, names: Collection[str]) -> None:
+        """Offer settings of the controllers of these names alone."""
+        for name in {*self._adjusted} - {*names}:
+            self._adjusted.pop(name).shutdown()
 
     def _take_out(self, name: str) -> None:
         self._world.topics.disconnect_devices((self._manager().unload(name),))
@@ -183,6 +206,7 @@ class _Manager:
 
     def _reload(self, request: Any) -> None:
         self._world.do(lambda: self._unload_all(request.force_kill))
+        self._keep_adjusted(())
 
     def _unload_all(self, by_force: bool) -> None:
         manager = self._manager()

@@ -54,6 +54,7 @@ from bullet_lab.ros.bridge.stepper import Reached, Stepper, StepperError
 from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, Sent, TimeGate
 from bullet_lab.ros.bridge.world_topics import OdometryFrames, TouchCounter
 from bullet_lab.ros.gazebo.descriptions import ModelDescriptions, Warnings
+from bullet_lab.ros.gazebo.exports import add_exported_paths
 from bullet_lab.ros.gazebo.interface import Gazebo
 from bullet_lab.ros.gazebo.ros_control import ControllerManagers
 from bullet_lab.ros.messages.poses import (
@@ -331,6 +332,7 @@ def _set_log_time(step: int) -> None:
 
 def serve(name: str, read: Callable[[], BridgeParameters]) -> None:
     """Run the bridge as a node; `read` gives its parameters once the node is there."""
+    add_exported_paths()
     # A waiting thread gets its turn after this long instead of 5 ms: many steps at full speed.
     sys.setswitchinterval(5e-4)
     run_node(name, lambda: PyBulletBridge(read()).spin(), before=refuse_second_simulator)

@@ -1,8 +1,5 @@
 """The bridge as gazebo_ros's executables gzserver and gazebo start it.
 
-`<export><gazebo_ros gazebo_model_path="${prefix}/models"/></export>` in a package that depends on
-gazebo_ros adds a folder to GAZEBO_MODEL_PATH; gazebo_media_path is one of GAZEBO_RESOURCE_PATH.
-
 :ROS Parameters:
     - /gazebo/pub_clock_frequency (number, 100): messages on /clock per simulated second
 :Everything else: see `bullet_lab.ros.nodes.bridge`. The robot comes by the spawn services.
@@ -10,14 +7,11 @@ gazebo_ros adds a folder to GAZEBO_MODEL_PATH; gazebo_media_path is one of GAZEB
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, Iterable, List, Optional, Sequence, Tuple
-from xml.etree.ElementTree import Element
+from typing import Optional, Sequence, Tuple
 
-import rospkg
 import rospy
 
 from bullet_lab.core.parameters import (
@@ -26,10 +20,8 @@ from bullet_lab.core.parameters import (
     ParameterError,
     read_parameters,
 )
-from bullet_lab.errors import LabError
 from bullet_lab.ros.nodes.bridge import BridgeParameters, serve
-from bullet_lab.simulation.world.resources import package_share
-from bullet_lab.simulation.world.xml import parse_text, read_text
+from bullet_lab.simulation.world.resources import listed_folders, package_share
 
 CLOCK_RATE = "/gazebo/pub_clock_frequency"
 # They give Gazebo its ROS interface, which the bridge has.
@@ -56,14 +48,6 @@ IDLE_FLAGS = (
 )
 # What others do with these would be missed.
 REFUSED = (("-p", "--play"), ("--iters",), ("--initial_sim_time",))
-
-# What packages export, and the variables that it goes into.
-VARIABLES = {
-    "gazebo_model_path": "GAZEBO_MODEL_PATH",
-    "gazebo_media_path": "GAZEBO_RESOURCE_PATH",
-}
-EXPORTER = "gazebo_ros"
-
 
 @dataclass(frozen=True)
 class ServerArguments:
@@ -146,8 +130,8 @@ def find_world(name: str, folder: Optional[Path] = None) -> str:
     """
     if "://" in name or Path(name).is_absolute():
         return name
-    listed = _folders_in("GAZEBO_RESOURCE_PATH")
-    folders = [folder or Path.cwd(), *map(Path, listed), package_share()]
+    listed = listed_folders("GAZEBO_RESOURCE_PATH")
+    folders = [folder or Path.cwd(), *listed, package_share()]
     for place in folders:
         if (place / name).is_file():
             return str((place / name).absolute())
@@ -155,52 +139,10 @@ def find_world(name: str, folder: Optional[Path] = None) -> str:
     raise ArgumentsError(f"world '{name}' is in none of {looked} (GAZEBO_RESOURCE_PATH)")
 
 
-def add_exported_paths() -> None:
-    """Add what all packages export to the environment of this process."""
-    packages = rospkg.RosPack()
-    folders = (Path(packages.get_path(name)) for name in sorted(packages.list()))
-    for variable, paths in exported_paths(folders).items():
-        known = _folders_in(variable)
-        new = [path for path in paths if path not in known]
-        if new:
-            os.environ[variable] = os.pathsep.join([*known, *new])
-
-
-def exported_paths(folders: Iterable[Path]) -> Dict[str, List[str]]:
-    """Return the folders that packages export, by the names of environment variables.
-
-    Args:
-        folders: of the packages; a package.xml that makes no sense is passed over.
-    """
-    found: Dict[str, List[str]] = {variable: [] for variable in VARIABLES.values()}
-    for folder in folders:
-        for element in _exports(folder / "package.xml"):
-            for attribute, variable in VARIABLES.items():
-                value = element.get(attribute, "").replace("${prefix}", str(folder))
-                found[variable].extend(part for part in value.split(os.pathsep) if part)
-    return found
-
-
-def _folders_in(variable: str) -> List[str]:
-    return [path for path in os.environ.get(variable, "").split(os.pathsep) if path]
-
-
-def _exports(manifest: Path) -> List[Element]:
-    try:
-        text = read_text(manifest)
-        # There may be hundreds of packages, and few of them know Gazebo.
-        if EXPORTER not in text:
-            return []
-        return parse_text(text, str(manifest)).findall(f"export/{EXPORTER}")
-    except LabError:
-        return []
-
-
 def main() -> None:
     """Run the node."""
 
     def read() -> BridgeParameters:
-        add_exported_paths()
         return bridge_parameters(parse_server_arguments(rospy.myargv(sys.argv)[1:]))
 
     serve("gazebo", read)

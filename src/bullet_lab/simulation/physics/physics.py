@@ -72,6 +72,8 @@ class Body:
         links: of the description, the root first.
         joint_names: of the movable joints; balls, which have no single position, are not named.
         turned_inertia: whether the root's principal axes are turned against its frame.
+        floats: whether there are links that gravity does not pull, which `bear` holds up.
+        weight: the share of its mass that gravity pulls.
         settling: in how many steps at most `settle` is still needed, since it was put somewhere.
         traction: the friction of wheels that steer it by slipping, if it has such.
     """
@@ -109,6 +111,7 @@ class Body:
                 # PyBullet holds every joint still with a motor until told otherwise.
                 self.drive_joint(part.joint.name, 0.0, 0.0)
         self.joint_names = tuple(self._joints)
+        self._weigh()
 
     def pose(self) -> Pose:
         """Return the pose of the root link's frame in the world."""
@@ -165,6 +168,16 @@ class Body:
         velocity = self.joint_state(joint).velocity if "velocity" in described.limits else 0.0
         allowed = allowed_effort(described, effort, velocity)
         self._control(joint, pybullet.TORQUE_CONTROL, force=allowed)
+
+    def bear(self, gravity: Vector) -> None:
+        """Hold up, in the coming step, the links that gravity (m/s²) does not pull."""
+        for index, mass in self._afloat:
+            if index == ROOT:
+                place, _ = self.com_place()
+            else:
+                place = pybullet.getLinkState(self.unique_id, index, 0, 1, self.client)[0]
+            lift = tuple(-mass * part for part in gravity)
+            self._call(pybullet.applyExternalForce, index, lift, place, pybullet.WORLD_FRAME)
 
     def joint_state(self, name: str) -> JointState:
         """Return the state of a joint; raises KeyError for an unknown name."""
@@ -258,10 +271,24 @@ class Body:
         if self.traction is not None:
             self.traction.tune()
 
+    def change_gravity(self, link: str, pulls: bool) -> None:
+        """Let gravity pull a link, or not."""
+        index = self.link_index(link)
+        self._replace_part(index, link=replace(self.part_at(index).link, gravity=pulls))
+
+    def _weigh(self) -> None:
+        """Take note of what gravity pulls."""
+        masses = [(index, part.mass_properties()[0]) for index, part in enumerate(self.parts, ROOT)]
+        total = sum(mass for _, mass in masses)
+        floating = [(i, mass) for i, mass in masses if mass and not self.part_at(i).link.gravity]
+        self._afloat, self.floats = tuple(floating), bool(floating)
+        self.weight = 1.0 - sum(mass for _, mass in floating) / total if total else 1.0
+
     def _replace_part(self, index: int, **changes: Any) -> Part:
         parts = list(self.parts)
         parts[index - ROOT] = replace(parts[index - ROOT], **changes)
         self.parts = tuple(parts)
+        self._weigh()
         return parts[index - ROOT]
 
     def _joint(self, name: str) -> Joint:

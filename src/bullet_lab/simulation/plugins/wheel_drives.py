@@ -160,7 +160,7 @@ class DeadReckoning:
     """
 
     def __init__(self, separation: float, radius: float, right_radius: Optional[float] = None):
-        self._separation = separation
+        self.separation = separation
         self._radii = (radius, radius if right_radius is None else right_radius)
         self.restart(0.0, 0.0)
 
@@ -183,7 +183,7 @@ class DeadReckoning:
         left_way = (left - self._left) * self._radii[0]
         right_way = (right - self._right) * self._radii[1]
         self.resume(left, right)
-        driven, turned = 0.5 * (left_way + right_way), (right_way - left_way) / self._separation
+        driven, turned = 0.5 * (left_way + right_way), (right_way - left_way) / self.separation
         half = 0.5 * turned
         chord = driven * math.sin(half) / half if half else driven
         self._x += chord * math.cos(self._yaw + half)

@@ -133,7 +133,8 @@ class Link:
     """A rigid part; `pose` is in the model's frame with all joints at zero.
 
     `self_collide` says whether it touches other links of its model; neighbours in the tree of
-    joints never touch. One that is `anchored` is fixed to the world.
+    joints never touch. One that is `anchored` is fixed to the world. `gravity` tells whether
+    gravity pulls it.
     """
 
     name: str
@@ -143,6 +144,7 @@ class Link:
     collisions: Tuple[Collision, ...] = ()
     self_collide: bool = False
     anchored: bool = False
+    gravity: bool = True
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterable, Iterator
 from xml.etree.ElementTree import Element
 
-from bullet_lab.simulation.world.description import WHITE, Link, PluginTag
+from bullet_lab.simulation.world.description import WHITE, Link, Model, PluginTag
 from bullet_lab.simulation.world.materials import MaterialLibrary
 from bullet_lab.simulation.world.report import ReportOnce, leaving_out
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -29,13 +29,11 @@ def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
 
 
 # Of a `<gazebo reference=…>`: Coulomb's coefficients, and N/m and N s/m of the link's contacts.
-COEFFICIENTS = {
-    "mu1": "friction",
-    "mu2": "cross_friction",
-    "kp": "stiffness",
-    "kd": "damping",
-}
-LINK_TAGS = frozenset((*COEFFICIENTS, "fdir1", "material", "selfCollide"))
+FRICTION = {"mu1": "friction", "mu2": "cross_friction"}
+SPRING = {"kp": "stiffness", "kd": "damping"}
+# Whether gravity pulls the link, and what says that with the sense turned round.
+GRAVITY = {"gravity": True, "turnGravityOff": False}
+LINK_TAGS = frozenset((*FRICTION, *SPRING, *GRAVITY, "fdir1", "material", "selfCollide"))
 # Read elsewhere, or for the eye alone.
 QUIET_TAGS = frozenset(("plugin", "sensor", "visualize", "visual"))
 # How ODE computes, which is its own business.
@@ -105,6 +103,7 @@ class GazeboTags:
                 said = f"without <fdir1>, friction has one coefficient here, <mu1>: {mu:g}"
                 self._report(f"{where}: {said}")
         look = told.pop("look", None)
+        told.pop("gravity", None)
         link = replace(link, self_collide=told.pop("self_collide", link.self_collide))
         if look is not None:
             colour, material = look
@@ -112,14 +111,34 @@ class GazeboTags:
             link = replace(link, visuals=tuple(painted))
         return replace(link, collisions=tuple(replace(c, **told) for c in link.collisions))
 
+    def weigh(self, model: Model) -> Model:
+        """Return a model, with its links merged, whose links gravity pulls or not.
+
+        As in Gazebo, the last of what was merged into one that says so decides for all of it.
+        """
+        links = []
+        for link in model.links:
+            merged = (name for name, (keeper, _) in model.frames.items() if keeper == link.name)
+            names = [name for name in (link.name, *merged) if "gravity" in self._told.get(name, {})]
+            pulled = not names or self._told[names[-1]]["gravity"]
+            if not pulled and names[-1] != link.name:
+                what = f"'{names[-1]}', which is fixed to '{link.name}', turns gravity off"
+                self._report(f"{self._source}: {what} for both")
+            links.append(replace(link, gravity=pulled))
+        return replace(model, links=tuple(links))
+
     def _tag(self, child: Element, part: str) -> _LinkTag:
         return _LinkTag(child, f"{self._source}: <{child.tag}> of '{part}'")
 
     def _read(self, child: Element, told: Dict[str, Any], link: str) -> None:
         tag = self._tag(child, link)
         where = tag.where("value")
-        if child.tag in COEFFICIENTS:
-            told[COEFFICIENTS[child.tag]] = tag.coefficient("value", 0.0)
+        if child.tag in FRICTION:
+            told[FRICTION[child.tag]] = tag.friction("value", 1.0)
+        elif child.tag in SPRING:
+            told[SPRING[child.tag]] = tag.coefficient("value", 0.0)
+        elif child.tag in GRAVITY:
+            told["gravity"] = tag.boolean("value", False) == GRAVITY[child.tag]
         elif child.tag == "fdir1":
             if any(tag.numbers("value", 3)):
                 told["direction"] = tag.direction("value", "")
@@ -148,7 +167,8 @@ SDF_READ = {
     "sdf": {"world", "model", "light", "include"},
     "world": {"model", "light", "include", "gravity", "scene", "state", "physics"},
     "model": {"link", "joint", "plugin", "pose", "static", "frame", "include", "model"},
-    "link": {"pose", "inertial", "visual", "collision", "sensor", "plugin", "self_collide"},
+    "link": {"pose", "inertial", "visual", "collision", "sensor", "plugin"}
+    | {"self_collide", "gravity"},
     "visual": {"geometry", "pose", "material", "cast_shadows", "transparency"},
     "collision": {"geometry", "pose", "surface"},
     "joint": {"parent", "child", "pose", "axis", "axis2"},
@@ -168,12 +188,9 @@ SDF_QUIET = {
 }
 # Texts that ask for what happens anyway.
 URDF_AS_IT_IS = {
-    "gravity": ("1", "true"),
-    "turnGravityOff": ("0", "false"),
     "static": ("0", "false"),
 }
 SDF_AS_IT_IS = {
-    "gravity": ("1", "true"),
     "kinematic": ("0", "false"),
     "enable_wind": ("0", "false"),
     "self_collide": ("0", "false"),

@@ -112,8 +112,9 @@ class MaterialLibrary:
         known = gazebo_material(name)
         if known is not None:
             return self._gazebo_look(name, known)
-        media = [folder / "materials" / "scripts" for folder in gazebo_media_folders()]
-        block, folder = self._block("material", name, media)
+        media = gazebo_media_folders()
+        scripts_there = [path for folder in media for path in sorted(folder.glob("*.material"))]
+        block, folder = self._block("material", name, scripts_there)
         if block is not None:
             return self._look(name, block, [*folders, folder], scripts)
         if name not in self._unknown:
@@ -291,15 +292,15 @@ class MaterialLibrary:
         `textures` beside a folder of scripts, and where all others have theirs.
         """
         beside = [folder.parent / "textures" for folder in folders]
-        media = [folder / "materials" / "textures" for folder in gazebo_media_folders()]
-        for folder in (*folders, *beside, *self._declared, *media):
+        for folder in (*folders, *beside, *self._declared):
             path = folder / name
             if path.is_file() and is_below(path, folder):
                 return path
             path = self._index(folder).get(os.path.basename(name))
             if path is not None:
                 return path
-        return None
+        media = (folder / os.path.basename(name) for folder in gazebo_media_folders())
+        return next((path for path in media if path.is_file()), None)
 
     def _index(self, folder: Path) -> Dict[str, Path]:
         """Return the files in a folder and below it by their bare names, the upper ones first."""

@@ -181,7 +181,7 @@ class _Materials:
 def _wavefront_parts(mesh: Mesh, report: Report) -> Iterator[Part]:
     materials = _Materials(mesh.path, report)
     smooth = FACE_WITH_NORMALS.search(read_bytes(mesh.path)) is not None
-    for part in read_scene(mesh.path, materials).geometry.values():
+    for part in read_scene(mesh, materials).geometry.values():
         material = getattr(part.visual, "material", None)
         uv = getattr(part.visual, "uv", None)
         yield Part(

@@ -167,9 +167,7 @@ def _read(mesh: MeshFile, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
     try:
         if suffix == ".dae":
             return _read_collada(mesh)
-        if mesh.submesh:
-            LOG.warning("%s: submeshes of .dae alone are told apart; all of it is taken", path)
-        scene = read_scene(path)
+        scene = read_scene(mesh)
         merged = scene.to_geometry() if hasattr(scene, "to_geometry") else scene.dump(True)
         return np.asarray(merged.vertices, dtype=float), np.asarray(merged.faces, dtype=int)
     except LabError:
@@ -179,8 +177,8 @@ def _read(mesh: MeshFile, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
         raise MeshError(f"{path}: not a readable mesh: {error}") from error
 
 
-def read_scene(path: Path, resolver: Any = None) -> Any:
-    """Return what trimesh reads of an .obj or .stl file.
+def read_scene(mesh: MeshFile, resolver: Any = None) -> Any:
+    """Return what trimesh reads of an .obj or .stl file, or of a part of an .obj file.
 
     A `resolver` gives it the other files that the file names; without one, it gets none.
 
@@ -190,12 +188,17 @@ def read_scene(path: Path, resolver: Any = None) -> Any:
     # Costs 100 ms and 30 MB: only worlds with such meshes pay for it.
     import trimesh
 
+    path = mesh.path
     data, kind = read_bytes(path), path.suffix.lower()[1:]
     try:
+        if kind == "obj":
+            data = _plain_faces(data)
+        if mesh.submesh:
+            data = _part_of(data, mesh) if kind == "obj" else _whole(data, mesh)
         # From memory: given a file, trimesh would look beside it for the materials and textures
         # that a mesh names. Not processed: that would drop corners that are not finite.
-        file = BytesIO(_plain_faces(data) if kind == "obj" else data)
-        return trimesh.load(file, file_type=kind, force="scene", process=False, resolver=resolver)
+        how = {"file_type": kind, "force": "scene", "process": False, "resolver": resolver}
+        return trimesh.load(BytesIO(data), **how)
     except ImportError as error:
         # trimesh would guess the encoding with a library that nobody needs.
         raise MeshError(f"{path}: neither a whole binary mesh nor text") from error
@@ -223,6 +226,28 @@ def _plain_faces(data: bytes) -> bytes:
             fan = zip(others, others[1:])
             lines[row] = b"\n".join(b" ".join((b"f", first, *pair)) for pair in fan)
     return b"\n".join(lines)
+
+
+def _part_of(data: bytes, mesh: MeshFile) -> bytes:
+    """Return an .obj with the faces alone that are in its objects or groups of a name.
+
+    As in Gazebo, a group is known by the first of its names, and by no object's around it.
+    """
+    kept, name, found = [], "", False
+    for line in data.splitlines():
+        word, _, rest = line.strip().partition(b" ")
+        if word in (b"o", b"g"):
+            said = rest.decode(errors="replace").strip()
+            name = said if word == b"o" else said.partition(" ")[0]
+        if word != b"f" or name == mesh.submesh:
+            kept.append(line)
+            found = found or word == b"f"
+    return b"\n".join(kept) if found else _whole(data, mesh)
+
+
+def _whole(data: bytes, mesh: MeshFile) -> bytes:
+    LOG.warning("%s: no submesh '%s'; all of it is taken", mesh.path, mesh.submesh)
+    return data
 
 
 def _index(index: bytes, count: int) -> bytes:

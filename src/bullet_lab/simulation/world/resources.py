@@ -58,9 +58,17 @@ def gazebo_model_folders() -> Tuple[Path, ...]:
     return (*own, *listed_folders("GAZEBO_MODEL_PATH"), package_share() / "models")
 
 
+# Where OGRE looks for scripts and pictures in a folder of media.
+MEDIA = ("", "materials/scripts", "materials/textures", "materials/programs", "media/models")
+
+
 def gazebo_media_folders() -> Tuple[Path, ...]:
-    """Return the folders with Gazebo's materials and pictures: GAZEBO_RESOURCE_PATH's `media`."""
-    return tuple(folder / "media" for folder in listed_folders("GAZEBO_RESOURCE_PATH"))
+    """Return the folders with materials and pictures of GAZEBO_RESOURCE_PATH, each for itself."""
+    found = []
+    for folder in listed_folders("GAZEBO_RESOURCE_PATH"):
+        media = (folder / name / part for name in ("media", "Media") for part in MEDIA)
+        found += [place for place in (folder, *media) if place.is_dir()]
+    return tuple(found)
 
 
 def listed_folders(variable: str) -> Tuple[Path, ...]:

@@ -290,6 +290,7 @@ def _link(tag: _Tag, static: bool) -> Link:
         visuals=tuple(_shapes(tag, "visual", _visual)),
         collisions=tuple(_shapes(tag, "collision", _collision)),
         self_collide=tag.boolean("self_collide", False),
+        gravity=tag.boolean("gravity", True),
     )
 
 
@@ -321,12 +322,13 @@ def _visual(tag: _Tag, geometry: Shape) -> Visual:
 
 def _collision(tag: _Tag, geometry: Shape) -> Collision:
     friction, contact = "surface/friction/ode", "surface/contact/ode"
-    mu, fdir1 = tag.coefficient(f"{friction}/mu", 1.0), f"{friction}/fdir1"
+    mu, mu2, fdir1 = tag.friction(f"{friction}/mu", 1.0), f"{friction}/mu2", f"{friction}/fdir1"
     # Stiffness and damping of its contacts, and a second friction: None for what is not said.
-    paths = (f"{contact}/kp", f"{contact}/kd", f"{friction}/mu2")
-    others = [tag.coefficient(path, 0.0) if tag.text(path) else None for path in paths]
+    paths = (f"{contact}/kp", f"{contact}/kd")
+    spring = [tag.coefficient(path, 0.0) if tag.text(path) else None for path in paths]
+    across = tag.friction(mu2, 1.0) if tag.text(mu2) else None
     direction = tag.direction(fdir1, "") if any(tag.numbers(fdir1, 3, "0 0 0")) else None
-    return Collision(geometry, tag.pose(), mu, tag.name, *others, direction)
+    return Collision(geometry, tag.pose(), mu, tag.name, *spring, across, direction)
 
 
 def _inertia(link: _Tag) -> Inertia:

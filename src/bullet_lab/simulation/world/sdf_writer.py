@@ -164,6 +164,8 @@ def _add_link(parent: Element, link: Link, model: Model, uris: _Uris) -> None:
     content: Dict[str, Any] = {"pose": link.pose}
     if link.self_collide:
         content["self_collide"] = True
+    if not link.gravity:
+        content["gravity"] = False
     if link.inertia is not None:
         centre = Pose(link.inertia.centre)
         moments = {"mass": link.inertia.mass, "inertia": link.inertia.elements()}

@@ -203,8 +203,9 @@ class Mesh(Shape):
 
     `uri` is what the description said, for those who resolve it themselves (RViz); `path` is
     the file that it means here. With a `submesh`, only what a COLLADA file has in nodes of that
-    name, with its middle at the origin if it is `centred`. What asks for its triangles raises
-    MeshError or XmlError for a file that is not usable. Its inertia is about its centre of mass.
+    name, or an .obj file in objects or groups, with its middle at the origin if it is `centred`.
+    What asks for its triangles raises MeshError or XmlError for a file that is not usable. Its
+    inertia is about its centre of mass.
     """
 
     path: Path

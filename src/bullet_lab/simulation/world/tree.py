@@ -157,13 +157,13 @@ LUMP = "_fixed_joint_lump__"
 
 
 def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
-    """Return the same body with as few links as its movable joints need.
+    """Return the same body with as few links as its movable joints, and gravity, need.
 
     Shapes, masses and inertias go over to the link that stays; `frames` of the result says
     where each merged link's frame lies in it. Movable joints are hung on the links that stay.
     With `rename`, names of shapes tell that they came from another link.
     """
-    fixed = {joint.child: joint for joint in model.joints if joint.kind == "fixed"}
+    fixed = {joint.child: joint for joint in model.joints if _merges(joint, model)}
     if not fixed:
         return model
     places = {link.name: _place(link.name, fixed) for link in model.links}
@@ -174,11 +174,20 @@ def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
     kept = (link for link in model.links if link.name not in fixed)
     links = tuple(_merge(link, members[link.name], rename) for link in kept)
     joints = []
-    for joint in (joint for joint in model.joints if joint.kind != "fixed"):
+    for joint in (joint for joint in model.joints if joint.child not in fixed):
         parent, pose = places[joint.parent]
         joints.append(replace(joint, parent=parent, pose=pose * joint.pose))
     frames = {name: place for name, place in places.items() if name in fixed}
     return replace(model, links=links, joints=tuple(joints), frames={**model.frames, **frames})
+
+
+def _merges(joint: Joint, model: Model) -> bool:
+    """Return whether the ends of a joint become one link: of one that floats, only half would."""
+    if joint.kind != "fixed" or model.static:
+        return joint.kind == "fixed"
+    links = model.links_by_name()
+    parent, child = links[joint.parent], links[joint.child]
+    return parent.anchored or parent.gravity == child.gravity
 
 
 def _place(name: str, fixed: Dict[str, Joint]) -> Tuple[str, Pose]:

@@ -67,8 +67,7 @@ def read_urdf(text: str, source: str, finder: Optional[ResourceFinder] = None) -
     if root.tag != "robot":
         raise UrdfError(f"{source}: the root element is <{root.tag}>, not <robot>")
     tag = _Tag(root, source, finder or ResourceFinder(), ReportOnce())
-    model = lump_fixed_joints(_model(tag), rename=True)
-    return _with_shapes_named(with_sound_inertias(model, source))
+    return _with_shapes_named(with_sound_inertias(_model(tag), source))
 
 
 class _Tag(ShapeTag):
@@ -127,7 +126,7 @@ class _Tag(ShapeTag):
 
 
 def _model(root: _Tag) -> Model:
-    """Return a robot with its links as they stand in the document."""
+    """Return a robot with the links of the document, less those that are merged into others."""
     colours = {}
     for material in map(root.other, root.element.iter("material")):
         with leaving_out(root.report):
@@ -147,7 +146,8 @@ def _model(root: _Tag) -> Model:
     )
     found = (plugins_in(element, element.get("reference", "")) for element in gazebo)
     plugins = tuple(itertools.chain.from_iterable(found))
-    return Model(root.text("name") or "robot", links, joints, plugins, static=tags.static)
+    robot = Model(root.text("name") or "robot", links, joints, plugins, static=tags.static)
+    return tags.weigh(lump_fixed_joints(robot, rename=True))
 
 
 def _link(tag: _Tag, colours: Mapping[str, Colour]) -> Link:

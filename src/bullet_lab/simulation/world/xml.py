@@ -20,6 +20,8 @@ MAXIMUM_BYTES = 20_000_000
 _PART = 1 << 20
 # Squares and cubes of larger ones would overflow; SDF writes 1e16 for "no limit".
 LARGEST_NUMBER = 1e18
+# A coefficient of friction that nothing slips at.
+NO_SLIP = 1e6
 
 
 class XmlError(LabError):
@@ -131,6 +133,23 @@ class TagReader:
             return f"{values[0]:g} is negative" if values[0] < 0.0 else ""
 
         return self._checked(key, 1, repr(default), check)[0]
+
+    def friction(self, key: str, default: float) -> float:
+        """Return a coefficient of friction: NO_SLIP for what is larger, or negative, as in ODE.
+
+        >>> class Said(TagReader):
+        ...     def text(self, key, default=""):
+        ...         return {"mu": "0.5", "mu2": "-1", "grip": "inf"}.get(key, default)
+        >>> [Said().friction(key, 1.0) for key in ("mu", "mu2", "grip", "none")]
+        [0.5, 1000000.0, 1000000.0, 1.0]
+        """
+        try:
+            said = float(self.text(key, repr(default)))
+        except ValueError:
+            said = math.nan
+        if math.isnan(said):
+            return self.number(key, default)
+        return said if 0.0 <= said < NO_SLIP else NO_SLIP
 
     def sizes(self, key: str, count: int, default: str = "") -> Tuple[float, ...]:
         """Return `count` positive numbers."""

@@ -1,5 +1,4 @@
 import threading
-import time
 
 import pytest
 
@@ -11,10 +10,25 @@ RELAYED = Arrival("/cmd_vel", "/relay")
 
 
 @pytest.fixture(autouse=True)
-def _patience(monkeypatch):
-    monkeypatch.setattr(timing, "PATIENCE", 0.3)
-    monkeypatch.setattr(timing, "FIRST_PATIENCE", 0.1)
+def _no_settling(monkeypatch):
     monkeypatch.setattr(timing, "SETTLE_SECONDS", 0.0)
+
+
+class Waiting(threading.Condition):
+    """Waiting that takes no time: what comes `late` comes then, in turn, and else nothing does."""
+
+    def __init__(self):
+        super().__init__()
+        self.late = []
+        self.patience = []
+
+    def wait_for(self, predicate, timeout=None):
+        self.patience.append(timeout)
+        while not predicate():
+            if not self.late:
+                return False
+            self.late.pop(0)()
+        return True
 
 
 class Sender:
@@ -22,7 +36,8 @@ class Sender:
 
     def __init__(self, arrival=STRAIGHT, member="/a"):
         self.arrival = arrival
-        self.counter = CommandCounter(lambda *_: {arrival} if arrival else set())
+        self.waiting = Waiting()
+        self.counter = CommandCounter(lambda *_: {arrival} if arrival else set(), self.waiting)
         self.member = member
         self.sent = 0
 
@@ -35,9 +50,13 @@ class Sender:
         return self.counter.heard(self.member, self.report())
 
     def wait(self):
-        """Return whether all has come, and the seconds that took."""
-        start = time.monotonic()
-        return not self.counter.wait(self.member, self.report()), time.monotonic() - start
+        """Return whether all has come."""
+        return not self.counter.wait(self.member, self.report())
+
+    def waits_for_a_late_one(self):
+        """Return whether it waited, and all came in the end."""
+        self.waiting.late.append(self.arrive)
+        return self.wait() and not self.waiting.late
 
     def arrive(self, count=1, connection=None):
         for _ in range(count):
@@ -51,9 +70,7 @@ def test_what_was_sent_is_awaited(arrival):
     for number in range(1, 4):
         sender.sent = 2 * number
         sender.arrive()
-        threading.Timer(0.05, sender.arrive).start()
-        come, seconds = sender.wait()
-        assert come and seconds >= 0.04
+        assert sender.waits_for_a_late_one()
 
 
 def test_commands_of_others_do_not_count():
@@ -62,25 +79,26 @@ def test_commands_of_others_do_not_count():
     sender.sent = 1
     sender.counter.note(Arrival("/cmd_vel", "/b"))
     sender.counter.note(Arrival("/other", "/a"))
-    assert not sender.wait()[0]
+    assert not sender.wait()
 
 
 def test_what_does_not_lead_to_the_bridge_is_not_awaited():
     sender = Sender(arrival=None)
     assert sender.join() == set()
     sender.sent = 5
-    assert sender.wait() == (True, pytest.approx(0.0, abs=0.05))
+    assert sender.wait()
+    assert not sender.waiting.patience
 
 
 def test_lost_commands_are_given_up_once():
     sender = Sender()
     sender.join()
     sender.sent = 2
-    assert not sender.wait()[0]
-    assert sender.wait()[0]
+    assert not sender.wait()
+    assert sender.wait()
     sender.sent = 3
     sender.arrive()
-    assert sender.wait()[0]
+    assert sender.wait()
 
 
 def test_a_member_that_was_started_again_counts_anew():
@@ -88,14 +106,14 @@ def test_a_member_that_was_started_again_counts_anew():
     sender.join()
     sender.sent = 5
     sender.arrive(5, "first")
-    assert sender.wait()[0]
+    assert sender.wait()
     sender.sent = 0
     sender.join()
     sender.sent = 1
-    assert not sender.wait()[0]
+    assert not sender.wait()
     sender.sent = 2
     sender.arrive(2, "second")
-    assert sender.wait()[0]
+    assert sender.wait()
 
 
 def test_what_a_relay_has_passed_on_before_does_not_count():
@@ -104,34 +122,29 @@ def test_what_a_relay_has_passed_on_before_does_not_count():
     sender.arrive(3)
     assert sender.join() == {"/wish"}
     sender.sent = 8
-    assert not sender.wait()[0]
+    assert not sender.wait()
 
 
 def test_a_multiplexer_that_drops_commands_is_waited_for_once():
     sender = Sender(RELAYED)
     sender.join()
-    total = 0.0
     for number in range(1, 201):
         sender.sent = number
-        come, seconds = sender.wait()
-        assert come == (number > 1)
-        total += seconds
-    assert total < 0.2
+        assert sender.wait() == (number > 1)
+    assert sender.waiting.patience == [timing.FIRST_PATIENCE]
 
 
 def test_a_multiplexer_that_passes_commands_on_again_is_waited_for_again():
     sender = Sender(RELAYED)
     sender.join()
     sender.sent = 1
-    assert not sender.wait()[0]
+    assert not sender.wait()
     for _ in range(timing.STREAK):
         sender.sent += 1
         sender.arrive()
-        assert sender.wait()[0]
+        assert sender.wait()
     sender.sent += 1
-    threading.Timer(0.05, sender.arrive).start()
-    come, seconds = sender.wait()
-    assert come and seconds >= 0.04
+    assert sender.waits_for_a_late_one()
 
 
 def test_one_that_drops_now_and_then_is_trusted_less_and_less():
@@ -142,7 +155,7 @@ def test_one_that_drops_now_and_then_is_trusted_less_and_less():
         sender.sent = number
         if number % 25:
             sender.arrive()
-        losses += not sender.wait()[0]
+        losses += not sender.wait()
     assert 1 <= losses <= 3
 
 
@@ -151,13 +164,21 @@ def test_what_comes_after_it_was_given_up_is_not_taken_for_the_next():
     sender.join()
     sender.sent = 1
     sender.arrive()
-    assert sender.wait()[0]
+    assert sender.wait()
     # Two late ones, of which the bridge knows nothing.
     sender.arrive(2)
     sender.sent = 2
     sender.arrive()
-    assert sender.wait()[0]
+    assert sender.wait()
     sender.sent = 3
-    threading.Timer(0.05, sender.arrive).start()
-    come, seconds = sender.wait()
-    assert come and seconds >= 0.04
+    assert sender.waits_for_a_late_one()
+
+
+def test_what_another_thread_notes_ends_the_waiting(monkeypatch):
+    monkeypatch.setattr(timing, "PATIENCE", 60.0)
+    counter = CommandCounter(lambda *_: {STRAIGHT})
+    counter.heard("/a", [Sent("/cmd_vel", "/bridge", 0)])
+    late = threading.Thread(target=counter.note, args=(STRAIGHT,))
+    late.start()
+    assert not counter.wait("/a", [Sent("/cmd_vel", "/bridge", 1)])
+    late.join()

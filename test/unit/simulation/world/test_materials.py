@@ -239,18 +239,28 @@ def test_what_one_model_declares_the_next_ones_know(shop, tmp_path):
     assert glass.links[0].visuals[0].colour == (0, 0, 1, 0.25)
 
 
-def test_gazebos_media_folders(shop, tmp_path, monkeypatch):
-    media = tmp_path / "share" / "media" / "materials"
-    for name in ("scripts", "textures"):
-        (media / name).mkdir(parents=True)
-    (media / "scripts" / "mine.material").write_text(
+@pytest.mark.parametrize(
+    ("scripts", "textures"),
+    [
+        ("media/materials/scripts", "media/materials/textures"),
+        ("Media/materials/scripts", "Media/materials/textures"),
+        ("media", "media"),
+        (".", "."),
+        (".", "media/materials/textures"),
+    ],
+)
+def test_gazebos_media_folders(scripts, textures, shop, tmp_path, monkeypatch):
+    share = tmp_path / "share"
+    for name in (scripts, textures):
+        (share / name).mkdir(parents=True, exist_ok=True)
+    (share / scripts / "mine.material").write_text(
         "material Mine { technique { pass { texture_unit { texture wood.jpg } } } }"
     )
-    Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(media / "textures" / "wood.jpg")
+    Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(share / textures / "wood.jpg")
     monkeypatch.setenv("GAZEBO_RESOURCE_PATH", f"{tmp_path / 'gone'}:{tmp_path / 'share'}")
     for name in ("Mine", "Gazebo/Wood"):
         texture = visual_of(shop, script(name, "")).material.texture
-        assert texture.path == media / "textures" / "wood.jpg"
+        assert texture.path == share / textures / "wood.jpg"
         robot = tagged(f"<material>{name}</material>")
         assert robot.links[0].visuals[0].material.texture == texture
 

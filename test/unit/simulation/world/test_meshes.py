@@ -100,6 +100,53 @@ def test_a_part_of_a_collada_file_by_the_name_of_its_node(tmp_path, beacon_text,
     assert "m.dae: no submesh 'gone'; all of it is taken" in caplog.text
 
 
+# Two triangles in objects, of two materials the second, and one in a group with two names.
+PARTS = """mtllib gone.mtl
+o first one
+v 0 0 0
+v 1 0 0
+v 0 1 0
+f 1 2 3
+o second
+v 5 5 5
+v 6 5 5
+v 5 6 5
+usemtl red
+f -3 -2 -1
+usemtl green
+f 4 6 5
+g third fourth
+f 1 2 6
+"""
+
+
+def test_a_part_of_an_obj_file_by_the_name_of_its_object_or_group(tmp_path, caplog):
+    path = tmp_path / "m.obj"
+    path.write_text(PARTS)
+
+    def bounds(submesh, centred=False):
+        mesh = Mesh(path, "", (2.0, 1.0, 1.0), submesh, centred)
+        corners = np.concatenate([part.corners.reshape(-1, 3) for part in mesh_parts(mesh)])
+        assert mesh.bounds() == pytest.approx(np.array((corners.min(axis=0), corners.max(axis=0))))
+        return mesh.bounds().tolist()
+
+    assert bounds("first one") == [[0, 0, 0], [2, 1, 0]]
+    assert bounds("second") == [[10, 5, 5], [12, 6, 5]]
+    assert bounds("second", True) == [[-1, -0.5, 0], [1, 0.5, 0]]
+    assert bounds("third") == [[0, 0, 0], [10, 6, 5]]
+    assert len(mesh_parts(Mesh(path, "", submesh="second"))) == 2
+    assert caplog.messages == []
+    assert bounds("fourth") == bounds("")
+    assert "m.obj: no submesh 'fourth'; all of it is taken" in caplog.text
+
+
+def test_an_stl_file_has_no_parts(tmp_path, caplog):
+    path = tmp_path / "a.stl"
+    path.write_text(STL.format("2"))
+    assert Mesh(path, "", submesh="one").bounds().tolist() == [[0, 0, 0], [2, 1, 0]]
+    assert "a.stl: no submesh 'one'; all of it is taken" in caplog.text
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [

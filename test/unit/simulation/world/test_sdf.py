@@ -295,11 +295,11 @@ BAD_MODELS = {
             link(
                 shape(
                     "<sphere><radius>1</radius></sphere>",
-                    "<surface><friction><ode><mu>-1</mu></ode></friction></surface>",
+                    "<surface><friction><ode><mu>nan</mu></ode></friction></surface>",
                 )
             )
         ),
-        "link 'a': <mu>: -1 is negative",
+        "link 'a': <mu>: 'nan' is not a finite number",
     ),
     "mesh": (model(link(shape("<mesh/>"))), "<collision>: a <mesh> without <uri>"),
     "missing mesh": (

@@ -18,7 +18,6 @@ def model_text(**parts):
     ("part", "xml", "said"),
     [
         ("model", "<enable_wind>true</enable_wind>", "<model>: <enable_wind>"),
-        ("link", "<gravity>0</gravity>", "<link>: <gravity>"),
         ("link", "<kinematic>1</kinematic>", "<link>: <kinematic>"),
         ("link", "<velocity_decay><linear>1</linear></velocity_decay>", "<link>: <velocity_decay>"),
         (
@@ -39,7 +38,7 @@ def test_what_is_not_simulated_is_told_once(part, xml, said, caplog):
     [
         ("model", "<allow_auto_disable>1</allow_auto_disable><enable_wind>0</enable_wind>"),
         ("model", "<self_collide>0</self_collide>"),
-        ("link", "<gravity>1</gravity><kinematic>false</kinematic>"),
+        ("link", "<kinematic>false</kinematic>"),
         ("link", "<sensor name='s' type='ray'><visualize>true</visualize></sensor>"),
         ("visual", "<cast_shadows>1</cast_shadows><transparency>0.5</transparency><meta/>"),
         ("collision", "<max_contacts>10</max_contacts><laser_retro>0</laser_retro>"),
@@ -75,12 +74,12 @@ def test_worlds(tmp_path, caplog):
 
 def test_a_model_that_is_included_often_is_told_of_once(tmp_path, caplog):
     (tmp_path / "m").mkdir()
-    (tmp_path / "m" / "model.sdf").write_text(model_text(link="<gravity>0</gravity>"))
+    (tmp_path / "m" / "model.sdf").write_text(model_text(link="<kinematic>1</kinematic>"))
     include = "<include><uri>m</uri><name>{}</name></include>"
     path = write_world(tmp_path, "".join(include.format(name) for name in "abc"))
     assert len(read_world_file(path).models) == 3
     (message,) = caplog.messages
-    assert message.endswith("model.sdf: <link>: <gravity> is not simulated")
+    assert message.endswith("model.sdf: <link>: <kinematic> is not simulated")
 
 
 def test_plugins_of_sdf_models_and_their_tags(caplog):

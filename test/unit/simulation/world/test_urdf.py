@@ -236,9 +236,9 @@ BAD = {
         robot('<link name="a"/><gazebo reference="a"><mu1>slippery</mu1></gazebo>'),
         "<mu1> of 'a': 'slippery' is not a finite number",
     ),
-    "negative mu1": (
-        robot('<link name="a"/><gazebo reference="a"><mu1>-1</mu1></gazebo>'),
-        "<mu1> of 'a': -1 is negative",
+    "negative kp": (
+        robot('<link name="a"/><gazebo reference="a"><kp>-1</kp></gazebo>'),
+        "<kp> of 'a': -1 is negative",
     ),
 }
 

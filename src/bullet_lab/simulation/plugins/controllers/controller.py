@@ -53,6 +53,17 @@ class ControllerSetup:
             raise ControlError(f"{self.parameters.where}/publish_rate: {error}") from error
 
 
+@dataclass(frozen=True)
+class Adjustable:
+    """What can be changed of a controller while it runs: its value, and its limits of a number."""
+
+    name: str
+    value: Any
+    description: str
+    least: Any = ""
+    greatest: Any = ""
+
+
 class Controller:
     """Base of all controllers.
 
@@ -65,6 +76,7 @@ class Controller:
         joints: those that it commands.
         inputs: topics with commands for it.
         outputs: topics with what it says.
+        adjustables: what `adjust` changes, as it is at the start.
     """
 
     kinds: ClassVar[Mapping[str, str]] = {}
@@ -79,6 +91,7 @@ class Controller:
         self.joints: Tuple[JointHandle, ...] = ()
         self.inputs: Tuple[Input, ...] = ()
         self.outputs: Tuple[Output, ...] = ()
+        self.adjustables: Tuple[Adjustable, ...] = ()
 
     @property
     def name(self) -> str:
@@ -121,6 +134,9 @@ class Controller:
     def reset(self, step: int) -> None:
         """Begin anew after the robot was put back; simulated time is now `step`."""
 
+    def adjust(self, values: Mapping[str, Any], step: int) -> None:
+        """Change what is adjustable, by its names, from the simulated time `step` on."""
+
     def _refuse_unless_running(self) -> None:
         if not self.running:
             raise ControlError(f"controller '{self.name}' is not running")
@@ -148,6 +164,7 @@ __all__ = [
     "POSITION",
     "STATES",
     "VELOCITY",
+    "Adjustable",
     "Controller",
     "ControllerSetup",
     "known_controllers",

@@ -6,12 +6,13 @@ import logging
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Deque, Optional, Tuple
+from typing import Any, Deque, Dict, Mapping, Optional, Tuple
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.plugins.controllers.controller import (
     VELOCITY,
+    Adjustable,
     Controller,
     ControllerSetup,
 )
@@ -28,6 +29,9 @@ from bullet_lab.simulation.plugins.samples import (
 from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning
 
 LOG = logging.getLogger(__name__)
+# What dynamic_reconfigure lets them be, in ros_controllers.
+MULTIPLIERS = (0.5, 1.5)
+RATES = (0.0, 2000.0)
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,11 @@ class WheelOdometry:
         """Take new ways (m) of the rims for the present pose: nothing was driven."""
         self._reckoning.resume(left, right)
 
+    def adjust(self, separation: float, left: float, right: float) -> None:
+        """Go on with another separation (m), and so ways (m) of the rims."""
+        self._reckoning.separation = separation
+        self.resume(left, right)
+
     def forget_speeds(self) -> None:
         """Take no part of what was into the speed."""
         self._speeds.clear()
@@ -120,11 +129,13 @@ class DiffDriveController(Controller):
             raise ControlError(f"{len(sides[0])} wheels on the left, {len(sides[1])} on the right")
         self._left, self._right = (setup.joints(names, VELOCITY) for names in sides)
         self.joints = self._left + self._right
-        self.separation, self.radii = self._geometry(given)
+        self._measured, self._factors = self._geometry(given), _multipliers(given)
+        self._apply_multipliers()
         self._limits = [SpeedLimiter.of(given.below(path)) for path in ("linear/x", "angular/z")]
         self._timeout = given.number("cmd_vel_timeout", 0.5)
         self._open_loop = given.boolean("open_loop", False)
-        self._schedule = setup.schedule(given.number("publish_rate", 50.0))
+        rate = given.number("publish_rate", 50.0)
+        self._schedule = setup.schedule(rate)
         self._frames = (
             given.text("odom_frame_id", "odom"),
             given.text("base_frame_id", "base_link"),
@@ -134,6 +145,12 @@ class DiffDriveController(Controller):
         )
         window = max(1, int(given.number("velocity_rolling_window_size", 10)))
         self._odometry = WheelOdometry(self.separation, window, *self._ways())
+        self._sends_transforms = given.boolean("enable_odom_tf", True)
+        self.adjustables = (
+            *(Adjustable(name, value, name, *MULTIPLIERS) for name, value in self._factors.items()),
+            Adjustable("publish_rate", rate, "Hz of the odometry", *RATES),
+            Adjustable("enable_odom_tf", self._sends_transforms, "odometry on /tf"),
+        )
         alone = not given.boolean("allow_multiple_cmd_vel_publishers", True)
         self.inputs = (Input(setup.topic("cmd_vel"), PlanarCommand, self.command, alone),)
         self.odometry = Output(setup.topic("odom"), OdometrySample)
@@ -141,7 +158,7 @@ class DiffDriveController(Controller):
         self.commanded = Output(setup.topic("cmd_vel_out"), VelocitySample)
         self.outputs = (
             self.odometry,
-            *((self.transform,) if given.boolean("enable_odom_tf", True) else ()),
+            self.transform,
             *((self.commanded,) if given.boolean("publish_cmd", False) else ()),
         )
         self._forget_commands()
@@ -159,6 +176,14 @@ class DiffDriveController(Controller):
             raise ControlError(f"the velocity {command} is not finite")
         # A new list: what comes while an update runs is told from what was there before.
         self._asked = [command]
+
+    def adjust(self, values: Mapping[str, Any], step: int) -> None:
+        self._factors = {name: values[name] for name in self._factors}
+        self._apply_multipliers()
+        self._odometry.adjust(self.separation, *self._ways())
+        self._schedule = self.setup.schedule(min(values["publish_rate"], STEPS_PER_SECOND))
+        self._schedule.restart(step)
+        self._sends_transforms = values["enable_odom_tf"]
 
     def starting(self, step: int) -> None:
         self._brake()
@@ -203,7 +228,7 @@ class DiffDriveController(Controller):
             self.odometry.send(
                 OdometrySample(step, *self._frames, pose, velocity, *self._variances)
             )
-        if self.transform.wanted:
+        if self._sends_transforms and self.transform.wanted:
             self.transform.send(TransformSample(step, *self._frames, pose))
 
     def _drive(self, step: int, seconds: float) -> PlanarCommand:
@@ -246,8 +271,8 @@ class DiffDriveController(Controller):
         self._last = self._before = STANDSTILL
         self._given = 0
 
-    def _geometry(self, given: ControlParameters) -> Tuple[float, Tuple[float, float]]:
-        """Return the wheels' separation and the radii of each side, in m, with multipliers.
+    def _geometry(self, given: ControlParameters) -> Tuple[float, float]:
+        """Return the wheels' separation and radius, in m, before all multipliers.
 
         What is no parameter is taken from the URDF, of the first wheel of each side.
         """
@@ -256,18 +281,24 @@ class DiffDriveController(Controller):
         radius = given.optional_number("wheel_radius")
         if separation is None:
             separation = math.dist(left.origin, right.origin)
-        if radius is None:
-            radius = _wheel_radius(left)
-        both = given.optional_number("wheel_radius_multiplier")
-        factors = (
-            given.number(f"{side}_wheel_radius_multiplier", 1.0) if both is None else both
-            for side in ("left", "right")
-        )
-        separation *= given.number("wheel_separation_multiplier", 1.0)
-        radii = tuple(radius * factor for factor in factors)
-        if min(separation, *radii) <= 0.0:
+        return separation, _wheel_radius(left) if radius is None else radius
+
+    def _apply_multipliers(self) -> None:
+        """Take over separation and radii; raises ControlError where they are not positive."""
+        separation, radius = self._measured
+        left, right, apart = self._factors.values()
+        self.separation, self.radii = apart * separation, (left * radius, right * radius)
+        if min(self.separation, *self.radii) <= 0.0:
             raise ControlError("separation and radius of the wheels have to be positive")
-        return separation, radii
+
+
+def _multipliers(given: ControlParameters) -> Dict[str, float]:
+    """Return the multipliers of the left and right radius and of the separation, by their names."""
+    both = given.optional_number("wheel_radius_multiplier")
+    radii = (f"{side}_wheel_radius_multiplier" for side in ("left", "right"))
+    found = {name: given.number(name, 1.0) if both is None else both for name in radii}
+    name = "wheel_separation_multiplier"
+    return {**found, name: given.number(name, 1.0)}
 
 
 def _wheel_radius(joint: DescribedJoint) -> float:

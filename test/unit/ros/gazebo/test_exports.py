@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("rospkg")
 
-from bullet_lab.ros.nodes import gzserver as module
-from bullet_lab.ros.nodes.gzserver import add_exported_paths, exported_paths
+from bullet_lab.ros.gazebo import exports as module
+from bullet_lab.ros.gazebo.exports import add_exported_paths, exported_paths
 
 
 @pytest.fixture
