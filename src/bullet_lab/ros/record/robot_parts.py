@@ -27,7 +27,10 @@ SERVICE = "/bullet_lab/describe_models"
 VELOCITIES, ODOMETRY, PICTURES = "geometry_msgs/Twist", "nav_msgs/Odometry", "sensor_msgs/Image"
 CONTROLLERS = "/list_controllers"
 # What is listened to for so many messages only: drawing and sending it takes long.
-HEAVY, ENOUGH = (PICTURES, "sensor_msgs/PointCloud2"), 10
+HEAVY = (PICTURES, "sensor_msgs/CompressedImage", "sensor_msgs/PointCloud2")
+ENOUGH = 10
+# What is for programs that change settings.
+SETTINGS = "dynamic_reconfigure/"
 # What the simulator itself says.
 OWN_TOPICS = ("/clock", "/rosout", "/tf", "/tf_static", "/gazebo/", "/bullet_lab/")
 # What a header begins with: its number, and the stamp in s and ns.
@@ -146,7 +149,11 @@ def topics_of(
     Its controllers' are those that no model's plugin names.
     """
     others = _topics(other for other in models if other.name != model.name) - _topics([model])
-    return {topic: kind for topic, kind in master.spoken.items() if topic not in others}
+    return {
+        topic: kind
+        for topic, kind in master.spoken.items()
+        if topic not in others and not kind.startswith(SETTINGS)
+    }
 
 
 def controllers(master: Master) -> List[Controller]:

@@ -42,6 +42,7 @@ from bullet_lab.ros.node.publishers import publisher
 from bullet_lab.ros.record.photograph import photograph
 from bullet_lab.ros.record.recorder import RecordParameters, save_figures, save_summary
 from bullet_lab.ros.record.robot_parts import (
+    SERVICE,
     VELOCITIES,
     Listeners,
     Master,
@@ -57,13 +58,16 @@ COMMANDS = 20.0
 STAND = 1.0
 # A part of the drive is given up after this many times its time, or at this part of the way.
 LATEST, FARTHEST = 3.0, 1.5
-# Wall seconds for the robot to come; without anything new, for what a launch file starts to be
-# all there; and the same while nothing listens to velocities yet.
-ARRIVAL, SETTLED, SETTLED_WITHOUT_DRIVE = 120.0, 3.0, 20.0
+# Wall seconds for the robot to come, and for the simulation that it comes into; without anything
+# new, for what a launch file starts to be all there; and the same while nothing listens to
+# velocities yet.
+ARRIVAL, SIMULATION, SETTLED, SETTLED_WITHOUT_DRIVE = 120.0, 45.0, 3.0, 20.0
 LOOK = 0.5
 # Wall seconds for what roslaunch has started to end, of the six that this node has itself.
 GOODBYE = 5.0
 METRE, TURN = 1.0, 360.0
+# What is in a line of roslaunch's that tells what went wrong.
+TELLING = re.compile(r"rror\b|Exception|not found|died")
 
 
 @dataclass(frozen=True)
@@ -88,8 +92,11 @@ def reason_in(log: str) -> str:
     lines = [
         line for line in re.sub(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)", "", log).splitlines() if line
     ]
-    telling = [line for line in lines if re.search(r"rror\b|Exception|not found|died", line)]
-    return (telling or lines or ["without a word"])[0].strip()
+    telling = (n for n, line in enumerate(lines) if re.search(TELLING, line))
+    first = next(telling, 0)
+    # What ends with a colon is told in the line below.
+    last = next((n for n in range(first, len(lines)) if not lines[n].endswith(":")), first)
+    return " ".join(line.strip() for line in lines[first : last + 1]) or "without a word"
 
 
 class Launched:
@@ -133,15 +140,21 @@ def try_robot(parameters: TryRobotParameters) -> None:
 
 
 def _wait_for_robot(name: str, check: Callable[[], None]) -> ModelDescription:
-    deadline = time.monotonic() + ARRIVAL
+    start = time.monotonic()
+    simulated = False
     while True:
         check()
         master = Master()
-        if "/bullet_lab/describe_models" in master.services:
+        simulated = simulated or SERVICE in master.services
+        if SERVICE in master.services:
             found = choose(described().models, name, master.heard)
             if found is not None:
                 return found
-        if time.monotonic() > deadline:
+        waited = time.monotonic() - start
+        if waited > SIMULATION and not simulated:
+            hint = "a launch file that only spawns wants world:=… beside it"
+            raise NodeError(f"no simulation has come within {SIMULATION:g} s: {hint}")
+        if waited > ARRIVAL:
             what = f"no model '{name}'" if name else "no robot"
             raise NodeError(f"{what} has come within {ARRIVAL:g} s")
         _look_again()
@@ -181,6 +194,7 @@ class Trial:
         self._report = RobotReport(Path(parameters.out), robot, topics)
         self._report.about = parameters.about
         self._odometry: Optional[PlanarPose] = None
+        self._rate: Optional[Rate] = None
         self._listeners = Listeners(self._report, self._now, self._take_odometry)
         self._ways: List[Tuple[str, Way]] = []
         self._state = rospy.ServiceProxy(
@@ -224,7 +238,9 @@ class Trial:
             rospy.logwarn("there is no picture of the robot: %s", error)
 
     def _now(self) -> int:
-        return self._rate.now.to_nsec()
+        # What was said before, and is kept for who comes later, comes before the first tick.
+        now = rospy.Time.now() if self._rate is None else self._rate.now
+        return now.to_nsec()
 
     # The drive
 

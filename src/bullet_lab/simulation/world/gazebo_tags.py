@@ -15,7 +15,7 @@ from bullet_lab.simulation.world.description import WHITE, Link, Model, PluginTa
 from bullet_lab.simulation.world.materials import MaterialLibrary
 from bullet_lab.simulation.world.report import ReportOnce, leaving_out
 from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.xml import TagReader, child_text
+from bullet_lab.simulation.world.xml import TagReader
 
 
 def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
@@ -220,6 +220,7 @@ def report_unknown(element: Element, source: str, report: ReportOnce) -> None:
 def _asks_for_something(element: Element) -> bool:
     if element.tag == "plugin" and Path(element.get("filename", "")).stem in SERVER_PLUGINS:
         return False
-    if element.tag == "bounce":
-        return child_text(element, "restitution_coefficient", "0") not in ("0", "0.0")
+    if element.tag in ("bounce", "velocity_decay"):
+        said = ((child.text or "").strip() for child in element if child.tag != "threshold")
+        return any(word.strip("+-0.") for word in said)
     return (element.text or "").strip() not in SDF_AS_IT_IS.get(element.tag, ())

@@ -247,15 +247,17 @@ def _find(name: str, user: Path) -> Path:
     """
     folder, name = user.parent, unquote(name.replace("\\", "/"))
     marks = ("model.config", "package.xml")
-    holders = (f for f in user.parents if any((f / mark).is_file() for mark in marks))
-    root = next(holders, folder)
+    # A model may lie in a package, whose files it may use.
+    holders = [f for f in user.parents if any((f / mark).is_file() for mark in marks)] or [folder]
+    root = holders[0]
+    outer = next((f for f in holders if (f / "package.xml").is_file()), root)
     finder = ResourceFinder(root)
     bare = name.rpartition("/")[2]
     places = (folder, folder.parent / "materials" / "textures", root / "materials" / "textures")
     try:
         if "://" in name or name.startswith("/"):
             return finder.find(name)
-        return finder.find(os.path.relpath(folder / name, root))
+        return ResourceFinder(outer).find(os.path.relpath(folder / name, outer))
     except (ResourceError, ValueError) as error:
         for path in (place / bare for place in places if bare):
             try:

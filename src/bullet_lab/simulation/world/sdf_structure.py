@@ -103,7 +103,7 @@ def read_joint(tag: SdfTag, frames: Frames, links: Mapping[str, Link], model: st
     parent, child = (_end(tag, tag.text(end), frames, links, model) for end in ("parent", "child"))
     at = {WORLD_LINK: Pose(), **{name: link.pose for name, link in links.items()}}
     said = [k for k in ("lower", "upper", "effort", "velocity") if tag.text(f"axis/limit/{k}")]
-    limits = {key: tag.number(f"axis/limit/{key}", 0.0) for key in said}
+    limits = {key: tag.bound(f"axis/limit/{key}") for key in said}
     # Where the joint is in its child.
     place = at[child].inverse() * frames.pose(tag.base() or child) * tag.pose()
     if not tag.base() and child == tag.text("child"):

@@ -219,7 +219,7 @@ def _joint(tag: _Tag) -> Joint:
         tag.within("child").text("link"),
         tag.origin(),
         tag.within("axis").direction("xyz", "1 0 0"),
-        {key: limit.number(key, 0.0) for key in limit.element.attrib},
+        {key: limit.bound(key) for key in limit.element.attrib},
         dynamics.number("damping", 0.0),
         dynamics.number("friction", 0.0),
     )

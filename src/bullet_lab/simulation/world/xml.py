@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import re
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -18,6 +20,10 @@ from bullet_lab.errors import LabError
 # A description of a robot or a world is text for people; meshes are files of their own.
 MAXIMUM_BYTES = 20_000_000
 _PART = 1 << 20
+COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+DECLARATION = re.compile(r"<\?xml\s.*?\?>", re.DOTALL)
+# Before a colon, in the name of an element or of an attribute.
+PREFIX = re.compile(r"""(</?[\w.-]+|\s[\w.-]+(?=:[\w.-]+\s*=\s*["'])):""")
 # Squares and cubes of larger ones would overflow; SDF writes 1e16 for "no limit".
 LARGEST_NUMBER = 1e18
 # A coefficient of friction that nothing slips at.
@@ -32,7 +38,7 @@ def parse_text(text: str, source: str) -> Element:
     """Parse XML text; `source` names it in messages.
 
     Document types are refused altogether: entities can read files and the network, and no
-    robot needs them.
+    robot needs them. What Gazebo's parser passes over is passed over.
 
     Raises:
         XmlError: not well formed, too large, or with a document type.
@@ -40,14 +46,35 @@ def parse_text(text: str, source: str) -> Element:
     if len(text) > MAXIMUM_BYTES:
         raise XmlError(f"{source}: larger than {MAXIMUM_BYTES} bytes")
     try:
-        # Given as text, not as bytes: whatever encoding the document declares is passed over.
-        return defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
+        with contextlib.suppress(ParseError):
+            return _parsed(text)
+        return _parsed(_as_gazebo_has_it(text))
     except ParseError as error:
         raise XmlError(f"{source}: not well-formed XML: {error}") from error
     except DefusedXmlException as error:
         raise XmlError(f"{source}: document types and entities are refused") from error
     except UnicodeError as error:
         raise XmlError(f"{source}: not Unicode text") from error
+
+
+def _parsed(text: str) -> Element:
+    # Given as text, not as bytes: whatever encoding the document declares is passed over.
+    return defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
+
+
+def _as_gazebo_has_it(text: str) -> str:
+    """Return a document without what expat refuses and Gazebo's parser, TinyXML, does not mind.
+
+    That is whatever stands in comments, a declaration that is not the first of all, and prefixes of
+    names without a namespace.
+
+    >>> _as_gazebo_has_it("<!-- -- --> <?xml version='1.0'?><a b:c='1'><d:e/></a>").strip()
+    "<a b.c='1'><d.e/></a>"
+    """
+    for passed_over in (COMMENT, DECLARATION):
+        # Lines keep their numbers, for messages.
+        text = passed_over.sub(lambda found: "\n" * found.group().count("\n"), text)
+    return PREFIX.sub(r"\1.", text)
 
 
 def file_bytes(path: Path, most: int, error_kind: Type[LabError] = XmlError) -> bytes:
@@ -125,6 +152,21 @@ class TagReader:
     def number(self, key: str, default: float) -> float:
         """Return a finite number."""
         return self.numbers(key, 1, repr(default))[0]
+
+    def bound(self, key: str) -> float:
+        """Return a number that bounds something; LARGEST_NUMBER for what is larger or infinite.
+
+        >>> class Said(TagReader):
+        ...     def text(self, key, default=""):
+        ...         return {"upper": "1.79769e+308", "lower": "-inf", "effort": "3"}[key]
+        >>> [Said().bound(key) for key in ("upper", "lower", "effort")]
+        [1e+18, -1e+18, 3.0]
+        """
+        with contextlib.suppress(ValueError):
+            said = float(self.text(key))
+            if abs(said) > LARGEST_NUMBER:
+                return math.copysign(LARGEST_NUMBER, said)
+        return self.number(key, 0.0)
 
     def coefficient(self, key: str, default: float) -> float:
         """Return a number that is not negative."""

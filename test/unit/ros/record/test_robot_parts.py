@@ -96,5 +96,9 @@ def test_arguments_of_a_launch_file():
 def test_why_a_launch_file_has_ended():
     log = "logging to x\n\x1b[31mResource not found: lidar\nROS path [0]=/x\x1b[0m\nThe traceback\n"
     assert reason_in(log) == "Resource not found: lidar"
+    assert reason_in("start\nRLException: while processing a.launch:\nno b\nd") == (
+        "RLException: while processing a.launch: no b"
+    )
+    assert reason_in("Error:\n") == "Error:"
     assert reason_in("done\n") == "done"
     assert reason_in("") == "without a word"

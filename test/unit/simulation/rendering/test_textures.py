@@ -186,6 +186,19 @@ def test_pictures_beside_the_meshes_of_a_gazebo_model(tmp_path):
     assert (read_pixels(material.texture) == COLOURS[1]).all()
 
 
+def test_pictures_of_the_package_that_a_model_lies_in(tmp_path):
+    model = tmp_path / "models" / "shelf"
+    (model / "meshes").mkdir(parents=True)
+    (tmp_path / "package.xml").write_text("<package/>")
+    (model / "model.config").write_text("<model/>")
+    path = write_plate(model / "meshes", "p", flat(COLOURS[1]), 1.0, 1.0)
+    (tmp_path / "photos").mkdir()
+    shutil.move(model / "meshes" / "p.png", tmp_path / "photos" / "q.png")
+    (model / "meshes" / "p.mtl").write_text("newmtl face\nmap_Kd ../../../photos/q.png\n")
+    (surface,) = surfaces_of(Mesh(path, ""))
+    assert (read_pixels(surface.look[1].texture) == COLOURS[1]).all()
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [

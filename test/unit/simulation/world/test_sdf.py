@@ -182,6 +182,21 @@ def test_joints_hang_where_the_links_stand():
     assert lumped.links[0].inertia.centre == pytest.approx((0.5, 0, 0))
 
 
+def test_limits_beyond_all_bounds_are_none(caplog):
+    limit = (
+        "<limit><lower>-1.79769e+308</lower><upper>inf</upper><effort>1e16</effort>"
+        "<velocity>3</velocity></limit>"
+    )
+    parts = "".join(f"<link name='{name}'/>" for name in "ab")
+    (joint,) = read_model_text(
+        f"<sdf><model name='m'>{parts}<joint name='j' type='revolute'><parent>a</parent>"
+        f"<child>b</child><axis><xyz>0 0 1</xyz>{limit}</axis></joint></model></sdf>",
+        "m",
+    ).joints
+    assert joint.limits == {"velocity": 3.0}
+    assert caplog.messages == []
+
+
 def test_plugins_of_the_model_and_of_links_sensors():
     text = model(
         '<plugin name="p" filename="libp.so"><x>1</x></plugin>'

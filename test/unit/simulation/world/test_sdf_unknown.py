@@ -42,6 +42,12 @@ def test_what_is_not_simulated_is_told_once(part, xml, said, caplog):
         ("link", "<sensor name='s' type='ray'><visualize>true</visualize></sensor>"),
         ("visual", "<cast_shadows>1</cast_shadows><transparency>0.5</transparency><meta/>"),
         ("collision", "<max_contacts>10</max_contacts><laser_retro>0</laser_retro>"),
+        ("link", "<velocity_decay><linear>0.00</linear><angular>0</angular></velocity_decay>"),
+        (
+            "collision",
+            "<surface><bounce><restitution_coefficient>0.000</restitution_coefficient>"
+            "<threshold>1e5</threshold></bounce></surface>",
+        ),
         ("collision", "<surface><bounce/><friction><ode><mu>1</mu></ode></friction></surface>"),
     ],
 )

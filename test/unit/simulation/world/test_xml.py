@@ -45,6 +45,31 @@ def test_document_types_and_entities_are_refused(prolog):
         parse_text(f"{prolog}<a>&x;&l9;</a>", "here")
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<!-- licence -->\n<?xml version='1.0'?>\n<a><b/></a>",
+        "\n\n<?xml version='1.0'?><a><b/></a>",
+        "<a><!-- 1 -- 2 --><!-- <b> ---><b/></a>",
+        "<a xmlns:c='d'><b/><e:f g='1'/></a>",
+        "<a h:g='1'><b/></a>",
+    ],
+)
+def test_what_gazebos_parser_passes_over_is_passed_over(text):
+    assert parse_text(text, "here").find("b") is not None
+
+
+def test_lines_keep_their_numbers():
+    text = "<!-- a\nb -- c -->\n<?xml version='1.0'\n?>\n<a>\n<b></a>"
+    with pytest.raises(XmlError, match="mismatched tag: line 6"):
+        parse_text(text, "here")
+
+
+def test_a_document_type_behind_an_odd_comment_is_refused():
+    with pytest.raises(XmlError, match="^here: document types and entities are refused$"):
+        parse_text("<!-- -- --><!DOCTYPE a><a/>", "here")
+
+
 @pytest.mark.parametrize("encoding", ["UTF-8", "ISO-8859-1", "utf-7", "UTF-16", "big5", "klingon"])
 def test_the_declared_encoding_of_a_text_does_not_matter(encoding):
     text = f'<?xml version="1.0" encoding="{encoding}"?><a n="+ADw-ü"/>'
