@@ -10,6 +10,12 @@ import numpy as np
 
 from bullet_lab.errors import LabError
 
+# What a lens shows farther from its axis than 87° is passed over.
+STEEPEST = 20.0
+# Of Newton's method: how far off what is seen at a found slope is, which is as good as not at all,
+# and which is still taken for found.
+MOST_STEPS, CONVERGED, FOUND = 30, 1e-12, 1e-6
+
 
 class PinholeError(LabError):
     """Numbers that make no camera."""
@@ -63,10 +69,64 @@ class PinholeCamera:
         """
         points = np.asarray(points, dtype=float).reshape(-1, 3)
         depth = np.where(points[:, 2] > 0.0, points[:, 2], np.nan)
-        x, y = points[:, 0] / depth, points[:, 1] / depth
+        u, v = self._bent(points[:, 0] / depth, points[:, 1] / depth)
+        return np.column_stack((self.fx * u + self.cx, self.fy * v + self.cy))
+
+    def slopes(self, pixels: np.ndarray) -> np.ndarray:
+        """Return x/z and y/z, (n, 2), of what is seen at (n, 2) pixels; NaN where nothing is.
+
+        The inverse of `project`, by Newton's method. A lens whose distortion would fold the picture
+        over shows nothing beyond the fold.
+
+        >>> camera = PinholeCamera(640, 480, 300.0, 300.0, 319.5, 239.5, (-0.3, 0.1, 0, 0, 0))
+        >>> camera.slopes(camera.project([[0.5, -0.25, 1.0]])).round(9).tolist()
+        [[0.5, -0.25]]
+        """
+        seen = (np.asarray(pixels, dtype=float).reshape(-1, 2) - (self.cx, self.cy)).T
+        seen = seen / np.array((self.fx, self.fy))[:, None]
+        if not any(self.distortion):
+            return seen.T
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            found = seen * self._straightening(np.hypot(*seen))
+            for _ in range(MOST_STEPS):
+                missed = np.array(self._bent(*found)) - seen
+                if not np.nanmax(np.abs(missed), initial=0.0) > CONVERGED:
+                    break
+                found = found - self._solved(*found, *missed)
+            missed = np.abs(np.array(self._bent(*found)) - seen).max(axis=0)
+            return np.where(missed < FOUND, found, np.nan).T
+
+    def _bent(self, x: np.ndarray, y: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Return where the lens shows slopes."""
         k1, k2, p1, p2, k3 = self.distortion
         square = x * x + y * y
         radial = 1.0 + square * (k1 + square * (k2 + square * k3))
         u = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
         v = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
-        return np.column_stack((self.fx * u + self.cx, self.fy * v + self.cy))
+        return u, v
+
+    def _straightening(self, radii: np.ndarray) -> np.ndarray:
+        """Return slope by seen slope, as far as the lens bends along radii; NaN beyond its fold."""
+        k1, k2, _, _, k3 = self.distortion
+        slopes = np.linspace(0.0, STEEPEST, 20_000)
+        square = slopes * slopes
+        bent = slopes * (1.0 + square * (k1 + square * (k2 + square * k3)))
+        rising = np.concatenate(([True], np.diff(bent) > 0.0))
+        end = len(rising) if rising.all() else int(np.argmin(rising))
+        found = np.interp(radii, bent[:end], slopes[:end], right=np.nan)
+        return np.where(radii > 0.0, found / radii, 1.0)
+
+    def _solved(
+        self, x: np.ndarray, y: np.ndarray, u: np.ndarray, v: np.ndarray
+    ) -> Tuple[np.ndarray, np.ndarray]:
+        """Return by how much the slopes x, y have to change for what is seen to change by u, v."""
+        k1, k2, p1, p2, k3 = self.distortion
+        square = x * x + y * y
+        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+        growth = 2.0 * (k1 + square * (2.0 * k2 + square * 3.0 * k3))
+        # The derivatives of `_bent`, a symmetric matrix.
+        xx = radial + x * x * growth + 2.0 * p1 * y + 6.0 * p2 * x
+        yy = radial + y * y * growth + 6.0 * p1 * y + 2.0 * p2 * x
+        xy = x * y * growth + 2.0 * p1 * x + 2.0 * p2 * y
+        determinant = xx * yy - xy * xy
+        return np.array(((yy * u - xy * v) / determinant, (xx * v - xy * u) / determinant))

@@ -65,6 +65,9 @@ class Camera(Plugin):
         tag = SensorTag(mount, self.sensors)
         self._place = tag.place()
         self.lens = Lens(_geometry(mount, tag))
+        if self.lens.black:
+            where, share = tag.where("camera/distortion"), f"{100.0 * self.lens.black:.0f} %"
+            LOG.warning("%s: where it shows nothing the picture is black: %s of it", where, share)
         self.near = tag.number("camera/clip/near", 0.1)
         self.far = tag.number("camera/clip/far", 100.0)
         self.encoding = ENCODINGS[tag.choice("camera/image/format", tuple(ENCODINGS))]

@@ -18,6 +18,8 @@ SPARE_NOISE = 1 << 20
 WHITE = 255.0
 # The ideal picture behind a distorted one is this many times larger at most.
 WIDEST = 3.0
+# Outside of every picture.
+NOWHERE = -10.0
 
 
 class FinishError(LabError):
@@ -89,15 +91,25 @@ def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
 class Lens:
     """A distorting lens: which ideal picture to draw, and how to bend it into a camera's.
 
+    Where a lens that bends strongly shows nothing, or only what would need far too large a picture,
+    its own is black.
+
+    Attributes:
+        camera: what it is the lens of.
+        ideal: the camera without distortion that is to draw.
+        black: the share of the pixels that show nothing.
+
     Raises:
-        FinishError: the distortion folds the picture over, or would need one far too large.
+        FinishError: it shows nothing at all.
     """
 
     def __init__(self, camera: PinholeCamera):
         self.camera = self.ideal = camera
+        self.black = 0.0
         self._map: Optional[np.ndarray] = None
         if any(camera.distortion):
             self.ideal, self._map = _bent(camera)
+            self.black = float(np.mean(self._map[0] == NOWHERE))
 
     def bend(self, picture: np.ndarray) -> np.ndarray:
         """Return the picture of `camera`, given that of `ideal`."""
@@ -108,7 +120,9 @@ class Lens:
 
         Between the depths of two things there is nothing, so they are not mixed.
         """
-        return values if self._map is None else cv2.remap(values, *self._map, cv2.INTER_NEAREST)
+        if self._map is None:
+            return values
+        return cv2.remap(values, *self._map, cv2.INTER_NEAREST, borderValue=math.nan)
 
     def slopes(self) -> np.ndarray:
         """Return x/z and y/z of what each pixel sees in the optical frame: (2, height, width)."""
@@ -122,20 +136,16 @@ class Lens:
 def _bent(camera: PinholeCamera) -> Tuple[PinholeCamera, np.ndarray]:
     """Return the ideal camera behind a lens, and where each pixel looks in its picture."""
     pixels = np.indices((camera.height, camera.width))[::-1].reshape(2, -1).T.astype(float)
-    coefficients = np.array(camera.distortion)
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
-    rays = cv2.undistortPointsIter(
-        pixels[:, None], camera.matrix, coefficients, None, None, criteria
-    )[:, 0]
-    there = camera.project(np.column_stack((rays, np.ones(len(rays)))))
-    if not np.abs(there - pixels).max() < 1e-2:
-        raise FinishError(f"a distortion of {camera.distortion} folds the picture over")
-    places = rays * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    centre, size = np.array((camera.cx, camera.cy)), np.array((camera.width, camera.height))
+    offsets = camera.slopes(pixels) * (camera.fx, camera.fy)
+    shown = (np.abs(offsets) < 0.5 * WIDEST * size).all(axis=1)
+    if not shown.any():
+        raise FinishError(f"a distortion of {camera.distortion} leaves nothing of the picture")
+    places = offsets + centre
     # One pixel more on each side, for the interpolation.
-    first = np.floor(places.min(axis=0)) - 1
-    width, height = (np.ceil(places.max(axis=0)) + 2 - first).astype(int).tolist()
-    if width > WIDEST * camera.width or height > WIDEST * camera.height:
-        raise FinishError(f"a distortion of {camera.distortion} needs too wide a picture")
-    cx, cy = (np.array((camera.cx, camera.cy)) - first).tolist()
-    places = (places - first).astype(np.float32).T.reshape(2, camera.height, camera.width)
+    first = np.floor(places[shown].min(axis=0)) - 1
+    width, height = (np.ceil(places[shown].max(axis=0)) + 2 - first).astype(int).tolist()
+    cx, cy = (centre - first).tolist()
+    places = np.where(shown[:, None], places - first, NOWHERE)
+    places = places.astype(np.float32).T.reshape(2, camera.height, camera.width)
     return PinholeCamera(width, height, camera.fx, camera.fy, cx, cy), places

@@ -273,7 +273,7 @@ def test_impossible_settings_are_refused(wrong):
         ({"tags": "<samples>99</samples>"}, "99 samples"),
         ({"tags": "<distortionK1>0.1</distortionK1>",
           "more": "<distortion><k1>0.2</k1></distortion>"}, "other coefficients"),
-        ({"tags": "<distortionK1>-3</distortionK1>"}, "folds the picture over"),
+        ({"tags": "<distortionK1>-3</distortionK1>"}, "the picture is black: 8. % of it"),
         ({"kind": "depth"}, 'needs a <sensor type="camera">'),
     ],
 )  # fmt: skip

@@ -124,10 +124,46 @@ def test_impossible_shots_are_refused(wrong):
         Shot(**{"camera": CAMERA, **wrong})
 
 
-@pytest.mark.parametrize("distortion", [(-2.0, 0, 0, 0, 0), (9.0, 0, 0, 0, 0), (-0.9, 0, 0, 0, 0)])
-def test_distortions_that_no_picture_has_are_refused(distortion):
-    with pytest.raises(FinishError, match="distortion"):
-        Lens(PinholeCamera(640, 480, 300.0, 300.0, 319.5, 239.5, distortion))
+# One of a real lens with a wide view; one that bends outwards; those that fold, at the slope where
+# r (1 + k1 r²) is greatest.
+STRONG = [
+    ((-0.279817, 0.060321, 0.00031, 0.0, 0.000487), 228.8),
+    ((9.0, 0.0, 0.0, 0.0, 0.0), 300.0),
+    ((-0.9, 0.0, 0.0, 0.0, 0.0), 300.0),
+    ((-2.0, 0.0, 0.01, 0.02, 0.0), 300.0),
+]
+
+
+@pytest.mark.parametrize(("distortion", "focal"), STRONG)
+def test_where_a_lens_shows_nothing_its_picture_is_black(distortion, focal):
+    camera = PinholeCamera(640, 480, focal, focal, 319.5, 239.5, distortion)
+    lens = Lens(camera)
+    black = 0.0
+    if distortion[0] < -0.5:
+        radius = focal * 2.0 / 3.0 / np.sqrt(-3.0 * distortion[0])
+        black = 1.0 - np.pi * radius**2 / (640 * 480)
+    assert lens.black == pytest.approx(black, abs=0.005)
+    picture = lens.bend(np.full((lens.ideal.height, lens.ideal.width, 3), 255, np.uint8))
+    dark = (picture == 0).all(axis=2)
+    assert dark.mean() == pytest.approx(lens.black, abs=0.005)
+    depths = lens.pick(np.ones((lens.ideal.height, lens.ideal.width), np.float32))
+    assert np.array_equal(np.isnan(depths), dark)
+    assert lens.ideal.width <= 3 * camera.width + 4
+
+
+@pytest.mark.parametrize(("distortion", "focal"), STRONG)
+def test_slopes_are_the_inverse_of_a_projection(distortion, focal):
+    camera = PinholeCamera(640, 480, focal, focal, 319.5, 239.5, distortion)
+    pixels = np.indices((640, 480)).reshape(2, -1).T.astype(float)
+    slopes = camera.slopes(pixels)
+    there = np.isfinite(slopes).all(axis=1)
+    back = camera.project(np.column_stack((slopes[there], np.ones(there.sum()))))
+    assert np.abs(back - pixels[there]).max() < 1e-3
+
+
+def test_a_lens_that_shows_nothing_is_refused():
+    with pytest.raises(FinishError, match="leaves nothing"):
+        Lens(PinholeCamera(2, 2, 1.0, 1.0, 900.0, 900.0, (-9.0, 0, 0, 0, 0)))
 
 
 @pytest.mark.parametrize("degrees", [40, 80, 120])
