@@ -323,7 +323,7 @@ class NoisyStep:
         pose: noisy x (m), y (m) and yaw (rad, in [-pi, pi)) in the odometry frame.
         covariance: 3x3, of (x, y, yaw) in the odometry frame, accumulated since the start: the
             exact second moments of what has been added to the perfect pose, about it, so that
-            the mean NEES is 3 however large the noise is. Its axes are those of the perfect path.
+            the mean NEES is 3 also where the noise is large. Its axes are the perfect path's.
         motion_error: noisy minus true step as (dx m, dy m, dyaw rad), each step in the body
             frame before it.
         motion_covariance: 3x3, likewise, of this step alone, in the body frame before it. Divided

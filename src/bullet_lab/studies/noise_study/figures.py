@@ -6,7 +6,7 @@ black, what is computed to first order vermilion and dashed.
 
 from __future__ import annotations
 
-from typing import Dict, List, Sequence, Tuple
+from typing import Dict, Iterable, List, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -151,16 +151,17 @@ def coverage_figure(cases: Sequence[Case]) -> Figure:
         column[0].set_title(MODELS[model].title)
         std = [case.std for case in known]
         shares, title = [c.theory.quadratic_share() for c in known], "quadratic in the noise"
-        column[1].axhspan(0.0, GAUSSIAN_SHARE, color=GREY, alpha=0.35, linewidth=0.0)
-        column[1].plot(std, shares, "o-", color=BLACK, label=f"share of the variance\n{title}")
-        areas, label = [c.theory.area_ratio() for c in known], "area of the ellipse,\nfirst order"
+        column[1].axhspan(1e-3, GAUSSIAN_SHARE, color=GREY, alpha=0.35, linewidth=0.0)
+        column[1].plot(std, shares, "o-", color=BLACK, label=f"variance {title} / exact")
+        areas, label = [c.theory.area_ratio() for c in known], "area of the ellipse, first order"
         column[1].plot(std, areas, "s--", color=VERMILION, label=f"{label} / exact")
-        column[1].set_xlabel("std")
+        column[1].set(xlabel="std", yscale="log", ylim=(1e-3, 10.0))
         column[1].grid(alpha=0.3)
+        plain_numbers(column[1].yaxis)
     grid[0, 0].set_ylabel("in the 95 % ellipse (%)")
     grid[1, 0].set_ylabel("ratio; grey: Gaussian enough")
-    add_legends(grid, "lower left", "upper left")
-    figure.tight_layout()
+    add_legend(figure, [*grid[0], *grid[1]])
+    figure.tight_layout(rect=(0.0, 0.05, 1.0, 1.0))
     return figure
 
 
@@ -277,13 +278,15 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
     axes.grid(alpha=0.3)
 
 
-def add_legends(grid: np.ndarray, *where: str) -> None:
-    """Add a legend to each of the first rows of panels, in the first panel that has anything."""
-    for row, place in zip(grid, where):
-        for axes in row:
-            if axes.get_legend_handles_labels()[0]:
-                axes.legend(loc=place, fontsize=8)
-                break
+def add_legend(figure: Figure, panels: Iterable[Axes]) -> None:
+    """Add a legend below a figure, with each label of its panels once; none without labels."""
+    labels = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels()):
+            labels.setdefault(label, handle)
+    if labels:
+        place = {"loc": "lower center", "ncol": len(labels), "frameon": False}
+        figure.legend(labels.values(), labels, fontsize=9, **place)
 
 
 def plain_numbers(axis: Axis) -> None:

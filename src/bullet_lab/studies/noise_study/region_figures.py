@@ -18,7 +18,7 @@ from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_genera
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.figures import (
     STYLES,
-    add_legends,
+    add_legend,
     by_model_of,
     plain_numbers,
     shown_levels,
@@ -39,6 +39,8 @@ PANELS = 3
 Gaussian = Tuple[np.ndarray, np.ndarray]
 """Its mean (3,) and covariance (3, 3), in m and rad."""
 
+Found = Sequence[Optional[Region]]
+
 _GRID, _HEADINGS, _REACH = 160, 41, 4.5
 
 
@@ -58,17 +60,14 @@ def regions_figure(cases: Sequence[Case]) -> Figure:
             found = [case.sample.regions.found[method][-1] for case in of_model]
             for level, axes in enumerate(column[:-1]):
                 _draw_shares(axes, std, found, method, level)
-            nees = [region.nees if region else math.nan for region in found]
-            style, colour = STYLES[method]
-            column[-1].plot(std, nees, style, color=colour, markersize=4)
+            _draw_nees(column[-1], std, found, method)
         column[-1].axhline(3.0, color=GREY, linewidth=5.0, alpha=0.5, zorder=0.5)
         column[-1].set(yscale="log", xlabel="std")
-        column[-1].grid(alpha=0.3)
         plain_numbers(column[-1].yaxis)
     _name_rows(grid[:-1, 0])
     grid[-1, 0].set_ylabel("mean NEES; 3 is right")
-    add_legends(grid, "lower left")
-    figure.tight_layout()
+    add_legend(figure, grid.flat)
+    figure.tight_layout(rect=(0.0, 0.3 / figure.get_figheight(), 1.0, 1.0))
     return figure
 
 
@@ -92,8 +91,8 @@ def distances_figure(cases: Sequence[Case]) -> Figure:
         column[-1].set_xlabel("distance travelled (m)")
     for axes in grid[:, 0]:
         axes.set_ylabel("in the 95 % region (%)")
-    add_legends(grid, "lower left")
-    figure.tight_layout()
+    add_legend(figure, grid.flat)
+    figure.tight_layout(rect=(0.0, 0.3 / figure.get_figheight(), 1.0, 1.0))
     return figure
 
 
@@ -182,22 +181,26 @@ def _name_rows(column: Sequence[Axes]) -> None:
         axes.set_ylabel(f"in the {100 * level:g} % region (%)")
 
 
-def _draw_shares(
-    axes: Axes, where, found: Sequence[Optional[Region]], method: str, level: int
-) -> None:
+def _draw_shares(axes: Axes, where, found: Found, method: str, level: int) -> None:
     """Draw the coverage of a method's regions with its bands, where there are any."""
-    known = [(x, region) for x, region in zip(where, found) if region is not None]
     goal, width = 100.0 * LEVELS[level], 100.0 * TOLERANCE
     axes.axhspan(goal - width, goal + width, color=GREY, alpha=0.12, linewidth=0.0)
-    if not known:
-        return
-    style, colour = STYLES[method]
-    x = [place for place, _ in known]
-    low, high = (np.array([100.0 * r.bands[level][end] for _, r in known]) for end in (0, 1))
-    axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0.0)
-    shares = [100.0 * region.coverage[level] for _, region in known]
-    axes.plot(x, shares, style, color=colour, markersize=4, label=METHODS[method])
+    known = [(x, r.coverage[level], *r.bands[level]) for x, r in zip(where, found) if r]
+    _draw_band(axes, [(x, *(100.0 * share for share in shares)) for x, *shares in known], method)
+
+
+def _draw_nees(axes: Axes, where, found: Found, method: str) -> None:
+    _draw_band(axes, [(x, r.nees, *r.nees_band) for x, r in zip(where, found) if r], method)
+
+
+def _draw_band(axes: Axes, rows: Sequence[Sequence[float]], method: str) -> None:
+    """Draw what a method gives, from rows of place, value, and the ends of its band."""
     axes.grid(alpha=0.3)
+    if rows:
+        style, colour = STYLES[method]
+        x, values, low, high = zip(*rows)
+        axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0.0)
+        axes.plot(x, values, style, color=colour, markersize=4, label=METHODS[method])
 
 
 def _draw_cloud(axes: Axes, cloud: _Cloud) -> None:
@@ -221,15 +224,20 @@ def _draw_bent_region(axes: Axes, mean, covariance, around: np.ndarray) -> None:
     """Draw what holds 95 % of the positions, if they are Gaussian in exponential coordinates."""
     if inverse_of(covariance) is None:
         return
-    x, y = (
-        np.linspace(side.min() - 0.2 * np.ptp(side), side.max() + 0.2 * np.ptp(side), _GRID)
-        for side in (around.real, around.imag)
-    )
+    x, y = (np.linspace(*_widened(side, 0.2), _GRID) for side in (around.real, around.imag))
     density = _density(mean, covariance, x[None, :] + 1j * y[:, None])
     falling = np.sort(density.ravel())[::-1]
     held = np.cumsum(falling) / falling.sum()
     level = falling[np.searchsorted(held, LEVEL)]
-    axes.contour(x, y, density, levels=[level], colors=[GREEN], linewidths=[2.0])
+    # Drawn elsewhere and copied: a contour would widen the limits to its whole grid.
+    contour = new_figure(1.0, 1.0).subplots().contour(x, y, density, levels=[level])
+    for curve in contour.allsegs[0]:
+        axes.plot(*curve.T, color=GREEN, linewidth=2.0)
+
+
+def _widened(values: np.ndarray, share: float = 0.05) -> Tuple[float, float]:
+    margin = share * np.ptp(values)
+    return values.min() - margin, values.max() + margin
 
 
 def _density(mean: np.ndarray, covariance: np.ndarray, place: np.ndarray) -> np.ndarray:
