@@ -17,10 +17,12 @@ multiplied by exp(-c² w / 2), w its variance. With translation k, let w_k = d_k
 phi(c) = E exp(icH) = exp(-c² V_k / 2); p becomes p + (w_k + et_k exp(i psi_k)) exp(iH) - w_k and
 
     M(c) += w_k (phi(c+1) - phi(c)),
-    S(c) += conj(w_k) X(c) + w_k conj(X(-c))
-            + d_k² (2 phi(c) - phi(c+1) - phi(c-1)) + s_k² phi(c),   X(c) = M(c-1) - M(c),
+    S(c) += 2 Re(conj(w_k) (M(c-1) - M(c)))
+            + d_k² (2 phi(c) - phi(c+1) - phi(c-1)) + s_k² phi(c),
     G(c) += 2 w_k (M(c+1) - M(c))
             + w_k² (phi(c+2) - 2 phi(c+1) + phi(c)) + s_k² exp(2i psi_k) phi(c+2).
+
+S leaves out what is odd in c, which the coefficients of |f|² do not see, as |f| is even in h.
 
 The series need not have the period of a turn: where H is small, a period of `_SPAN` of its
 deviations will do, so that `_HARMONICS` are always enough, as M, S and G fall as exp(-c² V / 2).
@@ -80,7 +82,8 @@ def _harmonics(steps: NoisySteps, at: np.ndarray, c: np.ndarray):
     shifted = c + np.array([-1.0, 0.0, 1.0, 2.0])[:, None, None]
     rates = -0.5 * shifted * shifted
     phi = np.ones(shifted.shape)
-    m, s, g = (np.zeros(shape, dtype=complex) for shape in (phi[:3].shape, c.shape, c.shape))
+    m, g = (np.zeros(shape, dtype=complex) for shape in (phi[:3].shape, c.shape))
+    s = np.zeros(c.shape)
     found = np.empty((3, *c.shape), dtype=complex)
     turned = np.concatenate([[0.0], steps.variance2[:-1]]) + steps.variance1
     columns = (turned, steps.trans * steps.direction, steps.variance_trans, steps.direction**2)
@@ -93,9 +96,8 @@ def _harmonics(steps: NoisySteps, at: np.ndarray, c: np.ndarray):
             s *= decay[1]
             g *= decay[1]
         if way or s2:
-            x = m[0] - m[1]
-            bend = abs(way) ** 2 * (2.0 * phi[1] - phi[0] - phi[2]) + s2 * phi[1]
-            s += way.conjugate() * x + way * x[:, ::-1].conj() + bend
+            s += 2.0 * (way.conjugate() * (m[0] - m[1])).real
+            s += abs(way) ** 2 * (2.0 * phi[1] - phi[0] - phi[2]) + s2 * phi[1]
             g += 2.0 * way * (m[2] - m[1]) + s2 * twice * phi[3]
             g += way * way * (phi[3] - 2.0 * phi[2] + phi[1])
             m += way * (phi[1:] - phi[:3])

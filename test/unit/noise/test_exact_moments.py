@@ -15,7 +15,12 @@ from scipy import stats
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import SQUARE_RADIUS, ellipse_points
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.noise.exact_moments import exact_moments, first_order_moments
+from bullet_lab.noise.exact_moments import (
+    exact_moments,
+    first_order_moments,
+    quadratic_covariances,
+    quadratic_shares,
+)
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import MODELS, ProbabilisticRule, RateInvariantRule
 from bullet_lab.studies.noise_study.regions import BOUNDS, MEANT, METHODS
@@ -131,6 +136,39 @@ def test_running_sums_are_the_double_sums(model, std):
     np.testing.assert_allclose(
         exact.covariance[-1, :2, :2], covariance, rtol=0.0, atol=1e-12 * scale
     )
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_quadratic_part_is_that_of_drawn_noise(model):
+    steps = noisy_steps(square_poses(), level_rule(model, 0.2))
+    draws = np.random.default_rng(53).standard_normal((PATHS, len(steps), 3))
+    names = ("variance1", "variance_trans", "variance2")
+    noise1, noise_trans, noise2 = (
+        draws[..., i] * np.sqrt(getattr(steps, name)) for i, name in enumerate(names)
+    )
+    heading = np.cumsum(noise1 + noise2, axis=1) - noise2
+    terms = steps.direction * (1j * noise_trans * heading - 0.5 * steps.trans * heading**2)
+    expected = quadratic_covariances(steps)
+    for pose in (20, len(steps)):
+        part = terms[:, :pose].sum(axis=1)
+        sample = np.column_stack([part.real, part.imag]) - [part.real.mean(), part.imag.mean()]
+        products = sample[:, :, None] * sample[:, None, :]
+        error = products.std(axis=0) / math.sqrt(PATHS)
+        # Four entries, two poses, each model.
+        quantile = stats.norm.isf(0.5 * FAMILY / (8 * len(MODELS)))
+        found = expected[pose][:2, :2]
+        assert (np.abs(products.mean(axis=0) - found) <= quantile * error + 1e-15).all()
+    assert not expected[:, 2].any()
+
+
+def test_the_quadratic_share_is_that_of_the_worst_direction():
+    quadratic, covariance = np.diag([1.0, 2.0, 0.0]), np.diag([4.0, 4.0, 1.0])
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    turned = (turn @ quadratic @ turn.T, turn @ covariance @ turn.T)
+    assert quadratic_shares(*turned) == pytest.approx(0.5)
+    assert quadratic_shares(np.zeros((3, 3)), np.zeros((3, 3))) == 0.0
+    # A direction without variance has no share.
+    assert quadratic_shares(quadratic, np.diag([4.0, 4.0, 0.0])) == pytest.approx(0.5)
 
 
 def test_moments_on_the_way_are_those_of_the_path_so_far():
