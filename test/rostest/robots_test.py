@@ -130,11 +130,15 @@ class RobotsTest(unittest.TestCase):
     def test_docking_finds_the_frames_with_the_prefix(self):
         client = SimpleActionClient("right/dock", DockAction)
         self.assertTrue(client.wait_for_server(rospy.Duration(30)))
-        client.send_goal(DockGoal(dock_id="dock", search=False))
-        self.assertTrue(client.wait_for_result(rospy.Duration(30)))
-        result = client.get_result()
+        for _ in range(10):
+            client.send_goal(DockGoal(dock_id="dock", search=False))
+            self.assertTrue(client.wait_for_result(rospy.Duration(60)))
+            said = client.get_result().message
+            # Time runs three times as fast as the wall clock, whatever the machine has to do.
+            if "no image" not in said:
+                break
         # The camera was found in the robot's frame, the dock's place in that of the odometry.
-        self.assertEqual("the marker is not in sight", result.message)
+        self.assertEqual("the marker is not in sight", said)
 
     def test_robots_that_share_a_frame_are_warned_about(self):
         log = self.topic("/rosout", Log)
