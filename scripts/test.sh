@@ -9,6 +9,7 @@ source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 LOG=$LAB_DIR/log/test
 export LAB_TALLY=$LOG/tally
 ROSTEST_TIMEOUT=600
+MUTANTS=564
 # Much of a rostest is waiting: for nodes that start, for what must not come.
 AT_ONCE=$(($(nproc) + 1))
 
@@ -79,10 +80,21 @@ run_rostest() {
   count $((tests - failed)) "$failed"
 }
 
-# run_part NAME: the linters, the unit tests, or the rostest in a file.
+# run_fuzz: some hundred mutants of all that is read; scripts/fuzz.sh takes as many as one likes.
+run_fuzz() {
+  local log=$LOG/fuzz.log start=$SECONDS status=0
+  python "$LAB_ROOT/test/fuzz/fuzz.py" --each 4 --mutants "$MUTANTS" --workers 1 \
+    --out "$LOG/fuzz" >"$log" 2>&1 </dev/null || status=1
+  ((!status)) || cat "$log"
+  echo "fuzz: $MUTANTS mutants, status $status, $((SECONDS - start)) s"
+  count $((1 - status)) "$status"
+}
+
+# run_part NAME: the linters, the unit tests, the fuzzing, or the rostest in a file.
 run_part() {
   case $1 in
     lint) run_lint ;;
+    fuzz) run_fuzz ;;
     unit) run_pytest "$LAB_ROOT/test/unit" -q -n auto --dist loadfile -m "not long" ;;
     *) run_rostest "$1" ;;
   esac
@@ -90,7 +102,7 @@ run_part() {
 
 # All parts, the longest first, so that none of them is left alone at the end.
 parts() {
-  printf '%s\n' unit lint
+  printf '%s\n' unit lint fuzz
   grep -o 'time-limit="[0-9]*"' "$LAB_ROOT"/test/rostest/*.test | sort -t '"' -k 2 -nr | cut -d : -f 1
 }
 
@@ -122,6 +134,6 @@ main() {
   ((passed && !failed))
 }
 
-export -f attribute count summary_of run_lint run_part run_pytest run_rostest
-export LOG ROSTEST_TIMEOUT LAB_ROOT LAB_ROS
+export -f attribute count summary_of run_fuzz run_lint run_part run_pytest run_rostest
+export LOG MUTANTS ROSTEST_TIMEOUT LAB_ROOT LAB_ROS
 main "$@"

@@ -14,7 +14,8 @@ import pytest
 from bullet_lab.ros.launcher.jobs import find_jobs
 
 PACKAGE = Path(__file__).resolve().parents[2]
-JOBS = sorted(find_jobs(PACKAGE / "launch"))
+JOBS = sorted(find_jobs(PACKAGE))
+assert "squares" in JOBS
 # Other ways that jobs go than by default, on top of those that rostests take.
 WAYS = [
     ("dock", "world:=docking_dots", "odom:=noisy_odom", "x:=1.2", "y:=0.3", "yaw:=-30"),

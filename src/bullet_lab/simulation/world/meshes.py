@@ -90,6 +90,8 @@ def _load(mesh: MeshFile, _version: Tuple[int, int]) -> Triangles:
     if suffix not in KNOWN_SUFFIXES:
         raise MeshError(f"{mesh.path}: a mesh is one of {', '.join(KNOWN_SUFFIXES)}")
     vertices, faces = _read(mesh, suffix)
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise MeshError(f"{mesh.path}: a corner has three coordinates")
     vertices = (vertices - middle_of([vertices], mesh)) * np.asarray(mesh.scale)
     if len(faces) == 0 or not np.isfinite(vertices).all():
         raise MeshError(f"{mesh.path}: no triangles with finite corners")

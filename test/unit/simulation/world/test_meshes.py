@@ -353,3 +353,8 @@ def test_the_transform_decides_where_a_robot_stops(
         robot.command("cmd_vel", PlanarCommand(vx=0.5))
         world.run_for(3.0)
         assert robot.pose().position[0] == pytest.approx(1 - radius - 0.05, abs=2e-3)
+
+
+def test_corners_in_a_plane_are_no_mesh(load):
+    with pytest.raises(MeshError, match="a corner has three coordinates"):
+        load("flat.obj", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")

@@ -1,0 +1,307 @@
+"""The ways in for what comes from outside as a file or as words, and what becomes of it.
+
+Each takes a mutant and returns the numbers that came of it; it may raise LabError, nothing else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import importlib
+import math
+import pkgutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Callable, Dict, Iterable, List, Sequence, Tuple
+
+import rosbag
+import rospy
+import trimesh
+import yaml
+from nav_msgs.msg import Odometry
+
+import bullet_lab.ros.nodes
+from bullet_lab.core.parameters import declarations, read_parameters
+from bullet_lab.core.trajectory import read_tum
+from bullet_lab.docking.database import parse_docks
+from bullet_lab.ros.launcher.jobs import find_jobs, read_assignments, read_job
+from bullet_lab.simulation.rendering.textures import read_pixels
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import Model, Texture
+from bullet_lab.simulation.world.meshes import load_triangles
+from bullet_lab.simulation.world.ogre_script import parse_script
+from bullet_lab.simulation.world.sdf import read_spawned
+from bullet_lab.simulation.world.sdf_writer import world_text
+from bullet_lab.simulation.world.shapes import Mesh
+from bullet_lab.simulation.world.xacro import expand_xacro
+from bullet_lab.studies.noise_study.paths import read_path
+
+PACKAGE = Path(__file__).resolve().parents[2]
+EMPTY = "package://bullet_lab/worlds/empty.world"
+# Simulated seconds that a world with a mutant runs.
+SECONDS = 0.02
+
+
+class NonsenseError(Exception):
+    """A mutant was taken for what makes no sense, and nothing was said."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way in.
+
+    Attributes:
+        seeds: files that make sense, or what stands for them.
+        suffix: of the mutants' files.
+        enter: takes the path of a mutant and returns numbers, all of which have to be finite.
+        share: how many mutants go this way in a round; those that take long are fewer.
+    """
+
+    seeds: Callable[[], Sequence[bytes]]
+    suffix: str
+    enter: Callable[[Path], Iterable[float]]
+    share: int = 8
+
+
+def files(*patterns: str) -> Callable[[], List[bytes]]:
+    """Return the contents of files of the package that patterns name."""
+    return lambda: [path.read_bytes() for one in patterns for path in sorted(PACKAGE.glob(one))]
+
+
+@functools.lru_cache(maxsize=None)
+def hall() -> Simulation:
+    """Return the world that all models come into, with a robot of ours that is to live on."""
+    simulation = Simulation.of(EMPTY)
+    simulation.spawn("package://bullet_lab/urdf/block_robot.urdf", "witness")
+    return simulation
+
+
+def numbers_of(simulation: Simulation) -> List[float]:
+    """Return where everything is and how it moves."""
+    found: List[float] = []
+    for instance in simulation.models.values():
+        state = instance.state()
+        for frame in state.links.values():
+            found += [*frame.pose.position, *frame.linear, *frame.angular]
+    return found
+
+
+def spawn(path: Path) -> List[float]:
+    """Spawn a text, as the services do, let it live for a while, and take it away."""
+    simulation = hall()
+    part = read_spawned(path.read_text(encoding="utf-8", errors="surrogateescape"), "mutant")
+    if not isinstance(part, Model):
+        return []
+    before = simulation.step
+    simulation.add(part, "mutant")
+    try:
+        simulation.run_for(SECONDS)
+        return numbers_of(simulation)
+    finally:
+        simulation.remove("mutant")
+        if simulation.step == before:
+            raise NonsenseError("time stands still")
+
+
+def load_world(path: Path) -> List[float]:
+    """Load a world, let it run, and load what is saved of it."""
+    with Simulation.of(str(path)) as simulation:
+        simulation.run_for(SECONDS)
+        text, _ = world_text(simulation.snapshot(), path.parent)
+        numbers = numbers_of(simulation)
+        count = len(simulation.models)
+    again = path.with_name("again.world")
+    again.write_text(text, encoding="utf-8")
+    with Simulation.of(str(again)) as simulation:
+        if len(simulation.models) != count:
+            raise NonsenseError(f"{count} models were saved, {len(simulation.models)} loaded")
+    return numbers
+
+
+def load_mesh(path: Path) -> List[float]:
+    """Read a mesh."""
+    triangles = load_triangles(Mesh(path, path.name))
+    if triangles.faces.size and triangles.faces.max() >= len(triangles.vertices):
+        raise NonsenseError("a triangle has corners that are not there")
+    return triangles.vertices.ravel().tolist()
+
+
+def read_script(path: Path) -> List[float]:
+    """Read a material script."""
+    parse_script(path.read_text(encoding="utf-8", errors="replace"))
+    return []
+
+
+def read_docks_file(path: Path) -> List[float]:
+    """Read a dock database."""
+    docks = parse_docks(path.read_text(encoding="utf-8", errors="replace"))
+    return [value for dock in docks.values() for value in _floats(dataclasses.astuple(dock))]
+
+
+def _floats(value: Any) -> Iterable[float]:
+    if isinstance(value, (tuple, list)):
+        for one in value:
+            yield from _floats(one)
+    elif isinstance(value, float):
+        yield value
+
+
+def trajectory(path: Path) -> List[float]:
+    """Read a path, as the studies do."""
+    found = read_tum(path) if path.suffix == ".tum" else read_path(path)
+    return [*found.stamps.ravel().tolist(), *found.poses.ravel().tolist()]
+
+
+def picture(path: Path) -> List[float]:
+    """Read a picture."""
+    read_pixels(Texture(path))
+    return []
+
+
+def xacro(path: Path) -> List[float]:
+    """Expand a xacro file and read what it stands for."""
+    read_spawned(expand_xacro(path), "mutant")
+    return []
+
+
+def launch(path: Path) -> List[float]:
+    """Read a launch file as one of our jobs."""
+    read_job(path, PACKAGE)
+    return []
+
+
+@functools.lru_cache(maxsize=None)
+def jobs() -> Dict[str, Any]:
+    """Return the jobs of the package."""
+    return find_jobs(PACKAGE)
+
+
+def assignments() -> List[bytes]:
+    """Return command lines: every argument of every job with its default."""
+    texts = []
+    for name, job in jobs().items():
+        words = (f"{one.name}:={one.default}" for one in job.arguments.values())
+        texts.append("\n".join([name, *words]).encode())
+    return texts
+
+
+def assign(path: Path) -> List[float]:
+    """Check the words of a command line."""
+    name, *words = path.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
+    job = jobs().get(name) or next(iter(jobs().values()))
+    read_assignments(job, words)
+    return []
+
+
+@functools.lru_cache(maxsize=None)
+def parameter_kinds() -> Tuple[type, ...]:
+    """Return the declarations of parameters of all nodes."""
+    found = {}
+    for entry in pkgutil.iter_modules(bullet_lab.ros.nodes.__path__):
+        module = importlib.import_module(f"bullet_lab.ros.nodes.{entry.name}")
+        for name, kind in vars(module).items():
+            if name.endswith("Parameters") and dataclasses.is_dataclass(kind):
+                found[name] = kind
+    return tuple(found[name] for name in sorted(found))
+
+
+def parameter_files() -> List[bytes]:
+    """Return every node's parameters with their defaults, as YAML."""
+    texts = []
+    for kind in parameter_kinds():
+        defaults = {name: one.default_text for name, one in declarations(kind).items()}
+        texts.append(yaml.safe_dump({kind.__name__: defaults}).encode())
+    return texts
+
+
+def set_parameters(path: Path) -> List[float]:
+    """Check private parameters of a node, as roslaunch would have put them on the server."""
+    try:
+        given = yaml.safe_load(path.read_bytes())
+    except (yaml.YAMLError, ValueError, RecursionError, OverflowError):
+        # roslaunch's own matter.
+        return []
+    (name, values), *_ = given.items() if isinstance(given, dict) and given else [("", given)]
+    values = values if isinstance(values, dict) else {"std": values}
+    kinds = {kind.__name__: kind for kind in parameter_kinds()}
+    kind = kinds.get(name) or parameter_kinds()[0]
+    values = {str(key): value for key, value in values.items()}
+    read = read_parameters(kind, lambda key, default: values.get(key[1:], default), values)
+    return list(_floats(dataclasses.astuple(read)))
+
+
+def stl_files() -> List[bytes]:
+    """Return a box as STL, in bytes and in words."""
+    box = trimesh.creation.box((1.0, 2.0, 0.5))
+    return [box.export(file_type="stl"), box.export(file_type="stl_ascii").encode()]
+
+
+def scripts() -> List[bytes]:
+    """Return material scripts with what such files have."""
+    texts = (
+        """
+        vertex_program p cg { source a.cg }
+        material Lab/Base { technique { pass { ambient 0.5 0.5 0.5 diffuse 1 0 0 0.5
+          texture_unit { texture wall.png  scale 2 2 scroll 0.1 0.2 rotate 30 filtering none } } } }
+        material Lab/Child : Lab/Base { set $colour "1 0 0" set_texture_alias a b.png
+          technique { pass { diffuse $colour specular 1 1 1 1 12 alpha_rejection greater 128 } } }
+        """,
+        "// only a comment\nmaterial One\n{\n technique\n {\n  pass\n  {\n  }\n }\n}\n",
+    )
+    return [text.encode() for text in texts]
+
+
+def bags() -> List[bytes]:
+    """Return a short bag with odometry."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "path.bag"
+        with rosbag.Bag(str(path), "w") as bag:
+            for number in range(20):
+                message = Odometry()
+                message.header.stamp = rospy.Time(1, 50_000_000 * number)
+                message.header.frame_id = "odom"
+                message.pose.pose.position.x = 0.1 * number
+                message.pose.pose.orientation.w = 1.0
+                bag.write("/odom", message, message.header.stamp)
+        return [path.read_bytes()]
+
+
+def tum_files() -> List[bytes]:
+    """Return short paths in TUM's format."""
+    rows = [f"{0.05 * k:.9f} {0.1 * k:.3f} 0.2 0 0 0 0.0998334 0.9950042" for k in range(40)]
+    return ["\n".join(["# stamp tx ty tz qx qy qz qw", *rows, ""]).encode()]
+
+
+def csv_files() -> List[bytes]:
+    """Return short paths as the jobs write them."""
+    head = "stamp,x,y,yaw,noisy_x,noisy_y,noisy_yaw"
+    rows = [f"{0.05 * k:.9f},{0.1 * k},0.2,0.1,{0.11 * k},0.21,0.12" for k in range(40)]
+    return ["\n".join([head, *rows, ""]).encode()]
+
+
+WAYS: Dict[str, Way] = {
+    "urdf": Way(files("urdf/*.urdf", "test/tutorials/urdf/*.urdf"), ".urdf", spawn, 16),
+    "sdf": Way(files("models/*/model.sdf"), ".sdf", spawn, 16),
+    "world": Way(files("worlds/*.world"), ".world", load_world, 4),
+    "stl": Way(stl_files, ".stl", load_mesh),
+    "dae": Way(files("meshes/*.dae"), ".dae", load_mesh),
+    "obj": Way(files("models/**/*.obj"), ".obj", load_mesh),
+    "material": Way(scripts, ".material", read_script),
+    "picture": Way(files("models/**/*.png"), ".png", picture),
+    "docks": Way(files("config/docks.yaml"), ".yaml", read_docks_file),
+    "tum": Way(tum_files, ".tum", trajectory),
+    "csv": Way(csv_files, ".csv", trajectory),
+    "bag": Way(bags, ".bag", trajectory),
+    "xacro": Way(files("test/tutorials/**/*.xacro"), ".xacro", xacro, 1),
+    "launch": Way(files("launch/*.launch"), ".launch", launch),
+    "words": Way(assignments, ".txt", assign),
+    "parameters": Way(parameter_files, ".yaml", set_parameters),
+}
+
+
+def check_numbers(numbers: Iterable[float]) -> None:
+    """Raise NonsenseError where one is not finite."""
+    for number in numbers:
+        if not math.isfinite(number):
+            raise NonsenseError(f"{number} came out")
