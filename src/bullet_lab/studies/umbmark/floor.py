@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Tuple
+from typing import Any, Dict, Iterator, List, Mapping, Tuple
 
 import yaml
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.drive.square import CLOSED_LOOP_RATE
 from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.simulation.plugins.controllers.diff_drive import DiffDriveController
@@ -73,8 +76,28 @@ class FloorPlan:
         Raises:
             LabError: a file cannot be read, or there are no wheels that could be driven.
         """
-        kind = ControlledRobot if self.controller else PluginRobot
-        return kind(self, errors, correction)
+        with _quietly():
+            return self._kind(self, errors, correction)
+
+    def check(self) -> None:
+        """Build the robot once, so that what is odd about it is said; raises LabError."""
+        self._kind(self, SystematicErrors(), SystematicErrors()).close()
+
+    @property
+    def _kind(self) -> Any:
+        return ControlledRobot if self.controller else PluginRobot
+
+
+@contextlib.contextmanager
+def _quietly() -> Iterator[None]:
+    """Keep to oneself what is odd about a robot: it is built many times."""
+    log = logging.getLogger("bullet_lab")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 class FloorRobot:
@@ -118,7 +141,8 @@ class PluginRobot(FloorRobot):
     """A robot that the plugin of diff_drive drives.
 
     For errors of the diameters its wheels are made larger and smaller than they were drawn, which
-    the plugin does not know; for one of the base the plugin is told another.
+    the plugin does not know; for one of the base the plugin is told another. It reports at
+    least as often as the driver of squares looks, which could not stop where it must otherwise.
     """
 
     def __init__(self, plan: FloorPlan, errors: SystematicErrors, correction: SystematicErrors):
@@ -150,7 +174,8 @@ class ControlledRobot(FloorRobot):
         if plugin is None:
             raise RobotError(f"{plan.robot}: there is no plugin {RosControl.filenames[0]}")
         around, name = _controller_in(plan.controller)
-        told = {**_both_sides(around[name])}
+        told = _both_sides(around[name])
+        told["publish_rate"] = max(CLOSED_LOOP_RATE, told.get("publish_rate", 0.0))
         for key, wrong in multipliers(errors).items():
             told[key] = told.get(key, 1.0) / wrong * multipliers(correction)[key]
         urdf = expand_xacro(found) if is_xacro(found) else read_text(found)
@@ -192,7 +217,7 @@ def _both_sides(parameters: Mapping[str, Any]) -> Dict[str, Any]:
 
 def _drawn(model: Model) -> Tuple[Wheels, Tuple[str, ...]]:
     """Return what the plugin of diff_drive says of its wheels, and its joints."""
-    with Simulation.of(WORLD) as simulation:
+    with _quietly(), Simulation.of(WORLD) as simulation:
         drive = _diff_drive(simulation.add(model).plugins)
         left, right = (2.0 * radius for radius in drive.radii)
         return Wheels(left, right, drive.separation), tuple(wheel.joint for wheel in drive.wheels)
@@ -215,12 +240,23 @@ def _told(model: Model, tag: PluginTag, believed: Wheels) -> Model:
     tags = {
         **tag.tags,
         "odometrySource": "encoder",
+        "updateRate": _often_enough(tag.tags.get("updateRate", "")),
         "wheelSeparation": repr(believed.base),
         "leftWheelDiameter": repr(believed.left),
         "rightWheelDiameter": repr(believed.right),
     }
     told = replace(tag, tags=tags, element=None)
     return replace(model, plugins=tuple(told if one is tag else one for one in model.plugins))
+
+
+def _often_enough(rate: str) -> str:
+    """Return an updateRate (Hz, 0: always) at which squares can be driven."""
+    try:
+        rarely = 0.0 < float(rate) < CLOSED_LOOP_RATE
+    except ValueError:
+        # The plugin has its own.
+        return rate
+    return str(CLOSED_LOOP_RATE) if rarely else rate
 
 
 def _with_wheels(model: Model, joints: Tuple[str, ...], errors: SystematicErrors) -> Model:

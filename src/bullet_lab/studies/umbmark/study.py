@@ -210,7 +210,7 @@ def _run(
     about = asdict(drive)
     if not files.path:
         # Better known now than from each worker.
-        drive.plan.build(NONE, NONE).close()
+        drive.plan.check()
     run = workers(work.workers)
     if campaign.robots:
         found = run_campaign(folder, drive, campaign, run, tell)
