@@ -97,7 +97,8 @@ class Estimate:
 
     Attributes:
         errors: with diameter_error and base_error.
-        intervals: of 95 % confidence by their names; None where no way was driven twice.
+        intervals: of 95 % confidence by their names; None where a way was driven once, or all of
+            its runs are the same.
         residual: m, how far from no error the farther centre of gravity of the return errors is
             once the fit has been applied to the odometry that there is.
     """
@@ -255,6 +256,9 @@ def _intervals(
             return None
         variance += len(own) * own.var(axis=0, ddof=1)
         freedom += len(own) - 1
+    if not variance.all():
+        # All runs of a way are the same: nothing tells how far they might be off.
+        return None
     reach = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom) * np.sqrt(variance)
     ends: List[Tuple[float, float]] = list(zip((found - reach).tolist(), (found + reach).tolist()))
     return dict(zip(PARAMETERS, ends))

@@ -261,6 +261,8 @@ def test_results_are_left_behind(tmp_path):
     summary = run_umbmark(tmp_path, before, after, {"seed": 1})
     assert summary["squares"] == {"cw": 2, "ccw": 2}
     assert summary["recovered"]["diameter_error"] == pytest.approx(0.002, rel=1e-4)
+    # Without noise all runs are the same.
+    assert summary["recovered"]["intervals_95"] is None
     assert summary["corrected"]["wheel_base_m"] == pytest.approx(0.38 * 1.01, rel=1e-5)
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"summary.json", "returns.csv", "corrected.yaml", "clusters.png"}
