@@ -6,7 +6,7 @@ import contextlib
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Mapping, Tuple
+from typing import Any, Dict, Iterator, List, Mapping, Sequence, Tuple
 
 import yaml
 
@@ -17,6 +17,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.simulation.plugins.controllers.diff_drive import DiffDriveController
 from bullet_lab.simulation.plugins.controllers.parameters import ControlParameters
+from bullet_lab.simulation.plugins.plugin import Output
 from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.plugins.wheel_drives import DiffDrive
@@ -103,6 +104,8 @@ def _quietly() -> Iterator[None]:
 class FloorRobot:
     """A robot on the floor of an empty world, with odometry by its wheels.
 
+    Its pose is that of the middle between its wheels, which is what they tell of.
+
     Attributes:
         odometry: what was reported so far: (m, m, rad).
         believed: what its odometry takes the wheels for.
@@ -113,11 +116,12 @@ class FloorRobot:
     def __init__(self, model: Model):
         self._simulation = Simulation.of(WORLD)
         self._robot = self._simulation.add(model, pose=model.pose)
+        self._axle = Pose()
         self.odometry: List[PlanarPose] = []
 
     def pose(self) -> PlanarPose:
         """Return where it really is: (m, m, rad)."""
-        return _planar(self._robot.pose())
+        return _planar(self._robot.pose() * self._axle)
 
     def drive(self, ahead: float, turning: float, seconds: float) -> None:
         """Follow a command (m/s, rad/s)."""
@@ -128,7 +132,13 @@ class FloorRobot:
         """Give memory back."""
         self._simulation.close()
 
-    def _start(self, odometry, command) -> None:
+    def _start(self, wheels: Sequence[str], odometry: Output, command: Any) -> None:
+        """Get ready: wheels by the names of their joints."""
+        model = self._robot.model
+        links, children = model.links_by_name(), {j.name: j.child for j in model.joints}
+        hubs = [links[children[name]].pose.position for name in wheels]
+        x, y, z = (sum(values) / len(hubs) for values in zip(*hubs))
+        self._axle = Pose((x, y, z))
         odometry.connect(self._take)
         self._command = command
         self.drive(0.0, 0.0, SETTLING_SECONDS)
@@ -158,7 +168,7 @@ class PluginRobot(FloorRobot):
         model = _told(_with_wheels(model, joints, errors), tags[0], self.believed)
         super().__init__(model)
         plugin = _diff_drive(self._robot.plugins)
-        self._start(plugin.odometry, plugin.command)
+        self._start(joints, plugin.odometry, plugin.command)
 
 
 class ControlledRobot(FloorRobot):
@@ -184,7 +194,8 @@ class ControlledRobot(FloorRobot):
         manager.switch([name], [])
         left, right = (2.0 * radius for radius in controller.radii)
         self.believed = Wheels(left, right, controller.separation)
-        self._start(controller.odometry, controller.command)
+        wheels = [joint.name for joint in controller.joints]
+        self._start(wheels, controller.odometry, controller.command)
 
 
 def _read(robot: str) -> Model:

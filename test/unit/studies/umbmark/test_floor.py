@@ -9,7 +9,8 @@ from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.simulation.plugins.wheel_drives import DiffDrive
 from bullet_lab.studies.umbmark.floor import FloorPlan, RobotError
 
-TUTORIALS = Path(__file__).resolve().parents[3] / "tutorials"
+PACKAGE = Path(__file__).resolve().parents[4]
+TUTORIALS = PACKAGE / "test" / "tutorials"
 CART = str(TUTORIALS / "urdf" / "cart.urdf")
 CONTROL = str(TUTORIALS / "config" / "cart.yaml")
 CAMERA = "package://bullet_lab/urdf/camera_robot.urdf"
@@ -61,6 +62,21 @@ def test_the_correction_is_what_the_plugin_believes_in(built):
     assert robot.believed.left == pytest.approx(0.28 * left)
     assert robot.believed.right == pytest.approx(0.28 * right)
     assert roll(robot)[2] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_the_pose_is_that_of_the_middle_between_the_wheels(built, tmp_path):
+    text = (PACKAGE / "urdf" / "camera_robot.urdf").read_text()
+    for y in ("0.19", "-0.19"):
+        text = text.replace(f'xyz="0 {y} -0.06"', f'xyz="0.03 {y} -0.06"')
+    moved = tmp_path / "moved.urdf"
+    moved.write_text(text)
+    robot = built(FloorPlan(str(moved)), NONE, NONE)
+    x, y, _ = robot.pose()
+    assert (x, y) == pytest.approx((0.03, 0.0), abs=2e-3)
+    robot.drive(0.0, 1.0, 1.5)
+    # It turns about that.
+    assert robot.pose()[2] > 1.0
+    assert robot.pose()[:2] == pytest.approx((x, y), abs=2e-3)
 
 
 def test_a_controller_is_told_by_its_multipliers(built):
