@@ -29,10 +29,12 @@ class UmbmarkJobTest(unittest.TestCase):
         self.assertIn("E_max,syst", printed)
         corrected = yaml.safe_load((out / "corrected.yaml").read_text())
         left, right = (corrected[f"{side}_wheel_radius_multiplier"] for side in ("left", "right"))
-        self.assertAlmostEqual(1.0 + recovered["diameter_error"], right / left)
-        self.assertAlmostEqual(
-            1.0 + recovered["base_error"], corrected["wheel_separation_multiplier"]
-        )
+        effective = summary["effective"]
+        self.assertAlmostEqual(1.0 + effective["diameter_error"], right / left)
+        base = corrected["wheel_separation_multiplier"]
+        self.assertAlmostEqual(1.0 + effective["base_error"], base)
+        for name, error in summary["floor"].items():
+            self.assertLess(abs(error), 1e-3, name)
         self.assertTrue((out / "clusters.png").is_file())
         self.assertTrue((out / "returns.csv").is_file())
 
