@@ -13,8 +13,11 @@ from matplotlib.figure import Figure
 
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, ORANGE, VERMILION, new_figure, plan_axes
 from bullet_lab.core.files import Join, PathSeries, Series, Values, make_folder, move_file
+from bullet_lab.core.parameters import declarations
 from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, closure_error, path_error
+from bullet_lab.noise.odometry_noise import MODELS
+from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.reports import Reading, Report, earliest
 
 # How many ellipses are drawn along the noisy path.
@@ -312,7 +315,12 @@ class SquaresReport(OdometryReport):
 
 def settings_line(about: Mapping[str, Any]) -> str:
     """Return what a title says in its second line of how the noise was made; may be empty."""
-    parts = [f"{key} = {about[key]}" for key in ("std", "model", "mode", "seed") if key in about]
+    model = None if about.get("as_published") else about.get("model")
+    own = declarations(MODELS[model]) if model in MODELS else ("std",)
+    keys = [key for key in (*own, "model", "mode", "seed") if key in about]
+    systematic = declarations(SystematicErrors).items()
+    keys += [key for key, its in systematic if about.get(key, its.default) != its.default]
+    parts = [f"{key} = {about[key]}" for key in keys]
     if about.get("as_published"):
         parts.append("as published")
     return f"\n{', '.join(parts)}" if parts else ""

@@ -7,7 +7,12 @@ from recorded_paths import read_paths_csv
 from bullet_lab.core.files import FileError, SeriesError
 from bullet_lab.core.trajectory import CSV_HEADER, read_tum
 from bullet_lab.reports import Reading
-from bullet_lab.reports.squares import PathsRecording, SquaresReport, squares_summary
+from bullet_lab.reports.squares import (
+    PathsRecording,
+    SquaresReport,
+    settings_line,
+    squares_summary,
+)
 
 TICK = 50_000_000
 RNG = np.random.default_rng(3)
@@ -183,3 +188,26 @@ def test_the_summary_of_a_square(recording):
     assert summary["ape_rmse_m"] == pytest.approx(0.5)
     assert summary["final_heading_error_deg"] == pytest.approx(math.degrees(0.1))
     assert summary["pairs"] == 160
+
+
+@pytest.mark.parametrize(
+    "about, line",
+    [
+        ({}, ""),
+        ({"std": 0.1, "seed": 2, "model": "report"}, "\nstd = 0.1, model = report, seed = 2"),
+        (
+            {"std": 0.1, "alpha1": 0.3, "alpha4": 0.0, "model": "probabilistic"},
+            "\nalpha1 = 0.3, alpha4 = 0.0, model = probabilistic",
+        ),
+        (
+            {"std": 0.1, "alpha1": 0.3, "model": "probabilistic", "as_published": True},
+            "\nstd = 0.1, model = probabilistic, as published",
+        ),
+        (
+            {"std": 0.1, "scale_error": 0.0, "base_error": -0.02, "wheel_base": 0.38},
+            "\nstd = 0.1, base_error = -0.02",
+        ),
+    ],
+)
+def test_the_title_says_what_acts(about, line):
+    assert settings_line(about) == line
