@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from functools import partial
 from pathlib import Path
 from typing import Any, Callable, Iterable, Mapping, NamedTuple, Optional, Sequence
@@ -22,6 +23,9 @@ from bullet_lab.reports import Reading, Report, earliest
 
 # How many ellipses are drawn along the noisy path.
 ELLIPSES = 12
+_TITLE_WIDTH = 130  # letters, when they are small
+_SMALL_FROM = 95  # letters in a line
+_FIXED = "\xa0"  # a space at which no line ends
 # Of `path_error`, in summary.json.
 ERRORS = (
     "final_error_m",
@@ -314,7 +318,7 @@ class SquaresReport(OdometryReport):
 
 
 def settings_line(about: Mapping[str, Any]) -> str:
-    """Return what a title says in its second line of how the noise was made; may be empty."""
+    """Return what a title says below its first line of how the noise was made; may be empty."""
     model = None if about.get("as_published") else about.get("model")
     own = declarations(MODELS[model]) if model in MODELS else ("std",)
     keys = [key for key in (*own, "model", "mode", "seed") if key in about]
@@ -323,7 +327,9 @@ def settings_line(about: Mapping[str, Any]) -> str:
     parts = [f"{key} = {about[key]}" for key in keys]
     if about.get("as_published"):
         parts.append("as published")
-    return f"\n{', '.join(parts)}" if parts else ""
+    # Lines end between settings only.
+    lines = textwrap.wrap(" ".join(f"{part.replace(' ', _FIXED)}," for part in parts), _TITLE_WIDTH)
+    return "".join(f"\n{line}" for line in lines).replace(_FIXED, " ").rstrip(",")
 
 
 def noise_figure(
@@ -341,7 +347,8 @@ def noise_figure(
         ellipses: outlines around noisy poses, (n, 2) arrays in m.
     """
     figure = new_figure(11.0, 6.6)
-    figure.suptitle(title)
+    is_long = max(map(len, title.split("\n"))) > _SMALL_FROM
+    figure.suptitle(title, fontsize="small" if is_long else "large")
     left, right = figure.add_gridspec(
         1, 2, width_ratios=(1.25, 1.0), wspace=0.2, left=0.07, right=0.98, top=0.91, bottom=0.08
     )
