@@ -22,6 +22,7 @@ from bullet_lab.noise.odometry_noise import (
     NoiseError,
     NoiseRule,
     decompose_steps,
+    line_of_travel,
     model_named,
 )
 
@@ -79,8 +80,7 @@ def noisy_steps(poses, rule: NoiseRule) -> NoisySteps:
     body = se2.steps(poses)
     parts = decompose_steps(body)
     # As in NoisyPath, a step that is too short to have a rot1 keeps its direction all the same.
-    sign = np.where(body[:, 0] < 0.0, -1.0, 1.0)
-    angle = poses[:-1, 2] + np.arctan2(sign * body[:, 1], np.abs(body[:, 0]))
+    angle = poses[:-1, 2] + line_of_travel(body[:, 0], body[:, 1])[0]
     shape = parts.shape[:1]
     variances = [np.broadcast_to(v, shape).astype(float) for v in rule.variances(*parts.T)]
     moved = poses - poses[0]

@@ -56,14 +56,26 @@ def decompose(dx: float, dy: float, dyaw: float) -> tuple[float, float, float]:
 def decompose_steps(steps) -> np.ndarray:
     """Do what `decompose` does for an array of (dx, dy, dyaw), shape (..., 3)."""
     dx, dy, dyaw = np.moveaxis(np.asarray(steps, dtype=float), -1, 0)
-    sign = np.where(dx < 0.0, -1.0, 1.0)
-    direction, trans = np.arctan2(sign * dy, np.abs(dx)), sign * np.hypot(dx, dy)
+    direction, trans = line_of_travel(dx, dy)
     rot1 = np.where(np.abs(trans) >= MIN_TRANSLATION, direction, 0.0)
     return np.stack([rot1, trans, wrap(dyaw - rot1)], axis=-1)
 
 
+def line_of_travel(dx, dy) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the line of travel (rad, in [-pi/2, pi/2]) and the signed length (m) along it.
+
+    Unlike in `decompose`, the shortest step has its direction.
+
+    Args:
+        dx: m, ahead, an array.
+        dy: m, to the left, of the same shape.
+    """
+    sign = np.where(dx < 0.0, -1.0, 1.0)
+    return np.arctan2(sign * dy, np.abs(dx)), sign * np.hypot(dx, dy)
+
+
 def _direction(dx: float, dy: float) -> tuple[float, float]:
-    """Return the line of travel (rad, in [-pi/2, pi/2]) and the signed length (m) along it."""
+    """Do what `line_of_travel` does, for floats."""
     length = math.hypot(dx, dy)
     if dx < 0.0:
         return math.atan2(-dy, -dx), -length

@@ -1,0 +1,203 @@
+"""Whether a fitted noise model is what made the odometry, by its whitened residuals.
+
+If it is, they are standard normal and know nothing of each other. Three things are asked:
+
+    shape       how far their distribution is from the normal one (Kolmogorov and Smirnov)
+    size        the mean square of each part, which is 1
+    neighbours  the correlation of each part with the same of the next step, which is 0
+
+The parameters come from the same residuals, which makes those look better than they are. How much
+is found out by data drawn from the fitted model and fitted again (parametric bootstrap). Long
+paths are drawn as far as some hundred of their steps: distributions of square roots of n times a
+deviation do not depend on n.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import List
+
+import numpy as np
+from scipy.special import ndtr
+
+from bullet_lab.noise.calibration import Fit, Problem, fit
+from bullet_lab.noise.likelihood import PARTS, StepPairs, drawn_pairs, whitened
+from bullet_lab.noise.odometry_noise import rule_of
+
+SIGNIFICANCE = 0.05
+_REPLICAS = 199
+_MOST_STEPS = 400
+_FEWEST = 8
+_LEAST_SPREAD = 0.05
+_SAID = {
+    "rot1": "the turn before the way",
+    "trans": "the way",
+    "rot2": "the turn after the way",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Goodness:
+    """How well a fitted model describes the steps.
+
+    Attributes:
+        whitened: residuals over their standard deviations, NaN for nothing to judge, (n, 3).
+        distance: of their distribution from the normal one (Kolmogorov and Smirnov), 0 to 1.
+        shape_p: p-value of that.
+        mean_squares: of the parts rot1, trans and rot2; 1 is right, NaN for nothing seen, (3,).
+        size_p: p-value of the one that is farthest off, three taken into account.
+        correlations: of each part with that of the next step, (3,).
+        neighbours_p: likewise.
+        nees: mean of the squares of a step, over the number of its parts; 1 is right.
+    """
+
+    whitened: np.ndarray
+    distance: float
+    shape_p: float
+    mean_squares: np.ndarray
+    size_p: float
+    correlations: np.ndarray
+    neighbours_p: float
+    nees: float
+
+    @property
+    def p_value(self) -> float:
+        """Of all three questions together (Bonferroni)."""
+        return min(1.0, 3.0 * min(self.shape_p, self.size_p, self.neighbours_p))
+
+    @property
+    def fits(self) -> bool:
+        """Whether nothing speaks against the model at the level of `SIGNIFICANCE`."""
+        return self.p_value >= SIGNIFICANCE
+
+    def words(self) -> List[str]:
+        """Return what speaks against the model; empty where it fits."""
+        found = []
+        limit = SIGNIFICANCE / 3.0
+        if self.shape_p < limit:
+            seen = self.whitened[np.isfinite(self.whitened)]
+            heavy = np.mean(seen**4) > 3.0 * np.mean(seen**2) ** 2
+            kind = "more large and more small ones" if heavy else "more middling ones"
+            found.append(f"the errors are not Gaussian: {kind} than there should be")
+        if self.size_p < limit:
+            part = int(np.nanargmax(np.abs(np.log(self.mean_squares))))
+            times = math.sqrt(self.mean_squares[part])
+            found.append(f"{_SAID[PARTS[part]]} is {times:.2g} times as noisy as the model has it")
+        if self.neighbours_p < limit:
+            part = int(np.nanargmax(np.abs(self.correlations)))
+            value = self.correlations[part]
+            why = (
+                "something systematic or slow is left in them"
+                if value > 0.0
+                else "the truth's own noise (truth_std_m, truth_std_rad), or too short steps"
+            )
+            said = f"correlation {value:.2f} in {_SAID[PARTS[part]]}"
+            found.append(f"errors of neighbouring steps go together ({said}): {why}")
+        return found
+
+
+def goodness(problem: Problem, found: Fit, follows: np.ndarray, seed: int) -> Goodness:
+    """Judge the fit of a problem with one odometry.
+
+    Args:
+        problem: one odometry, b = 1.
+        found: its fit.
+        follows: whether each step begins where the one before it ended, shape (n,).
+        seed: of the bootstrap, >= 0.
+    """
+    seen = _whitened(problem, found)[0]
+    counts = np.isfinite(seen).sum(axis=0)
+    distance, squares = _distance(seen), _mean_squares(seen)
+    distances, spread = _replicas(problem, found, seed)
+    scaled = math.sqrt(counts.sum()) * distance
+    with np.errstate(invalid="ignore", divide="ignore"):
+        off = np.sqrt(counts) * (squares - 1.0) / spread
+    correlations, pairs = _correlations(seen, follows)
+    return Goodness(
+        whitened=seen,
+        distance=distance,
+        shape_p=float((1 + np.sum(distances >= scaled)) / (1 + len(distances))),
+        mean_squares=squares,
+        size_p=_smallest_p(off),
+        correlations=correlations,
+        neighbours_p=_smallest_p(correlations * np.sqrt(pairs)),
+        nees=float(np.nanmean(seen**2)),
+    )
+
+
+def _whitened(problem: Problem, found: Fit) -> np.ndarray:
+    return whitened(
+        problem.pairs, problem.rule(found.estimates), problem.expected(found.estimates)
+    )
+
+
+def _replicas(problem: Problem, found: Fit, seed: int):
+    """Return the scaled distances of replicas, and the deviation of scaled mean squares, (3,)."""
+    generator = np.random.default_rng([seed, 2])
+    pairs = problem.pairs
+    chosen = np.arange(len(pairs.true))
+    if len(chosen) > _MOST_STEPS:
+        chosen = np.sort(generator.choice(chosen, _MOST_STEPS, replace=False))
+    part = StepPairs(
+        pairs.true[chosen], pairs.odometry[:, chosen], pairs.truth_std_m, pairs.truth_std_rad
+    )
+    values = problem.values(found.coordinates)
+    smaller = Problem(
+        part, found.model, problem.systematic, problem.wheel_base, found.coordinates[0]
+    )
+    drawn = drawn_pairs(
+        part.true,
+        rule_of(found.model, found.values()),
+        generator,
+        _REPLICAS,
+        smaller.expected(values)[0],
+        truth_std_m=pairs.truth_std_m,
+        truth_std_rad=pairs.truth_std_rad,
+    )
+    again = Problem(
+        drawn, found.model, problem.systematic, problem.wheel_base, found.coordinates[0]
+    )
+    seen = _whitened(again, fit(again))
+    counts = np.isfinite(seen).sum(axis=1)
+    distances = np.array([math.sqrt(max(c.sum(), 1)) * _distance(z) for z, c in zip(seen, counts)])
+    squares = np.array([_mean_squares(z) for z in seen])
+    with np.errstate(invalid="ignore"):
+        spread = np.sqrt(np.mean(counts * (squares - 1.0) ** 2, axis=0))
+    # One that a parameter of its own makes 1 is never off by more than rounding.
+    spread = np.maximum(spread, _LEAST_SPREAD)
+    return distances, spread
+
+
+def _distance(seen: np.ndarray) -> float:
+    values = np.sort(seen[np.isfinite(seen)])
+    if not values.size:
+        return 0.0
+    share, ranks = ndtr(values), np.arange(values.size + 1) / values.size
+    return float(max(np.max(ranks[1:] - share), np.max(share - ranks[:-1])))
+
+
+def _mean_squares(seen: np.ndarray) -> np.ndarray:
+    counts = np.isfinite(seen).sum(axis=0)
+    total = np.nansum(seen**2, axis=0)
+    return np.where(counts >= _FEWEST, total / np.maximum(counts, 1), np.nan)
+
+
+def _correlations(seen: np.ndarray, follows: np.ndarray):
+    """Return the correlation of each part with that of the next step, and of how many, (3,)."""
+    # Large ones would decide alone.
+    ranks = np.clip(seen, -3.0, 3.0)
+    now, before = ranks[1:][follows[1:]], ranks[:-1][follows[1:]]
+    both = np.isfinite(now) & np.isfinite(before)
+    now, before = np.where(both, now, 0.0), np.where(both, before, 0.0)
+    count = both.sum(axis=0)
+    scale = np.sqrt(np.sum(now**2, axis=0) * np.sum(before**2, axis=0))
+    enough = (count >= _FEWEST) & (scale > 0.0)
+    found = np.where(enough, np.sum(now * before, axis=0) / np.where(enough, scale, 1.0), np.nan)
+    return found, count
+
+
+def _smallest_p(deviations: np.ndarray) -> float:
+    """Return the p-value of the largest of some standard normal numbers (Bonferroni)."""
+    known = np.abs(deviations[np.isfinite(deviations)])
+    return float(min(1.0, 2.0 * len(known) * ndtr(-known.max()))) if known.size else 1.0

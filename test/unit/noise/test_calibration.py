@@ -1,0 +1,206 @@
+"""Calibration: against closed forms, and how often its intervals hold the truth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+from bullet_lab.core.parameters import number
+from bullet_lab.noise.calibration import SYSTEMATIC, Problem, fit, intervals, profile
+from bullet_lab.noise.goodness import goodness
+from bullet_lab.noise.likelihood import StepPairs, drawn_pairs
+from bullet_lab.noise.odometry_noise import (
+    MODELS,
+    NoiseError,
+    NoiseRule,
+    ProbabilisticRule,
+    RateInvariantRule,
+    ReportRule,
+    register,
+)
+from bullet_lab.noise.systematic import SystematicErrors
+
+STRAIGHT = np.tile([0.1, 0.0, 0.0], (50, 1))
+
+
+def drive(count=3):
+    """Ahead, turns on the spot, arcs both ways and back."""
+    lap = [(0.04, 0.0, 0.0)] * 12 + [(0.0, 0.0, 0.1)] * 10 + [(0.04, 0.0, 0.06)] * 12
+    return np.array((lap + [(-0.03, 0.0, -0.04)] * 10 + [(0.0, 0.0, -0.1)] * 8) * count)
+
+
+def drawn(rule, count, seed=1, steps=None, errors=None):
+    steps = drive() if steps is None else steps
+    expected = None if errors is None else errors.steps(steps)
+    return drawn_pairs(steps, rule, np.random.default_rng(seed), count, expected)
+
+
+def test_one_standard_deviation_has_its_closed_form():
+    pairs = drawn(ReportRule(0.2), 3, steps=STRAIGHT)
+    problem = Problem(pairs, "report")
+    found = fit(problem)
+    squares = (np.hypot(*np.moveaxis(pairs.odometry[..., :2], -1, 0)) - 0.1) ** 2 / 0.01
+    best = squares.mean(axis=1)
+    np.testing.assert_allclose(found.estimates[:, 0], np.sqrt(best), rtol=1e-3)
+
+    def fall(std, variance):
+        return 50.0 * (variance / std**2 - 1.0 - np.log(variance / std**2)) - 3.8415
+
+    for (low, high), variance in zip(intervals(problem, found)[:, 0], best):
+        std = np.sqrt(variance)
+        assert low == pytest.approx(optimize.brentq(fall, 0.3 * std, std, (variance,)), rel=2e-3)
+        assert high == pytest.approx(optimize.brentq(fall, std, 3 * std, (variance,)), rel=2e-3)
+
+
+def test_the_profile_ends_the_interval():
+    problem = Problem(drawn(ProbabilisticRule(0.02, 0.01, 0.03, 0.004), 1), "probabilistic")
+    found = fit(problem)
+    ends = intervals(problem, found)[0]
+    for name, pair in zip(found.names, ends):
+        np.testing.assert_allclose(profile(problem, found, name, pair), 3.84, atol=0.05)
+
+
+def test_nothing_is_an_estimate_that_an_interval_begins_at():
+    rule = ProbabilisticRule(0.02, 0.01, 0.03, 0.0)
+    # On the spot no noise would be seen, and 0 would be certain.
+    steps = drive()[np.hypot(*drive()[:, :2].T) > 0.0]
+    problem = Problem(drawn(rule, 20, steps=steps), "probabilistic")
+    found = fit(problem)
+    lowest, highest = intervals(problem, found)[:, 3].T
+    # About half of the estimates are at the bound.
+    assert 3 <= (found.estimates[:, 3] == 0.0).sum() <= 17
+    assert (lowest[found.estimates[:, 3] == 0.0] == 0.0).all()
+    assert (highest < 0.03).all()
+    # An interval at its bound holds it more often than at 95 %.
+    assert (lowest == 0.0).sum() >= 17
+
+
+def test_what_the_steps_say_nothing_of_has_no_ends():
+    pairs = drawn(ProbabilisticRule(0.02, 0.01, 0.03, 0.004), 1, steps=STRAIGHT)
+    problem = Problem(pairs, "probabilistic", ("base_error",))
+    found = fit(problem)
+    ends = dict(zip(found.names, intervals(problem, found)[0].tolist()))
+    assert ends["alpha1"] == [0.0, np.inf]
+    assert ends["alpha4"] == [0.0, np.inf]
+    assert ends["base_error"] == [-np.inf, np.inf]
+    assert 0.015 < ends["alpha3"][0] < ends["alpha3"][1] < 0.06
+
+
+RANDOM = (ReportRule(0.1), RateInvariantRule(0.05), ProbabilisticRule(0.02, 0.01, 0.03, 0.004))
+WRONG = SystematicErrors(0.02, -0.03, 0.005, 0.01)
+
+
+def held(rule, count, seed, errors=None):
+    """Return how many intervals hold the truth, by parameter."""
+    names = () if errors is None else SYSTEMATIC
+    problem = Problem(drawn(rule, count, seed, errors=errors), rule.name, names)
+    found = fit(problem)
+    low, high = np.moveaxis(intervals(problem, found), -1, 0)
+    known = [getattr(errors if name in names else rule, name) for name in found.names]
+    return ((low <= known) & (known <= high)).sum(axis=0)
+
+
+@pytest.mark.parametrize("rule", RANDOM)
+def test_intervals_hold_the_truth(rule):
+    # Two-sided at 99.9 % of what 95 % give in 150 paths.
+    low, high = stats.binom.ppf([5e-4, 1 - 5e-4], 150, 0.95)
+    counts = held(rule, 150, 3)
+    assert (low <= counts).all() and (counts <= high).all()
+
+
+def test_intervals_hold_the_truth_with_systematic_errors_as_well():
+    low, high = stats.binom.ppf([5e-4, 1 - 5e-4], 20, 0.95)
+    counts = held(RANDOM[2], 20, 4, WRONG)
+    assert (low <= counts).all() and (counts <= high).all()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("rule", RANDOM)
+def test_intervals_hold_the_truth_in_95_of_100(rule):
+    for counts in (held(rule, 1000, 5), held(rule, 1000, 6, WRONG)):
+        assert (counts >= 930).all() and (counts <= 970).all()
+
+
+def test_without_noise_to_speak_of_systematic_errors_are_exact():
+    pairs = drawn(RateInvariantRule(1e-5), 1, errors=WRONG)
+    found = fit(Problem(pairs, "rate_invariant", SYSTEMATIC)).values()
+    for name in SYSTEMATIC:
+        assert found[name] == pytest.approx(getattr(WRONG, name), abs=2e-5)
+
+
+def test_a_model_that_comes_along_is_calibrated(monkeypatch):
+    for name, model in dict(MODELS).items():
+        monkeypatch.setitem(MODELS, name, model)
+
+    @register
+    @dataclass(frozen=True)
+    class Slip(NoiseRule):
+        name, title, stream = "slip", "Slipping", 17
+        std: float = number(0.1, "per metre", minimum=0.0)
+        slip: float = number(0.01, "m for each message", minimum=0.0, maximum=0.5)
+
+        @classmethod
+        def at_level(cls, std):
+            return cls(std, 0.01 * std)
+
+        def variances(self, rot1, trans, rot2):
+            way = (self.std * trans) ** 2 + self.slip**2
+            return (self.std * rot1) ** 2, way, (self.std * rot2) ** 2
+
+    try:
+        problem = Problem(drawn(Slip(0.1, 0.02), 1), "slip")
+        found = fit(problem)
+        (std, slip) = intervals(problem, found)[0]
+        assert std[0] < 0.1 < std[1] < 0.15
+        assert slip[0] < 0.02 < slip[1] < 0.03
+    finally:
+        del MODELS["slip"]
+
+
+def test_an_unknown_model_is_refused():
+    with pytest.raises(NoiseError, match="unknown noise model 'nix'"):
+        Problem(drawn(ReportRule(0.1), 1), "nix")
+
+
+def judged(rule, model, errors=None, names=(), seed=11):
+    problem = Problem(drawn(rule, 1, seed, errors=errors), model, names)
+    return goodness(problem, fit(problem), np.ones(len(drive()), dtype=bool), 1)
+
+
+@pytest.mark.parametrize("rule", RANDOM)
+def test_the_right_model_fits(rule):
+    found = judged(rule, rule.name)
+    assert found.fits
+    assert found.words() == []
+    assert found.nees == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("rule, model", [(RANDOM[0], "rate_invariant"), (RANDOM[1], "report")])
+def test_a_wrong_model_does_not_fit(rule, model):
+    found = judged(rule, model)
+    assert not found.fits
+    assert any(said.startswith("the errors are not Gaussian") for said in found.words())
+
+
+def test_systematic_errors_that_nobody_asked_for_are_seen_in_neighbours():
+    found = judged(RateInvariantRule(0.005), "rate_invariant", SystematicErrors(0.0, 0.1))
+    assert found.neighbours_p < 1e-3
+    assert any("something systematic" in said for said in found.words())
+
+
+def test_noise_of_the_truth_that_nobody_says_is_seen_in_neighbours():
+    rule, generator = RateInvariantRule(0.01), np.random.default_rng(12)
+    odometry = drawn(rule, 1).odometry
+    jitter = generator.normal(0.0, 0.004, (len(drive()) + 1, 3))
+    true = drive() + np.diff(jitter, axis=0)
+    problem = Problem(StepPairs(true, odometry), "rate_invariant")
+    found = goodness(problem, fit(problem), np.ones(len(true), dtype=bool), 1)
+    assert any("the truth's own noise" in said for said in found.words())
+
+
+@pytest.mark.long
+def test_right_models_are_refused_in_one_of_20():
+    refused = sum(not judged(RANDOM[2], "probabilistic", seed=seed).fits for seed in range(100))
+    # Three tests with Bonferroni's limits: at most 5 %; 99.9 % of that.
+    assert refused <= stats.binom.ppf(0.999, 100, 0.05)

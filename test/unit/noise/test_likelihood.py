@@ -1,0 +1,91 @@
+"""The likelihood of steps: the noise that NoisyPath put on is read off, and weighed as it was."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bullet_lab.core import se2
+from bullet_lab.noise.likelihood import StepPairs, drawn_pairs, log_likelihood, residuals, whitened
+from bullet_lab.noise.odometry_noise import (
+    NoiseError,
+    NoisyPath,
+    ProbabilisticRule,
+    RateInvariantRule,
+    ReportRule,
+)
+from bullet_lab.noise.systematic import SystematicErrors
+
+RULES = [ReportRule(0.1), RateInvariantRule(0.03), ProbabilisticRule(0.01, 0.02, 0.03, 0.004)]
+
+
+def wild_poses():
+    """Ahead, back, aside, turns on the spot, and rests, with the yaw going round and round."""
+    moves = np.random.default_rng(5).normal(0.0, [0.05, 0.02, 0.3], (200, 3))
+    moves[:30, 1:] = 0.0
+    moves[60:80, :2] = 0.0
+    moves[80:90] = 0.0
+    poses = [np.array([3.0, -2.0, 3.0])]
+    for move in moves:
+        poses.append(se2.compose(poses[-1], move))
+    return np.array(poses)
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("errors", [SystematicErrors(), SystematicErrors(0.02, -0.03, 0.01, 0.02)])
+def test_the_draws_of_a_noisy_path_are_found_again(rule, errors):
+    true = wild_poses()
+    noise = NoisyPath(rule, 7)
+    noisy = np.array([noise.update(*pose).pose for pose in errors.path(true).tolist()])
+    steps = se2.steps(true)
+    pairs = StepPairs(steps, se2.steps(noisy)[np.newaxis])
+    found = whitened(pairs, rule, errors.steps(steps))[0]
+    draws = np.random.default_rng(7).standard_normal((len(steps), 3))[:, [1, 0, 2]]
+    ahead = np.hypot(*steps[:, :2].T) > 1e-3
+    assert np.isfinite(found[ahead, 1]).all()
+    # Where a rule gives next to no noise there is none to be found.
+    _, variance = residuals(pairs, rule, errors.steps(steps))
+    seen = (variance[0].min(axis=1) > 1e-12) & ahead
+    assert seen.sum() > 80
+    np.testing.assert_allclose(found[seen], draws[seen], atol=2e-5)
+    assert np.isnan(found[80:90]).all()
+
+
+def test_a_turn_on_the_spot_tells_both_rotations_together():
+    pairs = StepPairs(np.array([[0.0, 0.0, 0.5]]), np.array([[[0.0, 0.0, 0.6]]]))
+    (found,) = whitened(pairs, RateInvariantRule(0.1))[0]
+    assert np.isnan(found[0])
+    assert found[2] == pytest.approx(0.1 / np.sqrt(0.01 * 0.5))
+
+
+def test_the_likelihood_is_that_of_the_three_gaussians():
+    rule, sigma = ProbabilisticRule(0.01, 0.02, 0.03, 0.004), (0.002, 0.001)
+    true = np.array([[0.3, 0.0, 0.2]])
+    error1, along, error2 = 0.03, -0.02, 0.01
+    step = [(0.3 + along) * np.cos(error1), (0.3 + along) * np.sin(error1), 0.2 + error1 + error2]
+    pairs = StepPairs(true, np.array([[step]]), *sigma)
+    a, s2, b = rule.variances(0.0, 0.3, 0.2)
+    p, q = 2.0 * sigma[0] ** 2, 2.0 * sigma[1] ** 2
+    sideways = [[0.09 * a + p, 0.3 * a], [0.3 * a, a + b + q]]
+    expected = stats.multivariate_normal([0.0, 0.0], sideways).logpdf(
+        [0.3 * error1, error1 + error2]
+    ) + stats.norm(0.0, np.sqrt(s2 + p)).logpdf(along)
+    assert log_likelihood(pairs, rule)[0] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_what_is_drawn_is_whitened_to_standard_normal_numbers(rule):
+    steps = se2.steps(wild_poses())
+    errors = SystematicErrors(0.02, -0.03)
+    pairs = drawn_pairs(
+        steps, rule, np.random.default_rng(8), 40, errors.steps(steps), truth_std_m=1e-4
+    )
+    found = whitened(pairs, rule, errors.steps(steps))
+    values = found[np.isfinite(found)]
+    # Two-sided at 99.9 %.
+    assert stats.kstest(values, "norm").pvalue > 1e-3
+    assert abs(np.mean(values**2) - 1.0) < 3.3 * np.sqrt(2.0 / values.size)
+
+
+def test_steps_of_other_shapes_are_refused():
+    with pytest.raises(NoiseError, match=r"steps of shape \(2, 3\) and \(1, 3, 3\)"):
+        StepPairs(np.zeros((2, 3)), np.zeros((1, 3, 3)))
