@@ -25,12 +25,20 @@ LONGEST_PATH = 1e7
 CSV_COLUMNS = ("stamp", "x", "y", "yaw")
 ODOMETRY_KIND = "nav_msgs/Odometry"
 
+_POSES = {
+    ODOMETRY_KIND: lambda message: message.pose.pose,
+    "geometry_msgs/PoseStamped": lambda message: message.pose,
+    "geometry_msgs/PoseWithCovarianceStamped": lambda message: message.pose.pose,
+    "geometry_msgs/TransformStamped": lambda message: message.transform,
+}
+"""Messages with a stamped pose, and where it is in them."""
+
 
 class PathFileError(TrajectoryError):
     """A path cannot be read, or no noise can be studied on it."""
 
 
-def read_path(path: Path, topic: str = "/odom") -> Trajectory:
+def read_path(path: Path, topic: str = "/odom", prefix: str = "") -> Trajectory:
     """Read a perfect path: a bag (.bag), a table (.csv), otherwise a file in TUM format.
 
     A table has a first line that names its columns, `CSV_COLUMNS` among them, in s, m and rad:
@@ -38,12 +46,16 @@ def read_path(path: Path, topic: str = "/odom") -> Trajectory:
 
     Args:
         path: the file.
-        topic: of a bag, with messages of `ODOMETRY_KIND`.
+        topic: of a bag, with odometry, or with stamped poses or transforms.
+        prefix: of the names of a table's columns x, y and yaw.
 
     Raises:
         LabError: the file cannot be read, or does not hold a path that leads anywhere.
     """
-    readers = {".bag": lambda name: _read_bag(name, topic), ".csv": _read_csv}
+    readers = {
+        ".bag": lambda name: _read_bag(name, topic),
+        ".csv": lambda name: _read_csv(name, prefix),
+    }
     trajectory = readers.get(Path(path).suffix.lower(), read_tum)(path)
     try:
         check_path(trajectory)
@@ -62,18 +74,19 @@ def check_path(trajectory: Trajectory) -> None:
         raise PathFileError("the path leads nowhere")
 
 
-def _read_csv(path: Path) -> Trajectory:
+def _read_csv(path: Path, prefix: str) -> Trajectory:
     rows: List[List[float]] = []
+    columns = ("stamp", *(prefix + name for name in CSV_COLUMNS[1:]))
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file)
-            missing = set(CSV_COLUMNS) - set(reader.fieldnames or ())
+            missing = set(columns) - set(reader.fieldnames or ())
             if missing:
                 raise PathFileError(
-                    f"{path}: the first line has to name the columns {', '.join(CSV_COLUMNS)}"
+                    f"{path}: the first line has to name the columns {', '.join(columns)}"
                 )
             for row in reader:
-                values = [row[name] for name in CSV_COLUMNS]
+                values = [row[name] for name in columns]
                 rows.append(finite_numbers(values, f"{path}, line {reader.line_num}"))
     except OSError as error:
         raise PathFileError(f"cannot read {path}: {error.strerror}") from None
@@ -103,13 +116,17 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
         paths = sorted(name for name, kind in topics.items() if kind == ODOMETRY_KIND)
         there = f"odometry is on {', '.join(paths)}" if paths else "there is no odometry"
         raise PathFileError(f"{path}: nothing on the topic {topic}; {there}")
-    if messages[0]._type != ODOMETRY_KIND:
-        raise PathFileError(f"{path}: {topic} is of {messages[0]._type}, not {ODOMETRY_KIND}")
-    return trajectory_of([_odometry_values(message) for message in messages], path)
+    kind = messages[0]._type
+    if kind not in _POSES:
+        raise PathFileError(f"{path}: {topic} is of {kind}, not {', '.join(_POSES)}")
+    return trajectory_of([_values(message, _POSES[kind](message)) for message in messages], path)
 
 
-def _odometry_values(message) -> List[float]:
-    place, turn = message.pose.pose.position, message.pose.pose.orientation
+def _values(message, pose) -> List[float]:
+    if message._type.endswith("TransformStamped"):
+        place, turn = pose.translation, pose.rotation
+    else:
+        place, turn = pose.position, pose.orientation
     yaw = yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
     return [message.header.stamp.to_sec(), place.x, place.y, yaw]
 
@@ -154,14 +171,14 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
     stamps = start + np.arange(math.floor(count) + 1) / rate
     if end - stamps[-1] > _SAME_STAMP:
         stamps = np.append(stamps, end)
-    stamps = _snapped(stamps, trajectory.stamps)
+    stamps = snapped(stamps, trajectory.stamps)
     x, y, yaw = trajectory.poses.T
     columns = [np.interp(stamps, trajectory.stamps, values) for values in (x, y, np.unwrap(yaw))]
     columns[2] = wrap(columns[2])
     return Trajectory(stamps, np.column_stack(columns))
 
 
-def _snapped(stamps: np.ndarray, known: np.ndarray) -> np.ndarray:
+def snapped(stamps: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Replace stamps by known ones that are the same but for rounding."""
     after = np.minimum(np.searchsorted(known, stamps), len(known) - 1)
     before = np.maximum(after - 1, 0)

@@ -1,0 +1,1 @@
+"""The parameters of noise models and of systematic errors, from paths with truth."""

@@ -1,0 +1,108 @@
+"""Recordings are found in files and folders."""
+
+import numpy as np
+import pytest
+
+from bullet_lab.core.trajectory import Trajectory, TrajectoryError
+from bullet_lab.studies.calibrate.recordings import Topics, find_recordings, read_pair
+from bullet_lab.studies.noise_study.paths import write_tum
+
+TOPICS = Topics("/truth", "/odom")
+
+
+def line(scale):
+    way = scale * np.arange(5.0)
+    return Trajectory(np.arange(5.0), np.column_stack((way, 0 * way, 0 * way)))
+
+
+def write_pair(folder, truth, odometry):
+    folder.mkdir(parents=True, exist_ok=True)
+    write_tum(folder / f"{truth}.tum", line(1.0))
+    write_tum(folder / f"{odometry}.tum", line(2.0))
+
+
+def assert_truth_first(found):
+    for recording in found:
+        assert recording.truth.length() == 4.0
+        assert recording.odometry.length() == 8.0
+
+
+@pytest.mark.parametrize(
+    "truth, odometry",
+    [
+        ("odom", "noisy_odom"),
+        ("truth", "odom"),
+        ("run1_truth", "run1_odom"),
+        ("groundtruth", "odometry"),
+    ],
+)
+def test_two_files_belong_together_by_their_names(tmp_path, truth, odometry):
+    write_pair(tmp_path, truth, odometry)
+    found = find_recordings([tmp_path], TOPICS)
+    assert len(found) == 1
+    assert_truth_first(found)
+
+
+def test_folders_below_are_looked_through(tmp_path):
+    write_pair(tmp_path / "robot1", "odom", "noisy_odom")
+    write_pair(tmp_path / "robot2" / "again", "a_truth", "a_odom")
+    write_pair(tmp_path / "robot2" / "again", "b_truth", "b_odom")
+    found = find_recordings([tmp_path], TOPICS)
+    assert len(found) == 3
+    assert_truth_first(found)
+
+
+@pytest.mark.parametrize(
+    "columns",
+    ["stamp,x,y,yaw,noisy_x,noisy_y,noisy_yaw", "stamp,truth_x,truth_y,truth_yaw,x,y,yaw"],
+)
+def test_a_table_with_both_paths_is_one_recording_beside_the_same_in_two_files(tmp_path, columns):
+    write_pair(tmp_path, "odom", "noisy_odom")
+    rows = "".join(f"{t},{t},0,0,{2 * t},0,0\n" for t in range(5))
+    (tmp_path / "paths.csv").write_text(f"{columns}\n{rows}")
+    found = find_recordings([tmp_path], TOPICS)
+    assert [recording.name for recording in found] == [str(tmp_path / "paths.csv")]
+    assert_truth_first(found)
+
+
+def test_two_files_of_any_name_are_read_where_they_are_named(tmp_path):
+    write_pair(tmp_path, "one", "other")
+    assert_truth_first([read_pair(tmp_path / "one.tum", tmp_path / "other.tum", TOPICS)])
+
+
+def test_a_bag_has_both_on_two_topics(tmp_path):
+    rosbag = pytest.importorskip("rosbag")
+    import rospy
+    from geometry_msgs.msg import PoseStamped, TransformStamped
+    from nav_msgs.msg import Odometry
+
+    with rosbag.Bag(str(tmp_path / "run.bag"), "w") as bag:
+        for t in range(5):
+            stamp = rospy.Time(1 + t)
+            pose, odometry, transform = PoseStamped(), Odometry(), TransformStamped()
+            pose.pose.position.x, odometry.pose.pose.position.x = t, 2.0 * t
+            transform.transform.translation.x = t
+            turns = (
+                pose.pose.orientation,
+                odometry.pose.pose.orientation,
+                transform.transform.rotation,
+            )
+            for turn in turns:
+                turn.w = 1.0
+            for topic, message in (("/truth", pose), ("/odom", odometry), ("/tracked", transform)):
+                message.header.stamp = stamp
+                bag.write(topic, message, stamp)
+    assert_truth_first(find_recordings([tmp_path], TOPICS))
+    assert_truth_first(find_recordings([tmp_path / "run.bag"], Topics("tracked", "odom")))
+    with pytest.raises(TrajectoryError, match="nothing on the topic /nix; odometry is on /odom"):
+        find_recordings([tmp_path], Topics("/truth", "/nix"))
+
+
+def test_where_there_is_nothing_that_is_said(tmp_path):
+    with pytest.raises(TrajectoryError, match="no bag, no table with both paths"):
+        find_recordings([tmp_path], TOPICS)
+    with pytest.raises(TrajectoryError, match="there is no such file or folder"):
+        find_recordings([tmp_path / "nix"], TOPICS)
+    (tmp_path / "one.csv").write_text("stamp,x,y,yaw\n")
+    with pytest.raises(TrajectoryError, match="neither a bag nor a table with both paths"):
+        find_recordings([tmp_path / "one.csv"], TOPICS)

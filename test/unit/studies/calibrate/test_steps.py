@@ -1,0 +1,150 @@
+"""Steps of truth and odometry as real ones are: other rates, clocks, frames, gaps and rests."""
+
+import numpy as np
+import pytest
+
+from bullet_lab.core import se2
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.studies.calibrate.recordings import Recording
+from bullet_lab.studies.calibrate.steps import (
+    StepsError,
+    StepSettings,
+    clock_offset,
+    interpolated,
+    joined,
+    resolution,
+    take_steps,
+)
+
+EXACT = StepSettings()
+
+
+def pose_at(seconds):
+    """A drive whose way and turn go up and down, round and round: (n, 3)."""
+    t = np.linspace(0.0, 30.0, 60001)
+    speed, turn = 0.3 + 0.2 * np.sin(1.3 * t), 0.6 * np.sin(0.7 * t) + 0.4
+    heading = np.cumsum(turn) * t[1]
+    x, y = np.cumsum(speed * np.cos(heading)) * t[1], np.cumsum(speed * np.sin(heading)) * t[1]
+    columns = [np.interp(seconds, t, column) for column in (x, y, heading)]
+    return np.column_stack((columns[0], columns[1], se2.wrap(columns[2])))
+
+
+def path(start, end, rate, offset=0.0, frame=(0.0, 0.0, 0.0)):
+    stamps = np.arange(start, end, 1.0 / rate)
+    return Trajectory(stamps - offset, se2.compose(frame, pose_at(stamps)))
+
+
+def test_the_same_stamps_give_the_steps_of_both_bit_for_bit():
+    both = path(0.0, 5.0, 20.0)
+    steps = take_steps(Recording("same", both, both), EXACT)
+    np.testing.assert_array_equal(steps.true, se2.steps(both.poses))
+    np.testing.assert_array_equal(steps.odometry, steps.true)
+    assert steps.follows[1:].all()
+    assert not steps.follows[0]
+
+
+@pytest.mark.parametrize("rates", [(97.0, 20.0), (20.0, 50.0), (31.0, 30.0)])
+def test_other_rates_and_frames_give_the_same_steps(rates):
+    truth = path(0.013, 20.0, rates[0])
+    odometry = path(0.5, 25.0, rates[1], frame=(5.0, -3.0, 2.0))
+    steps = take_steps(Recording("rates", truth, odometry), EXACT)
+    slower = min(rates)
+    assert len(steps) == pytest.approx(19.5 * slower, abs=2)
+    assert np.median(steps.seconds) == pytest.approx(1.0 / slower)
+    # The robot's velocity changes between poses; linear interpolation would be 1 mm off.
+    np.testing.assert_allclose(steps.true, steps.odometry, atol=2e-4)
+
+
+def test_between_poses_the_robot_goes_on_an_arc():
+    turn = np.linspace(0.0, 2.0 * np.pi, 9)
+    circle = np.column_stack((np.sin(turn), 1.0 - np.cos(turn), turn))
+    found = interpolated(Trajectory(turn, circle), np.linspace(0.0, 6.28, 50))
+    np.testing.assert_allclose(np.hypot(found[:, 0], found[:, 1] - 1.0), 1.0, atol=1e-12)
+
+
+def test_steps_over_gaps_are_left_out_and_counted():
+    truth, odometry = path(0.0, 20.0, 100.0), path(0.0, 20.0, 10.0)
+    seen = (truth.stamps < 5.0) | (truth.stamps > 7.0)
+    truth = Trajectory(truth.stamps[seen], truth.poses[seen])
+    heard = (odometry.stamps < 12.0) | (odometry.stamps > 13.0)
+    odometry = Trajectory(odometry.stamps[heard], odometry.poses[heard])
+    steps = take_steps(Recording("gaps", truth, odometry), EXACT)
+    assert steps.gaps == pytest.approx(23, abs=1)
+    assert steps.seconds.max() < 0.2
+    assert (~steps.follows).sum() == 3
+    np.testing.assert_allclose(steps.true, steps.odometry, atol=1e-3)
+
+
+def test_a_robot_that_stands_gives_no_steps():
+    poses = np.concatenate([np.tile(pose_at(np.zeros(1)), (50, 1)), pose_at(np.arange(60) * 0.1)])
+    jitter = np.random.default_rng(1).normal(0.0, 1e-4, poses.shape)
+    stamps = 0.1 * np.arange(len(poses))
+    recording = Recording("rest", Trajectory(stamps, poses + jitter), Trajectory(stamps, poses))
+    steps = take_steps(recording, EXACT)
+    assert (len(steps), steps.resting, steps.unseen) == (59, 50, 0)
+
+
+def test_a_robot_that_is_carried_is_counted():
+    true = pose_at(np.arange(60) * 0.1)
+    said = true.copy()
+    said[30:40] = said[30]
+    stamps = 0.1 * np.arange(60)
+    steps = take_steps(Recording("x", Trajectory(stamps, true), Trajectory(stamps, said)), EXACT)
+    assert steps.unseen == 9
+
+
+def test_longer_steps_end_where_the_truth_has_gone_or_turned_so_far():
+    both = path(0.0, 20.0, 50.0)
+    steps = take_steps(Recording("x", both, both), StepSettings(min_distance=0.1, min_angle=0.2))
+    far, turned = np.hypot(*steps.true[:, :2].T), np.abs(steps.true[:, 2])
+    assert ((far >= 0.1) | (turned >= 0.2)).all()
+    assert far.max() < 0.12
+    assert steps.follows[1:].all()
+
+
+@pytest.mark.parametrize("offset", [0.25, -0.6])
+def test_a_clock_that_is_behind_is_noticed_and_found(offset):
+    truth, odometry = path(0.0, 28.0, 100.0), path(1.0, 27.0, 20.0, offset=offset)
+    found, error = clock_offset(truth, odometry, odometry.stamps[20:-20])
+    assert found == pytest.approx(offset, abs=0.005)
+    assert error < 0.005
+    recording = Recording("late", truth, odometry)
+    (remark,) = take_steps(recording, EXACT).remarks
+    assert f"time_offset:={offset:.2f}" in remark
+    steps = take_steps(recording, StepSettings(find_offset=True))
+    np.testing.assert_allclose(steps.true, steps.odometry, atol=2e-3)
+    told = take_steps(recording, StepSettings(time_offset=offset))
+    assert told.remarks == ()
+
+
+def test_no_offset_is_made_up_of_noise():
+    truth, odometry = path(0.0, 28.0, 100.0), path(1.0, 27.0, 20.0)
+    jitter = np.cumsum(np.random.default_rng(2).normal(0.0, 0.003, (len(odometry), 3)), axis=0)
+    noisy = Trajectory(odometry.stamps, odometry.poses + jitter)
+    assert take_steps(Recording("x", truth, noisy), EXACT).remarks == ()
+
+
+def test_paths_without_a_time_in_common_are_refused():
+    with pytest.raises(StepsError, match="no time in common; time_offset is added"):
+        take_steps(Recording("x", path(0.0, 5.0, 20.0), path(6.0, 9.0, 20.0)), EXACT)
+
+
+def test_few_steps_are_refused_with_what_there_was():
+    both = path(0.0, 1.0, 20.0)
+    with pytest.raises(StepsError, match="19 steps with a moving robot are too few: 30 at least"):
+        joined([take_steps(Recording("x", both, both), EXACT)])
+
+
+def test_several_recordings_are_one():
+    both = path(0.0, 5.0, 20.0)
+    one = take_steps(Recording("x", both, both), EXACT)
+    two = joined([one, one])
+    assert len(two) == 2 * len(one)
+    assert not two.follows[len(one)]
+
+
+def test_digits_of_a_file_are_its_resolution():
+    both = path(0.0, 5.0, 20.0)
+    rounded = Trajectory(both.stamps, both.poses.round(4))
+    assert resolution(rounded) == pytest.approx(2e-4 / np.sqrt(12.0))
+    assert resolution(both) == 1e-9
