@@ -30,15 +30,13 @@ FILES = {
     "residuals.png",
     "summary.json",
 }
-MODELS = ("rate_invariant", "probabilistic")
+SETTINGS, LAP = CalibrateSettings(("rate_invariant", "probabilistic")), DriveSettings(laps=1)
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
     folder, said = tmp_path_factory.mktemp("calibrate"), []
-    summary = run_calibration(
-        folder, CalibrateSettings(models=MODELS), StepSettings(), DriveSettings(), (), said.append
-    )
+    summary = run_calibration(folder, SETTINGS, StepSettings(), LAP, (), said.append)
     return folder, summary, "\n".join(said)
 
 
@@ -91,7 +89,7 @@ def test_noisy_odom_loads_the_noise(done):
 @pytest.mark.long
 def test_the_same_settings_give_the_same_files(done, tmp_path):
     folder, _, _ = done
-    run_calibration(tmp_path, CalibrateSettings(models=MODELS), StepSettings(), DriveSettings())
+    run_calibration(tmp_path, SETTINGS, StepSettings(), LAP)
     for path in tmp_path.iterdir():
         assert path.read_bytes() == (folder / path.name).read_bytes(), path.name
 
@@ -111,7 +109,7 @@ def run(capsys, *words):
 
 
 def test_it_runs_from_the_command_line_on_files(tmp_path, capsys):
-    write_paths(tmp_path / "paths.csv", made_up(DriveSettings(), 3))
+    write_paths(tmp_path / "paths.csv", made_up(LAP, 3))
     status, out, err = run(
         capsys, tmp_path / "out", "--base", tmp_path, "--data", "paths.csv",
         "--models", "probabilistic", "--systematic", "none",
@@ -123,7 +121,7 @@ def test_it_runs_from_the_command_line_on_files(tmp_path, capsys):
 
 
 def test_a_path_one_way_cannot_tell_the_gyro_from_the_wheels(tmp_path, capsys):
-    write_paths(tmp_path / "paths.csv", made_up(DriveSettings(), 3), rows=90)
+    write_paths(tmp_path / "paths.csv", made_up(LAP, 3), rows=90)
     _, out, _ = run(
         capsys, tmp_path, "--data", tmp_path / "paths.csv", "--models", "probabilistic"
     )
@@ -148,7 +146,7 @@ def test_what_cannot_be_used_is_refused_with_one_line(tmp_path, capsys, words, l
 
 
 def test_few_data_are_refused_with_one_line(tmp_path, capsys):
-    write_paths(tmp_path / "paths.csv", made_up(DriveSettings(), 3), rows=20)
+    write_paths(tmp_path / "paths.csv", made_up(LAP, 3), rows=20)
     status, _, err = run(capsys, tmp_path, "--data", tmp_path / "paths.csv")
     assert status == 2
     assert err.count("\n") == 1
