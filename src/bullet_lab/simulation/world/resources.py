@@ -58,6 +58,8 @@ def gazebo_model_folders() -> Tuple[Path, ...]:
     return (*own, *listed_folders("GAZEBO_MODEL_PATH"), package_share() / "models")
 
 
+# Where Gazebo looks for files in a folder of GAZEBO_RESOURCE_PATH.
+RESOURCES = ("", "models", "media/models", "Media/models")
 # Where OGRE looks for scripts and pictures in a folder of media.
 MEDIA = ("", "materials/scripts", "materials/textures", "materials/programs", "media/models")
 
@@ -159,7 +161,8 @@ class ResourceFinder:
 
     def _relative(self, uri: str, path: str) -> Path:
         own = () if self._folder is None else (self._folder,)
-        folders = (*own, *listed_folders("GAZEBO_RESOURCE_PATH"))
+        listed = listed_folders("GAZEBO_RESOURCE_PATH")
+        folders = (*own, *(folder / part for folder in listed for part in RESOURCES))
         for folder in folders:
             if (folder / path).exists():
                 return _inside(folder, path, uri)

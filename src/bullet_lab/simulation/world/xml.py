@@ -8,7 +8,7 @@ import re
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Callable, Optional, Sequence, Tuple, Type
+from typing import Callable, Match, Optional, Sequence, Tuple, Type
 from xml.etree.ElementTree import Element, ParseError
 
 import defusedxml.ElementTree
@@ -24,6 +24,9 @@ COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 DECLARATION = re.compile(r"<\?xml\s.*?\?>", re.DOTALL)
 # Before a colon, in the name of an element or of an attribute.
 PREFIX = re.compile(r"""(</?[\w.-]+|\s[\w.-]+(?=:[\w.-]+\s*=\s*["'])):""")
+TAG = re.compile(r"<[^<>!?]+>")
+# Of an attribute: its name, and its value with quotes or without.
+VALUE = re.compile(r"""(\s[\w.:-]+\s*=\s*)(?:("[^"]*"|'[^']*')|([^\s"'>]*[^\s"'>/]))""")
 # Squares and cubes of larger ones would overflow; SDF writes 1e16 for "no limit".
 LARGEST_NUMBER = 1e18
 # A coefficient of friction that nothing slips at.
@@ -65,16 +68,22 @@ def _parsed(text: str) -> Element:
 def _as_gazebo_has_it(text: str) -> str:
     """Return a document without what expat refuses and Gazebo's parser, TinyXML, does not mind.
 
-    That is whatever stands in comments, a declaration that is not the first of all, and prefixes of
-    names without a namespace.
+    That is whatever stands in comments, a declaration that is not the first of all, prefixes of
+    names without a namespace, and values without quotes.
 
-    >>> _as_gazebo_has_it("<!-- -- --> <?xml version='1.0'?><a b:c='1'><d:e/></a>").strip()
-    "<a b.c='1'><d.e/></a>"
+    >>> _as_gazebo_has_it("<!-- -- --> <?xml version='1.0'?><a b:c='1'><d:e f=g/></a>").strip()
+    "<a b.c='1'><d.e f='g'/></a>"
     """
     for passed_over in (COMMENT, DECLARATION):
         # Lines keep their numbers, for messages.
         text = passed_over.sub(lambda found: "\n" * found.group().count("\n"), text)
-    return PREFIX.sub(r"\1.", text)
+    text = PREFIX.sub(r"\1.", text)
+    return TAG.sub(lambda tag: VALUE.sub(_quoted, tag.group()), text)
+
+
+def _quoted(value: Match[str]) -> str:
+    before, quoted, bare = value.groups()
+    return f"{before}{quoted}" if bare is None else f"{before}'{bare}'"
 
 
 def file_bytes(path: Path, most: int, error_kind: Type[LabError] = XmlError) -> bytes:

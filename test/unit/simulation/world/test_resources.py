@@ -137,6 +137,11 @@ def test_relative_paths_are_looked_up_in_gazebo_resource_path(finder, files, mon
     (files / "media/m.stl").touch()
     (files / "a.urdf").touch()
     monkeypatch.setenv("GAZEBO_RESOURCE_PATH", str(files))
+    for folder in ("models", "media/models", "Media/models"):
+        tree = files / folder / f"{folder[0]}{len(folder)}.dae"
+        tree.parent.mkdir(parents=True)
+        tree.touch()
+        assert finder.find(f"file://{tree.name}") == tree
     assert finder.find("file://media/m.stl") == files / "media/m.stl"
     assert finder.find("media/m.stl") == files / "media/m.stl"
     assert finder.find("a.urdf") == files / "pkg/urdf/a.urdf"

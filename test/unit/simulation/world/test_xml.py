@@ -53,10 +53,17 @@ def test_document_types_and_entities_are_refused(prolog):
         "<a><!-- 1 -- 2 --><!-- <b> ---><b/></a>",
         "<a xmlns:c='d'><b/><e:f g='1'/></a>",
         "<a h:g='1'><b/></a>",
+        "<a c=1 d='e f=g'\nh = i/j><b k=l/></a>",
     ],
 )
 def test_what_gazebos_parser_passes_over_is_passed_over(text):
     assert parse_text(text, "here").find("b") is not None
+
+
+def test_values_without_quotes():
+    found = parse_text("<a c=1 d='e f=g'\nh = i/j><b k=l/></a>", "here")
+    assert found.attrib == {"c": "1", "d": "e f=g", "h": "i/j"}
+    assert found.find("b").attrib == {"k": "l"}
 
 
 def test_lines_keep_their_numbers():
