@@ -9,6 +9,7 @@ Example:
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Dict, List, NoReturn, Optional, Sequence, Tuple
@@ -35,7 +36,7 @@ from bullet_lab.studies.umbmark.drives import drive_square
 from bullet_lab.studies.umbmark.estimate import PARAMETERS
 from bullet_lab.studies.umbmark.figures import clusters_figure
 from bullet_lab.studies.umbmark.floor import multipliers
-from bullet_lab.studies.umbmark.runs import DIRECTIONS, Run
+from bullet_lab.studies.umbmark.runs import DIRECTIONS, Run, return_errors
 from bullet_lab.studies.umbmark.sources import read_runs
 from bullet_lab.studies.workers import Run as RunTasks
 from bullet_lab.studies.workers import TaskLostError, WorkerSettings, workers
@@ -183,19 +184,21 @@ def describe(
     base = before.base * (1.0 + found.errors.base_error)
     lines.append(f"corrected: base {base:.6f} m; {parameters}")
     if after is not None:
-        lines += [f"driven again, {line}" for line in _figures(after)]
+        lines += [f"driven again: {line}" for line in _figures(after)]
     return lines
 
 
 def _figures(benchmark: Benchmark) -> List[str]:
     figures = benchmark.figures
-    centres = (
-        f"{way} ({1000.0 * x:.2f}, {1000.0 * y:.2f}) mm"
-        for way, (x, y) in zip(DIRECTIONS, (figures.centre_cw, figures.centre_ccw))
-    )
-    return [
-        f"centres of gravity {', '.join(centres)}; E_max,syst {1000.0 * figures.e_max_syst:.2f} mm"
-    ]
+    lines = []
+    for way, (x, y) in zip(DIRECTIONS, (figures.centre_cw, figures.centre_ccw)):
+        errors = return_errors(benchmark.runs, way) * (1000.0, 1000.0, math.degrees(1.0))
+        each = ", ".join(f"({dx:.2f}, {dy:.2f}, {turn:.3f})" for dx, dy, turn in errors.tolist())
+        lines += [
+            f"return errors {way} (mm, mm, °): {each}",
+            f"centre of gravity {way}: ({1000.0 * x:.2f}, {1000.0 * y:.2f}) mm",
+        ]
+    return [*lines, f"E_max,syst {1000.0 * figures.e_max_syst:.2f} mm"]
 
 
 def _run(

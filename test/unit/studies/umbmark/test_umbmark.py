@@ -25,7 +25,7 @@ from bullet_lab.studies.umbmark.floor import multipliers
 from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels
 from bullet_lab.studies.umbmark.runs import Run, RunError, return_errors
 from bullet_lab.studies.umbmark.sources import perfect_square
-from bullet_lab.studies.umbmark.study import run_umbmark
+from bullet_lab.studies.umbmark.study import describe, run_umbmark
 
 BELIEVED = Wheels(0.28, 0.28, 0.38)
 NONE = SystematicErrors()
@@ -264,6 +264,10 @@ def test_results_are_left_behind(tmp_path):
     # Without noise all runs are the same.
     assert summary["recovered"]["intervals_95"] is None
     assert summary["corrected"]["wheel_base_m"] == pytest.approx(0.38 * 1.01, rel=1e-5)
+    told = describe(before, after)
+    assert told[0].startswith("return errors cw (mm, mm, °): (")
+    assert told[4].startswith("E_max,syst ")
+    assert told[-1].startswith("driven again: E_max,syst 0.00 mm")
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"summary.json", "returns.csv", "corrected.yaml", "clusters.png"}
     assert len((tmp_path / "returns.csv").read_text().splitlines()) == 9
