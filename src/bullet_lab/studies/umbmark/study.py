@@ -19,7 +19,7 @@ import yaml
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
 from bullet_lab.core.parameters import number, text
-from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.noise import systematic
 from bullet_lab.studies.study import (
     SUMMARY,
     Settings,
@@ -41,7 +41,7 @@ from bullet_lab.studies.umbmark.sources import read_runs
 from bullet_lab.studies.workers import Run as RunTasks
 from bullet_lab.studies.workers import TaskLostError, WorkerSettings, workers
 
-NONE = SystematicErrors()
+NONE = systematic.SystematicErrors()
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class FileSettings(Settings):
 
 
 def drive_run(
-    settings: DriveSettings, correction: SystematicErrors, laps: int, number: int
+    settings: DriveSettings, correction: systematic.SystematicErrors, laps: int, number: int
 ) -> Tuple[Run, float]:
     """Drive a run on the floor, of an even number clockwise; return it, and the believed base.
 
@@ -77,7 +77,7 @@ def drive_run(
 
 def drive_runs(
     settings: DriveSettings,
-    correction: SystematicErrors,
+    correction: systematic.SystematicErrors,
     laps: int,
     run: RunTasks,
     title: str,
@@ -103,7 +103,7 @@ def run_umbmark(
     before: Benchmark,
     after: Optional[Benchmark],
     about: Dict[str, Any],
-    floor: SystematicErrors = NONE,
+    floor: systematic.SystematicErrors = NONE,
 ) -> Dict[str, Any]:
     """Leave tables, picture, corrected parameters and summary.json; return what that says.
 
@@ -146,7 +146,7 @@ def run_umbmark(
     return summary
 
 
-def _named(errors: SystematicErrors) -> Dict[str, float]:
+def _named(errors: systematic.SystematicErrors) -> Dict[str, float]:
     return {name: getattr(errors, name) for name in PARAMETERS}
 
 
@@ -162,7 +162,7 @@ def _return_rows(before: Benchmark, after: Optional[Benchmark]):
 
 
 def describe(
-    before: Benchmark, after: Optional[Benchmark], floor: SystematicErrors = NONE
+    before: Benchmark, after: Optional[Benchmark], floor: systematic.SystematicErrors = NONE
 ) -> List[str]:
     """Return what came of it as lines for people."""
     lines = [*_figures(before)]
@@ -241,7 +241,7 @@ def _run(
         tell(line)
 
 
-def _effective(errors: SystematicErrors) -> str:
+def _effective(errors: systematic.SystematicErrors) -> str:
     return (
         "these wheels roll on this floor as if D_right/D_left were "
         f"{1.0 + errors.diameter_error:.6f} and the base {1.0 + errors.base_error:.6f} of what is "
