@@ -278,6 +278,8 @@ def verdict_lines(summary: Mapping[str, Any]) -> List[str]:
         return [*lines, "no combination explains figure 1b"]
     lines.append(f"most usual under: {best['name']}, p = {best['p_values']['all']['p']:.2g}")
     width = max(map(len, DEFECTS)) + 1
+    if all(row["p_values"]["all"]["below"] >= SIGNIFICANCE for row in summary["combinations"]):
+        lines.append("too few seeds to exclude any combination")
     heads = "".join(f"{evidence:16}" for evidence in EVIDENCE)
     lines.append(f"{'judged by':{width + 2}} {heads.rstrip()}")
     for name in DEFECTS:
