@@ -50,7 +50,7 @@ class FileSettings(Settings):
 
     path: str = text("", "folder or file of recorded runs; else they are driven here")
     topic: str = text("/odom", "odometry topic of a bag")
-    truth_topic: str = text("/truth", "topic of a bag's true poses, odometry as well")
+    truth_topic: str = text("/truth", "topic of a bag's true poses, Odometry or PoseStamped")
     wheel_base: float = number(0.38, "m, that the recorded odometry believes in", above=0.0)
     base: str = text("", "folder that a relative path starts from")
 
