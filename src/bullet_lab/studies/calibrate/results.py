@@ -179,7 +179,7 @@ def noise_yaml(one: Calibration, source: str, seconds: float) -> str:
     verdict = _verdict(one.goodness)
     rows = [
         f"# Noise of an odometry, found by calibrate from {source}.",
-        f"# Steps of {seconds:.3g} s; only rate_invariant is the same for others.",
+        f"# Steps of {seconds:.3g} s; for others only rate_invariant is about the same.",
         f"# The model: {verdict}.",
         f"model: {one.model}",
     ]

@@ -7,7 +7,7 @@ faster one is interpolated, at a constant velocity between two of its poses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import List, Sequence, Tuple
 
 import numpy as np
@@ -28,6 +28,9 @@ _STILL = 1e-6  # m and rad; who moves less stands
 _SLIP = 0.01  # m; more than this in a step that odometry saw nothing of
 _WIDEST_OFFSET = 1.0
 _MOST_DECIMALS = 8
+_MEDIAN = 0.6745  # of the size of a standard normal number
+_NOTEWORTHY = 1e-5  # m and rad, of the truth's noise
+_TIMES = 100.0  # so many times the truth's noise is a step at least
 
 
 class StepsError(LabError):
@@ -39,16 +42,16 @@ class StepSettings:
     """How steps are taken from truth and odometry."""
 
     truth_std_m: float = number(
-        0.0, "standard deviation of the truth's position, m; 0: as its digits have it", 0.0
+        0.0, "standard deviation of the truth's position, m; 0: by its jitter and digits", 0.0
     )
     truth_std_rad: float = number(
-        0.0, "standard deviation of the truth's heading, rad; 0: as its digits have it", 0.0
+        0.0, "standard deviation of the truth's heading, rad; 0: by its jitter and digits", 0.0
     )
     min_distance: float = number(
-        0.0, "m to go before a step ends; 0: every message, unless there is min_angle", 0.0
+        0.0, "m to go before a step ends; 0: a message, or as the truth's jitter asks for", 0.0
     )
     min_angle: float = number(
-        0.0, "rad to turn before a step ends; 0: every message, unless there is min_distance", 0.0
+        0.0, "rad to turn before a step ends; 0: a message, or as the jitter asks for", 0.0
     )
     time_offset: float = number(0.0, "s that the odometry's clock is behind the truth's")
     find_offset: bool = boolean(False, "find time_offset, within a second of what is said")
@@ -69,7 +72,8 @@ class Steps:
         resting: how many more there were in which the robot stood still.
         gaps: how many went over a gap.
         unseen: in how many of the resting ones the truth moved all the same.
-        resolution: of the files, m or rad.
+        truth_std_m: standard deviation of the truth's position.
+        truth_std_rad: standard deviation of the truth's heading.
         remarks: what should be said of them.
     """
 
@@ -80,7 +84,8 @@ class Steps:
     resting: int
     gaps: int
     unseen: int
-    resolution: float
+    truth_std_m: float
+    truth_std_rad: float
     remarks: Tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -111,6 +116,11 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
         )
     there, seen = (interpolated(path, stamps) for path in (truth, odometry))
     broken = _over_gap(stamps, (truth, odometry), settings.max_gap)
+    noise, jitters = _truth_noise(truth, odometry, settings)
+    settings = replace(settings, truth_std_m=noise[0], truth_std_rad=noise[1])
+    if jitters:
+        settings = _long_enough(settings, there)
+        remarks.append(_about_jitter(settings))
     first, last = _ends(there, broken, settings)
     true, said = se2.between(there[first], there[last]), se2.between(seen[first], seen[last])
     still = _still(true) | _still(said)
@@ -125,8 +135,8 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
         resting=int(still.sum()),
         gaps=int(broken.sum()),
         unseen=int((still & (np.hypot(true[:, 0], true[:, 1]) > _SLIP)).sum()),
-        # A drive that was made up may be round; where the other path is not, digits were not cut.
-        resolution=min(map(resolution, (truth, odometry))),
+        truth_std_m=noise[0],
+        truth_std_rad=noise[1],
         remarks=tuple(f"{recording.name}: {remark}" for remark in remarks),
     )
 
@@ -139,7 +149,8 @@ def joined(found: Sequence[Steps]) -> Steps:
             for name in ("true", "odometry", "follows", "seconds")
         ),
         *(sum(getattr(one, name) for one in found) for name in ("resting", "gaps", "unseen")),
-        resolution=max(one.resolution for one in found),
+        truth_std_m=max(one.truth_std_m for one in found),
+        truth_std_rad=max(one.truth_std_rad for one in found),
         remarks=tuple(remark for one in found for remark in one.remarks),
     )
     if len(steps) < FEWEST_STEPS:
@@ -181,6 +192,65 @@ def resolution(path: Trajectory) -> float:
             # A quaternion's digits give twice as much to the heading.
             return 2.0 * 10.0**-decimals / np.sqrt(12.0)
     return RESOLUTION
+
+
+def jitter(path: Trajectory) -> Tuple[float, float]:
+    """Return the standard deviation of white noise on a path, m and rad; 0 where none is seen.
+
+    Differences of the third and of the fourth order of a smooth path are small, and ever smaller;
+    those of white noise have sqrt(20) and sqrt(70) times its standard deviation. Their medians
+    pass over where the robot starts and stops.
+
+    >>> jitter(Trajectory(np.arange(9.0), np.tile([0.5, 0.0, 0.0], (9, 1)) * np.arange(9)[:, None]))
+    (0.0, 0.0)
+    """
+    x, y, yaw = path.poses[:, 0], path.poses[:, 1], np.unwrap(path.poses[:, 2])
+    if len(path) < FEWEST_STEPS:
+        return 0.0, 0.0
+    x_std, y_std, yaw_std = (_white(column) for column in (x, y, yaw))
+    return float(np.sqrt(0.5 * (x_std**2 + y_std**2))), yaw_std
+
+
+def _white(values: np.ndarray) -> float:
+    third, fourth = (
+        float(np.median(np.abs(np.diff(values, order)))) / (_MEDIAN * np.sqrt(scale))
+        for order, scale in ((3, 20.0), (4, 70.0))
+    )
+    return fourth if fourth > 0.7 * third else 0.0
+
+
+def _truth_noise(truth: Trajectory, odometry: Trajectory, settings: StepSettings):
+    """Return the standard deviations of the truth, m and rad, and whether they are to be seen."""
+    # A drive that was made up may be round; where the other path is not, digits were not cut.
+    least = min(map(resolution, (truth, odometry)))
+    seen_m, seen_rad = jitter(truth)
+    std_m = settings.truth_std_m or max(seen_m, least)
+    std_rad = settings.truth_std_rad or max(seen_rad, least)
+    return (std_m, std_rad), max(std_m, std_rad) > _NOTEWORTHY
+
+
+def _long_enough(settings: StepSettings, poses: np.ndarray) -> StepSettings:
+    """Have steps so long that the truth's noise is small beside them, where nobody says else."""
+    if settings.min_distance or settings.min_angle:
+        return settings
+    steps = np.abs(se2.steps(poses))
+    distance, angle = _TIMES * settings.truth_std_m, _TIMES * settings.truth_std_rad
+    if np.median(np.maximum(steps[:, 0] / distance, steps[:, 2] / angle)) >= 1.0:
+        return settings
+    return replace(settings, min_distance=distance, min_angle=angle)
+
+
+def _about_jitter(settings: StepSettings) -> str:
+    said = (
+        f"the truth has noise of {1e3 * settings.truth_std_m:.2g} mm and "
+        f"{1e3 * settings.truth_std_rad:.2g} mrad"
+    )
+    if not (settings.min_distance or settings.min_angle):
+        return said
+    return (
+        f"{said}; steps end after {settings.min_distance:.3g} m or {settings.min_angle:.3g} rad "
+        "(min_distance, min_angle)"
+    )
 
 
 def clock_offset(truth: Trajectory, odometry: Trajectory, stamps: np.ndarray):

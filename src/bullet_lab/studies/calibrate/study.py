@@ -141,7 +141,7 @@ def run_calibration(
     found = []
     with progress("calibrate", len(settings.models), tell, unit="model", things=" models") as note:
         for model in settings.models:
-            problem = Problem(_pairs(taken, steps), model, errors, drive.wheel_base)
+            problem = Problem(_pairs(taken), model, errors, drive.wheel_base)
             found.append(calibrate(problem, taken.follows, settings.seed))
             note()
     true = _true_values(drive, settings) if invented else {}
@@ -158,12 +158,12 @@ def run_calibration(
     return summary
 
 
-def _pairs(taken: Steps, steps: StepSettings) -> StepPairs:
+def _pairs(taken: Steps) -> StepPairs:
     return StepPairs(
         taken.true,
         taken.odometry[np.newaxis],
-        steps.truth_std_m or taken.resolution,
-        steps.truth_std_rad or taken.resolution,
+        taken.truth_std_m,
+        taken.truth_std_rad,
     )
 
 
@@ -209,6 +209,8 @@ def _about_steps(taken: Steps) -> Dict[str, Any]:
         "resting": taken.resting,
         "over_gaps": taken.gaps,
         "moved_unseen": taken.unseen,
+        "truth_std_m": taken.truth_std_m,
+        "truth_std_rad": taken.truth_std_rad,
         "remarks": list(taken.remarks),
     }
 

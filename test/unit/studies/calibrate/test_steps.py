@@ -11,6 +11,7 @@ from bullet_lab.studies.calibrate.steps import (
     StepSettings,
     clock_offset,
     interpolated,
+    jitter,
     joined,
     resolution,
     take_steps,
@@ -141,6 +142,21 @@ def test_several_recordings_are_one():
     two = joined([one, one])
     assert len(two) == 2 * len(one)
     assert not two.follows[len(one)]
+
+
+def test_noise_of_the_truth_is_measured_and_steps_are_longer_than_it():
+    clean, odometry = path(0.0, 29.0, 100.0), path(0.0, 29.0, 25.0)
+    noise = np.random.default_rng(3).normal(0.0, [0.002, 0.002, 0.004], clean.poses.shape)
+    truth = Trajectory(clean.stamps, clean.poses + noise)
+    # 2896 fourth differences of two coordinates, and correlated.
+    assert jitter(truth) == pytest.approx((0.002, 0.004), rel=0.1)
+    assert max(jitter(clean)) < 1e-6
+    steps = take_steps(Recording("camera", truth, odometry), EXACT)
+    assert "the truth has noise of 2 mm and 3.9 mrad; steps end after 0.2" in steps.remarks[0]
+    far = np.hypot(*steps.true[:, :2].T) / 0.002
+    assert (np.maximum(far, np.abs(steps.true[:, 2]) / 0.004) > 90.0).all()
+    said = take_steps(Recording("x", truth, odometry), StepSettings(min_distance=0.5))
+    assert (np.hypot(*said.true[:, :2].T) >= 0.5).all()
 
 
 def test_digits_of_a_file_are_its_resolution():
