@@ -61,7 +61,7 @@ LATEST, FARTHEST = 3.0, 1.5
 # Wall seconds for the robot to come, and for the simulation that it comes into; without anything
 # new, for what a launch file starts to be all there; and the same while nothing listens to
 # velocities yet.
-ARRIVAL, SIMULATION, SETTLED, SETTLED_WITHOUT_DRIVE = 120.0, 45.0, 3.0, 20.0
+ARRIVAL, SIMULATION, SETTLED, SETTLED_WITHOUT_DRIVE = 120.0, 60.0, 3.0, 20.0
 LOOK = 0.5
 # Wall seconds for what roslaunch has started to end, of the six that this node has itself.
 GOODBYE = 5.0
