@@ -30,7 +30,7 @@ PROBES = [probe for chapter in CONTRACT.chapters for probe in chapter.probes.val
 SOURCE = re.compile(r"gazebo_(ros|plugins|ros_control)/[\w/]+\.(cpp|h):\d+(,\d+)*")
 # Of this simulation only, or of no consequence; see the plugins' pages.
 OWN_TAGS = {
-    *("samples", "exposure", "blur", "supportRadius"),
+    *("samples", "exposure", "blur", "supportRadius", "leftWheelDiameter", "rightWheelDiameter"),
     *("alwaysOn", "visualize", "rosDebugLevel", "the rest", "legacyMode"),
     *("reduceNormals", "normalsTopicName", "reflectanceTopicName", "autoDistortion", "borderCrop"),
 }
