@@ -213,7 +213,7 @@ class ArucoTest(unittest.TestCase):
             "sizes": "7=0",
             "border": -1,
             "correction": 2.0,
-            "pixel_sigma": 0,
+            "pixel_sigma": -1,
             "imgae": "/camera",
         }
         for name, value in cases.items():

@@ -39,42 +39,41 @@ def largest_singular_value(matrix: np.ndarray) -> float:
 
 
 def homography(corners: np.ndarray) -> np.ndarray:
-    """Return the (3, 3) map from the unit square, corners clockwise from (0, 0), to a quad.
+    """Return the (..., 3, 3) map from the unit square, clockwise from (0, 0), to (..., 4, 2).
 
     >>> corners = np.array([[2.0, 1.0], [4.0, 1.0], [4.0, 3.0], [2.0, 3.0]])
     >>> homography(corners) @ [0.5, 0.5, 1.0]
     array([3., 2., 1.])
     """
-    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = corners
+    (x0, x1, x2, x3), (y0, y1, y2, y3) = np.moveaxis(corners, (-1, -2), (0, 1))
     sum_x, sum_y = x0 - x1 + x2 - x3, y0 - y1 + y2 - y3
     dx1, dx2, dy1, dy2 = x1 - x2, x3 - x2, y1 - y2, y3 - y2
     determinant = dx1 * dy2 - dx2 * dy1
     g = (sum_x * dy2 - dx2 * sum_y) / determinant
     h = (dx1 * sum_y - sum_x * dy1) / determinant
-    return np.array(
-        [
-            [x1 - x0 + g * x1, x3 - x0 + h * x3, x0],
-            [y1 - y0 + g * y1, y3 - y0 + h * y3, y0],
-            [g, h, 1.0],
-        ]
-    )
+    one = np.ones_like(x0)
+    numbers = (x1 - x0 + g * x1, x3 - x0 + h * x3, x0, y1 - y0 + g * y1, y3 - y0 + h * y3, y0)
+    return np.stack((*numbers, g, h, one), axis=-1).reshape(*np.shape(x0), 3, 3)
 
 
 def intersections(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return (4, 2) corners: the k-th is where line k - 1 meets line k.
+    """Return (..., 4, 2) corners: the k-th is where line k - 1 meets line k.
 
     Args:
-        points: (4, 2), one on each line.
-        normals: (4, 2), that of each line.
+        points: (..., 4, 2), one on each line.
+        normals: (..., 4, 2), that of each line.
 
     >>> points = np.array([[1.0, 1.0], [3.0, 1.0], [1.0, 2.0], [1.0, 1.0]])
     >>> intersections(points, np.array([[0.0, 1.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])).tolist()
     [[1.0, 1.0], [3.0, 1.0], [3.0, 2.0], [1.0, 2.0]]
     """
-    offsets = (points * normals).sum(axis=1)
-    before, offsets_before = np.roll(normals, 1, axis=0), np.roll(offsets, 1)
-    determinant = before[:, 0] * normals[:, 1] - before[:, 1] * normals[:, 0]
+    offsets = (points * normals).sum(axis=-1)
+    before, offsets_before = normals[..., _BEFORE, :], offsets[..., _BEFORE]
+    determinant = before[..., 0] * normals[..., 1] - before[..., 1] * normals[..., 0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        u = (offsets_before * normals[:, 1] - before[:, 1] * offsets) / determinant
-        v = (before[:, 0] * offsets - offsets_before * normals[:, 0]) / determinant
-    return np.column_stack((u, v))
+        u = (offsets_before * normals[..., 1] - before[..., 1] * offsets) / determinant
+        v = (before[..., 0] * offsets - offsets_before * normals[..., 0]) / determinant
+    return np.stack((u, v), axis=-1)
+
+
+_BEFORE = [3, 0, 1, 2]

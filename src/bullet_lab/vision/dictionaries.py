@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Optional, Tuple
+from typing import List, Optional, Tuple
 
 import cv2
 import numpy as np
 
-from bullet_lab.vision.algebra import homography, solve_symmetric
+from bullet_lab.vision.algebra import homography
 from bullet_lab.vision.images import Lens, VisionError, sample
 
 _PREFIX = "DICT_"
@@ -19,11 +19,13 @@ _ONES = np.array([bin(byte).count("1") for byte in range(256)], dtype=np.uint8)
 _SPREAD = np.array([-0.24, -0.08, 0.08, 0.24])
 # How far each cell is pushed away from its neighbours, against blur.
 _SHARPENING = 0.25
-# A glance: places along each side, the part of them that has to be brighter outside, and what
-# the brightest data cell has to have of that rise.
+# A glance: places along each side of the border, and what part of them has to be darker than
+# the place outside of it, of the border to be dark, of the surroundings to be bright, of the
+# data cells to be bright. A hand or a highlight may be on the marker.
 _GLANCES = 7
-_FRAMED = 0.7
-_NOT_EMPTY = 0.25
+_FRAMED, _DARK, _BRIGHT, _FILLED = 0.8, 0.6, 0.75, 0.1
+# Grey levels from black to white.
+_LEAST_RISE = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +115,7 @@ def _load(name: str) -> MarkerDictionary:
     return MarkerDictionary(name, cells, codes, packed, distance)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reading:
     """The cells of a quadrilateral, as a marker's."""
 
@@ -132,18 +134,27 @@ class Match:
     likeness: float  #: correlation of the grey levels with its pattern, at most 1
 
 
-def may_be_marker(image: np.ndarray, quad: np.ndarray, cells: int, lens: Lens) -> bool:
-    """Return whether (4, 2) rough corners, px, in (h, w) grey levels are worth a closer look.
+def may_be_markers(image: np.ndarray, quads: np.ndarray, cells: int, lens: Lens) -> np.ndarray:
+    """Return which (n, 4, 2) rough corners, px, in (h, w) grey levels are worth a closer look.
 
-    That is where it is dark just inside, brighter outside and, in the data `cells`, not empty.
+    That is where it is dark just inside, bright outside and, in the data `cells`, not empty.
     """
-    places = _glance(cells) @ homography(lens.ideal(quad)).T
-    values = sample(image, lens.seen(places[:, :2] / places[:, 2:]))
-    outside, border, inside = np.split(values, (4 * _GLANCES, 8 * _GLANCES))
-    if float((outside > border).mean()) < _FRAMED:
-        return False
-    rise = float(np.sort(outside)[len(outside) // 2] - np.sort(border)[len(border) // 2])
-    return float(inside.max() - border.min()) > _NOT_EMPTY * rise
+    # Sums of products, as a product of matrices would start threads.
+    places = np.einsum("pk,nik->npi", _glance(cells), homography(lens.ideal(quads)))
+    values = sample(image, lens.seen(places[..., :2] / places[..., 2:]))
+    outside, border, inside = np.split(values, (4 * _GLANCES, 8 * _GLANCES), axis=1)
+    # Light may change evenly across a marker.
+    middle = np.einsum("pk,nk->np", _half_planes(cells), values[:, : 8 * _GLANCES])
+    around, along, within = np.split(middle, (4 * _GLANCES, 8 * _GLANCES), axis=1)
+    likely = np.median(outside, axis=1) - np.median(border, axis=1) > _LEAST_RISE
+    for truth, part in (
+        (outside > border, _FRAMED),
+        (border < along, _DARK),
+        (outside > around, _BRIGHT),
+        (inside > within, _FILLED),
+    ):
+        likely &= truth.mean(axis=1) >= part
+    return likely
 
 
 @lru_cache(maxsize=None)
@@ -162,51 +173,71 @@ def _glance(cells: int) -> np.ndarray:
     return np.column_stack((points, np.ones(len(points))))
 
 
+@lru_cache(maxsize=None)
+def _half_planes(cells: int) -> np.ndarray:
+    """Return (p, k): from levels outside and in the border, what is half way from black to white.
+
+    Both are planes (least squares) over all of the glance's p places.
+    """
+    places = _glance(cells)
+    parts = places[: 4 * _GLANCES], places[4 * _GLANCES : 8 * _GLANCES]
+    return 0.5 * np.concatenate([places @ np.linalg.pinv(part) for part in parts], axis=1)
+
+
 def read_cells(image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens) -> np.ndarray:
-    """Return (cells + 4, cells + 4) mean grey levels: data cells, the border and one ring around.
+    """Return (n, cells + 4, cells + 4) mean grey levels: data cells, border and one ring around.
 
     Args:
         image: (h, w) grey levels.
-        corners: (4, 2) of the black square, ideal px.
+        corners: (n, 4, 2) of the black squares, ideal px.
         cells: data cells along an edge.
         lens: where ideal pixels are seen.
     """
-    side = cells + 4
-    middles = (np.arange(side) - 0.5)[:, None] + _SPREAD
-    line = middles.ravel() / (cells + 2)
+    side, each = cells + 4, len(_SPREAD)
+    places = np.einsum("pk,nik->npi", _cell_places(cells), homography(corners))
+    values = sample(image, lens.seen(places[..., :2] / places[..., 2:]))
+    return values.reshape(-1, side, each, side, each).mean(axis=(2, 4))
+
+
+@lru_cache(maxsize=None)
+def _cell_places(cells: int) -> np.ndarray:
+    """Return (n, 3) places of the unit square: some in each cell, the border and a ring around."""
+    line = ((np.arange(cells + 4) - 0.5)[:, None] + _SPREAD).ravel() / (cells + 2)
     x, y = np.meshgrid(line, line)
-    points = np.column_stack((x.ravel(), y.ravel(), np.ones(x.size))) @ homography(corners).T
-    values = sample(image, lens.seen(points[:, :2] / points[:, 2:]))
-    each = len(_SPREAD)
-    return values.reshape(side, each, side, each).mean(axis=(1, 3))
+    return np.column_stack((x.ravel(), y.ravel(), np.ones(x.size)))
 
 
-def interpret(levels: np.ndarray) -> Optional[Reading]:
+def interpret(levels: np.ndarray) -> List[Optional[Reading]]:
     """Tell black from white in the grey levels that `read_cells` returns; None if they are even.
 
     Light may change evenly across a marker: black and white levels are planes, black's through
     the border, white's through all that is brighter than the middle.
     """
-    side = len(levels)
-    inner = levels[1:-1, 1:-1]
+    count, side = levels.shape[:2]
+    inner = levels[:, 1:-1, 1:-1]
     border = np.ones((side, side), dtype=bool)
     border[[0, -1]] = border[:, [0, -1]] = False
     border[2:-2, 2:-2] = False
-    black = float(np.median(levels[border]))
-    white = float(np.sort(inner, axis=None)[int(0.95 * inner.size)])
-    if white - black < 1.0:
-        return None
-    bright = levels > 0.5 * (black + white)
-    dark_plane = _plane(levels, border & ~bright)
-    bright_plane = _plane(levels, bright)
+    black = np.median(levels[:, border], axis=1)
+    order = np.sort(inner.reshape(count, (side - 2) ** 2), axis=1)
+    white = order[:, int(0.95 * order.shape[1])]
+    bright = levels > (0.5 * (black + white))[:, None, None]
+    dark_plane = _planes(levels, border & ~bright)
+    bright_plane = _planes(levels, bright)
     half = 0.5 * (bright_plane - dark_plane)
-    half = np.maximum(half, 0.2 * 0.5 * (white - black))
+    half = np.maximum(half, np.maximum(0.1 * (white - black), 1e-3)[:, None, None])
     soft = np.clip((levels - 0.5 * (bright_plane + dark_plane)) / half, -1.5, 1.5)
-    neighbours = soft[:-2, 1:-1] + soft[2:, 1:-1] + soft[1:-1, :-2] + soft[1:-1, 2:]
-    sharp = soft[1:-1, 1:-1] + _SHARPENING * (4.0 * soft[1:-1, 1:-1] - neighbours)
-    bits = np.where(sharp[1:-1, 1:-1] > 0.0, 1.0, -1.0).astype(np.float32)
-    border_errors = int((sharp > 0.0)[border[1:-1, 1:-1]].sum())
-    return Reading(bits.ravel(), border_errors, inner)
+    sharp = soft[:, 1:-1, 1:-1]
+    neighbours = soft[:, :-2, 1:-1] + soft[:, 2:, 1:-1] + soft[:, 1:-1, :-2] + soft[:, 1:-1, 2:]
+    sharp = sharp + _SHARPENING * (4.0 * sharp - neighbours)
+    bits = np.where(sharp[:, 1:-1, 1:-1] > 0.0, 1.0, -1.0).astype(np.float32)
+    border_errors = (sharp > 0.0)[:, border[1:-1, 1:-1]].sum(axis=1)
+    return [
+        Reading(bits[k].ravel(), int(border_errors[k]), inner[k])
+        if white[k] - black[k] >= 1.0
+        else None
+        for k in range(count)
+    ]
 
 
 def match(reading: Reading, dictionary: MarkerDictionary, correction: int) -> Optional[Match]:
@@ -221,14 +252,27 @@ def match(reading: Reading, dictionary: MarkerDictionary, correction: int) -> Op
     return Match(marker, turns, errors, likeness)
 
 
-def _plane(levels: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Return the plane through the chosen levels, everywhere; their mean if they are few."""
-    values = levels[chosen]
-    if len(values) < 8:
-        return np.full(levels.shape, values.mean() if len(values) else levels.mean())
-    row, column = np.indices(levels.shape, dtype=float)
-    middle = (len(levels) - 1) / 2.0
-    terms = np.stack((np.ones(levels.shape), row - middle, column - middle), axis=-1)
-    a = terms[chosen]
-    solution = solve_symmetric(a.T @ a + 1e-6 * np.eye(3), a.T @ values)
-    return terms @ solution
+# Fewer levels than this make a mean, no plane.
+_LEAST_OF_PLANE = 8
+
+
+def _planes(levels: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return the plane (n, k, k) through the chosen levels of each; their mean if they are few."""
+    row, column = np.indices(levels.shape[1:], dtype=float) - (levels.shape[1] - 1) / 2.0
+    terms = np.stack((np.ones(levels.shape[1:]), row, column))
+    weights = chosen.astype(float)
+    count = weights.sum(axis=(1, 2))
+    normal = np.einsum("nij,aij,bij->nab", weights, terms, terms) + 1e-6 * np.eye(3)
+    right = np.einsum("nij,nij,aij->na", weights, levels, terms)
+    everywhere = levels.mean(axis=(1, 2))
+    mean = np.where(count > 0, right[:, 0] / np.maximum(count, 1.0), everywhere)
+    plane = np.einsum("na,aij->nij", _solved(normal, right), terms)
+    return np.where((count >= _LEAST_OF_PLANE)[:, None, None], plane, mean[:, None, None])
+
+
+def _solved(matrices: np.ndarray, rights: np.ndarray) -> np.ndarray:
+    """Return x (n, 3) of matrices (n, 3, 3) · x = rights (n, 3), by Cramer's rule."""
+    a, b, c = (matrices[:, :, k] for k in range(3))
+    crosses = np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=1)
+    determinants = np.einsum("nk,nk->n", a, crosses[:, 0])
+    return np.einsum("nik,nk->ni", crosses, rights) / determinants[:, None]

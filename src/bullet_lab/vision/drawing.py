@@ -10,7 +10,7 @@ import numpy as np
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision.marker_detector import DetectedMarker
 from bullet_lab.vision.marker_pose import MarkerPose
-from bullet_lab.vision.quads import mean_side
+from bullet_lab.vision.outlines import mean_side
 
 # As OpenCV has colours: blue, green, red.
 BLUE, OUTLINE, FIRST_CORNER = (255, 0, 0), (60, 200, 60), (40, 40, 230)

@@ -101,3 +101,17 @@ class Lens:
         camera = self._camera
         rays = (flat - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
         return camera.project(np.column_stack((rays, np.ones(len(rays))))).reshape(points.shape)
+
+    def derivatives(self, points: np.ndarray) -> np.ndarray:
+        """Return how the image's pixels of (n, 2) ideal ones move with them: (2 n, 2 n)."""
+        count = len(points)
+        moves = np.eye(2 * count)
+        if self._camera is None:
+            return moves
+        step = 0.5
+        for index in range(count):
+            shifts = points[index] + step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+            seen = self.seen(shifts)
+            own = slice(2 * index, 2 * index + 2)
+            moves[own, own] = np.stack((seen[0] - seen[1], seen[2] - seen[3]), axis=1)
+        return moves

@@ -16,22 +16,16 @@ from bullet_lab.vision.dictionaries import (
     dictionary_named,
     interpret,
     match,
-    may_be_marker,
+    may_be_markers,
     read_cells,
 )
 from bullet_lab.vision.images import Lens, VisionError
-from bullet_lab.vision.quads import (
-    find_quads,
-    mean_side,
-    quads_in_cells,
-    refine_corners,
-    same_quads,
-)
+from bullet_lab.vision.outlines import OutlineSearch, mean_side, same_quads
+from bullet_lab.vision.pattern_fit import PatternFit, fit_pattern
+from bullet_lab.vision.quads import quads_in_cells, refine_corners
 
 # A quadrilateral that was found with several windows is tried in so many of its versions.
 _TRIES = 3
-# Grey levels to part black from white at, in the second pass.
-_LEVELS = (10, 16, 24, 36, 54, 80, 120, 180)
 # Standard deviation of noise, in grey levels, from which on the image is smoothed.
 _CLEAN = 0.6
 # Grey levels that an image should use, and by how much they may be spread for it.
@@ -39,9 +33,9 @@ _RANGE = 160.0
 _LARGEST_GAIN = 8.0
 # What smoothing leaves of it.
 _SMOOTHED = 0.37
-# Standard deviations of noise by which dark pixels are darker.
-_CONFIDENCE = 4.5
-_LEAST_CONTRAST = 3.0
+# Standard deviations of noise, and grey levels, by which white is brighter than black.
+_CONFIDENCE = 9.0
+_LEAST_CONTRAST = 6.0
 # Outlines of one id are of one marker if their sizes are within this factor, and their middles
 # within this part of the smaller one's side.
 _ONE_MARKER, _BESIDE = 1.5, 0.25
@@ -51,6 +45,8 @@ _ONE_MARKER, _BESIDE = 1.5, 0.25
 _FLAT = 12.0
 _DARK = 12.0
 _BRIGHT = 243.0
+# Standard deviation of corners that only the outline tells of: px, and part of a side.
+_UNSURE, _UNSURE_PART = 0.3, 0.05
 # Limits of the settings.
 _ALLOWED = {
     "border": (0.0, 1000.0),
@@ -72,14 +68,13 @@ class DetectorSettings:
     dictionary: str = "apriltag_36h10"  #: as `dictionary_named` takes it
     ids: Tuple[int, ...] = ()  #: markers to report; empty: all of the dictionary
     border: float = 3.0  #: px; what has a corner nearer to the edge of the image is dropped
-    min_side: float = 10.0  #: px; mean side of the smallest marker that is looked for
-    windows: Tuple[int, ...] = (3, 7, 21)  #: px, odd; neighbourhoods of the adaptive threshold
-    contrast: float = 7.0  #: grey levels by which black is darker than its neighbourhood
+    min_side: float = 8.0  #: px; mean side of the smallest marker that is looked for
+    contrast: float = 7.0  #: grey levels by which black is darker than white
     correction: float = 0.5  #: part of the bits that could be corrected which is corrected
     border_rate: float = 0.1  #: part of the border's cells that may be misread
     likeness: float = 0.6  #: least correlation of grey levels and pattern
     max_quads: int = 60  #: at most so many quadrilaterals are tried, the largest first
-    second_pass: bool = True  #: look twice as large and with less contrast where nothing was found
+    second_pass: bool = True  #: look again, with other thresholds, where nothing was found
 
     def __post_init__(self) -> None:
         """Raise VisionError where a setting is not allowed."""
@@ -87,8 +82,6 @@ class DetectorSettings:
             value = getattr(self, name)
             if not math.isfinite(value) or not low <= value <= high:
                 raise VisionError(f"{name} is {value}: it must be from {low:g} to {high:g}")
-        if not self.windows or any(w < 3 or w % 2 == 0 for w in self.windows):
-            raise VisionError(f"windows are {self.windows}: each must be odd and 3 or more")
         count = len(dictionary_named(self.dictionary).codes)
         wrong = [marker for marker in self.ids if not 0 <= marker < count]
         if wrong:
@@ -107,6 +100,7 @@ class DetectedMarker:
     corners: np.ndarray
     bit_errors: int  #: bits that were corrected
     likeness: float  #: correlation of the grey levels with its pattern
+    covariance: np.ndarray  #: (8, 8) of the corners' u0, v0, u1 ... as the image tells it, px²
 
     @property
     def side(self) -> float:
@@ -158,92 +152,95 @@ class MarkerDetector:
         report.mean, report.contrast = float(cv2.mean(grey)[0]), high - low
         report.noise = noise_level(grey)
         smooth, least = _prepare(grey, low, high, report.noise)
-        markers = self._look(grey, smooth, max(least, self.settings.contrast), lens, report)
+        search = OutlineSearch(smooth, self.settings.min_side)
+        image = grey.astype(np.float32)
+        markers = self._look(image, search.first_look(max(least, self.settings.contrast)), lens, report)
         if not markers and self.settings.second_pass:
             report.second_pass = True
-            markers = self._look(grey, smooth, least, lens, report)
+            markers = self._look(image, search.second_look(least), lens, report)
         return Detections(markers, report)
 
     def _look(
-        self,
-        grey: np.ndarray,
-        smooth: np.ndarray,
-        contrast: float,
-        lens: Lens,
-        report: DetectionReport,
+        self, image: np.ndarray, quads: np.ndarray, lens: Lens, report: DetectionReport
     ) -> List[DetectedMarker]:
-        quads = self._quads(smooth, contrast, 2 if report.second_pass else 1)
+        quads, versions = self._likely(image, quads, lens, report)
         found: List[Decoded] = []
-        report.quads = report.undecoded = 0
         report.cropped, report.other_ids = [], []
-        image = grey.astype(np.float32)
-        done = np.zeros(len(quads), dtype=bool)
-        for index, quad in enumerate(quads):
-            if done[index]:
-                continue
-            same = same_quads(quad, quads) & ~done
-            done |= same
-            if report.quads == self.settings.max_quads:
-                break
-            report.quads += 1
-            tries = (self._decode(image, each, lens) for each in quads[same][:_TRIES])
-            decoded = next((one for one in tries if one is not None), None)
-            if decoded is None:
+        decoded = self._decode(image, quads, lens)
+        for same in versions:
+            best = next((decoded[each] for each in same if decoded[each] is not None), None)
+            if best is None:
                 report.undecoded += 1
             else:
-                add_decoded(decoded, found)
+                add_decoded(best, found)
         # Other markers may be in their white cells.
         for read, corners in found[:]:
             pattern = self.dictionary.pattern(read.marker)
-            for quad in quads_in_cells(image, corners, pattern, lens, self.settings.min_side):
-                if any(same_quads(quad, other[None])[0] for _, other in found):
-                    continue
-                decoded = self._decode(image, quad, lens)
-                if decoded is not None:
-                    add_decoded(decoded, found)
-        return self._choose(found, grey.shape, lens, report)
+            inner = quads_in_cells(image, corners, pattern, lens, self.settings.min_side)
+            for quad, one in zip(inner, self._decode(image, inner, lens)):
+                known = any(same_quads(np.stack((quad, other)))[0, 1] for _, other in found)
+                if one is not None and not known:
+                    add_decoded(one, found)
+        return self._choose(found, image, lens, report)
 
-    def _quads(self, grey: np.ndarray, contrast: float, scale: int) -> np.ndarray:
-        """Return (n, 4, 2) quadrilaterals in px of the image, the largest first."""
+    def _likely(
+        self, image: np.ndarray, quads: np.ndarray, lens: Lens, report: DetectionReport
+    ) -> Tuple[np.ndarray, List[range]]:
+        """Return those (n, 4, 2) that may be markers, and which are one and the same.
+
+        The largest come first. In the report, those that cannot be markers are counted.
+        """
         settings = self.settings
-        if scale > 1:
-            size = (grey.shape[1] * scale, grey.shape[0] * scale)
-            grey = cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC)
-        windows = [scale * (w - 1) + 1 for w in settings.windows]
-        levels = _LEVELS if scale > 1 else ()
-        quads = find_quads(
-            grey, windows, contrast, scale * settings.min_side, levels, settings.max_quads
-        )
-        # Pixels are numbered at their centres.
-        quads = (quads + 0.5) / scale - 0.5
         sides = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).mean(axis=1)
-        return quads[np.argsort(-sides, kind="stable")]
+        quads = quads[np.argsort(-sides, kind="stable")]
+        likely = may_be_markers(image, quads, self.dictionary.cells, lens)
+        same = same_quads(quads)
+        versions, done = [], np.zeros(len(quads), dtype=bool)
+        chosen: List[int] = []
+        report.quads = report.undecoded = 0
+        for index in range(len(quads)):
+            if done[index]:
+                continue
+            if report.quads == settings.max_quads:
+                break
+            alike = same[index] & ~done
+            done |= alike
+            report.quads += 1
+            tried = np.flatnonzero(alike & likely)[:_TRIES].tolist()
+            if tried:
+                versions.append(range(len(chosen), len(chosen) + len(tried)))
+                chosen += tried
+            else:
+                report.undecoded += 1
+        return quads[chosen], versions
 
-    def _decode(self, image: np.ndarray, quad: np.ndarray, lens: Lens) -> Optional[Decoded]:
+    def _decode(self, image: np.ndarray, quads: np.ndarray, lens: Lens) -> List[Optional[Decoded]]:
+        """Return the marker that each of (n, 4, 2) quadrilaterals, px, is, or None."""
         cells = self.dictionary.cells
-        if not may_be_marker(image, quad, cells, lens):
-            return None
-        corners = refine_corners(image, quad, cells + 2, lens)
-        if corners is None or not np.isfinite(corners).all():
-            return None
-        reading = interpret(read_cells(image, corners, cells, lens))
-        if reading is None or reading.border_errors > self._border_errors:
-            return None
-        found = match(reading, self.dictionary, self._correction)
-        if found is None or found.likeness < self.settings.likeness:
-            return None
-        return found, np.roll(corners, found.turns, axis=0)
+        if not len(quads):
+            return []
+        corners = refine_corners(image, quads, cells + 2, lens)
+        sound = np.flatnonzero(np.isfinite(corners).all(axis=(1, 2)))
+        decoded: List[Optional[Decoded]] = [None] * len(quads)
+        readings = interpret(read_cells(image, corners[sound], cells, lens))
+        for index, reading in zip(sound.tolist(), readings):
+            if reading is None or reading.border_errors > self._border_errors:
+                continue
+            found = match(reading, self.dictionary, self._correction)
+            if found is not None and found.likeness >= self.settings.likeness:
+                decoded[index] = found, np.roll(corners[index], found.turns, axis=0)
+        return decoded
 
     def _choose(
         self,
         found: List[Decoded],
-        shape: Tuple[int, ...],
+        image: np.ndarray,
         lens: Lens,
         report: DetectionReport,
     ) -> List[DetectedMarker]:
-        """Return what was asked for and is whole."""
+        """Return what was asked for and is whole, measured as well as can be."""
         border, chosen = self.settings.border, []
-        largest = np.array(shape[1::-1]) - 1 - border
+        largest = np.array(image.shape[::-1]) - 1 - border
         for read, ideal in found:
             corners = lens.seen(ideal)
             if self.settings.ids and read.marker not in self.settings.ids:
@@ -251,8 +248,22 @@ class MarkerDetector:
             elif not ((corners >= border) & (corners <= largest)).all():
                 report.cropped.append(read.marker)
             else:
-                chosen.append(DetectedMarker(read.marker, corners, read.errors, read.likeness))
+                chosen.append(self._measured(read, ideal, image, lens))
         return chosen
+
+    def _measured(
+        self, read: Match, corners: np.ndarray, image: np.ndarray, lens: Lens
+    ) -> DetectedMarker:
+        fit = fit_pattern(image, corners, self.dictionary.pattern(read.marker), lens)
+        if fit is None:
+            # What is there is not as the pattern says: its outline alone is not to be relied on.
+            spread = max(_UNSURE, _UNSURE_PART * mean_side(corners))
+            fit = PatternFit(corners, spread**2 * np.eye(8), 1.0)
+        turn = lens.derivatives(fit.corners)
+        covariance = turn @ fit.covariance @ turn.T
+        return DetectedMarker(
+            read.marker, lens.seen(fit.corners), read.errors, read.likeness, covariance
+        )
 
 
 def add_decoded(decoded: Decoded, found: List[Decoded]) -> None:

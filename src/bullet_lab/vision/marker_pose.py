@@ -31,8 +31,8 @@ _CLEAR_SIGMAS = 3.0
 _ITERATIONS = 10
 # px²; corners that span less are no marker's.
 _LEAST_AREA = 1.0
-# px²; a step that gains less changes nothing any more.
-_CONVERGED = 1e-6
+# In squares of standard deviations; a step that gains less changes nothing any more.
+_CONVERGED = 1e-5
 # Top left, top right, bottom right, bottom left corner in the marker's frame, by half its edge.
 _SQUARE = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 # Seconds after which a pose says nothing about the next one.
@@ -98,18 +98,23 @@ class PoseEstimate:
 
 
 def estimate_pose(
-    corners: np.ndarray, size: float, camera: PinholeCamera, pixel_sigma: float = 0.1
+    corners: np.ndarray,
+    size: float,
+    camera: PinholeCamera,
+    pixel_sigma: float = 0.1,
+    covariance: Optional[np.ndarray] = None,
 ) -> PoseEstimate:
     """Return the poses of a marker from its corners.
 
     The two poses are those of Collins and Bartoli (2014, IPPE), each refined to the least
-    squares of the reprojection error by Gauss and Newton.
+    squares of the reprojection error, weighted by the corners' covariance.
 
     Args:
         corners: (4, 2) u, v in px: top left, top right, bottom right, bottom left.
         size: edge of the black square, m.
         camera: geometry of the image; of a rectified one without distortion.
-        pixel_sigma: standard deviation of each coordinate of a corner, px; scales the covariance.
+        pixel_sigma: standard deviation of each coordinate of a corner, px.
+        covariance: (8, 8) of u0, v0, u1 ... in px², which is added to that; None: nothing.
 
     Raises:
         VisionError: the numbers make no marker, or no pose fits.
@@ -117,7 +122,9 @@ def estimate_pose(
     corners = np.asarray(corners, dtype=float)
     if corners.shape != (4, 2) or not np.isfinite(corners).all():
         raise VisionError("a marker has four finite corners")
-    if not (np.isfinite(size) and size > 0.0 and np.isfinite(pixel_sigma) and pixel_sigma > 0.0):
+    total = pixel_sigma**2 * np.eye(8) + (0.0 if covariance is None else covariance)
+    sigma = float(np.sqrt(np.trace(total) / 8.0))
+    if not (np.isfinite(size) and size > 0.0 and np.isfinite(sigma) and sigma > 0.0):
         raise VisionError(f"a marker of {size} m with corners to {pixel_sigma} px")
     # The area of a quadrilateral, from its diagonals.
     (ax, ay), (bx, by) = corners[2] - corners[0], corners[3] - corners[1]
@@ -126,15 +133,22 @@ def estimate_pose(
     points = 0.5 * size * _SQUARE
     rays = _undistorted(corners, camera)
     starts = _both_poses(points, rays)
-    poses = [_refined(r, t, points, corners, camera, pixel_sigma) for r, t in starts]
-    poses = sorted((p for p in poses if p is not None), key=lambda pose: pose.error)
-    if not poses:
+    whitening = _whitening(total)
+    refined = [_refined(r, t, points, corners, camera, whitening) for r, t in starts]
+    fits = sorted((fit for fit in refined if fit is not None), key=lambda fit: fit[0])
+    if not fits:
         raise VisionError("no pose fits the corners")
-    best, other = poses[0], poses[-1]
+    best, other = fits[0][1], fits[-1][1]
     same = other is best or np.sum(best.rotation * other.rotation) > 3.0 - 1e-4
     clear = other.error > _CLEAR_RATIO * best.error
-    clear = clear and other.error - best.error > 0.5 * _CLEAR_SIGMAS * pixel_sigma
+    clear = clear and other.error - best.error > 0.5 * _CLEAR_SIGMAS * sigma
     return PoseEstimate(best, other, not (same or clear))
+
+
+def _whitening(covariance: np.ndarray) -> np.ndarray:
+    """Return the (8, 8) matrix by which errors of a covariance become independent ones of 1."""
+    _, values, vectors = cv2.eigen(covariance)
+    return vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
 
 
 def _undistorted(corners: np.ndarray, camera: PinholeCamera) -> np.ndarray:
@@ -206,10 +220,15 @@ def _refined(
     points: np.ndarray,
     corners: np.ndarray,
     camera: PinholeCamera,
-    sigma: float,
-) -> Optional[MarkerPose]:
-    """Return the pose of least reprojection error from a start (Levenberg and Marquardt)."""
-    residuals, jacobian = _linearised(rotation, translation, points, corners, camera)
+    whitening: np.ndarray,
+) -> Optional[Tuple[float, MarkerPose]]:
+    """Return the pose of least squares from a start (Levenberg and Marquardt), and how it fits."""
+
+    def linearised(turned: np.ndarray, moved: np.ndarray):
+        residuals, jacobian = _linearised(turned, moved, points, corners, camera)
+        return residuals, whitening @ residuals, whitening @ jacobian
+
+    seen, residuals, jacobian = linearised(rotation, translation)
     error, damping = float(residuals @ residuals), 1e-6
     for _ in range(_ITERATIONS):
         if not np.isfinite(error):
@@ -219,19 +238,20 @@ def _refined(
         step = -solve_symmetric(damped, jacobian.T @ residuals)
         moved = translation + step[:3]
         turned = cv2.Rodrigues(step[3:])[0] @ rotation
-        residuals_there, jacobian_there = _linearised(turned, moved, points, corners, camera)
-        error_there = float(residuals_there @ residuals_there)
+        there = linearised(turned, moved)
+        error_there = float(there[1] @ there[1])
         if not error_there < error:
             damping *= 100.0
             continue
         gain = error - error_there
         rotation, translation, error = turned, moved, error_there
-        residuals, jacobian = residuals_there, jacobian_there
+        seen, residuals, jacobian = there
         damping *= 0.1
         if gain < _CONVERGED:
             break
-    covariance = sigma**2 * invert_symmetric(jacobian.T @ jacobian)
-    return MarkerPose(rotation, translation, float(np.sqrt(error / 4.0)), covariance)
+    covariance = invert_symmetric(jacobian.T @ jacobian)
+    distance = float(np.sqrt(seen @ seen / 4.0))
+    return error, MarkerPose(rotation, translation, distance, covariance)
 
 
 def _linearised(
@@ -284,7 +304,8 @@ class MarkerObserver:
         settings: what to look for.
         size: edge of the markers' black square, m.
         sizes: of those ids that have another.
-        pixel_sigma: standard deviation of a corner's coordinates, px; scales the covariance.
+        pixel_sigma: standard deviation of a corner's coordinates beside what the image's noise
+            explains, px: of the print, or of a lens that is known badly.
 
     Raises:
         VisionError: a setting is not allowed.
@@ -295,15 +316,17 @@ class MarkerObserver:
         settings: Optional[DetectorSettings] = None,
         size: float = 0.2,
         sizes: Optional[Mapping[int, float]] = None,
-        pixel_sigma: float = 0.1,
+        pixel_sigma: float = 0.0,
     ):
         self.detector = MarkerDetector(settings)
         self._size = size
         self._sizes = dict(sizes or {})
         self._sigma = pixel_sigma
-        for value in (size, pixel_sigma, *self._sizes.values()):
+        for value in (size, *self._sizes.values()):
             if not math.isfinite(value) or value <= 0.0:
                 raise VisionError(f"a size of {value}: it must be above 0")
+        if not math.isfinite(pixel_sigma) or pixel_sigma < 0.0:
+            raise VisionError(f"corners to {pixel_sigma} px: it must be 0 or more")
 
     def observe(self, image: np.ndarray, camera: PinholeCamera) -> Detections:
         """Return the `ObservedMarker`s in an image, (h, w) grey levels or (h, w, 3) BGR, uint8.
@@ -320,7 +343,7 @@ class MarkerObserver:
     def locate(self, marker: DetectedMarker, camera: PinholeCamera) -> ObservedMarker:
         """Return a detected marker with its poses."""
         size = self._sizes.get(marker.id, self._size)
-        pose = estimate_pose(marker.corners, size, camera, self._sigma)
+        pose = estimate_pose(marker.corners, size, camera, self._sigma, marker.covariance)
         return ObservedMarker(**vars(marker), size=size, pose=pose)
 
 

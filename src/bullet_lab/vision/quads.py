@@ -1,136 +1,22 @@
-"""Dark convex quadrilaterals, which may be markers: in an image, to sub-pixels, in a marker."""
+"""Quadrilaterals to sub-pixels, and those within the cells of a marker."""
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
-from itertools import islice
-from typing import List, Optional, Sequence, Tuple
+from typing import Tuple
 
 import cv2
 import numpy as np
 
 from bullet_lab.vision.algebra import homography, intersections
 from bullet_lab.vision.images import Lens, sample
-
-# Part of its outline's length by which a quadrilateral may differ from a contour.
-_OUTLINE_TOLERANCE = 0.035
-# Corners nearer than this part of the outline's length are one.
-_MIN_EDGE = 0.05
-# A side's line is fitted to its contour without so much at either end.
-_FIT_TRIM = 0.15
-# The four orders of corners.
-_TURNS = np.array([[(corner - turn) % 4 for corner in range(4)] for turn in range(4)])
-
-
-def find_quads(
-    grey: np.ndarray,
-    windows: Sequence[int],
-    contrast: float,
-    min_side: float,
-    levels: Sequence[float] = (),
-    most: int = 1000,
-) -> np.ndarray:
-    """Return the outlines of dark quadrilaterals, to about a pixel.
-
-    Args:
-        grey: (h, w) uint8.
-        windows: sizes of the neighbourhoods in px (odd) whose mean a dark pixel is below.
-        contrast: by how many grey levels it is.
-        min_side: least mean length of the sides, px.
-        levels: grey levels up to which a pixel is dark as well, whatever its neighbourhood.
-        most: so many are returned for each window and level, those with the longest outline.
-
-    Returns:
-        (n, 4, 2) corners u, v in px, clockwise as one looks at the image. The same
-        quadrilateral may be there several times, once for each window.
-    """
-    found: List[np.ndarray] = []
-    constant = max(1, math.ceil(contrast))
-    for window in windows:
-        # What OpenCV's adaptiveThreshold does, in half its time.
-        mean = cv2.blur(grey, (window, window), borderType=cv2.BORDER_REPLICATE)
-        darker = cv2.subtract(mean, grey)
-        _, dark = cv2.threshold(darker, constant - 1, 255, cv2.THRESH_BINARY)
-        found += _outlines(dark, min_side, most)
-    for level in levels:
-        _, dark = cv2.threshold(grey, level, 255, cv2.THRESH_BINARY_INV)
-        found += _outlines(dark, min_side, most)
-    return np.array(found).reshape(-1, 4, 2)
-
-
-def _outlines(dark: np.ndarray, min_side: float, most: int) -> List[np.ndarray]:
-    contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    # A diagonal step counts as one pixel.
-    long = [contour for contour in contours if len(contour) >= 2.8 * min_side]
-    long.sort(key=len, reverse=True)
-    quads = (_quad_of(contour, min_side) for contour in long)
-    return list(islice((quad for quad in quads if quad is not None), most))
-
-
-def same_quads(first: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return which of (n, 4, 2) quadrilaterals are the same as (4, 2), to a fraction of a cell."""
-    # A marker's white surroundings on a bright ground are a dark square one cell larger.
-    tolerance = 1.0 + 0.04 * mean_side(first)
-    # (4, n, 4, 2): in each of the four orders.
-    turned = first[_TURNS][:, None]
-    return (np.abs(others - turned).max(axis=(2, 3)) < tolerance).any(axis=0)
-
-
-def mean_side(quad: np.ndarray) -> float:
-    """Return the mean length of the sides of (4, 2) corners, px.
-
-    >>> mean_side(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [0.0, 1.0]]))
-    2.0
-    """
-    sides = np.roll(quad, -1, axis=0) - quad
-    return float(np.hypot(sides[:, 0], sides[:, 1]).mean())
-
-
-def _quad_of(contour: np.ndarray, min_side: float) -> Optional[np.ndarray]:
-    """Return the (4, 2) corners of a contour, or None if it is not a dark quadrilateral."""
-    length = cv2.arcLength(contour, True)
-    if length < 4.0 * min_side:
-        return None
-    outline = cv2.approxPolyDP(contour, max(1.0, _OUTLINE_TOLERANCE * length), True)
-    if len(outline) != 4 or not cv2.isContourConvex(outline):
-        return None
-    # OpenCV runs around what is dark in one sense, around the holes in it in the other.
-    if cv2.contourArea(outline, oriented=True) > 0.0:
-        return None
-    corners = outline[::-1, 0].astype(float)
-    edges = np.roll(corners, -1, axis=0) - corners
-    if np.hypot(edges[:, 0], edges[:, 1]).min() < _MIN_EDGE * length:
-        return None
-    fitted = _fit_sides(contour[::-1, 0], corners)
-    return fitted if np.isfinite(fitted).all() else None
-
-
-def _fit_sides(contour: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return corners where lines through the contour's sides meet."""
-    count = len(contour)
-    places = [int(np.flatnonzero((contour == corner).all(axis=1))[0]) for corner in corners]
-    points, normals = np.empty((4, 2)), np.empty((4, 2))
-    for side in range(4):
-        start, end = places[side], places[(side + 1) % 4]
-        steps = (end - start) % count
-        trim = int(_FIT_TRIM * steps)
-        part = np.arange(start + trim, start + steps - trim + 1) % count
-        along_x, along_y, x, y = cv2.fitLine(contour[part], cv2.DIST_L2, 0, 0.01, 0.01).ravel()
-        normal = np.array([along_y, -along_x])
-        edge = corners[(side + 1) % 4] - corners[side]
-        if edge[0] * along_x + edge[1] * along_y < 0.0:
-            normal = -normal
-        # The contour runs through the centres of the outermost dark pixels.
-        points[side], normals[side] = (x, y) + 0.5 * normal, normal
-    return intersections(points, normals)
-
+from bullet_lab.vision.outlines import outlines_within
 
 # How far from the line to look for the edge and how close to sample, px; first roughly, then
 # centred on what was found.
-_LOOKS = ((2.5, 0.5), (2.0, 0.25), (2.0, 0.25))
+_LOOKS = ((2.5, 0.5), (2.0, 0.25), (1.5, 0.25))
 # Places at which a side is crossed.
-_FEWEST_PLACES, _MOST_PLACES = 12, 48
+_CROSSINGS = 16
 _LEAST_REACH = 1.25
 # The border is black one cell deep, and white outside as deep.
 _BORDER_PART = 0.9
@@ -142,10 +28,8 @@ _LEAST_SEEN = 0.5
 _LEAST_RISE = 4.0
 
 
-def refine_corners(
-    image: np.ndarray, quad: np.ndarray, cells: int, lens: Lens
-) -> Optional[np.ndarray]:
-    """Return the corners of a dark quadrilateral where the lines along its sides meet.
+def refine_corners(image: np.ndarray, quads: np.ndarray, cells: int, lens: Lens) -> np.ndarray:
+    """Return the corners of dark quadrilaterals where the lines along their sides meet.
 
     Each side is crossed at many places; where the grey level rises, on average, the edge is.
     The second and third look are centred on the line found before, and so are not biased by
@@ -153,68 +37,77 @@ def refine_corners(
 
     Args:
         image: (h, w) grey levels.
-        quad: (4, 2) corners in px, clockwise, to about two pixels.
+        quads: (n, 4, 2) corners in px, clockwise, to about two pixels.
         cells: number of cells of the marker along an edge, with its border.
         lens: straightens edges.
 
     Returns:
-        (4, 2) corners u, v in ideal px; None if there are no four edges.
+        (n, 4, 2) corners u, v in ideal px; NaN where there are no four edges.
     """
-    corners = lens.ideal(quad)
+    corners = lens.ideal(quads)
     for reach, step in _LOOKS:
         corners = _refine_once(image, corners, cells, lens, reach, step)
-        if corners is None:
-            return None
     return corners
 
 
 def _refine_once(
     image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens, reach: float, step: float
-) -> Optional[np.ndarray]:
-    edges = np.roll(corners, -1, axis=0) - corners
-    lengths = np.hypot(edges[:, 0], edges[:, 1])
-    if not np.isfinite(lengths).all() or lengths.min() < 3.0:
-        return None
-    along = edges / lengths[:, None]
-    outward = np.column_stack((along[:, 1], -along[:, 0]))
-    across = 0.5 * (np.roll(lengths, 1) + np.roll(lengths, -1)) / cells
+) -> np.ndarray:
+    refined = np.full(corners.shape, np.nan)
+    edges = _following(corners) - corners
+    lengths = np.hypot(edges[..., 0], edges[..., 1])
+    usable = np.isfinite(lengths).all(axis=1) & (lengths.min(axis=1) >= 3.0)
+    corners, edges, lengths = corners[usable], edges[usable], lengths[usable]
+    along = edges / lengths[..., None]
+    outward = np.stack((along[..., 1], -along[..., 0]), axis=-1)
+    across = 0.5 * (lengths[:, _BEFORE] + lengths[:, _AFTER]) / cells
     reaches = np.minimum(reach, np.maximum(_LEAST_REACH, _BORDER_PART * across))
-    count = int(np.clip(lengths.max(), _FEWEST_PLACES, _MOST_PLACES))
-    places = np.linspace(_CROSS_TRIM, 1.0 - _CROSS_TRIM, count)
+    places = np.linspace(_CROSS_TRIM, 1.0 - _CROSS_TRIM, _CROSSINGS)
     steps = int(np.ceil(reach / step))
-    offsets = np.linspace(-1, 1, 2 * steps + 1) * reaches[:, None]
-    base = corners[:, None] + edges[:, None] * places[None, :, None]
-    points = base[:, :, None] + outward[:, None, None] * offsets[:, None, :, None]
+    offsets = np.linspace(-1, 1, 2 * steps + 1) * reaches[..., None]
+    base = corners[:, :, None] + edges[:, :, None] * places[:, None]
+    points = base[:, :, :, None] + outward[:, :, None, None] * offsets[:, :, None, :, None]
     values = sample(image, lens.seen(points))
-    rises = np.clip(np.diff(values, axis=2), 0.0, None)
-    weights = rises.sum(axis=2)
-    middles = 0.5 * (offsets[:, None, 1:] + offsets[:, None, :-1])
+    rises = np.clip(values[..., 1:] - values[..., :-1], 0.0, None)
+    weights = rises.sum(axis=-1)
+    middles = 0.5 * (offsets[..., 1:] + offsets[..., :-1])
     with np.errstate(invalid="ignore", divide="ignore"):
-        heights = (rises * middles).sum(axis=2) / weights
-    seen = weights > np.maximum(_LEAST_RISE, 0.25 * weights.mean(axis=1, keepdims=True))
-    if seen.mean(axis=1).min() < _LEAST_SEEN:
-        return None
-    level, slope = _robust_lines(places, np.where(seen, heights, 0.0), np.where(seen, weights, 0.0))
+        heights = (rises * middles[:, :, None]).sum(axis=-1) / weights
+        seen = weights > np.maximum(_LEAST_RISE, 0.25 * weights.mean(axis=-1, keepdims=True))
+        heights, weights = np.where(seen, heights, 0.0), np.where(seen, weights, 0.0)
+        level, slope = _robust_lines(places, heights, weights)
     # The lines at the old corners, and the new ones where they meet.
-    first = corners + outward * level[:, None]
-    second = corners + edges + outward * (level + slope)[:, None]
+    first = corners + outward * level[..., None]
+    second = corners + edges + outward * (level + slope)[..., None]
     direction = second - first
-    return intersections(first, np.column_stack((direction[:, 1], -direction[:, 0])))
+    normals = np.stack((direction[..., 1], -direction[..., 0]), axis=-1)
+    met = intersections(first, normals)
+    met[seen.mean(axis=-1).min(axis=1) < _LEAST_SEEN] = np.nan
+    refined[usable] = met
+    return refined
+
+
+# The sides before and after each, and the corners after each.
+_BEFORE, _AFTER = [3, 0, 1, 2], [1, 2, 3, 0]
+
+
+def _following(corners: np.ndarray) -> np.ndarray:
+    return corners[:, _AFTER]
 
 
 def _robust_lines(places: np.ndarray, heights: np.ndarray, weights: np.ndarray):
-    """Fit height = level + slope · place to each row, without outliers."""
+    """Fit height = level + slope · place along the last axis, without outliers."""
     for _ in range(2):
-        total = weights.sum(axis=1)
-        mean_place = (weights * places).sum(axis=1) / total
-        mean_height = (weights * heights).sum(axis=1) / total
-        centred = places - mean_place[:, None]
-        spread = (weights * centred**2).sum(axis=1)
-        slope = (weights * centred * (heights - mean_height[:, None])).sum(axis=1) / spread
+        total = weights.sum(axis=-1)
+        mean_place = (weights * places).sum(axis=-1) / total
+        mean_height = (weights * heights).sum(axis=-1) / total
+        centred = places - mean_place[..., None]
+        spread = (weights * centred**2).sum(axis=-1)
+        slope = (weights * centred * (heights - mean_height[..., None])).sum(axis=-1) / spread
         level = mean_height - slope * mean_place
-        residuals = np.abs(heights - level[:, None] - slope[:, None] * places)
-        typical = (weights * residuals).sum(axis=1) / total
-        weights = np.where(residuals <= 3.0 * typical[:, None] + 0.02, weights, 0.0)
+        residuals = np.abs(heights - level[..., None] - slope[..., None] * places)
+        typical = (weights * residuals).sum(axis=-1) / total
+        weights = np.where(residuals <= 3.0 * typical[..., None] + 0.02, weights, 0.0)
     return level, slope
 
 
@@ -300,9 +193,10 @@ def _quads_within(
     black, white = ends
     spread = np.clip((part - black) * (200.0 / (white - black)) + 25.0, 0.0, 255.0)
     grey = np.where(inside > 0, np.rint(spread), 255.0).astype(np.uint8)
-    levels = [25.0 + 200.0 * level for level in _LEVELS]
-    quads = find_quads(grey, (), 1.0, scale * min_side, levels)
-    return (quads + 0.5) / scale - 0.5 + (left, top)
+    limits = (25.0 + 200.0 * level for level in _LEVELS)
+    masks = (cv2.threshold(grey, limit, 255, cv2.THRESH_BINARY_INV)[1] for limit in limits)
+    found = [outlines_within(dark, scale * min_side) for dark in masks]
+    return (np.concatenate(found) + 0.5) / scale - 0.5 + (left, top)
 
 
 def _mapped(points: np.ndarray, to_image: np.ndarray) -> np.ndarray:

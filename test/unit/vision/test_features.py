@@ -80,7 +80,7 @@ def test_a_drawn_marker_has_outline_first_corner_axes_and_label(distance):
     corners = true_corners(view)
     image = np.zeros((480, 640, 3), np.uint8)
     drawing.draw_axes(image, estimate_pose(corners, 0.2, CAMERA).best, 0.2, CAMERA)
-    drawing.draw_marker(image, DetectedMarker(0, corners, 0, 1.0), "id 0  4.00 m")
+    drawing.draw_marker(image, DetectedMarker(0, corners, 0, 1.0, np.eye(8)), "id 0  4.00 m")
     u, v = np.rint(corners[0]).astype(int)
     assert (image[v, u] == drawing.FIRST_CORNER).all()
     middle = 0.5 * (corners[1] + corners[2])

@@ -159,7 +159,7 @@ def test_an_image_of_another_size_is_refused():
 def observed(view, number=0, sigma=0.3):
     corners = true_corners(view)
     estimate = estimate_pose(corners, SIZE, CAMERA, sigma)
-    return ObservedMarker(number, corners, 0, 1.0, SIZE, estimate)
+    return ObservedMarker(number, corners, 0, 1.0, np.eye(8), SIZE, estimate)
 
 
 def flipped(marker_seen):

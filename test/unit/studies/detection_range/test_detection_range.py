@@ -48,7 +48,7 @@ def seen(printed, pose, identifier=0, shift=0.0):
     corners = CAMERA.project(in_optical_frame(pose, printed.corners()))
     corners[2] += shift
     estimate = estimate_pose(corners, printed.size, CAMERA)
-    return ObservedMarker(identifier, corners, 0, 1.0, printed.size, estimate)
+    return ObservedMarker(identifier, corners, 0, 1.0, np.eye(8), printed.size, estimate)
 
 
 # ---- Judging ----
