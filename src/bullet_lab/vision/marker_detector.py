@@ -154,7 +154,8 @@ class MarkerDetector:
         smooth, least = _prepare(grey, low, high, report.noise)
         search = OutlineSearch(smooth, self.settings.min_side)
         image = grey.astype(np.float32)
-        markers = self._look(image, search.first_look(max(least, self.settings.contrast)), lens, report)
+        quads = search.first_look(max(least, self.settings.contrast))
+        markers = self._look(image, quads, lens, report)
         if not markers and self.settings.second_pass:
             report.second_pass = True
             markers = self._look(image, search.second_look(least), lens, report)
@@ -305,7 +306,7 @@ def noise_level(grey: np.ndarray) -> float:
     From the median of second differences both ways, which are zero on even ground and on
     straight edges (Immerkaer 1996, with the median in place of the mean).
     """
-    rows = np.arange(1, grey.shape[0] - 1, 8)
+    rows = np.arange(1, grey.shape[0] - 1, 12)
     up, row, down = (grey[rows + k].astype(np.int16) for k in (-1, 0, 1))
     vertical = up - 2 * row + down
     both = np.abs(vertical[:, :-2] - 2 * vertical[:, 1:-1] + vertical[:, 2:]).ravel()

@@ -21,9 +21,6 @@ _FIT_TRIM = 0.15
 # Least area of a quadrilateral by the square of its outline: of a square 1/16, of one that is
 # seen at 80 degrees a third of that.
 _LEAST_AREA = 0.018
-# The four orders of corners.
-_TURNS = np.array([[(corner - turn) % 4 for corner in range(4)] for turn in range(4)])
-
 @dataclass(frozen=True)
 class _Mask:
     """A way to tell dark from bright.
@@ -44,14 +41,16 @@ class _Mask:
 # With a large part, a border that light, blur or noise has broken holds; with a small one, what
 # is dark beside a narrow quiet zone does not run together with it.
 _FIRST_LOOK = (_Mask(3, 0.5, joined=True), _Mask(9, 0.6, coarse=True))
-_SECOND_LOOK = (
-    _Mask(5, 0.25, joined=True),
-    _Mask(3, 0.5, joined=True, coarse=True),
-    _Mask(13, 0.45, joined=True, coarse=True),
-)
+_SECOND_LOOK = (_Mask(5, 0.25, joined=True), _Mask(13, 0.45, joined=True, coarse=True))
 # Where an image has few dark pieces, more masks cost little.
-_MORE_MASKS = (_Mask(7, 0.5, joined=True), _Mask(5, 0.6), _Mask(9, 0.4, True, True))
-_FEW_PIECES = 25
+_MORE_MASKS = (
+    _Mask(7, 0.5, joined=True),
+    _Mask(9, 0.4, joined=True, coarse=True),
+    _Mask(3, 0.5, joined=True, coarse=True),
+)
+_FEW_PIECES = 12
+# The points of an outline by the box around it, of which what is convex has two at most.
+_RAGGED = 2.2
 # Half the size shows markers from this side on, px.
 _COARSE_SIDE = 20.0
 
@@ -146,7 +145,9 @@ def _pieces(dark: np.ndarray, min_side: float, joined: bool) -> Iterator[np.ndar
     for label, (u, v, wide, high, _) in zip(labelled.tolist(), stats[labelled].tolist()):
         piece = cv2.inRange(labels[v : v + high, u : u + wide], label, label)
         how = cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
-        yield cv2.findContours(piece, *how, offset=(u, v))[0][0]
+        contour = cv2.findContours(piece, *how, offset=(u, v))[0][0]
+        if len(contour) <= _RAGGED * (wide + high):
+            yield contour
 
 
 def outlines_within(dark: np.ndarray, min_side: float) -> np.ndarray:
@@ -161,16 +162,14 @@ def outlines_within(dark: np.ndarray, min_side: float) -> np.ndarray:
 def same_quads(quads: np.ndarray) -> np.ndarray:
     """Return which (n, n) of (n, 4, 2) quadrilaterals are the same, to a fraction of a cell.
 
-    A row may differ from the column of its number, as each is measured by its own size.
+    These have the same middle and are as large.
     """
-    # A marker's white surroundings on a bright ground are a dark square one cell larger.
     sides = np.linalg.norm(quads[:, _NEXT] - quads, axis=2).mean(axis=1)
-    tolerance = (1.0 + 0.04 * sides)[:, None]
-    same = np.zeros((len(quads), len(quads)), dtype=bool)
-    for turn in _TURNS:
-        away = np.abs(quads[:, turn][:, None] - quads)
-        same |= away.max(axis=(2, 3)) < tolerance
-    return same
+    middles = quads.mean(axis=1)
+    away = np.abs(middles[:, None] - middles).max(axis=2)
+    larger = np.abs(sides[:, None] - sides)
+    # A marker's white surroundings on a bright ground are a dark square one cell larger.
+    return np.maximum(away, larger) < (1.0 + 0.04 * sides)[:, None]
 
 
 def mean_side(quad: np.ndarray) -> float:

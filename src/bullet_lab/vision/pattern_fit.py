@@ -59,11 +59,11 @@ def fit_pattern(
 ) -> Optional[PatternFit]:
     """Fit corners, light and blur to the grey levels by weighted least squares.
 
-    A pixel is modelled as a + d · B, with a (of second order) and d (of first) its light, over
-    the marker, and B the pattern, 0 or 1, blurred by a Gaussian whose covariance in the image is
-    fitted too (lens, pixel, motion). Of a large marker the pixels across each place of an edge
-    have an a of their own, so that highlights and shadows do not matter. Robust weights are Tukey's; the covariance is that of least squares with the
-    noise that the residuals show.
+    A pixel is modelled as a + d · B, with a (of second order) and d (of first) its light over the
+    marker, and B the pattern, 0 or 1, blurred by a Gaussian whose covariance in the image is fitted
+    too (lens, motion). Of a large marker the pixels across each place of an edge have an a of their
+    own, so that highlights and shadows do not matter. Robust weights are Tukey's; the covariance is
+    that of least squares with the noise that the residuals show.
 
     Args:
         image: (h, w) grey levels.
@@ -324,7 +324,7 @@ def _edges(pattern: bytes, cells: int) -> Tuple[np.ndarray, np.ndarray]:
     """Return places (n, 2) of the unit square where black meets white, and what is across there."""
     white = np.frombuffer(pattern, np.uint8).reshape(cells, cells) > 0
     white = np.pad(white, 1, constant_values=True)
-    edges = np.count_nonzero(white[:, 1:] != white[:, :-1]) + np.count_nonzero(white[1:] != white[:-1])
+    edges = int((white[:, 1:] != white[:, :-1]).sum() + (white[1:] != white[:-1]).sum())
     each = int(np.clip(_MOST_PIXELS / ((2 * _REACH + 1) * edges), 2, _PLACES))
     along = (np.arange(each) + 0.5) / each
     points, normals = [], []

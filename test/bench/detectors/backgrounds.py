@@ -40,8 +40,9 @@ def _originals() -> Iterator[Tuple[Path, np.ndarray]]:
             if path.suffix.lower() not in _KINDS:
                 continue
             image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-            if image is not None and min(image.shape) >= _LEAST_EDGE and image.std() > _LEAST_SPREAD:
-                yield path, image
+            if image is None or min(image.shape) < _LEAST_EDGE or image.std() < _LEAST_SPREAD:
+                continue
+            yield path, image
 
 
 def _fitted(image: np.ndarray) -> np.ndarray:
