@@ -316,7 +316,7 @@ class MarkerObserver:
         settings: Optional[DetectorSettings] = None,
         size: float = 0.2,
         sizes: Optional[Mapping[int, float]] = None,
-        pixel_sigma: float = 0.0,
+        pixel_sigma: float = 0.02,
     ):
         self.detector = MarkerDetector(settings)
         self._size = size

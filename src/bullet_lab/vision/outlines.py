@@ -30,12 +30,15 @@ class _Mask:
         part: of the way from its darkest to its brightest pixel, up to which a pixel is dark.
         joined: pieces hang together by the corners of pixels as well.
         coarse: of the image of half the size, for what is large.
+        ceiling: grey level; what is brighter counts as this. Of a marker in the shade before a
+            bright sky, white is nearer to black than to the sky.
     """
 
     window: int
     part: float
     joined: bool = False
     coarse: bool = False
+    ceiling: int = 255
 
 
 # With a large part, a border that light, blur or noise has broken holds; with a small one, what
@@ -44,9 +47,13 @@ _FIRST_LOOK = (_Mask(3, 0.5, joined=True), _Mask(9, 0.6, coarse=True))
 _SECOND_LOOK = (_Mask(5, 0.25, joined=True), _Mask(13, 0.45, joined=True, coarse=True))
 # Where an image has few dark pieces, more masks cost little.
 _MORE_MASKS = (
+    _Mask(3, 0.6),
+    _Mask(7, 0.6),
     _Mask(7, 0.5, joined=True),
     _Mask(9, 0.4, joined=True, coarse=True),
     _Mask(3, 0.5, joined=True, coarse=True),
+    _Mask(5, 0.45, joined=True, ceiling=36),
+    _Mask(5, 0.45, joined=True, ceiling=54),
 )
 _FEW_PIECES = 12
 # The points of an outline by the box around it, of which what is convex has two at most.
@@ -92,6 +99,8 @@ class OutlineSearch:
             grey, least = self._grey, self._min_side
             if mask.coarse:
                 grey, least = self._half, 0.5 * max(least, _COARSE_SIDE)
+            if mask.ceiling < 255:
+                grey = cv2.min(grey, mask.ceiling)
             dark = darker_part(grey, mask.window, mask.part, math.ceil(contrast))
             contours = list(_pieces(dark, least, mask.joined))
             self._pieces += len(contours)

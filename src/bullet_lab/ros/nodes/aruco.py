@@ -116,7 +116,7 @@ class ArucoParameters(ImageParameters):
     )
     publish_tf: bool = parameters.boolean(False, "send transforms, and so work always")
     pixel_sigma: float = parameters.number(
-        0.0, "standard deviation of corners beside what the image's noise explains, px", 0.0
+        0.02, "standard deviation of corners beside what the image's noise explains, px", 0.0
     )
     border: float = parameters.number(
         DEFAULTS.border, "markers nearer to the edge of the image are cropped, px", 0.0
