@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs and builds what is missing; does nothing, quickly, when nothing is.
 #
-# Usage: scripts/setup.sh [--with rviz] [--with test] [--with course]
+# Usage: scripts/setup.sh [--with rviz] [--with test] [--with course] [--with browser]
 #
 # Debian packages come by apt-get (through sudo where not root), Python packages into
 # build/venv, the catkin workspace is built in build/ws. Where /opt/ros/noetic exists it
@@ -48,6 +48,7 @@ debian_packages() {
       echo python3-opencv python3-tf python3-tf-conversions python3-tf2-geometry-msgs \
         python3-image-geometry python3-matplotlib python3-tk
       ;;
+    browser) echo chromium ;;
   esac
 }
 
@@ -90,7 +91,7 @@ inputs_of() {
       cat "$LAB_ROOT/requirements.txt"
       echo "$OWN_TOOLKITS"
       ;;
-    python-test) cat "$LAB_ROOT/requirements.txt" "$LAB_ROOT/requirements-test.txt" ;;
+    python-*) cat "$LAB_ROOT/requirements.txt" "$LAB_ROOT/requirements-${1#python-}.txt" ;;
     build)
       package_entries
       ls "$LAB_ROOT"/{scripts/*.py,launch/*.launch}
@@ -329,7 +330,8 @@ steps_of() {
       "--with rviz") echo debian-rviz ;;
       "--with test") printf '%s\n' debian-test python-test ;;
       "--with course") echo debian-course ;;
-      *) fail "unknown argument '$*'; usage: setup.sh [--with rviz] [--with test] [--with course]" ;;
+      "--with browser") printf '%s\n' debian-browser python-browser ;;
+      *) fail "unknown argument '$*'; usage: setup.sh [--with rviz|test|course|browser] …" ;;
     esac
     shift 2
   done

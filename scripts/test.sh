@@ -126,6 +126,7 @@ main() {
   # shellcheck disable=SC2016 # expanded by the shell that xargs starts
   parts | xargs -d '\n' -n 1 -P "$AT_ONCE" bash -c 'run_part "$1"' run_part
   if [[ $long ]]; then
+    "$LAB_ROOT/scripts/setup.sh" --with browser
     run_pytest "$LAB_ROOT/test/unit" -q -n auto -m long
     run_pytest "$LAB_ROOT/test/long"
   fi

@@ -70,7 +70,7 @@ ros > ros.nodes: aruco canny_edges depopulate=populate dock dock_errands=dock
     dock_goals=dock_messages dock_inputs=dock_messages dock_parameters=dock dock_topics=dock
     drive_squares drive_to_goal exported_paths=gzserver fleet=drive_squares
     fleet_names=drive_squares gazebo_server=gzserver gazebo_server_arguments=gzserver
-    gazebo_window=gzclient goal_parameters=drive_to_goal goal_topics=drive_to_goal good_features
+    goal_parameters=drive_to_goal goal_topics=drive_to_goal good_features
     harris_corners image_node noisy_odom place_beacon populate save_world show_sensors
     spawn_arguments=spawn_model spawn_model track_robot view_camera
 ros > ros.record: errand_recorder=recorder fleet_markers=rviz plot_beacons=plots

@@ -453,10 +453,10 @@ class TutorialsTest(unittest.TestCase):
         self.assertEqual(1, status)
         self.assertIn("gazebo publishes /clock already", err)
 
-    def test_the_window_that_is_not_there(self):
+    def test_the_window_is_a_page(self):
         window = Process("rosrun", "gazebo_ros", "gzclient")
         self.addCleanup(window.end)
-        wait_for(lambda: "there is no window here" in window.said(), "gzclient to say so")
+        wait_for(lambda: "the view is at http://127.0.0.1:" in window.said(), "gzclient to say so")
         # rospy may hang if it is interrupted while it speaks.
         time.sleep(0.5)
         self.assertIsNone(window.process.poll())

@@ -20,6 +20,7 @@ ROOMS = (
     "simulation.rendering",
     "simulation.plugins",
     "simulation",
+    "view",
     "reports",
     "studies",
     "ros.messages",
@@ -28,6 +29,7 @@ ROOMS = (
     "ros.gazebo",
     "ros.contract",
     "ros.nodes",
+    "ros.view",
     "ros.record",
     "ros.launcher",
 )

@@ -14,6 +14,7 @@ from typing import Any, Callable, Type, TypeVar, get_type_hints
 
 import rosgraph
 import rospy
+import rospy.impl.simtime
 
 from bullet_lab.core.parameters import ParameterError, read_parameters
 from bullet_lab.errors import LabError
@@ -100,6 +101,13 @@ def private_parameters(kind: Type[T]) -> T:
     given = rospy.get_param("~", {})
     names = set(given if isinstance(given, dict) else {}) - {LOCK_STEP}
     return read_parameters(kind, rospy.get_param, dict.fromkeys(names))
+
+
+def ignore_clock() -> None:
+    """Spare this node the messages on /clock, all of which rospy takes whoever asks the time."""
+    own = getattr(rospy.impl.simtime, "_clock_sub", None)
+    if own is not None:
+        own.unregister()
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:

@@ -34,7 +34,6 @@ from pathlib import Path
 from typing import Any, Callable, List, Optional, Sequence, Set, Tuple
 
 import rospy
-import rospy.impl.simtime
 import rospy.rostime
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty, EmptyResponse
@@ -63,7 +62,7 @@ from bullet_lab.ros.messages.poses import (
     set_time,
     time_of,
 )
-from bullet_lab.ros.node.node import private_parameters, run_node
+from bullet_lab.ros.node.node import ignore_clock, private_parameters, run_node
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
@@ -160,7 +159,7 @@ class PyBulletBridge:
         )
         self._topics = DeviceTopics(self.stepper)
         self._silences: Counter = Counter()
-        _stop_listening_to_the_clock()
+        ignore_clock()
         self._clock = Clock()
         self._clock_publisher = self._topics.publisher("/clock", Clock)
         self.simulation.every(parameters.clock_rate, self._publish_clock)
@@ -316,13 +315,6 @@ def _set_camera_rate(robot: ModelInstance, rate: float) -> None:
     for device in robot.plugins:
         if isinstance(device, Camera):
             device.set_rate(rate, 0)
-
-
-def _stop_listening_to_the_clock() -> None:
-    """Spare this node the messages on /clock, which it sends itself."""
-    own = getattr(rospy.impl.simtime, "_clock_sub", None)
-    if own is not None:
-        own.unregister()
 
 
 def _set_log_time(step: int) -> None:

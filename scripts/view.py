@@ -1,0 +1,7 @@
+#!/usr/bin/env python3
+"""Run the node; see bullet_lab.ros.view.node."""
+
+from bullet_lab.entry import run
+
+if __name__ == "__main__":
+    run("bullet_lab.ros.view.node")

@@ -1,0 +1,131 @@
+"""The node that shows the world in a browser, and takes commands and goals from there.
+
+It listens on this machine only, to whoever has the URL that it prints; for another machine, the
+port is forwarded (`ssh -L 8080:127.0.0.1:8080`). While nobody looks, it subscribes to nothing.
+
+:ROS Parameters: see `ViewParameters`.
+:ROS Subscribers, while somebody looks: /tf, /tf_static, /clock, and every topic of a type that
+    there is a display for (see `show.KINDS`)
+:ROS Publishers, from the first command or goal on:
+    - the topic of geometry_msgs/Twist that is chosen on the page; zero once it is let go
+    - move_base_simple/goal (geometry_msgs/PoseStamped) in the namespace of that, or move_base/goal
+      (move_base_msgs/MoveBaseActionGoal) where that alone is listened to
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any, Optional
+
+import rospy
+
+from bullet_lab.core import parameters
+from bullet_lab.core.pose import Pose
+from bullet_lab.ros.node.node import ignore_clock, private_parameters, run_node
+from bullet_lab.ros.view.driver import Driver
+from bullet_lab.ros.view.panel import Panel
+from bullet_lab.ros.view.show import OFF_AT_FIRST, SWITCHES, Show
+from bullet_lab.view.page import Page
+from bullet_lab.view.scene import floor_point
+
+# Wall seconds for which a page may be reloaded before all that is shown is given up.
+LINGER_SECONDS = 2.0
+CAMERA_FROM, GRID_SIZE = (-2.5, -2.5, 2.5), 40.0
+
+
+@dataclass(frozen=True)
+class ViewParameters:
+    """Private parameters of view."""
+
+    port: int = parameters.integer(
+        8080, "port of the page on this machine; the next free one, if it is taken", 1024, 65535
+    )
+    frame: str = parameters.text("", "frame that all is seen in; if empty, world or the robots'")
+    rate: float = parameters.number(30.0, "pictures per second", minimum=1.0, maximum=60.0)
+    image_rate: float = parameters.number(10.0, "camera images per second", 0.5, maximum=30.0)
+    speed: float = parameters.number(0.4, "m/s at first that the pad drives at", 0.05, maximum=2.0)
+    turn_rate: float = parameters.number(
+        1.0, "rad/s at first that the pad turns at", 0.1, maximum=3.0
+    )
+
+
+class View:
+    """The page, and what happens while somebody looks at it."""
+
+    def __init__(self, given: ViewParameters):
+        self._given = given
+        self._page = Page(given.port, lambda shares: self._driver.drive(shares))
+        server = self._page.server
+        self._panel = Panel(server.gui, SWITCHES, given.speed, given.turn_rate, OFF_AT_FIRST)
+        self._driver = Driver(self._panel)
+        self._show: Optional[Show] = None
+        self._somebody = threading.Event()
+        rospy.on_shutdown(self._driver.stop)
+        rospy.on_shutdown(self._somebody.set)
+        server.initial_camera.position = CAMERA_FROM
+        server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        server.scene.configure_default_lights(cast_shadow=False)
+        server.scene.world_axes.visible = False
+        server.scene.add_grid("/grid", GRID_SIZE, GRID_SIZE, cell_size=1.0, section_size=5.0)
+        server.scene.on_click()(self._send_goal)
+        server.on_client_connect(lambda _: self._somebody.set())
+        rospy.loginfo("the view is at %s", self._page.url)
+
+    def run(self) -> None:
+        """Serve until ROS shuts down."""
+        while not rospy.is_shutdown():
+            self._somebody.wait()
+            self._somebody.clear()
+            if not rospy.is_shutdown():
+                self._show_to_somebody()
+        self._page.close()
+
+    def _show_to_somebody(self) -> None:
+        server = self._page.server
+        self._show = Show(server.scene, self._panel, self._given.frame, self._given.image_rate)
+        due = gone = time.monotonic()
+        while not rospy.is_shutdown():
+            if server.get_clients():
+                gone = time.monotonic() + LINGER_SECONDS
+            elif time.monotonic() > gone:
+                break
+            with server.atomic():
+                self._show.tick()
+            due = max(due + 1.0 / self._given.rate, time.monotonic())
+            time.sleep(max(0.0, due - time.monotonic()))
+        self._show.close()
+        self._show = None
+
+    def _send_goal(self, event: Any) -> None:
+        show, point = self._show, floor_point(event.ray_origin, event.ray_direction)
+        if show is None or point is None:
+            return
+        heading = show.heading_to(point)
+        pose = Pose.from_rpy((*point, 0.0), (0.0, 0.0, heading))
+        self._panel.say(self._driver.send_goal(show.graph.heard, show.stage.fixed, pose))
+
+
+def main() -> None:
+    """Run the node."""
+    run_view("view")
+
+
+def window() -> None:
+    """Run the node in the place of gzclient, Gazebo's window."""
+    run_view("gazebo_gui")
+
+
+def run_view(name: str) -> None:
+    """Run the node by a name."""
+
+    def body() -> None:
+        given = private_parameters(ViewParameters)
+        ignore_clock()
+        # The simulator has said what is wrong with the world.
+        logging.getLogger("bullet_lab.simulation").setLevel(logging.ERROR)
+        View(given).run()
+
+    run_node(name, body)

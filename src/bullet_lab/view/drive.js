@@ -1,0 +1,117 @@
+// A pad and the arrow keys, which drive: what is held down is said ten times a second on a socket
+// of its own, as shares of the full speed forward and to the left. Silence stops the robot.
+(() => {
+  const PERIOD_MS = 100;
+  const RETRY_MS = 1000;
+  const RADIUS = 55;
+  const KEYS = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1] };
+  const address =
+    location.href.replace(/^http/, "ws").split(/[?#]/)[0].replace(/\/$/, "") + "/drive";
+  const held = new Set();
+  let pulled = [0, 0];
+  let said = "0 0";
+  let socket = null;
+
+  const pad = document.createElement("div");
+  const knob = document.createElement("div");
+  pad.id = "drive-pad";
+  pad.title = "Drag, or hold the arrow keys, to drive";
+  pad.style.cssText =
+    "position:fixed;left:16px;bottom:16px;width:130px;height:130px;z-index:5;" +
+    "border-radius:50%;background:rgba(60,70,80,.28);touch-action:none;cursor:grab;";
+  knob.style.cssText =
+    "position:absolute;left:40px;top:40px;width:50px;height:50px;border-radius:50%;" +
+    "background:rgba(0,114,178,.85);pointer-events:none;";
+  pad.append(knob);
+
+  const wanted = () => {
+    let [forward, left] = pulled;
+    for (const key of held) {
+      forward += KEYS[key][0];
+      left += KEYS[key][1];
+    }
+    return [forward, left].map((share) => Math.max(-1, Math.min(1, share)));
+  };
+
+  const say = () => {
+    const [forward, left] = wanted();
+    const words = `${forward.toFixed(3) / 1} ${left.toFixed(3) / 1}`;
+    knob.style.transform = `translate(${-left * RADIUS}px, ${-forward * RADIUS}px)`;
+    if (socket === null || socket.readyState !== WebSocket.OPEN) return;
+    if (words === said && words === "0 0") return;
+    socket.send(words);
+    said = words;
+  };
+
+  const letGo = () => {
+    held.clear();
+    pulled = [0, 0];
+    say();
+  };
+
+  const pull = (event) => {
+    const box = pad.getBoundingClientRect();
+    const left = (box.left + box.width / 2 - event.clientX) / RADIUS;
+    const forward = (box.top + box.height / 2 - event.clientY) / RADIUS;
+    const scale = Math.max(1, Math.hypot(forward, left));
+    pulled = [forward / scale, left / scale];
+    say();
+  };
+
+  pad.addEventListener("pointerdown", (event) => {
+    pad.setPointerCapture(event.pointerId);
+    pull(event);
+  });
+  pad.addEventListener("pointermove", (event) => {
+    if (pad.hasPointerCapture(event.pointerId)) pull(event);
+  });
+  for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
+    pad.addEventListener(name, letGo);
+  }
+
+  // Those that are typed into, or moved by the same keys.
+  const isTaken = (target) =>
+    target instanceof Element &&
+    target.closest("input, textarea, select, [role=slider], [contenteditable=true]") !== null;
+
+  // Before the page's own listeners, which would move the camera.
+  window.addEventListener(
+    "keydown",
+    (event) => {
+      const other = event.ctrlKey || event.altKey || event.metaKey;
+      if (!(event.key in KEYS) || other || isTaken(event.target)) return;
+      event.preventDefault();
+      event.stopImmediatePropagation();
+      held.add(event.key);
+      say();
+    },
+    true,
+  );
+  window.addEventListener(
+    "keyup",
+    (event) => {
+      if (held.delete(event.key)) say();
+    },
+    true,
+  );
+  window.addEventListener("blur", letGo);
+  document.addEventListener("visibilitychange", letGo);
+
+  const connect = () => {
+    socket = new WebSocket(address);
+    socket.addEventListener("open", () => {
+      said = "0 0";
+      pad.style.opacity = 1;
+    });
+    socket.addEventListener("close", () => {
+      pad.style.opacity = 0.3;
+      setTimeout(connect, RETRY_MS);
+    });
+  };
+
+  document.addEventListener("DOMContentLoaded", () => {
+    document.body.append(pad);
+    connect();
+    setInterval(say, PERIOD_MS);
+  });
+})();

@@ -1,0 +1,137 @@
+"""Somebody who looks at the view's page, without a browser: what is in the scene, clicks, driving.
+
+Speaks viser's protocol as the page does.
+"""
+
+import threading
+import time
+
+import numpy as np
+import viser
+import zstandard
+from msgspec import msgpack
+from viser import _messages
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+
+class Looker:
+    """Looks at a page until it is closed; all of its nodes are in `nodes`, by name.
+
+    Args:
+        url: of the page, with the token.
+    """
+
+    def __init__(self, url):
+        self.nodes = {}
+        self.controls = {}
+        self.received = 0
+        scheme, host = url.split("/")[0], url.split("/")[2]
+        self._options = {"origin": f"{scheme}//{host}", "max_size": None, "compression": None}
+        self._address = url.replace("http", "ws", 1).rstrip("/")
+        self._socket = connect(
+            self._address, subprotocols=[f"viser-v{viser.__version__}"], **self._options
+        )
+        self._thread = threading.Thread(target=self._receive, daemon=True)
+        self._thread.start()
+        self._say(
+            _messages.ViewerCameraMessage(
+                wxyz=(1.0, 0.0, 0.0, 0.0),
+                position=(0.0, 0.0, 5.0),
+                fov=1.0,
+                near=0.1,
+                far=100.0,
+                image_height=480,
+                image_width=640,
+                look_at=(0.0, 0.0, 0.0),
+                up_direction=(0.0, 0.0, 1.0),
+            )
+        )
+
+    def click(self, x, y):
+        """Click on the floor."""
+        self._say(
+            _messages.ScenePointerMessage(
+                "click", (x, y, 5.0), (0.0, 0.0, -1.0), ((0.5, 0.5),), None
+            )
+        )
+
+    def press(self, label, value):
+        """Have a control of the page, by its label, say a value."""
+        uuid = next(k for k, props in self.controls.items() if props.get("label") == label)
+        self._say(_messages.GuiUpdateMessage(uuid, {"value": value}))
+
+    def driver(self):
+        """Return a socket to drive by."""
+        return connect(self._address + "/drive", **self._options)
+
+    def positions(self, name):
+        """Return where the copies in a node are, (n, 3); empty where there is no such node."""
+        props = self.nodes.get(name, {})
+        return np.array(props.get("batched_positions", ())).reshape(-1, 3)
+
+    def close(self):
+        """Close the page."""
+        self._socket.close()
+        self._thread.join(5.0)
+
+    def _say(self, message):
+        self._socket.send(msgpack.encode(message.as_serializable_dict()))
+
+    def _receive(self):
+        try:
+            for data in self._socket:
+                self.received += len(data)
+                for message in read_messages(data):
+                    self._take(message)
+        except ConnectionClosed:
+            pass
+
+    def _take(self, message):
+        kind, name = message["type"], message.get("name")
+        if kind == "RemoveSceneNodeMessage":
+            self.nodes.pop(name, None)
+        elif kind == "SceneNodeUpdateMessage":
+            self.nodes.setdefault(name, {}).update(message["updates"])
+        elif kind in ("SetPositionMessage", "SetOrientationMessage"):
+            key = "position" if "position" in message else "wxyz"
+            self.nodes.setdefault(name, {})[key] = message[key]
+        elif kind == "GuiUpdateMessage":
+            self.controls.setdefault(message["uuid"], {}).update(message["updates"])
+        elif kind.startswith("Gui") and "props" in message:
+            self.controls[message["uuid"]] = dict(message["props"])
+        elif name is not None and "props" in message:
+            self.nodes[name] = dict(message["props"])
+
+
+def read_messages(data):
+    """Return the messages in what the page is sent at once."""
+    size = int.from_bytes(data[8:16], "little")
+    found = msgpack.decode(zstandard.ZstdDecompressor().decompress(data[16 : 16 + size]))
+    buffers, place = [], 16 + size
+    for length in found["binaryBufferLengths"]:
+        place += -place % 8
+        buffers.append(data[place : place + length])
+        place += length
+    return _with_arrays(found["messages"], buffers)
+
+
+def _with_arrays(value, buffers):
+    if isinstance(value, dict):
+        if "__binary_index" in value:
+            return np.frombuffer(buffers[value["__binary_index"]], value["dtype"])
+        return {key: _with_arrays(entry, buffers) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_with_arrays(entry, buffers) for entry in value]
+    return value
+
+
+def wait_for_url(output, seconds=60.0):
+    """Return the URL that a view has printed; `output` says what it has printed so far."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        for word in output().split():
+            if word.startswith("http://127.0.0.1:") and word.endswith("/"):
+                return word
+        time.sleep(0.05)
+    raise AssertionError(f"no URL in {output()!r}")

@@ -1,0 +1,121 @@
+"""What is sent to the page when something is put, moved and taken away."""
+
+import numpy as np
+import pytest
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.view.scene import PIECE, Labels, Polyline, Shown, Solids, floor_point
+
+RED, GLASS = (1.0, 0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.5)
+SIZE = (1.0, 2.0, 3.0)
+
+
+class Node:
+    """A node of the scene, and what was set of it."""
+
+    def __init__(self, nodes, name, **properties):
+        self.__dict__.update(properties, nodes=nodes, name=name, sent=0)
+        nodes[name] = self
+
+    def __setattr__(self, name, value):
+        self.__dict__[name] = value
+        self.__dict__["sent"] += 1
+
+    def remove(self):
+        if self.nodes.get(self.name) is self:
+            del self.nodes[self.name]
+
+
+class Scene:
+    """Stands in for viser's scene: its nodes by their names."""
+
+    def __init__(self):
+        self.nodes = {}
+
+    def add_batched_meshes_simple(self, name, vertices, faces, **properties):
+        return Node(self.nodes, name, **properties)
+
+    def add_line_segments(self, name, points, colors, **properties):
+        return Node(self.nodes, name, points=points, colors=colors)
+
+    def add_label(self, name, text, position, anchor):
+        return Node(self.nodes, name, text=text, position=position)
+
+
+@pytest.fixture
+def scene():
+    return Scene()
+
+
+def test_solids_of_a_kind_are_one_node_that_is_sent_once_they_move(scene):
+    solids = Solids(scene, "/s")
+    for number in range(20):
+        solids.put(number, "box", Pose((number, 0.0, 0.0)), SIZE, RED)
+    solids.flush()
+    (node,) = scene.nodes.values()
+    assert node.batched_positions[:, 0].tolist() == list(range(20))
+    assert node.batched_colors.dtype == np.uint8
+    assert not node.sent
+    solids.put(3, "box", Pose((3.0, 0.0, 0.0)), SIZE, RED)
+    solids.flush()
+    assert not node.sent
+    solids.put(3, "box", Pose((3.0, 7.0, 0.0)), SIZE, RED)
+    solids.flush()
+    assert node.batched_positions[3].tolist() == [3.0, 7.0, 0.0]
+    assert scene.nodes["/s/box"] is node
+
+
+def test_a_solid_that_comes_goes_or_turns_to_glass_makes_nodes_anew(scene):
+    solids = Solids(scene, "/s")
+    solids.put("a", "box", Pose(), SIZE, RED)
+    solids.put("b", "box", Pose(), SIZE, RED)
+    solids.flush()
+    solids.put("b", "box", Pose(), SIZE, GLASS)
+    solids.flush()
+    assert len(scene.nodes["/s/box"].batched_positions) == 1
+    assert scene.nodes["/s/box_see_through"].batched_opacities.tolist() == [0.5]
+    solids.clear()
+    solids.flush()
+    assert not scene.nodes
+
+
+def test_of_a_line_that_grows_only_the_end_is_sent(scene):
+    line = Polyline(scene, "/l", RED)
+    points = np.column_stack((np.arange(2.5 * PIECE), np.zeros((640, 2))))
+    for count in range(2, len(points), 7):
+        line.set(points[:count])
+    line.set(points)
+    pieces = [scene.nodes[f"/l/{number}"] for number in range(3)]
+    segments = np.concatenate([piece.points for piece in pieces])
+    assert segments[:, 0] == pytest.approx(points[:-1])
+    assert segments[:, 1] == pytest.approx(points[1:])
+    sent = [piece.sent for piece in pieces]
+    line.set(np.concatenate((points, points[-1:] + 1.0)))
+    assert [piece.sent for piece in pieces] == [sent[0], sent[1], sent[2] + 1]
+    line.set(points[:1])
+    assert not scene.nodes
+
+
+def test_nothing_to_show_is_no_node(scene):
+    shown = Shown(lambda points: Node(scene.nodes, "/p", points=points))
+    for count in (0, 3, 5, 0, 0, 2):
+        shown.set(np.zeros((count, 3)))
+        assert len(scene.nodes) == bool(count)
+
+
+def test_labels_follow_and_go(scene):
+    labels = Labels(scene, "/t")
+    labels.put("a", "one", (0.0, 0.0, 0.0))
+    labels.put("b", "two", (0.0, 0.0, 0.0))
+    labels.drop("a")
+    labels.put("c", "three", (0.0, 0.0, 0.0))
+    labels.put("b", "two", (1.0, 0.0, 0.0))
+    assert sorted(node.text for node in scene.nodes.values()) == ["three", "two"]
+    labels.keep(["b"])
+    (node,) = scene.nodes.values()
+    assert node.position == (1.0, 0.0, 0.0)
+
+
+def test_a_ray_that_does_not_meet_the_floor_meets_nothing():
+    assert floor_point((0.0, 0.0, 1.0), (1.0, 0.0, 0.1)) is None
+    assert floor_point((0.0, 0.0, -1.0), (1.0, 0.0, -0.1)) is None
