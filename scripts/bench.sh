@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
-# Measures how fast the lab is: scripts/bench.sh [bridge|noise|laser|camera|aruco|world|dock|robots|models|relay|view] [option …]
+# Measures how fast the lab is:
+#   scripts/bench.sh [bridge|noise|laser|camera|aruco|detectors|world|dock|robots|models|relay|view] [option …]
 #   bridge (default)  the bridge beside the bare engine: --rounds N, --seconds S
 #   noise             noisy paths by the thousand beside the per-message loop: --rounds N, --paths N
 #   camera            frames beside bare ones, 30 Hz with aruco.py: --frames N, --seconds S
 #   aruco             from image to pose, beside OpenCV's own detector: --rounds N
+#   detectors         found, corners, poses beside OpenCV's and AprilTag's: --scenes N, --crops N
 #   laser             scans, and fleets of robots with lasers: --rounds N, --seconds S (simulated)
 #   world             models that come and go, a crowded world saved: --models N, --camera
 #   dock              a campaign of dockings on all cores: --dockings N
@@ -27,6 +29,10 @@ main() {
       ;;
     aruco)
       bench=aruco out=aruco
+      shift
+      ;;
+    detectors)
+      bench=detectors out=detectors
       shift
       ;;
     laser)
@@ -60,7 +66,7 @@ main() {
     -* | "") ;;
     *)
       echo "bench.sh: there is no bench '$1'; benches: bridge, noise, laser, camera, aruco," \
-        "world, dock, robots, models, relay, view" >&2
+        "detectors, world, dock, robots, models, relay, view" >&2
       exit 2
       ;;
   esac

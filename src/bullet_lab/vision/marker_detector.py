@@ -74,6 +74,7 @@ class DetectorSettings:
     border_rate: float = 0.1  #: part of the border's cells that may be misread
     likeness: float = 0.6  #: least correlation of grey levels and pattern
     max_quads: int = 60  #: at most so many quadrilaterals are tried, the largest first
+    inverted: bool = False  #: find white markers on black as well
     second_pass: bool = True  #: look again, with other thresholds, where nothing was found
 
     def __post_init__(self) -> None:
@@ -147,6 +148,14 @@ class MarkerDetector:
         """
         grey = images.grey(image)
         lens = Lens(camera)
+        detections = self._detect(grey, lens)
+        if not self.settings.inverted:
+            return detections
+        negative = self._detect(255 - grey, lens)
+        both = sorted((*detections.markers, *negative.markers), key=lambda one: -one.side)
+        return Detections(both, (detections if detections.markers else negative).report)
+
+    def _detect(self, grey: np.ndarray, lens: Lens) -> Detections:
         report = DetectionReport()
         low, high = cv2.minMaxLoc(grey)[:2]
         report.mean, report.contrast = float(cv2.mean(grey)[0]), high - low

@@ -17,8 +17,9 @@ from scipy.special import ndtr
 from bullet_lab.vision.algebra import homography
 from bullet_lab.vision.images import Lens
 
-# What is looked at beyond the outline, in cells; the quiet zone is one cell at least.
-_AROUND = 0.55
+# What is looked at beyond the outline, in cells, at most and at least; the quiet zone is one cell,
+# and what lies beyond it is seen so many px within it.
+_AROUND, _LEAST_AROUND, _BEYOND = 0.55, 0.1, 1.3
 # Of a marker up to so many px all pixels are looked at, of a larger one some hundreds at its edges:
 # at so many places of each cell's edge at most, and so far to either side, px.
 _SMALL, _MOST_PIXELS = 30.0, 600
@@ -291,7 +292,8 @@ def _pixels(image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: L
 
 
 def _all_pixels(image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens) -> _Pixels:
-    around = _AROUND / cells
+    within = 1.0 - _BEYOND / _cell(corners, cells)
+    around = float(np.clip(within, _LEAST_AROUND, _AROUND)) / cells
     outline = lens.seen(_mapped(_CORNERS + around * (2.0 * _CORNERS - 1.0), corners))
     limits = np.array(image.shape[::-1]) - 1.0
     low, high = (np.clip(ends, 0.0, limits) for ends in (outline.min(axis=0), outline.max(axis=0)))

@@ -277,6 +277,17 @@ def test_the_reason_why_nothing_is_found():
     assert "marker 5 cut off" in why_nothing(detect(cropped).report, name)
 
 
+def test_white_markers_on_black_are_an_option():
+    layers = [marker(3, black=220.0, white=20.0)]
+    negative = image_of(layers, View(1.5, yaw=10.0), samples=4)
+    assert ids_of(detect(negative)) == []
+    (found,) = detect(negative, inverted=True).markers
+    assert found.id == 3
+    assert corner_error(found.corners, true_corners(View(1.5, yaw=10.0))) < 0.05
+    positive = image_of([marker(3)], View(1.5), samples=4)
+    assert ids_of(detect(positive, inverted=True)) == [3]
+
+
 # What is refused, and the rest
 
 

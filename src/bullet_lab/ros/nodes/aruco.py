@@ -130,6 +130,7 @@ class ArucoParameters(ImageParameters):
     correction: float = parameters.number(
         DEFAULTS.correction, "part of the correctable bits to correct", 0.0, maximum=1.0
     )
+    inverted: bool = parameters.boolean(DEFAULTS.inverted, "find white markers on black as well")
     second_pass: bool = parameters.boolean(
         DEFAULTS.second_pass, "look twice where nothing is found"
     )

@@ -1,0 +1,92 @@
+"""Three detectors behind one call, each with a small grid of settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, List, Mapping, Sequence, Tuple
+
+import cv2
+import numpy as np
+from pupil_apriltags import Detector as AprilTagDetector
+
+from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
+
+# Of an image (h, w) grey levels: ids, and (4, 2) corners from the top left clockwise.
+Find = Callable[[np.ndarray], List[Tuple[int, np.ndarray]]]
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A detector of 36h11, and the settings of which the best are taken."""
+
+    name: str
+    make: Callable[[Mapping[str, Any]], Find]
+    grid: Sequence[Mapping[str, Any]]
+
+
+def _ours(settings: Mapping[str, Any]) -> Find:
+    detector = MarkerDetector(DetectorSettings("apriltag_36h11", **settings))
+    return lambda image: [(m.id, m.corners) for m in detector.detect(image).markers]
+
+
+def _opencv(settings: Mapping[str, Any]) -> Find:
+    parameters = cv2.aruco.DetectorParameters()
+    for name, value in settings.items():
+        setattr(parameters, name, value)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    detector = cv2.aruco.ArucoDetector(dictionary, parameters)
+
+    def find(image: np.ndarray) -> List[Tuple[int, np.ndarray]]:
+        corners, ids, _ = detector.detectMarkers(image)
+        numbers = [] if ids is None else ids.ravel().tolist()
+        return [(number, four[0].astype(float)) for number, four in zip(numbers, corners)]
+
+    return find
+
+
+def _april(settings: Mapping[str, Any]) -> Find:
+    detector = AprilTagDetector(families="tag36h11", nthreads=1, **settings)
+
+    def find(image: np.ndarray) -> List[Tuple[int, np.ndarray]]:
+        # Its pixels are numbered at their corners; its markers' corners begin at OpenCV's upper
+        # right and run counter-clockwise.
+        return [(t.tag_id, t.corners[[1, 0, 3, 2]] - 0.5) for t in detector.detect(image)]
+
+    return find
+
+
+_SUBPIX, _CONTOUR = cv2.aruco.CORNER_REFINE_SUBPIX, cv2.aruco.CORNER_REFINE_CONTOUR
+_APRILTAG = cv2.aruco.CORNER_REFINE_APRILTAG
+_SMALL = {"minMarkerPerimeterRate": 0.01, "adaptiveThreshWinSizeStep": 4}
+CONTESTANTS = {
+    one.name: one
+    for one in (
+        Contestant("ours", _ours, [{}, {"correction": 1.0}, {"min_side": 10.0}]),
+        Contestant(
+            "opencv",
+            _opencv,
+            [
+                {"cornerRefinementMethod": _SUBPIX},
+                {"cornerRefinementMethod": _SUBPIX, **_SMALL},
+                {"cornerRefinementMethod": _CONTOUR, **_SMALL},
+                {"cornerRefinementMethod": _APRILTAG},
+                {"cornerRefinementMethod": _SUBPIX, **_SMALL, "adaptiveThreshConstant": 4.0},
+            ],
+        ),
+        Contestant(
+            "pupil_apriltags",
+            _april,
+            [
+                {"quad_decimate": decimate, "quad_sigma": sigma, "decode_sharpening": sharp}
+                for decimate, sigma, sharp in (
+                    (1.0, 0.0, 0.25), (1.0, 0.8, 0.25), (1.0, 0.0, 0.5), (2.0, 0.0, 0.25),
+                )
+            ],
+        ),
+    )
+}  # fmt: skip
+
+
+def described(settings: Mapping[str, Any]) -> Dict[str, Any]:
+    """Return settings for a report; the defaults go by that name."""
+    return dict(settings) or {"settings": "defaults"}

@@ -1,0 +1,84 @@
+"""The fit of a marker's whole pattern is right, says how right, and passes over what hides it."""
+
+import cv2
+import numpy as np
+import pytest
+from marker_images import CAMERA, TAGS, View, image_of, marker, true_corners
+from scipy.stats import chi2
+
+from bullet_lab.vision.dictionaries import dictionary_named
+from bullet_lab.vision.images import Lens
+from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
+from bullet_lab.vision.marker_pose import estimate_pose
+from bullet_lab.vision.pattern_fit import _Model, fit_pattern
+
+PATTERN = dictionary_named(TAGS).pattern(0)
+VIEW = View(2.0, yaw=25.0, pitch=4.0, roll=10.0, shift=(0.1, 0.05))
+
+
+def fit(image, view, off=0.3):
+    start = true_corners(view) + off * np.array([[1, -1], [0, 1], [-1, 0], [1, 1]])
+    return fit_pattern(image.astype(np.float32), start, PATTERN, Lens())
+
+
+@pytest.mark.parametrize("spread", [(0.3, 0.3, 0.0), (1.5, 0.4, 0.3)])
+def test_derivatives_are_those_of_the_model(spread):
+    corners, step = true_corners(VIEW), 1e-2
+    chance = np.random.default_rng(0)
+    points = corners.mean(axis=0) + chance.uniform(-24.0, 24.0, (300, 2))
+    light = np.array([20.0, 5.0, -3.0, 0.0, 0.0, 0.0, 180.0, 10.0, 5.0])
+
+    def levels(corners, spread=spread):
+        return _Model(points, corners, np.array(spread), PATTERN).light @ light
+
+    model = _Model(points, corners, np.array(spread), PATTERN)
+    numbers = []
+    for index in range(8):
+        move = np.zeros(8)
+        move[index] = step
+        there, back = (levels(corners + sign * move.reshape(4, 2)) for sign in (1, -1))
+        numbers.append((there - back) / (2 * step))
+    # Of the light, only its value in the middle of the pattern moves with the corners here.
+    exact = model.shape(light)
+    assert np.abs(exact - np.array(numbers).T).max() < 0.12 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("distance, blur", [(2.0, 0.6), (6.0, 0.6), (0.8, 0.8)])
+def test_the_covariance_is_that_of_the_noise(distance, blur):
+    """Sum of the normalised squares of the corners' errors, within its 99 % bounds."""
+    view, count = View(distance, yaw=25.0, pitch=4.0, roll=10.0), 30
+    clean = image_of([marker()], view, samples=12, blur=blur).astype(float)
+    chance = np.random.default_rng(4)
+    total = 0.0
+    for _ in range(count):
+        image = np.rint(clean + chance.normal(0.0, 10.0, clean.shape))
+        found = fit(np.clip(image, 0, 255), view, 0.1)
+        off = (found.corners - true_corners(view)).ravel()
+        total += off @ np.linalg.solve(found.covariance, off)
+    low, high = chi2.ppf((0.005, 0.995), 8 * count)
+    assert low < total < high
+
+
+def test_what_hides_a_corner_is_passed_over_and_the_corner_is_less_certain():
+    image = image_of([marker()], VIEW, samples=8, blur=0.6, noise=2.0)
+    free = fit(image, VIEW)
+    u, v = true_corners(VIEW)[1].astype(int)
+    cv2.circle(image, (int(u), int(v)), 9, 120, -1)
+    hidden = fit(image, VIEW)
+    assert np.abs(hidden.corners - true_corners(VIEW)).max() < 0.3
+    assert hidden.hidden > free.hidden + 0.02
+    assert np.diag(hidden.covariance)[2:4].sum() > 1.5 * np.diag(free.covariance)[2:4].sum()
+
+
+def test_no_marker_is_none():
+    noise = np.random.default_rng(1).integers(0, 255, (480, 640)).astype(np.uint8)
+    found = fit(noise, VIEW)
+    assert found is None or found.covariance.max() > 0.05
+
+
+def test_detections_tell_their_covariance_and_poses_follow_it():
+    image = image_of([marker()], VIEW, samples=8, blur=0.6, noise=4.0)
+    (found,) = MarkerDetector(DetectorSettings(TAGS)).detect(image).markers
+    certain = estimate_pose(found.corners, 0.2, CAMERA, 0.0, found.covariance).best
+    doubtful = estimate_pose(found.corners, 0.2, CAMERA, 0.0, 9.0 * found.covariance).best
+    np.testing.assert_allclose(doubtful.covariance, 9.0 * certain.covariance, rtol=0.05)
