@@ -65,6 +65,8 @@ class Robots:
         self._shown: FrozenSet[str] = frozenset()
         self._links: List[Tuple[str, Copies]] = []
         self._looks_taken = 0
+        self._asked: Tuple[FrozenSet[str], FrozenSet[str]] = (frozenset(), frozenset())
+        self._found: FrozenSet[str] = frozenset()
         self._report = ReportOnce()
 
     def follow(self) -> None:
@@ -103,14 +105,17 @@ class Robots:
         They have the name of the robot's namespace or description; elsewhere, and where there is
         one of them, the one with the robot's links is meant.
         """
-        found = set()
-        for name in self._shown:
-            robot = self._robots[name]
-            alike = {robot.namespace, robot.model.name} & names
-            if robot.namespace in names:
-                alike = {robot.namespace}
-            found |= alike or _with_links(robot, names)
-        return frozenset(found)
+        asked = (self._shown, frozenset(names))
+        if asked != self._asked:
+            found: Set[str] = set()
+            for name in self._shown:
+                robot = self._robots[name]
+                alike = {robot.namespace, robot.model.name} & names
+                if robot.namespace in names:
+                    alike = {robot.namespace}
+                found |= alike or _with_links(robot, names)
+            self._asked, self._found = asked, frozenset(found)
+        return self._found
 
     def place_of(self, namespace: str) -> Optional[Pose]:
         """Return where the robot of a namespace is; None where none is shown."""
