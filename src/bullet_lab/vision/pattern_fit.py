@@ -19,7 +19,7 @@ from bullet_lab.vision.images import Lens
 
 # What is looked at beyond the outline, in cells, at most and at least; the quiet zone is one cell,
 # and what lies beyond it is seen so many px within it.
-_AROUND, _LEAST_AROUND, _BEYOND = 0.55, 0.1, 1.3
+_AROUND, _LEAST_AROUND, _BEYOND, _BLURRED_IN = 0.55, 0.1, 1.3, 0.8
 # Of a marker up to so many px all pixels are looked at, of a larger one some hundreds at its edges:
 # at so many places of each cell's edge at most, and so far to either side, px.
 _SMALL, _MOST_PIXELS = 30.0, 600
@@ -88,7 +88,10 @@ def fit_pattern(
         light = _Normal(columns, pixels.levels, weights).solution
         residuals = pixels.levels - columns @ light
         noise = _noise(residuals, model.steepness(light))
-        weights = _tukey(residuals / noise) / (noise * noise)
+        # Blur brings in what lies beyond the quiet zone.
+        reach = 2.0 * float(np.sqrt(spread[:2].max())) + _BLURRED_IN
+        own = model.outside() < max(_LEAST_AROUND, 1.0 - reach / _cell(corners, cells))
+        weights = np.where(own, _tukey(residuals / noise) / (noise * noise), 0.0)
         shape = pixels.centred(np.concatenate((model.shape(light), model.blur(light)), axis=1))
         columns = np.concatenate((columns, shape), axis=1)
         step = _Normal(columns, residuals, weights).solution[_LIGHT:]
@@ -98,7 +101,8 @@ def fit_pattern(
             return None
         if number and np.abs(step[:_SHAPE]).max() < _STILL:
             break
-    return _judged(corners, residuals / noise, columns / noise[:, None], pixels.group)
+    residuals = np.where(own, residuals / noise, np.inf)
+    return _judged(corners, residuals, columns / noise[:, None], pixels.group)
 
 
 class _Model:
@@ -115,7 +119,7 @@ class _Model:
         self, points: np.ndarray, corners: np.ndarray, spread: np.ndarray, pattern: np.ndarray
     ):
         cells = len(pattern)
-        self._points = points
+        self._points, self._cells = points, cells
         self._unit, by_pixel = unit_square(points, corners)
         self._to_shape = _by_corners(corners)
         self._by_pixel = cells * by_pixel
@@ -139,6 +143,10 @@ class _Model:
     def contrast(self, light: np.ndarray) -> np.ndarray:
         """Return white less black (n,) by the numbers of the light."""
         return self._planes @ light[-3:]
+
+    def outside(self) -> np.ndarray:
+        """Return how far outside of the outline pixels are, (n,) in cells; within it below 0."""
+        return self._cells * (np.abs(self._unit - 0.5).max(axis=1) - 0.5)
 
     def steepness(self, light: np.ndarray) -> np.ndarray:
         """Return by how many grey levels a pixel changes with the image moved by 1 px, (n,)."""
@@ -408,6 +416,7 @@ def _judged(
     Residuals (n,) and columns (n, m) are in standard deviations.
     """
     own = np.abs(residuals) < _OUTLYING
+    residuals = np.where(own, residuals, 0.0)
     count = int(own.sum())
     if count < max(_LEAST_PIXELS, _LEAST_SHARE * len(own)):
         return None
