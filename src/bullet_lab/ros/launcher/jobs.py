@@ -163,6 +163,13 @@ def _parse(path: Path) -> minidom.Document:
 
 def _bracket_check(name: str, bracket: str) -> Declaration | None:
     """What a bracket allows; None for anything. Raises UsageError for an unknown bracket."""
+    try:
+        return _declared_by(name, bracket)
+    except ValueError as error:
+        raise UsageError(f"the doc of {name} ends with [{bracket}]: {error}") from None
+
+
+def _declared_by(name: str, bracket: str) -> Declaration | None:
     missing: Any = MISSING
     numeric = _NUMERIC.fullmatch(bracket)
     if bracket in ("", "text"):

@@ -128,6 +128,12 @@ def test_a_file_is_named_by_its_whole_path(tmp_path, monkeypatch):
     assert Path(found) == PACKAGE / "package.xml"
 
 
+def test_a_limit_that_is_no_number_is_an_error(tmp_path):
+    text = '<launch><arg name="std" default="1" doc="x [number >= --1]"/></launch>'
+    with pytest.raises(UsageError, match=r"the doc of std ends with \[number >= --1\]: "):
+        read("a", text, tmp_path)
+
+
 @pytest.mark.parametrize("doc", ["x [nubmer >= 0]", "x [number => 0]", "x [only]", "x [a||b]"])
 def test_bracket_outside_the_grammar_is_an_error(tmp_path, doc):
     with pytest.raises(UsageError, match="the doc of std ends with an unknown kind of values"):
