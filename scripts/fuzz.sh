@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Mutates files, words and parameters that come from outside and looks at what becomes of them:
 # scripts/fuzz.sh [--minutes N | --mutants N] [--seed S] [--way WAY [--first K]]
+# scripts/fuzz.sh --live [--messages N] [--seed S]: messages and calls to a running bridge
 # A failure leaves its input in results/fuzz and the command that repeats it; status 1 then.
 set -euo pipefail
 
@@ -9,4 +10,8 @@ source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 
 "$LAB_ROOT/scripts/setup.sh" --with test
 enter_lab
+if [[ ${1-} == --live ]]; then
+  shift
+  exec python "$LAB_ROOT/test/fuzz/live.py" "$@"
+fi
 exec python "$LAB_ROOT/test/fuzz/fuzz.py" "$@"

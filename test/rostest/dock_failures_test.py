@@ -233,7 +233,7 @@ class DockFailuresTest(unittest.TestCase):
         late = TransformStamped(Header(0, rospy.Time(2**32 - 1), "odom"), "nobody", Transform())
         late.transform.rotation.w = 1.0
         sender.publish(TFMessage([late]))
-        wait_for(lambda: "/tf: refused: a stamp after the end" in self.node.err, "a warning")
+        wait_for(lambda: "/tf: refused: a stamp at the end" in self.node.err, "a warning")
         self.assertTrue(self.result().success)
 
     # Whoever wants it

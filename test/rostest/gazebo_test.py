@@ -633,6 +633,8 @@ class SaveTest(GazeboCase):
             str(elsewhere / "new"): "is not in",
             "way_out/new": "is not in",
             "file_out": "is not in",
+            5000 * "x": "too long",
+            "~nobody/new": "no folder",
         }
         for name, said in bad.items():
             refused = call("/bullet_lab/save_world", SaveWorld, name, False)

@@ -307,7 +307,10 @@ def tf_prefixes(model: Model, namespace: str, name: str = "") -> Callable[[str],
 def _tf_prefix_in(namespace: str) -> str:
     """Return the tf_prefix that holds in a namespace: its own, or that of one around it."""
     # The search begins in the namespace of whoever asks.
-    master = rosgraph.Master(f"/{namespace.strip('/')}/robot".replace("//", "/"))
+    asking = f"/{namespace.strip('/')}/robot".replace("//", "/")
+    if not rosgraph.names.is_legal_name(asking):
+        return ""
+    master = rosgraph.Master(asking)
     try:
         found = master.searchParam(TF_PREFIX)
         return str(master.getParam(found)) if found else ""

@@ -38,6 +38,8 @@ PATIENCE, FIRST_PATIENCE = 2.0, 0.5
 # Commands that a detour which has lost one must pass on, one after the other, before it is
 # waited for again; twice as many after each further loss.
 STREAK = 10
+# Steps per wall second beyond which a speed is the same as any other: no machine gets there.
+FASTEST = 1e12
 # Wall seconds after which nothing is on its way any more.
 SETTLE_SECONDS = 0.05
 
@@ -82,7 +84,7 @@ class Pace:
 
     @property
     def _rate(self) -> float:
-        return self.real_time_factor * STEPS_PER_SECOND
+        return min(self.real_time_factor * STEPS_PER_SECOND, FASTEST)
 
 
 class Lag(NamedTuple):

@@ -18,8 +18,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core.pose import Vector
 from bullet_lab.errors import LabError
-from bullet_lab.ros.messages.poses import pose_of
-from bullet_lab.ros.node.node import NodeError, wait_until
+from bullet_lab.ros.messages.poses import InputError, pose_of
+from bullet_lab.ros.node.node import NodeError, Refusals, wait_until
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Mesh
 
@@ -82,6 +82,7 @@ class StandingModels:
         self._lock = threading.Lock()
         self._shapes: Dict[Tuple[str, int], Standing] = {}
         self._known = False
+        self._refusals = Refusals()
 
     def take(self, message: MarkerArray) -> None:
         """Take note of shapes that came, moved or went."""
@@ -93,7 +94,13 @@ class StandingModels:
                 elif marker.action == Marker.DELETE:
                     self._shapes.pop((marker.ns, marker.id), None)
                 else:
-                    self._shapes[marker.ns, marker.id] = standing(marker)
+                    self._note(marker)
+
+    def _note(self, marker: Marker) -> None:
+        try:
+            self._shapes[marker.ns, marker.id] = standing(marker)
+        except InputError as error:
+            self._refusals.refuse(WORLD, str(error))
 
     def is_known(self) -> bool:
         """Return whether anything has been told yet."""

@@ -55,23 +55,21 @@ class WorldSaver:
             if not request.path or "\0" in request.path:
                 raise SaveError("no file is named")
             if request.return_text:
-                response = self._describe(self._folder / Path(request.path).expanduser())
+                response = self._describe(self._folder / request.path)
             else:
                 # One at a time, or the later file could be put in place before the earlier one.
                 with self._lock:
                     response = self._write(self._place(request.path))
-        except LabError as error:
-            return SaveWorldResponse(success=False, status_message=str(error))
+        except (LabError, OSError, RuntimeError) as error:
+            # Of the latter, names that are too long and links in circles.
+            return SaveWorldResponse(success=False, status_message=str(LabError(error)))
         response.seconds = time.perf_counter() - start
         return response
 
     def _place(self, name: str) -> Path:
         """Return where a file will be once links are followed, if that is in the folder."""
         folder = self._folder.resolve()
-        try:
-            path = (folder / name).resolve()
-        except (OSError, RuntimeError) as error:
-            raise SaveError(f"{name}: {error}") from error
+        path = (folder / name).resolve()
         if path != folder and folder not in path.parents:
             places = f"{path} is not in {folder}, the bridge's ~save_folder"
             raise SaveError(f"{places}; save_world.py writes anywhere")

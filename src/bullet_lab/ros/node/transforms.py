@@ -16,7 +16,7 @@ from bullet_lab.ros.messages.poses import InputError, pose_of
 from bullet_lab.ros.node.lock_step import in_lock_step
 from bullet_lab.ros.node.node import TF_PREFIX, Refusals
 
-# s; tf2 ends the process over stamps beyond the end of ROS time.
+# s; over stamps from there on, which stand for "no time" in it, tf2 ends the process.
 END_OF_TIME = 2**31 - 1
 # Wall seconds for a transform that nobody has sent yet.
 PATIENCE = 2.0
@@ -30,7 +30,7 @@ class FrameError(LabError):
 
 
 class CarefulListener(tf2_ros.TransformListener):
-    """Fills a buffer from /tf and /tf_static, but for what tf2 cannot bear."""
+    """Fills a buffer from /tf and /tf_static, but for stamps that tf2 cannot bear."""
 
     def __init__(self, buffer: tf2_ros.Buffer):
         self._refusals = Refusals()
@@ -45,9 +45,9 @@ class CarefulListener(tf2_ros.TransformListener):
         super().static_callback(self._usable("/tf_static", data))
 
     def _usable(self, topic: str, message: TFMessage) -> TFMessage:
-        usable = [one for one in message.transforms if one.header.stamp.secs <= END_OF_TIME]
+        usable = [one for one in message.transforms if one.header.stamp.secs < END_OF_TIME]
         if len(usable) < len(message.transforms):
-            self._refusals.refuse(topic, "a stamp after the end of ROS time")
+            self._refusals.refuse(topic, "a stamp at the end of ROS time")
             message.transforms = usable
         return message
 
@@ -94,6 +94,8 @@ class FrameFinder:
 
     def pose_in(self, target: str, source: str, wait: bool = True) -> Pose:
         """Return the pose of the frame `source` in another; errors as of `bring`."""
+        if "\0" in source + target:
+            raise InputError("a frame's name has a NUL")
         patience = PATIENCE if wait else LOCK_STEP_PATIENCE if in_lock_step() else 0.0
         deadline = time.monotonic() + patience
         while True:

@@ -98,28 +98,33 @@ def _read_csv(path: Path, prefix: str) -> Trajectory:
 def _read_bag(path: Path, topic: str) -> Trajectory:
     try:
         import rosbag
+        from roslib.message import get_message_class
     except ImportError as error:
         raise PathFileError(f"cannot read {path} without ROS's rosbag: {error}") from None
+    kinds = {kind: get_message_class(kind) for kind in _POSES}
+    # rosbag would compile what a bag says of its messages' types, which can be any program.
+    rosbag.bag._message_types.update((kind._md5sum, kind) for kind in kinds.values() if kind)
+    known = {(kind._type, kind._md5sum) for kind in kinds.values() if kind}
     try:
         with rosbag.Bag(str(path)) as bag:
-            _, seen = bag.get_type_and_topic_info()
-            topics = {name: info.msg_type for name, info in seen.items()}
-            wanted = [name for name in topics if name.strip("/") == topic.strip("/")]
+            there = list(bag._get_connections())
+            wanted = [info for info in there if info.topic.strip("/") == topic.strip("/")]
+            foreign = [one.datatype for one in wanted if (one.datatype, one.md5sum) not in known]
             # Without a topic rosbag reads all of them.
-            found = bag.read_messages(topics=wanted) if wanted else ()
-            messages = [message for _, message, _ in found]
+            names = [] if foreign else [info.topic for info in wanted]
+            messages = [message for _, message, _ in bag.read_messages(topics=names)] if names else []
     except OSError as error:
         raise PathFileError(f"cannot read {path}: {error.strerror or error}") from None
     except Exception as error:  # rosbag raises whatever it stumbles over in a broken bag
         raise PathFileError(f"cannot read {path}: {error or type(error).__name__}") from None
+    if foreign:
+        strange = f"another {foreign[0]}" if foreign[0] in _POSES else foreign[0]
+        raise PathFileError(f"{path}: {topic} is of {strange}, not {', '.join(_POSES)}")
     if not messages:
-        paths = sorted(name for name, kind in topics.items() if kind == ODOMETRY_KIND)
-        there = f"odometry is on {', '.join(paths)}" if paths else "there is no odometry"
-        raise PathFileError(f"{path}: nothing on the topic {topic}; {there}")
-    kind = messages[0]._type
-    if kind not in _POSES:
-        raise PathFileError(f"{path}: {topic} is of {kind}, not {', '.join(_POSES)}")
-    return trajectory_of([_values(message, _POSES[kind](message)) for message in messages], path)
+        paths = sorted({info.topic for info in there if info.datatype == ODOMETRY_KIND})
+        said = f"odometry is on {', '.join(paths)}" if paths else "there is no odometry"
+        raise PathFileError(f"{path}: nothing on the topic {topic}; {said}")
+    return trajectory_of([_values(one, _POSES[one._type](one)) for one in messages], path)
 
 
 def _values(message, pose) -> List[float]:

@@ -76,3 +76,12 @@ def test_very_slow_time_keeps_its_pace_too(clock, factor):
         clock.now += 0.02
         step = max(step, pace.due(step))
     assert step == pytest.approx(20.0 * 1000 * factor, abs=1.0)
+
+
+@pytest.mark.parametrize("factor", [1e308, 1e-308, 5e-324])
+def test_any_speed_has_numbers(clock, factor):
+    pace = Pace(factor, clock)
+    for seconds in (0.0, 0.01, 1e6):
+        clock.now += seconds
+        assert math.isfinite(pace.due(7))
+        assert pace.seconds_until(8) >= 0.0

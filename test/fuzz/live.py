@@ -1,0 +1,291 @@
+"""Sends random messages and calls to a running bridge and the nodes around it; see scripts/fuzz.sh.
+
+Every topic that one of them hears gets messages, every service of theirs is called. Afterwards all
+nodes live, time goes on, and nothing that is not finite has come out on the odometry.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, Tuple
+
+import numpy as np
+import psutil
+import roslib.message
+import rospy
+import rosservice
+from bullet_lab.srv import SetRtf
+from messages import Messages
+from mutations import generator, mutant
+from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Empty
+from tqdm import tqdm
+from ways import WAYS
+
+from bullet_lab.ros.launcher.supervision import prepare_master
+
+NODES: Dict[str, Tuple[str, ...]] = {
+    "pybullet_bridge.py": (
+        "_world:=package://bullet_lab/worlds/docking.world",
+        "_robot:=package://bullet_lab/urdf/camera_robot.urdf",
+        "_rtf:=0",
+    ),
+    "noisy_odom.py": ("_std:=0.1",),
+    "track_robot.py": ("_watch:=true",),
+    "aruco.py": ("_image:=mycamera/image_raw",),
+    "dock.py": (),
+    "drive_to_goal.py": (),
+}
+# rospy's own, and what is there to end things.
+LEFT_ALONE = ("get_loggers", "set_logger_level", "/gazebo/shutdown")
+HEARD_BY_ALL = ("/clock", "/rosout")
+OUTPUTS = ("odom", "noisy_odom")
+# Wall seconds for a call, and for time to go on afterwards.
+CALL_SECONDS, RECOVERY_SECONDS = 30.0, 60.0
+# MB that the bridge may grow by.
+MOST_GROWTH = 600.0
+TEXTS = 200
+# Calls among messages.
+CALLS = 0.05
+
+
+class Lab:
+    """The nodes that are fuzzed, and what they say."""
+
+    def __init__(self, folder: Path):
+        self._logs = {name: (folder / f"{name}.log").open("w+") for name in NODES}
+        self.nodes = {
+            name: subprocess.Popen(
+                ["rosrun", "bullet_lab", name, *words, f"_save_folder:={folder}"]
+                if name == "pybullet_bridge.py"
+                else ["rosrun", "bullet_lab", name, *words],
+                stdout=self._logs[name],
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "PYTHONFAULTHANDLER": "1"},
+            )
+            for name, words in NODES.items()
+        }
+        self.not_finite: Counter = Counter()
+        self.step = 0
+        rospy.wait_for_service("/bullet_lab/advance", 120.0)
+        rospy.Subscriber("/clock", Clock, self._note_time, queue_size=1)
+        for topic in OUTPUTS:
+            rospy.Subscriber(topic, Odometry, self._check, topic, queue_size=50)
+        time.sleep(5.0)
+        self.memory = self.megabytes()
+
+    def _note_time(self, message: Clock) -> None:
+        self.step += 1
+
+    def _check(self, message: Odometry, topic: str) -> None:
+        # What is sent here comes back as well.
+        if message._connection_header["callerid"] == rospy.get_name():
+            return
+        pose, twist = message.pose.pose, message.twist.twist
+        numbers = [pose.position.x, pose.position.y, pose.orientation.z, twist.linear.x]
+        if not all(map(math.isfinite, numbers)):
+            self.not_finite[topic] += 1
+
+    def megabytes(self) -> float:
+        """Return the bridge's resident memory."""
+        family = psutil.Process(self.nodes["pybullet_bridge.py"].pid)
+        return sum(p.memory_info().rss for p in (family, *family.children(True))) / 2**20
+
+    def dead(self) -> List[str]:
+        """Return the nodes that have ended."""
+        return [name for name, process in self.nodes.items() if process.poll() is not None]
+
+    def said(self, name: str) -> str:
+        """Return all that a node has printed."""
+        self._logs[name].seek(0)
+        return self._logs[name].read()
+
+    def last_words(self, name: str) -> str:
+        """Return the status of a node that has ended, and what it printed at the end."""
+        text = self.said(name)
+        # Of the fault handler's pages, the thread that died is what counts.
+        text = text[max(0, text.find("Current thread")) :]
+        return f"{self.nodes[name].returncode}: {' '.join(text.split())[:2000]}"
+
+    def time_goes_on(self) -> bool:
+        """Return whether there are ticks of the clock again, once physics is not paused."""
+        before, deadline = self.step, time.monotonic() + RECOVERY_SECONDS
+        unpause = rospy.ServiceProxy("/gazebo/unpause_physics", Empty)
+        set_speed = rospy.ServiceProxy("/bullet_lab/set_rtf", SetRtf)
+        while self.step == before and time.monotonic() < deadline:
+            with contextlib.suppress(rospy.ServiceException):
+                unpause()
+                set_speed(0.0)
+            time.sleep(0.2)
+        return self.step > before
+
+    def end(self) -> List[str]:
+        """End the nodes; return the tracebacks that they have printed."""
+        for process in self.nodes.values():
+            process.terminate()
+        for process in self.nodes.values():
+            process.wait(60.0)
+        found = []
+        for name in NODES:
+            # Libraries that answer calls themselves print theirs, too.
+            for part in self.said(name).split("Traceback")[1:]:
+                part = part.split("\n[")[0]
+                if "bullet_lab/src" in part:
+                    found.append(f"{name}: {' '.join(part.split())[-2500:]}")
+        return found
+
+
+def inputs() -> Tuple[List[Tuple[str, str]], List[str]]:
+    """Return the topics that the nodes hear, with their types, and the services that they offer."""
+    mine = {f"/{name[:-3]}" for name in NODES}
+    mine |= {"/noisy_odom_node"}
+    _, subscribed, offered = rospy.get_master().getSystemState()[2]
+    types = dict(rospy.get_master().getTopicTypes()[2])
+    topics = [
+        (topic, types[topic])
+        for topic, nodes in subscribed
+        if mine & set(nodes) and topic not in HEARD_BY_ALL and types.get(topic, "*") != "*"
+    ]
+    services = [
+        name for name, nodes in offered if mine & set(nodes) and not name.endswith(LEFT_ALONE)
+    ]
+    return sorted(topics), sorted(services)
+
+
+def texts(seed: int) -> List[str]:
+    """Return mutants of descriptions, for the services that take them."""
+    found = []
+    for number in range(TEXTS):
+        way = ("urdf", "sdf")[number % 2]
+        data = mutant(WAYS[way].seeds(), generator(seed, way, number))
+        found.append(data.decode("utf-8", "replace"))
+    return found
+
+
+class Caller:
+    """Calls services, each in a thread of its own, and notes those that do not answer."""
+
+    def __init__(self, services: List[str]):
+        self._proxies = {}
+        for name in services:
+            kind = rosservice.get_service_class_by_name(name)
+            if kind is not None:
+                self._proxies[name] = (rospy.ServiceProxy(name, kind), kind)
+        self.names = sorted(self._proxies)
+        self.silent: Counter = Counter()
+
+    def call(self, name: str, messages: Messages) -> None:
+        """Call a service with something."""
+        proxy, kind = self._proxies[name]
+        request = messages.fill(kind._request_class())
+        if name == "/bullet_lab/step":
+            request.steps = min(request.steps, 500)
+        if name == "/bullet_lab/advance":
+            # Who says that it is a node that lives holds time as that node may.
+            request.node = "somebody"
+        thread = threading.Thread(target=self._call, args=(proxy, request), daemon=True)
+        thread.start()
+        thread.join(CALL_SECONDS)
+        if thread.is_alive() and name != "/bullet_lab/advance":
+            self.silent[name] += 1
+
+    @staticmethod
+    def _call(proxy: rospy.ServiceProxy, request: Any) -> None:
+        with contextlib.suppress(rospy.ServiceException, rospy.ROSException, ValueError):
+            proxy(request)
+
+
+@contextlib.contextmanager
+def publishers(topics: List[Tuple[str, str]]) -> Iterator[List[Tuple[rospy.Publisher, type]]]:
+    """Publishers on all topics."""
+    kinds = [(topic, roslib.message.get_message_class(kind)) for topic, kind in topics]
+    made = [(rospy.Publisher(t, kind, queue_size=100), kind) for t, kind in kinds if kind]
+    time.sleep(1.0)
+    yield made
+    for publisher, _ in made:
+        publisher.unregister()
+
+
+def _bar(total: int) -> tqdm:
+    return tqdm(total=total, unit=" messages", disable=not sys.stderr.isatty())
+
+
+def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
+    """Send so many messages; return what became of it."""
+    random = np.random.default_rng([wanted.seed, 0xF])
+    lab = Lab(folder)
+    topics, services = inputs()
+    caller = Caller(services)
+    messages = Messages(random, texts(wanted.seed))
+    failures: List[str] = []
+    sent, calls = Counter(), Counter()
+    with publishers(topics) as outlets, _bar(wanted.messages) as bar:
+        for number in range(wanted.messages):
+            messages.now = rospy.get_time()
+            if random.random() < CALLS:
+                name = caller.names[random.integers(len(caller.names))]
+                caller.call(name, messages)
+                calls[name] += 1
+            else:
+                publisher, kind = outlets[random.integers(len(outlets))]
+                with contextlib.suppress(rospy.ROSException, rospy.ROSSerializationException):
+                    publisher.publish(messages.fill(kind()))
+                sent[publisher.name] += 1
+            bar.update()
+            if number % 200 == 199 and lab.dead():
+                break
+    failures += [f"{name} has ended with {lab.last_words(name)}" for name in lab.dead()]
+    if not failures:
+        if not lab.time_goes_on():
+            failures.append(f"time does not go on: {lab.said('pybullet_bridge.py')[-600:]}")
+        grown = lab.megabytes() - lab.memory
+        if grown > MOST_GROWTH:
+            failures.append(f"the bridge has grown by {grown:.0f} MB")
+    failures += [f"{name} has not answered {n} times" for name, n in caller.silent.items()]
+    failures += [f"{n} messages on {topic} are not finite" for topic, n in lab.not_finite.items()]
+    failures += lab.end()
+    return {
+        "seed": wanted.seed,
+        "messages": sum(sent.values()),
+        "calls": sum(calls.values()),
+        "by_topic": dict(sent),
+        "by_service": dict(calls),
+        "failures": failures,
+    }
+
+
+def main() -> None:
+    """Fuzz, print and write live.json; status 1 where something failed."""
+    parser = argparse.ArgumentParser(prog="fuzz.sh --live", description=__doc__.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--messages", type=int, default=5000)
+    parser.add_argument("--out", type=Path, default=Path("results/fuzz"))
+    wanted = parser.parse_args()
+    wanted.out.mkdir(parents=True, exist_ok=True)
+    prepare_master()
+    rospy.init_node("fuzz", disable_signals=True)
+    rospy.set_param("/use_sim_time", True)
+    with tempfile.TemporaryDirectory(dir=wanted.out) as folder:
+        summary = fuzz(wanted, Path(folder).absolute())
+    (wanted.out / "live.json").write_text(json.dumps(summary, indent=2) + "\n")
+    for failure in summary["failures"]:
+        print(failure)
+    print(f"{summary['messages']} messages, {summary['calls']} calls, "
+          f"{len(summary['failures'])} failures; see {wanted.out}")  # fmt: skip
+    sys.exit(1 if summary["failures"] else 0)
+
+
+if __name__ == "__main__":
+    main()
