@@ -112,7 +112,9 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
             foreign = [one.datatype for one in wanted if (one.datatype, one.md5sum) not in known]
             # Without a topic rosbag reads all of them.
             names = [] if foreign else [info.topic for info in wanted]
-            messages = [message for _, message, _ in bag.read_messages(topics=names)] if names else []
+            messages = (
+                [message for _, message, _ in bag.read_messages(topics=names)] if names else []
+            )
     except OSError as error:
         raise PathFileError(f"cannot read {path}: {error.strerror or error}") from None
     except Exception as error:  # rosbag raises whatever it stumbles over in a broken bag

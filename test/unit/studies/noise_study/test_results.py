@@ -221,6 +221,20 @@ def test_a_bag_with_something_else_or_a_repeated_stamp(tmp_path):
         read_path(tmp_path / "b.bag")
 
 
+def test_what_a_bag_says_of_its_messages_is_not_believed(tmp_path):
+    odometry = pytest.importorskip("nav_msgs.msg").Odometry
+
+    class Foreign(odometry):
+        _md5sum, _full_text = 32 * "0", "int32 x"
+
+    bag_with(tmp_path / "a.bag", Foreign)
+    with pytest.raises(PathFileError, match="is of another nav_msgs/Odometry"):
+        read_path(tmp_path / "a.bag")
+    Foreign._md5sum = odometry._md5sum
+    bag_with(tmp_path / "b.bag", Foreign)
+    assert len(read_path(tmp_path / "b.bag")) == 3
+
+
 @pytest.mark.parametrize("content", [b"", b"no bag at all\n", b"#ROSBAG V2.0\n\x01\x02"])
 def test_an_unreadable_bag(tmp_path, content):
     pytest.importorskip("rosbag")
