@@ -193,19 +193,38 @@ def read_scene(mesh: MeshFile, resolver: Any = None) -> Any:
     path = mesh.path
     data, kind = read_bytes(path), path.suffix.lower()[1:]
     try:
-        if kind == "obj":
-            data = _plain_faces(data)
+        data = _plain_faces(_as_utf8(data)) if kind == "obj" else _whole_stl(path, data)
         if mesh.submesh:
             data = _part_of(data, mesh) if kind == "obj" else _whole(data, mesh)
         # From memory: given a file, trimesh would look beside it for the materials and textures
         # that a mesh names. Not processed: that would drop corners that are not finite.
         how = {"file_type": kind, "force": "scene", "process": False, "resolver": resolver}
         return trimesh.load(BytesIO(data), **how)
-    except ImportError as error:
-        # trimesh would guess the encoding with a library that nobody needs.
-        raise MeshError(f"{path}: neither a whole binary mesh nor text") from error
+    except LabError:
+        raise
     except Exception as error:
         raise MeshError(f"{path}: not a readable mesh: {error}") from error
+
+
+def _as_utf8(data: bytes) -> bytes:
+    """Return a text with signs of other encodings replaced: names and comments may have some.
+
+    trimesh would guess the encoding, with a library that may be there or not.
+    """
+    return data.decode("utf-8", "replace").encode()
+
+
+def _whole_stl(path: Path, data: bytes) -> bytes:
+    """Return an STL file that is as long as it says, or a text.
+
+    Raises:
+        MeshError: it is neither.
+    """
+    if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
+        return data
+    if b"\0" in data:
+        raise MeshError(f"{path}: neither a whole binary mesh nor text")
+    return _as_utf8(data)
 
 
 def _plain_faces(data: bytes) -> bytes:

@@ -212,12 +212,19 @@ BAD = {
     "word.obj": ("v 0 0 x\nf 1 1 1\n", "not a readable mesh"),
     "index.obj": ("v 0 0 0\nv 1 0 0\nf 1 2 99\n", "not a readable mesh|corner that is not"),
     "points.obj": ("v 0 0 0\nv 1 1 1\n", "not a readable mesh"),
-    "binary.obj": (bytes(range(256)), "neither a whole binary mesh nor text"),
+    "binary.obj": (bytes(range(256)), "no triangles"),
     "a.ply": ("ply", "a mesh is one of .dae, .stl, .obj"),
     "latin.dae": ("<ü/>".encode("latin-1"), "not UTF-8 text"),
     "plain.dae": ("<COLLADA/>", "there is no scene"),
     "zip.dae": (b"PK\x05\x06" + 18 * b"\0", "not well-formed XML"),
 }
+
+
+def test_names_in_other_encodings_do_not_matter(load):
+    text = "# gr\u00fcn\no t\u00fcr\nv 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 3\n".encode("latin-1")
+    assert load("a.obj", text).vertices.tolist() == CORNERS
+    text = STL.format("2").replace("solid x", "solid t\u00fcr").encode("latin-1")
+    assert load("a.stl", text).vertices.tolist() == CORNERS
 
 
 @pytest.mark.parametrize("name", BAD)
