@@ -68,9 +68,9 @@ class Lab:
         self._logs = {name: (folder / f"{name}.log").open("w+") for name in NODES}
         self.nodes = {
             name: subprocess.Popen(
-                ["rosrun", "bullet_lab", name, *words, f"_save_folder:={folder}"]
-                if name == "pybullet_bridge.py"
-                else ["rosrun", "bullet_lab", name, *words],
+                # Whoever stops this program leaves none of them behind.
+                ["setpriv", "--pdeathsig", "KILL", "rosrun", "bullet_lab", name, *words],
+                cwd=folder,
                 stdout=self._logs[name],
                 stderr=subprocess.STDOUT,
                 env={**os.environ, "PYTHONFAULTHANDLER": "1"},

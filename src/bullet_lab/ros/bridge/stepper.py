@@ -21,6 +21,8 @@ from bullet_lab.simulation.simulation import Simulation
 
 # Between two looks at what others want, at full speed: about two milliseconds of wall time.
 STEPS_AT_A_TIME = 200
+# Steps by which a command brings time to its own moment, at most.
+MOST_TO_CATCH_UP = 5 * STEPS_AT_A_TIME
 # Longest wait before looking whether all has ended, in wall seconds.
 LONGEST_WAIT = 0.2
 # Wall seconds after which it is reported who holds time back.
@@ -136,7 +138,9 @@ class Stepper:
         def catch_up_and_act() -> None:
             step, limit = self.simulation.step, self.gate.limit()
             if not self.paused and limit is not None:
-                self._run_until(int(max(step, min(limit, self.pace.due(step)))))
+                # At a speed that nothing keeps up with, the moment is years away.
+                most = min(limit, self.pace.due(step), step + MOST_TO_CATCH_UP)
+                self._run_until(int(max(step, most)))
             action()
 
         if self.pace.free:

@@ -286,6 +286,15 @@ def test_command_acts_at_the_present_moment_of_wall_time(running):
     assert seen[0] - step <= 1000 * (time.monotonic() - start) + 10
 
 
+def test_a_command_at_a_speed_that_nothing_keeps_up_with(running):
+    run = running(rtf=1e9)
+    wait_for(lambda: run.step > 0)
+    time.sleep(0.05)
+    thread, done = in_thread(run.stepper.do_now, lambda: None)
+    thread.join(PATIENCE)
+    assert done == [None]
+
+
 def test_what_cannot_be_kept_up_with_does_not_stop_the_loop(running):
     run = running(rtf=1e6)
     wait_for(lambda: run.step > 1000)
