@@ -41,6 +41,7 @@ def test_what_never_was_is_not_found():
         from bullet_lab.simulation.physics import Nothing  # noqa: F401
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", ["dock_campaign", "detection_range", "noise_study", "published_noise"]
 )

@@ -48,9 +48,9 @@ def long(*values):
         replace(PLAIN, start=(3.1, 0.15, 3.0)),  # between the walls, looking out
         replace(PLAIN, start=(3.2, -0.1, 0.3)),  # too near to correct its offset from there
         long(replace(PLAIN, start=(3.1, 1.05, 1.0), seed=3)),  # beside the left wall
-        replace(PLAIN, start=(0.5, -4.5, -2.0), dock_error=(0.3, 0.3, -0.17)),
+        long(replace(PLAIN, start=(0.5, -4.5, -2.0), dock_error=(0.3, 0.3, -0.17))),
         replace(PLAIN, dock=(-2.0, 5.0, 2.2), start=(-0.48, 2.4, 2.6)),  # any frame
-        replace(PLAIN, model="report", std=0.1, seed=4),
+        long(replace(PLAIN, model="report", std=0.1, seed=4)),
         replace(PLAIN, model="rate_invariant", std=0.03, seed=5),
         replace(PLAIN, walls=False),
     ],
@@ -65,6 +65,7 @@ def test_is_not_fooled_by_a_larger_copy_beside_the_dock(start):
     check_docked(standin.run(replace(PLAIN, start=start, prints=prints, obstacles=(DECOY_PANEL,))))
 
 
+@pytest.mark.long
 def test_docks_at_the_marker_within_a_larger_copy():
     prints = (standin.Print(size=0.075), standin.Print((0.0, 0.05, 0.0), 0.45, 0.80))
     marker = standin.DockMarker(standin.DICTIONARY, 0, 0.075, 0.5)
@@ -78,7 +79,7 @@ def test_same_numbers_give_the_same_drive():
 
 @pytest.mark.parametrize(
     "prints",
-    [(), long((standin.Print(id=1),)), long((standin.Print(height=0.9),)), (DECOY,)],
+    [(), long((standin.Print(id=1),)), long((standin.Print(height=0.9),)), long((DECOY,))],
 )
 def test_says_that_the_marker_is_not_there(prints):
     run = standin.run(replace(PLAIN, prints=prints, obstacles=(DECOY_PANEL,)))

@@ -131,7 +131,14 @@ def test_a_marker_in_a_cell_of_another_and_the_other(outer, inner, distance):
     assert corner_error(small.corners, true_corners(view, 0.1, centre=centre)) < 0.2
 
 
-@pytest.mark.parametrize("distance, blur", [(1.5, 1.0), (1.8, 0.8), (2.2, 0.5)])
+@pytest.mark.parametrize(
+    "distance, blur",
+    [
+        (1.5, 1.0),
+        pytest.param(1.8, 0.8, marks=pytest.mark.long),
+        pytest.param(2.2, 0.5, marks=pytest.mark.long),
+    ],
+)
 def test_a_marker_in_a_cell_in_the_dark(distance, blur):
     pattern = dictionary_named(TAGS).pattern(0)
     row, column = np.argwhere(pattern == 1)[8]

@@ -708,6 +708,7 @@ def test_more_links_than_the_engine_holds_are_refused_by_name(hall, cube):
     hall.run_for(0.01)
 
 
+@pytest.mark.long
 def test_a_hollow_mesh_of_any_size(space, tmp_path):
     """A terrain of 180,000 triangles, whose corners the engine takes in five pieces."""
     side = 300

@@ -140,6 +140,7 @@ def test_tum_files_share_their_stamps(results):
     np.testing.assert_allclose(clean.poses, perfect.poses, atol=1e-12)
 
 
+@pytest.mark.long
 def test_the_same_settings_give_the_same_tables(results, tmp_path):
     folder, _, _ = results
     run_study(tmp_path, SMALL, bend(), "a bend")
