@@ -35,17 +35,6 @@ print("stepping", flush=True)
 rospy.ServiceProxy("/bullet_lab/step", Step)(2**32 - 1)
 """
 
-# Asks the master without a break, in its main thread.
-ASKING = """
-import rospy
-from bullet_lab.ros.node.node import run_node
-def ask():
-    print("asking", flush=True)
-    while not rospy.is_shutdown():
-        rospy.get_param("/run_id", "")
-run_node("asking", ask)
-"""
-
 
 class FailuresTest(unittest.TestCase):
     """One master for all bridges that never get far, own ones for the others."""
@@ -190,21 +179,6 @@ class FailuresTest(unittest.TestCase):
             bridge = self.running_bridge(master, robot=ROBOT, rtf=rtf)
             bridge.signal()
             self.assert_clean_end(bridge, master)
-
-    def test_signals_while_a_node_asks_the_master(self):
-        """rospy's own handlers would wait for ever there, for a lock that they hold."""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asking = subprocess.Popen(
-                [sys.executable, "-c", ASKING],
-                env=dict(os.environ, ROS_MASTER_URI=self.master.uri),
-                stdout=subprocess.PIPE,
-                text=True,
-            )
-            self.addCleanup(asking.kill)
-            self.assertEqual("asking\n", asking.stdout.readline())
-            asking.send_signal(number)
-            asking.communicate(timeout=60)
-            self.assertEqual(0, asking.returncode)
 
     def test_ctrl_c_while_a_member_waits(self):
         master = self.own_master()

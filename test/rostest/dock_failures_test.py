@@ -273,7 +273,8 @@ class DockFailuresTest(unittest.TestCase):
         self.assertIn("another goal", result.message)
         wait_for(lambda: self.commands.messages[-1].linear.x < -0.02, "the way back")
         self.send()
-        wait_for(lambda: self.is_over(self.undock), "the end of undocking")
+        ended = lambda: self.is_over(self.undock) and self.undock.get_result()  # noqa: E731
+        wait_for(ended, "the end of undocking")
         self.assertEqual(DockResult.PREEMPTED, self.undock.get_result().error_code)
         self.wait_until_approaching()
 

@@ -6,7 +6,6 @@ import contextlib
 import functools
 import logging
 import math
-import signal
 import sys
 import threading
 import time
@@ -53,7 +52,6 @@ def run_node(
             raise NodeError(f"no ROS master answers at {rosgraph.get_master_uri()}")
         before()
         rospy.init_node(name)
-        _end_in_a_thread_of_its_own()
         library = logging.getLogger("bullet_lab")
         library.addHandler(_RosLog(logging.WARNING))
         library.propagate = False
@@ -67,23 +65,6 @@ def run_node(
         _end(name, error, STATUS_CANNOT_GO_ON)
     if master_is_gone.is_set():
         _end(name, "the ROS master is gone", STATUS_CANNOT_GO_ON)
-
-
-def _end_in_a_thread_of_its_own() -> None:
-    """Answer Ctrl-C and SIGTERM by a thread that ends the node.
-
-    rospy's own handlers do it in the main thread wherever that is, and wait for ever where it is
-    about to ask the master something: the lock of that is held.
-    """
-
-    def end(number: int, _frame: Any) -> None:
-        reason = f"signal-{number}"
-        threading.Thread(target=rospy.signal_shutdown, args=(reason,), name=reason).start()
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        # A shell's background job is not to be interrupted.
-        if signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, end)
 
 
 def _watch_master(is_gone: threading.Event) -> None:
