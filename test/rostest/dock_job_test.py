@@ -3,6 +3,7 @@
 
 import functools
 import json
+import math
 import tempfile
 import unittest
 
@@ -10,12 +11,10 @@ import rostest
 from lab_testing import run_job
 
 from bullet_lab.core.trajectory import read_tum
+from bullet_lab.docking.database import DockUncertainty, drawn_error
 
 TIMEOUT = 240
 FOLDER = tempfile.TemporaryDirectory()
-# m, m and degrees: what section 6 of the figures allows at most.
-LARGEST = {"distance_error_m": 0.02, "lateral_error_m": 0.01, "yaw_error_deg": 1.0}
-
 # To be quick; farther starts, such as the job's own, are in test/long.
 NEAR = ("x:=1.6", "y:=0.1")
 
@@ -38,11 +37,11 @@ class DockJobTest(unittest.TestCase):
         self.assertTrue(summary["docked"], summary["message"])
         self.assertEqual((0, "NONE"), (summary["error_code"], summary["error_name"]))
         self.assertEqual((0, {}), (summary["wall_contacts"], summary["touched"]))
-        for name, most in LARGEST.items():
+        for name, most in summary["tolerances"].items():
             self.assertLess(abs(summary[name]), most, name)
         end = read_tum(out / "truth.tum").poses[-1]
-        self.assertAlmostEqual(3.44, end[0], delta=0.02)
-        self.assertAlmostEqual(0.0, end[1], delta=0.01)
+        self.assertAlmostEqual(3.44, end[0], delta=0.005)
+        self.assertAlmostEqual(0.0, end[1], delta=0.003)
 
     def test_docks_and_says_how(self):
         out = dock(*NEAR)
@@ -50,6 +49,10 @@ class DockJobTest(unittest.TestCase):
         summary = summary_of(out)
         said = {"job": "dock", "seed": 1, "world": "docking", "odom": "odom", "finished": True}
         self.assertEqual(said, {key: summary[key] for key in said})
+        # The robot was told a wrong pose, by what the seed says.
+        error = drawn_error(DockUncertainty(0.3, math.radians(10.0)), 1.0, 1)
+        names = ("database_error_x_m", "database_error_y_m", "database_error_yaw_deg")
+        self.assertEqual([*error[:2], math.degrees(error[2])], [summary[name] for name in names])
         path = read_tum(out / "truth.tum")
         self.assertAlmostEqual(path.stamps[-1] - path.stamps[0], summary["sim_time_s"])
         self.assertAlmostEqual(1.6, path.poses[0, 0], delta=0.001)

@@ -8,6 +8,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
 
+import numpy as np
 import yaml
 
 from bullet_lab.core import parameters
@@ -16,6 +17,8 @@ from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.errors import LabError
 
 _FILE_LIMIT = 1_000_000
+# Which of the streams that a seed spawns the error of a pose comes from.
+_ERROR_STREAM = 1
 
 
 class DatabaseError(LabError):
@@ -105,6 +108,16 @@ class Dock:
     docked_distance: float = _number("from the camera to the marker, m", 0.1, 5.0)
     tolerance: DockTolerance
     uncertainty: DockUncertainty
+
+
+def drawn_error(uncertainty: DockUncertainty, share: float, seed: int) -> PlanarPose:
+    """Draw an error (m, m, rad), uniform within a share of an uncertainty, from a seed.
+
+    The stream is its own: it has nothing in common with default_rng(seed).
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ERROR_STREAM,)))
+    most = share * np.array([uncertainty.position, uncertainty.position, uncertainty.yaw])
+    return tuple((rng.uniform(-1.0, 1.0, 3) * most).tolist())
 
 
 # Sections of a dock, and what they are called in the file that is not called as its field.

@@ -169,7 +169,8 @@ class DockingTask(_Task):
             raise DockingTaskError(f"the pose {dock_pose} of dock '{dock.name}' is not finite")
         settings = settings or DockingSettings()
         shape = shape or RobotShape()
-        rng = np.random.default_rng(seed)
+        # A stream of its own: whoever makes noise of the same seed shares nothing with it.
+        rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
         self._belief = DockBelief(dock, dock_pose, mount, settings, rng)
         limit = settings.time_limit if time_limit is None else time_limit
         super().__init__("docked", self._belief.odometry, settings, limit)

@@ -13,19 +13,27 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from bullet_lab.core import figures, se2
+from bullet_lab.core import figures
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, Outline
 from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.docking.database import Dock
 from bullet_lab.docking.types import DockingError, DockingResult
+from bullet_lab.docking.verdict import (
+    DOCKED,
+    ERRORS,
+    INACCURATE,
+    docking_errors,
+    judge,
+    largest_errors,
+)
 from bullet_lab.reports import DriveReport, Reading, earliest
 
 # ns that are recorded after the end: a robot that should stand, stands.
 REST = NANOSECONDS // 2
 PICTURE_WIDTH = 320
 UNFINISHED = DockingResult(False, DockingError.UNKNOWN, "the docking was not finished")
-ERRORS = ("distance_error_m", "lateral_error_m", "yaw_error_deg")
 STATES = {
     "searching": PURPLE,
     "staging": BLUE,
@@ -50,13 +58,13 @@ class Station(NamedTuple):
         outlines: of all that stands there, in m.
         dock: true pose (m, m, rad) of the floor below the marker's face.
         camera_ahead: m, of the camera from the robot's middle.
-        docked_distance: m, from the camera to the marker's face in a docked robot.
+        entry: what the robot is told of the dock: of the database, with a rough pose.
     """
 
     outlines: Sequence[Outline]
     dock: PlanarPose
     camera_ahead: float
-    docked_distance: float
+    entry: Dock
 
 
 class DockReport(DriveReport):
@@ -121,17 +129,22 @@ class DockReport(DriveReport):
     def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
         truth, result = self.truth.path(), self.result or UNFINISHED
         touches: Mapping[str, int] = self._touched.detail if self._touched else {}
-        errors: Dict[str, Any] = dict.fromkeys(ERRORS)
+        station, errors = self._station, dict.fromkeys(ERRORS, math.nan)
+        dock, contacts = station.entry, sum(touches.values())
         if truth is not None:
-            errors = docking_errors(truth.poses[-1], *self._station[1:])
+            where = truth.poses[-1], station.dock, station.camera_ahead
+            errors = docking_errors(*where, dock.docked_distance)
+        verdict = judge(result.error, errors, dock.tolerance, contacts)
         return {
             "finished": self.until is not None,
-            "docked": result.success,
+            "docked": verdict == DOCKED,
+            "result": verdict,
             "error_code": int(result.error),
             "error_name": result.error.name,
             "message": result.message,
-            **errors,
-            "wall_contacts": sum(touches.values()),
+            **{name: None if math.isnan(value) else value for name, value in errors.items()},
+            "tolerances": largest_errors(dock.tolerance),
+            "wall_contacts": contacts,
             "touched": dict(touches),
             "retries": result.retries if self.result else None,
             "images": self._frames.seen,
@@ -140,16 +153,19 @@ class DockReport(DriveReport):
 
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
         station, title = self._station, self.line(summary)
+        docks = station.dock, station.entry.pose
         path = docking_figure(
-            self.truth.path(), self._states, self._plan, station.outlines, station.dock, title
+            self.truth.path(), self._states, self._plan, station.outlines, docks, title
         )
         frames = [(at, self._state_at(at), picture) for at, picture in self._frames.chosen()]
         return {"path.png": path, **({"camera.png": strip_figure(frames)} if frames else {})}
 
     def line(self, summary: Mapping[str, Any]) -> str:
-        if not summary["docked"]:
+        if summary["error_name"] != "NONE":
             return f"not docked: {summary['message']} ({summary['error_name']})"
+        trouble = {DOCKED: "", INACCURATE: "not within the dock's tolerance: "}
         return (
+            f"{trouble.get(summary['result'], 'not without a contact: ')}"
             f"docked after {summary['sim_time_s']:.1f} s, {summary['retries']} retries, "
             f"{summary['wall_contacts']} wall contacts; off by "
             f"{1000.0 * summary['distance_error_m']:+.1f} mm along the axis, "
@@ -170,20 +186,6 @@ def _small(picture: np.ndarray) -> np.ndarray:
     height = round(PICTURE_WIDTH * picture.shape[0] / picture.shape[1])
     coloured = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     return cv2.resize(coloured, (PICTURE_WIDTH, height), interpolation=cv2.INTER_AREA)
-
-
-def docking_errors(
-    robot: Sequence[float], dock: Sequence[float], camera_ahead: float, docked_distance: float
-) -> Dict[str, float]:
-    """Return how far a robot (m, m, rad) is from where it should stand in a dock, as of `Station`.
-
-    Returns:
-        distance_error_m, positive for too far away; lateral_error_m of the robot, to the left;
-        yaw_error_deg.
-    """
-    x, y, yaw = se2.between(np.asarray(dock, dtype=float), np.asarray(robot, dtype=float))
-    camera = x + camera_ahead * math.cos(yaw)
-    return dict(zip(ERRORS, (float(-camera - docked_distance), float(y), math.degrees(yaw))))
 
 
 class Sampler:
@@ -223,7 +225,7 @@ def docking_figure(
     states: Sequence[StateChange],
     plan: Sequence[Tuple[float, float]],
     outlines: Iterable[Outline],
-    dock: Sequence[float],
+    docks: Tuple[Sequence[float], Sequence[float]],
     title: str,
 ) -> Figure:
     """Draw the true path over the plan of the station, in the colours of what was done.
@@ -232,15 +234,19 @@ def docking_figure(
         truth: None for nothing yet.
         states: what was done, by the names in `STATES`.
         plan: points (m) of the last plan; may be empty.
-        outlines: as of `Station`, as is the dock.
-        dock: x, y (m) and yaw (rad).
+        outlines: as of `Station`.
+        docks: x, y (m) and yaw (rad) of the dock, in truth and as the robot was told.
         title: above all.
     """
     figure = figures.new_figure(9.0, 6.6)
     axes = figure.add_axes((0.08, 0.09, 0.89, 0.81))
     figure.suptitle(title)
     outlines = [np.asarray(outline, dtype=float) for outline in outlines]
-    figures.draw_plan(axes, outlines, dock)
+    figures.draw_plan(axes, outlines, docks[0])
+    (x, y, yaw), half = docks[1], 0.5 * figures.MARKER_SIDE
+    across = np.array([-half, half])
+    told = (x - across * math.sin(yaw), y + across * math.cos(yaw))
+    axes.plot(*told, color=PURPLE, linewidth=2.0, linestyle=":", label="marker, as told")
     if plan:
         axes.plot(*np.transpose(plan), color=GREY, linewidth=2.4, alpha=0.6, label="plan")
     if truth is not None:

@@ -3,11 +3,14 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bullet_lab.docking.database import (
     DatabaseError,
+    DockUncertainty,
     UnknownDockError,
+    drawn_error,
     find_dock,
     parse_docks,
     read_docks,
@@ -90,3 +93,17 @@ def test_refuses_a_missing_file(tmp_path):
 def test_names_the_known_docks():
     with pytest.raises(UnknownDockError, match="no dock 'harbour'; known are home"):
         find_dock(parse_docks(GOOD), "harbour")
+
+
+def test_the_error_of_a_pose_is_uniform_within_its_uncertainty_and_the_seeds_own():
+    uncertainty = DockUncertainty(0.3, math.radians(10.0))
+    drawn = np.array([drawn_error(uncertainty, 0.5, seed) for seed in range(400)])
+    most = np.array([0.15, 0.15, math.radians(5.0)])
+    assert (np.abs(drawn) <= most).all()
+    # 1 - 0.98 ** 400 is 1 - 3e-4.
+    assert (np.abs(drawn).max(axis=0) > 0.98 * most).all()
+    # Three standard errors of the mean of 400.
+    assert (np.abs(drawn.mean(axis=0)) < 3.0 * most / math.sqrt(3.0 * 400)).all()
+    assert drawn_error(uncertainty, 0.0, 1) == (0.0, 0.0, 0.0)
+    noise = np.random.default_rng(1).uniform(-1.0, 1.0, 3)
+    assert not np.isclose(drawn[1] / most, noise, atol=0.01).any()

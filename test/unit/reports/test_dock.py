@@ -1,11 +1,10 @@
-import math
-
 import numpy as np
 import pytest
 
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import PathSeries
 from bullet_lab.core.trajectory import read_tum
+from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
 from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.reports import Reading
 from bullet_lab.reports.dock import (
@@ -13,12 +12,24 @@ from bullet_lab.reports.dock import (
     DockReport,
     Sampler,
     Station,
-    docking_errors,
     docking_figure,
     strip_figure,
 )
 
 DOCK = (4.0, 0.0, 0.0)
+ENTRY = Dock(
+    "dock",
+    "odom",
+    (4.1, -0.1, 0.1),
+    DockMarker("DICT_APRILTAG_36h10", 0, 0.2, 0.5),
+    None,
+    3.0,
+    0.4,
+    DockTolerance(0.005, 0.003, 0.007),
+    DockUncertainty(0.3, 0.17),
+)
+STATION = Station([], DOCK, 0.16, ENTRY)
+DOCKED = (3.441, 0.002, 0.0)
 STEP = 50_000_000
 
 
@@ -34,20 +45,21 @@ def path_of(folder, count):
 
 @pytest.fixture
 def report(tmp_path):
-    return DockReport(tmp_path, Station([], DOCK, 0.16, 0.4), 8)
+    return DockReport(tmp_path, STATION, 8)
 
 
-def drive(report, count):
+def drive(report, count, end=DOCKED):
     """Send a path past its beginning, at which nothing is recorded."""
     for number in range(1, count + 1):
-        report.take("odom", Reading(STEP * number, (0.1 * number, 0.0, 0.0)))
+        way = (0.1 * number, 0.0, 0.0) if number < 20 else end
+        report.take("odom", Reading(STEP * number, way))
 
 
 def test_the_path_begins_with_the_goal_and_ends_half_a_second_after_it(report):
     drive(report, 40)
     report.take("dock/finished", Reading(20 * STEP))
     assert report.until == 30 * STEP
-    report.take("bullet_lab/touched", Reading(30 * STEP, (), {"wall": 2}))
+    report.take("bullet_lab/touched", Reading(30 * STEP, (), {}))
     assert not report.is_complete()
     report.result = DockingResult(True, DockingError.NONE, "docked", 1)
     assert report.is_complete()
@@ -57,9 +69,26 @@ def test_the_path_begins_with_the_goal_and_ends_half_a_second_after_it(report):
     stamps = read_tum(report.folder / "truth.tum").stamps
     assert (stamps[0], stamps[-1]) == (0.5, 1.5)
     summary = report.summary(True, RUN)
-    assert (summary["docked"], summary["retries"], summary["wall_contacts"]) == (True, 1, 2)
-    assert report.line(summary).startswith("docked after 1.0 s, 1 retries, 2 wall contacts")
+    assert (summary["docked"], summary["retries"], summary["wall_contacts"]) == (True, 1, 0)
+    assert report.line(summary).startswith("docked after 1.0 s, 1 retries, 0 wall contacts")
     assert not report.has_failed(summary)
+
+
+@pytest.mark.parametrize(
+    ("end", "touched", "said"),
+    [
+        ((3.44, 0.0031, 0.0), {}, "not within the dock's tolerance: docked after"),
+        (DOCKED, {"wall": 1}, "not without a contact: docked after"),
+    ],
+)
+def test_docked_is_within_the_docks_tolerance_and_without_a_contact(report, end, touched, said):
+    drive(report, 40, end)
+    report.take("dock/finished", Reading(20 * STEP))
+    report.take("bullet_lab/touched", Reading(29 * STEP, (), touched))
+    report.result = DockingResult(True, DockingError.NONE, "docked", 0)
+    summary = report.summary(True, RUN)
+    assert report.line(summary).startswith(said)
+    assert report.has_failed(summary)
 
 
 def test_a_docking_that_fails_and_one_that_is_broken_off(report):
@@ -99,32 +128,8 @@ def test_pictures_are_those_on_the_way_each_with_its_state(report):
 def test_what_an_earlier_docking_has_left_goes(tmp_path):
     for name in ("camera.png", "summary.json", "notes.txt"):
         (tmp_path / name).write_text("old")
-    DockReport(tmp_path, Station([], DOCK, 0.16, 0.4), 8)
+    DockReport(tmp_path, STATION, 8)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "truth.tum"]
-
-
-@pytest.mark.parametrize(
-    ("robot", "distance", "lateral", "yaw"),
-    [
-        ((3.44, 0.0, 0.0), 0.0, 0.0, 0.0),
-        ((3.43, 0.0, 0.0), 0.01, 0.0, 0.0),
-        ((3.44, 0.02, 0.0), 0.0, 0.02, 0.0),
-        ((3.44, 0.0, 0.1), 0.16 * (1.0 - math.cos(0.1)), 0.0, math.degrees(0.1)),
-    ],
-)
-def test_errors_of_a_docked_robot(robot, distance, lateral, yaw):
-    found = docking_errors(robot, DOCK, camera_ahead=0.16, docked_distance=0.4)
-    assert found["distance_error_m"] == pytest.approx(distance, abs=1e-12)
-    assert found["lateral_error_m"] == pytest.approx(lateral, abs=1e-12)
-    assert found["yaw_error_deg"] == pytest.approx(yaw, abs=1e-12)
-
-
-def test_errors_are_those_seen_from_the_dock_wherever_it_stands():
-    dock = (1.0, 2.0, math.pi / 2)
-    found = docking_errors((0.98, 1.43, math.pi / 2 + 0.01), dock, 0.16, 0.4)
-    assert found["lateral_error_m"] == pytest.approx(0.02)
-    assert found["distance_error_m"] == pytest.approx(0.01, abs=1e-4)
-    assert found["yaw_error_deg"] == pytest.approx(math.degrees(0.01))
 
 
 @pytest.mark.parametrize("seen", [0, 1, 3, 8, 9, 31, 32, 33, 500])
@@ -146,7 +151,7 @@ def test_the_path_has_a_colour_for_each_state(tmp_path):
     truth = path_of(tmp_path, 40).path()
     states = [(0.5, "searching"), (1.0, "staging"), (1.5, "approaching")]
     walls = [((3.0, 0.5), (2.0, 0.5), (2.0, 0.7), (3.0, 0.7))]
-    figure = docking_figure(truth, states, [(0.0, 0.0), (3.0, 0.0)], walls, DOCK, "title")
+    figure = docking_figure(truth, states, [(0.0, 0.0), (3.0, 0.0)], walls, (DOCK, DOCK), "title")
     (axes,) = figure.axes
     drawn = {line.get_label(): line for line in axes.lines}
     assert {"plan", "searching", "staging", "approaching", "marker"} <= set(drawn)
@@ -158,7 +163,7 @@ def test_the_path_has_a_colour_for_each_state(tmp_path):
 
 
 def test_a_docking_that_has_not_begun_is_drawn_too(tmp_path):
-    save(docking_figure(None, [], [], [], DOCK, "nothing"), tmp_path / "path.png")
+    save(docking_figure(None, [], [], [], (DOCK, DOCK), "nothing"), tmp_path / "path.png")
 
 
 @pytest.mark.parametrize("count", [1, 4, 8])

@@ -8,8 +8,9 @@ runs, if it goes on for long.
 
 from __future__ import annotations
 
+import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Dict, List, Mapping, Tuple
 
@@ -19,6 +20,7 @@ from geometry_msgs.msg import PoseStamped
 from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.core.parameters import boolean, integer, name_list, number, number_list, text
+from bullet_lab.docking.database import Dock, drawn_error, find_dock, read_docks
 from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.msg import DockAction, DockGoal
 from bullet_lab.noise.odometry_noise import derived_seed
@@ -31,6 +33,7 @@ from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.publishers import Publisher
+from bullet_lab.ros.node.transforms import own_frame
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, DriveSquaresParameters, robot_names
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
@@ -230,7 +233,8 @@ class PlotDockingParameters(RecordParameters):
 
     about: Mapping[str, Any] = about(NoisyOdomParameters)
     out: str = text("results/dock", "folder for the files")
-    dock_id: str = text("dock", "name of the dock in the database of dock.py")
+    docks: str = text("package://bullet_lab/config/docks.yaml", "dock database, as of dock.py")
+    dock_id: str = text("dock", "name of the dock in it")
     search: bool = boolean(True, "look for the marker where it is not seen at once")
     max_retries: int = integer(-1, "-1: as dock.py is configured", minimum=-1)
     world: str = text(
@@ -240,9 +244,13 @@ class PlotDockingParameters(RecordParameters):
         (4.0, 0.0, 0.0), "true pose of the floor below the marker: x y in m, yaw in rad"
     )
     camera_ahead: float = number(0.16, "m, of the camera from the robot's middle")
-    docked_distance: float = number(
-        0.4, "m from the camera to the marker in a docked robot", above=0.0
+    database_error: float = number(
+        1.0,
+        "how wrong a pose the robot is told, as a share of the dock's uncertainty",
+        minimum=0.0,
+        maximum=1.0,
     )
+    seed: int = integer(0, "of that error", minimum=0)
     pictures: int = integer(8, "of the camera along the way", minimum=2, maximum=40)
 
 
@@ -262,14 +270,24 @@ def plot_docking(parameters: PlotDockingParameters) -> None:
     """
     world = read_world_file(ResourceFinder.anywhere().find(parameters.world))
     outlines = [one.corners() for one in footprints(world, below=ROBOT_HEIGHT)]
-    camera = (parameters.camera_ahead, parameters.docked_distance)
-    station = Station(outlines, parameters.true_dock, *camera)
+    docks = read_docks(ResourceFinder.anywhere().find(parameters.docks))
+    dock = find_dock(docks, parameters.dock_id)
+    error = drawn_error(dock.uncertainty, parameters.database_error, parameters.seed)
+    dock = replace(dock, pose=tuple(map(sum, zip(dock.pose, error))))
+    station = Station(outlines, parameters.true_dock, parameters.camera_ahead, dock)
     report = DockReport(Path(parameters.out), station, parameters.pictures)
-    view, errand = PathTopics({"odom": "~path"}), _docking_errand(parameters, report)
+    view, errand = PathTopics({"odom": "~path"}), _docking_errand(parameters, dock, report)
+    told = {
+        "database_error": parameters.database_error,
+        "database_error_x_m": error[0],
+        "database_error_y_m": error[1],
+        "database_error_yaw_deg": math.degrees(error[2]),
+    }
+    parameters = replace(parameters, about={**parameters.about, **told})
     Recorder(report, parameters, "the bridge and dock", view, errand).run()
 
 
-def _docking_errand(parameters: PlotDockingParameters, report: DockReport) -> Errand:
+def _docking_errand(parameters: PlotDockingParameters, dock: Dock, report: DockReport) -> Errand:
     """Return the call of the action, whose result goes to the report."""
     client = ActionClient("dock", DockAction)
     handles: List[ClientGoalHandle] = []
@@ -285,9 +303,8 @@ def _docking_errand(parameters: PlotDockingParameters, report: DockReport) -> Er
             report.result = DockingResult(result.success, error, result.message, result.retries)
 
     def send() -> None:
-        goal = DockGoal(
-            parameters.dock_id, PoseStamped(), parameters.search, parameters.max_retries
-        )
+        told = stamped_pose(rospy.Time.now(), own_frame(dock.frame), dock.pose)
+        goal = DockGoal(dock.name, told, parameters.search, parameters.max_retries)
         handles.append(client.send_goal(goal, note))
         report.sent = True
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
+import functools
 from dataclasses import dataclass, replace
-from typing import Optional
+from typing import Dict, Optional
 
-from bullet_lab.core import se2
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.database import Dock, find_dock, read_docks
@@ -19,6 +18,7 @@ from bullet_lab.docking.types import (
     PlanarPose,
     Sighting,
 )
+from bullet_lab.docking.verdict import docking_errors
 from bullet_lab.noise.odometry_noise import NoisyPath, ReportRule
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
@@ -82,8 +82,7 @@ class DockingOutcome:
     to the left of the axis and turned to the left.
 
     Attributes:
-        docked: the task said so.
-        error_name: of `DockingError`.
+        error_name: of `DockingError`; NONE where the robot says that it has docked.
         message: one line for the user.
         distance_error_m: along the axis.
         lateral_error_m: across it.
@@ -95,7 +94,6 @@ class DockingOutcome:
         renderer: driver that drew the images; empty where there were none.
     """
 
-    docked: bool
     error_name: str
     message: str
     distance_error_m: float
@@ -114,12 +112,19 @@ def run_docking(scenario: DockingScenario) -> DockingOutcome:
     Raises:
         LabError: the scenario names what does not exist, or noise that makes no sense.
     """
-    docks = read_docks(ResourceFinder.anywhere().find(DOCKS))
-    # The entry of the database, with the true pose and the scenario's error of it.
-    x, y, yaw = (a + b for a, b in zip(MARKER_POSE, scenario.dock_error))
-    dock = replace(find_dock(docks, scenario.dock), pose=(x, y, wrap(yaw)))
     with Simulation(_world(scenario), scenario.image_seed) as simulation:
-        return _Drive(scenario, dock, simulation).run()
+        return _Drive(scenario, dock_of(scenario), simulation).run()
+
+
+@functools.lru_cache(maxsize=None)
+def _docks() -> Dict[str, Dock]:
+    return read_docks(ResourceFinder.anywhere().find(DOCKS))
+
+
+def dock_of(scenario: DockingScenario) -> Dock:
+    """Return the entry of the database, with the true pose and the scenario's error of it."""
+    x, y, yaw = (a + b for a, b in zip(MARKER_POSE, scenario.dock_error))
+    return replace(find_dock(_docks(), scenario.dock), pose=(x, y, wrap(yaw)))
 
 
 def _world(scenario: DockingScenario):
@@ -211,15 +216,14 @@ class _Drive:
 
     def _outcome(self, seconds: float, end: PlanarPose) -> DockingOutcome:
         result = self._task.result
-        x, y, yaw = se2.between(MARKER_POSE, _planar(self._robot)).tolist()
-        distance = -x - _mount_of(self._robot, self._camera).x * math.cos(yaw)
+        ahead = _mount_of(self._robot, self._camera).x
+        errors = docking_errors(
+            _planar(self._robot), MARKER_POSE, ahead, self._dock.docked_distance
+        )
         return DockingOutcome(
-            result.success,
             DockingError(result.error).name,
             result.message,
-            distance - self._dock.docked_distance,
-            y,
-            math.degrees(yaw),
+            *errors.values(),
             self._contacts,
             result.retries,
             seconds,

@@ -27,8 +27,9 @@ from bullet_lab.core.figures import (
     new_figure,
 )
 from bullet_lab.core.files import FileError, replace_file
+from bullet_lab.docking.verdict import DOCKED, ERRORS, INACCURATE
 from bullet_lab.errors import LabError
-from bullet_lab.studies.dock_campaign.trial import DOCKED, Record
+from bullet_lab.studies.dock_campaign.trial import TOLERANCES, Record
 
 
 class BinomialError(LabError):
@@ -59,14 +60,14 @@ def lower_bound(successes: int, trials: int, confidence: float = 0.95) -> float:
     return float(betaincinv(successes, trials - successes + 1, 1.0 - confidence))
 
 
-ERRORS = ("distance_error_m", "lateral_error_m", "yaw_error_deg")
 CONFIDENCE = 0.95
 
 
 def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
     """Return the figures of a campaign for summary.json.
 
-    Rates, errors and contacts; the errors are magnitudes, of the dockings that succeeded.
+    Rates, errors and contacts; the errors are magnitudes, of all robots that stand where they say
+    that they have docked, within the dock's tolerances or not.
 
     Args:
         records: of at least one docking each, in the order of their indices.
@@ -81,7 +82,11 @@ def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
         "success_rate_lower_95": lower_bound(len(docked), len(records), CONFIDENCE),
         "failures": dict(sorted(failures.items())),
         "failed_indices": [r["index"] for r in records if r["result"] != DOCKED],
-        **{name: error_figures([record[name] for record in docked]) for name in ERRORS},
+        **{name: error_figures([r[name] for r in _standing(records)]) for name in ERRORS},
+        "tolerances": {
+            record["world"]: {name: record[column] for name, column in TOLERANCES.items()}
+            for record in sorted(records, key=lambda r: r["world"])
+        },
         "wall_contacts": sum(record["wall_contacts"] for record in known),
         "dockings_with_contact": sum(record["wall_contacts"] > 0 for record in known),
         "retries": sum(record["retries"] for record in known),
@@ -95,15 +100,21 @@ def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
 
 
 def error_figures(values: Sequence[float]) -> Dict[str, Any]:
-    """Return median, 95 % quantile and maximum of the magnitudes; null without any."""
+    """Return median, 95 and 99 % quantiles and maximum of the magnitudes; null without any."""
     if not values:
-        return {"median": None, "p95": None, "max": None}
+        return dict.fromkeys(("median", "p95", "p99", "max"))
     sizes = np.abs(values)
     return {
         "median": float(np.median(sizes)),
         "p95": float(np.quantile(sizes, 0.95)),
+        "p99": float(np.quantile(sizes, 0.99)),
         "max": float(sizes.max()),
     }
+
+
+def _standing(records: Sequence[Record]) -> List[Record]:
+    """Return the dockings after which the robot says that it has docked."""
+    return [record for record in records if record["result"] in (DOCKED, INACCURATE)]
 
 
 def _shares(records: Sequence[Record], name: str) -> Dict[str, Any]:
@@ -239,6 +250,7 @@ def _shown(value: Any) -> str:
 
 
 TICK = 0.18
+LIMIT = {"color": ORANGE, "linestyle": "--", "linewidth": 1.0}
 BINS = 24
 HISTOGRAMS = (
     ("distance_error_m", 1000.0, "distance error (mm)"),
@@ -252,7 +264,8 @@ def campaign_figure(
 ) -> Figure:
     """Draw starts and ends over the dock's plan, the ends close up, and the errors.
 
-    Blue is docked and vermilion is not; those that are not are crossed as well.
+    Blue is docked and vermilion is not; those that are not are crossed as well. The docks' own
+    tolerances are dashed.
 
     Args:
         records: of at least one docking.
@@ -269,9 +282,14 @@ def campaign_figure(
     failed = [record for record in records if record["result"] != DOCKED]
     _draw_all(figure.add_subplot(left), (docked, failed), outlines, dock)
     rows = right.subgridspec(4, 1, height_ratios=(2.1, 1.0, 1.0, 1.0), hspace=0.5)
-    _draw_close_up(figure.add_subplot(rows[0]), docked)
+    standing = _standing(records)
+    _draw_close_up(figure.add_subplot(rows[0]), standing)
     for row, (name, scale, label) in zip(list(rows)[1:], HISTOGRAMS):
-        _draw_histogram(figure.add_subplot(row), [scale * record[name] for record in docked], label)
+        axes = figure.add_subplot(row)
+        _draw_histogram(axes, [scale * record[name] for record in standing], label)
+        for most in sorted({scale * record[TOLERANCES[name]] for record in records}):
+            axes.axvline(-most, **LIMIT)
+            axes.axvline(most, **LIMIT)
     return figure
 
 
@@ -314,16 +332,19 @@ def _ticks(poses: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
     return ahead, np.stack([y, y + TICK * np.sin(yaw), gap], axis=1).ravel()
 
 
-def _draw_close_up(axes: Axes, docked: Sequence[Record]) -> None:
+def _draw_close_up(axes: Axes, standing: Sequence[Record]) -> None:
     axes.set(xlabel="distance error (mm)", ylabel="lateral error (mm)")
-    axes.set_title("where the docked robots stand", fontsize="medium")
+    axes.set_title("where robots stand that say they have docked", fontsize="medium")
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     axes.axvline(0.0, color=GREY, linewidth=0.8)
     axes.grid(alpha=0.3)
-    if not docked:
-        return
-    errors = [(1000.0 * r["distance_error_m"], 1000.0 * r["lateral_error_m"]) for r in docked]
-    axes.plot(*zip(*errors), ".", color=BLUE, markersize=5.0)
+    names = ("distance_error_m", "lateral_error_m")
+    for result, colour, mark in ((DOCKED, BLUE, "."), (INACCURATE, VERMILION, "X")):
+        errors = [[1000.0 * r[name] for name in names] for r in standing if r["result"] == result]
+        if errors:
+            axes.plot(*zip(*errors), mark, color=colour, markersize=5.0)
+    for x, y in sorted({tuple(1000.0 * r[TOLERANCES[n]] for n in names) for r in standing}):
+        axes.plot((-x, x, x, -x, -x), (-y, -y, y, y, -y), **LIMIT)
     axes.set_aspect("equal", adjustable="datalim")
 
 

@@ -17,6 +17,7 @@ from typing import Any, Callable, Dict, List, NoReturn, Optional, Sequence, Tupl
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
 from bullet_lab.core.parameters import integer
+from bullet_lab.docking.verdict import DOCKED
 from bullet_lab.studies.dock_campaign.docking import MARKER_POSE
 from bullet_lab.studies.dock_campaign.results import (
     DockLog,
@@ -24,7 +25,6 @@ from bullet_lab.studies.dock_campaign.results import (
     campaign_summary,
 )
 from bullet_lab.studies.dock_campaign.trial import (
-    DOCKED,
     DrawSettings,
     Record,
     crashed_record,
@@ -149,7 +149,7 @@ def _write_results(
 def describe(summary: Dict[str, Any]) -> List[str]:
     """Return the main figures of a campaign as lines for people."""
     lines = [
-        f"{summary['docked']} of {summary['dockings']} docked "
+        f"{summary['docked']} of {summary['dockings']} docked within their dock's tolerance "
         f"(success rate over {100.0 * summary['success_rate_lower_95']:.2f} % at 95 % confidence), "
         f"{summary['dockings_with_contact']} with wall contact"
     ]
@@ -162,11 +162,11 @@ def describe(summary: Dict[str, Any]) -> List[str]:
         ("lateral_error_m", "lateral", 1000.0, "mm"),
         ("yaw_error_deg", "yaw", 1.0, "deg"),
     ):
-        if summary["docked"]:
-            values = (f"{scale * summary[name][part]:.2f}" for part in ("median", "p95", "max"))
+        if summary[name]["max"] is not None:
+            values = (f"{scale * summary[name][part]:.2f}" for part in ("median", "p99", "max"))
             errors.append(f"{title} {' / '.join(values)} {unit}")
     if errors:
-        lines.append("error, median / 95 % / max: " + "; ".join(errors))
+        lines.append("error, median / 99 % / max: " + "; ".join(errors))
     factor = summary["run"]["real_time_factor"]
     if factor is not None:
         lines.append(

@@ -10,6 +10,8 @@ from typing import Any, Callable, Dict, Mapping, Tuple
 import numpy as np
 
 from bullet_lab.core.parameters import choices, integer
+from bullet_lab.docking.types import DockingError
+from bullet_lab.docking.verdict import ERRORS, judge, largest_errors
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.floor_plan import Footprint, footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -19,6 +21,7 @@ from bullet_lab.studies.dock_campaign.docking import (
     TURNING_RADIUS,
     DockingOutcome,
     DockingScenario,
+    dock_of,
     run_docking,
 )
 from bullet_lab.studies.study import MOST_SEED, Settings
@@ -120,11 +123,11 @@ def _draw_start(
 Record = Mapping[str, Any]
 Dock = Callable[[DockingScenario], DockingOutcome]
 
-LARGEST_ERRORS = {"distance_error_m": 0.02, "lateral_error_m": 0.01, "yaw_error_deg": 1.0}
-"""A robot that says it has docked has, by the simulator's truth, if it is within these."""
+CRASHED = "crashed"
+"""What a docking comes to that came to no end, beside the words of `judge`."""
 
-DOCKED, WALL_CONTACT, INACCURATE, CRASHED = "docked", "wall_contact", "inaccurate", "crashed"
-"""What a docking comes to, beside the names of docking's errors."""
+TOLERANCES = {name: name.replace("error", "tolerance") for name in ERRORS}
+"""Names of the columns with the dock's own tolerances, by those of the errors."""
 
 
 def run_trial(settings: DrawSettings, index: int, dock: Dock = run_docking) -> Record:
@@ -135,13 +138,14 @@ def run_trial(settings: DrawSettings, index: int, dock: Dock = run_docking) -> R
     except Exception as error:  # what broke this docking shall not end the campaign
         return crashed_record(settings, index, f"{type(error).__name__}: {error}")
     x, y, yaw = (float(value) for value in outcome.end)
+    errors = {name: float(getattr(outcome, name)) for name in ERRORS}
+    said = DockingError[outcome.error_name]
+    tolerance = dock_of(scenario).tolerance
     return {
         **_drawn(index, scenario),
-        "result": judge(outcome),
+        "result": judge(said, errors, tolerance, outcome.wall_contacts),
         "message": outcome.message,
-        "distance_error_m": float(outcome.distance_error_m),
-        "lateral_error_m": float(outcome.lateral_error_m),
-        "yaw_error_deg": float(outcome.yaw_error_deg),
+        **errors,
         "wall_contacts": int(outcome.wall_contacts),
         "retries": int(outcome.retries),
         "sim_time_s": float(outcome.sim_time_s),
@@ -153,7 +157,7 @@ def run_trial(settings: DrawSettings, index: int, dock: Dock = run_docking) -> R
 
 
 _NUMBERS = (
-    *("distance_error_m", "lateral_error_m", "yaw_error_deg", "wall_contacts", "retries"),
+    *(*ERRORS, "wall_contacts", "retries"),
     *("sim_time_s", "end_x_m", "end_y_m", "end_yaw_deg", "renderer"),
 )
 
@@ -167,6 +171,7 @@ def crashed_record(settings: DrawSettings, index: int, why: str) -> Record:
 def _drawn(index: int, scenario: DockingScenario) -> Dict[str, Any]:
     x, y, yaw = scenario.start
     error_x, error_y, error_yaw = scenario.dock_error
+    most = largest_errors(dock_of(scenario).tolerance)
     return {
         "index": index,
         "world": _name_of(scenario.world),
@@ -181,21 +186,9 @@ def _drawn(index: int, scenario: DockingScenario) -> Dict[str, Any]:
         "odometry_std": scenario.odometry_std,
         "image_noise": scenario.image_noise,
         "image_blur_px": scenario.image_blur,
+        **{TOLERANCES[name]: value for name, value in most.items()},
     }
 
 
 def _name_of(world: str) -> str:
     return world.rsplit("/", 1)[-1].replace(".world", "")
-
-
-def judge(outcome: DockingOutcome) -> str:
-    """Return DOCKED, or in a word what went wrong.
-
-    A docking is a success if the robot says so, is right, and has touched nothing.
-    """
-    if outcome.wall_contacts:
-        return WALL_CONTACT
-    if not outcome.docked:
-        return outcome.error_name.lower()
-    within = all(abs(getattr(outcome, name)) <= most for name, most in LARGEST_ERRORS.items())
-    return DOCKED if within else INACCURATE

@@ -33,7 +33,6 @@ def outcome_of(scenario, **values):
     distance, lateral, yaw = rng.normal(0.0, 1.0, 3) * (0.002, 0.001, 0.1)
     end = (3.44 + distance, lateral, np.radians(yaw)) if docked else scenario.start
     said = {
-        "docked": docked,
         "error_name": "NONE" if docked else "NOT_DETECTED",
         "message": "",
         "distance_error_m": distance,
@@ -108,7 +107,9 @@ def test_files_say_what_happened(reference):
     assert [int(row["index"]) for row in rows] == list(range(30))
     docked = [row for row in rows if row["result"] == "docked"]
     assert summary["docked"] == len(docked) < 30
-    largest = max(abs(float(row["lateral_error_m"])) for row in docked)
+    told = [row for row in rows if row["result"] in ("docked", "inaccurate")]
+    largest = max(abs(float(row["lateral_error_m"])) for row in told)
+    assert all(abs(float(row["lateral_error_m"])) <= 0.004 for row in docked)
     assert summary["lateral_error_m"]["max"] == largest
     assert summary["seed"] == 1
     assert summary["run"]["dockings"] == 30
@@ -194,15 +195,12 @@ def test_an_error_of_the_docking_itself_is_a_crash_too():
     [
         ({}, "docked"),
         ({"wall_contacts": 1}, "wall_contact"),
-        ({"docked": False, "error_name": "TIMED_OUT"}, "timed_out"),
-        ({"docked": False, "error_name": "TIMED_OUT", "wall_contacts": 2}, "wall_contact"),
-        ({"lateral_error_m": -0.011}, "inaccurate"),
-        ({"yaw_error_deg": 1.1}, "inaccurate"),
-        ({"distance_error_m": -0.021}, "inaccurate"),
+        ({"error_name": "TIMED_OUT"}, "timed_out"),
+        ({"lateral_error_m": -0.0031}, "inaccurate"),
     ],
 )
 def test_a_docking_counts_only_if_it_is_true(values, result):
-    right = {"docked": True, "error_name": "NONE", "lateral_error_m": 0.0, "yaw_error_deg": 0.0}
+    right = {"error_name": "NONE", "lateral_error_m": 0.0, "yaw_error_deg": 0.0}
 
     def dock(scenario):
         return outcome_of(scenario, **{**right, "distance_error_m": 0.0, **values})

@@ -25,6 +25,9 @@ def record(index, result="docked", **values):
         "retries": 1,
         "sim_time_s": 30.0,
         "renderer": "egl",
+        "distance_tolerance_m": 0.005,
+        "lateral_tolerance_m": 0.003,
+        "yaw_tolerance_deg": 0.4,
         **values,
     }
 
@@ -40,7 +43,7 @@ def test_all_succeeded():
     assert (found["dockings"], found["docked"], found["success_rate"]) == (100, 100, 1.0)
     assert found["success_rate_lower_95"] == lower_bound(100, 100)
     assert (found["failures"], found["failed_indices"]) == ({}, [])
-    assert found["lateral_error_m"] == {"median": 0.002, "p95": 0.002, "max": 0.002}
+    assert found["lateral_error_m"] == {"median": 0.002, "p95": 0.002, "p99": 0.002, "max": 0.002}
     assert (found["retries"], found["sim_time_s"]) == (100, 3000.0)
 
 
@@ -63,17 +66,30 @@ def test_failures_are_counted_by_reason_and_their_errors_are_not():
     assert found["renderers"] == {"egl": 4}
 
 
+def test_errors_are_of_all_that_say_they_have_docked():
+    records = [record(0), record(1, "inaccurate", lateral_error_m=0.0031)]
+    found = campaign_summary(records)
+    assert (found["docked"], found["lateral_error_m"]["max"]) == (1, 0.0031)
+    most = {"distance_error_m": 0.005, "lateral_error_m": 0.003, "yaw_error_deg": 0.4}
+    assert found["tolerances"] == {"docking": most}
+
+
 def test_nothing_succeeded():
     found = campaign_summary([crashed(0)])
     assert found["success_rate_lower_95"] == 0.0
-    assert found["yaw_error_deg"] == {"median": None, "p95": None, "max": None}
+    assert found["yaw_error_deg"] == dict.fromkeys(("median", "p95", "p99", "max"))
     assert found["longest_sim_time_s"] is None
     json.dumps(found, allow_nan=False)
 
 
 def test_error_figures_are_of_magnitudes():
     found = error_figures([-3.0, 1.0, 2.0, 0.0])
-    assert found == {"median": 1.5, "p95": pytest.approx(2.85), "max": 3.0}
+    assert found == {
+        "median": 1.5,
+        "p95": pytest.approx(2.85),
+        "p99": pytest.approx(2.97),
+        "max": 3.0,
+    }
 
 
 def test_the_table_keeps_every_digit(tmp_path):
