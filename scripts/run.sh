@@ -10,4 +10,7 @@ source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 trap 'exit 130' INT
 "$LAB_ROOT/scripts/setup.sh"
 enter_lab
-exec python -m bullet_lab.ros.launcher "$@"
+# Python answers a SIGINT with status 1 before it runs a line of ours: it waits until then.
+# shellcheck disable=SC2016 # perl's
+exec perl -MPOSIX -e 'sigprocmask(SIG_BLOCK, POSIX::SigSet->new(SIGINT)); exec @ARGV' \
+  python -m bullet_lab.ros.launcher "$@"

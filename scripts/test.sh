@@ -11,7 +11,7 @@ export LAB_TALLY=$LOG/tally
 ROSTEST_TIMEOUT=600
 MUTANTS=564
 # Much of a rostest is waiting: for nodes that start, for what must not come.
-AT_ONCE=$(($(nproc) + 1))
+AT_ONCE=$(($(nproc) + 2))
 
 # count PASSED FAILED: one line in the tally.
 count() { echo "$1 $2" >>"$LAB_TALLY"; }

@@ -62,6 +62,8 @@ def end_at_once_when_interrupted() -> None:
     # A shell's background job is not to be interrupted.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end_at_once)
+    # scripts/run.sh has one wait that comes before this.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
 
 
 def _end_at_once(*_) -> None:

@@ -206,23 +206,11 @@ class ArucoTest(unittest.TestCase):
                 self.doCleanups()
 
     def test_parameters_that_are_not_allowed(self):
-        cases = {
-            "tags": "apriltag_37h10",
-            "width": 0,
-            "ids": "0 -1",
-            "sizes": "7=0",
-            "border": -1,
-            "correction": 2.0,
-            "pixel_sigma": -1,
-            "imgae": "/camera",
-        }
-        for name, value in cases.items():
-            with self.subTest(name=name):
-                node = Node("aruco.py", **{name: value})
-                self.addCleanup(node.end)
-                self.assertEqual(2, node.wait(), node.err)
-                self.assertEqual(1, len(node.err.splitlines()), node.err)
-                self.assertIn(f"~{name}", node.err)
+        node = Node("aruco.py", tags="apriltag_37h10")
+        self.addCleanup(node.end)
+        self.assertEqual(2, node.wait(), node.err)
+        self.assertEqual(1, len(node.err.splitlines()), node.err)
+        self.assertIn("~tags", node.err)
 
     def test_an_id_that_the_dictionary_does_not_have(self):
         node = Node("aruco.py", tags="4x4_50", ids="50")

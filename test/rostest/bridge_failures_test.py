@@ -105,8 +105,8 @@ class FailuresTest(unittest.TestCase):
         self.assert_refused(1, "no_such_package", world="package://no_such_package/x.world")
 
     def test_malformed_world(self):
-        for text in ("<sdf><world>", "no XML\nat all", "<robot name='x'/>", ""):
-            self.assert_refused(1, "bad.world", world=self.file("bad.world", text))
+        # How worlds and robots are refused is in the unit tests; that the bridge then ends is here.
+        self.assert_refused(1, "bad.world", world=self.file("bad.world", "no XML\nat all"))
 
     def test_world_with_entities(self):
         secret = self.file("secret", "secret")
@@ -116,25 +116,15 @@ class FailuresTest(unittest.TestCase):
     def test_missing_and_malformed_robot(self):
         self.assert_refused(1, "nowhere.urdf", robot=self.folder / "nowhere.urdf")
         self.assert_refused(1, "bad.urdf", robot=self.file("bad.urdf", "<robot name='r'><link"))
-        self.assert_refused(1, "bad.urdf", robot=self.file("bad.urdf", "<robot name='r'/>"))
 
     def test_malformed_robot_description(self):
         self.addCleanup(self.master.set_parameter, "/robot_description", "")
-        for value in ("<robot", 5, [1, 2], {"a": "b"}, True):
+        for value in ("<robot", {"a": "b"}):
             self.master.set_parameter("/robot_description", value)
             self.assert_refused(1, "robot_description")
 
     def test_bad_parameters(self):
-        for name, value in (
-            ("rtf", "-1"),
-            ("rtf", "fast"),
-            ("rtf", ".inf"),
-            ("clock_rate", "0"),
-            ("clock_rate", "1001"),
-            ("robot_pose", "1 2 3"),
-            ("paused", "maybe"),
-        ):
-            self.assert_refused(2, f"~{name}", value.lstrip("."), **{name: value})
+        self.assert_refused(2, "~rtf", "inf", rtf=".inf")
 
     def test_misspelt_parameter(self):
         self.assert_refused(2, "~reality", "~rtf", reality=1)

@@ -255,12 +255,11 @@ class PlotNoiseTest(unittest.TestCase):
         self.assertIn("odom.tum", node.err)
 
     def test_bad_parameters(self):
-        for name, value in (("plot_period", "0"), ("about", "[1]"), ("show", "2"), ("ot", "x")):
-            node = Node("plot_noise.py", **{name: value})
-            self.addCleanup(node.end)
-            self.assertEqual(2, node.wait(), node.err)
-            self.assertEqual(1, len(node.err.splitlines()), node.err)
-            self.assertIn(f"~{name}", node.err)
+        node = Node("plot_noise.py", about="[1]")
+        self.addCleanup(node.end)
+        self.assertEqual(2, node.wait(), node.err)
+        self.assertEqual(1, len(node.err.splitlines()), node.err)
+        self.assertIn("~about", node.err)
 
 
 def setUpModule():

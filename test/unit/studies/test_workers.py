@@ -11,7 +11,6 @@ import time
 
 import psutil
 import pytest
-from distributed import LocalCluster
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.studies.workers import (
@@ -83,6 +82,9 @@ def ctrl_c():
 
 
 def in_process_cluster(workers, **options):
+    # Every worker process imports this file, and nearly none needs Dask.
+    from distributed import LocalCluster
+
     return LocalCluster(
         n_workers=workers,
         processes=False,

@@ -350,7 +350,8 @@ def test_an_interrupted_study_leaves_what_was_there(tmp_path, monkeypatch):
 
     monkeypatch.setattr(noise_study, "_draw", interrupt)
     with pytest.raises(SystemExit) as end:
-        main([str(tmp_path), "--path", str(tmp_path / "bend.tum"), "--paths", "10"])
+        words = "--paths 10 --levels 0.1 --rates 5 --models report"
+        main([str(tmp_path), "--path", str(tmp_path / "bend.tum"), *words.split()])
     assert end.value.code == 130
     assert files_below(tmp_path) == {"bend.tum", "metrics.csv"}
     assert (tmp_path / "metrics.csv").read_text() == "old"
