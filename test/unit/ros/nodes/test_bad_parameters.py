@@ -12,8 +12,8 @@ from bullet_lab.ros.nodes.dock import DockParameters
 from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
 from bullet_lab.ros.nodes.good_features import GoodFeaturesParameters
 from bullet_lab.ros.nodes.harris_corners import HarrisParameters
-from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.nodes.image_node import ImageParameters
+from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.record.plots import PlotNoiseParameters
 
 BAD = (
