@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import List, Optional, Tuple
+from typing import Callable, List, Optional, Tuple
 
 import numpy as np
 from recorded_paths import make_rule
@@ -67,7 +67,7 @@ class Stand:
     lag: float = 0.04
     time_limit: float = 300.0
     obstacles: Tuple[Tuple[float, float, float, float], ...] = ()
-    settings: DockingSettings = field(default_factory=DockingSettings)
+    settings: object = field(default_factory=DockingSettings)  #: of the controller
 
 
 @dataclass
@@ -167,12 +167,17 @@ def see_print(robot, shown: Print, stand: Stand, rng) -> Optional[np.ndarray]:
     return pixels + rng.normal(0.0, stand.pixel_noise, (4, 2))
 
 
-def run(stand: Stand, limit_contact: bool = True) -> Run:
-    """Dock once."""
+def run(stand: Stand, limit_contact: bool = True, controller: Callable = DockingTask) -> Run:
+    """Dock once; `controller` is fed and made as a DockingTask."""
     rng = np.random.default_rng((stand.seed, 77))
     dock = make_dock(stand)
-    task = DockingTask(
-        dock, dock.pose, MOUNT, stand.settings, time_limit=stand.time_limit, seed=stand.seed
+    task = controller(
+        dock,
+        dock.pose,
+        MOUNT,
+        settings=stand.settings,
+        time_limit=stand.time_limit,
+        seed=stand.seed,
     )
     noise = NoisyPath(make_rule(stand.model, stand.std), stand.seed)
     pose = np.asarray(stand.start, dtype=float)
@@ -202,8 +207,9 @@ def run(stand: Stand, limit_contact: bool = True) -> Run:
                 if limit_contact:
                     break
         command = task.tick(t)
-        if task.state.label != before:
-            before = task.state.label
+        label = task.state.label if isinstance(task, DockingTask) else ""
+        if label != before:
+            before = label
             states.append((round(t, 2), before))
         blend = 1.0 - math.exp(-TICK / stand.lag) if stand.lag else 1.0
         v += blend * (command[0] - v)

@@ -45,8 +45,8 @@ class UndockingTaskError(LabError):
     """An undocking that makes no sense."""
 
 
-class _Task:
-    """The part that both tasks share: the watch over time, odometry and wheels, and the ramp."""
+class WatchedTask:
+    """The part that all tasks share: the watch over time, odometry and wheels, and the ramp."""
 
     def __init__(
         self, done: str, odometry: OdometryBuffer, settings: DockingSettings, time_limit: float
@@ -128,7 +128,7 @@ class _Task:
         return DockingResult(success, error, message)
 
 
-class DockingTask(_Task):
+class DockingTask(WatchedTask):
     """Drives a robot into a dock.
 
     Give it all odometry and one observation for each image, and ask it for a command at a steady
@@ -264,7 +264,7 @@ class DockingTask(_Task):
         return self._planner.result(success, error, message)
 
 
-class UndockingTask(_Task):
+class UndockingTask(WatchedTask):
     """Backs out on the dock's axis if the marker is seen, else straight by the odometry.
 
     Fed and ticked as a `DockingTask`.

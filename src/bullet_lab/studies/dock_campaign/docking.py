@@ -8,8 +8,8 @@ from typing import Dict, Optional
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import wrap
+from bullet_lab.docking.controllers import CONTROLLERS
 from bullet_lab.docking.database import Dock, find_dock, read_docks
-from bullet_lab.docking.task import DockingTask
 from bullet_lab.docking.types import (
     CameraMount,
     DockingError,
@@ -59,6 +59,7 @@ class DockingScenario:
         image_noise: standard deviation as a share of white.
         image_blur: standard deviation in px.
         image_seed: of the image noise.
+        controller: of `CONTROLLERS`, what drives.
     """
 
     world: str = "package://bullet_lab/worlds/docking.world"
@@ -72,6 +73,7 @@ class DockingScenario:
     image_noise: float = 0.0
     image_blur: float = 0.0
     image_seed: int = 0
+    controller: str = "ours"
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,7 @@ class _Drive:
         self._dictionary = marker.dictionary
         name = dictionary_named(marker.dictionary).name
         self._detector = MarkerDetector(DetectorSettings(dictionary=name, ids=(marker.id,)))
-        self._task = DockingTask(
+        self._task = CONTROLLERS[scenario.controller](
             dock,
             dock.pose,
             _mount_of(self._robot, self._camera),

@@ -31,6 +31,8 @@ from bullet_lab.docking.verdict import DOCKED, ERRORS, INACCURATE
 from bullet_lab.errors import LabError
 from bullet_lab.studies.dock_campaign.trial import TOLERANCES, Record
 
+LOG = "dockings.jsonl"
+
 
 class BinomialError(LabError):
     """Counts that cannot be."""
@@ -82,7 +84,7 @@ def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
         "success_rate_lower_95": lower_bound(len(docked), len(records), CONFIDENCE),
         "failures": dict(sorted(failures.items())),
         "failed_indices": [r["index"] for r in records if r["result"] != DOCKED],
-        **{name: error_figures([r[name] for r in _standing(records)]) for name in ERRORS},
+        **{name: error_figures([r[name] for r in standing(records)]) for name in ERRORS},
         "tolerances": {
             record["world"]: {name: record[column] for name, column in TOLERANCES.items()}
             for record in sorted(records, key=lambda r: r["world"])
@@ -112,7 +114,7 @@ def error_figures(values: Sequence[float]) -> Dict[str, Any]:
     }
 
 
-def _standing(records: Sequence[Record]) -> List[Record]:
+def standing(records: Sequence[Record]) -> List[Record]:
     """Return the dockings after which the robot says that it has docked."""
     return [record for record in records if record["result"] in (DOCKED, INACCURATE)]
 
@@ -282,11 +284,11 @@ def campaign_figure(
     failed = [record for record in records if record["result"] != DOCKED]
     _draw_all(figure.add_subplot(left), (docked, failed), outlines, dock)
     rows = right.subgridspec(4, 1, height_ratios=(2.1, 1.0, 1.0, 1.0), hspace=0.5)
-    standing = _standing(records)
-    _draw_close_up(figure.add_subplot(rows[0]), standing)
+    told = standing(records)
+    _draw_close_up(figure.add_subplot(rows[0]), told)
     for row, (name, scale, label) in zip(list(rows)[1:], HISTOGRAMS):
         axes = figure.add_subplot(row)
-        _draw_histogram(axes, [scale * record[name] for record in standing], label)
+        _draw_histogram(axes, [scale * record[name] for record in told], label)
         for most in sorted({scale * record[TOLERANCES[name]] for record in records}):
             axes.axvline(-most, **LIMIT)
             axes.axvline(most, **LIMIT)

@@ -16,10 +16,12 @@ from typing import Any, Callable, Dict, List, NoReturn, Optional, Sequence, Tupl
 
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
-from bullet_lab.core.parameters import integer
+from bullet_lab.core.parameters import integer, text
 from bullet_lab.docking.verdict import DOCKED
+from bullet_lab.studies.dock_campaign.compare import compare, read_campaign
 from bullet_lab.studies.dock_campaign.docking import MARKER_POSE
 from bullet_lab.studies.dock_campaign.results import (
+    LOG,
     DockLog,
     campaign_figure,
     campaign_summary,
@@ -34,6 +36,7 @@ from bullet_lab.studies.dock_campaign.trial import (
 )
 from bullet_lab.studies.study import (
     SUMMARY,
+    Settings,
     Tell,
     progress,
     run_from,
@@ -43,7 +46,7 @@ from bullet_lab.studies.study import (
 )
 from bullet_lab.studies.workers import ClusterSettings, Run, TaskLostError, workers
 
-LOG, TABLE, PICTURE = "dockings.jsonl", "campaign.csv", "campaign.png"
+TABLE, PICTURE = "campaign.csv", "campaign.png"
 MOST_DOCKINGS = 1_000_000
 
 Trial = Callable[[DrawSettings, int], Record]
@@ -58,6 +61,13 @@ class CampaignSettings(DrawSettings):
     def drawn_from(self) -> Dict[str, Any]:
         """Return what decides the outcome of each docking, by name."""
         return {entry.name: getattr(self, entry.name) for entry in fields(DrawSettings)}
+
+
+@dataclass(frozen=True)
+class ComparisonSettings(Settings):
+    """What the campaign is laid beside."""
+
+    beside: str = text("", "folder of the same dockings by another controller; empty: none")
 
 
 def run_campaign(
@@ -176,17 +186,28 @@ def describe(summary: Dict[str, Any]) -> List[str]:
     return lines
 
 
-def _run(folder: Path, settings: CampaignSettings, cluster: ClusterSettings, tell: Tell) -> None:
-    # A world that is missing is better known now than from each worker.
+def _run(
+    folder: Path,
+    settings: CampaignSettings,
+    cluster: ClusterSettings,
+    comparison: ComparisonSettings,
+    tell: Tell,
+) -> None:
+    # What is missing is better known now than from each worker, or after all.
     draw_scenario(settings, 0)
+    if comparison.beside:
+        read_campaign(Path(comparison.beside))
     run = workers(cluster.workers, cluster.scheduler)
-    for line in describe(run_campaign(folder, settings, run, tell=tell)):
+    lines = describe(run_campaign(folder, settings, run, tell=tell))
+    if comparison.beside:
+        lines += compare(folder, Path(comparison.beside), settings.dockings)
+    for line in lines:
         tell(line)
 
 
 def main(words: Optional[Sequence[str]] = None) -> NoReturn:
     """Run the campaign from the command line; see `run_from`."""
-    settings = (CampaignSettings, ClusterSettings)
+    settings = (CampaignSettings, ClusterSettings, ComparisonSettings)
     run_from("dock_campaign", __doc__, settings, _run, words, short=[("-n", "dockings")])
 
 

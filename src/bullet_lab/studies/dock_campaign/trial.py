@@ -9,7 +9,8 @@ from typing import Any, Callable, Dict, Mapping, Tuple
 
 import numpy as np
 
-from bullet_lab.core.parameters import choices, integer
+from bullet_lab.core.parameters import choice, choices, integer
+from bullet_lab.docking.controllers import CONTROLLERS
 from bullet_lab.docking.types import DockingError
 from bullet_lab.docking.verdict import ERRORS, judge, largest_errors
 from bullet_lab.errors import LabError
@@ -57,6 +58,9 @@ class DrawSettings(Settings):
         LIGHTS, "lights to draw from; default is the world's own", LIGHTS
     )
     odometry: Tuple[str, ...] = choices(ODOMETRY, "odometry to draw from", ODOMETRY)
+    controller: str = choice(
+        "ours", "what drives; nothing that is drawn depends on it", [*CONTROLLERS]
+    )
 
 
 def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
@@ -91,6 +95,7 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
         image_noise=float(image_noise),
         image_blur=float(image_blur),
         image_seed=int(image_seed),
+        controller=settings.controller,
     )
 
 

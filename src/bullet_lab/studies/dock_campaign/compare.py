@@ -1,0 +1,300 @@
+"""Two campaigns of the same dockings side by side: what each controller made of each scenario."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Dict, List, Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy import stats
+
+from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure, save
+from bullet_lab.core.files import FileError, write_json
+from bullet_lab.docking.verdict import DOCKED
+from bullet_lab.errors import LabError
+from bullet_lab.studies.dock_campaign.results import LOG, standing
+from bullet_lab.studies.dock_campaign.trial import TOLERANCES, Record
+from bullet_lab.studies.study import whole_results, write_table
+
+TABLE, PICTURE, NUMBERS = "comparison.csv", "comparison.png", "comparison.json"
+CONFIDENCE = 0.95
+NAV2_THRESHOLD = 0.05
+"""nav2's `docking_threshold`, m: a robot so near to the dock's pose, turned as it may be, is in."""
+
+
+class ComparisonError(LabError):
+    """Two campaigns that cannot be laid side by side."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """The dockings of one controller, by their indices, and all else that they were drawn from."""
+
+    controller: str
+    drawn_from: Mapping[str, Any]
+    records: Mapping[int, Record]
+
+
+def read_campaign(folder: Path) -> Campaign:
+    """Read the log of a campaign; raises FileError or ComparisonError."""
+    path = folder / LOG
+    try:
+        first, *lines = [json.loads(line) for line in path.read_text().splitlines()]
+        drawn_from = dict(first["campaign"])
+        records = {line["index"]: line for line in lines}
+        return Campaign(drawn_from.pop("controller"), drawn_from, records)
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError):
+        raise ComparisonError(f"{path} is no log of a whole campaign") from None
+
+
+def compare(folder: Path, beside: Path, dockings: int) -> List[str]:
+    """Lay the campaign of a folder beside another one's; leave table, picture and numbers in it.
+
+    Args:
+        folder: of a finished campaign.
+        beside: of another one of the same draws, with as many dockings at least.
+        dockings: how many of them, from index 0 on.
+
+    Returns:
+        Lines for people.
+
+    Raises:
+        LabError: the other campaign is not of the same dockings, or lacks some of them.
+    """
+    both = read_campaign(beside), read_campaign(folder)
+    if both[0].drawn_from != both[1].drawn_from:
+        raise ComparisonError(f"{beside} is of other dockings than {folder}")
+    missing = [index for index in range(dockings) if index not in both[0].records]
+    if missing:
+        raise ComparisonError(f"{beside} lacks {len(missing)} of {dockings} dockings")
+    names = [campaign.controller for campaign in both]
+    if names[0] == names[1]:
+        names = [f"{name} ({place.name})" for name, place in zip(names, (beside, folder))]
+    pairs = [[c.records[index] for index in range(dockings)] for c in both]
+    columns = [figures_of(records) for records in pairs]
+    numbers = {
+        "dockings": dockings,
+        **both[0].drawn_from,
+        "controllers": dict(zip(names, columns)),
+        "paired": paired_figures(*pairs),
+    }
+    with whole_results(folder) as part:
+        write_table(part / TABLE, table_rows(names, columns))
+        save(comparison_figure(names, pairs, columns), part / PICTURE)
+        write_json(part / NUMBERS, numbers)
+    return describe(names, columns, numbers["paired"])
+
+
+def share(hits: int, trials: int) -> Dict[str, Any]:
+    """Return a share in per cent with Clopper and Pearson's interval.
+
+    >>> {end: round(value, 2) for end, value in share(199, 200).items()}
+    {'value': 99.5, 'low': 97.25, 'high': 99.99}
+    """
+    interval = stats.binomtest(hits, trials).proportion_ci(CONFIDENCE, method="exact")
+    return {
+        "value": 100.0 * hits / trials,
+        "low": 100.0 * float(interval.low),
+        "high": 100.0 * float(interval.high),
+    }
+
+
+def quantile(values: Sequence[float], part: float) -> Dict[str, Any]:
+    """Return a quantile with the interval that two order statistics give, whatever the law.
+
+    An end that so few values do not give is None, and all are if there are no values.
+    (H. A. David and H. N. Nagaraja, Order Statistics, 2003, section 7.1.)
+
+    >>> quantile(range(1, 101), 0.5)
+    {'value': 50.5, 'low': 40.0, 'high': 61.0}
+    """
+    if not len(values):
+        return dict.fromkeys(("value", "low", "high"))
+    ordered, count = np.sort(np.asarray(values, dtype=float)), len(values)
+    outside = 0.5 * (1.0 - CONFIDENCE)
+    low = int(stats.binom.ppf(outside, count, part))
+    high = int(stats.binom.ppf(1.0 - outside, count, part)) + 1
+    return {
+        "value": float(np.quantile(ordered, part)),
+        "low": float(ordered[low - 1]) if low >= 1 else None,
+        "high": float(ordered[high - 1]) if high <= count else None,
+    }
+
+
+def _off(record: Record) -> float:
+    return math.hypot(record["distance_error_m"], record["lateral_error_m"])
+
+
+QUANTITIES = (
+    ("time", "s", "sim_time_s", 1.0),
+    ("distance error", "mm", "distance_error_m", 1000.0),
+    ("lateral error", "mm", "lateral_error_m", 1000.0),
+    ("yaw error", "°", "yaw_error_deg", 1.0),
+)
+"""Of the dockings that were said to be, without a contact: name, unit, column and factor."""
+
+QUANTILES = (("median", 0.5), ("99 %", 0.99))
+
+
+def figures_of(records: Sequence[Record]) -> Dict[str, Any]:
+    """Return the figures of one controller by name, each with its interval."""
+    count, said = len(records), standing(records)
+    figures: Dict[str, Any] = {
+        "docked within the dock's tolerance (%)": share(
+            sum(record["result"] == DOCKED for record in records), count
+        ),
+        "docked within nav2's 50 mm (%)": share(
+            sum(_off(record) <= NAV2_THRESHOLD for record in said), count
+        ),
+        "said to be docked (%)": share(len(said), count),
+        "with a contact (%)": share(sum(bool(r["wall_contacts"]) for r in records), count),
+        "with a retry (%)": share(sum(bool(r["retries"]) for r in records), count),
+    }
+    for name, unit, column, factor in QUANTITIES:
+        values = [factor * abs(record[column]) for record in said]
+        for label, part in QUANTILES:
+            figures[f"{name}, {label} ({unit})"] = quantile(values, part)
+    figures["failures"] = dict(sorted(Counter(r["result"] for r in records).items()))
+    return figures
+
+
+def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> Dict[str, Any]:
+    """Return what the same scenarios tell of both: who docked, and differences where both did.
+
+    The p-value is that of McNemar's exact test; differences are the second less the first.
+    """
+    docked = Counter((a["result"] == DOCKED, b["result"] == DOCKED) for a, b in zip(first, second))
+    alone = docked[True, False], docked[False, True]
+    p_value = stats.binomtest(alone[0], sum(alone)).pvalue if sum(alone) else 1.0
+    both = [pair for pair in zip(first, second) if len(standing(pair)) == 2]
+    return {
+        "both_docked": docked[True, True],
+        "only_first_docked": alone[0],
+        "only_second_docked": alone[1],
+        "neither_docked": docked[False, False],
+        "mcnemar_p": float(p_value),
+        **{
+            f"{name}, median difference ({unit})": quantile(
+                [factor * (abs(b[column]) - abs(a[column])) for a, b in both], 0.5
+            )
+            for name, unit, column, factor in QUANTITIES
+        },
+    }
+
+
+def table_rows(names: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> List[List[Any]]:
+    """Return the rows of the table: figure, and value, low and high of each controller."""
+    ends = ("value", "low", "high")
+    rows: List[List[Any]] = [["figure", *(f"{name} {end}" for name in names for end in ends)]]
+    for figure in columns[0]:
+        if figure != "failures":
+            rows.append([figure, *(column[figure][end] for column in columns for end in ends)])
+    return rows
+
+
+def _shown(figure: Mapping[str, Any]) -> str:
+    value, low, high = (
+        "?" if figure[end] is None else f"{figure[end]:.3g}" for end in ("value", "low", "high")
+    )
+    return f"{value} [{low}, {high}]"
+
+
+def describe(
+    names: Sequence[str], columns: Sequence[Mapping[str, Any]], paired: Mapping[str, Any]
+) -> List[str]:
+    """Return the comparison as lines, with intervals of 95 %."""
+    lines = [f"{'':40}{names[0]:>24}{names[1]:>24}"]
+    for figure in columns[0]:
+        if figure != "failures":
+            lines.append(f"{figure:40}" + "".join(f"{_shown(c[figure]):>24}" for c in columns))
+    lines += [
+        f"{name}: " + ", ".join(f"{result} {count}" for result, count in column["failures"].items())
+        for name, column in zip(names, columns)
+    ]
+    lines.append(
+        f"both docked {paired['both_docked']}, only {names[0]} {paired['only_first_docked']}, "
+        f"only {names[1]} {paired['only_second_docked']}, neither {paired['neither_docked']} "
+        f"(McNemar's p = {paired['mcnemar_p']:.2g})"
+    )
+    return lines
+
+
+LOOKS = (BLUE, ORANGE)
+
+
+def comparison_figure(
+    names: Sequence[str],
+    pairs: Sequence[Sequence[Record]],
+    columns: Sequence[Mapping[str, Any]],
+) -> Figure:
+    """Draw shares with their intervals, times pair by pair, and how the errors are distributed."""
+    figure = new_figure(11.0, 7.0)
+    axes = figure.subplots(2, 3)
+    figure.subplots_adjust(0.07, 0.08, 0.98, 0.92, wspace=0.28, hspace=0.38)
+    figure.suptitle(f"{len(pairs[0])} dockings, the same for both (95 %; dashed: tolerances)")
+    _draw_shares(axes[0, 0], names, columns)
+    _draw_results(axes[0, 1], columns)
+    _draw_times(axes[0, 2], names, pairs)
+    for place, (name, unit, column, factor) in zip(axes[1], QUANTITIES[1:]):
+        place.set(xlabel=f"{name} ({unit})", ylabel="share of those said to be docked", ylim=(0, 1))
+        place.set_xscale("log")
+        place.grid(alpha=0.3)
+        for most in sorted({factor * record[TOLERANCES[column]] for record in pairs[0]}):
+            place.axvline(most, color=GREY, linestyle="--")
+        for label, records, colour in zip(names, pairs, LOOKS):
+            values = np.sort([factor * abs(r[column]) for r in standing(records)])
+            # Where it is nearer than the scale goes, it is drawn at its end.
+            steps = np.arange(1, len(values) + 1) / max(len(values), 1)
+            place.step(np.maximum(values, 1e-3), steps, where="post", color=colour, label=label)
+        place.legend(fontsize="small", loc="upper left")
+    return figure
+
+
+def _draw_shares(axes: Axes, names: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> None:
+    shares = [figure for figure in columns[0] if figure.endswith("(%)")]
+    rows = np.arange(len(shares))[::-1]
+    for number, (name, column, colour) in enumerate(zip(names, columns, LOOKS)):
+        values, low, high = (
+            np.array([column[figure][end] for figure in shares]) for end in ("value", "low", "high")
+        )
+        axes.barh(
+            rows + 0.15 - 0.3 * number, values, 0.28, color=colour, label=name,
+            xerr=(values - low, high - values), error_kw={"ecolor": BLACK, "capsize": 2},
+        )  # fmt: skip
+    # The words lie on the bars, which begin where the picture does.
+    for row, figure in zip(rows, shares):
+        axes.text(1.0, row + 0.42, figure[:-4], fontsize="small", va="center")
+    axes.set(xlim=(0, 100), ylim=(-0.5, len(shares) - 0.3), xlabel="% of all", yticks=[])
+    axes.legend(fontsize="small", loc="lower right")
+
+
+def _draw_results(axes: Axes, columns: Sequence[Mapping[str, Any]]) -> None:
+    axes.set(yticks=[], xlabel="dockings that failed")
+    results = sorted({r for column in columns for r in column["failures"]} - {DOCKED})
+    rows = np.arange(len(results))[::-1]
+    for number, (column, colour) in enumerate(zip(columns, LOOKS)):
+        counts = [column["failures"].get(result, 0) for result in results]
+        axes.barh(rows + 0.15 - 0.3 * number, counts, 0.28, color=colour)
+    for row, result in zip(rows, results):
+        axes.text(0.0, row + 0.42, f" {result.replace('_', ' ')}", fontsize="small", va="center")
+    axes.set_ylim(-0.5, max(len(results) - 0.3, 0.7))
+    axes.grid(alpha=0.3, axis="x")
+
+
+def _draw_times(axes: Axes, names: Sequence[str], pairs: Sequence[Sequence[Record]]) -> None:
+    axes.set(xlabel=f"s, {names[0]}", ylabel=f"s, {names[1]}", title="time until docked")
+    both = [pair for pair in zip(*pairs) if len(standing(pair)) == 2]
+    times = np.array([(a["sim_time_s"], b["sim_time_s"]) for a, b in both]).reshape(-1, 2)
+    if len(times):
+        most = float(times.max())
+        axes.plot([0.0, most], [0.0, most], color=GREY, linewidth=0.8)
+        axes.plot(*times.T, ".", color=VERMILION, markersize=5.0)
+    axes.grid(alpha=0.3)

@@ -1,0 +1,146 @@
+"""Tests of the control law, the filter and the stages of the controller beside ours."""
+
+import math
+
+import docking_standin as standin
+import numpy as np
+import pytest
+
+from bullet_lab.core import se2
+from bullet_lab.docking.filter import Viewpoint, corner_points
+from bullet_lab.docking.graceful import (
+    GracefulSettings,
+    GracefulTask,
+    PoseFilter,
+    graceful_command,
+    marker_poses,
+)
+from bullet_lab.docking.types import CameraMount, DockingError, Observation, Odometry, Sighting
+
+NAV2 = GracefulSettings()
+
+
+@pytest.mark.parametrize("heading", [-2.0, -0.5, 0.1, 1.0])
+def test_a_target_straight_ahead_is_the_closed_form(heading):
+    # With delta = 0 it is the slow subsystem's steering alone.
+    v, w = graceful_command((1.5, 0.0, heading), NAV2)
+    curvature = -2.0 * math.atan(3.0 * heading) / 1.5
+    speed = 0.25 / (1.0 + 0.4 * curvature**2)
+    assert w == pytest.approx(curvature * max(speed, 0.1))
+    assert v == pytest.approx(max(speed, 0.1))
+
+
+def test_speeds_are_limited_and_keep_the_arc():
+    rng = np.random.default_rng(1)
+    for target in rng.uniform(-1.0, 1.0, (300, 3)) * (2.0, 2.0, math.pi):
+        v, w = graceful_command(target, NAV2)
+        assert 0.0 < v <= 0.25
+        assert abs(w) <= 0.75 + 1e-12
+        mirrored = graceful_command(target * (1.0, -1.0, -1.0), NAV2)
+        assert mirrored == pytest.approx((v, -w))
+        # Backwards is forwards with the robot's back as its front.
+        behind = graceful_command((-target[0], target[1], -target[2]), NAV2, backwards=True)
+        assert behind == pytest.approx((-v, -w))
+
+
+def test_it_leads_to_the_pose():
+    settings = GracefulSettings(v_linear_min=0.01)
+    for start in [(-2.0, 0.6, 0.5), (-1.0, -0.8, -1.0), (0.3, 1.5, 3.0)]:
+        pose = np.array(start)
+        for _ in range(4000):
+            if math.hypot(pose[0], pose[1]) < 0.01:
+                break
+            v, w = graceful_command(se2.inverse(pose), settings)
+            pose = se2.compose(pose, (0.02 * v, 0.0, 0.02 * w))
+        assert math.hypot(pose[0], pose[1]) < 0.01
+        assert abs(pose[2]) < 0.02
+
+
+def test_the_filter_forgets_geometrically_and_over_the_half_turn():
+    smooth = PoseFilter(0.1, 1.0)
+    smooth.update(np.array([0.0, 0.0, 3.1]), 0.0)
+    for count in range(20):
+        smooth.update(np.array([1.0, -2.0, -3.1]), 0.05 * count)
+    left = 0.9**20
+    assert smooth.pose[:2] == pytest.approx([1.0 - left, -2.0 + 2.0 * left])
+    assert math.remainder(smooth.pose[2] + 3.1, math.tau) == pytest.approx(
+        left * (6.2 - math.tau), abs=1e-12
+    )
+    smooth.update(np.array([5.0, 5.0, 1.0]), 3.0)
+    assert smooth.pose.tolist() == [5.0, 5.0, 1.0]
+
+
+@pytest.mark.parametrize("mount", [standin.MOUNT, CameraMount(0.1, 0.05, 0.6, 0.02, 0.1, -0.2)])
+def test_an_image_gives_the_pose_of_the_dock(mount):
+    dock = np.array([1.2, 0.2, 0.4])
+    corners = corner_points(np.array([*dock, 0.5, 0.0]), 0.2)
+    view = Viewpoint(standin.CAMERA, mount)
+    poses = marker_poses(view.pixels(view.optical(corners)), 0.2, standin.CAMERA, mount)
+    assert min(np.abs(pose - dock).max() for pose in poses) < 1e-5
+
+
+def test_what_is_no_marker_has_no_pose():
+    assert marker_poses(np.zeros((4, 2)), 0.2, standin.CAMERA, standin.MOUNT) == []
+
+
+def docking(start, seen=lambda seconds: True, settings=NAV2, seconds=80.0):
+    """Run a task on a robot that does at once what it is told to."""
+    stand = standin.Stand(start, walls=False)
+    dock = standin.make_dock(stand)
+    task = GracefulTask(dock, dock.pose, standin.MOUNT, settings)
+    rng, pose, now = np.random.default_rng(1), np.array(start), 0.0
+    while task.result is None and now < seconds:
+        task.add_odometry(Odometry(now, tuple(pose.tolist())))
+        if task.wants_images and seen(now) and round(now / 0.05) % 4 == 0:
+            there = se2.between(stand.dock, pose)
+            corners = standin.see_print(there, standin.Print(), stand, rng)
+            found = () if corners is None else (Sighting(0, standin.DICTIONARY, corners),)
+            task.add_observation(Observation(now, standin.CAMERA, found))
+        v, w = task.tick(now)
+        pose = se2.compose(pose, (0.05 * v, 0.0, 0.05 * w))
+        now += 0.05
+    return task.result, se2.between(stand.dock, pose)
+
+
+def test_it_stops_within_its_threshold():
+    result, pose = docking((0.8, 0.1, 0.1))
+    assert result.success
+    assert math.hypot(pose[0] + 0.56, pose[1]) < 0.06
+    assert result.lateral == pytest.approx(pose[1], abs=0.005)
+
+
+def test_it_waits_for_the_marker_and_then_says_that_it_is_not_there():
+    result, _ = docking((0.8, 0.1, 0.1), seen=lambda seconds: False)
+    assert result.error == DockingError.NOT_DETECTED
+
+
+def test_lost_on_the_way_it_goes_back_and_tries_again():
+    result, pose = docking((1.0, 0.0, 0.0), seen=lambda seconds: not 5.0 < seconds < 9.0)
+    assert result.success
+    assert result.retries >= 1
+    assert math.hypot(pose[0] + 0.56, pose[1]) < 0.06
+
+
+def test_without_retries_it_says_why():
+    settings = GracefulSettings(max_retries=0, dock_approach_timeout=2.0)
+    result, _ = docking((1.0, 0.0, 0.0), settings=settings)
+    assert result.error == DockingError.CONTROL_FAILED
+    assert "not reached" in result.message
+
+
+@pytest.mark.parametrize(("off", "error"), [(0.3, None), (0.7, DockingError.NOT_DETECTED)])
+def test_a_detection_far_from_the_database_is_none(off, error):
+    settings = GracefulSettings(gate=0.5, dock_prestaging_tolerance=2.0)
+    dock = standin.make_dock(standin.Stand((1.0, 0.0, 0.0), (off, 0.0, 0.0)))
+    task = GracefulTask(dock, dock.pose, standin.MOUNT, settings)
+    corners = corner_points(np.array([3.0, 0.0, 0.0, 0.5, 0.0]), 0.2)
+    view = Viewpoint(standin.CAMERA, standin.MOUNT)
+    sighting = Sighting(0, standin.DICTIONARY, view.pixels(view.optical(corners)))
+    for tick in range(110):
+        task.add_odometry(Odometry(0.05 * tick, (1.0, 0.0, 0.0)))
+        task.add_observation(Observation(0.05 * tick, standin.CAMERA, (sighting,)))
+        moves = task.tick(0.05 * tick) != (0.0, 0.0)
+        if moves or task.result is not None:
+            break
+    assert moves == (error is None)
+    assert (task.result and task.result.error) == error

@@ -1,0 +1,138 @@
+"""Tests of two campaigns side by side."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+from test_dock_campaign import fake_trial
+
+from bullet_lab.core.files import FileError
+from bullet_lab.studies.dock_campaign.compare import (
+    ComparisonError,
+    compare,
+    figures_of,
+    paired_figures,
+    quantile,
+    share,
+)
+from bullet_lab.studies.dock_campaign.results import LOG, DockLog
+from bullet_lab.studies.dock_campaign.study import CampaignSettings
+from bullet_lab.studies.dock_campaign.trial import DrawSettings, draw_scenario
+
+
+def logged(folder, dockings, **draw):
+    folder.mkdir()
+    settings = CampaignSettings(dockings=dockings, **draw)
+    log = DockLog(folder / LOG, settings.drawn_from())
+    for index in range(dockings):
+        log.append(fake_trial(settings, index))
+    log.close()
+
+
+def record(result="docked", time=10.0, lateral=0.0, contacts=0):
+    return {
+        "result": result,
+        "sim_time_s": time,
+        "distance_error_m": 0.0,
+        "lateral_error_m": lateral,
+        "yaw_error_deg": 0.0,
+        "wall_contacts": contacts,
+        "retries": 0,
+    }
+
+
+def test_what_is_drawn_does_not_depend_on_the_controller():
+    for index in range(20):
+        ours = draw_scenario(DrawSettings(), index)
+        other = draw_scenario(DrawSettings(controller="graceful"), index)
+        assert other == replace(ours, controller="graceful")
+
+
+@pytest.mark.parametrize(("hits", "trials"), [(0, 20), (20, 20), (199, 200)])
+def test_intervals_of_shares_are_clopper_and_pearsons(hits, trials):
+    found = share(hits, trials)
+    if hits < trials:
+        high = found["high"] / 100.0
+        assert stats.binom.cdf(hits, trials, high) == pytest.approx(0.025)
+    if hits > 0:
+        low = found["low"] / 100.0
+        assert stats.binom.sf(hits - 1, trials, low) == pytest.approx(0.025)
+
+
+@pytest.mark.parametrize(("part", "count"), [(0.5, 15), (0.5, 200), (0.9, 100), (0.99, 1000)])
+def test_intervals_of_quantiles_hold_what_they_promise(part, count):
+    # Of a uniform law the quantile is `part` itself; the values' ranks decide.
+    rng = np.random.default_rng(3)
+    held = 0
+    for _ in range(400):
+        found = quantile(rng.uniform(size=count), part)
+        held += found["low"] <= part <= found["high"]
+    # With at least 95 %: fewer than this have a probability of 1e-6.
+    assert held >= stats.binom.ppf(1e-6, 400, 0.95)
+
+
+def test_few_values_leave_the_far_end_open():
+    found = quantile(range(100), 0.99)
+    assert found["high"] is None
+    assert found["low"] < found["value"]
+    assert quantile([], 0.5) == {"value": None, "low": None, "high": None}
+
+
+def test_what_counts_as_docked():
+    figures = figures_of(
+        [
+            record(),
+            record("inaccurate", lateral=0.02),
+            record("inaccurate", lateral=-0.06),
+            record("wall_contact", contacts=1),
+            record("not_detected"),
+        ]
+    )
+    values = [figure["value"] for name, figure in figures.items() if name.endswith("(%)")]
+    assert values == pytest.approx([20.0, 40.0, 60.0, 20.0, 0.0])
+    assert figures["lateral error, median (mm)"]["value"] == pytest.approx(20.0)
+
+
+def test_pairs_are_compared_index_by_index():
+    first = [record(time=10.0), record(), record("not_detected"), record("timed_out")]
+    second = [record(time=7.0), record("not_detected"), record(), record("timed_out")]
+    paired = paired_figures(first, second)
+    counts = [v for k, v in paired.items() if k.endswith("docked")]
+    assert counts == [1, 1, 1, 1]
+    assert paired["mcnemar_p"] == 1.0
+    assert paired["time, median difference (s)"]["value"] == pytest.approx(-3.0)
+    assert paired_figures([record()] * 6, [record("timed_out")] * 6)["mcnemar_p"] == 2.0 * 0.5**6
+
+
+def test_table_picture_and_numbers_are_left(tmp_path):
+    logged(tmp_path / "ours", 12)
+    logged(tmp_path / "other", 12, controller="graceful")
+    lines = compare(tmp_path / "other", tmp_path / "ours", 12)
+    assert "ours" in lines[0]
+    assert "graceful" in lines[0]
+    with (tmp_path / "other" / "comparison.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    numbers = json.loads((tmp_path / "other" / "comparison.json").read_text())
+    figure = numbers["controllers"]["ours"][rows[0]["figure"]]
+    assert float(rows[0]["ours value"]) == figure["value"]
+    assert numbers["seed"] == 1
+    picture = (tmp_path / "other" / "comparison.png").read_bytes()
+    assert picture.startswith(b"\x89PNG")
+
+
+def test_other_dockings_are_refused(tmp_path):
+    logged(tmp_path / "one", 3)
+    logged(tmp_path / "two", 3, seed=2)
+    with pytest.raises(ComparisonError, match="other dockings"):
+        compare(tmp_path / "two", tmp_path / "one", 3)
+    logged(tmp_path / "more", 5)
+    with pytest.raises(ComparisonError, match="lacks 2 of 5"):
+        compare(tmp_path / "more", tmp_path / "one", 5)
+    with pytest.raises(FileError, match="cannot read"):
+        compare(tmp_path / "more", tmp_path / "nowhere", 5)
+    (tmp_path / "one" / "dockings.jsonl").write_text("{}\n")
+    with pytest.raises(ComparisonError, match="no log"):
+        compare(tmp_path / "more", tmp_path / "one", 5)
