@@ -63,8 +63,15 @@ class MarkerDictionary:
         """
         if not 0 <= marker < len(self.codes):
             raise VisionError(f"{self.name} has markers 0 to {len(self.codes) - 1}, not {marker}")
-        bits = self.codes[marker, 0].reshape(self.cells, self.cells)
-        return np.pad((bits > 0).astype(np.uint8), 1)
+        return _pattern(self, marker)
+
+
+@lru_cache(maxsize=256)
+def _pattern(dictionary: MarkerDictionary, marker: int) -> np.ndarray:
+    bits = dictionary.codes[marker, 0].reshape(dictionary.cells, dictionary.cells)
+    pattern = np.pad((bits > 0).astype(np.uint8), 1)
+    pattern.flags.writeable = False
+    return pattern
 
 
 def simple_name(name: str) -> str:
@@ -142,18 +149,20 @@ def may_be_markers(image: np.ndarray, quads: np.ndarray, cells: int, lens: Lens)
     # Sums of products, as a product of matrices would start threads.
     places = np.einsum("pk,nik->npi", _glance(cells), homography(lens.ideal(quads)))
     values = sample(image, lens.seen(places[..., :2] / places[..., 2:]))
-    outside, border, inside = np.split(values, (4 * _GLANCES, 8 * _GLANCES), axis=1)
+    ring = slice(0, 4 * _GLANCES), slice(4 * _GLANCES, 8 * _GLANCES), slice(8 * _GLANCES, None)
+    outside, border, inside = (values[:, part] for part in ring)
     # Light may change evenly across a marker.
     middle = np.einsum("pk,nk->np", _half_planes(cells), values[:, : 8 * _GLANCES])
-    around, along, within = np.split(middle, (4 * _GLANCES, 8 * _GLANCES), axis=1)
-    likely = np.median(outside, axis=1) - np.median(border, axis=1) > _LEAST_RISE
+    around, along, within = (middle[:, part] for part in ring)
+    typical = np.median(values[:, : 8 * _GLANCES].reshape(-1, 2, 4 * _GLANCES), axis=2)
+    likely = typical[:, 0] - typical[:, 1] > _LEAST_RISE
     for truth, part in (
         (outside > border, _FRAMED),
         (border < along, _DARK),
         (outside > around, _BRIGHT),
         (inside > within, _FILLED),
     ):
-        likely &= truth.mean(axis=1) >= part
+        likely &= truth.sum(axis=1) >= part * truth.shape[1]
     return likely
 
 
@@ -215,15 +224,13 @@ def interpret(levels: np.ndarray) -> List[Optional[Reading]]:
     """
     count, side = levels.shape[:2]
     inner = levels[:, 1:-1, 1:-1]
-    border = np.ones((side, side), dtype=bool)
-    border[[0, -1]] = border[:, [0, -1]] = False
-    border[2:-2, 2:-2] = False
+    border = _border(side)
     black = np.median(levels[:, border], axis=1)
     order = np.sort(inner.reshape(count, (side - 2) ** 2), axis=1)
     white = order[:, int(0.95 * order.shape[1])]
     bright = levels > (0.5 * (black + white))[:, None, None]
-    dark_plane = _planes(levels, border & ~bright)
-    bright_plane = _planes(levels, bright)
+    planes = _planes(np.concatenate((levels, levels)), np.concatenate((border & ~bright, bright)))
+    dark_plane, bright_plane = planes[:count], planes[count:]
     half = 0.5 * (bright_plane - dark_plane)
     half = np.maximum(half, np.maximum(0.1 * (white - black), 1e-3)[:, None, None])
     soft = np.clip((levels - 0.5 * (bright_plane + dark_plane)) / half, -1.5, 1.5)
@@ -252,27 +259,45 @@ def match(reading: Reading, dictionary: MarkerDictionary, correction: int) -> Op
     return Match(marker, turns, errors, likeness)
 
 
+@lru_cache(maxsize=None)
+def _border(side: int) -> np.ndarray:
+    """Return which of (side, side) cells are the border: the second ring."""
+    border = np.ones((side, side), dtype=bool)
+    border[[0, -1]] = border[:, [0, -1]] = False
+    border[2:-2, 2:-2] = False
+    return border
+
+
 # Fewer levels than this make a mean, no plane.
 _LEAST_OF_PLANE = 8
 
 
 def _planes(levels: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """Return the plane (n, k, k) through the chosen levels of each; their mean if they are few."""
-    row, column = np.indices(levels.shape[1:], dtype=float) - (levels.shape[1] - 1) / 2.0
-    terms = np.stack((np.ones(levels.shape[1:]), row, column))
-    weights = chosen.astype(float)
-    count = weights.sum(axis=(1, 2))
-    normal = np.einsum("nij,aij,bij->nab", weights, terms, terms) + 1e-6 * np.eye(3)
-    right = np.einsum("nij,nij,aij->na", weights, levels, terms)
-    everywhere = levels.mean(axis=(1, 2))
-    mean = np.where(count > 0, right[:, 0] / np.maximum(count, 1.0), everywhere)
-    plane = np.einsum("na,aij->nij", _solved(normal, right), terms)
-    return np.where((count >= _LEAST_OF_PLANE)[:, None, None], plane, mean[:, None, None])
+    count, side = levels.shape[:2]
+    terms, products = _plane_terms(side)
+    flat = levels.reshape(count, side * side)
+    weights = chosen.reshape(flat.shape).astype(float)
+    # By Cramer's rule: the equations' matrix is ((a, b, c), (b, d, e), (c, e, f)).
+    a, b, c, d, e, f = np.einsum("np,qp->qn", weights, products)
+    a, d, f = a + 1e-6, d + 1e-6, f + 1e-6
+    x, y, z = right = np.einsum("np,qp->qn", weights * flat, terms)
+    p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
+    s, t, u = a * f - c * c, b * c - a * e, a * d - b * b
+    numbers = np.stack((p * x + q * y + r * z, q * x + s * y + t * z, r * x + t * y + u * z))
+    numbers /= a * p + b * q + c * r
+    plane = np.einsum("qn,qp->np", numbers, terms)
+    few = np.rint(a) < _LEAST_OF_PLANE
+    if few.any():
+        mean = np.where(a > 0.5, right[0] / np.maximum(a, 1.0), flat.mean(axis=1))
+        plane[few] = mean[few, None]
+    return plane.reshape(levels.shape)
 
 
-def _solved(matrices: np.ndarray, rights: np.ndarray) -> np.ndarray:
-    """Return x (n, 3) of matrices (n, 3, 3) · x = rights (n, 3), by Cramer's rule."""
-    a, b, c = (matrices[:, :, k] for k in range(3))
-    crosses = np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=1)
-    determinants = np.einsum("nk,nk->n", a, crosses[:, 0])
-    return np.einsum("nik,nk->ni", crosses, rights) / determinants[:, None]
+@lru_cache(maxsize=None)
+def _plane_terms(side: int) -> Tuple[np.ndarray, np.ndarray]:
+    """Return 1, row, column (3, side²), from the middle, and their products (6, side²)."""
+    row, column = np.indices((side, side), dtype=float).reshape(2, -1) - (side - 1) / 2.0
+    one = np.ones_like(row)
+    products = one, row, column, row * row, row * column, column * column
+    return np.stack((one, row, column)), np.stack(products)

@@ -186,10 +186,12 @@ class MarkerDetector:
         # Other markers may be in their white cells.
         for read, corners in found[:]:
             pattern = self.dictionary.pattern(read.marker)
-            inner = quads_in_cells(image, corners, pattern, lens, self.settings.min_side)
-            for quad, one in zip(inner, self._decode(image, inner, lens)):
-                known = any(same_quads(np.stack((quad, other)))[0, 1] for _, other in found)
-                if one is not None and not known:
+            size = mean_side(corners)
+            others = [other for _, other in found if mean_side(other) < size]
+            least = self.settings.min_side
+            inner = quads_in_cells(image, corners, pattern, lens, least, others)
+            for one in self._decode(image, inner, lens):
+                if one is not None:
                     add_decoded(one, found)
         return self._choose(found, image, lens, report)
 

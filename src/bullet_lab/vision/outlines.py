@@ -21,6 +21,8 @@ _FIT_TRIM = 0.15
 # Least area of a quadrilateral by the square of its outline: of a square 1/16, of one that is
 # seen at 80 degrees a third of that.
 _LEAST_AREA = 0.018
+
+
 @dataclass(frozen=True)
 class _Mask:
     """A way to tell dark from bright.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Tuple
+from typing import Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -22,6 +22,7 @@ _LEAST_REACH = 1.25
 _BORDER_PART = 0.9
 # Sides are looked at without so much of them at either end.
 _CROSS_TRIM = 0.08
+_PLACED = np.linspace(_CROSS_TRIM, 1.0 - _CROSS_TRIM, _CROSSINGS)
 # An edge that is seen at fewer of its places is none.
 _LEAST_SEEN = 0.5
 # Grey levels by which an edge has to rise.
@@ -62,13 +63,13 @@ def _refine_once(
     outward = np.stack((along[..., 1], -along[..., 0]), axis=-1)
     across = 0.5 * (lengths[:, _BEFORE] + lengths[:, _AFTER]) / cells
     reaches = np.minimum(reach, np.maximum(_LEAST_REACH, _BORDER_PART * across))
-    places = np.linspace(_CROSS_TRIM, 1.0 - _CROSS_TRIM, _CROSSINGS)
     steps = int(np.ceil(reach / step))
-    offsets = np.linspace(-1, 1, 2 * steps + 1) * reaches[..., None]
+    offsets = np.arange(-steps, steps + 1) / steps * reaches[..., None]
+    places = _PLACED
     base = corners[:, :, None] + edges[:, :, None] * places[:, None]
     points = base[:, :, :, None] + outward[:, :, None, None] * offsets[:, :, None, :, None]
     values = sample(image, lens.seen(points))
-    rises = np.clip(values[..., 1:] - values[..., :-1], 0.0, None)
+    rises = np.maximum(values[..., 1:] - values[..., :-1], 0.0)
     weights = rises.sum(axis=-1)
     middles = 0.5 * (offsets[..., 1:] + offsets[..., :-1])
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -82,7 +83,7 @@ def _refine_once(
     direction = second - first
     normals = np.stack((direction[..., 1], -direction[..., 0]), axis=-1)
     met = intersections(first, normals)
-    met[seen.mean(axis=-1).min(axis=1) < _LEAST_SEEN] = np.nan
+    met[seen.sum(axis=-1).min(axis=1) < _LEAST_SEEN * _CROSSINGS] = np.nan
     refined[usable] = met
     return refined
 
@@ -133,6 +134,7 @@ def quads_in_cells(
     pattern: np.ndarray,
     lens: Lens,
     min_side: float,
+    known: Sequence[np.ndarray] = (),
 ) -> np.ndarray:
     """Return the outlines of what is dark and has four corners in the white cells of a marker.
 
@@ -146,30 +148,42 @@ def quads_in_cells(
         pattern: (n, n) its cells with the border, 1 for white.
         lens: where ideal pixels are seen.
         min_side: px, least mean length of the sides that are looked for.
+        known: (4, 2) corners of other markers, ideal px; a cell with one in it has no second.
 
     Returns:
         (m, 4, 2) corners u, v in px of the image, clockwise.
     """
     cells = len(pattern)
-    sides = np.roll(corners, -1, axis=0) - corners
+    sides = corners[_AFTER] - corners
     if float(np.hypot(sides[:, 0], sides[:, 1]).min()) < cells * min_side:
         return np.empty((0, 4, 2))
     to_image = homography(corners)
     levels = sample(image, lens.seen(_mapped(_cell_samples(cells), to_image)))
-    levels = levels.reshape(cells, cells, -1)
-    black = float(np.median(levels[pattern == 0]))
-    white = float(np.quantile(levels[pattern == 1], 0.75))
-    if white - black < 1.0:
+    levels = levels.reshape(cells * cells, -1)
+    white = (pattern > 0).ravel()
+    black_level, white_level = _quantile(levels[~white], 0.5), _quantile(levels[white], 0.75)
+    contrast = white_level - black_level
+    if contrast < 1.0:
         return np.empty((0, 4, 2))
-    low = (white - np.quantile(levels, _DARK_PART, axis=2)) / (white - black)
-    low[pattern == 0] = 0.0
-    rows, columns = np.nonzero(low > _DARKER)
-    fullest = np.argsort(-low[rows, columns], kind="stable")[:_MOST_CELLS]
+    dark = int(_DARK_PART * levels.shape[1])
+    low = (white_level - np.partition(levels, dark, axis=1)[:, dark]) / contrast
+    low[~white] = 0.0
+    for other in known:
+        column, row = (cells * _mapped(other.mean(axis=0)[None], cv2.invert(to_image)[1]))[0]
+        if 0.0 <= column < cells and 0.0 <= row < cells:
+            low[cells * int(row) + int(column)] = 0.0
+    fullest = np.argsort(-low, kind="stable")[:_MOST_CELLS]
     found = [np.empty((0, 4, 2))]
-    for row, column in zip(rows[fullest], columns[fullest]):
+    for index in fullest[low[fullest] > _DARKER].tolist():
+        row, column = divmod(index, cells)
         outline = lens.seen(_mapped((_UNIT_SQUARE + (column, row)) / cells, to_image))
-        found.append(_quads_within(image, outline, (black, white), min_side))
+        found.append(_quads_within(image, outline, (black_level, white_level), min_side))
     return np.concatenate(found)
+
+
+def _quantile(levels: np.ndarray, part: float) -> float:
+    index = int(part * levels.size)
+    return float(np.partition(levels, index, axis=None)[index])
 
 
 def _quads_within(

@@ -10,7 +10,7 @@ from bullet_lab.vision.dictionaries import dictionary_named
 from bullet_lab.vision.images import Lens
 from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
 from bullet_lab.vision.marker_pose import estimate_pose
-from bullet_lab.vision.pattern_fit import _Model, fit_pattern
+from bullet_lab.vision.pattern_fit import Model, fit_pattern, moves_of
 
 PATTERN = dictionary_named(TAGS).pattern(0)
 VIEW = View(2.0, yaw=25.0, pitch=4.0, roll=10.0, shift=(0.1, 0.05))
@@ -21,17 +21,18 @@ def fit(image, view, off=0.3):
     return fit_pattern(image.astype(np.float32), start, PATTERN, Lens())
 
 
-@pytest.mark.parametrize("spread", [(0.3, 0.3, 0.0), (1.5, 0.4, 0.3)])
+@pytest.mark.parametrize("spread", [(0.3, 0.3, 0.0), (1.5, 0.4, 0.3), (2.5, 1.0, 1.5)])
 def test_derivatives_are_those_of_the_model(spread):
+    """Of the corners; those of the blur are exact where it is no motion."""
     corners, step = true_corners(VIEW), 1e-2
     chance = np.random.default_rng(0)
-    points = corners.mean(axis=0) + chance.uniform(-24.0, 24.0, (300, 2))
+    points = corners.mean(axis=0)[:, None] + chance.uniform(-24.0, 24.0, (2, 300))
     light = np.array([20.0, 5.0, -3.0, 0.0, 0.0, 0.0, 180.0, 10.0, 5.0])
 
-    def levels(corners, spread=spread):
-        return _Model(points, corners, np.array(spread), PATTERN).light @ light
+    def levels(corners):
+        return light @ Model(points, corners, np.array(spread), PATTERN).light()
 
-    model = _Model(points, corners, np.array(spread), PATTERN)
+    model = Model(points, corners, np.array(spread), PATTERN)
     numbers = []
     for index in range(8):
         move = np.zeros(8)
@@ -39,8 +40,8 @@ def test_derivatives_are_those_of_the_model(spread):
         there, back = (levels(corners + sign * move.reshape(4, 2)) for sign in (1, -1))
         numbers.append((there - back) / (2 * step))
     # Of the light, only its value in the middle of the pattern moves with the corners here.
-    exact = model.shape(light)
-    assert np.abs(exact - np.array(numbers).T).max() < 0.12 * np.abs(exact).max()
+    exact = np.linalg.inv(moves_of(corners, model.to_image)).T @ model.shape(light)
+    assert np.abs(exact - np.array(numbers)).max() < 0.12 * np.abs(exact).max()
 
 
 @pytest.mark.parametrize("distance, blur", [(2.0, 0.6), (6.0, 0.6), (0.8, 0.8)])
@@ -67,7 +68,7 @@ def test_what_hides_a_corner_is_passed_over_and_the_corner_is_less_certain():
     hidden = fit(image, VIEW)
     assert np.abs(hidden.corners - true_corners(VIEW)).max() < 0.3
     assert hidden.hidden > free.hidden + 0.02
-    assert np.diag(hidden.covariance)[2:4].sum() > 1.5 * np.diag(free.covariance)[2:4].sum()
+    assert np.diag(hidden.covariance)[2:4].sum() > 1.3 * np.diag(free.covariance)[2:4].sum()
 
 
 def test_no_marker_is_none():
