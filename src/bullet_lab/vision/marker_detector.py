@@ -157,17 +157,16 @@ class MarkerDetector:
 
     def _detect(self, grey: np.ndarray, lens: Lens) -> Detections:
         report = DetectionReport()
-        low, high = cv2.minMaxLoc(grey)[:2]
+        low, high = float(grey.min()), float(grey.max())
         report.mean, report.contrast = float(cv2.mean(grey)[0]), high - low
         report.noise = noise_level(grey)
         smooth, least = _prepare(grey, low, high, report.noise)
         search = OutlineSearch(smooth, self.settings.min_side)
-        image = grey.astype(np.float32)
         quads = search.first_look(max(least, self.settings.contrast))
-        markers = self._look(image, quads, lens, report)
+        markers = self._look(grey, quads, lens, report)
         if not markers and self.settings.second_pass:
             report.second_pass = True
-            markers = self._look(image, search.second_look(least), lens, report)
+            markers = self._look(grey, search.second_look(least), lens, report)
         return Detections(markers, report)
 
     def _look(

@@ -26,10 +26,12 @@ _AROUND, _LEAST_AROUND, _BEYOND, _BLURRED_IN = 0.55, 0.1, 1.3, 0.8
 _SMALL, _MOST_PIXELS = 30.0, 600
 _PLACES, _REACH = 5, 2
 # Variance of the blur beside a pixel's own extent, px²: at first, and its limits.
-_FIRST_VARIANCE, _LEAST_VARIANCE, _MOST_VARIANCE = 0.2, 0.005, 40.0
+_FIRST_VARIANCE, _LEAST_VARIANCE, _MOST_VARIANCE = 0.1, 0.005, 40.0
 _MOST_ROUNDS = 8
 # px; when no corner moves by more, what is left to go is the square of that: the fit is there.
 _STILL = 0.05
+# px²; where the blur is what it was taken for, and nothing moved, once is enough.
+_AS_SHARP = 0.11
 # Residuals beyond so many standard deviations are not the marker's.
 _OUTLYING = 3.5
 # Standard deviation of grey levels that were rounded to whole ones.
@@ -100,10 +102,11 @@ def fit_pattern(
         to_corners = moves_of(corners, model.to_image)
         moved = to_corners @ step[len(light) : -_SPREAD]
         corners = corners + moved.reshape(4, 2)
-        spread = _allowed(spread + step[-_SPREAD:])
+        before, spread = spread, _allowed(spread + step[-_SPREAD:])
         if not np.abs(corners - start).max() <= _MOST_MOVED * cell:
             return None
-        if number and np.abs(moved).max() < _STILL:
+        sharpened = np.abs(spread - before).max()
+        if np.abs(moved).max() < _STILL and (number or sharpened < _AS_SHARP):
             break
     residuals = residuals - step @ columns
     noise = _noise(residuals, model.steepness(light))

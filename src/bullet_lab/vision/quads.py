@@ -14,7 +14,7 @@ from bullet_lab.vision.outlines import outlines_within
 
 # How far from the line to look for the edge and how close to sample, px; first roughly, then
 # centred on what was found.
-_LOOKS = ((2.5, 0.5), (2.0, 0.25), (1.5, 0.25))
+_LOOKS = ((2.5, 0.5), (1.5, 0.25))
 # Places at which a side is crossed.
 _CROSSINGS = 16
 _LEAST_REACH = 1.25
@@ -33,8 +33,8 @@ def refine_corners(image: np.ndarray, quads: np.ndarray, cells: int, lens: Lens)
     """Return the corners of dark quadrilaterals where the lines along their sides meet.
 
     Each side is crossed at many places; where the grey level rises, on average, the edge is.
-    The second and third look are centred on the line found before, and so are not biased by
-    what lies on either side of it.
+    The second look is centred on the line found before, and so is not biased by what lies on
+    either side of it.
 
     Args:
         image: (h, w) grey levels.
@@ -143,7 +143,7 @@ def quads_in_cells(
     and its white are known.
 
     Args:
-        image: (h, w) grey levels, float32.
+        image: (h, w) grey levels.
         corners: (4, 2) of the marker, ideal px, clockwise from its top left.
         pattern: (n, n) its cells with the border, 1 for white.
         lens: where ideal pixels are seen.
@@ -198,7 +198,7 @@ def _quads_within(
     part = image[top:bottom, left:right]
     scale = int(np.clip(_ENLARGED / max(part.shape), 1, _LARGEST_SCALE))
     size = (scale * part.shape[1], scale * part.shape[0])
-    part = cv2.GaussianBlur(part, (0, 0), _SMOOTHING)
+    part = cv2.GaussianBlur(part.astype(np.float32), (0, 0), _SMOOTHING)
     part = cv2.resize(part, size, interpolation=cv2.INTER_CUBIC)
     # What is beyond the cell, its black neighbours, is not to run together with what is in it.
     inside = np.zeros(part.shape, dtype=np.uint8)
