@@ -253,6 +253,8 @@ step_python() {
 build_workspace() (
   unset CMAKE_PREFIX_PATH ROS_PACKAGE_PATH
   use_lab_python
+  # Everything here is Python: messages in four more languages take most of the time.
+  export ROS_LANG_DISABLE=gencpp:geneus:genlisp:gennodejs
   PATH=$LAB_VENV/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
   if [[ $LAB_ROS != /usr ]]; then
     source_setup_file "$LAB_ROS/setup.bash"
