@@ -1,6 +1,7 @@
 """Jobs in a browser: a headless Chromium opens the page, looks, clicks and presses keys."""
 
 import contextlib
+import json
 import math
 import os
 import shutil
@@ -53,7 +54,7 @@ def browser():
 
 @contextlib.contextmanager
 def running(job, folder, *words):
-    """Run a job with its page, and give the page's URL."""
+    """Run a job with its page until Ctrl-C, and give the page's URL."""
     log = folder / "job.log"
     with log.open("w") as out:
         process = subprocess.Popen(
@@ -67,11 +68,12 @@ def running(job, folder, *words):
     finally:
         process.send_signal(2)
         process.wait(60.0)
+    assert process.returncode == 0, log.read_text()
 
 
 @contextlib.contextmanager
 def opened(browser, url):
-    """Open a page once its robot is there; give it, and what it has asked for of elsewhere."""
+    """Open a page once its robot is there; all that it asks for is its own."""
     page = browser.new_page(viewport=SIZE)
     page.set_default_timeout(PATIENCE_MS)
     asked = []
@@ -89,6 +91,77 @@ def opened(browser, url):
     assert not [one for one in asked if not one.startswith(ours)]
 
 
+class Robot:
+    """The robot of a job as ROS has it: where it is, what it is told, what it has reached."""
+
+    def __init__(self):
+        self.odom = Topic("/odom", Odometry, connected=False)
+        self._states = Topic("/drive_to_goal/status", GoalStatus, connected=False)
+        self._goals = Topic("/move_base_simple/goal", PoseStamped, connected=False)
+        self.commands = []
+        self._commands = rospy.Subscriber(
+            "/cmd_vel", Twist, lambda m: self.commands.append((time.monotonic(), m))
+        )
+
+    def close(self):
+        for topic in (self.odom, self._states, self._goals):
+            topic.close()
+        self._commands.unregister()
+
+    def places(self, count=1):
+        return [message.pose.pose.position for message in self.odom.messages[-count:]]
+
+    def reached(self):
+        """Return how many goals were reached."""
+        states = self._states.messages
+        return len({m.goal_id.id for m in states if m.status == GoalStatus.SUCCEEDED})
+
+    def is_at_newest_goal(self):
+        goal, (place,) = self._goals.messages[-1].pose.position, self.places()
+        return math.hypot(place.x - goal.x, place.y - goal.y) < 0.1
+
+
+@pytest.fixture
+def robot(master):
+    made = Robot()
+    yield made
+    made.close()
+
+
+def is_seen_in_its_place(page, robot):
+    x, y, _ = page.evaluate(ROBOT)[:3]
+    return min(math.hypot(x - p.x, y - p.y) for p in robot.places(100)) < CENTIMETRE
+
+
+def hold(page, robot, key, shows, seconds):
+    """Hold a key until the robot is told what shows it, and so long in simulated time."""
+    page.keyboard.down(key)
+    count = len(robot.commands)
+    wait_for(lambda: any(shows(m) for _, m in robot.commands[count:]), f"{key} to drive")
+    rospy.rostime.wallsleep(seconds)
+    page.keyboard.up(key)
+    wait_for(lambda: robot.commands[-1][1] == Twist(), "the robot to be stopped")
+
+
+def click_on_the_floor(page, robot, pixel):
+    before = robot.reached()
+    # Through viser's controls, which take nothing for a click that moves.
+    page.mouse.click(*pixel)
+    wait_for(lambda: robot.reached() > before, "the goal that was clicked to be reached")
+    assert robot.is_at_newest_goal()
+    wait_for(lambda: is_seen_in_its_place(page, robot), "the robot to be seen there")
+
+
+def close_while_driving(page, robot):
+    page.keyboard.down("ArrowLeft")
+    count = len(robot.commands)
+    wait_for(lambda: any(m.angular.z > 0.0 for _, m in robot.commands[count:]), "to be driven")
+    closed = time.monotonic()
+    page.close()
+    wait_for(lambda: robot.commands[-1][1] == Twist(), "the robot to be stopped")
+    assert robot.commands[-1][0] - closed < LATEST_STOP
+
+
 @pytest.mark.parametrize(
     ("job", "words", "wanted"),
     [
@@ -98,66 +171,66 @@ def opened(browser, url):
             ("x:=0.5", "y:=1.0", "yaw:=150"),
             {"/topics/dock/plan", "/topics/dock/dock_pose", "/topics/bullet_lab/world/meshes/0"},
         ),
-        ("sensors", (), {"/topics/scan", "/topics/sonar"}),
+        ("sensors", (), {"/topics/scan", "/topics/sonar", "/topics/bumper"}),
     ],
 )
-def test_the_robot_is_seen_where_odometry_says(job, words, wanted, master, browser, tmp_path):
-    odom = Topic("/odom", Odometry, connected=False)
-    # Slowly, so that it is not over before a busy machine has the page.
-    with running(job, tmp_path, "rtf:=0.25", *words) as url, opened(browser, url) as page:
-        seen = set()
+def test_a_job_is_seen_and_its_robot_driven(job, words, wanted, robot, browser, tmp_path):
+    with running(job, tmp_path, *words) as url:
+        time.sleep(2.0)
+        assert not robot.odom.messages, "time does not wait for somebody to look"
+        with opened(browser, url) as page:
+            seen = set()
 
-        def look():
-            time.sleep(2.0)
-            x, y, _ = page.evaluate(ROBOT)[:3]
-            places = [m.pose.pose.position for m in odom.messages[-100:]]
-            assert min(math.hypot(x - p.x, y - p.y) for p in places) < CENTIMETRE
-            seen.update(page.evaluate(f"Object.keys({NODES})"))
-            moved = len({(round(p.x, 3), round(p.y, 3)) for p in places}) > 1
-            return moved and wanted <= seen
+            def look():
+                time.sleep(1.0)
+                assert is_seen_in_its_place(page, robot)
+                names = page.evaluate(f"Object.keys({NODES})")
+                seen.update(n for n in wanted if any(name.startswith(n) for name in names))
+                moved = len({(round(p.x, 3), round(p.y, 3)) for p in robot.places(100)}) > 1
+                return moved and wanted <= seen
 
-        wait_for(look, lambda: str(wanted - seen))
-        page.screenshot(path=str(tmp_path / f"{job}.png"))
-        keep(tmp_path / f"{job}.png")
-    odom.close()
+            wait_for(look, lambda: str(wanted - seen), 120.0)
+            keep(page, job)
+            summary = tmp_path / "results" / job / "summary.json"
+            wait_for(lambda: is_finished(summary), "the job to end", 240.0)
+            hold(page, robot, "ArrowDown", lambda m: m.linear.x < 0.0, 3.0)
+            click_on_the_floor(page, robot, (380, 330))
+            keep(page, f"{job}_driven")
+            close_while_driving(page, robot)
 
 
-def test_a_click_sends_a_goal_and_keys_drive_until_the_page_is_closed(master, browser, tmp_path):
-    odom = Topic("/odom", Odometry, connected=False)
-    goals = Topic("/move_base_simple/goal", PoseStamped, connected=False)
-    states = Topic("/drive_to_goal/status", GoalStatus, connected=False)
-    commands = []
-    rospy.Subscriber("/cmd_vel", Twist, lambda m: commands.append((time.monotonic(), m)))
+def is_finished(summary):
+    return summary.is_file() and json.loads(summary.read_text()).get("finished", True)
+
+
+def test_the_job_goal_takes_clicks_and_is_closed_to_strangers(robot, browser, tmp_path):
     with running("goal", tmp_path) as url, opened(browser, url) as page:
-        wait_for(lambda: ends(states) == 1, "the job's own goal to be reached")
-        before = len(goals.messages)
-        # Through viser's controls, which take nothing for a click that moves.
-        page.mouse.click(230, 420)
-        goal = wait_for(lambda: goals.messages[before:], "a goal")[0].pose.position
-        wait_for(lambda: ends(states) == 2, "the goal that was clicked to be reached")
-        place = odom.messages[-1].pose.pose.position
-        assert math.hypot(place.x - goal.x, place.y - goal.y) < 0.1
-        page.screenshot(path=str(tmp_path / "goal.png"))
-        keep(tmp_path / "goal.png")
+        wait_for(lambda: robot.reached() == 1, "the job's own goal to be reached")
+        click_on_the_floor(page, robot, (230, 420))
+        keep(page, "goal")
+        close_while_driving(page, robot)
 
-        page.keyboard.down("ArrowUp")
-        count = len(commands)
-        wait_for(lambda: commands[count:] and commands[-1][1].linear.x > 0.0, "to be driven")
-        closed = time.monotonic()
-        page.close()
-        wait_for(lambda: commands[-1][1] == Twist(), "to be stopped")
-        assert commands[-1][0] - closed < LATEST_STOP
-    for topic in (odom, goals, states):
-        topic.close()
+        stranger = browser.new_page()
+        answer = stranger.goto(url.rsplit("/", 2)[0])
+        assert (answer.status, answer.body()) == (403, b"")
+        # A page from elsewhere, which even knows the token.
+        stranger.goto("data:text/html,elsewhere")
+        for address in (url, f"{url}drive"):
+            said = stranger.evaluate(SOCKET, address.replace("http", "ws", 1))
+            assert said == "error"
+        stranger.close()
 
 
-def ends(states):
-    """Return how many goals were reached."""
-    return len({m.goal_id.id for m in states.messages if m.status == GoalStatus.SUCCEEDED})
+# What becomes of a socket.
+SOCKET = """address => new Promise(resolve => {
+  const socket = new WebSocket(address);
+  socket.onopen = () => resolve("open");
+  socket.onerror = () => resolve("error");
+})"""
 
 
-def keep(picture):
-    """Put a picture where the environment says, to be looked at."""
+def keep(page, name):
+    """Put a picture of the page where the environment says, to be looked at."""
     folder = os.environ.get("LAB_PICTURES")
     if folder:
-        shutil.copy(picture, folder)
+        page.screenshot(path=str(Path(folder) / f"{name}.png"))

@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Callable, TextIO
 
 import rospkg
 
@@ -112,7 +113,9 @@ def _run(job: Job, values: dict[str, str], package: Path, signals: StopSignals) 
         # A node that refused a value has said why: that line shall stand alone.
         if status != STATUS_BAD_VALUE:
             seconds = time.monotonic() - started
-            print(f"{job.name}: {'failed' if status else 'done'} after {seconds:.1f} s")
+            stopped = signals.received and status == 128 + signals.received
+            how = "stopped" if stopped else "failed" if status else "done"
+            print(f"{job.name}: {how} after {seconds:.1f} s")
             for path in out.written():
                 print(f"  {shown(path)}")
     return status
@@ -160,11 +163,24 @@ def _launch(job, values, out: OutputFolder, signals: StopSignals, screen: Virtua
         whose = "its own master" if master.own else "the master"
         print(f"{job.name}: running on {whose} {master.uri}", file=terminal, flush=True)
         with Launch(job, values, master) as launch:
-            verdict = launch.wait(
-                out.has_summary,
-                lambda: signals.received,
-                screen.picture_now_and_then if screen else lambda: None,
-            )
+            meanwhile = screen.picture_now_and_then if screen else lambda: None
+            if values.get("view") == "browser":
+                meanwhile = _tell_once_finished(job, out, terminal)
+            verdict = launch.wait(out, lambda: signals.received, meanwhile)
             if screen:
                 screen.picture()
             return verdict
+
+
+def _tell_once_finished(job: Job, out: OutputFolder, terminal: TextIO) -> Callable[[], None]:
+    """Return what tells, once, that the results are there and that the job goes on all the same."""
+    told = False
+
+    def look() -> None:
+        nonlocal told
+        if not told and out.is_finished():
+            told = True
+            line = f"{job.name}: the results are in {shown(out.path)}; the page stays until Ctrl-C"
+            print(line, file=terminal, flush=True)
+
+    return look

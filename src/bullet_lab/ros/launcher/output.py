@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import json
 import logging
 import os
 import re
@@ -66,6 +67,14 @@ class OutputFolder:
     def has_summary(self) -> bool:
         """Whether this run has written its summary."""
         return (self.path / SUMMARY).is_file()
+
+    def is_finished(self) -> bool:
+        """Whether the summary of this run is there, and says nothing else than that all is in."""
+        try:
+            summary = json.loads((self.path / SUMMARY).read_text())
+        except (OSError, ValueError):
+            return False
+        return summary.get("finished", True)
 
     def written(self) -> list[Path]:
         """The files that this run has written, logs left out."""

@@ -1,8 +1,16 @@
-"""The world's shapes as markers, so that RViz shows what Gazebo's window would."""
+"""The world's shapes as markers, so that RViz shows what Gazebo's window would.
+
+What markers have no field for stands in their text, which RViz passes over on all that is no text:
+as JSON, the textures, and what shines by itself.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Iterable, Iterator, Tuple
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Callable, Dict, Iterable, Iterator, NamedTuple, Tuple
 
 from geometry_msgs.msg import Vector3
 from std_msgs.msg import ColorRGBA
@@ -11,7 +19,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.simulation.simulation import ModelInstance
-from bullet_lab.simulation.world.description import Visual
+from bullet_lab.simulation.world.description import BLACK, Material, Texture, Visual
 from bullet_lab.simulation.world.mesh_parts import has_own_looks
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
@@ -56,6 +64,64 @@ def deleted_markers(model: str, count: int, frame: str) -> MarkerArray:
     return array
 
 
+class Look(NamedTuple):
+    """What a shape looks like beyond its marker's colour, and whether its slab is a plane."""
+
+    material: Material = Material()
+    is_plane: bool = False
+
+
+def _look_text(visual: Visual) -> str:
+    """Return what `look_of` reads of a visual; empty for one that is all told by its colour."""
+    material = visual.material
+    said: Dict[str, Any] = {}
+    if material.texture is not None:
+        said = {"texture": asdict(material.texture), "plane": isinstance(visual.geometry, Plane)}
+    if material.emissive != BLACK:
+        said["emissive"] = material.emissive
+    if not material.lit:
+        said["lit"] = False
+    return json.dumps(said, default=str) if said else ""
+
+
+def look_of(text: str) -> Look:
+    """Return the look that the text of a shape's marker tells; a plain one where it tells none.
+
+    >>> look_of('{"texture": {"path": "/wood.png"}, "lit": false}').material.texture.path.name
+    'wood.png'
+    >>> look_of("a label") == Look()
+    True
+    """
+    try:
+        said = json.loads(text) if text else {}
+        texture = _texture(said["texture"]) if "texture" in said else None
+        emissive = _numbers(said.get("emissive", BLACK), 4)
+        lit = bool(said.get("lit", True))
+        return Look(Material(None, emissive, texture, lit), bool(said.get("plane")))
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
+        return Look()
+
+
+def _texture(said: Dict[str, Any]) -> Texture:
+    scale = _numbers(said.get("scale", (1.0, 1.0)), 2)
+    scroll = _numbers(said.get("scroll", (0.0, 0.0)), 2)
+    if not all(scale):
+        raise ValueError(scale)
+    (rotation,) = _numbers((said.get("rotation", 0.0),), 1)
+    repeats, blends, sharp = (
+        bool(said.get(key, usual))
+        for key, usual in (("repeats", True), ("blends", False), ("sharp", False))
+    )
+    return Texture(Path(said["path"]), scale, scroll, rotation, repeats, blends, sharp)
+
+
+def _numbers(values: Iterable[Any], count: int) -> Tuple[Any, ...]:
+    found = tuple(map(float, values))
+    if len(found) != count or not all(map(math.isfinite, found)):
+        raise ValueError(found)
+    return found
+
+
 def _visuals(instance: ModelInstance) -> Iterator[tuple]:
     for link in instance.model.links:
         pose = instance.frame(link.name).pose() if link.visuals else Pose()
@@ -71,6 +137,10 @@ def _marker(visual: Visual) -> Marker:
     kind, size = MARKERS[type(shape)](shape)
     marker = Marker(action=Marker.ADD, frame_locked=True, type=kind, scale=Vector3(*size))
     marker.color = ColorRGBA(*visual.colour)
+    marker.text = _look_text(visual)
+    if isinstance(shape, Plane) and visual.material.texture is not None:
+        # As large as the picture on it has it.
+        marker.scale = Vector3(*shape.size, SLAB_THICKNESS)
     if isinstance(shape, Mesh):
         # RViz knows package:// itself, and file:// for the rest.
         in_package = shape.uri.startswith("package://")

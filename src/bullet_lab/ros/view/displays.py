@@ -66,12 +66,14 @@ class Stage:
 
 
 class Display:
-    """What is seen of one topic; `read` as of `Feed`."""
+    """What is seen of one topic; `read` and `large` as of `Feed`."""
 
-    def __init__(self, stage: Stage, topic: str, read: Callable[[bytes], Any]):
+    def __init__(
+        self, stage: Stage, topic: str, read: Callable[[bytes], Any], large: bool = False
+    ):
         self.stage = stage
         self.node = f"/topics{topic}"
-        self._feed = Feed(topic, read)
+        self._feed = Feed(topic, read, large=large)
 
     def tick(self) -> None:
         """Show what has come."""

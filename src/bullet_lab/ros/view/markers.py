@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import functools
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Callable, Dict, FrozenSet, List, Set, Tuple
+from typing import Any, Callable, Dict, FrozenSet, List, Optional, Set, Tuple
 
 import numpy as np
 from visualization_msgs.msg import Marker as Kinds
 from visualization_msgs.msg import MarkerArray
 
-from bullet_lab.core.pose import Pose
+from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import WORLD
 from bullet_lab.ros.messages.gazebo_types import msg
+from bullet_lab.ros.messages.world import look_of
 from bullet_lab.ros.nodes.show_sensors import contact_markers
 from bullet_lab.ros.view import raw
 from bullet_lab.ros.view.displays import Stage, placed
 from bullet_lab.ros.view.feeds import Feed, reader_of
-from bullet_lab.simulation.world.description import WHITE, Material, Mesh, Visual
+from bullet_lab.simulation.world.description import WHITE, Colour, Geometry, Mesh, Visual
 from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.shapes import Box, Cylinder, Plane, Sphere
 from bullet_lab.view.looks import glb_of
 from bullet_lab.view.scene import Copies, Labels, Polyline, Solids, glb_copies, rgb
 
@@ -28,6 +32,9 @@ SOLIDS = {Kinds.CUBE: "box", Kinds.SPHERE: "sphere", Kinds.CYLINDER: "cylinder"}
 LISTS = {Kinds.CUBE_LIST: "box", Kinds.SPHERE_LIST: "sphere"}
 # Of an arrow that says nothing of it, shares of its length; and m for each N of a contact.
 HEAD_LENGTH, HEAD_WIDTH, CONTACT_SCALE = 0.25, 2.0, 0.02
+
+# Of a marker, what says how it looks.
+LOOK = ("kind", "scale", "colour", "text", "mesh", "own_looks")
 
 Key = Tuple[str, int]
 
@@ -54,7 +61,7 @@ class MarkersDisplay:
         self._report = ReportOnce()
         self._solids = Solids(stage.scene, f"{self._node}/solids")
         self._labels = Labels(stage.scene, f"{self._node}/labels")
-        self._meshes: Dict[tuple, Copies] = {}
+        self._meshes: Dict[Visual, Copies] = {}
         self._nodes: Dict[Key, Any] = {}
         self._lines: Dict[Key, Polyline] = {}
         # Number of the solids of each marker that is a list of them.
@@ -85,6 +92,10 @@ class MarkersDisplay:
 
     def is_hidden(self, marker: raw.Marker) -> bool:
         """Return whether a marker is not to be shown."""
+        return False
+
+    def has_look(self, marker: raw.Marker) -> bool:
+        """Return whether a solid looks like more than its colour."""
         return False
 
     def frames(self) -> Set[str]:
@@ -131,13 +142,17 @@ class MarkersDisplay:
         if marker.locked or key not in self._places:
             self._places[key] = self._stage.where(marker.frame)
         place = self._places[key] * marker.pose
-        if marker.kind in SOLIDS:
-            self._solids.put(key, SOLIDS[marker.kind], place, marker.scale, marker.colour)
-        elif marker.kind in SHOW:
-            try:
+        try:
+            if marker.kind in SOLIDS and not self.has_look(marker):
+                self._put_visual(key, None, place)
+                self._solids.put(key, SOLIDS[marker.kind], place, marker.scale, marker.colour)
+            elif marker.kind in SOLIDS or marker.kind == Kinds.MESH_RESOURCE:
+                self._solids.drop(key)
+                self._put_visual(key, _visual(*(getattr(marker, name) for name in LOOK)), place)
+            elif marker.kind in SHOW:
                 SHOW[marker.kind](self, key, marker, place)
-            except LabError as error:
-                self._report(f"{marker.space}: {error}")
+        except LabError as error:
+            self._report(f"{marker.space}: {error}")
 
     def _list(self, key: Key, marker: raw.Marker, place: Pose) -> None:
         self._hide(key)
@@ -148,24 +163,18 @@ class MarkersDisplay:
             kind = LISTS[marker.kind]
             self._solids.put((*key, number), kind, pose, marker.scale, tuple(map(float, colour)))
 
-    def _mesh(self, key: Key, marker: raw.Marker, place: Pose) -> None:
-        for copies in self._meshes.values():
-            copies.drop(key)
-        has_colour = marker.colour[3] > 0.0
-        colour = marker.colour if has_colour else WHITE
-        look = (marker.mesh, marker.scale, colour, marker.own_looks)
-        if look not in self._meshes:
-            self._meshes[look] = self._new_mesh(*look)
-        self._meshes[look].put(key, place)
-
-    def _new_mesh(self, uri: str, scale: tuple, colour: tuple, own_looks: bool) -> Copies:
-        path = ResourceFinder.anywhere().find(uri)
-        visual = Visual(
-            Mesh(Path(path), uri, scale), colour=colour, material=Material(covers=not own_looks)
-        )
-        glb = glb_of([visual], self._report)
-        name = f"{self._node}/meshes/{len(self._meshes)}"
-        return glb_copies(self._stage.scene, name, glb) if glb else Copies(lambda _: None, ())
+    def _put_visual(self, key: Key, visual: Optional[Visual], place: Pose) -> None:
+        for shown, copies in self._meshes.items():
+            if shown != visual:
+                copies.drop(key)
+        if visual is None:
+            return
+        if visual not in self._meshes:
+            name = f"{self._node}/meshes/{len(self._meshes)}"
+            glb = glb_of([visual], self._report)
+            made = glb_copies(self._stage.scene, name, glb) if glb else Copies(lambda _: None, ())
+            self._meshes[visual] = made
+        self._meshes[visual].put(key, place)
 
     def _label(self, key: Key, marker: raw.Marker, place: Pose) -> None:
         self._labels.put(key, marker.text, place.position)
@@ -243,7 +252,28 @@ class MarkersDisplay:
         return f"{self._node}/{space or '_'}/{number}"
 
 
-# How each kind of marker that is not one solid is shown.
+@functools.lru_cache(maxsize=1024)
+def _visual(
+    kind: int, scale: Vector, colour: Colour, text: str, mesh: str, own_looks: bool
+) -> Visual:
+    """Return what is seen of a solid or a mesh; raises ResourceError."""
+    look = look_of(text)
+    if kind == Kinds.MESH_RESOURCE:
+        path = ResourceFinder.anywhere().find(mesh)
+        material = replace(look.material, covers=not own_looks)
+        colour = colour if colour[3] > 0.0 else WHITE
+        return Visual(Mesh(Path(path), mesh, scale), colour=colour, material=material)
+    shape = Plane(size=scale[:2]) if look.is_plane else SHAPES[kind](scale)
+    return Visual(shape, colour=colour, material=look.material)
+
+
+# The shape of a solid of a size; a mesh has its own.
+SHAPES: Dict[int, Callable[[Vector], Geometry]] = {
+    Kinds.CUBE: Box,
+    Kinds.SPHERE: lambda size: Sphere(0.5 * size[0]),
+    Kinds.CYLINDER: lambda size: Cylinder(0.5 * size[0], size[2]),
+}
+# How each other kind is shown.
 SHOW: Dict[int, Callable[[MarkersDisplay, Key, raw.Marker, Pose], None]] = {
     Kinds.ARROW: MarkersDisplay._arrow,
     Kinds.LINE_STRIP: MarkersDisplay._strip,
@@ -252,7 +282,6 @@ SHOW: Dict[int, Callable[[MarkersDisplay, Key, raw.Marker, Pose], None]] = {
     Kinds.SPHERE_LIST: MarkersDisplay._list,
     Kinds.POINTS: MarkersDisplay._points,
     Kinds.TEXT_VIEW_FACING: MarkersDisplay._label,
-    Kinds.MESH_RESOURCE: MarkersDisplay._mesh,
     Kinds.TRIANGLE_LIST: MarkersDisplay._triangles,
 }
 
@@ -266,6 +295,9 @@ class WorldDisplay(MarkersDisplay):
 
     def is_hidden(self, marker: raw.Marker) -> bool:  # noqa: D102 - as `MarkersDisplay` has it
         return marker.space in self._robots
+
+    def has_look(self, marker: raw.Marker) -> bool:  # noqa: D102
+        return bool(marker.text)
 
     def leave_out(self, robots: FrozenSet[str]) -> None:
         """Show all models but these."""

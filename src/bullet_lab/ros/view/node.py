@@ -33,6 +33,8 @@ from bullet_lab.view.scene import floor_point
 
 # Wall seconds for which a page may be reloaded before all that is shown is given up.
 LINGER_SECONDS = 2.0
+# And between the first page and the simulation that waits for it: a page has much to take in.
+FIRST_SIGHT_SECONDS = 1.5
 CAMERA_FROM, GRID_SIZE = (-2.5, -2.5, 2.5), 40.0
 
 
@@ -50,6 +52,9 @@ class ViewParameters:
     turn_rate: float = parameters.number(
         1.0, "rad/s at first that the pad turns at", 0.1, maximum=3.0
     )
+    unpause: bool = parameters.boolean(
+        False, "let a simulation that starts paused go on as somebody looks"
+    )
 
 
 class View:
@@ -63,6 +68,7 @@ class View:
         self._driver = Driver(self._panel)
         self._show: Optional[Show] = None
         self._somebody = threading.Event()
+        self._holds = given.unpause
         rospy.on_shutdown(self._driver.stop)
         rospy.on_shutdown(self._somebody.set)
         server.initial_camera.position = CAMERA_FROM
@@ -73,6 +79,8 @@ class View:
         server.scene.on_click()(self._send_goal)
         server.on_client_connect(lambda _: self._somebody.set())
         rospy.loginfo("the view is at %s", self._page.url)
+        if self._holds:
+            rospy.loginfo("simulated time begins when it is opened")
 
     def run(self) -> None:
         """Serve until ROS shuts down."""
@@ -87,6 +95,7 @@ class View:
         server = self._page.server
         self._show = Show(server.scene, self._panel, self._given.frame, self._given.image_rate)
         due = gone = time.monotonic()
+        go_on, looks_for = due + FIRST_SIGHT_SECONDS, due + 2.0 * FIRST_SIGHT_SECONDS
         while not rospy.is_shutdown():
             if server.get_clients():
                 gone = time.monotonic() + LINGER_SECONDS
@@ -94,10 +103,27 @@ class View:
                 break
             with server.atomic():
                 self._show.tick()
+            if looks_for > time.monotonic():
+                looks_for = self._look_at_robot(looks_for)
+            if self._holds and time.monotonic() > go_on:
+                go_on = time.monotonic() + FIRST_SIGHT_SECONDS
+                self._holds = not self._panel.go_on()
             due = max(due + 1.0 / self._given.rate, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
         self._show.close()
         self._show = None
+
+    def _look_at_robot(self, until: float) -> float:
+        """Turn all eyes to the robot; return until when it is to be looked for, wall seconds."""
+        place = self._show.place()
+        if place is None:
+            return until
+        x, y, _ = place.position
+        seen_from = (x + CAMERA_FROM[0], y + CAMERA_FROM[1], CAMERA_FROM[2])
+        server = self._page.server
+        for who in (server.initial_camera, *(c.camera for c in server.get_clients().values())):
+            who.position, who.look_at = seen_from, (x, y, 0.0)
+        return 0.0
 
     def _send_goal(self, event: Any) -> None:
         show, point = self._show, floor_point(event.ray_origin, event.ray_direction)

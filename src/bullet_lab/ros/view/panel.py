@@ -87,6 +87,10 @@ class Panel:
         """Return whether something is to be shown."""
         return self._switches[kind].value
 
+    def go_on(self) -> bool:
+        """Let simulated time go on; return whether there was somebody to do so."""
+        return self._call(GO_ON, Empty)
+
     def _listen(self) -> None:
         self._speed.on_update(_of_people(lambda e: self._set_speed(e.target.value)))
         self._noise.on_update(_of_people(lambda e: self._set_noise(e.target.value)))
@@ -115,16 +119,17 @@ class Panel:
         for service in self._noise_services:
             self._call(service, SetNoise, "", std, [])
 
-    def _call(self, service: str, kind: type, *arguments: Any) -> None:
-        """Call a service, and say so on the page if it does not answer as it should."""
+    def _call(self, service: str, kind: type, *arguments: Any) -> bool:
+        """Call a service; say so on the page, and return False, if it answers otherwise."""
         try:
             rospy.wait_for_service(service, 1.0)
             answer = rospy.ServiceProxy(service, kind)(*arguments)
         except rospy.ROSException as error:
             self.say(f"{service}: {error}")
-            return
+            return False
         success = getattr(answer, "success", True)
         self.say("" if success else f"{service}: {answer.status_message}")
+        return success
 
     # What is told
 

@@ -35,10 +35,12 @@ from bullet_lab.ros.view.markers import (
     single_marker_display,
 )
 from bullet_lab.ros.view.panel import Panel
+from bullet_lab.ros.view.points import PointsDisplay
 from bullet_lab.ros.view.robots import Robots
 from bullet_lab.view.scene import Copies, Labels
 
 WORLD_SHAPES, ROBOTS, FRAMES, NAMES = "World", "Robots", "Frames", "Names of frames"
+POINTS = "Clouds of points"
 KINDS = (
     Kind(
         "Paths and ellipses",
@@ -48,6 +50,7 @@ KINDS = (
     ),
     Kind("Laser", {"sensor_msgs/LaserScan": ScanDisplay}),
     Kind("Range", {"sensor_msgs/Range": RangeDisplay}),
+    Kind(POINTS, {"sensor_msgs/PointCloud2": PointsDisplay}, every=2),
     Kind(
         "Contacts",
         dict.fromkeys(("gazebo_msgs/ContactsState", "bullet_lab/ContactsState"), contacts_display),
@@ -63,7 +66,8 @@ KINDS = (
     ),
 )
 SWITCHES = (WORLD_SHAPES, ROBOTS, *(kind.name for kind in KINDS), FRAMES, NAMES)
-OFF_AT_FIRST = (NAMES,)
+# A cloud is sent as nothing else that large, and a depth camera draws it for whoever listens.
+OFF_AT_FIRST = (NAMES, POINTS)
 IMAGE, TWIST = "sensor_msgs/Image", "geometry_msgs/Twist"
 # Of several images, the ones with what was found in them come first.
 BEST_IMAGES = ("aruco/image_annotated", "/image_annotated", "/image_raw")
@@ -231,10 +235,13 @@ class Show:
 
     def heading_to(self, point: Tuple[float, float]) -> float:
         """Return the direction, rad, that a point of the floor is in from the robot chosen."""
-        namespace = self._panel.drive_topic.rpartition("/")[0].strip("/")
-        place = None if self._robots is None else self._robots.place_of(namespace)
-        x, y, _ = (place or Pose()).position
+        x, y, _ = (self.place() or Pose()).position
         return math.atan2(point[1] - y, point[0] - x)
+
+    def place(self) -> Optional[Pose]:
+        """Return where the robot chosen is; None while it is not shown."""
+        namespace = self._panel.drive_topic.rpartition("/")[0].strip("/")
+        return None if self._robots is None else self._robots.place_of(namespace)
 
     def _look(self) -> None:
         """Look at what there is, and take it up."""

@@ -34,6 +34,14 @@ def test_summary_of_an_earlier_run_does_not_count(tmp_path):
         assert out.has_summary()
 
 
+def test_a_run_has_finished_when_its_summary_does_not_say_otherwise(tmp_path):
+    with OutputFolder(tmp_path) as out:
+        assert not out.is_finished()
+        for text, finished in (('{"a', False), ('{"finished": false}', False), ("{}", True)):
+            (tmp_path / "summary.json").write_text(text)
+            assert out.is_finished() is finished
+
+
 def test_only_files_of_this_run_are_listed(tmp_path):
     for name in ("old.png", "again.csv"):
         (tmp_path / name).write_text("before")
