@@ -31,9 +31,9 @@ class ViewTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         rospy.set_param("/robot_description", ROBOT.read_text())
-        cls.bridge = Node("pybullet_bridge.py", world=WORLD, publish_world_tf=True)
+        cls.bridge = Node("pybullet_bridge.py", world=WORLD, publish_world_tf=True, paused=True)
         cls.states = subprocess.Popen(["rosrun", "robot_state_publisher", "robot_state_publisher"])
-        cls.view = Node("view.py", port=18080)
+        cls.view = Node("view.py", port=18080, unpause=True)
         cls.url = wait_for_url(lambda: cls.view.out)
         cls.commands = Topic("cmd_vel", Twist, connected=False)
         cls.odom = Topic("odom", Odometry)

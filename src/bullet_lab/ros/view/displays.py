@@ -68,6 +68,9 @@ class Stage:
 class Display:
     """What is seen of one topic; `read` and `large` as of `Feed`."""
 
+    # Whether it is still of use when nobody publishes the topic any more.
+    stays = False
+
     def __init__(
         self, stage: Stage, topic: str, read: Callable[[bytes], Any], large: bool = False
     ):
@@ -102,6 +105,8 @@ def is_noisy(topic: str) -> bool:
 
 class PathDisplay(Display):
     """A path, or a plan with the points that it leads to: there may be a single one left."""
+
+    stays = True
 
     def __init__(self, stage: Stage, topic: str):
         super().__init__(stage, topic, raw.read_path)
@@ -299,14 +304,15 @@ class Displays:
         self._failed: Set[str] = set()
 
     def follow(self, topics: Dict[str, str]) -> None:
-        """Show these topics, by their types, as far as they are of the kind."""
+        """Show these topics, by their types, as far as they are of the kind; none, if empty."""
         found = {
             topic: self.kind.displays[type_name]
             for topic, type_name in topics.items()
             if type_name in self.kind.displays and self.kind.wanted(topic, topics)
         }
         for topic in set(self._shown) - set(found):
-            self._shown.pop(topic).close()
+            if not (topics and topic not in topics and self._shown[topic].stays):
+                self._shown.pop(topic).close()
         for topic in sorted(set(found) - set(self._shown)):
             self._shown[topic] = found[topic](self._stage, topic)
 

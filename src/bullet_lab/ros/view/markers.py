@@ -48,6 +48,8 @@ class MarkersDisplay:
         read: makes markers of the bytes of a message.
     """
 
+    stays = False
+
     def __init__(
         self,
         stage: Stage,

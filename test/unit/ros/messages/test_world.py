@@ -4,9 +4,15 @@ pytest.importorskip("rospy")
 
 from visualization_msgs.msg import Marker
 
-from bullet_lab.ros.messages.world import LARGEST_PLANE, _marker, world_markers
+from bullet_lab.ros.messages.world import (
+    LARGEST_PLANE,
+    Look,
+    _marker,
+    look_of,
+    world_markers,
+)
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.description import Material, Mesh, Visual
+from bullet_lab.simulation.world.description import Box, Material, Mesh, Plane, Texture, Visual
 from bullet_lab.simulation.world.sdf import read_world_file
 
 WORLD = """<sdf version="1.6"><world name="shapes">
@@ -88,3 +94,32 @@ def test_meshes_keep_what_they_bring_in_rviz(tmp_path):
     found = [_marker(v) for v in (Visual(Mesh(path, "")), covered, plain)]
     assert [m.mesh_use_embedded_materials for m in found] == [True, False, False]
     assert [(m.color.g, m.color.a) for m in found] == [(0, 0), (1, 1), (1, 1)]
+
+
+def test_what_markers_have_no_field_for_stands_in_their_text(tmp_path):
+    texture = Texture(tmp_path / "wood.png", (2.0, 0.5), (0.1, 0.2), 0.3, False, True, True)
+    material = Material(emissive=(0.1, 0.0, 0.0, 1.0), texture=texture, lit=False)
+    for shape in (Box((1.0, 2.0, 3.0)), Plane(size=(500.0, 4.0))):
+        marker = _marker(Visual(shape, material=material))
+        assert look_of(marker.text) == Look(material, isinstance(shape, Plane))
+    # A picture on it is as large as it was.
+    assert size(marker)[:2] == (500.0, 4.0)
+    assert _marker(Visual(Box((1.0, 1.0, 1.0)))).text == ""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a label",
+        "[1]",
+        '"x"',
+        '{"texture": 3}',
+        '{"texture": {}}',
+        '{"texture": {"path": "a", "scale": [0, 1]}}',
+        '{"texture": {"path": "a", "rotation": "b"}}',
+        '{"emissive": [1, 2, NaN, 1]}',
+        "[" * 100000,
+    ],
+)
+def test_a_text_that_makes_no_sense_is_no_look(text):
+    assert look_of(text) == Look()
