@@ -81,9 +81,7 @@ def opened(browser, url):
     page.on("console", lambda line: asked.append(line.text) if "Refused" in line.text else None)
     page.goto(url)
     page.wait_for_function(f"window.__viserSceneTree && '/robots/0' in {NODES}")
-    close = page.locator(".mantine-Notification-closeButton")
-    if close.count():
-        close.first.click()
+    page.evaluate("document.querySelector('.mantine-Notification-closeButton')?.click()")
     yield page
     if not page.is_closed():
         page.close()

@@ -3,6 +3,7 @@
 Speaks viser's protocol as the page does.
 """
 
+import re
 import threading
 import time
 
@@ -130,8 +131,8 @@ def wait_for_url(output, seconds=60.0):
     """Return the URL that a view has printed; `output` says what it has printed so far."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
-        for word in output().split():
-            if word.startswith("http://127.0.0.1:") and word.endswith("/"):
-                return word
+        found = re.search(r"the view is at (\S+)", output())
+        if found:
+            return found[1]
         time.sleep(0.05)
     raise AssertionError(f"no URL in {output()!r}")

@@ -75,16 +75,18 @@ class VisionReport(Report):
         figure.suptitle(f"What the detectors make of one image ({self._stamp().seconds:.3f} s)")
         rows = -(-len(self._pictures) // _COLUMNS)
         grid = figure.subplots(rows, _COLUMNS, squeeze=False)
+        lines = {name: textwrap.fill(self.found[name], _LINE_LENGTH) for name in self._pictures}
+        room = max(0.06, 0.025 + 0.018 * max(line.count("\n") + 1 for line in lines.values()))
         figure.subplots_adjust(
-            left=0.02, right=0.98, top=0.92, bottom=0.06, hspace=0.28, wspace=0.05
+            left=0.02, right=0.98, top=0.92, bottom=room, hspace=0.28, wspace=0.05
         )
         for axes in grid.ravel():
             axes.set_axis_off()
         for axes, (name, picture) in zip(grid.ravel(), self._pictures.items()):
             axes.imshow(picture[:, :, ::-1])
             axes.set_title(name, fontsize=11, fontweight="bold")
-            line, centred = textwrap.fill(self.found[name], _LINE_LENGTH), {"ha": "center"}
-            axes.text(0.5, -0.03, line, transform=axes.transAxes, va="top", fontsize=9, **centred)
+            where = {"transform": axes.transAxes, "va": "top", "ha": "center"}
+            axes.text(0.5, -0.03, lines[name], fontsize=9, **where)
         return {"side_by_side.png": figure}
 
     def _stamp(self) -> Reading:

@@ -126,8 +126,8 @@ def plot_vision(parameters: PlotVisionParameters) -> None:
         report.take(topic, reader_of(kind)[1](messages[topic]))
     report.finish()
     summary = report.summary(True, {})
-    save_summary(report, summary)
     save_figures(report, report.figures(summary))
+    save_summary(report, summary)
     for name, line in report.found.items():
         rospy.loginfo("%s: %s", name, line)
     rospy.loginfo("%s", report.line(summary))

@@ -184,9 +184,14 @@ class Recorder:
             self._finished = True
             self._report.finish(self._report.until if complete else None)
             summary, figures = self._contents(finished=complete)
-        # The numbers first: whoever shuts down may be in a hurry.
-        save_summary(self._report, summary)
-        save_figures(self._report, figures)
+        if complete:
+            # Who sees that all is finished finds all of it.
+            save_figures(self._report, figures)
+            save_summary(self._report, summary)
+        else:
+            # The numbers first: whoever shuts down may be in a hurry.
+            save_summary(self._report, summary)
+            save_figures(self._report, figures)
         return summary
 
     # What comes in

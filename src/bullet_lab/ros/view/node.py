@@ -35,6 +35,8 @@ from bullet_lab.view.scene import floor_point
 LINGER_SECONDS = 2.0
 # And between the first page and the simulation that waits for it: a page has much to take in.
 FIRST_SIGHT_SECONDS = 1.5
+# For so long after the first page, it is turned to the robot as soon as that is there.
+LOOK_FOR_SECONDS = 15.0
 CAMERA_FROM, GRID_SIZE = (-2.5, -2.5, 2.5), 40.0
 
 
@@ -95,7 +97,7 @@ class View:
         server = self._page.server
         self._show = Show(server.scene, self._panel, self._given.frame, self._given.image_rate)
         due = gone = time.monotonic()
-        go_on, looks_for = due + FIRST_SIGHT_SECONDS, due + 2.0 * FIRST_SIGHT_SECONDS
+        go_on, looks_for = due + FIRST_SIGHT_SECONDS, due + LOOK_FOR_SECONDS
         while not rospy.is_shutdown():
             if server.get_clients():
                 gone = time.monotonic() + LINGER_SECONDS

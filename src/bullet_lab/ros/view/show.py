@@ -70,7 +70,7 @@ SWITCHES = (WORLD_SHAPES, ROBOTS, *(kind.name for kind in KINDS), FRAMES, NAMES)
 OFF_AT_FIRST = (NAMES, POINTS)
 IMAGE, TWIST = "sensor_msgs/Image", "geometry_msgs/Twist"
 # Of several images, the ones with what was found in them come first.
-BEST_IMAGES = ("aruco/image_annotated", "/image_annotated", "/image_raw")
+BEST_IMAGES = ("aruco/image_annotated", "/image_annotated", "rgb/image_raw", "/image_raw")
 # Wall seconds between two looks at which topics there are; more, where a look takes long: so many
 # times as long.
 LOOK_SECONDS, LOOK_TIMES = 1.0, 50.0
