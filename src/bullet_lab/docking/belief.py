@@ -249,8 +249,7 @@ class DockBelief:
         camera, dock = observation.camera, self._dock
         if camera is not self._camera:
             self._camera = camera
-            farthest = camera.fy * dock.marker.size / self._settings.smallest_marker
-            self.visibility = MarkerVisibility(dock, camera, self._mount.z, farthest)
+            self.visibility = MarkerVisibility(dock, camera, self._mount.z, self.farthest(camera))
         self.last_image = max(self.last_image, observation.stamp)
         self.images += 1
         view = Viewpoint(camera, self._mount, tuple(se2.between(self.pose, then).tolist()))
@@ -261,6 +260,10 @@ class DockBelief:
         for track in self.tracks if copy is not None else ():
             if track is not copy:
                 track.adopt_yaw(*_wall_yaw(copy))
+
+    def farthest(self, camera: PinholeCamera) -> float:
+        """Return from how far (m) a camera should find the marker."""
+        return camera.fy * self._dock.marker.size / self._settings.smallest_marker
 
     def concentrate(self, estimate: GaussianPose, play: float) -> None:
         """Believe that the dock is at a pose, with so much more play to either side in m."""

@@ -6,16 +6,22 @@ In the dock's frame the marker's face is at x = 0, and a robot before it has x <
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 
 import numpy as np
 
+from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.docking.database import Dock
+from bullet_lab.docking.filter import Viewpoint, corner_points
+from bullet_lab.docking.types import CameraMount
 
 # Largest angle between the line of sight and the dock's axis, and px that the marker should be
 # away from the image's edges.
 _SLANT, _BORDER = math.radians(55.0), 40.0
+# px that its corners have to be away from them where it is docked at.
+_WHOLE = 6.0
 QUIET_ZONE = 0.125
 """Width of a marker's white border, as part of its edge: the whole of it has to be seen."""
 
@@ -49,6 +55,42 @@ def clearance(points, boxes: np.ndarray) -> np.ndarray:
         dy = np.maximum(np.maximum(y_min - y, y - y_max), 0.0)
         nearest = np.minimum(nearest, np.hypot(dx, dy))
     return nearest
+
+
+def whole_in_image(
+    dock: Dock, camera: PinholeCamera, mount: CameraMount, distances: np.ndarray
+) -> np.ndarray:
+    """Say at which distances (n,) m from the marker a camera has the whole of it in the image.
+
+    That is for a robot in the dock, wherever the dock's tolerances let it stand.
+    """
+    off, signs = dock.tolerance, np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    robots = signs * (off.distance, off.lateral, off.yaw) - np.multiply.outer(
+        np.asarray(distances, dtype=float) + mount.x, np.array([[1.0, 0.0, 0.0]])
+    )
+    states = np.concatenate([se2.inverse(robots), np.zeros((*robots.shape[:-1], 2))], axis=-1)
+    states[..., 3] = dock.marker.height
+    view = Viewpoint(camera, mount)
+    pixels = view.pixels(view.optical(corner_points(states, dock.marker.size)))
+    edge = np.array([camera.width, camera.height]) - 1.0 - _WHOLE
+    return np.all((pixels >= _WHOLE) & (pixels <= edge), axis=(1, 2, 3))
+
+
+def misfit(dock: Dock, camera: PinholeCamera, mount: CameraMount, farthest: float) -> str:
+    """Say why a camera, which finds the marker up to `farthest` m, cannot see it from the dock.
+
+    Empty where it can.
+    """
+    wanted = dock.docked_distance
+    if wanted <= farthest and whole_in_image(dock, camera, mount, [wanted])[0]:
+        return ""
+    trouble = f"docked_distance is {wanted:g} m, where the camera does not see the whole marker"
+    distances = np.arange(1, 1 + int(1e3 * min(farthest, dock.staging_distance))) / 1e3
+    possible = distances[whole_in_image(dock, camera, mount, distances)]
+    if not len(possible):
+        return f"{trouble}, as from no other distance"
+    nearest = possible[np.argmin(np.abs(possible - wanted))]
+    return f"{trouble}; the nearest distance possible is {nearest:g} m"
 
 
 class MarkerVisibility:

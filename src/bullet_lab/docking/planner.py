@@ -8,13 +8,14 @@ from typing import List, Optional, Tuple
 import numpy as np
 
 from bullet_lab.core import se2
+from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.control import AxisTracker, Lane
 from bullet_lab.docking.costmap import Costmap, along
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose
-from bullet_lab.docking.geometry import MarkerVisibility, clearance, wall_boxes
+from bullet_lab.docking.geometry import MarkerVisibility, clearance, misfit, wall_boxes
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.next_best_view import NextView, next_best_view
 from bullet_lab.docking.types import (
@@ -80,7 +81,7 @@ class DockingPlanner:
         self.shape, self.search, self.max_retries = shape, search, max_retries
         self.lane = Lane(dock, shape, settings.wall_margin, mount.x)
         self.tracker = AxisTracker(settings, mount.x)
-        self.ahead = mount.x
+        self.ahead, self._mount = mount.x, mount
         self.now = 0.0
         self._at_rest_since: Optional[float] = None
         self.retries = self.stagings = 0
@@ -90,6 +91,7 @@ class DockingPlanner:
         self._far_range = _FAR
         self._far_visibility: Optional[MarkerVisibility] = None
         self._cue: Tuple[Optional[MarkerTrack], int] = (None, 0)
+        self._asked: Tuple[Optional[MarkerTrack], int] = (None, 0)
 
     def commanded(self, command: Command) -> None:
         """Take note of the command (m/s, rad/s) that is in force now."""
@@ -115,6 +117,10 @@ class DockingPlanner:
         """Say whether the marker should be found in an image taken now."""
         seen = self.belief.visibility
         return seen is None or bool(seen.visible(se2.between(estimate.mean, self._camera)))
+
+    def misfit(self, camera: PinholeCamera) -> str:
+        """Say why a camera cannot see the marker from the dock; empty where it can."""
+        return misfit(self.dock, camera, self._mount, self.belief.farthest(camera))
 
     def in_reach(self, robot: np.ndarray) -> bool:
         """Say whether the marker is near enough to be found."""
@@ -147,6 +153,13 @@ class DockingPlanner:
                 return True
         self._doubts += 1
         return False
+
+    def has_learnt(self) -> bool:
+        """Say whether the track to go for was seen since this was last asked of it."""
+        track = self.belief.best()
+        known, frames = self._asked
+        self._asked = track, track.frames
+        return track is not known or track.frames - frames >= self.settings.measure_frames
 
     def in_sight(self, left: float) -> float:
         """Return so much left to go (m), or less where the marker would not be found there."""

@@ -245,6 +245,10 @@ def _back_out(planner: DockingPlanner, left: float, further: float) -> Outcome:
     It goes out of sight of a small marker where it must: what a larger copy tells needs the way.
     """
     _count_staging(planner, "no way into the dock is found")
+    if not planner.has_learnt():
+        # The same again would end the same: where is a better place to see it from?
+        planner.belief.forget(planner.belief.best())
+        return Outcome("lost")
     target = left + further
     return Outcome("bad start", (target, planner.in_sight(target) > left + _LEAST_RETREAT))
 

@@ -9,6 +9,7 @@ from typing import Deque, Optional
 import numpy as np
 
 from bullet_lab.core import se2
+from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.control import AxisTracker, CommandRamp
@@ -179,6 +180,7 @@ class DockingTask(WatchedTask):
         self._machine = StateMachine(self._planner)
         self._waiting: Deque[Observation] = deque(maxlen=_MOST_WAITING)
         self._wanted_since: Optional[float] = None
+        self._camera: Optional[PinholeCamera] = None
 
     def add_odometry(self, odometry: Odometry) -> None:
         """Take the next message of odometry; what cannot be ends the docking."""
@@ -196,9 +198,18 @@ class DockingTask(WatchedTask):
             self._belief.observe(self._waiting.popleft())
 
     def add_observation(self, observation: Observation) -> None:
-        """Take what was seen in an image; it is used once odometry has come that far."""
+        """Take what was seen in an image; it is used once odometry has come that far.
+
+        The first one of a camera that cannot see the marker from the dock ends the docking.
+        """
         if self.result is not None:
             return
+        if observation.camera != self._camera:
+            self._camera = observation.camera
+            trouble = self._planner.misfit(self._camera)
+            if trouble:
+                self._end(DockingError.NOT_VALID, trouble)
+                return
         last = self._odometry.last
         if last is not None and observation.stamp <= last.stamp + 1e-6:
             self._belief.observe(observation)

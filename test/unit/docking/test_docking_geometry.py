@@ -1,12 +1,13 @@
 """Tests of walls and sight, against the stand-in's own arithmetic."""
 
 import math
+from dataclasses import replace
 
 import docking_standin as standin
 import numpy as np
 import pytest
 
-from bullet_lab.docking.geometry import MarkerVisibility, clearance, wall_boxes
+from bullet_lab.docking.geometry import MarkerVisibility, clearance, misfit, wall_boxes
 
 STAND = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.0, dropout=0.0, tilt=0.0)
 DOCK = standin.make_dock(STAND)
@@ -65,3 +66,37 @@ def test_too_near_the_marker_leaves_the_image():
     visibility = MarkerVisibility(DOCK, standin.CAMERA, standin.MOUNT.z)
     assert visibility.unobstructed(-0.42, 0.0)
     assert not visibility.unobstructed(-0.25, 0.0)
+
+
+UP, DOWN = math.atan(233.5 / standin.CAMERA.fy), math.radians(3.0)
+
+
+@pytest.mark.parametrize(
+    ("dock", "mount", "wanted", "said"),
+    [
+        (DOCK, standin.MOUNT, 0.40, None),
+        # Its upper edge, 0.16 m above the camera, is 233.5 px above the middle of the image.
+        (DOCK, standin.MOUNT, 0.20, 0.16 / math.tan(UP) + 0.005),
+        (DOCK, replace(standin.MOUNT, pitch=DOWN), 0.40, 0.16 / math.tan(UP - DOWN) + 0.005),
+        (replace(DOCK, marker=replace(DOCK.marker, size=0.05)), standin.MOUNT, 0.40, None),
+        (replace(DOCK, marker=replace(DOCK.marker, size=0.05)), standin.MOUNT, 2.0, 1.395),
+        (replace(DOCK, marker=replace(DOCK.marker, height=3.0)), standin.MOUNT, 0.40, math.nan),
+    ],
+)
+def test_a_docked_robot_has_to_see_the_whole_marker(dock, mount, wanted, said):
+    dock = replace(dock, docked_distance=wanted)
+    farthest = standin.CAMERA.fy * dock.marker.size / 18.0
+    trouble = misfit(dock, standin.CAMERA, mount, farthest)
+    if said is None:
+        assert trouble == ""
+        return
+    assert f"docked_distance is {wanted:g} m" in trouble
+    if math.isnan(said):
+        assert trouble.endswith("as from no other distance")
+        return
+    nearest = float(trouble.split()[-2])
+    assert nearest == pytest.approx(said, abs=0.0021)
+    again = replace(dock, docked_distance=nearest)
+    assert misfit(again, standin.CAMERA, mount, farthest) == ""
+    closer = replace(dock, docked_distance=nearest + math.copysign(0.001, wanted - nearest))
+    assert misfit(closer, standin.CAMERA, mount, farthest) != ""

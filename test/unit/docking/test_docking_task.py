@@ -257,6 +257,15 @@ def test_a_start_within_the_walls_is_not_valid():
     assert feed.moved == 0.0
 
 
+def test_a_docked_distance_from_where_the_marker_is_not_seen_is_refused_at_once():
+    dock = replace(standin.make_dock(PLAIN), docked_distance=0.2)
+    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT))
+    check_ended(feed, DockingError.NOT_VALID)
+    assert feed.now < 0.2
+    assert feed.moved == 0.0
+    assert "the nearest distance possible is 0.35 m" in feed.task.result.message
+
+
 def test_refuses_a_pose_that_is_none():
     with pytest.raises(DockingTaskError, match="not finite"):
         DockingTask(standin.make_dock(PLAIN), (1.0, math.nan, 0.0), standin.MOUNT)
