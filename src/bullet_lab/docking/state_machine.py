@@ -13,6 +13,7 @@ import numpy as np
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.control import PathFollower, clip, turn_command
+from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.planner import DockingFailureError, DockingPlanner
 from bullet_lab.docking.types import STANDSTILL, Command, DockingError, DockingState, Point
@@ -379,21 +380,29 @@ class Confirm(State):
             return STANDSTILL
         uncertain = float(estimate.deviations[2]) > 0.3 * planner.dock.tolerance.yaw
         if track.frames - self._frames >= settings.final_frames * (3 if uncertain else 1):
-            return self._judge(planner, float(robot[1]), left, turned)
+            return self._judge(planner, estimate)
         if planner.now - self._since > 5.0 * settings.unseen_timeout:
             return _retry(planner, left, "the marker is lost before the dock")
         return STANDSTILL
 
-    def _judge(self, planner: DockingPlanner, beside: float, left: float, turned: float) -> Step:
-        tolerance = planner.dock.tolerance
-        if abs(beside) > tolerance.lateral:
+    def _judge(self, planner: DockingPlanner, estimate: GaussianPose) -> Step:
+        robot, tolerance = estimate.robot, planner.dock.tolerance
+        left, beside, turned = planner.left(robot), float(robot[1]), wrap(float(robot[2]))
+
+        def limit(most: float, deviation: float) -> float:
+            # What is true may be farther off than what is believed; the last try takes the risk.
+            last = planner.retries >= planner.max_retries
+            return most if last else most - min(deviation, 0.5 * most)
+
+        if abs(beside) > limit(tolerance.lateral, estimate.lateral_deviation):
             return _retry(planner, left, f"{1e3 * abs(beside):.1f} mm beside the axis")
-        if abs(left) <= tolerance.distance and abs(turned) <= tolerance.yaw:
+        straight = abs(turned) <= limit(tolerance.yaw, float(estimate.deviations[2]))
+        if straight and abs(left) <= tolerance.distance:
             return Outcome("within tolerance")
         self._corrections += 1
         if self._corrections > _MOST_CORRECTIONS:
             return _retry(planner, left, "distance and yaw do not settle")
-        if abs(turned) > tolerance.yaw:
+        if not straight:
             self._correction = (0.0, -math.copysign(_FINE_TURN, turned))
         else:
             self._correction = (math.copysign(_CREEP, left), 0.0)

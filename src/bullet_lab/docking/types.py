@@ -118,7 +118,7 @@ class Observation:
 class PixelNoise:
     """Uncertainty of the corners in one image, as standard deviations."""
 
-    corner: float = 0.35  #: px, of each corner, on its own
+    corner: float = 0.1  #: px, of each corner, on its own
     relative: float = 0.0015  #: as part of the marker's size in the image, added to it
     #: px², divided by the size in the image and added too: corners of a marker of few pixels per
     #: cell are off together with the pattern and the blur

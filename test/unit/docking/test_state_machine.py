@@ -1,10 +1,25 @@
 """Tests of the table of states: where it leads, and that dockings keep to it."""
 
+import math
+from types import SimpleNamespace
+
 import docking_standin as standin
+import numpy as np
 import pytest
 
+from bullet_lab.core import se2
 from bullet_lab.docking import state_machine
-from bullet_lab.docking.state_machine import TRANSITIONS, Docked, Look, Outcome, State, StateMachine
+from bullet_lab.docking.database import DockTolerance
+from bullet_lab.docking.filter import GaussianPose
+from bullet_lab.docking.state_machine import (
+    TRANSITIONS,
+    Confirm,
+    Docked,
+    Look,
+    Outcome,
+    State,
+    StateMachine,
+)
 from bullet_lab.docking.types import STANDSTILL
 
 
@@ -75,3 +90,31 @@ def recorded(step, seen):
         return result
 
     return wrapper
+
+
+@pytest.mark.parametrize(
+    ("beside", "turned", "deviation", "retries", "said"),
+    [
+        (0.001, 0.1, 0.0009, 0, "within tolerance"),
+        (0.0025, 0.1, 0.0009, 0, "failed"),
+        (0.0025, 0.1, 0.0009, 5, "within tolerance"),
+        # Half of the tolerance is kept clear at most.
+        (0.0014, 0.1, 0.01, 0, "within tolerance"),
+        (0.001, 0.35, 0.0009, 0, None),
+    ],
+)
+def test_docked_is_what_is_within_tolerance_by_a_standard_deviation(
+    beside, turned, deviation, retries, said
+):
+    tolerance = DockTolerance(0.005, 0.003, math.radians(0.4))
+    planner = SimpleNamespace(
+        dock=SimpleNamespace(tolerance=tolerance),
+        retries=retries,
+        max_retries=5,
+        left=lambda robot: -float(robot[0]) - 0.56,
+    )
+    pose = se2.inverse([-0.56, beside, math.radians(turned)])
+    yaw = math.radians(0.1)
+    covariance = np.diag([1e-8, max(deviation**2 - (0.56 * yaw) ** 2, 1e-12), yaw**2])
+    step = Confirm()._judge(planner, GaussianPose(pose, covariance))
+    assert step == STANDSTILL if said is None else step.name == said
