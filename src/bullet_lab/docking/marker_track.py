@@ -39,6 +39,8 @@ _WINDOW = 0.22
 # The sizes stand for all that lie between them; the real one is known well.
 _PLAY = np.where(SCALES == 1.0, 0.01, 0.08)
 _ODOMETRY_SCALE = 0.02
+# Noise of the height in the image that tells the range, px: far markers are off together.
+_EDGE = 0.35
 _BEARING = 0.03
 
 # Of the height in m and the logarithm of the size: what is known of the real one, and of others.
@@ -80,32 +82,35 @@ class SizeTest:
         self._variance += variance + (_BEARING * beside) ** 2
         self._unseen += math.hypot(away, beside)
 
-    def see(self, reach: float, deviation: float) -> None:
-        """Take note of a seeming range (m) and its standard deviation."""
+    def see(self, reach: float, deviation: float, since: float = 0.0) -> None:
+        """Take note of a seeming range (m) and its standard deviation.
+
+        `since` is what was travelled away from the marker since then, m: images may be late.
+        """
         unseen, self._unseen = self._unseen, 0.0
         if unseen > 0.8:
-            self._restart(reach, deviation)
+            self._restart(reach, deviation, since)
             return
-        change = reach - self._reach
-        if max(abs(self._away), abs(change)) < max(_WINDOW, 6.0 * (deviation + self._deviation)):
+        change, away = reach - self._reach, self._away - since
+        if max(abs(away), abs(change)) < max(_WINDOW, 6.0 * (deviation + self._deviation)):
             return
         expected = SCALES * change
         variance = (
             self._variance
             + SCALES**2 * (deviation**2 + self._deviation**2)
-            + (_ODOMETRY_SCALE * self._away) ** 2
+            + (_ODOMETRY_SCALE * away) ** 2
             + (_PLAY * expected) ** 2
             + 1e-6
         )
-        square = (self._away - expected) ** 2 / variance
+        square = (away - expected) ** 2 / variance
         # No single comparison decides.
         logs = -0.5 * square - 0.5 * np.log(variance)
         self.logs += np.maximum(logs - np.max(logs), -8.0)
-        self._restart(reach, deviation)
+        self._restart(reach, deviation, since)
 
-    def _restart(self, reach: float, deviation: float) -> None:
+    def _restart(self, reach: float, deviation: float, since: float = 0.0) -> None:
         self._reach, self._deviation = reach, deviation
-        self._away = self._variance = 0.0
+        self._away, self._variance = since, 0.0
 
 
 class MarkerTrack:
@@ -261,7 +266,10 @@ class MarkerTrack:
         self._within *= np.exp(
             -0.5 * np.minimum(squares - np.min(squares), 60.0) - 0.5 * (logs - np.min(logs))
         )
-        self._sizing.see(*self._reach(corners, view))
+        ray = self._x[np.argmax(self._weights), :2] - self._eye
+        moved = self._eye - view.origin[:2]
+        since = -float(ray @ moved) / max(float(np.hypot(*ray)), 1e-6)
+        self._sizing.see(*self._reach(corners, view), since)
         self._reduce()
 
     def adopt_yaw(self, yaw: float, variance: float) -> None:
@@ -286,7 +294,7 @@ class MarkerTrack:
         """Return the seeming range in m and its standard deviation."""
         _, reach = view.line_of_sight(corners, self._size)
         pixels = view.camera.fy * self._size / reach
-        return reach, reach * self._noise.corner / max(pixels, 1.0)
+        return reach, reach * _EDGE / max(pixels, 1.0)
 
     def _noise_here(self, extent: float) -> PixelNoise:
         if self._spot is None or self._spot[0] > 0.012 or self._spot[1] > math.radians(0.7):

@@ -8,7 +8,7 @@ import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.docking.filter import GaussianPose, Viewpoint, predict
-from bullet_lab.docking.marker_track import MarkerTrack
+from bullet_lab.docking.marker_track import MarkerTrack, SizeTest
 from bullet_lab.docking.odometry import motion_step
 from bullet_lab.docking.types import Odometry, PixelNoise
 
@@ -151,3 +151,15 @@ def test_a_large_marker_keeps_its_yaw():
     yaw = track.estimate().mean[2]
     track.adopt_yaw(yaw + 1.0, 0.015**2)
     assert track.estimate().mean[2] == pytest.approx(yaw)
+
+
+@pytest.mark.parametrize(("since", "real"), [(-0.1, True), (0.0, False)])
+def test_a_late_image_tells_of_the_way_up_to_it(since, real):
+    test = SizeTest(3.0, 0.005)
+    test.travel(-0.4, 0.0, 1e-6)
+    test.see(2.7, 0.005, since)
+    assert (np.argmax(test.logs) == 0) == real
+    # What it did not tell of counts for the next one.
+    test.travel(-0.3, 0.0, 1e-6)
+    test.see(2.3 if real else 2.4, 0.005)
+    assert (np.argmax(test.logs) == 0) == real
