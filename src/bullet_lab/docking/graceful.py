@@ -192,9 +192,11 @@ class GracefulTask(WatchedTask):
         """Drive to the staging pose."""
         pose, staging = self._belief.pose, self._staging
         if self._way is None:
-            near = math.dist(pose[:2], staging[:2]) < self._law.dock_prestaging_tolerance
+            # As there, metres and radians together.
+            if np.linalg.norm(se2.between(pose, staging)) < self._law.dock_prestaging_tolerance:
+                return self._go_on(self._perceive, stamp)
             dock = GaussianPose(se2.between(pose, self._database), np.zeros((3, 3)))
-            way = [pose[:2]] if near else self._planner.way_to_staging(dock)
+            way = self._planner.way_to_staging(dock)
             if way is None:
                 message = "no safe way to the staging pose"
                 raise DockingFailureError(DockingError.STAGING_FAILED, message)

@@ -41,9 +41,8 @@ class Campaign:
     records: Mapping[int, Record]
 
 
-def read_campaign(folder: Path) -> Campaign:
+def read_campaign(path: Path) -> Campaign:
     """Read the log of a campaign; raises FileError or ComparisonError."""
-    path = folder / LOG
     try:
         first, *lines = [json.loads(line) for line in path.read_text().splitlines()]
         drawn_from = dict(first["campaign"])
@@ -60,7 +59,7 @@ def compare(folder: Path, beside: Path, dockings: int) -> List[str]:
 
     Args:
         folder: of a finished campaign.
-        beside: of another one of the same draws, with as many dockings at least.
+        beside: log of another one of the same draws, with as many dockings at least.
         dockings: how many of them, from index 0 on.
 
     Returns:
@@ -69,7 +68,7 @@ def compare(folder: Path, beside: Path, dockings: int) -> List[str]:
     Raises:
         LabError: the other campaign is not of the same dockings, or lacks some of them.
     """
-    both = read_campaign(beside), read_campaign(folder)
+    both = read_campaign(beside), read_campaign(folder / LOG)
     if both[0].drawn_from != both[1].drawn_from:
         raise ComparisonError(f"{beside} is of other dockings than {folder}")
     missing = [index for index in range(dockings) if index not in both[0].records]
@@ -77,7 +76,7 @@ def compare(folder: Path, beside: Path, dockings: int) -> List[str]:
         raise ComparisonError(f"{beside} lacks {len(missing)} of {dockings} dockings")
     names = [campaign.controller for campaign in both]
     if names[0] == names[1]:
-        names = [f"{name} ({place.name})" for name, place in zip(names, (beside, folder))]
+        names = [f"{name} ({place.name})" for name, place in zip(names, (beside.parent, folder))]
     pairs = [[c.records[index] for index in range(dockings)] for c in both]
     columns = [figures_of(records) for records in pairs]
     numbers = {

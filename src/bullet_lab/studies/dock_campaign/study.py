@@ -67,7 +67,7 @@ class CampaignSettings(DrawSettings):
 class ComparisonSettings(Settings):
     """What the campaign is laid beside."""
 
-    beside: str = text("", "folder of the same dockings by another controller; empty: none")
+    beside: str = text("", f"{LOG} of the same dockings by another controller; empty: none")
 
 
 def run_campaign(

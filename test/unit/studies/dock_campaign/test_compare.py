@@ -110,7 +110,7 @@ def test_pairs_are_compared_index_by_index():
 def test_table_picture_and_numbers_are_left(tmp_path):
     logged(tmp_path / "ours", 12)
     logged(tmp_path / "other", 12, controller="graceful")
-    lines = compare(tmp_path / "other", tmp_path / "ours", 12)
+    lines = compare(tmp_path / "other", tmp_path / "ours" / LOG, 12)
     assert "ours" in lines[0]
     assert "graceful" in lines[0]
     with (tmp_path / "other" / "comparison.csv").open() as file:
@@ -127,12 +127,12 @@ def test_other_dockings_are_refused(tmp_path):
     logged(tmp_path / "one", 3)
     logged(tmp_path / "two", 3, seed=2)
     with pytest.raises(ComparisonError, match="other dockings"):
-        compare(tmp_path / "two", tmp_path / "one", 3)
+        compare(tmp_path / "two", tmp_path / "one" / LOG, 3)
     logged(tmp_path / "more", 5)
     with pytest.raises(ComparisonError, match="lacks 2 of 5"):
-        compare(tmp_path / "more", tmp_path / "one", 5)
+        compare(tmp_path / "more", tmp_path / "one" / LOG, 5)
     with pytest.raises(FileError, match="cannot read"):
         compare(tmp_path / "more", tmp_path / "nowhere", 5)
-    (tmp_path / "one" / "dockings.jsonl").write_text("{}\n")
+    (tmp_path / "one" / LOG).write_text("{}\n")
     with pytest.raises(ComparisonError, match="no log"):
-        compare(tmp_path / "more", tmp_path / "one", 5)
+        compare(tmp_path / "more", tmp_path / "one" / LOG, 5)
