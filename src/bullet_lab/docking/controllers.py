@@ -39,9 +39,19 @@ class DockingController(Protocol):
         """Return the command (m/s, rad/s) for a time in s."""
 
 
+TUNED = GracefulSettings(
+    v_linear_min=0.02,
+    slowdown_radius=1.0,
+    backward_projection=0.1,
+    external_detection_translation_x=0.009,
+    docking_threshold=0.01,
+    dock_approach_timeout=60.0,
+)
+"""To the docks and the robot of this package; docs/docking.md says how."""
+
 CONTROLLERS: Dict[str, Callable[..., DockingController]] = {
     "ours": DockingTask,
-    "graceful": functools.partial(GracefulTask, settings=GracefulSettings()),
+    "graceful": functools.partial(GracefulTask, settings=TUNED),
     "graceful_nav2": GracefulTask,
 }
-"""The second is tuned to these docks (docs/docking.md), the third has nav2's defaults."""
+"""The last one has nav2's defaults."""
