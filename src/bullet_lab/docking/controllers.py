@@ -40,10 +40,11 @@ class DockingController(Protocol):
 
 
 TUNED = GracefulSettings(
+    k_delta=3.0,
     v_linear_min=0.02,
     slowdown_radius=1.0,
     backward_projection=0.1,
-    external_detection_translation_x=0.009,
+    external_detection_translation_x=0.0075,
     docking_threshold=0.01,
     dock_approach_timeout=60.0,
 )
