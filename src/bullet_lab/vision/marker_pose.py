@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import List, Mapping, Optional, Sequence, Tuple
 
 import cv2
@@ -139,10 +139,41 @@ def estimate_pose(
     if not fits:
         raise VisionError("no pose fits the corners")
     best, other = fits[0][1], fits[-1][1]
-    same = other is best or np.sum(best.rotation * other.rotation) > 3.0 - 1e-4
+    if best is not other:
+        middle = whitening @ _between(best, other, points, corners, camera)
+        worse = max(0.0, float(middle @ middle) - fits[0][0])
+        # The root of the likelihood: half way is but the middle of a valley's floor.
+        likely = math.exp(-0.25 * worse)
+        best, other = _widened(best, other, likely), _widened(other, best, likely)
+    same = fits[0] is fits[-1] or np.sum(best.rotation * other.rotation) > 3.0 - 1e-4
     clear = other.error > _CLEAR_RATIO * best.error
     clear = clear and other.error - best.error > 0.5 * _CLEAR_SIGMAS * sigma
     return PoseEstimate(best, other, not (same or clear))
+
+
+def _between(
+    first: MarkerPose,
+    second: MarkerPose,
+    points: np.ndarray,
+    corners: np.ndarray,
+    camera: PinholeCamera,
+) -> np.ndarray:
+    """Return the residuals (8,) in px of the pose half way from one to the other."""
+    turn = cv2.Rodrigues(second.rotation @ first.rotation.T)[0]
+    rotation = cv2.Rodrigues(0.5 * turn)[0] @ first.rotation
+    middle = 0.5 * (first.translation + second.translation)
+    return _linearised(rotation, middle, points, corners, camera)[0]
+
+
+def _widened(pose: MarkerPose, other: MarkerPose, likely: float) -> MarkerPose:
+    """Return a pose that may be half way to the other one, by so much less likely than itself.
+
+    A marker that faces the camera is between two poses that fit better, each of them in a narrow
+    valley of the squares: half way is where it may be, which no curvature there tells.
+    """
+    turn = cv2.Rodrigues(other.rotation @ pose.rotation.T)[0].ravel()
+    half = 0.5 * np.concatenate((other.translation - pose.translation, turn))
+    return replace(pose, covariance=pose.covariance + likely * np.outer(half, half))
 
 
 def _whitening(covariance: np.ndarray) -> np.ndarray:

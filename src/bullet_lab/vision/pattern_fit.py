@@ -13,10 +13,10 @@ from typing import Optional, Tuple
 
 import cv2
 import numpy as np
-from scipy.special import ndtr
 
 from bullet_lab.vision.algebra import homography
 from bullet_lab.vision.images import Lens
+from bullet_lab.vision.pattern_model import UNIT_SQUARE, PatternModel, moves_of, unit_square
 
 # What is looked at beyond the outline, in cells, at most and at least; the quiet zone is one cell,
 # and what lies beyond it is seen so many px within it.
@@ -27,11 +27,14 @@ _SMALL, _MOST_PIXELS = 30.0, 600
 _PLACES, _REACH = 5, 2
 # Variance of the blur beside a pixel's own extent, px²: at first, and its limits.
 _FIRST_VARIANCE, _LEAST_VARIANCE, _MOST_VARIANCE = 0.1, 0.005, 40.0
-_MOST_ROUNDS = 8
+_MOST_ROUNDS = 12
 # px; when no corner moves by more, what is left to go is the square of that: the fit is there.
 _STILL = 0.05
 # px²; where the blur is what it was taken for, and nothing moved, once is enough.
-_AS_SHARP = 0.11
+_AS_SHARP, _ABOUT = 0.11, 0.1
+# px²; in an image with more blur than that all pixels of a large marker are looked at as well, but
+# for every other row and column, and so on, where it is larger than so many px.
+_SOFT, _MANY = 1.0, 60.0
 # Residuals beyond so many standard deviations are not the marker's.
 _OUTLYING = 3.5
 # Standard deviation of grey levels that were rounded to whole ones.
@@ -84,16 +87,16 @@ def fit_pattern(
         return None
     spread = np.array([_FIRST_VARIANCE, _FIRST_VARIANCE, 0.0])
     start, cell, light = corners, _cell(corners, cells), None
-    for number in range(_MOST_ROUNDS):
-        model = Model(pixels.points, corners, spread, pattern)
+    for _ in range(_MOST_ROUNDS):
+        model = PatternModel(pixels.points, corners, spread, pattern)
         columns = pixels.centred(model.light(pixels.grouped))
         if light is None:
             light = _Equations(columns, pixels.levels, np.ones(columns.shape[1])).solution()
         residuals = pixels.levels - light @ columns
-        noise = _noise(residuals, model.steepness(light))
+        noise = _noise(residuals, model.steepness(light), model.beyond(light))
         # Blur brings in what lies beyond the quiet zone.
         reach = 2.0 * math.sqrt(max(spread[:2])) + _BLURRED_IN
-        own = model.outside() < max(_LEAST_AROUND, 1.0 - reach / cell)
+        own = (model.margin() > reach) | (model.outside() < _LEAST_AROUND)
         weights = np.where(own, _tukey(residuals / noise) / (noise * noise), 0.0)
         shape = pixels.centred(np.concatenate((model.shape(light), model.blur(light))))
         columns = np.concatenate((columns, shape))
@@ -105,201 +108,16 @@ def fit_pattern(
         before, spread = spread, _allowed(spread + step[-_SPREAD:])
         if not np.abs(corners - start).max() <= _MOST_MOVED * cell:
             return None
-        sharpened = np.abs(spread - before).max()
-        if np.abs(moved).max() < _STILL and (number or sharpened < _AS_SHARP):
+        sharpened = np.abs(spread - before).max() - _ABOUT * spread.max()
+        if np.abs(moved).max() < _STILL and sharpened < _AS_SHARP:
             break
+        if pixels.grouped and spread.max() > _SOFT:
+            # Few pixels across each edge see little of so much blur.
+            pixels, light = _all_pixels(image, corners, cells, lens), None
     residuals = residuals - step @ columns
-    noise = _noise(residuals, model.steepness(light))
+    noise = _noise(residuals, model.steepness(light), model.beyond(light))
     residuals = np.where(own, residuals / noise, _TUKEY)
     return _judged(corners, residuals, columns / noise, pixels.group, to_corners)
-
-
-class Model:
-    """What pixels of a marker with these corners and this blur look like, and its derivatives.
-
-    Args:
-        points: (2, n) ideal px.
-        corners: (4, 2) ideal px.
-        spread: of the blur, variances along u and v and their covariance, px².
-        pattern: (cells, cells), 1 for white.
-    """
-
-    def __init__(
-        self, points: np.ndarray, corners: np.ndarray, spread: np.ndarray, pattern: np.ndarray
-    ):
-        self._cells = cells = len(pattern)
-        self.to_image = homography(corners)
-        unit, by_pixel = unit_square(points, self.to_image)
-        self._away = unit - 0.5
-        self._planes = np.concatenate((np.ones((1, len(unit[0]))), self._away))
-        self._by_pixel = cells * by_pixel
-        first, edges = _edge_profiles(cells * unit, self._by_pixel, spread, cells)
-        shares = edges[:, :, :-1] - edges[:, :, 1:]
-        around = _cells_around(pattern, first, shares.shape[2])
-        along, down = shares[:, 0], shares[:, 1]
-        rows = np.einsum("krn,rcn->kcn", down, around)
-        self._value, slope_x, self._bend_x = np.einsum("cn,kcn->kn", rows[0], along)
-        slope_y, self._bend_y = np.einsum("kcn,cn->kn", rows[1:], along[0])
-        self._slopes = cells * np.stack((slope_x, slope_y))
-
-    def light(self, evenly: bool = False) -> np.ndarray:
-        """Return what the numbers of the light are multiplied with, (k, n); the last 3 with B.
-
-        Args:
-            evenly: without an offset and what is of second order.
-        """
-        contrast = self._planes * self._value
-        if evenly:
-            return np.concatenate((self._away, contrast))
-        bowls = self._away**2, (self._away[0] * self._away[1])[None]
-        return np.concatenate((self._planes, *bowls, contrast))
-
-    def contrast(self, light: np.ndarray) -> np.ndarray:
-        """Return white less black (n,) by the numbers of the light."""
-        return light[-3:] @ self._planes
-
-    def outside(self) -> np.ndarray:
-        """Return how far outside of the outline pixels are, (n,) in cells; within it below 0."""
-        return self._cells * (np.abs(self._away).max(axis=0) - 0.5)
-
-    def steepness(self, light: np.ndarray) -> np.ndarray:
-        """Return by how many grey levels a pixel changes with the image moved by 1 px, (n,)."""
-        x, y = self._slopes / self._cells
-        slopes = x * self._by_pixel[0] + y * self._by_pixel[1]
-        return np.abs(self.contrast(light)) * np.hypot(slopes[0], slopes[1])
-
-    def shape(self, light: np.ndarray) -> np.ndarray:
-        """Return derivatives (8, n) of the grey levels by the moves that `moves_of` tells."""
-        steep = -self.contrast(light) * self._slopes
-        both = (steep * self._away).sum(axis=0)
-        return np.concatenate((steep[0] * self._planes, steep[1] * self._planes, both * self._away))
-
-    def blur(self, light: np.ndarray) -> np.ndarray:
-        """Return derivatives (3, n) by the blur's variances and covariance."""
-        contrast = self.contrast(light)
-        (xu, xv), (yu, yv) = self._by_pixel
-        bend_x, bend_y = contrast * self._bend_x, contrast * self._bend_y
-        both = 2.0 * (bend_x * xu * xv + bend_y * yu * yv)
-        by_u, by_v = bend_x * xu * xu + bend_y * yu * yu, bend_x * xv * xv + bend_y * yv * yv
-        return np.stack((by_u, by_v, both))
-
-
-def moves_of(corners: np.ndarray, to_image: np.ndarray) -> np.ndarray:
-    """Return by how many px the corners u0, v0, u1 ... move with each number of a map, (8, 8).
-
-    The map moves places of the unit square, of which x and y are counted from its middle, by
-    (a + b x + c y + g x x + h x y, d + e x + f y + g x y + h y y), before they are seen where
-    the homography (3, 3) has them.
-    """
-    third = (_CORNERS @ to_image[2, :2] + to_image[2, 2])[:, None, None]
-    by_place = (to_image[:2, :2] - corners[:, :, None] * to_image[2, :2]) / third
-    return (by_place @ _CORNER_MOVES).reshape(8, 8)
-
-
-def _corner_moves() -> np.ndarray:
-    moves = np.zeros((4, 2, 8))
-    for move, (x, y) in zip(moves, _CORNERS - 0.5):
-        move[0, :3] = move[1, 3:6] = 1.0, x, y
-        move[:, 6:] = np.outer((x, y), (x, y))
-    return moves
-
-
-_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-_CORNER_MOVES = _corner_moves()
-
-
-def _edge_profiles(
-    places: np.ndarray, by_pixel: np.ndarray, spread: np.ndarray, cells: int
-) -> Tuple[np.ndarray, np.ndarray]:
-    """Return how much of each blurred pixel is beyond the edges of cells next to it.
-
-    Across an edge a pixel is a box, its own extent, blurred: by a Gaussian, and by a way in which
-    the image moved, which is a box again. Of two boxes the smaller is as good as a Gaussian.
-
-    Args:
-        places: (2, n) along either axis, in cells.
-        by_pixel: (2, 2, n) cells along either axis for each px along u and v.
-        spread: of the blur, variances along u and v and their covariance, px². As far as the blur
-            is longer than wide, it is a motion.
-        cells: so many along an edge.
-
-    Returns:
-        The first of the cells looked at (2, n), and (3, 2, k + 1, n): what is beyond the first
-        edge of each of k cells and the last edge, with its derivatives by place and by variance.
-    """
-    mean, half = 0.5 * (spread[0] + spread[1]), 0.5 * (spread[0] - spread[1])
-    longer = math.hypot(half, spread[2])
-    along, across = by_pixel[:, 0], by_pixel[:, 1]
-    squares = np.square(by_pixel)
-    steep, flat = squares.max(axis=1), squares.min(axis=1)
-    moved = (longer + half) * squares[:, 0] + (longer - half) * squares[:, 1]
-    moved = 12.0 * np.maximum(moved + 2.0 * spread[2] * along * across, 0.0)
-    boxes = np.maximum(steep, moved)
-    # A pixel that lies aslant has slanting flanks, which are as good as blurred.
-    rest = (np.minimum(steep, moved) + flat) / 12.0
-    deviations = np.sqrt((mean - longer) * (steep + flat) + rest)
-    widths = np.sqrt(np.maximum(boxes, 1e-12))
-    # So far a pixel sees.
-    reach = max(1, math.ceil(min(float(cells), (0.5 * widths + _SEEN * deviations).max())))
-    first = np.clip(np.floor(places), -1.0, float(cells))
-    away = (places - first + (reach - 1))[:, None] - np.arange(2.0 * reach)[:, None]
-    widths, deviations = widths[:, None], deviations[:, None]
-    ends = away + np.stack((0.5 * widths, -0.5 * widths))
-    ends /= deviations
-    below, density = _normal_at(ends)
-    ends *= below
-    ends += density
-    edges = np.zeros((3, 2, 2 * reach + 2, places.shape[1]))
-    edges[0, :, 0] = 1.0
-    beyond = edges[0, :, 1:-1] = deviations / widths * (ends[0] - ends[1])
-    edges[1, :, 1:-1] = (below[0] - below[1]) / widths
-    # A Gaussian spreads as heat does: by its variance the value changes with half its bend.
-    by_variance = (0.5 * (density[0] - density[1])) / (widths * deviations)
-    if moved.max() > steep.min():
-        by_box = (6.0 * (0.5 * (below[0] + below[1]) - beyond)) / boxes[:, None]
-        by_variance = np.where((moved > steep)[:, None], by_box, by_variance)
-    edges[2, :, 1:-1] = by_variance
-    return first.astype(np.intp) - reach, edges
-
-
-# Standard deviations of the blur beyond which nothing is seen.
-_SEEN = 3.0
-
-
-def _cells_around(pattern: np.ndarray, first: np.ndarray, count: int) -> np.ndarray:
-    """Return `count` rows and columns of cells from the first on, (2, n): (count, count, n)."""
-    pad = count // 2 + 1
-    white = cv2.copyMakeBorder(pattern, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=1)
-    side = len(white)
-    columns, rows = first + pad
-    each = np.arange(count)
-    index = (rows * side + columns) + (each[:, None] * side + each)[:, :, None]
-    return white.astype(float).ravel().take(index)
-
-
-# The normal distribution by table, up to so many standard deviations, so many values for each.
-_FAR, _FINE = 5, 512
-_TABLE = np.linspace(-_FAR, _FAR, 2 * _FAR * _FINE + 1)
-_BELOW, _DENSITY = ndtr(_TABLE), np.exp(-0.5 * _TABLE**2) / np.sqrt(2.0 * np.pi)
-
-
-def _normal_at(places: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the normal distribution's share below places, and its density there."""
-    index = np.clip(_FINE * places + (_FAR * _FINE + 0.5), 0.0, 2.0 * _FAR * _FINE).astype(np.intp)
-    return _BELOW.take(index), _DENSITY.take(index)
-
-
-def unit_square(points: np.ndarray, to_image: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return what of the unit square a homography maps to points (2, n), and derivatives (2, 2, n).
-
-    >>> corners = np.array([[2.0, 1.0], [4.0, 1.0], [4.0, 3.0], [2.0, 3.0]])
-    >>> unit_square(np.array([[3.0], [2.0]]), homography(corners))[0].ravel().tolist()
-    [0.5, 0.5]
-    """
-    back = cv2.invert(to_image)[1]
-    one = 1.0 / (back[2, 0] * points[0] + back[2, 1] * points[1] + back[2, 2])
-    places = (back[:2, :1] * points[0] + back[:2, 1:2] * points[1] + back[:2, 2:]) * one
-    return places, (back[:2, :2, None] - places[:, None] * back[2, :2, None]) * one
 
 
 def _allowed(spread: np.ndarray) -> np.ndarray:
@@ -355,10 +173,11 @@ def _all_pixels(image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens) 
     within = 1.0 - _BEYOND / _cell(corners, cells)
     around = float(np.clip(within, _LEAST_AROUND, _AROUND)) / cells
     to_image = homography(corners)
-    outline = lens.seen(_mapped(_CORNERS + around * (2.0 * _CORNERS - 1.0), to_image))
+    outline = lens.seen(_mapped(UNIT_SQUARE + around * (2.0 * UNIT_SQUARE - 1.0), to_image))
     limits = np.array(image.shape[::-1]) - 1.0
+    each = max(1, math.ceil(_cell(corners, 1) / _MANY))
     low, high = (np.clip(ends, 0.0, limits) for ends in (outline.min(axis=0), outline.max(axis=0)))
-    columns, rows = (np.arange(int(low[k]), int(np.ceil(high[k])) + 1) for k in (0, 1))
+    columns, rows = (np.arange(int(low[k]), int(np.ceil(high[k])) + 1, each) for k in (0, 1))
     seen = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     points = np.ascontiguousarray(lens.ideal(seen.astype(float)).T)
     places, _ = unit_square(points, to_image)
@@ -446,8 +265,10 @@ class _Equations:
 _TUKEY = 6.0
 
 
-def _noise(residuals: np.ndarray, steepness: np.ndarray) -> np.ndarray:
+def _noise(residuals: np.ndarray, steepness: np.ndarray, beyond: np.ndarray) -> np.ndarray:
     """Return the standard deviation (n,) of each residual: of noise, and of edges out of place.
+
+    And of what is `beyond` the quiet zone, of which the model knows nothing.
 
     Where the picture is steep, what the model knows nothing of, such as an edge that was drawn
     from few samples, makes larger residuals than where it is even.
@@ -456,7 +277,8 @@ def _noise(residuals: np.ndarray, steepness: np.ndarray) -> np.ndarray:
     even = _scale(sizes[~steep])
     more = max(0.0, _scale(sizes[steep]) ** 2 - even * even)
     slope = _median(steepness[steep]) if steep.any() else 1.0
-    return np.sqrt(even * even + more * (steepness / max(slope, 1e-9)) ** 2)
+    steeper = steepness / max(slope, 1e-9)
+    return np.sqrt(even * even + more * steeper * steeper + beyond * beyond)
 
 
 def _median(values: np.ndarray) -> float:
