@@ -103,12 +103,13 @@ class LauncherTest(unittest.TestCase):
             self.assertEqual([], processes_of(out))
 
     def test_killed_it_leaves_no_node_and_all_that_was_recorded(self):
-        out = self.folder / "out"
-        run = start(self.folder, "squares", f"out:={out}", "rtf:=1")
+        out, temporary = self.folder / "out", self.folder / "tmp"
+        temporary.mkdir()
+        run = start(self.folder, "squares", f"out:={out}", "rtf:=1", TMPDIR=str(temporary))
         wait_until((out / "paths.csv").is_file)
         run.kill()
         finish(run)
-        wait_until(lambda: not processes_of(out))
+        wait_until(lambda: not processes_of(out) and not list(temporary.iterdir()))
         self.assertFalse(json.loads((out / "summary.json").read_text())["finished"])
 
     def test_ctrl_c_while_it_starts_is_no_failure(self):

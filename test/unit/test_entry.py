@@ -23,6 +23,15 @@ def test_an_interrupted_import_ends_it_with_130(tmp_path, imported):
     assert (run.returncode, run.stdout, run.stderr) == (130, "", "")
 
 
+def test_an_interrupt_that_was_held_back_while_python_started_is_answered(tmp_path):
+    block = "signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})"
+    program = (
+        f"import os, signal\n{block}\n{INTERRUPT}from bullet_lab.entry import run\nrun('os')\n"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (run.returncode, run.stdout, run.stderr) == (130, "", "")
+
+
 def test_main_gets_the_interrupt_again(tmp_path):
     (tmp_path / "job.py").write_text(
         f"def main():\n    try:\n        exec({INTERRUPT!r})\n"

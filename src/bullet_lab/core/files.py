@@ -16,6 +16,8 @@ from bullet_lab.core.trajectory import Trajectory, tum_row
 from bullet_lab.errors import LabError
 
 NANOSECONDS = 1_000_000_000
+PART = ".part_"
+"""How the name of what is not whole yet begins."""
 
 
 class FileError(LabError):
@@ -54,7 +56,7 @@ def replace_file(path: Path, write: Callable[[Path], None]) -> None:
 
 
 def _replace_file(path: Path, write: Callable[[Path], None]) -> None:
-    descriptor, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix, prefix=".part_")
+    descriptor, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix, prefix=PART)
     os.close(descriptor)
     part = Path(name)
     try:

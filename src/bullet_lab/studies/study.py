@@ -18,7 +18,7 @@ from typing import Any, Callable, Iterable, Iterator, NoReturn, Optional, Sequen
 
 from tqdm import tqdm
 
-from bullet_lab.core.files import FileError, make_folder
+from bullet_lab.core.files import PART, FileError, make_folder
 from bullet_lab.core.parameters import ArgumentParser, add_options, check_parameters, read_options
 from bullet_lab.entry import STATUS_INTERRUPTED
 from bullet_lab.errors import LabError
@@ -153,7 +153,7 @@ def whole_results(folder: Path) -> Iterator[Path]:
     """
     make_folder(folder)
     try:
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".part_") as name:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=PART) as name:
             part = Path(name)
             yield part
             files = [path.relative_to(part) for path in sorted(part.rglob("*")) if path.is_file()]

@@ -13,7 +13,7 @@ from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing import connection, get_context, parent_process, resource_tracker
 from typing import Any, Callable, Dict, Iterable, Iterator, Sequence, Tuple
 
 import cv2
@@ -149,7 +149,9 @@ class _Worker:
     def __init__(self, task: Task):
         self.pipe, theirs = _SPAWN.Pipe()
         self._process = _SPAWN.Process(target=_work, args=(task, theirs), daemon=True)
-        # It passes over Ctrl-C from the first moment on: this process ends it.
+        # It passes over Ctrl-C from the first moment on: this process ends it. The tracker, which
+        # is started with the first process, would let it through again.
+        resource_tracker.ensure_running()
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         self._process.start()
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import Callable, TextIO
@@ -27,7 +26,13 @@ from bullet_lab.ros.launcher.jobs import (
     list_of_jobs,
     read_assignments,
 )
-from bullet_lab.ros.launcher.output import OutputFolder, VirtualScreen, shown, words_to
+from bullet_lab.ros.launcher.output import (
+    OutputFolder,
+    VirtualScreen,
+    shown,
+    temporary_folder,
+    words_to,
+)
 from bullet_lab.simulation.world.resources import ros_package_folder
 
 _HELP = ("-h", "--help")
@@ -138,7 +143,7 @@ def _supervise(
 ) -> int:
     with contextlib.ExitStack() as stack:
         # Also the folder that nodes run in: what they drop there belongs to nobody.
-        os.environ["ROS_HOME"] = stack.enter_context(tempfile.TemporaryDirectory(prefix="lab-"))
+        os.environ["ROS_HOME"] = stack.enter_context(temporary_folder())
         os.environ["ROS_LOG_DIR"] = str(out.log)
         # Qt asks for it, and has none where nobody has logged in.
         os.environ.setdefault("XDG_RUNTIME_DIR", os.environ["ROS_HOME"])

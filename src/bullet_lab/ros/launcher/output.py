@@ -9,13 +9,16 @@ import logging
 import os
 import re
 import select
+import shutil
 import subprocess
+import tempfile
 import time
 from pathlib import Path
-from typing import TextIO
+from typing import Iterator, TextIO
 
 from PIL import ImageGrab
 
+from bullet_lab.core.files import PART
 from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher.jobs import UsageError
 
@@ -50,7 +53,7 @@ class OutputFolder:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             (self.path / SUMMARY).unlink(missing_ok=True)
         except OSError as error:
-            self.__exit__()
+            self._close()
             message = f"cannot write to {self.path}: {error.strerror}"
             if isinstance(error, BlockingIOError):
                 message = f"another run is writing to {self.path}, choose another out:="
@@ -59,14 +62,26 @@ class OutputFolder:
         return self
 
     def __exit__(self, *_) -> None:
-        """Let others use the folder."""
+        """Let others use the folder, without what a program that was killed has left half."""
+        for part in self.path.rglob(f"{PART}*"):
+            if part.is_dir():
+                shutil.rmtree(part, ignore_errors=True)
+            else:
+                part.unlink(missing_ok=True)
+        self._close()
+
+    def _close(self) -> None:
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
 
     def has_summary(self) -> bool:
-        """Whether this run has written its summary."""
-        return (self.path / SUMMARY).is_file()
+        """Whether this run has written its summary, and not of a part only."""
+        try:
+            summary = json.loads((self.path / SUMMARY).read_text())
+        except (OSError, ValueError):
+            return False
+        return not isinstance(summary, dict) or bool(summary.get("finished", True))
 
     def is_finished(self) -> bool:
         """Whether the summary of this run is there, and says nothing else than that all is in."""
@@ -91,6 +106,28 @@ def shown(path: Path) -> str:
         return str(path.relative_to(Path.cwd()))
     except ValueError:
         return str(path)
+
+
+def tied(*command: str) -> list[str]:
+    """Return a command that ends when the thread does that starts it, here the launcher's main one.
+
+    Whoever kills the launcher with SIGKILL leaves nothing behind then. Without setpriv it does.
+    """
+    return [*(("setpriv", "--pdeathsig", "TERM") if shutil.which("setpriv") else ()), *command]
+
+
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[str]:
+    """Yield a folder that is gone afterwards, even where this process is killed by SIGKILL."""
+    with tempfile.TemporaryDirectory(prefix="lab-") as name:
+        # The end of its input is that of this process; what runs in the folder ends then, too.
+        command = ["sh", "-c", 'read -r _; sleep 2; rm -rf "$0"', name]
+        pipe = subprocess.PIPE
+        with subprocess.Popen(command, stdin=pipe, start_new_session=True) as sweeper:
+            try:
+                yield name
+            finally:
+                sweeper.kill()
 
 
 class _PlainText:
@@ -136,7 +173,7 @@ class VirtualScreen:
         """Start the screen, for everything that is started later; raise ScreenError."""
         # Xvfb looks for a free display itself and tells its number. In a session of its own
         # it gets no Ctrl-C from the terminal: it has to outlive RViz.
-        command = ["Xvfb", "-displayfd", "1", "-screen", "0", _SIZE, "-nolisten", "tcp"]
+        command = tied("Xvfb", "-displayfd", "1", "-screen", "0", _SIZE, "-nolisten", "tcp")
         streams = {"stdout": subprocess.PIPE, "text": True, "start_new_session": True}
         try:
             with self._log.open("w") as log:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import signal
 import socket
 import time
@@ -25,14 +24,11 @@ from roslaunch.core import Master
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher.jobs import Job
-from bullet_lab.ros.launcher.output import OutputFolder
+from bullet_lab.ros.launcher.output import OutputFolder, tied
 
 _POLL_PERIOD = 0.05
 _SIGINT_TIMEOUT = 6.0
 _SIGTERM_TIMEOUT = 2.0
-# Starts a program that ends when the thread that started it does, here the launcher's main one:
-# whoever kills the launcher with SIGKILL leaves no node behind.
-_TIED = "setpriv --pdeathsig TERM"
 # What the setup files of ROS put into every shell, so that it says nothing by itself.
 STOCK_URI = "http://localhost:11311"
 _CONNECT_TIMEOUT = 2.0
@@ -155,8 +151,7 @@ class Launch:
         # track of nodes that it is about to start.
         for node in self._config.nodes:
             node.required = False
-            if shutil.which("setpriv"):
-                node.launch_prefix = f"{_TIED} {node.launch_prefix or ''}".strip()
+            node.launch_prefix = " ".join(tied(node.launch_prefix or "")).strip()
         self._deaths = Deaths()
         self._parent = roslaunch.parent.ROSLaunchParent(
             master.run_id,

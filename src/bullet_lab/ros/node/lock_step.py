@@ -21,7 +21,7 @@ import rospy
 from geometry_msgs.msg import Twist
 
 from bullet_lab.core import parameters
-from bullet_lab.ros.node.node import LOCK_STEP, NodeError, wait_until
+from bullet_lab.ros.node.node import LOCK_STEP, NodeError, is_ending, wait_until
 from bullet_lab.srv import Advance, AdvanceRequest, AdvanceResponse
 
 SERVICE = "/bullet_lab/advance"
@@ -71,7 +71,7 @@ class Member:
         try:
             rospy.wait_for_service(SERVICE, WAIT_FOR_BRIDGE_SECONDS)
         except rospy.ROSException as error:
-            if rospy.is_shutdown():
+            if is_ending():
                 raise rospy.ROSInterruptException(str(error)) from error
             raise NodeError(f"no bridge offers {SERVICE}, which ~lock_step needs") from error
         self._call = rospy.ServiceProxy(SERVICE, Advance, persistent=True)
@@ -113,7 +113,7 @@ class Member:
         try:
             answer = self._call(AdvanceRequest(rospy.get_name(), epoch, until, *self._sent()))
         except (rospy.ServiceException, rospy.ROSException, OSError) as error:
-            if rospy.is_shutdown():
+            if is_ending():
                 raise rospy.ROSInterruptException("shutdown") from error
             raise NodeError(f"the bridge does not answer on {SERVICE}: {error}") from error
         self._epoch, self._now = answer.epoch, answer.now

@@ -6,6 +6,8 @@ import contextlib
 import functools
 import logging
 import math
+import queue
+import signal
 import sys
 import threading
 import time
@@ -16,6 +18,7 @@ import rosgraph
 import rospy
 import rospy.impl.simtime
 
+from bullet_lab.core.files import FileError
 from bullet_lab.core.parameters import ParameterError, read_parameters
 from bullet_lab.errors import LabError
 
@@ -26,6 +29,8 @@ LOCK_STEP = "lock_step"
 # The parameter that keeps the frames of several robots apart, as the tf library finds it.
 TF_PREFIX = "tf_prefix"
 REPORT_WAIT_SECONDS = 3.0
+# Wall seconds that the main thread waits for the thread that ends the node.
+LONGEST_END = 10.0
 
 T = TypeVar("T")
 
@@ -47,11 +52,12 @@ def run_node(
     # What a node says is of use while it runs, in a file or a pipe as well.
     sys.stdout.reconfigure(line_buffering=True)
     master_is_gone = threading.Event()
+    signals = Signals()
     try:
         if not rosgraph.is_master_online():
             raise NodeError(f"no ROS master answers at {rosgraph.get_master_uri()}")
         before()
-        rospy.init_node(name)
+        rospy.init_node(name, disable_signals=True)
         library = logging.getLogger("bullet_lab")
         library.addHandler(_RosLog(logging.WARNING))
         library.propagate = False
@@ -61,10 +67,53 @@ def run_node(
             body()
     except ParameterError as error:
         _end(name, error, STATUS_BAD_PARAMETER)
-    except (LabError, rospy.ROSInitException) as error:
+    except FileError as error:
         _end(name, error, STATUS_CANNOT_GO_ON)
+    except Exception as error:
+        if not is_ending():
+            if not isinstance(error, (LabError, rospy.ROSInitException)):
+                raise
+            _end(name, error, STATUS_CANNOT_GO_ON)
+        # Whoever ends a node does so beside the main thread, which finds topics closed.
+        logging.getLogger("rospy").info("%s was ended", name, exc_info=True)
+    finally:
+        signals.wait()
     if master_is_gone.is_set():
         _end(name, "the ROS master is gone", STATUS_CANNOT_GO_ON)
+
+
+def is_ending() -> bool:
+    """Return whether the node is about to end, its topics closed or not."""
+    return rospy.core.is_shutdown_requested()
+
+
+class Signals(threading.Thread):
+    """Ends the node at the first SIGINT or SIGTERM.
+
+    rospy's own handlers do it in the main thread, wherever that is, and wait for ever for a lock
+    that it holds, as where it asks the master something.
+    """
+
+    def __init__(self):
+        super().__init__(name="signals", daemon=True)
+        self._come: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._ending = threading.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # A shell's background job is not to be interrupted.
+            if signal.getsignal(number) != signal.SIG_IGN:
+                # A handler may do no more: what it interrupts may hold any lock.
+                signal.signal(number, lambda number, _: self._come.put(number))
+        self.start()
+
+    def run(self) -> None:  # noqa: D102 - inherited
+        number = self._come.get()
+        self._ending.set()
+        rospy.signal_shutdown(f"signal-{number}")
+
+    def wait(self) -> None:
+        """Wait until the node has ended, if it is being ended by a signal."""
+        if self._ending.is_set():
+            self.join(LONGEST_END)
 
 
 def _watch_master(is_gone: threading.Event) -> None:

@@ -176,8 +176,6 @@ def true_beacons(names: Tuple[str, ...]) -> Dict[str, Tuple[float, float]]:
     try:
         world = rospy.wait_for_message(WORLD, MarkerArray, WORLD_TIMEOUT_SECONDS)
     except rospy.ROSException as error:
-        if rospy.is_shutdown():
-            raise rospy.ROSInterruptException("shutdown") from error
         raise NodeError(f"nobody publishes {WORLD}: is the bridge running?") from error
     places = {m.ns: (m.pose.position.x, m.pose.position.y) for m in reversed(world.markers)}
     missing = [name for name in names if name not in places]

@@ -32,6 +32,8 @@ def test_summary_of_an_earlier_run_does_not_count(tmp_path):
         assert not out.has_summary()
         (tmp_path / "summary.json").write_text("{}")
         assert out.has_summary()
+        (tmp_path / "summary.json").write_text('{"finished": false}')
+        assert not out.has_summary()
 
 
 def test_a_run_has_finished_when_its_summary_does_not_say_otherwise(tmp_path):
@@ -51,6 +53,16 @@ def test_only_files_of_this_run_are_listed(tmp_path):
         (tmp_path / "new.png").write_text("now")
         (out.log / "a.log").write_text("now")
         assert [path.name for path in out.written()] == ["again.csv", "new.png"]
+
+
+def test_what_was_left_half_by_a_program_that_was_killed_is_cleared_away(tmp_path):
+    with OutputFolder(tmp_path / "out") as out:
+        (out.path / ".part_1" / "deeper").mkdir(parents=True)
+        (out.log / ".part_2.png").write_text("")
+        with pytest.raises(UsageError):
+            OutputFolder(out.path).__enter__()
+        assert len(list(out.path.rglob(".part_*"))) == 2
+    assert not list(out.path.rglob(".part_*"))
 
 
 def test_a_file_in_the_way_is_refused(tmp_path):

@@ -1,0 +1,97 @@
+"""Runs jobs, does something bad to each, and looks at what becomes of it; see scripts/faults.sh.
+
+What was tried is in results/faults/faults.jsonl, and is not tried again with the same seed. A
+failure leaves its folder there, beside the command that repeats it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import signal
+import sys
+from collections import Counter
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Dict, List
+
+from kinds import JOBS, KINDS, Fault, drawn
+from tqdm import tqdm
+from trial import Trial
+
+RECORD = "faults.jsonl"
+
+
+def known(record: Path, seed: int) -> Dict[int, Dict[str, Any]]:
+    """Return what has become of the faults of a seed that were tried before, by their index."""
+    if not record.is_file():
+        return {}
+    rows = map(json.loads, record.read_text().splitlines())
+    return {row["index"]: row for row in rows if row["seed"] == seed}
+
+
+def tried(fault: Fault, out: Path) -> Dict[str, Any]:
+    """Try a fault; what it leaves is kept where something is wrong."""
+    folder = out / f"{fault.seed}-{fault.index}"
+    shutil.rmtree(folder, ignore_errors=True)
+    outcome = Trial(fault, folder).run()
+    if not outcome.wrong:
+        shutil.rmtree(folder)
+    command = f"scripts/faults.sh --seed {fault.seed} --only {fault.index}"
+    return {**asdict(fault), **asdict(outcome), "command": command}
+
+
+def summary_of(rows: List[Dict[str, Any]]) -> Dict[str, Any]:
+    """Count what was tried; a fault that came when all was over is none."""
+    struck = [row for row in rows if row["struck"]]
+    return {
+        "tried": len(rows),
+        "struck": len(struck),
+        "by_job": Counter(row["job"] for row in struck),
+        "by_kind": Counter(row["kind"] for row in struck),
+        "failures": [row["command"] for row in rows if row["wrong"]],
+    }
+
+
+def main() -> None:
+    """Try faults, print and write results/faults/summary.json; status 1 where something failed."""
+    parser = argparse.ArgumentParser(prog="faults.sh", description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=200, help="so many faults")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="index of the first fault")
+    parser.add_argument("--only", type=int, help="the fault of this index, whatever was tried")
+    parser.add_argument("--job", choices=JOBS, help="this job only")
+    parser.add_argument("--kind", choices=sorted(KINDS), help="this kind only")
+    parser.add_argument("--out", type=Path, default=Path("results/faults"))
+    wanted = parser.parse_args()
+    # In a shell's background job it is ignored, and so it would be in all that is started here.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    out = wanted.out.absolute()
+    out.mkdir(parents=True, exist_ok=True)
+    # Indices stand for the same faults, whatever else is left out.
+    indices = range(wanted.first, wanted.first + wanted.count)
+    before = known(out / RECORD, wanted.seed)
+    if wanted.only is not None:
+        indices, before = range(wanted.only, wanted.only + 1), {}
+    faults = [drawn(wanted.seed, index) for index in indices]
+    faults = [f for f in faults if wanted.job in (None, f.job) and wanted.kind in (None, f.kind)]
+    rows = [before[fault.index] for fault in faults if fault.index in before]
+    left = [fault for fault in faults if fault.index not in before]
+    bar = tqdm(left, unit=" faults", initial=len(rows), total=len(faults), disable=None)
+    for fault in bar:
+        row = tried(fault, out)
+        rows.append(row)
+        with (out / RECORD).open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        if row["wrong"]:
+            tqdm.write(f"{fault}: {'; '.join(row['wrong'])}\n    {row['command']}")
+    summary = summary_of(rows)
+    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    failed = len(summary["failures"])
+    print(f"{summary['tried']} faults, {summary['struck']} in time, {failed} failures; see {out}")
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    main()

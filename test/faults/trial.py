@@ -1,0 +1,451 @@
+"""One job, one fault, and all that is to hold afterwards."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import uuid
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Callable, Dict, Iterator, List, Optional
+
+import psutil
+import rosgraph.names
+import roslaunch.config
+from kinds import (
+    KINDS,
+    LAUNCHER,
+    NODE,
+    PACKAGE,
+    SMALLEST,
+    STOPPED_SECONDS,
+    TERMINAL,
+    WORKER,
+    Fault,
+    is_live,
+)
+from PIL import Image
+
+# By which processes of a trial are found, wherever they are.
+MARK = "BULLET_LAB_FAULT"
+# Wall seconds for a job to end, for what it leaves to be gone, and between two looks.
+PATIENCE, GRACE, LOOK = 240.0, 20.0, 0.0005
+# Of a disk that fills up.
+DISK = "64m"
+FILE_LIMIT = 4096
+# Times real time, where somebody else is to have a word in the run.
+SLOWLY = "rtf:=10"
+# Who writes what is recorded.
+RECORDERS = ("plot_", "try_robot")
+RECORDED = (".csv", ".tum", ".jsonl")
+# What may be cut off at the announced end of a recording.
+KEPT, CUT = 0.8, 5
+
+
+@dataclass
+class Outcome:
+    """What became of a fault: whether it came in time, how the job ended, and what is wrong."""
+
+    struck: bool = False
+    victim: str = ""
+    status: Optional[int] = None
+    seconds: float = 0.0
+    wrong: List[str] = field(default_factory=list)
+
+
+class Trial:
+    """Runs a job in a new folder, and strikes."""
+
+    def __init__(self, fault: Fault, folder: Path):
+        self._fault, self._folder = fault, folder
+        self._kind = KINDS[fault.kind]
+        self._out, self._temporary = folder / "out", folder / "tmp"
+        self._mark = uuid.uuid4().hex
+        self._outcome = Outcome()
+        self._before: Dict[Path, int] = {}
+        self._was_done = False
+        self._words = [*SMALLEST.get(fault.job, ())]
+        if self._kind.live:
+            self._words = [word for word in self._words if not word.startswith("rtf")] + [SLOWLY]
+
+    def run(self) -> Outcome:
+        """Run the job, strike, and judge."""
+        for path in (self._out, self._temporary):
+            path.mkdir(parents=True)
+        start = time.monotonic()
+        with contextlib.ExitStack() as stack:
+            if self._fault.kind == "disk_full" and not os.geteuid():
+                stack.enter_context(_small_disk(self._out))
+            self._start(stack)
+            stack.callback(self._end_all)
+            self._outcome.struck = self._strike()
+            self._wait()
+            self._judge()
+            if self._outcome.wrong and self._fault.kind == "disk_full":
+                ignored = shutil.ignore_patterns("filler")
+                shutil.copytree(self._out, self._folder / "disk", ignore=ignored)
+        self._outcome.seconds = round(time.monotonic() - start, 1)
+        return self._outcome
+
+    def _start(self, stack: contextlib.ExitStack) -> None:
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("ROS_")}
+        environment.update({MARK: self._mark, "TMPDIR": str(self._temporary)})
+        if self._fault.kind.startswith("master"):
+            self._port = _free_port()
+            environment["ROS_MASTER_URI"] = f"http://127.0.0.1:{self._port}"
+            environment["ROS_IP"] = "127.0.0.1"
+            self._master = self._start_master()
+            stack.callback(lambda: _end(self._master))
+        streams = [
+            stack.enter_context((self._folder / name).open("w")) for name in ("stdout", "stderr")
+        ]
+        self._job = subprocess.Popen(
+            [str(PACKAGE / "scripts" / "run.sh"), self._fault.job, "out:=out", *self._words],
+            cwd=self._folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=streams[0],
+            stderr=streams[1],
+            start_new_session=True,
+        )
+
+    # The faults
+
+    def _strike(self) -> bool:
+        """Do what the fault is; return whether the job was there to notice."""
+        if self._kind.targets:
+            return self._send_signal()
+        if self._kind.live:
+            return self._meddle()
+        time.sleep(self._fault.moment)
+        self._look()
+        if not self._runs():
+            return False
+        if self._fault.kind == "disk_full":
+            self._fill_the_disk()
+        else:
+            _end(self._master)
+            if self._fault.kind == "master_back":
+                time.sleep(2.0 * self._fault.choice)
+                self._master = self._start_master()
+        return True
+
+    def _send_signal(self) -> bool:
+        victim = self._await(self._find_target)
+        if victim is None:
+            return False
+        time.sleep(self._fault.moment)
+        self._look()
+        if self._fault.target == WORKER:
+            # The one that was there first may have done its work.
+            victim = self._find_target() or victim
+        return self._signal(victim, self._kind.signal)
+
+    def _signal(self, victim: psutil.Process, number: int) -> bool:
+        with contextlib.suppress(psutil.NoSuchProcess, ProcessLookupError):
+            if victim.status() == psutil.STATUS_ZOMBIE:
+                return False
+            if self._fault.target == TERMINAL:
+                os.killpg(victim.pid, number)
+                return True
+            victim.send_signal(number)
+            if number == signal.SIGSTOP:
+                time.sleep(STOPPED_SECONDS)
+                victim.send_signal(signal.SIGCONT)
+            return True
+        return False
+
+    def _find_target(self) -> Optional[psutil.Process]:
+        if self._fault.target in (LAUNCHER, TERMINAL):
+            return psutil.Process(self._job.pid)
+        found = self._processes()
+        if self._fault.target == WORKER:
+            workers = [one for one in found if any("spawn_main" in word for word in _command(one))]
+            return workers[int(self._fault.choice * len(workers))] if workers else None
+        nodes = _nodes_of(self._fault.job, self._words)
+        self._outcome.victim = nodes[int(self._fault.choice * len(nodes))]
+        return self._node(self._outcome.victim, found)
+
+    def _node(self, name: str, found: List[psutil.Process]) -> Optional[psutil.Process]:
+        space, _, base = name.rpartition("/")
+        for one in found:
+            with contextlib.suppress(psutil.Error):
+                theirs = one.environ().get("ROS_NAMESPACE", "").rstrip("/")
+                if f"__name:={base}" in _command(one) and theirs == space:
+                    return one
+        return None
+
+    def _meddle(self) -> bool:
+        uri = self._await(self._master_uri)
+        if uri is None:
+            return False
+        name = self._fault.kind.split("_")[0]
+        words = [str(STOPPED_SECONDS)] if name == "clock" else []
+        helper = subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name("meddle.py")), name, *words],
+            env={**os.environ, "ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1"},
+            cwd=self._folder,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=(self._folder / "meddle").open("w"),
+            text=True,
+        )
+        try:
+            return self._meddle_by(helper)
+        finally:
+            _end(helper)
+
+    def _meddle_by(self, helper: subprocess.Popen) -> bool:
+        line = self._first_line(helper)
+        if not line:
+            return False
+        self._look()
+        if self._fault.kind == "deaf":
+            helper.send_signal(signal.SIGSTOP)
+            time.sleep(STOPPED_SECONDS)
+            return True
+        if self._fault.kind == "clock":
+            helper.wait()
+            return True
+        time.sleep(min(self._fault.moment, 1.0))
+        self._outcome.victim = line
+        driver = self._node(line, self._processes())
+        if driver is None or not self._signal(driver, self._kind.signal):
+            return False
+        with contextlib.suppress(psutil.TimeoutExpired):
+            driver.wait(PATIENCE)
+        said, _ = helper.communicate(timeout=PATIENCE)
+        for topic, command in json.loads(said or "{}").items():
+            if any(command):
+                self._wrong(f"the last command on {topic} was {command}")
+        return True
+
+    def _first_line(self, helper: subprocess.Popen) -> str:
+        """Return what a helper says first; nothing where the job is over before."""
+        os.set_blocking(helper.stdout.fileno(), False)
+        line = self._await(lambda: helper.stdout.readline() or None) or ""
+        os.set_blocking(helper.stdout.fileno(), True)
+        return line.strip()
+
+    def _fill_the_disk(self) -> None:
+        if os.geteuid():
+            for one in self._processes():
+                with contextlib.suppress(psutil.Error, PermissionError):
+                    one.rlimit(psutil.RLIMIT_FSIZE, (FILE_LIMIT, FILE_LIMIT))
+            return
+        with contextlib.suppress(OSError), (self._out / "filler").open("wb", buffering=0) as file:
+            while True:
+                file.write(bytes(4096))
+
+    # What is there
+
+    def _await(self, find: Callable) -> object:
+        """Return what is found; None where the job is over before."""
+        while self._runs():
+            found = find()
+            if found is not None:
+                return found
+            time.sleep(LOOK)
+        return None
+
+    def _runs(self) -> bool:
+        return self._job.poll() is None
+
+    def _master_uri(self) -> Optional[str]:
+        said = re.search(r"master (http://\S+)", self._said("stdout"))
+        return said and said[1]
+
+    def _said(self, stream: str) -> str:
+        return (self._folder / stream).read_text(errors="replace")
+
+    def _processes(self) -> List[psutil.Process]:
+        """Return what runs of this trial."""
+        found = []
+        mine = f"{MARK}={self._mark}".encode()
+        for entry in Path("/proc").glob("[0-9]*"):
+            # Those that have ended have no environment.
+            with contextlib.suppress(OSError, psutil.Error):
+                if mine in (entry / "environ").read_bytes().split(b"\0"):
+                    found.append(psutil.Process(int(entry.name)))
+        return found
+
+    def _look(self) -> None:
+        """Note what was there before the fault."""
+        self._was_done = (self._out / "summary.json").is_file()
+        self._before = {path: _lines(path) for path in self._recorded()}
+
+    def _recorded(self) -> List[Path]:
+        found = [path for path in self._out.rglob("*") if path.suffix in RECORDED]
+        return [path for path in found if not path.name.startswith(".")]
+
+    def _start_master(self) -> subprocess.Popen:
+        master = subprocess.Popen(
+            ["rosmaster", "--core", "-p", str(self._port)],
+            env={**os.environ, "ROS_IP": "127.0.0.1", "ROS_HOME": str(self._folder / "ros")},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        while master.poll() is None:
+            with contextlib.suppress(OSError):
+                socket.create_connection(("127.0.0.1", self._port)).close()
+                break
+            time.sleep(0.01)
+        return master
+
+    # The end
+
+    def _wait(self) -> None:
+        """Wait for the end of the job, and of all that it has started."""
+        try:
+            self._outcome.status = self._job.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._wrong(f"no end after {PATIENCE:g} s")
+            self._describe_processes()
+            return
+        deadline = time.monotonic() + GRACE
+        while self._processes() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        for one in self._processes():
+            with contextlib.suppress(psutil.Error):
+                self._wrong(f"left running: {' '.join(one.cmdline())[:200]}")
+        self._describe_processes()
+
+    def _describe_processes(self) -> None:
+        lines = []
+        for one in self._processes():
+            with contextlib.suppress(psutil.Error):
+                lines.append(f"{one.pid} {one.status()} {' '.join(one.cmdline())}")
+                if shutil.which("py-spy"):
+                    dump = ["py-spy", "dump", "--pid", str(one.pid)]
+                    lines.append(subprocess.run(dump, capture_output=True, text=True).stdout)
+        if lines:
+            (self._folder / "processes").write_text("\n".join(lines))
+
+    def _end_all(self) -> None:
+        for one in self._processes():
+            with contextlib.suppress(psutil.Error):
+                one.kill()
+        self._job.wait()
+
+    def _wrong(self, what: str) -> None:
+        self._outcome.wrong.append(what)
+
+    # What is to hold
+
+    def _judge(self) -> None:
+        status, err = self._outcome.status, self._said("stderr")
+        if status is None:
+            return
+        if status not in self._expected():
+            self._wrong(f"status {status}")
+        for stream in ("stdout", "stderr"):
+            if "Traceback" in self._said(stream):
+                self._wrong(f"a traceback on {stream}")
+        ours = (f"{self._fault.job}: ", "run.sh: ", "setup: ")
+        if status > 0 and status not in (130, 143):
+            told = [line for line in err.splitlines() if line.startswith(ours)]
+            if not told:
+                self._wrong(f"status {status} without a line that says why")
+        self._judge_leftovers()
+        self._judge_results()
+
+    def _expected(self) -> set:
+        """Return the statuses that are right; 0 only where the job has done its work."""
+        kind, at_launcher = self._fault.kind, self._fault.target in (LAUNCHER, TERMINAL)
+        done = f"{self._fault.job}: done" in self._said("stdout")
+        asked_to_end = self._outcome.struck and at_launcher and kind != "stop"
+        right = {0} if done and (self._was_done or not asked_to_end) else set()
+        if not self._outcome.struck:
+            return right
+        if kind == "int" and at_launcher:
+            # Before run.sh has said how it answers, it dies as a shell does of a signal.
+            return right | {130} | (set() if self._said("stdout") else {-signal.SIGINT})
+        if kind in ("kill", "term") and at_launcher:
+            return right | {-self._kind.signal, 128 + self._kind.signal} - {128 + signal.SIGKILL}
+        if kind == "kill" and self._fault.target == NODE:
+            return right | {128 + signal.SIGKILL}
+        if kind in ("int", "term", "rest_int", "rest_term") and self._fault.target != WORKER:
+            return right | {1, 130, 143}
+        if kind.startswith("master"):
+            return right | {1}
+        return right | {1, 2} if kind == "disk_full" else right
+
+    def _judge_leftovers(self) -> None:
+        left = [path.name for path in self._temporary.iterdir()]
+        if left:
+            self._wrong(f"left in the temporary folder: {', '.join(left)}")
+        parts = [str(path.relative_to(self._out)) for path in self._out.rglob(".*")]
+        if parts:
+            self._wrong(f"left among the results: {', '.join(parts)}")
+
+    def _judge_results(self) -> None:
+        killed = self._outcome.victim.rpartition("/")[2] if self._fault.kind == "kill" else ""
+        for path, lines in self._before.items():
+            kept = _lines(path) if path.is_file() else 0
+            if kept < KEPT * lines - CUT:
+                self._wrong(f"{path.name}: {kept} lines of {lines} kept")
+        full = self._fault.kind == "disk_full"
+        recording = is_live(self._fault.job) and any(n > 1 for n in self._before.values())
+        told = (self._out / "summary.json").is_file() or full or killed.startswith(RECORDERS)
+        if recording and not told:
+            self._wrong("no summary of what was recorded")
+        if killed != "record" and not full and list(self._out.rglob("*.active")):
+            self._wrong("the bag was not closed")
+        for path in self._out.rglob("*"):
+            try:
+                if path.suffix == ".json":
+                    json.loads(path.read_text())
+                elif path.suffix == ".png":
+                    with Image.open(path) as picture:
+                        picture.verify()
+            except (ValueError, OSError, SyntaxError) as error:
+                self._wrong(f"{path.name} is no whole file: {error}")
+
+
+def _nodes_of(job: str, words: List[str]) -> List[str]:
+    """Return the names of a job's nodes, in the order in which they are started."""
+    path = str(PACKAGE / "launch" / f"{job}.launch")
+    config = roslaunch.config.load_config_default([(path, list(words))], None, verbose=False)
+    return [rosgraph.names.ns_join(node.namespace, node.name) for node in config.nodes]
+
+
+def _command(process: psutil.Process) -> List[str]:
+    try:
+        return process.cmdline()
+    except psutil.Error:
+        return []
+
+
+def _lines(path: Path) -> int:
+    with contextlib.suppress(OSError):
+        return path.read_bytes().count(b"\n")
+    return 0
+
+
+def _free_port() -> int:
+    with contextlib.closing(socket.socket()) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def _end(process: subprocess.Popen) -> None:
+    process.kill()
+    process.wait()
+
+
+@contextlib.contextmanager
+def _small_disk(folder: Path) -> Iterator[None]:
+    """Give a folder a file system of its own that is soon full; takes root."""
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(folder)], check=True)
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)
