@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 import signal
 import sys
@@ -12,6 +13,8 @@ from bullet_lab.errors import LabError
 
 STATUS_CANNOT_START = 1
 STATUS_INTERRUPTED = 130
+JOB = "BULLET_LAB_JOB"
+"""Set in the environment of a job's nodes."""
 
 
 def run(target: str) -> None:
@@ -23,6 +26,8 @@ def run(target: str) -> None:
     name = os.path.basename(sys.argv[0])
     # With several, the last bit of a sum depends on how many cores there are.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # A log that finds no room on the disk is no reason for tracebacks.
+    logging.raiseExceptions = False
     keep_to_this_machine()
     end_at_once_when_interrupted()
     try:

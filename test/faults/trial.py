@@ -284,7 +284,8 @@ class Trial:
 
     def _recorded(self) -> List[Path]:
         found = [path for path in self._out.rglob("*") if path.suffix in RECORDED]
-        return [path for path in found if not path.name.startswith(".")]
+        # What is not whole yet is in hidden files and folders.
+        return [path for path in found if "/." not in str(path.relative_to(self._folder))]
 
     def _start_master(self) -> subprocess.Popen:
         master = subprocess.Popen(

@@ -391,6 +391,9 @@ class LockStepTest(BridgeCase):
         advance(500, node="/other")
         ahead.join(60)
         self.assertFalse(ahead.is_alive())
+        # Who is not there may be spoken for; who lives speaks for itself, or holds time for ever.
+        with self.assertRaisesRegex(rospy.ServiceException, "speaks for /pybullet_bridge"):
+            advance(0, node="/pybullet_bridge")
 
     def test_commands_act_from_exactly_their_step(self):
         expected = simulated(SQUIGGLE, 30)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import json
 import logging
 import os
 import re
@@ -14,11 +13,11 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
-from typing import Iterator, TextIO
+from typing import BinaryIO, Iterator
 
 from PIL import ImageGrab
 
-from bullet_lab.core.files import PART
+from bullet_lab.core.files import PART, FileError
 from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher.jobs import UsageError
 
@@ -76,12 +75,8 @@ class OutputFolder:
             self._descriptor = -1
 
     def has_summary(self) -> bool:
-        """Whether this run has written its summary, and not of a part only."""
-        try:
-            summary = json.loads((self.path / SUMMARY).read_text())
-        except (OSError, ValueError):
-            return False
-        return not isinstance(summary, dict) or bool(summary.get("finished", True))
+        """Whether this run has written its summary."""
+        return (self.path / SUMMARY).is_file()
 
     def is_finished(self) -> bool:
         """Whether the summary of this run is there, and says nothing else than that all is in."""
@@ -130,28 +125,36 @@ def temporary_folder() -> Iterator[str]:
                 sweeper.kill()
 
 
-class _PlainText:
-    """A text file that gets no terminal colours."""
+class PlainText:
+    """A text file that gets no terminal colours, and loses what finds no room on the disk."""
 
-    def __init__(self, file: TextIO):
+    def __init__(self, file: BinaryIO):
         self._file = file
 
     def write(self, text: str) -> int:
-        return self._file.write(re.sub(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)", "", text))
+        """Write what there is room for."""
+        plain = re.sub(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)", "", text)
+        with contextlib.suppress(OSError):
+            self._file.write(plain.encode(errors="replace"))
+        return len(text)
 
     def flush(self) -> None:
-        self._file.flush()
+        """Nothing is held back."""
 
 
 @contextlib.contextmanager
 def words_to(path: Path):
-    """Send what this process (not its nodes) prints and logs to a file."""
-    with path.open("w", buffering=1) as log:
+    """Send what this process (not its nodes) prints and logs to a file; raises FileError."""
+    try:
+        file = path.open("wb", buffering=0)
+    except OSError as error:
+        raise FileError(f"cannot write {path}: {error.strerror}") from error
+    with file:
+        plain = PlainText(file)
         # At the level of INFO, roslaunch would write the user's whole environment to it.
-        logging.basicConfig(stream=log, level=logging.WARNING, force=True)
+        logging.basicConfig(stream=plain, level=logging.WARNING, force=True)
         # The master complains at length about each node that leaves before it is told of others.
         logging.getLogger("rosmaster.threadpool").setLevel(logging.CRITICAL)
-        plain = _PlainText(log)
         with contextlib.redirect_stdout(plain), contextlib.redirect_stderr(plain):
             yield
 

@@ -22,6 +22,7 @@ import rosmaster.master
 import rospkg
 from roslaunch.core import Master
 
+from bullet_lab.entry import JOB
 from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher.jobs import Job
 from bullet_lab.ros.launcher.output import OutputFolder, tied
@@ -163,6 +164,8 @@ class Launch:
 
     def __enter__(self) -> Launch:
         """Start the nodes; raise SupervisionError if one of them cannot be started."""
+        # What is ended early by somebody else says so by its status: others may wait for it.
+        os.environ[JOB] = "1"
         # Interactive programs keep their signal handlers.
         roslib.set_interactive(True)
         try:

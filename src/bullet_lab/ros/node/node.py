@@ -6,6 +6,7 @@ import contextlib
 import functools
 import logging
 import math
+import os
 import queue
 import signal
 import sys
@@ -20,6 +21,7 @@ import rospy.impl.simtime
 
 from bullet_lab.core.files import FileError
 from bullet_lab.core.parameters import ParameterError, read_parameters
+from bullet_lab.entry import JOB
 from bullet_lab.errors import LabError
 
 STATUS_CANNOT_GO_ON = 1
@@ -43,6 +45,8 @@ def run_node(
     name: str, body: Callable[[], None], before: Callable[[], None] = lambda: None
 ) -> None:
     """Run a node and exit: status 0 at a clean end or Ctrl-C, 2 on a bad parameter, else 1.
+
+    As part of a job it is 128 + n after a signal n, and 1 where another node has ended it.
 
     Args:
         name: the node's name.
@@ -80,6 +84,8 @@ def run_node(
         signals.wait()
     if master_is_gone.is_set():
         _end(name, "the ROS master is gone", STATUS_CANNOT_GO_ON)
+    if is_ending() and JOB in os.environ:
+        sys.exit(128 + signals.number if signals.number else STATUS_CANNOT_GO_ON)
 
 
 def is_ending() -> bool:
@@ -92,12 +98,15 @@ class Signals(threading.Thread):
 
     rospy's own handlers do it in the main thread, wherever that is, and wait for ever for a lock
     that it holds, as where it asks the master something.
+
+    Attributes:
+        number: of that signal, 0 before.
     """
 
     def __init__(self):
         super().__init__(name="signals", daemon=True)
         self._come: queue.SimpleQueue[int] = queue.SimpleQueue()
-        self._ending = threading.Event()
+        self.number = 0
         for number in (signal.SIGINT, signal.SIGTERM):
             # A shell's background job is not to be interrupted.
             if signal.getsignal(number) != signal.SIG_IGN:
@@ -106,13 +115,12 @@ class Signals(threading.Thread):
         self.start()
 
     def run(self) -> None:  # noqa: D102 - inherited
-        number = self._come.get()
-        self._ending.set()
-        rospy.signal_shutdown(f"signal-{number}")
+        self.number = self._come.get()
+        rospy.signal_shutdown(f"signal-{self.number}")
 
     def wait(self) -> None:
         """Wait until the node has ended, if it is being ended by a signal."""
-        if self._ending.is_set():
+        if self.number:
             self.join(LONGEST_END)
 
 

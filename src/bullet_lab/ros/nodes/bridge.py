@@ -62,7 +62,7 @@ from bullet_lab.ros.messages.poses import (
     set_time,
     time_of,
 )
-from bullet_lab.ros.node.node import ignore_clock, private_parameters, run_node
+from bullet_lab.ros.node.node import NodeError, ignore_clock, private_parameters, run_node
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
@@ -258,6 +258,9 @@ class PyBulletBridge:
 
     def _handle_advance(self, request: Any) -> AdvanceResponse:
         """Let a member of the lock step join, or let time go on for it."""
+        caller = request._connection_header["callerid"]
+        if request.node != caller and answers(request.node):
+            raise NodeError(f"{caller} speaks for {request.node}, which speaks for itself")
         sent = [Sent(*one) for one in zip(request.topics, request.receivers, request.messages)]
         if not request.epoch and request.until.secs < END_OF_TIME:
             heard = self._topics.commands.heard(request.node, sent)
