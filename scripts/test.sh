@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Runs the tests: linters, unit tests and rostests, side by side; with --long, every job at its
-# full length after them. Status 0 only when all of them pass.
+# full length after them, and faults in all of them. Status 0 only when all of them pass.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
@@ -10,6 +10,7 @@ LOG=$LAB_DIR/log/test
 export LAB_TALLY=$LOG/tally
 ROSTEST_TIMEOUT=600
 MUTANTS=564
+FAULTS=200
 # Much of a rostest is waiting: for nodes that start, for what must not come.
 AT_ONCE=$(($(nproc) + 2))
 
@@ -90,6 +91,17 @@ run_fuzz() {
   count $((1 - status)) "$status"
 }
 
+# run_faults: stopped, it goes on where it was; scripts/faults.sh takes other seeds.
+run_faults() {
+  local log=$LOG/faults.log start=$SECONDS status=0
+  [[ ! -e $LOG/faults/summary.json ]] || rm -rf "$LOG/faults"
+  python "$LAB_ROOT/test/faults/faults.py" --count "$FAULTS" --out "$LOG/faults" \
+    >"$log" 2>&1 </dev/null || status=1
+  ((!status)) || cat "$log"
+  echo "faults: $FAULTS faults, status $status, $((SECONDS - start)) s"
+  count $((1 - status)) "$status"
+}
+
 # run_part NAME: the linters, the unit tests, the fuzzing, or the rostest in a file.
 run_part() {
   case $1 in
@@ -129,6 +141,7 @@ main() {
     "$LAB_ROOT/scripts/setup.sh" --with browser
     run_pytest "$LAB_ROOT/test/unit" -q -n auto -m long
     run_pytest "$LAB_ROOT/test/long"
+    run_faults
   fi
   read -r passed failed < <(awk '{p += $1; f += $2} END {print p + 0, f + 0}' "$LAB_TALLY")
   echo "$passed passed, $failed failed"

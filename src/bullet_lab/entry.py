@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import logging
 import os
 import signal
 import sys
@@ -26,10 +25,12 @@ def run(target: str) -> None:
     name = os.path.basename(sys.argv[0])
     # With several, the last bit of a sum depends on how many cores there are.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    end_at_once_when_interrupted()
+    import logging
+
     # A log that finds no room on the disk is no reason for tracebacks.
     logging.raiseExceptions = False
     keep_to_this_machine()
-    end_at_once_when_interrupted()
     try:
         main = getattr(importlib.import_module(module), function or "main")
     except LabError as error:

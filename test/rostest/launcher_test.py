@@ -17,9 +17,10 @@ TIMEOUT = 120
 
 
 RUN = Path(__file__).resolve().parents[2] / "scripts" / "run.sh"
+LAUNCHER = (sys.executable, "-m", "bullet_lab.ros.launcher")
 
 
-def start(folder, *words, program=(sys.executable, "-m", "bullet_lab.ros.launcher"), **environment):
+def start(folder, *words, program=LAUNCHER, **environment):
     """Start the launcher in a folder, without the master of this test."""
     inherited = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
     return subprocess.Popen(
@@ -114,7 +115,9 @@ class LauncherTest(unittest.TestCase):
 
     def test_ctrl_c_while_it_starts_is_no_failure(self):
         for delay in (0.4, 0.8, 1.1, 1.3, 1.6):
-            run = start(self.folder, "squares", "out:=out", "rtf:=1")
+            # As run.sh starts it.
+            program = ("env", "--block-signal=INT", *LAUNCHER)
+            run = start(self.folder, "squares", "out:=out", "rtf:=1", program=program)
             time.sleep(delay)
             os.killpg(run.pid, signal.SIGINT)
             status, out, err = finish(run)
