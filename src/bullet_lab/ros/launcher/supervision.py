@@ -154,6 +154,7 @@ class Launch:
             node.required = False
             node.launch_prefix = " ".join(tied(node.launch_prefix or "")).strip()
         self._deaths = Deaths()
+        self._groups: list[int] = []
         self._parent = roslaunch.parent.ROSLaunchParent(
             master.run_id,
             [str(job.path)],
@@ -181,6 +182,7 @@ class Launch:
         self._parent.pm = roslaunch.pmon.start_process_monitor()
         self._parent.pm.add_process_listener(self._deaths)
         self._parent.start(auto_terminate=False)
+        self._groups = [process.pid for process in self._parent.pm.procs if process.pid > 0]
         failed = [node.name for node in self._config.nodes if not node.process_name]
         if failed:
             raise roslaunch.RLException(f"cannot start {', '.join(failed)}")
@@ -192,12 +194,20 @@ class Launch:
         importing, where Python answers SIGINT with a traceback.
         """
         names = {node.process_name: node for node in self._config.nodes}
-        for process in list(self._parent.pm.procs) if self._parent.pm else []:
+        alive = list(self._parent.pm.procs) if self._parent.pm else []
+        self._end_orphans({process.pid for process in alive})
+        for process in alive:
             if process.name in names and not self._is_registered(names[process.name]):
                 with contextlib.suppress(ProcessLookupError, PermissionError):
                     if process.pid > 0 and process.is_alive():
                         os.kill(process.pid, signal.SIGTERM)
         self._parent.shutdown()
+
+    def _end_orphans(self, alive: set[int]) -> None:
+        """End what nodes that were killed have started: roslaunch made each a group of its own."""
+        for group in set(self._groups) - alive:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(group, signal.SIGKILL)
 
     def _is_registered(self, node) -> bool:
         name = rosgraph.names.ns_join(node.namespace, node.name)
