@@ -13,7 +13,6 @@ import numpy as np
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.control import PathFollower, clip, turn_command
-from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.planner import DockingFailureError, DockingPlanner
 from bullet_lab.docking.types import STANDSTILL, Command, DockingError, DockingState, Point
@@ -24,6 +23,8 @@ _FACING = math.radians(12.0)
 _THERE = 0.0008
 _CREEP, _FINE_TURN, _MOST_CORRECTIONS = 0.012, 0.05, 8
 _LEAST_RETREAT = 0.2
+# Share of the tolerances of lateral offset and yaw within which a robot holds itself to be docked.
+_SURELY_WITHIN = 0.5
 # States that may follow each other in one tick.
 _MOST_TRANSITIONS = 3
 
@@ -380,23 +381,20 @@ class Confirm(State):
             return STANDSTILL
         uncertain = float(estimate.deviations[2]) > 0.3 * planner.dock.tolerance.yaw
         if track.frames - self._frames >= settings.final_frames * (3 if uncertain else 1):
-            return self._judge(planner, estimate)
+            return self._judge(planner, robot)
         if planner.now - self._since > 5.0 * settings.unseen_timeout:
             return _retry(planner, left, "the marker is lost before the dock")
         return STANDSTILL
 
-    def _judge(self, planner: DockingPlanner, estimate: GaussianPose) -> Step:
-        robot, tolerance = estimate.robot, planner.dock.tolerance
+    def _judge(self, planner: DockingPlanner, robot: np.ndarray) -> Step:
+        tolerance = planner.dock.tolerance
         left, beside, turned = planner.left(robot), float(robot[1]), wrap(float(robot[2]))
-
-        def limit(most: float, deviation: float) -> float:
-            # What is true may be farther off than what is believed; the last try takes the risk.
-            last = planner.retries >= planner.max_retries
-            return most if last else most - min(deviation, 0.5 * most)
-
-        if abs(beside) > limit(tolerance.lateral, estimate.lateral_deviation):
+        # What is true may be farther off than what is seen: in glaring light all images from one
+        # place are off together. The last try takes the risk.
+        share = 1.0 if planner.retries >= planner.max_retries else _SURELY_WITHIN
+        if abs(beside) > share * tolerance.lateral:
             return _retry(planner, left, f"{1e3 * abs(beside):.1f} mm beside the axis")
-        straight = abs(turned) <= limit(tolerance.yaw, float(estimate.deviations[2]))
+        straight = abs(turned) <= share * tolerance.yaw
         if straight and abs(left) <= tolerance.distance:
             return Outcome("within tolerance")
         self._corrections += 1

@@ -281,3 +281,11 @@ def test_the_status_says_how_it_goes():
     assert status.yaw == pytest.approx(yaw, abs=0.05)
     assert np.hypot(*np.subtract(status.dock_pose[:2], (4.0, 0.0))) < 0.05
     assert status.wants_images
+
+
+def test_shares_no_random_numbers_with_noise_of_the_same_seed():
+    dock = standin.make_dock(PLAIN)
+    tasks = [DockingTask(dock, dock.pose, standin.MOUNT, seed=seed) for seed in (1, 1, 2)]
+    first, again, other = (task._belief._rng.random() for task in tasks)
+    assert first == again != other
+    assert first != np.random.default_rng(1).random()

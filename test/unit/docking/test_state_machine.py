@@ -7,10 +7,9 @@ import docking_standin as standin
 import numpy as np
 import pytest
 
-from bullet_lab.core import se2
 from bullet_lab.docking import state_machine
 from bullet_lab.docking.database import DockTolerance
-from bullet_lab.docking.filter import GaussianPose
+from bullet_lab.docking.planner import DockingFailureError
 from bullet_lab.docking.state_machine import (
     TRANSITIONS,
     Confirm,
@@ -93,19 +92,17 @@ def recorded(step, seen):
 
 
 @pytest.mark.parametrize(
-    ("beside", "turned", "deviation", "retries", "said"),
+    ("beside", "turned", "retries", "said"),
     [
-        (0.001, 0.1, 0.0009, 0, "within tolerance"),
-        (0.0025, 0.1, 0.0009, 0, "failed"),
-        (0.0025, 0.1, 0.0009, 5, "within tolerance"),
-        # Half of the tolerance is kept clear at most.
-        (0.0014, 0.1, 0.01, 0, "within tolerance"),
-        (0.001, 0.35, 0.0009, 0, None),
+        (0.0014, 0.19, 0, "within tolerance"),
+        (-0.0016, 0.0, 0, "failed"),
+        (-0.0016, 0.0, 5, "within tolerance"),
+        (0.0031, 0.0, 5, None),
+        (0.0, -0.21, 0, STANDSTILL),
+        (0.0, -0.21, 5, "within tolerance"),
     ],
 )
-def test_docked_is_what_is_within_tolerance_by_a_standard_deviation(
-    beside, turned, deviation, retries, said
-):
+def test_docked_is_what_is_within_tolerance_with_half_of_it_to_spare(beside, turned, retries, said):
     tolerance = DockTolerance(0.005, 0.003, math.radians(0.4))
     planner = SimpleNamespace(
         dock=SimpleNamespace(tolerance=tolerance),
@@ -113,8 +110,10 @@ def test_docked_is_what_is_within_tolerance_by_a_standard_deviation(
         max_retries=5,
         left=lambda robot: -float(robot[0]) - 0.56,
     )
-    pose = se2.inverse([-0.56, beside, math.radians(turned)])
-    yaw = math.radians(0.1)
-    covariance = np.diag([1e-8, max(deviation**2 - (0.56 * yaw) ** 2, 1e-12), yaw**2])
-    step = Confirm()._judge(planner, GaussianPose(pose, covariance))
-    assert step == STANDSTILL if said is None else step.name == said
+    robot = np.array([-0.56, beside, math.radians(turned)])
+    if said is None:
+        with pytest.raises(DockingFailureError, match="3.1 mm beside the axis"):
+            Confirm()._judge(planner, robot)
+        return
+    step = Confirm()._judge(planner, robot)
+    assert (step.name if isinstance(step, Outcome) else step) == said
