@@ -9,7 +9,7 @@ import pytest
 
 from bullet_lab.docking import state_machine
 from bullet_lab.docking.database import DockTolerance
-from bullet_lab.docking.planner import DockingFailureError
+from bullet_lab.docking.planner import DockingFailureError, DockingPlanner
 from bullet_lab.docking.state_machine import (
     TRANSITIONS,
     Confirm,
@@ -19,7 +19,7 @@ from bullet_lab.docking.state_machine import (
     State,
     StateMachine,
 )
-from bullet_lab.docking.types import STANDSTILL
+from bullet_lab.docking.types import STANDSTILL, DockingSettings
 
 
 def reached(start):
@@ -117,3 +117,18 @@ def test_docked_is_what_is_within_tolerance_with_half_of_it_to_spare(beside, tur
         return
     step = Confirm()._judge(planner, robot)
     assert (step.name if isinstance(step, Outcome) else step) == said
+
+
+def test_a_way_in_that_brings_nothing_new_is_not_tried_again():
+    forgotten = []
+    track = SimpleNamespace(frames=13)
+    planner = DockingPlanner.__new__(DockingPlanner)
+    planner.belief = SimpleNamespace(best=lambda: track, forget=forgotten.append, visibility=None)
+    planner.settings = DockingSettings()
+    planner.stagings, planner._asked = 0, (None, 0)
+    assert state_machine._back_out(planner, 2.0, 0.5).name == "bad start"
+    track.frames += 10
+    assert state_machine._back_out(planner, 2.0, 0.5).name == "bad start"
+    assert forgotten == []
+    assert state_machine._back_out(planner, 2.0, 0.5).name == "lost"
+    assert forgotten == [track]
