@@ -51,8 +51,9 @@ _SECOND_LOOK = (_Mask(5, 0.25, joined=True), _Mask(13, 0.45, joined=True, coarse
 _MORE_MASKS = (
     _Mask(3, 0.6),
     _Mask(5, 0.6, joined=True),
-    _Mask(11, 0.7),
-    _Mask(7, 0.5, joined=True),
+    _Mask(3, 0.55, joined=True),
+    _Mask(3, 0.7, joined=True),
+    _Mask(9, 0.65),
     _Mask(9, 0.4, joined=True, coarse=True),
     _Mask(3, 0.5, joined=True, coarse=True),
     _Mask(5, 0.45, joined=True, ceiling=36),
