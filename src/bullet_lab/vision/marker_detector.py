@@ -175,13 +175,11 @@ class MarkerDetector:
         quads, versions = self._likely(image, quads, lens, report)
         found: List[Decoded] = []
         report.cropped, report.other_ids = [], []
-        decoded = self._decode(image, quads, lens)
-        for same in versions:
-            best = next((decoded[each] for each in same if decoded[each] is not None), None)
-            if best is None:
+        for one in self._first_decoded(image, quads, versions, lens):
+            if one is None:
                 report.undecoded += 1
             else:
-                add_decoded(best, found)
+                add_decoded(one, found)
         # Other markers may be in their white cells.
         for read, corners in found[:]:
             pattern = self.dictionary.pattern(read.marker)
@@ -224,6 +222,18 @@ class MarkerDetector:
             else:
                 report.undecoded += 1
         return quads[chosen], versions
+
+    def _first_decoded(
+        self, image: np.ndarray, quads: np.ndarray, versions: Sequence[range], lens: Lens
+    ) -> List[Optional[Decoded]]:
+        """Return the marker that the first of each one's versions that is any tells, or None."""
+        found: List[Optional[Decoded]] = [None] * len(versions)
+        for attempt in range(_TRIES):
+            left = [k for k, same in enumerate(versions) if not found[k] and attempt < len(same)]
+            tried = quads[[versions[k][attempt] for k in left]] if left else quads[:0]
+            for k, one in zip(left, self._decode(image, tried, lens)):
+                found[k] = one
+        return found
 
     def _decode(self, image: np.ndarray, quads: np.ndarray, lens: Lens) -> List[Optional[Decoded]]:
         """Return the marker that each of (n, 4, 2) quadrilaterals, px, is, or None."""

@@ -113,7 +113,7 @@ def _robust_lines(places: np.ndarray, heights: np.ndarray, weights: np.ndarray):
 
 
 # Places at which a cell is looked at, along each edge, and the part of the edge that they cover.
-_PLACES = 10
+_PLACES = 7
 _COVERED = 0.8
 # A cell is not empty if this part of it is darker than white by this part of the contrast.
 _DARK_PART = 0.2
