@@ -162,19 +162,22 @@ def _launch(job, values, out: OutputFolder, signals: StopSignals, screen: Virtua
     terminal = sys.stdout
     with words_to(out.log / "roslaunch.log"):
         # Not before now: these set up logging on import and look at the environment.
-        from bullet_lab.ros.launcher.supervision import Launch, prepare_master
+        from bullet_lab.ros.launcher.supervision import Launch, Verdict, prepare_master
 
         master = prepare_master()
         whose = "its own master" if master.own else "the master"
         print(f"{job.name}: running on {whose} {master.uri}", file=terminal, flush=True)
         with Launch(job, values, master) as launch:
+            stays = values.get("view") == "browser"
             meanwhile = screen.picture_now_and_then if screen else lambda: None
-            if values.get("view") == "browser":
+            if stays:
                 meanwhile = _tell_once_finished(job, out, terminal)
-            verdict = launch.wait(out, lambda: signals.received, meanwhile)
+            verdict = launch.wait(out.has_summary, lambda: signals.received, meanwhile)
             if screen:
                 screen.picture()
-            return verdict
+        # Ctrl-C is the end of a job that stays to be looked at.
+        well = stays and verdict.status == 128 + (signals.received or 0) and out.is_finished()
+        return Verdict(0) if well else verdict
 
 
 def _tell_once_finished(job: Job, out: OutputFolder, terminal: TextIO) -> Callable[[], None]:

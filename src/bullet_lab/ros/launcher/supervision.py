@@ -25,7 +25,7 @@ from roslaunch.core import Master
 from bullet_lab.entry import JOB
 from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher.jobs import Job
-from bullet_lab.ros.launcher.output import OutputFolder, tied
+from bullet_lab.ros.launcher.output import tied
 
 _POLL_PERIOD = 0.05
 _SIGINT_TIMEOUT = 6.0
@@ -103,14 +103,12 @@ def judge(
     names: dict[str, str],
     required: set[str],
     has_summary: bool,
-    is_finished: bool,
     stopped_by: int | None,
 ) -> Verdict | None:
     """What has become of a run so far, None while it goes on.
 
     `names` are those of the nodes by their processes, `required` those whose end is that of the
-    job; deaths are in order. A run that is stopped when it has finished, and only stays to be
-    looked at, has gone well.
+    job; deaths are in order.
     """
     for death in deaths:
         name = names.get(death.process, death.process)
@@ -123,8 +121,6 @@ def judge(
                 return Verdict(0)
             return Verdict(1, f"{name} ended before there was a summary")
     if stopped_by is not None:
-        if is_finished:
-            return Verdict(0)
         return Verdict(128 + stopped_by, f"stopped by {signal.Signals(stopped_by).name}")
     if len(deaths) >= len(names):
         return Verdict(1, "all nodes have ended and there is no summary")
@@ -219,7 +215,7 @@ class Launch:
 
     def wait(
         self,
-        out: OutputFolder,
+        has_summary: Callable[[], bool],
         stopped_by: Callable[[], int | None],
         meanwhile: Callable[[], None],
     ) -> Verdict:
@@ -227,10 +223,7 @@ class Launch:
         names = {node.process_name: node.name for node in self._config.nodes}
         while True:
             deaths = list(self._deaths.list)
-            stopped = stopped_by()
-            finished = stopped is not None and out.is_finished()
-            summary = out.has_summary()
-            verdict = judge(deaths, names, self.required, summary, finished, stopped)
+            verdict = judge(deaths, names, self.required, has_summary(), stopped_by())
             if verdict is not None:
                 return verdict
             meanwhile()

@@ -7,9 +7,9 @@ from bullet_lab.ros.launcher.supervision import Death, Verdict, judge
 NAMES = {"bridge-1": "bridge", "drive-2": "drive", "plot-3": "plot"}
 
 
-def judged(*deaths, has_summary=True, is_finished=False, stopped_by=None):
+def judged(*deaths, has_summary=True, stopped_by=None):
     deaths = [Death(process, status) for process, status in deaths]
-    return judge(deaths, NAMES, {"bridge", "plot"}, has_summary, is_finished, stopped_by)
+    return judge(deaths, NAMES, {"bridge", "plot"}, has_summary, stopped_by)
 
 
 def test_run_goes_on_while_nothing_has_ended_or_only_what_may():
@@ -44,16 +44,10 @@ def test_signal_gives_its_conventional_status(number, status):
     assert (verdict.status, verdict.reason) == (status, f"stopped by {number.name}")
 
 
-def test_run_that_stays_when_it_has_finished_ends_well_by_a_signal():
-    assert judged(("plot-3", 0), is_finished=True) == Verdict(0)
-    assert judged(is_finished=True) is None
-    assert judged(is_finished=True, stopped_by=signal.SIGINT) == Verdict(0)
-
-
 def test_failure_counts_more_than_the_signal_that_followed():
     assert judged(("drive-2", 3), stopped_by=signal.SIGINT).status == 3
 
 
 def test_all_nodes_ended_without_a_required_one():
-    verdict = judge([Death("drive-2", 0)], {"drive-2": "drive"}, set(), True, True, None)
+    verdict = judge([Death("drive-2", 0)], {"drive-2": "drive"}, set(), True, None)
     assert verdict.status == 1
