@@ -41,6 +41,7 @@ from bullet_lab.ros.record.recorder import (
     Errand,
     Recorder,
     RecordParameters,
+    RenewedParameters,
     TimedParameters,
     about,
 )
@@ -185,7 +186,7 @@ def true_beacons(names: Tuple[str, ...]) -> Dict[str, Tuple[float, float]]:
 
 
 @dataclass(frozen=True)
-class PlotGoalParameters(RecordParameters):
+class PlotGoalParameters(RenewedParameters):
     """Private parameters of plot_goal."""
 
     about: Mapping[str, Any] = about(DriveToGoalParameters, NoisyOdomParameters)

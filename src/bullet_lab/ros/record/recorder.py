@@ -62,11 +62,17 @@ class RecordParameters:
 
 
 @dataclass(frozen=True)
-class TimedParameters(RecordParameters):
+class RenewedParameters(RecordParameters):
+    """Private parameters of a node that renews its pictures while it runs."""
+
+    plot_period: float = number(10.0, "wall seconds between two versions of the picture", above=0.0)
+
+
+@dataclass(frozen=True)
+class TimedParameters(RenewedParameters):
     """Private parameters of a node that records up to a time."""
 
     until: str = text("", "topic (std_msgs/Time) that ends it; empty: Ctrl-C does")
-    plot_period: float = number(10.0, "wall seconds between two versions of the picture", above=0.0)
 
 
 class Errand(NamedTuple):
@@ -108,10 +114,10 @@ class Recorder:
         report.about = parameters.about
         report.begins_anew = self._begin_anew
         self._period = math.inf
-        if isinstance(parameters, TimedParameters):
+        if isinstance(parameters, RenewedParameters):
             self._period = parameters.plot_period
-            if parameters.until:
-                self._end = rospy.Subscriber(parameters.until, Time, self._receive_end)
+        if isinstance(parameters, TimedParameters) and parameters.until:
+            self._end = rospy.Subscriber(parameters.until, Time, self._receive_end)
         self._subscribers: list[rospy.Subscriber] = []
         for topic, kind in report.topics.items():
             message_type, read = reader_of(kind)
