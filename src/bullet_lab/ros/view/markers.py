@@ -48,7 +48,8 @@ class MarkersDisplay:
         read: makes markers of the bytes of a message.
     """
 
-    stays = False
+    # As in RViz: whoever has drawn them says when they are to go.
+    stays = True
 
     def __init__(
         self,
@@ -327,4 +328,6 @@ def contacts_display(stage: Stage, topic: str) -> MarkersDisplay:
         MarkerArray(list(contact_markers(read(data), CONTACT_SCALE))).serialize(array)
         return raw.read_markers(array.getvalue())
 
-    return MarkersDisplay(stage, topic, markers)
+    display = MarkersDisplay(stage, topic, markers)
+    display.stays = False
+    return display
