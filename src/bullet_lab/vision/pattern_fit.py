@@ -39,6 +39,8 @@ _SOFT, _MANY = 1.0, 60.0
 _OUTLYING = 3.5
 # Standard deviation of grey levels that were rounded to whole ones.
 _LEAST_NOISE = 0.3
+# Grey levels between which a pixel tells how bright it is.
+_TOLD = 0.0, 255.0
 # So many pixels must be the marker's, and this part of all.
 _LEAST_PIXELS, _LEAST_SHARE = 40, 0.5
 # The corners may be moved by so many cells.
@@ -181,9 +183,12 @@ def _all_pixels(image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens) 
     seen = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     points = np.ascontiguousarray(lens.ideal(seen.astype(float)).T)
     places, _ = unit_square(points, to_image)
-    chosen = np.flatnonzero(np.abs(places - 0.5).max(axis=0) < 0.5 + around)
-    seen = seen[chosen]
-    return _Pixels(points[:, chosen], image[seen[:, 1], seen[:, 0]].astype(float))
+    levels = image[seen[:, 1], seen[:, 0]].astype(float)
+    chosen = np.abs(places - 0.5).max(axis=0) < 0.5 + around
+    # What is over-exposed, or too dark, may be anything beyond.
+    told = chosen & (levels > _TOLD[0]) & (levels < _TOLD[1])
+    chosen = told if told.sum() > _LEAST_SHARE * chosen.sum() else chosen
+    return _Pixels(points[:, chosen], levels[chosen])
 
 
 def _edge_pixels(

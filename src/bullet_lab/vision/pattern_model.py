@@ -37,10 +37,8 @@ class PatternModel:
         motion = _motion_of(spread)
         if motion is None:
             parts = _blurred(cells * unit, self._by_pixel, spread, pattern)
-            self._value, slopes, bends = parts[0], parts[1:3], parts[3:]
-            squares = self._by_pixel[:, (0, 1, 0)] * self._by_pixel[:, (0, 1, 1)]
-            self._by_blur = (bends[:, None] * squares).sum(axis=0)
-            self._by_blur[2] *= 2.0
+            self._value, slopes = parts[0], parts[1:3]
+            self._by_blur = _by_blur(parts[3:], self._by_pixel)
         else:
             self._value, slopes = self._moved(cells * unit, spread, motion, pattern)
         self._slopes = cells * slopes
@@ -55,7 +53,7 @@ class PatternModel:
         by_pixel = np.broadcast_to(self._by_pixel[:, :, None], (2, 2, *count)).reshape(2, 2, -1)
         shifted = (places[:, None] + shifts).reshape(2, -1)
         parts = _blurred(shifted, by_pixel, np.array([rest, rest, 0.0]), pattern)
-        parts = parts.reshape(5, *count)
+        parts = parts.reshape(6, *count)
         value, *means = np.einsum("m,kmn->kn", motion.weights, parts)
         slopes, bends = np.stack(means[:2]), np.stack(means[2:])
         # How a longer way, a way that is turned, and more of a Gaussian change the value.
@@ -64,7 +62,7 @@ class PatternModel:
         variance = spread[0] + spread[1] - 2.0 * rest
         by_length = 0.5 / variance * (motion.along @ pulls)
         by_turn = (motion.across @ pulls) / variance
-        by_rest = (bends * np.square(self._by_pixel).sum(axis=1)).sum(axis=0) - by_length
+        by_rest = _by_blur(bends, self._by_pixel)[:2].sum(axis=0) - by_length
         (eu, ev), (fu, fv) = motion.along, motion.across
         self._by_blur = np.stack(
             (
@@ -191,7 +189,7 @@ _LEAST_MOTION, _MOST_WAYS = 1.5, 10
 def _blurred(
     places: np.ndarray, by_pixel: np.ndarray, spread: np.ndarray, pattern: np.ndarray
 ) -> np.ndarray:
-    """Return the blurred pattern and its derivatives by x, y and variances along x, y: (5, n).
+    """Return the blurred pattern (6, n) with derivatives: by x, y, variances and covariance.
 
     Places (2, n) are in cells, their derivatives by pixels (2, 2, n).
     """
@@ -202,7 +200,29 @@ def _blurred(
     rows = np.einsum("krn,rcn->kcn", down, around)
     value, slope_x, bend_x = np.einsum("cn,kcn->kn", rows[0], along)
     slope_y, bend_y = np.einsum("kcn,cn->kn", rows[1:], along[0])
-    return np.stack((value, slope_x, slope_y, bend_x, bend_y))
+    twist = np.einsum("cn,cn->n", rows[1], along[1])
+    # Seen aslant, rows and columns are not blurred independently of each other.
+    (xu, xv), (yu, yv) = by_pixel
+    box = 1.0 / 12.0
+    together = (spread[0] + box) * xu * yu + (spread[1] + box) * xv * yv
+    together += spread[2] * (xu * yv + xv * yu)
+    return np.stack((value + together * twist, slope_x, slope_y, bend_x, bend_y, twist))
+
+
+def _by_blur(bends: np.ndarray, by_pixel: np.ndarray) -> np.ndarray:
+    """Return derivatives (3, n) by the blur's variances and covariance along u and v.
+
+    Of those by variances along x and y and by their covariance, (3, n).
+    """
+    (xu, xv), (yu, yv) = by_pixel
+    bend_x, bend_y, twist = bends
+    return np.stack(
+        (
+            bend_x * xu * xu + bend_y * yu * yu + twist * xu * yu,
+            bend_x * xv * xv + bend_y * yv * yv + twist * xv * yv,
+            2.0 * (bend_x * xu * xv + bend_y * yu * yv) + twist * (xu * yv + xv * yu),
+        )
+    )
 
 
 def _edge_profiles(
