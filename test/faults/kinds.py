@@ -27,7 +27,7 @@ SMALLEST: Dict[str, Tuple[str, ...]] = {
     "published_noise": ("seeds:=100",),
     "save_world": ("count:=3", "rtf:=0"),
     "sensors": ("bag:=true",),
-    "umbmark": ("side:=0.5", "runs:=1"),
+    "umbmark": ("side:=0.2", "runs:=1"),
 }
 LAUNCHER, TERMINAL, NODE, WORKER = "run.sh", "terminal", "node", "worker"
 """Whom a signal is for: run.sh alone, all of a terminal's, a node, a process of a study."""

@@ -37,7 +37,7 @@ from PIL import Image
 # By which processes of a trial are found, wherever they are.
 MARK = "BULLET_LAB_FAULT"
 # Wall seconds for a job to end, for what it leaves to be gone, and between two looks.
-PATIENCE, GRACE, LOOK = 240.0, 20.0, 0.0005
+PATIENCE, GRACE, LOOK = 600.0, 30.0, 0.0005
 # Of a disk that fills up.
 DISK = "64m"
 FILE_LIMIT = 4096

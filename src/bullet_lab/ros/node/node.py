@@ -93,6 +93,15 @@ def is_ending() -> bool:
     return rospy.core.is_shutdown_requested()
 
 
+def _wait_no_longer(_reason: str) -> None:
+    """Have all see that the node ends before rospy closes its topics, not after it.
+
+    It takes a lock for that which the main thread holds while it tries to register a topic with
+    a master that is gone, until the node ends.
+    """
+    rospy.core._shutdown_flag = True
+
+
 class Signals(threading.Thread):
     """Ends the node at the first SIGINT or SIGTERM.
 
@@ -112,6 +121,7 @@ class Signals(threading.Thread):
             if signal.getsignal(number) != signal.SIG_IGN:
                 # A handler may do no more: what it interrupts may hold any lock.
                 signal.signal(number, lambda number, _: self._come.put(number))
+        rospy.core.add_preshutdown_hook(_wait_no_longer)
         self.start()
 
     def run(self) -> None:  # noqa: D102 - inherited

@@ -3,18 +3,19 @@ import sys
 
 import pytest
 
-# Its main thread holds a lock, as rospy does that of its connection to the master, which the end
-# of the node needs.
+# Its main thread holds a lock that the end of the node needs, until the node ends, as rospy does
+# while it registers with a master that is gone.
 PROGRAM = """
 import os, signal, threading, time
 import rospy
 from bullet_lab.ros.node.node import Signals
 lock = threading.Lock()
-rospy.core.add_preshutdown_hook(lambda _: lock.acquire())
 signals = Signals()
+rospy.core.add_preshutdown_hook(lambda _: lock.acquire())
 with lock:
     os.kill(os.getpid(), signal.{name})
-    time.sleep(0.1)
+    while not rospy.is_shutdown():
+        time.sleep(0.01)
 signals.wait()
 print(rospy.is_shutdown())
 """
