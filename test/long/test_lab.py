@@ -85,7 +85,7 @@ def look(command, folder):
     try:
         looker = Looker(wait_for_url(log.read_text, 120.0))
         wait_for(lambda: "the page stays until" in log.read_text(), log.read_text, SECONDS)
-        assert "/robots/0" in looker.nodes
+        wait_for(lambda: "/robots/0" in looker.nodes, "the robot to be seen")
         looker.close()
     finally:
         with contextlib.suppress(ProcessLookupError):
