@@ -223,6 +223,8 @@ def describe(
         f"only {names[1]} {paired['only_second_docked']}, neither {paired['neither_docked']} "
         f"(McNemar's p = {paired['mcnemar_p']:.2g})"
     )
+    differences = (f"{n} {_shown(figure)}" for n, figure in paired.items() if "difference" in n)
+    lines.append(f"{names[1]} less {names[0]}, where both say so: " + "; ".join(differences))
     return lines
 
 
