@@ -89,7 +89,7 @@ def fit_pattern(
         return None
     spread = np.array([_FIRST_VARIANCE, _FIRST_VARIANCE, 0.0])
     start, cell, light = corners, _cell(corners, cells), None
-    for _ in range(_MOST_ROUNDS):
+    for left in reversed(range(_MOST_ROUNDS)):
         model = PatternModel(pixels.points, corners, spread, pattern)
         columns = pixels.centred(model.light(pixels.grouped))
         if light is None:
@@ -113,7 +113,7 @@ def fit_pattern(
         sharpened = np.abs(spread - before).max() - _ABOUT * spread.max()
         if np.abs(moved).max() < _STILL and sharpened < _AS_SHARP:
             break
-        if pixels.grouped and spread.max() > _SOFT:
+        if left and pixels.grouped and spread.max() > _SOFT:
             # Few pixels across each edge see little of so much blur.
             pixels, light = _all_pixels(image, corners, cells, lens), None
     residuals = residuals - step @ columns

@@ -111,3 +111,11 @@ def test_detections_tell_their_covariance_and_poses_follow_it():
     certain = estimate_pose(found.corners, 0.2, CAMERA, 0.0, found.covariance).best
     doubtful = estimate_pose(found.corners, 0.2, CAMERA, 0.0, 9.0 * found.covariance).best
     np.testing.assert_allclose(doubtful.covariance, 9.0 * certain.covariance, rtol=0.05)
+
+
+def test_blur_that_shows_in_the_last_round_is_no_reason_to_begin_again(monkeypatch):
+    view = View(0.8, yaw=25.0)
+    image = image_of([marker()], view, samples=8, blur=4.0)
+    for rounds in range(1, 6):
+        monkeypatch.setattr("bullet_lab.vision.pattern_fit._MOST_ROUNDS", rounds)
+        fit(image, view)
