@@ -19,6 +19,7 @@ from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUnc
 from bullet_lab.docking.task import DockingTask
 from bullet_lab.docking.types import CameraMount, DockingSettings, Observation, Odometry, Sighting
 from bullet_lab.noise.odometry_noise import NoisyPath
+from bullet_lab.noise.systematic import SystematicErrors, SystematicPath
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 MOUNT = CameraMount(0.16, 0.0, 0.44)
@@ -67,6 +68,9 @@ class Stand:
     lag: float = 0.04
     time_limit: float = 300.0
     obstacles: Tuple[Tuple[float, float, float, float], ...] = ()
+    camera: CameraMount = MOUNT  #: where it really is
+    odometry: SystematicErrors = SystematicErrors()
+    late: float = 0.0  #: s, of the images, at most
     settings: object = field(default_factory=DockingSettings)  #: of the controller
 
 
@@ -135,9 +139,13 @@ def see_print(robot, shown: Print, stand: Stand, rng) -> Optional[np.ndarray]:
         [px - math.sin(yaw) * across, py + math.cos(yaw) * across, shown.height + up]
     )
     cos, sin = math.cos(robot[2]), math.sin(robot[2])
-    eye = (robot[0] + cos * MOUNT.x, robot[1] + sin * MOUNT.x)
+    mount = stand.camera
+    eye = (
+        robot[0] + cos * mount.x - sin * mount.y, robot[1] + sin * mount.x + cos * mount.y
+    )  # fmt: skip
     dx, dy = points[:, 0] - eye[0], points[:, 1] - eye[1]
-    ahead, left, rise = cos * dx + sin * dy, cos * dy - sin * dx, points[:, 2] - MOUNT.z
+    there = np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, points[:, 2] - mount.z])
+    ahead, left, rise = (there @ mount.rotation()).T
     tilt = rng.normal(0.0, stand.tilt) if stand.tilt else 0.0
     rise = rise - tilt * ahead
     if np.min(ahead) < 0.05:
@@ -180,6 +188,7 @@ def run(stand: Stand, limit_contact: bool = True, controller: Callable = Docking
         seed=stand.seed,
     )
     noise = NoisyPath(make_rule(stand.model, stand.std), stand.seed)
+    told, waiting = SystematicPath(stand.odometry), []
     pose = np.asarray(stand.start, dtype=float)
     v = w = t = 0.0
     boxes = list(WALL_BOXES) if stand.walls else []
@@ -187,7 +196,7 @@ def run(stand: Stand, limit_contact: bool = True, controller: Callable = Docking
     truth, states, images, contact = [], [], 0, False
     least, next_image, before = math.inf, 0.0, None
     while task.result is None:
-        noisy = noise.update(*pose)
+        noisy = noise.update(*told.update(*pose).pose)
         odometry = Odometry(t, noisy.pose, (v, w), noisy.motion_covariance / TICK**2)
         task.add_odometry(odometry)
         in_dock = se2.between(stand.dock, pose)
@@ -198,7 +207,10 @@ def run(stand: Stand, limit_contact: bool = True, controller: Callable = Docking
                 images += 1
                 found = [(s, see_print(in_dock, s, stand, rng)) for s in stand.prints]
                 sightings = tuple(Sighting(s.id, DICTIONARY, c) for s, c in found if c is not None)
-                task.add_observation(Observation(t, CAMERA, sightings))
+                arrival = t + (rng.uniform(0.0, stand.late) if stand.late else 0.0)
+                waiting.append((arrival, Observation(t, CAMERA, sightings)))
+        while waiting and waiting[0][0] <= t + 1e-9:
+            task.add_observation(waiting.pop(0)[1])
         if boxes:
             clear = body_clearance(in_dock, boxes)
             least = min(least, clear)

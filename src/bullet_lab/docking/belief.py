@@ -16,7 +16,14 @@ from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.filter import GaussianPose, Viewpoint, extent_of
+from bullet_lab.docking.filter import (
+    UNKNOWN_ODOMETRY,
+    DriftingPose,
+    GaussianPose,
+    Viewpoint,
+    extent_of,
+    true_steps,
+)
 from bullet_lab.docking.geometry import MarkerVisibility, clearance, wall_boxes
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.odometry import MotionStep, OdometryBuffer, motion_step
@@ -29,11 +36,15 @@ _MARGIN = 1.1
 _SIZE_PLAY = 0.05
 # Of what is taken for a marker: px, size in the image and distance from the edge at the least.
 _SMALLEST, _BORDER = 6.0, 3.0
+# White beside a marker, as a share of its size, without which it may not be found.
+_CUT = 0.06
 _MOST_TRACKS = 8
 # A squared distance up to which corners fit a track; and by so much may the fit to an old track
 # be worse than that to a new one, at most.
 _FIT, _FAMILIAR = 45.0, 20
 _SURE_OF_SIZE, _HARDLY_REAL = 0.8, 0.01
+# Share of the particles whose odometry has an error of its own.
+_ODOMETRY_ERRS = 0.3
 # How far, in rad, two prints on one wall may differ in yaw (a standard deviation).
 _SAME_WALL = 0.015
 
@@ -53,11 +64,15 @@ class DockParticles:
         self.poses[:, 2] = wrap(self.poses[:, 2])
         self.weights = np.full(PARTICLES, 1.0 / PARTICLES)
         self.mass = 1.0
+        # What is wrong with the odometry, in most cases nothing.
+        self._errors = rng.standard_normal((PARTICLES, 3)) * UNKNOWN_ODOMETRY
+        self._errors *= rng.random((PARTICLES, 1)) < _ODOMETRY_ERRS
 
     def move(self, motion: MotionStep) -> None:
         """Follow a step of the robot."""
         roots = _root(motion.covariance)
-        steps = np.asarray(motion.step) + self._rng.standard_normal((len(self.poses), 3)) @ roots.T
+        steps = true_steps(motion.step, self._errors)
+        steps = steps + self._rng.standard_normal((len(self.poses), 3)) @ roots.T
         self.poses = se2.between(steps, self.poses)
 
     def stands_free(self, radius: float) -> bool:
@@ -93,6 +108,7 @@ class DockParticles:
         keep = self._rng.choice(len(self.poses), len(self.poses) - count, p=self.weights)
         drawn = poses[self._rng.integers(len(poses), size=count)]
         self.poses = np.concatenate([self.poses[keep], drawn])
+        self._errors = np.concatenate([self._errors[keep], self._errors[: len(drawn)]])
         self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
 
     def gaussian(self) -> GaussianPose:
@@ -123,7 +139,7 @@ class DockParticles:
         places = (np.arange(count) + self._rng.uniform()) / count
         chosen = np.minimum(np.searchsorted(np.cumsum(self.weights), places), count - 1)
         jitter = self._rng.standard_normal((count, 3)) * (0.02, 0.02, 0.008)
-        self.poses = self.poses[chosen] + jitter
+        self.poses, self._errors = self.poses[chosen] + jitter, self._errors[chosen]
         self.weights = np.full(count, 1.0 / count)
 
 
@@ -157,8 +173,8 @@ class DockBelief:
         self._dock_pose, self._settings, self._rng = dock_pose, settings, rng
         self.odometry = OdometryBuffer()
         self.particles: Optional[DockParticles] = None
-        self._prior: Optional[GaussianPose] = None
-        self._database: Optional[GaussianPose] = None
+        self._prior: Optional[DriftingPose] = None
+        self._database: Optional[DriftingPose] = None
         self.visibility: Optional[MarkerVisibility] = None
         self._camera: Optional[PinholeCamera] = None
         self.tracks: List[MarkerTrack] = []
@@ -222,9 +238,14 @@ class DockBelief:
         for track in self.tracks:
             if track.real > _HARDLY_REAL or track.frames < 5 or track.sized < _SURE_OF_SIZE:
                 continue
-            if self._database.excess(track.likeliest().mean[None].copy())[0] <= 0.0:
+            if self._database.pose.excess(track.likeliest().mean[None].copy())[0] <= 0.0:
                 return track
         return None
+
+    def cut_off(self, track: MarkerTrack) -> bool:
+        """Say whether an edge of an image taken now would cut off a marker's white border."""
+        corners, camera = track.foreseen(Viewpoint(self._camera, self._mount)), self._camera
+        return not _inside(corners, camera) >= _CUT * extent_of(corners)
 
     def add_odometry(self, odometry: Odometry) -> None:
         """Follow the odometry."""
@@ -233,13 +254,13 @@ class DockBelief:
         if before is None:
             rough = se2.between(odometry.pose, self._dock_pose)
             self.particles = DockParticles(self._dock, tuple(rough.tolist()), self._rng)
-            self._prior = self._database = self.particles.gaussian()
+            self._prior = DriftingPose(self.particles.gaussian())
+            self._database = DriftingPose(self.particles.gaussian())
             return
         step = motion_step(before, odometry)
         self.particles.move(step)
-        self._prior, self._database = self._prior.moved(step), self._database.moved(step)
-        for track in self.tracks:
-            track.move(step)
+        for believed in (self._prior, self._database, *self.tracks):
+            believed.move(step)
 
     def observe(self, observation: Observation) -> None:
         """Take in an image; one older than the memory of the odometry is ignored."""
@@ -268,7 +289,7 @@ class DockBelief:
     def concentrate(self, estimate: GaussianPose, play: float) -> None:
         """Believe that the dock is at a pose, with so much more play to either side in m."""
         self.particles.concentrate(estimate, play)
-        self._prior = self.particles.gaussian()
+        self._prior = DriftingPose(self.particles.gaussian())
 
     def forget(self, track: MarkerTrack) -> None:
         """Drop a track of what is not where it should be; the particles keep a trace of it."""
@@ -286,9 +307,7 @@ class DockBelief:
         corners = np.asarray(sighting.corners, dtype=float)
         if corners.shape != (4, 2) or not np.isfinite(corners).all():
             return False
-        u, v = corners[:, 0], corners[:, 1]
-        inside = min(u.min(), v.min(), camera.width - 1 - u.max(), camera.height - 1 - v.max())
-        return inside >= _BORDER and extent_of(corners) >= _SMALLEST
+        return _inside(corners, camera) >= _BORDER and extent_of(corners) >= _SMALLEST
 
     def _associate(self, sightings: List[np.ndarray], view: Viewpoint, stamp: float) -> None:
         """Give each sighting to the track that it fits best, or begin a new one with it."""
@@ -316,11 +335,18 @@ class DockBelief:
         for number, corners in enumerate(sightings):
             if number in owners:
                 continue
-            track = MarkerTrack(corners, view, marker.size, marker.height, self._prior, noise)
+            track = MarkerTrack(corners, view, marker.size, marker.height, self._prior.pose, noise)
             track.last_seen = stamp
             self.tracks.append(track)
             if len(self.tracks) > _MOST_TRACKS:
                 self.tracks.remove(min(self.tracks, key=lambda t: (t.frames >= 3, t.last_seen)))
+
+
+def _inside(corners: np.ndarray, camera: PinholeCamera) -> float:
+    """Return how far within the image (4, 2) corners are, px; NaN where they are nowhere."""
+    u, v = corners[:, 0], corners[:, 1]
+    edges = np.stack([u, v, camera.width - 1 - u, camera.height - 1 - v])
+    return float(np.min(edges))
 
 
 def _wall_yaw(copy: MarkerTrack) -> Tuple[float, float]:

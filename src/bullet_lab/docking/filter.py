@@ -1,9 +1,12 @@
 """Iterated extended Kalman filter on the corners of a marker, for many Gaussians at once.
 
-A marker state is (x m, y m, yaw rad, height m, growth): pose of the dock in the robot's frame,
-height of the marker's centre above the floor, and logarithm of its size over the size that it is
-taken for. The motion model moves the first three with the odometry; the measurement model says
-where the corners are seen.
+A marker state is (x m, y m, yaw rad, height m, growth, roll, pitch, yaw rad, way, turn, drift
+rad/m): pose of the dock in the robot's frame, height of the marker's centre above the floor, and
+logarithm of its size over the size that it is taken for; then what is not as it is known, how the
+camera is turned against its known place, and the odometry: logarithm of the true way over the
+told one, the true turn over the told one less 1, and what is turned on each metre ahead and not
+told. The motion model moves the first three with the odometry; the measurement model says where
+the corners are seen.
 """
 
 from __future__ import annotations
@@ -20,12 +23,28 @@ from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.odometry import MotionStep
 from bullet_lab.docking.types import CameraMount, PixelNoise
 
-STATES = 5
+STATES = 11
+_OF_MARKER = 5
+CAMERA, ODOMETRY = slice(5, 8), slice(8, 11)
+"""Where a state says how the camera is turned, and what is wrong with the odometry."""
+
+UNKNOWN_CAMERA = np.radians([1.2, 1.2, 1.2])
+UNKNOWN_ODOMETRY = np.array([0.035, 0.035, 0.02])
+"""Standard deviations of both, where they are not as known; else they are within these."""
+
+_KNOWN_CAMERA = np.radians([0.05, 0.05, 0.05])
+_KNOWN_ODOMETRY = np.array([0.003, 0.003, 0.001])
+# Probability that a camera, or an odometry, is as it is known.
+_AS_KNOWN = 0.7
 # How much states are moved to find out what the pixels do, and the disturbances too.
-_NUDGES = 1e-4 * np.eye(STATES)
+_NUDGES = 1e-4 * np.eye(_OF_MARKER)
 _TILT = 1e-4
 # Pixels off below which the first linearisation will do.
 _LINEAR = 4.0
+# Standard deviation of a corner that is hidden, px. Corners whose squared distance (of 8 values) is
+# greater are looked at without each of them, and that is believed if it lessens it so far.
+_HIDDEN = 1e3
+_SUSPICIOUS, _EXPLAINED = 26.0, 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +78,6 @@ class GaussianPose:
         squares = np.sum((off @ np.linalg.inv(self.covariance)) * off, axis=1)
         return np.maximum(squares - 11.0, 0.0)
 
-    def moved(self, motion: MotionStep) -> GaussianPose:
-        """Return it as seen by a robot after a step."""
-        mean = se2.between(motion.step, self.mean)
-        by_state, by_step = step_derivatives(mean, motion.step[2])
-        covariance = by_state @ self.covariance @ by_state.T
-        return GaussianPose(mean, covariance + by_step @ motion.covariance @ by_step.T)
-
     def turned_to(self, yaw: float, variance: float) -> GaussianPose:
         """Return it with a yaw (rad, rad²) taken into account that something else tells.
 
@@ -85,18 +97,90 @@ class GaussianPose:
         return GaussianPose(mean, own - np.outer(gain, own[2]))
 
 
-def step_derivatives(poses: np.ndarray, turn: float) -> Tuple[np.ndarray, np.ndarray]:
-    """Return what a step does to (..., 3) poses after it: derivatives by pose and by step.
+class DriftingPose:
+    """A pose that was believed once, moved along by odometry of which it is not known how good."""
 
-    The first are (3, 3), the second (..., 3, 3).
+    def __init__(self, pose: GaussianPose):
+        self._x = np.concatenate([pose.mean, np.zeros(3)])[None]
+        self._p = np.zeros((1, 6, 6))
+        self._p[0, :3, :3] = pose.covariance
+        self._p[0, 3:, 3:] = np.diag(UNKNOWN_ODOMETRY**2)
+
+    @property
+    def pose(self) -> GaussianPose:
+        """As seen by the robot now, by odometry that may well be as known."""
+        odometry = slice(3, 6), _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY
+        x, p = _part_as_known(self._x, self._p, *odometry)
+        return GaussianPose(x[0, :3].copy(), p[0, :3, :3].copy())
+
+    def move(self, motion: MotionStep) -> None:
+        """Follow a step of the robot."""
+        self._x, self._p = carried(self._x, self._p, motion)
+
+
+def true_steps(step, errors: np.ndarray) -> np.ndarray:
+    """Return the steps (..., 3) that odometry tells as one step, if it errs as (..., 3) say.
+
+    >>> true_steps((0.5, 0.0, 1.0), np.array([0.0, 0.1, 0.2]))
+    array([0.5, 0. , 1.2])
     """
-    cos, sin = math.cos(turn), math.sin(turn)
-    by_pose = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    by_step = np.zeros((*poses.shape[:-1], 3, 3))
-    by_step[..., :2, :2] = -by_pose[:2, :2]
-    by_step[..., 0, 2], by_step[..., 1, 2] = poses[..., 1], -poses[..., 0]
-    by_step[..., 2, 2] = -1.0
-    return by_pose, by_step
+    way, turn, drift = np.moveaxis(errors, -1, 0)
+    dx, dy, dyaw = step
+    longer = np.exp(way.copy())
+    return np.stack([longer * dx, longer * dy, (1.0 + turn) * dyaw + drift * dx], axis=-1)
+
+
+def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> Tuple[np.ndarray, np.ndarray]:
+    """Return states (n, i) and covariances (n, i, i) as seen by the robot after a step.
+
+    Of each the first three are a pose, and the last three what is wrong with the odometry.
+    """
+    steps = true_steps(motion.step, x[:, -3:])
+    turned = steps[:, 2].copy()  # see corner_points
+    cos, sin = np.cos(turned), np.sin(turned)
+    x, (dx, dy) = x.copy(), (x[:, :2] - steps[:, :2]).T
+    x[:, 0], x[:, 1] = cos * dx + sin * dy, cos * dy - sin * dx
+    x[:, 2] = wrap(x[:, 2] - turned)
+    by_state = np.zeros_like(p)
+    by_state[:] = np.eye(x.shape[1])
+    by_state[:, 0, 0] = by_state[:, 1, 1] = cos
+    by_state[:, 0, 1], by_state[:, 1, 0] = sin, -sin
+    by_step = np.zeros((len(x), 3, 3))
+    by_step[:, :2, :2] = -by_state[:, :2, :2]
+    by_step[:, 0, 2], by_step[:, 1, 2] = x[:, 1], -x[:, 0]
+    by_step[:, 2, 2] = -1.0
+    by_error = np.zeros((len(x), 3, 3))
+    by_error[:, :2, 0] = steps[:, :2]
+    by_error[:, 2, 1], by_error[:, 2, 2] = motion.step[2], motion.step[0]
+    by_state[:, :3, -3:] = by_step @ by_error
+    p = by_state @ p @ by_state.transpose(0, 2, 1)
+    p[:, :3, :3] += by_step @ motion.covariance @ by_step.transpose(0, 2, 1)
+    return x, p
+
+
+def as_known(x: np.ndarray, p: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return states (n, 11) and covariances with camera and odometry as known, where they may be.
+
+    They are right more often than not. By Bayes' rule, with the ratio of Savage and Dickey (J. M.
+    Dickey, Annals of Mathematical Statistics 42, 1971) for what the images say, each is right with
+    some probability; of both cases mean and covariance are given.
+    """
+    x, p = _part_as_known(x, p, CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA)
+    return _part_as_known(x, p, ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
+
+
+def _part_as_known(x, p, part: slice, known: np.ndarray, unknown: np.ndarray):
+    """Do what `as_known` does for one part of the states."""
+    wide = p[:, part, part] + np.diag(known**2)
+    gain = np.linalg.solve(wide, p[:, part]).transpose(0, 2, 1)
+    logs = np.sum(np.log(unknown)) - 0.5 * np.linalg.slogdet(wide)[1]
+    logs = logs - 0.5 * squared_distances(x[:, part], wide)
+    right = _AS_KNOWN / (_AS_KNOWN + (1.0 - _AS_KNOWN) * np.exp(-np.clip(logs, -50.0, 50.0)))
+    off = -applied(gain, x[:, part])
+    x = x + right[:, None] * off
+    right = right[:, None, None]
+    p = p - right * (gain @ p[:, part])
+    return x, p + right * (1.0 - right) * (off[:, :, None] * off[:, None, :])
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +230,8 @@ class Viewpoint:
 def corner_points(states: np.ndarray, sizes) -> np.ndarray:
     """Return the corners of markers in the robot's frame, m.
 
-    For states (..., 5) and edges of the black square (...), m, they are (..., 4, 3): top left, top
-    right, bottom right and bottom left, as one looks at it.
+    For states (..., 5), or longer, and edges of the black square (...), m, they are (..., 4, 3):
+    top left, top right, bottom right and bottom left, as one looks at it.
 
     >>> corner_points(np.array([2.0, 0.0, 0.0, 0.5, 0.0]), 0.2)
     array([[ 2. ,  0.1,  0.6],
@@ -168,31 +252,51 @@ def corner_points(states: np.ndarray, sizes) -> np.ndarray:
 def predict(
     states: np.ndarray, sizes: np.ndarray, view: Viewpoint
 ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return where corners of (n, 5) states with sizes (n,) are seen, and the derivatives of that.
+    """Return where corners of (n, 11) states with sizes (n,) are seen, and its derivatives.
 
     Returns:
-        Pixels (n, 8) as u, v of each corner in turn; derivatives by the state (n, 8, 5); and by
-        pitch, roll and yaw of the robot at the moment of the image (n, 8, 3). NaN for a marker
+        Pixels (n, 8) as u, v of each corner in turn; derivatives by the state (n, 8, 11); and by
+        roll, pitch and yaw of the robot at the moment of the image (n, 8, 3). NaN for a marker
         that is not ahead of the camera.
     """
-    count = len(states)
-    nudged = np.concatenate([states[:, None], states[:, None] + _NUDGES], axis=1)
-    points = view.optical(corner_points(nudged, np.repeat(sizes[:, None], STATES + 1, axis=1)))
+    count, own = len(states), states[:, :_OF_MARKER]
+    nudged = np.concatenate([own[:, None], own[:, None] + _NUDGES], axis=1)
+    points = view.optical(corner_points(nudged, np.repeat(sizes[:, None], _OF_MARKER + 1, axis=1)))
+    points = points @ _camera_turns(states[:, CAMERA])[:, None]
     here = points[:, 0]
     x, y, z = np.moveaxis(here, -1, 0)
     zero = np.zeros_like(x)
-    turned = [(zero, -z, y), (-y, x, zero), (z, zero, -x)]
+    turned = [(y, -x, zero), (zero, -z, y), (z, zero, -x)]
     tilted = here[:, None] + _TILT * np.stack([np.stack(t, axis=-1) for t in turned], axis=1)
     pixels = view.pixels(np.concatenate([points, tilted], axis=1)).reshape(count, -1, 8)
     seen = pixels[:, 0]
     changes = (pixels[:, 1:] - pixels[:, :1]).transpose(0, 2, 1)
-    return seen, changes[..., :STATES] / 1e-4, changes[..., STATES:] / _TILT
+    tilts = changes[..., _OF_MARKER:] / _TILT
+    by_state = np.zeros((count, 8, STATES))
+    by_state[..., :_OF_MARKER] = changes[..., :_OF_MARKER] / 1e-4
+    by_state[..., CAMERA] = tilts
+    return seen, by_state, tilts
+
+
+def _camera_turns(turns: np.ndarray) -> np.ndarray:
+    """Return what optical points have to be multiplied by from the right: (n, 3, 3).
+
+    `turns` are (n, 3) roll, pitch and yaw of the camera against its known place, rad, in its frame.
+    """
+    size = np.sqrt(np.sum(turns * turns, axis=1))[:, None, None]
+    roll, pitch, yaw = (turns[:, i] for i in range(3))
+    zero = np.zeros_like(roll)
+    # What is seen turns about the optical x, y and z axes by pitch, yaw and -roll.
+    cross = np.stack([zero, -roll, -yaw, roll, zero, pitch, yaw, -pitch, zero], axis=1)
+    cross = cross.reshape(-1, 3, 3)
+    half = np.sinc(0.5 * size / np.pi)
+    return np.eye(3) + np.sinc(size / np.pi) * cross + 0.5 * half * half * (cross @ cross)
 
 
 def noise_covariance(noise: PixelNoise, extent: float, tilts: np.ndarray) -> np.ndarray:
     """Return the (n, 8, 8) covariance of the corners of a marker as large as `extent`, px².
 
-    `tilts` are the (n, 8, 3) derivatives by pitch, roll and yaw.
+    `tilts` are the (n, 8, 3) derivatives by roll, pitch and yaw.
     """
     own = noise.corner**2 + (noise.relative * extent) ** 2 + (noise.small / extent) ** 2
     spread = tilts * np.array([noise.tilt, noise.tilt, noise.turn])
@@ -213,7 +317,7 @@ def innovations(start, x, p, sizes, corners, view: Viewpoint, noise: PixelNoise)
     """Compare corners with states `start` of covariance `p`, linearised at states `x`.
 
     Returns:
-        What is left to explain (n, 8) px, its derivatives by the state (n, 8, 5), and its
+        What is left to explain (n, 8) px, its derivatives by the state (n, 8, 11), and its
         covariance (n, 8, 8).
     """
     seen, by_state, tilts = predict(x, sizes, view)
@@ -243,26 +347,32 @@ def applied(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return (matrices @ vectors[..., None])[..., 0]
 
 
-def iterated_update(start, p, sizes, corners, view: Viewpoint, noise: PixelNoise, rounds: int = 3):
+def iterated_update(
+    start, p, sizes, corners, view: Viewpoint, noise: PixelNoise, rounds: int = 3, hidden=()
+):
     """Take corners (4, 2) px into account (Bell and Cathey 1993: Gauss and Newton's steps).
 
     Args:
-        start: (n, 5) states.
-        p: (n, 5, 5) their covariances.
+        start: (n, 11) states.
+        p: (n, 11, 11) their covariances.
         sizes: (n,) m.
         corners: as seen by the camera of `view`, with `noise`.
         view: that camera.
         noise: theirs.
         rounds: linearisations, at most.
+        hidden: numbers of corners that say nothing.
 
     Returns:
-        States (n, 5), covariances (n, 5, 5), squared Mahalanobis distances of the corners (n,)
+        States (n, 11), covariances (n, 11, 11), squared Mahalanobis distances of the corners (n,)
         and logarithms of the determinants of their covariances (n,).
     """
     corners = np.asarray(corners, dtype=float)
     x = start
     for number in range(rounds):
         rest, by_state, covariance = innovations(start, x, p, sizes, corners, view, noise)
+        for corner in hidden:
+            covariance[:, 2 * corner, 2 * corner] += _HIDDEN**2
+            covariance[:, 2 * corner + 1, 2 * corner + 1] += _HIDDEN**2
         gain = np.linalg.solve(covariance, by_state @ p).transpose(0, 2, 1)
         before, x = x, start + applied(gain, rest)
         x[:, 2] = wrap(x[:, 2])
@@ -273,3 +383,19 @@ def iterated_update(start, p, sizes, corners, view: Viewpoint, noise: PixelNoise
     left = p - gain @ by_state @ p
     left = 0.5 * (left + left.transpose(0, 2, 1))
     return x, left, squared_distances(rest, covariance), np.linalg.slogdet(covariance)[1]
+
+
+def robust_update(start, p, sizes, corners, view: Viewpoint, noise: PixelNoise, rounds: int = 3):
+    """Do as `iterated_update`, and without one of the corners where that alone explains the image.
+
+    Something before a corner moves it by pixels, and leaves the others where they are.
+    """
+    given = start, p, sizes, corners, view, noise, rounds
+    best = whole = iterated_update(*given)
+    if np.min(whole[2]) < _SUSPICIOUS:
+        return whole
+    for corner in range(4):
+        without = iterated_update(*given, hidden=(corner,))
+        if np.min(without[2]) < min(np.min(best[2]), _EXPLAINED * np.min(whole[2])):
+            best = without
+    return best if np.min(best[2]) < _SUSPICIOUS else whole

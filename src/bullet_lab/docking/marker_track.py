@@ -15,36 +15,40 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.filter import (
+    CAMERA,
+    ODOMETRY,
     STATES,
+    UNKNOWN_CAMERA,
+    UNKNOWN_ODOMETRY,
     GaussianPose,
     Viewpoint,
     applied,
+    as_known,
+    carried,
     extent_of,
     innovations,
-    iterated_update,
     predict,
+    robust_update,
     squared_distances,
-    step_derivatives,
 )
 from bullet_lab.docking.odometry import MotionStep
-from bullet_lab.docking.types import PixelNoise
+from bullet_lab.docking.types import Calibration, Learned, PixelNoise
 
 SCALES = np.array([1.0, 0.35, 0.45, 0.6, 0.8, 1.25, 1.6, 2.1, 2.8, 3.7, 5.0, 6.5, 8.5, 11.0])
 """Sizes that are thought possible, as multiples of the marker's; the first is the real one."""
 
 _WINDOW = 0.22
 # The sizes stand for all that lie between them; the real one is known well.
-_PLAY = np.where(SCALES == 1.0, 0.01, 0.08)
-_ODOMETRY_SCALE = 0.02
+_PLAY = np.where(SCALES == 1.0, 0.02, 0.08)
+_ODOMETRY_SCALE = 0.04
 # Noise of the height in the image that tells the range, px: far markers are off together.
 _EDGE = 0.35
 _BEARING = 0.03
 
 # Of the height in m and the logarithm of the size: what is known of the real one, and of others.
-_HEIGHT_KNOWN, _HEIGHT_FREE = 0.006, 0.4
+_HEIGHT_KNOWN, _HEIGHT_FREE = 0.008, 0.4
 _GROWTH_KNOWN, _GROWTH_FREE = 1e-4, 0.12
 # Yaws at the start, against the line of sight, and their deviations, in rad.
 _SLANTS = np.radians(np.arange(-70.0, 71.0, 7.0))
@@ -138,14 +142,16 @@ class MarkerTrack:
         prior: GaussianPose,
         noise: PixelNoise,
     ):
-        self._size, self._noise = size, noise
+        self._size, self._height, self._noise = size, height, noise
         self.frames, self.last_seen = 0, -math.inf
         self._eye = np.array([view.mount.x, view.mount.y])
         self._spot: Optional[np.ndarray] = None
         self._spot_frames = 0
         self._outliers = 0
+        # Of which states, and what became of the real ones: asked for many times at each tick.
+        self._known: Tuple = (None, ())
         self._extent = extent_of(corners)
-        self._start(np.asarray(corners, dtype=float), view, height, prior)
+        self._start(np.asarray(corners, dtype=float), view, prior)
 
     @property
     def real(self) -> float:
@@ -175,7 +181,10 @@ class MarkerTrack:
         total = float(np.sum(weights))
         if total <= 0.0:
             return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0)
-        return self._x[real, :3].copy(), self._p[real][:, :3, :3], weights / total
+        if self._known[0] is not self._x:
+            self._known = self._x, as_known(self._x[real], self._p[real])
+        x, p = self._known[1]
+        return x[:, :3].copy(), p[:, :3, :3].copy(), weights / total
 
     def samples(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw (count, 3) poses of the dock, if it is real."""
@@ -200,7 +209,20 @@ class MarkerTrack:
     def likeliest(self) -> GaussianPose:
         """Return the likeliest pose of a dock with this marker, whatever its size."""
         best = np.argmax(self._weights)
-        return GaussianPose(self._x[best, :3].copy(), self._p[best, :3, :3].copy())
+        x, p = as_known(self._x[best, None], self._p[best, None])
+        return GaussianPose(x[0, :3].copy(), p[0, :3, :3].copy())
+
+    def learned(self) -> Calibration:
+        """Return what the likeliest Gaussian says of camera and odometry, if it is real."""
+        best = np.argmax(np.where(self._scale == 0, self._within, -1.0))
+        (x,), (p,) = as_known(self._x[best, None], self._p[best, None])
+        values = [Learned(*pair) for pair in zip(x.tolist(), np.sqrt(np.diag(p)).tolist())]
+        height = Learned(values[3].value - self._height, values[3].deviation)
+        roll, pitch, yaw = values[CAMERA]
+        way, turn, drift = values[ODOMETRY]
+        return Calibration(
+            roll, pitch, yaw, height, Learned(math.expm1(way.value), way.deviation), turn, drift
+        )
 
     def likeliest_size(self) -> float:
         """Return the likeliest size in m."""
@@ -221,12 +243,7 @@ class MarkerTrack:
         variance = float(ray @ motion.covariance[:2, :2] @ ray)
         beside = float(ray[0] * moved[1] - ray[1] * moved[0])
         self._sizing.travel(-float(ray @ moved), abs(beside), variance)
-        self._x[:, :3] = se2.between(motion.step, self._x[:, :3])
-        by_pose, by_step = step_derivatives(self._x[:, :3], turn)
-        by_state = np.eye(STATES)
-        by_state[:3, :3] = by_pose
-        self._p = by_state @ self._p @ by_state.T
-        self._p[:, :3, :3] += by_step @ motion.covariance @ by_step.transpose(0, 2, 1)
+        self._x, self._p = carried(self._x, self._p, motion)
         if self._spot is not None:
             self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
 
@@ -243,6 +260,11 @@ class MarkerTrack:
         seen, _, _ = predict(self._x[best : best + 1], self._sizes[best : best + 1], view)
         return float(squares[best]), seen[0].reshape(4, 2)
 
+    def foreseen(self, view: Viewpoint) -> np.ndarray:
+        """Return where the corners (4, 2) would be seen, if it is real; NaN if behind."""
+        best = np.argmax(np.where(self._scale == 0, self._within, -1.0))
+        return predict(self._x[best, None], self._sizes[best, None], view)[0].reshape(4, 2)
+
     def see(self, corners: np.ndarray, view: Viewpoint) -> None:
         """Take the corners of one more image into account.
 
@@ -251,13 +273,13 @@ class MarkerTrack:
         corners = np.asarray(corners, dtype=float)
         self._extent = extent_of(corners)
         seen = corners, view, self._noise_here(self._extent)
-        x, p, squares, logs = iterated_update(self._x, self._p, self._sizes, *seen)
+        x, p, squares, logs = robust_update(self._x, self._p, self._sizes, *seen)
         if np.min(squares) > _OUTLIER:
             self._outliers += 1
             if self._outliers < _STUBBORN:
                 return
             self._p[:, :3, :3] *= 4.0
-            x, p, squares, logs = iterated_update(self._x, self._p, self._sizes, *seen)
+            x, p, squares, logs = robust_update(self._x, self._p, self._sizes, *seen)
         else:
             self._outliers = 0
         self.frames += 1
@@ -319,7 +341,7 @@ class MarkerTrack:
                 self._within[of_size] = 1.0 / np.count_nonzero(of_size)
         self._weights = self._within * shares[self._scale] / np.sum(shares)
 
-    def _start(self, corners, view: Viewpoint, height: float, prior: GaussianPose) -> None:
+    def _start(self, corners, view: Viewpoint, prior: GaussianPose) -> None:
         ray, reach = view.line_of_sight(corners, self._size)
         count = len(_SLANTS)
         scale = np.repeat(np.arange(len(SCALES)), count)
@@ -330,14 +352,16 @@ class MarkerTrack:
         states = np.zeros((len(scale), STATES))
         states[:, :2] = eye[:2] + distance[:, None] * ray[:2]
         states[:, 2] = wrap(math.atan2(ray[1], ray[0]) + slants)
-        states[:, 3] = np.where(scale == 0, height, eye[2] + distance * ray[2])
+        states[:, 3] = np.where(scale == 0, self._height, eye[2] + distance * ray[2])
         covariance = np.zeros((len(scale), STATES, STATES))
         covariance[:, 0, 0] = covariance[:, 1, 1] = (0.3 * distance + 0.05) ** 2
         covariance[:, 2, 2] = _START_DEVIATION**2
         covariance[:, 3, 3] = np.where(scale == 0, _HEIGHT_KNOWN, _HEIGHT_FREE) ** 2
         covariance[:, 4, 4] = np.where(scale == 0, _GROWTH_KNOWN, _GROWTH_FREE) ** 2
+        covariance[:, CAMERA, CAMERA] = np.diag(UNKNOWN_CAMERA**2)
+        covariance[:, ODOMETRY, ODOMETRY] = np.diag(UNKNOWN_ODOMETRY**2)
         self._scale, self._sizes = scale, sizes
-        fitted = iterated_update(states, covariance, sizes, corners, view, self._noise, rounds=6)
+        fitted = robust_update(states, covariance, sizes, corners, view, self._noise, rounds=6)
         self._x, self._p, squares, _ = fitted
         unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
         self._fuse(prior)

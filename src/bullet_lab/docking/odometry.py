@@ -13,8 +13,11 @@ from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.types import STANDSTILL, Command, Odometry
 
-# Of odometry that does not say how good it is: m²/m, rad²/m, rad²/rad. Wheels on a floor slip.
+# Of odometry that does not say how good it is: m²/m, rad²/m, rad²/rad; m²/m, m²/rad across. Wheels
+# on a floor slip.
+# Across they do so where the robot turns.
 _ALONG, _TURN_BY_WAY, _TURN_BY_TURN = 0.004**2, 0.004**2, 0.006**2
+_ACROSS_BY_WAY, _ACROSS_BY_TURN = 0.0015**2, 0.002**2
 # Of the watch: seconds; m and rad commanded in them, at the least; share of that to be done.
 _SECONDS = 2.0
 _LEAST_WAY, _LEAST_TURN = 0.08, 0.25
@@ -39,7 +42,8 @@ def motion_step(before: Odometry, after: Odometry) -> MotionStep:
     way, turn = math.hypot(step[0], step[1]), abs(step[2])
     along = _ALONG * way
     rotation = _TURN_BY_WAY * way + _TURN_BY_TURN * turn
-    covariance = np.diag([along, along, rotation])
+    across = _ACROSS_BY_WAY * way + _ACROSS_BY_TURN * turn
+    covariance = np.diag([along, across, rotation])
     if after.twist_covariance is not None:
         seconds = after.stamp - before.stamp
         covariance = covariance + np.asarray(after.twist_covariance, dtype=float) * seconds**2

@@ -36,6 +36,10 @@ _PROBE = 0.6
 _MOST_PROBES = 6
 # Between the walls' front edges and the circle in which the robot turns, at the least, in m.
 _ROOM_TO_TURN = 0.17
+# Standard deviation of the yaw, as a share of the tolerance, above which it drives in once more,
+# and how often; and the last bit of the way (m) that it goes without seeing the marker.
+_UNSURE, _MOST_ROUNDS = 0.5, 2
+_BLIND = 0.12
 # How far apart, in m along the dock's axis, two prints on one wall may seem.
 _SAME_PLANE = 0.2
 # Looks for a larger print, where the marker itself is too small to be found from outside: how
@@ -130,12 +134,15 @@ class DockingPlanner:
 
     def result(self, success: bool, error: DockingError, message: str) -> DockingResult:
         """Return the result with the present estimates."""
-        estimate, pose = self.estimate(), ()
-        if estimate is not None:
-            robot = estimate.robot
-            distance = self.left(robot) + self.dock.docked_distance
-            pose = distance, float(robot[1]), wrap(float(robot[2]))
-        return DockingResult(success, error, message, self.retries, *pose)
+        estimate = self.estimate()
+        if estimate is None:
+            return DockingResult(success, error, message, self.retries)
+        robot, learned = estimate.robot, self.belief.best().learned()
+        remarks = learned.remarks()
+        message += f" (found otherwise than known: {remarks})" if message and remarks else ""
+        distance = self.left(robot) + self.dock.docked_distance
+        pose = distance, float(robot[1]), wrap(float(robot[2]))
+        return DockingResult(success, error, message, self.retries, *pose, learned)
 
     def estimate(self) -> Optional[GaussianPose]:
         """Return the dock's pose in the robot's frame; None before the marker was seen."""
@@ -160,6 +167,26 @@ class DockingPlanner:
         known, frames = self._asked
         self._asked = track, track.frames
         return track is not known or track.frames - frames >= self.settings.measure_frames
+
+    def unsure_of_yaw(self) -> bool:
+        """Say whether to drive at the dock once more, because that would tell more of its yaw.
+
+        By how much the camera may be turned only a way tells on which the marker is seen.
+        """
+        deviation = self.belief.best().learned().yaw.deviation
+        rounds = min(self.max_retries, _MOST_ROUNDS)
+        return deviation > _UNSURE * self.dock.tolerance.yaw and self.retries < rounds
+
+    def blind(self, track: MarkerTrack, left: float) -> bool:
+        """Say whether the marker must have left the image on the last bit of the way (m).
+
+        So it does before a camera that looks up or down more than is known. Odometry is good
+        enough for what is left.
+        """
+        estimate, tolerance = self.estimate(), self.dock.tolerance
+        along, across = float(estimate.deviations[0]), estimate.lateral_deviation
+        certain = along < tolerance.distance and across < tolerance.lateral
+        return certain and abs(left) < _BLIND and self.belief.cut_off(track)
 
     def in_sight(self, left: float) -> float:
         """Return so much left to go (m), or less where the marker would not be found there."""

@@ -286,7 +286,8 @@ class Approach(State):
         robot = estimate.robot
         left = planner.left(robot)
         patience = planner.settings.unseen_timeout
-        if planner.unseen(track) > patience and planner.in_reach(robot):
+        missing = planner.unseen(track) > patience and planner.in_reach(robot)
+        if missing and not planner.blind(track, left):
             # Wait at rest for it to be seen again, then look at what is the matter.
             self._held = planner.now if self._held is None else self._held
             return Outcome("lost") if planner.now - self._held > patience else STANDSTILL
@@ -380,9 +381,13 @@ class Confirm(State):
             self._frames, self._since = track.frames, planner.now
             return STANDSTILL
         uncertain = float(estimate.deviations[2]) > 0.3 * planner.dock.tolerance.yaw
+        patience = settings.unseen_timeout
+        waited = planner.now - self._since
+        if min(waited, planner.unseen(track)) > patience and planner.blind(track, left):
+            return self._judge(planner, robot)
         if track.frames - self._frames >= settings.final_frames * (3 if uncertain else 1):
             return self._judge(planner, robot)
-        if planner.now - self._since > 5.0 * settings.unseen_timeout:
+        if waited > 5.0 * patience:
             return _retry(planner, left, "the marker is lost before the dock")
         return STANDSTILL
 
@@ -396,6 +401,8 @@ class Confirm(State):
             return _retry(planner, left, f"{1e3 * abs(beside):.1f} mm beside the axis")
         straight = abs(turned) <= share * tolerance.yaw
         if straight and abs(left) <= tolerance.distance:
+            if planner.unsure_of_yaw():
+                return _retry(planner, left, "the yaw is not known well enough")
             return Outcome("within tolerance")
         self._corrections += 1
         if self._corrections > _MOST_CORRECTIONS:

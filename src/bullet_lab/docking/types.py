@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Optional, Tuple
+from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 
@@ -171,6 +171,43 @@ class RobotShape:
         return float(np.hypot(max(self.front, self.rear), self.half_width))
 
 
+class Learned(NamedTuple):
+    """A value, and its standard deviation."""
+
+    value: float
+    deviation: float
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What was learned on the way of camera and odometry, each against what is known."""
+
+    roll: Learned  #: rad, of the camera about the direction it looks in
+    pitch: Learned  #: rad, of the camera, down
+    yaw: Learned  #: rad, of the camera, to the left
+    height: Learned  #: m, of the marker above the camera
+    way: Learned  #: true way / told one - 1, which a printed size that is wrong looks like
+    turn: Learned  #: true turn / told one - 1
+    drift: Learned  #: rad/m, turned to the left and not told
+
+    def remarks(self) -> str:
+        """Say what is likely not as it is known: four standard deviations, and worth a word."""
+        said = []
+        for name, unit, scale, least in (
+            ("roll", "° roll", 180.0 / math.pi, 0.3),
+            ("pitch", "° pitch", 180.0 / math.pi, 0.3),
+            ("yaw", "° yaw", 180.0 / math.pi, 0.3),
+            ("height", " mm height", 1e3, 5.0),
+            ("way", " % way", 100.0, 1.0),
+            ("turn", " % turn", 100.0, 2.0),
+            ("drift", "°/m drift", 180.0 / math.pi, 0.3),
+        ):
+            value, deviation = getattr(self, name)
+            if abs(value) > 4.0 * deviation and abs(scale * value) > least:
+                said.append(f"{scale * value:+.2g}{unit}")
+        return ", ".join(said)
+
+
 @dataclass(frozen=True)
 class DockingResult:
     """How it ended, with the estimates at the end; NaN if they are not known."""
@@ -182,6 +219,7 @@ class DockingResult:
     distance: float = math.nan  #: m, camera to marker along the dock's axis
     lateral: float = math.nan  #: m, of the robot from the axis, left positive
     yaw: float = math.nan  #: rad, of the robot against the axis
+    calibration: Optional[Calibration] = None  #: None if the marker was not found
 
 
 @dataclass(frozen=True)

@@ -109,6 +109,7 @@ def test_docked_is_what_is_within_tolerance_with_half_of_it_to_spare(beside, tur
         retries=retries,
         max_retries=5,
         left=lambda robot: -float(robot[0]) - 0.56,
+        unsure_of_yaw=lambda: False,
     )
     robot = np.array([-0.56, beside, math.radians(turned)])
     if said is None:
@@ -132,3 +133,17 @@ def test_a_way_in_that_brings_nothing_new_is_not_tried_again():
     assert forgotten == []
     assert state_machine._back_out(planner, 2.0, 0.5).name == "lost"
     assert forgotten == [track]
+
+
+@pytest.mark.parametrize(("unsure", "said"), [(False, "within tolerance"), (True, "failed")])
+def test_it_drives_in_once_more_where_the_camera_may_be_turned(unsure, said):
+    planner = SimpleNamespace(
+        dock=SimpleNamespace(tolerance=DockTolerance(0.005, 0.003, math.radians(0.4))),
+        retries=0,
+        max_retries=5,
+        left=lambda robot: 0.0,
+        unsure_of_yaw=lambda: unsure,
+    )
+    robot = np.array([-0.56, 0.0, 0.0])
+    assert Confirm()._judge(planner, robot).name == said
+    assert planner.retries == unsure

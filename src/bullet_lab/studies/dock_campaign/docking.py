@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import functools
+from collections import deque
 from dataclasses import dataclass, replace
-from typing import Dict, Optional
+from typing import Deque, Dict, Optional, Tuple
 
+import numpy as np
+
+from bullet_lab.core import se2
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.controllers import CONTROLLERS
 from bullet_lab.docking.database import Dock, find_dock, read_docks
 from bullet_lab.docking.types import (
+    Calibration,
     CameraMount,
     DockingError,
     Observation,
@@ -23,8 +28,16 @@ from bullet_lab.noise.odometry_noise import NoisyPath, ReportRule
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
+from bullet_lab.simulation.world.description import Model, World
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.urdf import read_urdf_file
+from bullet_lab.studies.dock_campaign.stress import (
+    Stress,
+    StressedOdometry,
+    robot_under,
+    world_under,
+)
 from bullet_lab.vision.dictionaries import dictionary_named
 from bullet_lab.vision.images import grey
 from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
@@ -35,6 +48,7 @@ MARKER_POSE: PlanarPose = (4.0, 0.0, 0.0)
 
 DOCKS = "package://bullet_lab/config/docks.yaml"
 FLOOR = "ground_plane"
+CAMERA_FRAME = "camera_link"
 TIME_LIMIT = 300.0
 IMAGE_RATE = 5.0
 TICK_STEPS = 50
@@ -60,6 +74,8 @@ class DockingScenario:
         image_blur: standard deviation in px.
         image_seed: of the image noise.
         controller: of `CONTROLLERS`, what drives.
+        stress: what is otherwise than docking knows. Start and error of the database are given
+            as if the dock stood where the world's file has it.
     """
 
     world: str = "package://bullet_lab/worlds/docking.world"
@@ -74,6 +90,7 @@ class DockingScenario:
     image_blur: float = 0.0
     image_seed: int = 0
     controller: str = "ours"
+    stress: Stress = Stress()
 
 
 @dataclass(frozen=True)
@@ -92,8 +109,10 @@ class DockingOutcome:
         wall_contacts: how often the robot began to touch anything but the floor.
         retries: how often it retreated to try again.
         sim_time_s: until the end.
-        end: x, y (m) and yaw (rad) of the robot in the world, then.
+        end: x, y (m) and yaw (rad) of the robot, then, as if the dock stood where the world's
+            file has it.
         renderer: driver that drew the images; empty where there were none.
+        calibration: what was learned on the way; None if the marker was not found.
     """
 
     error_name: str
@@ -106,6 +125,7 @@ class DockingOutcome:
     sim_time_s: float
     end: PlanarPose
     renderer: str = ""
+    calibration: Optional[Calibration] = None
 
 
 def run_docking(scenario: DockingScenario) -> DockingOutcome:
@@ -114,8 +134,9 @@ def run_docking(scenario: DockingScenario) -> DockingOutcome:
     Raises:
         LabError: the scenario names what does not exist, or noise that makes no sense.
     """
-    with Simulation(_world(scenario), scenario.image_seed) as simulation:
-        return _Drive(scenario, dock_of(scenario), simulation).run()
+    dock = dock_of(scenario)
+    with Simulation(_world(scenario, dock), scenario.image_seed) as simulation:
+        return _Drive(scenario, dock, simulation).run()
 
 
 @functools.lru_cache(maxsize=None)
@@ -125,17 +146,18 @@ def _docks() -> Dict[str, Dock]:
 
 def dock_of(scenario: DockingScenario) -> Dock:
     """Return the entry of the database, with the true pose and the scenario's error of it."""
-    x, y, yaw = (a + b for a, b in zip(MARKER_POSE, scenario.dock_error))
+    x, y, yaw = (a + b for a, b in zip(scenario.stress.dock, scenario.dock_error))
     return replace(find_dock(_docks(), scenario.dock), pose=(x, y, wrap(yaw)))
 
 
-def _world(scenario: DockingScenario):
+def _world(scenario: DockingScenario, dock: Dock) -> World:
     finder = ResourceFinder.anywhere()
     world = read_world_file(finder.find(scenario.world))
-    if not scenario.lighting:
-        return world
-    light = read_world_file(finder.find(scenario.lighting))
-    return replace(world, lights=light.lights, ambient=light.ambient, background=light.background)
+    if scenario.lighting:
+        other = read_world_file(finder.find(scenario.lighting))
+        seen = {"lights": other.lights, "ambient": other.ambient, "background": other.background}
+        world = replace(world, **seen)
+    return world_under(scenario.stress, world, MARKER_POSE, dock)
 
 
 class _Drive:
@@ -143,26 +165,34 @@ class _Drive:
 
     def __init__(self, scenario: DockingScenario, dock: Dock, simulation: Simulation):
         self._dock, self._simulation = dock, simulation
-        x, y, yaw = scenario.start
-        self._robot = simulation.spawn(ROBOT, pose=Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw)))
+        self._stress = stress = scenario.stress
+        self._rng = np.random.default_rng((stress.seed, 0))
+        x, y, yaw = _in_room(stress, scenario.start)
+        robot = robot_under(stress, _robot(), CAMERA_FRAME)
+        place = Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
+        self._robot = simulation.add(robot, pose=place)
         self._camera = next(d for d in self._robot.plugins if isinstance(d, Camera))
         self._camera.settings = replace(
             self._camera.settings, noise_stddev=scenario.image_noise, blur=scenario.image_blur
         )
         std = scenario.odometry_std if scenario.odometry == "noisy_odom" else 0.0
         self._noise = NoisyPath(ReportRule(std), scenario.odometry_seed)
+        self._known_camera = stress.known_camera(self._camera.camera)
+        self._told = StressedOdometry(stress, np.random.default_rng((stress.seed, 1)))
+        self._mount = _known_mount(self._robot, self._camera, stress)
         marker = dock.marker
         self._dictionary = marker.dictionary
         name = dictionary_named(marker.dictionary).name
         self._detector = MarkerDetector(DetectorSettings(dictionary=name, ids=(marker.id,)))
         self._task = CONTROLLERS[scenario.controller](
-            dock,
+            stress.known_dock(dock),
             dock.pose,
-            _mount_of(self._robot, self._camera),
+            self._mount,
             time_limit=TIME_LIMIT,
             seed=scenario.odometry_seed,
         )
         self._images = self._contacts = 0
+        self._late: Deque[Tuple[float, Observation]] = deque()
         self._touching = False
         self._odometry: Optional[OdometrySample] = None
         self._stamp = 0.0
@@ -181,9 +211,11 @@ class _Drive:
                 next_image += 1.0 / IMAGE_RATE
                 if self._task.wants_images:
                     self._look()
+            while self._late and self._late[0][0] <= simulation.seconds + 1e-9:
+                self._task.add_observation(self._late.popleft()[1])
             v, w = self._task.tick(simulation.seconds)
             self._robot.command("cmd_vel", PlanarCommand(v, 0.0, w))
-        seconds, end = simulation.seconds, _planar(self._robot)
+        seconds, end = simulation.seconds, _in_file(self._stress, _planar(self._robot))
         simulation.run_for(0.5)
         return self._outcome(seconds, end)
 
@@ -195,7 +227,7 @@ class _Drive:
         if sample is None:
             return
         x, y, _ = sample.pose.position
-        noisy = self._noise.update(x, y, sample.pose.yaw)
+        noisy = self._noise.update(*self._told.update((x, y, sample.pose.yaw)))
         seconds = sample.step / 1000.0 - self._stamp
         self._stamp = sample.step / 1000.0
         covariance = noisy.motion_covariance / seconds**2 if seconds > 0.0 else None
@@ -203,12 +235,18 @@ class _Drive:
         self._task.add_odometry(Odometry(self._stamp, noisy.pose, velocity, covariance))
 
     def _look(self) -> None:
-        simulation, camera = self._simulation, self._camera
+        simulation, camera, stress = self._simulation, self._camera, self._stress
+        # All is drawn for each image, so that one stress changes nothing of another.
+        late, lost = stress.latest_image_s * self._rng.uniform(), self._rng.uniform()
+        self._images += 1
+        if lost < stress.dropped:
+            return
         image = camera.take(simulation.step)
         found = self._detector.detect(grey(image, "rgb8"), camera.camera).markers
         sightings = tuple(Sighting(m.id, self._dictionary, m.corners) for m in found)
-        self._task.add_observation(Observation(simulation.seconds, camera.camera, sightings))
-        self._images += 1
+        # The same object for all images, as it is one camera.
+        observation = Observation(simulation.seconds, self._known_camera, sightings)
+        self._late.append((simulation.seconds + late, observation))
 
     def _check_contact(self, step: int) -> None:
         touching = any(other != FLOOR for other in self._simulation.contacts(self._robot.name))
@@ -218,9 +256,8 @@ class _Drive:
 
     def _outcome(self, seconds: float, end: PlanarPose) -> DockingOutcome:
         result = self._task.result
-        ahead = _mount_of(self._robot, self._camera).x
         errors = docking_errors(
-            _planar(self._robot), MARKER_POSE, ahead, self._dock.docked_distance
+            _planar(self._robot), self._stress.dock, self._mount.x, self._dock.docked_distance
         )
         return DockingOutcome(
             DockingError(result.error).name,
@@ -231,7 +268,27 @@ class _Drive:
             seconds,
             end,
             self._simulation.renderer().driver if self._images else "",
+            result.calibration,
         )
+
+
+@functools.lru_cache(maxsize=None)
+def _robot() -> Model:
+    return read_urdf_file(ResourceFinder.anywhere().find(ROBOT))
+
+
+def _in_room(stress: Stress, pose: PlanarPose) -> PlanarPose:
+    """Return where a pose is that is given as if the dock stood where the world's file has it."""
+    if stress.dock == MARKER_POSE:
+        return pose
+    return tuple(se2.compose(stress.dock, se2.between(MARKER_POSE, pose)).tolist())
+
+
+def _in_file(stress: Stress, pose: PlanarPose) -> PlanarPose:
+    """Return what `_in_room` has made of a pose."""
+    if stress.dock == MARKER_POSE:
+        return pose
+    return tuple(se2.compose(MARKER_POSE, se2.between(stress.dock, pose)).tolist())
 
 
 def _planar(robot: ModelInstance) -> PlanarPose:
@@ -239,8 +296,8 @@ def _planar(robot: ModelInstance) -> PlanarPose:
     return pose.position[0], pose.position[1], pose.yaw
 
 
-def _mount_of(robot: ModelInstance, camera: Camera) -> CameraMount:
-    """Return where the camera is on the robot, by the description of the robot."""
-    place = robot.pose().inverse() * camera.pose()
+def _known_mount(robot: ModelInstance, camera: Camera, stress: Stress) -> CameraMount:
+    """Return where the camera is on the robot by what is known of it."""
+    place = robot.pose().inverse() * camera.pose() * stress.mount.inverse()
     roll, pitch, yaw = place.rpy()
     return CameraMount(*place.position, roll, pitch, yaw)

@@ -27,9 +27,9 @@ from bullet_lab.core.figures import (
     new_figure,
 )
 from bullet_lab.core.files import FileError, replace_file
-from bullet_lab.docking.verdict import DOCKED, ERRORS, INACCURATE
+from bullet_lab.docking.verdict import DOCKED, ERRORS, INACCURATE, WALL_CONTACT
 from bullet_lab.errors import LabError
-from bullet_lab.studies.dock_campaign.trial import TOLERANCES, Record
+from bullet_lab.studies.dock_campaign.trial import CRASHED, TOLERANCES, Record
 
 LOG = "dockings.jsonl"
 
@@ -112,6 +112,41 @@ def error_figures(values: Sequence[float]) -> Dict[str, Any]:
         "p99": float(np.quantile(sizes, 0.99)),
         "max": float(sizes.max()),
     }
+
+
+def stress_row(name: str, summary: Mapping[str, Any]) -> Dict[str, Any]:
+    """Return a row of the table of stresses from the summary of a campaign under one of them."""
+    counts = Counter(summary["failures"])
+    wrong = counts[WALL_CONTACT] + counts[INACCURATE] + counts[CRASHED]
+    figures = {
+        f"{error}_{part}": summary[error][part] for error in ERRORS for part in ("median", "max")
+    }
+    return {
+        "stress": name,
+        "dockings": summary["dockings"],
+        "docked": summary["docked"],
+        "refused": summary["dockings"] - summary["docked"] - wrong,
+        "inaccurate": counts[INACCURATE],
+        "with_contact": summary["dockings_with_contact"],
+        "crashed": counts[CRASHED],
+        "failures": " ".join(f"{kind}:{count}" for kind, count in summary["failures"].items()),
+        **figures,
+    }
+
+
+def stress_lines(rows: Sequence[Mapping[str, Any]]) -> List[str]:
+    """Return the table of stresses as lines for people."""
+    lines = [f"{'stress':9s} docked      contacts  median / max: distance, lateral mm; yaw deg"]
+    for row in rows:
+        errors = []
+        for error, scale in zip(ERRORS, (1e3, 1e3, 1.0)):
+            parts = [row[f"{error}_{part}"] for part in ("median", "max")]
+            errors.append(" / ".join("–" if v is None else f"{scale * v:.2f}" for v in parts))
+        docked = f"{row['docked']} of {row['dockings']}"
+        why = f"  ({row['failures']})" if row["failures"] else ""
+        head = f"{row['stress']:9s} {docked:11s} {row['with_contact']:8d}  "
+        lines.append(f"{head}{', '.join(errors[:2])}; {errors[2]}{why}")
+    return lines
 
 
 def standing(records: Sequence[Record]) -> List[Record]:

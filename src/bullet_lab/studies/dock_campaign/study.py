@@ -3,6 +3,7 @@
 Example:
     python3 -m bullet_lab.studies.dock_campaign.study results/dock_campaign -n 200 --seed 1
     python3 -m bullet_lab.studies.dock_campaign.study results/far --scheduler tcp://host:8786
+    python3 -m bullet_lab.studies.dock_campaign.study results/stress --stress each
 """
 
 from __future__ import annotations
@@ -10,13 +11,13 @@ from __future__ import annotations
 import functools
 import time
 from collections import Counter
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Callable, Dict, List, NoReturn, Optional, Sequence, Tuple
 
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import make_folder, write_json
-from bullet_lab.core.parameters import integer, text
+from bullet_lab.core.parameters import ParameterError, integer, text
 from bullet_lab.docking.verdict import DOCKED
 from bullet_lab.studies.dock_campaign.compare import compare, read_campaign
 from bullet_lab.studies.dock_campaign.docking import MARKER_POSE
@@ -25,8 +26,14 @@ from bullet_lab.studies.dock_campaign.results import (
     DockLog,
     campaign_figure,
     campaign_summary,
+    stress_lines,
+    stress_row,
 )
+from bullet_lab.studies.dock_campaign.stress import STRESSES
 from bullet_lab.studies.dock_campaign.trial import (
+    ALL,
+    EACH,
+    NONE,
     DrawSettings,
     Record,
     crashed_record,
@@ -47,6 +54,7 @@ from bullet_lab.studies.study import (
 from bullet_lab.studies.workers import ClusterSettings, Run, TaskLostError, workers
 
 TABLE, PICTURE = "campaign.csv", "campaign.png"
+STRESS_TABLE = "stresses.csv"
 MOST_DOCKINGS = 1_000_000
 
 Trial = Callable[[DrawSettings, int], Record]
@@ -159,7 +167,8 @@ def _write_results(
 def describe(summary: Dict[str, Any]) -> List[str]:
     """Return the main figures of a campaign as lines for people."""
     lines = [
-        f"{summary['docked']} of {summary['dockings']} docked within their dock's tolerance "
+        f"{summary['docked']} of {summary['dockings']} docked within their dock's tolerance"
+        f"{'' if summary['stress'] == (NONE,) else ' and what the stress costs'} "
         f"(success rate over {100.0 * summary['success_rate_lower_95']:.2f} % at 95 % confidence), "
         f"{summary['dockings_with_contact']} with wall contact"
     ]
@@ -186,6 +195,34 @@ def describe(summary: Dict[str, Any]) -> List[str]:
     return lines
 
 
+def run_each(
+    folder: Path,
+    settings: CampaignSettings,
+    run: Run,
+    trial: Trial = run_trial,
+    tell: Tell = silent,
+) -> List[str]:
+    """Run a campaign for each stress by itself, none and all, each in its own folder below.
+
+    The indices are the same starts in all of them. Leaves a table and summary.json of all; returns
+    lines for people.
+
+    Raises:
+        LabError: as `run_campaign`.
+    """
+    summaries = {}
+    for name in (NONE, *STRESSES, ALL):
+        tell(f"stress {name}")
+        one = replace(settings, stress=(name,))
+        summaries[name] = run_campaign(folder / name, one, run, trial, tell)
+    rows = [stress_row(name, summary) for name, summary in summaries.items()]
+    with whole_results(folder) as part:
+        write_table(part / STRESS_TABLE, [rows[0], *(row.values() for row in rows)])
+        drawn = settings.drawn_from()
+        write_json(part / SUMMARY, {"job": "dock_campaign", **drawn, "by_stress": summaries})
+    return stress_lines(rows)
+
+
 def _run(
     folder: Path,
     settings: CampaignSettings,
@@ -195,10 +232,15 @@ def _run(
 ) -> None:
     # What is missing is better known now than from each worker, or after all.
     draw_scenario(settings, 0)
+    if comparison.beside and EACH in settings.stress:
+        raise ParameterError("beside: it takes the campaign under one stress, not under each")
     if comparison.beside:
         read_campaign(Path(comparison.beside))
     run = workers(cluster.workers, cluster.scheduler)
-    lines = describe(run_campaign(folder, settings, run, tell=tell))
+    if EACH in settings.stress:
+        lines = run_each(folder, settings, run, tell=tell)
+    else:
+        lines = describe(run_campaign(folder, settings, run, tell=tell))
     if comparison.beside:
         lines += compare(folder, Path(comparison.beside), settings.dockings)
     for line in lines:

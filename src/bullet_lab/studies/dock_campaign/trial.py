@@ -25,6 +25,12 @@ from bullet_lab.studies.dock_campaign.docking import (
     dock_of,
     run_docking,
 )
+from bullet_lab.studies.dock_campaign.stress import (
+    STRESSES,
+    draw_stress,
+    found_columns,
+    stress_columns,
+)
 from bullet_lab.studies.study import MOST_SEED, Settings
 
 WORLDS = ("docking", "docking_dots", "docking_nested", "docking_decoy")
@@ -33,6 +39,7 @@ DOCKS = {"docking_nested": "nested_dock"}
 
 LIGHTS = ("default", "dark", "bright", "backlit")
 ODOMETRY = ("odom", "noisy_odom")
+NONE, ALL, EACH = "none", "all", "each"
 ROBOT_HEIGHT = 0.55
 NEAREST, FARTHEST = 0.7, 5.0
 WIDEST = math.radians(60.0)
@@ -61,6 +68,16 @@ class DrawSettings(Settings):
     controller: str = choice(
         "ours", "what drives; nothing that is drawn depends on it", [*CONTROLLERS]
     )
+    stress: Tuple[str, ...] = choices(
+        (NONE,),
+        "what is otherwise than docking knows, together; each: each by itself, then all",
+        (NONE, ALL, EACH, *STRESSES),
+    )
+
+    @property
+    def stresses(self) -> Tuple[str, ...]:
+        """Names of the stresses that are drawn."""
+        return tuple(STRESSES) if ALL in self.stress else self.stress
 
 
 def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
@@ -96,6 +113,7 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
         image_blur=float(image_blur),
         image_seed=int(image_seed),
         controller=settings.controller,
+        stress=draw_stress(settings.stresses, settings.seed, index),
     )
 
 
@@ -134,6 +152,9 @@ CRASHED = "crashed"
 TOLERANCES = {name: name.replace("error", "tolerance") for name in ERRORS}
 """Names of the columns with the dock's own tolerances, by those of the errors."""
 
+COSTS = {name: name.replace("error", "cost") for name in ERRORS}
+"""Names of the columns with what the stress costs, which is added to the tolerance."""
+
 
 def run_trial(settings: DrawSettings, index: int, dock: Dock = run_docking) -> Record:
     """Run the docking of an index and return its record; never raises what the docking raises."""
@@ -145,7 +166,8 @@ def run_trial(settings: DrawSettings, index: int, dock: Dock = run_docking) -> R
     x, y, yaw = (float(value) for value in outcome.end)
     errors = {name: float(getattr(outcome, name)) for name in ERRORS}
     said = DockingError[outcome.error_name]
-    tolerance = dock_of(scenario).tolerance
+    dock_ = dock_of(scenario)
+    tolerance = scenario.stress.allowed(dock_.tolerance, dock_.docked_distance)
     return {
         **_drawn(index, scenario),
         "result": judge(said, errors, tolerance, outcome.wall_contacts),
@@ -158,12 +180,14 @@ def run_trial(settings: DrawSettings, index: int, dock: Dock = run_docking) -> R
         "end_y_m": y,
         "end_yaw_deg": math.degrees(yaw),
         "renderer": outcome.renderer,
+        **found_columns(outcome.calibration),
     }
 
 
 _NUMBERS = (
     *(*ERRORS, "wall_contacts", "retries"),
     *("sim_time_s", "end_x_m", "end_y_m", "end_yaw_deg", "renderer"),
+    *found_columns(None),
 )
 
 
@@ -176,7 +200,8 @@ def crashed_record(settings: DrawSettings, index: int, why: str) -> Record:
 def _drawn(index: int, scenario: DockingScenario) -> Dict[str, Any]:
     x, y, yaw = scenario.start
     error_x, error_y, error_yaw = scenario.dock_error
-    most = largest_errors(dock_of(scenario).tolerance)
+    dock = dock_of(scenario)
+    most = largest_errors(dock.tolerance)
     return {
         "index": index,
         "world": _name_of(scenario.world),
@@ -192,6 +217,8 @@ def _drawn(index: int, scenario: DockingScenario) -> Dict[str, Any]:
         "image_noise": scenario.image_noise,
         "image_blur_px": scenario.image_blur,
         **{TOLERANCES[name]: value for name, value in most.items()},
+        **stress_columns(scenario.stress),
+        **dict(zip(COSTS.values(), scenario.stress.costs(dock.docked_distance))),
     }
 
 
