@@ -366,4 +366,5 @@ main() {
   rm -f "$LAB_VENV/bin/xacro"
 }
 
-main "$@"
+# platform.sh takes single steps.
+[[ ${BASH_SOURCE[0]} != "$0" ]] || main "$@"

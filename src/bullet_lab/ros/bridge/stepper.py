@@ -19,10 +19,12 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.timing import FOR_EVER, WAITING, Lag, LoopWatch, Pace, TimeGate
 from bullet_lab.simulation.simulation import Simulation
 
-# Between two looks at what others want, at full speed: about two milliseconds of wall time.
+# Between two looks at what others want, at most: of small worlds, two milliseconds of wall time.
 STEPS_AT_A_TIME = 200
-# Steps by which a command brings time to its own moment, at most.
-MOST_TO_CATCH_UP = 5 * STEPS_AT_A_TIME
+# Wall seconds that a stride may take where its steps can be fewer: worlds may be slow.
+LONGEST_STRIDE = 0.1
+# Strides by which a command brings time to its own moment, at most.
+MOST_TO_CATCH_UP = 5
 # Longest wait before looking whether all has ended, in wall seconds.
 LONGEST_WAIT = 0.2
 # Wall seconds after which it is reported who holds time back.
@@ -89,6 +91,7 @@ class Stepper:
         self._report_stall, self._report_lag = report_stall, report_lag
         self.watch = watch or LoopWatch()
         self._reached = simulation.step
+        self._stride = STEPS_AT_A_TIME
         self._stalled_since: Optional[float] = None
         self._tasks: queue.Queue[Tuple[futures.Future, Callable[[], Any]]] = queue.Queue()
         self._wake = threading.Condition()
@@ -105,8 +108,10 @@ class Stepper:
         self._restart(self.simulation.step)
         try:
             while not self._is_over():
+                # Read before anything is looked at: what changes from here on cuts waits short.
+                wakeups = self._wakeups
                 self._run_tasks()
-                self._go_on()
+                self._go_on(wakeups)
         finally:
             self.wake()
 
@@ -139,8 +144,8 @@ class Stepper:
             step, limit = self.simulation.step, self.gate.limit()
             if not self.paused and limit is not None:
                 # At a speed that nothing keeps up with, the moment is years away.
-                most = min(limit, self.pace.due(step), step + MOST_TO_CATCH_UP)
-                self._run_until(int(max(step, most)))
+                most = MOST_TO_CATCH_UP * self._stride
+                self._run_until(min(limit, self.pace.due(step), step + most))
             action()
 
         if self.pace.free:
@@ -225,10 +230,8 @@ class Stepper:
 
     # The loop
 
-    def _go_on(self) -> None:
-        """Advance as far as is due and allowed, or wait."""
-        # Read before anything is looked at: what changes from here on cuts the wait short.
-        wakeups = self._wakeups
+    def _go_on(self, wakeups: int) -> None:
+        """Advance as far as is due and allowed, or wait for more than so many wake-ups."""
         if self._advances:
             self._advance()
             return
@@ -249,18 +252,26 @@ class Stepper:
             with self.watch.doing(WAITING):
                 self._wait(min(LONGEST_WAIT, wait), wakeups)
             due = self.pace.due(step)
-        self._run_until(int(min(limit, due, step + STEPS_AT_A_TIME)))
+        self._run_until(min(limit, due, step + self._stride))
         self._watch_the_speed()
         if limit != FOR_EVER:
             with self._wake:
                 self._wake.notify_all()
 
-    def _run_until(self, step: int) -> None:
+    def _run_until(self, step: float) -> None:
+        before, start = self.simulation.step, time.perf_counter()
         with self.watch.doing("steps"):
-            self.simulation.run_until(step)
+            self.simulation.run_until(int(max(before, step)))
         with self.watch.doing("handing messages to subscribers"):
             self._after_steps()
         self._reached = self.simulation.step
+        if self._reached > before:
+            self._adapt_stride(self._reached - before, time.perf_counter() - start)
+
+    def _adapt_stride(self, steps: int, seconds: float) -> None:
+        """Bound the next stride by the time that this one took; it grows to twice its length."""
+        fit = steps * LONGEST_STRIDE / max(seconds, 1e-9)
+        self._stride = int(max(1, min(STEPS_AT_A_TIME, 2 * self._stride, fit)))
 
     def _wait(self, seconds: float, wakeups: int) -> None:
         with self._wake:
@@ -268,7 +279,8 @@ class Stepper:
                 self._wake.wait(seconds)
 
     def _run_tasks(self) -> None:
-        while not self._tasks.empty():
+        # Those that are there now: steps are made however fast others ask for more.
+        for _ in range(self._tasks.qsize()):
             result, action = self._tasks.get()
             with self.watch.doing("services"):
                 try:
@@ -288,7 +300,7 @@ class Stepper:
     def _advance(self) -> None:
         """Make a batch of the steps that were asked for, by whoever waits the longest."""
         advance = self._advances[0]
-        batch = min(advance.steps, STEPS_AT_A_TIME)
+        batch = min(advance.steps, self._stride)
         self._run_until(self.simulation.step + batch)
         advance.steps -= batch
         self._advances.rotate(-1)

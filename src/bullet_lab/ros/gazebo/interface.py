@@ -14,7 +14,8 @@ from typing import Any, Callable, Dict
 
 import rospy
 
-from bullet_lab.core.files import make_folder, replace_file
+from bullet_lab.core.confined import ConfinedFolder
+from bullet_lab.core.files import FileError
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
@@ -45,7 +46,7 @@ class WorldSaver:
 
     def __init__(self, world: RunningWorld, folder: Path):
         self._world = world
-        self._folder = folder.expanduser().absolute()
+        self._folder = ConfinedFolder(folder)
         self._lock = threading.Lock()
         self._service = rospy.Service("/bullet_lab/save_world", SaveWorld, self._save)
 
@@ -55,35 +56,26 @@ class WorldSaver:
             if not request.path or "\0" in request.path:
                 raise SaveError("no file is named")
             if request.return_text:
-                response = self._describe(self._folder / request.path)
+                response = self._describe(self._folder.path / request.path)
             else:
                 # One at a time, or the later file could be put in place before the earlier one.
                 with self._lock:
-                    response = self._write(self._place(request.path))
+                    response = self._write(request.path)
         except (LabError, OSError, RuntimeError) as error:
             # Of the latter, names that are too long and links in circles.
             return SaveWorldResponse(success=False, status_message=str(LabError(error)))
         response.seconds = time.perf_counter() - start
         return response
 
-    def _place(self, name: str) -> Path:
-        """Return where a file will be once links are followed, if that is in the folder."""
-        folder = self._folder.resolve()
-        path = (folder / name).resolve()
-        if path != folder and folder not in path.parents:
-            places = f"{path} is not in {folder}, the bridge's ~save_folder"
-            raise SaveError(f"{places}; save_world.py writes anywhere")
-        if path.is_dir() or path == folder:
-            raise SaveError(f"{path} is a folder")
-        make_folder(folder)
-        if not path.parent.is_dir():
-            raise SaveError(f"there is no folder {path.parent}")
-        return path
-
-    def _write(self, path: Path) -> SaveWorldResponse:
+    def _write(self, name: str) -> SaveWorldResponse:
+        try:
+            path = self._folder.place(name)
+        except FileError as error:
+            hint = "~save_folder is the bridge's; save_world.py writes anywhere"
+            raise SaveError(f"{error}; {hint}") from error
         response = self._describe(path)
         text, response.text = response.text, ""
-        replace_file(path, lambda part: part.write_text(text, encoding="utf-8"))
+        self._folder.write(path, text)
         return response
 
     def _describe(self, path: Path) -> SaveWorldResponse:

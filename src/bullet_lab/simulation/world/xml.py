@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import re
-from functools import partial
-from itertools import islice
+import stat
 from pathlib import Path
 from typing import Callable, Match, Optional, Sequence, Tuple, Type
 from xml.etree.ElementTree import Element, ParseError
@@ -19,7 +19,6 @@ from bullet_lab.errors import LabError
 
 # A description of a robot or a world is text for people; meshes are files of their own.
 MAXIMUM_BYTES = 20_000_000
-_PART = 1 << 20
 COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 DECLARATION = re.compile(r"<\?xml\s.*?\?>", re.DOTALL)
 # Before a colon, in the name of an element or of an attribute.
@@ -87,17 +86,24 @@ def _quoted(value: Match[str]) -> str:
 
 
 def file_bytes(path: Path, most: int, error_kind: Type[LabError] = XmlError) -> bytes:
-    """Return what is in a file; raises `error_kind` if that is missing or over `most` bytes."""
+    """Return what is in a file; raises `error_kind` if that is missing or over `most` bytes.
+
+    A pipe or a device is refused: a simulation would wait for whoever writes into it.
+    """
     try:
-        with path.open("rb") as file:
-            # Python takes as much memory as a read may fill, however little there is to read.
-            parts = iter(partial(file.read, _PART), b"")
-            data = b"".join(islice(parts, most // _PART + 1))
+        with open(path, "rb", opener=_open_at_once) as file:
+            found = os.fstat(file.fileno())
+            if not stat.S_ISREG(found.st_mode):
+                raise error_kind(f"{path}: not a file")
+            if found.st_size > most:
+                raise error_kind(f"{path}: larger than {most} bytes")
+            return file.read()
     except OSError as error:
         raise error_kind(f"{path}: {error.strerror}") from error
-    if len(data) > most:
-        raise error_kind(f"{path}: larger than {most} bytes")
-    return data
+
+
+def _open_at_once(name: str, flags: int) -> int:
+    return os.open(name, flags | os.O_NONBLOCK)
 
 
 def read_text(path: Path) -> str:

@@ -1,6 +1,7 @@
 import contextlib
 import threading
 import time
+from concurrent.futures import Future
 
 import pytest
 
@@ -125,6 +126,28 @@ def test_who_advances_far_stops_nobody_else(running):
     assert_stands(run)
     thread.join(PATIENCE)
     assert ["time was stopped with" in str(error) for error in errors] == [True]
+
+
+def test_slow_steps_come_in_short_strides(running, monkeypatch):
+    monkeypatch.setattr(stepper_module, "LONGEST_STRIDE", 0.001)
+    run = running(paused=True)
+    run.simulation.every(1000.0, lambda _: time.sleep(0.002))
+    for steps in (1, 30):
+        run.stepper.advance_by(steps)
+    assert run.flushed == list(range(1, 32))
+
+
+def test_time_goes_on_however_fast_others_ask(running):
+    run = running()
+    asked = []
+
+    def ask_again():
+        asked.append(run.step)
+        if not run.over.is_set():
+            run.stepper._tasks.put((Future(), ask_again))
+
+    run.stepper.do(ask_again)
+    wait_for(lambda: asked[-1] > asked[0] + 1000)
 
 
 def test_tasks_run_in_the_thread_of_the_loop(running):

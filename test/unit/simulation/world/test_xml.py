@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -97,10 +98,11 @@ def test_a_huge_text_is_refused(monkeypatch, tmp_path):
         read_text(tmp_path / "huge")
 
 
-def test_a_file_without_end_is_not_read_to_its_end(monkeypatch):
-    monkeypatch.setattr(xml_input, "MAXIMUM_BYTES", 100)
-    with pytest.raises(XmlError, match="^/dev/zero: larger than 100 bytes$"):
-        read_text(Path("/dev/zero"))
+def test_nobody_is_waited_for_where_a_file_should_be(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero"), Path("/dev/tty")):
+        with pytest.raises(XmlError, match=f"^{path}: (not a file|No such device.*)$"):
+            read_text(path)
 
 
 def test_files_that_cannot_be_read(tmp_path):
