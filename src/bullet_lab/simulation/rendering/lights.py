@@ -30,7 +30,7 @@ PIXEL = {STILL: 0.0025, MOVING: 0.006}
 SIZES = {STILL: (256, 512, 1024, 2048, 4096), MOVING: (64, 128, 256, 512)}
 SPOT_SIZE = {STILL: 2048, MOVING: 512}
 # Across and ahead in the maps of a lamp.
-LAMP_AXES = np.eye(3)[[[1, 2, 0], [0, 2, 1], [0, 1, 2]]]
+LAMP_AXES = np.eye(3)[np.array([[1, 2, 0], [0, 2, 1], [0, 1, 2]])]
 # A surface is lifted by so many pixels of the map out of its own shadow.
 LIFT = 1.5
 # In m: what is larger, as a floor, throws its shadow within the map but does not make it larger.

@@ -1,0 +1,147 @@
+#!/usr/bin/env bash
+# Tries what can be tried elsewhere of the other platform, Ubuntu 20.04 with ROS in /opt/ros/noetic:
+# scripts/platform.sh [--sources DIR] [check …]; by default all checks, in build/platform.
+#
+#   resolve  everything that is asked for of PyPI is there for Python 3.8 and Ubuntu 20.04's glibc
+#   newest   the unit tests with Python 3.8 and the newest packages for it
+#   lowest   likewise, with the lowest versions that requirements.txt allows
+#   catkin   the build in a ROS that has gazebo_msgs, gazebo_ros, xacro … of its own
+#
+# Python 3.8 is $PYTHON38, or python3.8; uv looks for it and downloads it elsewhere. The packages
+# of catkin's check are copies of our stand-ins, but for those whose sources are in a folder of DIR.
+# What cannot be tried so is in docs/platforms.md.
+set -euo pipefail
+
+# shellcheck source=scripts/setup.sh
+source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
+
+PLATFORM=$LAB_ROOT/build/platform
+UV=$PLATFORM/tools/bin/uv
+CHECKS=(resolve newest lowest catkin)
+GLIBC=2_31
+# Of ROS's own packages, what they need of Debian's beside the standard library.
+ROS_NEEDS=(catkin_pkg netifaces pycryptodomex python-gnupg PyYAML rospkg)
+# They import tf2, which is C++ for the system's Python alone.
+NEED_TF2=(ros/gazebo/test_client.py ros/nodes/test_dock_messages.py)
+
+get_uv() {
+  [[ -x $UV ]] || { /usr/bin/python3 -m venv "$PLATFORM/tools" \
+    && "$PLATFORM/tools/bin/python" -m pip install --quiet uv; }
+}
+
+# ---- Python 3.8 ----
+
+check_resolve() {
+  get_uv
+  "$UV" pip compile --quiet --no-header --no-annotate --python-version 3.8 \
+    --python-platform "x86_64-manylinux_$GLIBC" "$LAB_ROOT"/requirements*.txt
+}
+
+check_newest() { test_with newest highest; }
+
+check_lowest() { test_with lowest lowest-direct; }
+
+# test_with NAME RESOLUTION: the unit tests in a virtual environment of their own.
+test_with() {
+  local venv=$PLATFORM/$1 ignored
+  get_uv
+  [[ -x $venv/bin/python ]] || "$UV" venv --quiet --python "${PYTHON38:-3.8}" "$venv"
+  "$UV" pip install --quiet --python "$venv" --resolution "$2" -r "$LAB_ROOT/requirements.txt"
+  "$UV" pip freeze --python "$venv" >"$PLATFORM/$1.txt"
+  "$UV" pip install --quiet --python "$venv" -c "$PLATFORM/$1.txt" \
+    pytest pytest-xdist psutil "${ROS_NEEDS[@]}"
+  link_ros
+  ignored=("${NEED_TF2[@]/#/--ignore=$LAB_ROOT/test/unit/}")
+  (
+    cd "$LAB_ROOT"
+    export PYTHONPATH=$LAB_WS/devel/lib/python3/dist-packages:$LAB_ROOT/src:$PLATFORM/ros
+    export ROS_PACKAGE_PATH=$LAB_ROOT:$LAB_ROS/share ROS_IP=127.0.0.1 PYTHONNOUSERSITE=1
+    export ROS_MASTER_URI=http://localhost:11311
+    "$venv/bin/python" -m pytest -q -n "${PLATFORM_WORKERS:-auto}" --dist loadfile -m "not long" \
+      -p no:cacheprovider "${ignored[@]}" test/unit
+  )
+}
+
+# ROS's packages in Python, without what else is where they are.
+link_ros() {
+  local folder name
+  rm -rf "$PLATFORM/ros"
+  mkdir -p "$PLATFORM/ros"
+  for folder in "$LAB_ROS"/lib/python3/dist-packages/*/; do
+    name=$(basename "$folder")
+    if [[ -e $LAB_ROS/share/$name/package.xml || -e $folder/msg || -e $folder/srv ]] \
+      || [[ $name =~ ^(catkin|cv_bridge|dynamic_reconfigure|genmsg|message_filters|ros.*|tf2_.*)$ ]]; then
+      ln -s "$folder" "$PLATFORM/ros/$name"
+    fi
+  done
+}
+
+# ---- A ROS with packages of its own ----
+
+# Those that we have stand-ins for, as a ROS has them: in its prefix, without this package.
+make_own_ros() {
+  local prefix=$1 sources=$2 folder name
+  rm -rf "$PLATFORM/own" "$prefix"
+  mkdir -p "$PLATFORM/own/src" "$prefix/bin"
+  for folder in "$LAB_ROOT"/stand_ins/*; do
+    name=$(basename "$folder")
+    if [[ -e $sources/$name/package.xml ]]; then
+      cp -rL "$sources/$name" "$PLATFORM/own/src/"
+    else
+      cp -rL "$folder" "$PLATFORM/own/src/"
+      sed -i '/bullet_lab<\/exec_depend>/d' "$PLATFORM/own/src/$name/package.xml"
+    fi
+  done
+  "$LAB_ROS/bin/catkin_make" -C "$PLATFORM/own" install -DCMAKE_INSTALL_PREFIX="$prefix" \
+    -DCATKIN_ENABLE_TESTING=OFF
+  ln -s "$LAB_ROS/bin/catkin_make" "$prefix/bin/"
+}
+
+check_catkin() (
+  use_lab_python
+  unset CMAKE_PREFIX_PATH ROS_PACKAGE_PATH
+  make_own_ros "$PLATFORM/noetic" "$SOURCES"
+  mkdir -p "$PLATFORM/lab/ws/src"
+  ln -sfn "$LAB_VENV" "$PLATFORM/lab/venv"
+  LAB_DIR=$PLATFORM/lab LAB_WS=$PLATFORM/lab/ws LAB_ROS=$PLATFORM/noetic
+  # setup.sh's own step.
+  step_build "catkin build" "$PLATFORM/lab/build.log"
+  enter_lab
+  [[ -z $(stand_ins) ]]
+  python "$LAB_ROOT/test/platform/own_packages.py" "$PLATFORM/noetic" "$LAB_ROOT/stand_ins"
+)
+
+# ---- Main ----
+
+try_check() {
+  local name=$1 log=$PLATFORM/$1.log start=$SECONDS
+  # In a shell of its own, where a failure ends it: not so in a condition.
+  if ! bash -c 'set -euo pipefail; source "$1"; SOURCES=$3; "check_$2"' check \
+    "${BASH_SOURCE[0]}" "$name" "$SOURCES" >"$log" 2>&1; then
+    tail -n 30 "$log" >&2
+    echo "$name: FAILED, $((SECONDS - start)) s; all of it is in $log"
+    return 1
+  fi
+  echo "$name: passed, $((SECONDS - start)) s"
+}
+
+platform() {
+  local failed=0 name
+  SOURCES=
+  if [[ ${1-} == --sources ]]; then
+    SOURCES=$(realpath -e "${2:?a folder}")
+    shift 2
+  fi
+  "$LAB_ROOT/scripts/setup.sh"
+  mkdir -p "$PLATFORM"
+  for name in "${@:-${CHECKS[@]}}"; do
+    if [[ " ${CHECKS[*]} " != *" $name "* ]]; then
+      echo "platform: there is no check '$name'; checks: ${CHECKS[*]}" >&2
+      exit 2
+    fi
+    try_check "$name" || failed=1
+  done
+  return "$failed"
+}
+
+[[ ${BASH_SOURCE[0]} != "$0" ]] || platform "$@"
