@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from fractions import Fraction
 
 from bullet_lab.errors import LabError
 
 STEPS_PER_SECOND = 1000
+# Hz; what comes once in thirty years is no rate.
+SLOWEST = 1e-9
 
 
 class ScheduleError(LabError):
@@ -22,7 +23,7 @@ class Schedule:
     than a period has passed, and so turns 20 Hz into 19.6 Hz.)
 
     Args:
-        rate: occurrences per second, in (0, 1000]; 0 means every step, as in Gazebo.
+        rate: occurrences per second, in [1e-9, 1000]; 0 means every step, as in Gazebo.
         start: step from which the periods are counted.
 
     Raises:
@@ -30,8 +31,9 @@ class Schedule:
     """
 
     def __init__(self, rate: float, start: int = 0):
-        if not (math.isfinite(rate) and 0.0 <= rate <= STEPS_PER_SECOND):
-            raise ScheduleError(f"a rate of {rate:g} Hz is not within 0 … {STEPS_PER_SECOND} Hz")
+        if rate != 0.0 and not SLOWEST <= rate <= STEPS_PER_SECOND:
+            allowed = f"{SLOWEST:g} … {STEPS_PER_SECOND} Hz"
+            raise ScheduleError(f"a rate of {rate:g} Hz is not within {allowed}")
         # A ratio of whole numbers, since sums of rounded periods would drift.
         period = STEPS_PER_SECOND / Fraction(rate or STEPS_PER_SECOND)
         self._numerator, self._denominator = period.numerator, period.denominator
