@@ -22,7 +22,11 @@ GLIBC=2_31
 # Of ROS's own packages, what they need of Debian's beside the standard library.
 ROS_NEEDS=(catkin_pkg netifaces pycryptodomex python-gnupg PyYAML rospkg)
 # They import tf2, which is C++ for the system's Python alone.
-NEED_TF2=(ros/gazebo/test_client.py ros/nodes/test_dock_messages.py)
+NEED_TF2=(
+  --ignore=test/unit/ros/gazebo/test_client.py
+  --ignore=test/unit/ros/nodes/test_dock_messages.py
+  --deselect=test/unit/ros/launcher/test_jobs.py::test_every_shipped_job_has_the_common_arguments_and_sound_defaults
+)
 
 get_uv() {
   [[ -x $UV ]] || { /usr/bin/python3 -m venv "$PLATFORM/tools" \
@@ -43,7 +47,7 @@ check_lowest() { test_with lowest lowest-direct; }
 
 # test_with NAME RESOLUTION: the unit tests in a virtual environment of their own.
 test_with() {
-  local venv=$PLATFORM/$1 ignored
+  local venv=$PLATFORM/$1
   get_uv
   [[ -x $venv/bin/python ]] || "$UV" venv --quiet --python "${PYTHON38:-3.8}" "$venv"
   "$UV" pip install --quiet --python "$venv" --resolution "$2" -r "$LAB_ROOT/requirements.txt"
@@ -51,14 +55,13 @@ test_with() {
   "$UV" pip install --quiet --python "$venv" -c "$PLATFORM/$1.txt" \
     pytest pytest-xdist psutil "${ROS_NEEDS[@]}"
   link_ros
-  ignored=("${NEED_TF2[@]/#/--ignore=$LAB_ROOT/test/unit/}")
   (
     cd "$LAB_ROOT"
     export PYTHONPATH=$LAB_WS/devel/lib/python3/dist-packages:$LAB_ROOT/src:$PLATFORM/ros
     export ROS_PACKAGE_PATH=$LAB_ROOT:$LAB_ROS/share ROS_IP=127.0.0.1 PYTHONNOUSERSITE=1
     export ROS_MASTER_URI=http://localhost:11311
     "$venv/bin/python" -m pytest -q -n "${PLATFORM_WORKERS:-auto}" --dist loadfile -m "not long" \
-      -p no:cacheprovider "${ignored[@]}" test/unit
+      -p no:cacheprovider "${NEED_TF2[@]}" test/unit
   )
 }
 
