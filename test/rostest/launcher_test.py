@@ -107,7 +107,8 @@ class LauncherTest(unittest.TestCase):
         out, temporary = self.folder / "out", self.folder / "tmp"
         temporary.mkdir()
         run = start(self.folder, "squares", f"out:={out}", "rtf:=1", TMPDIR=str(temporary))
-        wait_until((out / "paths.csv").is_file)
+        paths = out / "paths.csv"
+        wait_until(lambda: paths.is_file() and len(paths.read_text().splitlines()) > 2)
         run.kill()
         finish(run)
         wait_until(lambda: not processes_of(out) and not list(temporary.iterdir()))
