@@ -32,6 +32,7 @@ ROOMS = (
     "ros.view",
     "ros.record",
     "ros.launcher",
+    "ros.verify",
 )
 # Old names, and what is made by catkin.
 PASSED_OVER = ("moved", "msg", "srv")

@@ -19,6 +19,7 @@ from bullet_lab.core import parameters
 from bullet_lab.core.files import make_folder, replace_file, write_json
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
+from bullet_lab.ros.node.lock_step import time_held_at
 from bullet_lab.ros.node.node import NodeError, private_parameters, run_node, wait_until
 from bullet_lab.srv import SaveWorld
 
@@ -30,6 +31,9 @@ class SaveWorldParameters:
     path: str = parameters.text("", "file to write; the argument FILE if empty")
     summary: str = parameters.text("", "JSON file to write about it; none if empty")
     models: int = parameters.integer(0, "wait until there are so many models", minimum=0)
+    at: float = parameters.number(
+        0.0, "s; in lock step, the simulated time to save at", minimum=0.0
+    )
 
 
 def save_world(parameters: SaveWorldParameters) -> None:
@@ -42,7 +46,8 @@ def save_world(parameters: SaveWorldParameters) -> None:
     make_folder(path.parent)
     wait_until(lambda: _count() >= parameters.models, f"{parameters.models} models")
     # The bridge writes into its own folder only; this is the user's file.
-    saved = call("/bullet_lab/save_world", SaveWorld, str(path), True)
+    with time_held_at(rospy.Time(parameters.at)):
+        saved = call("/bullet_lab/save_world", SaveWorld, str(path), True)
     replace_file(path, lambda part: part.write_text(saved.text, encoding="utf-8"))
     if saved.status_message:
         rospy.logwarn("%s", saved.status_message)

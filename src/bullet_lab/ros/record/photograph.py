@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any, Callable, List, Optional
 
 import numpy as np
@@ -14,6 +15,7 @@ from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.messages.poses import pose_message
+from bullet_lab.ros.node.lock_step import publishers_know_this_node
 from bullet_lab.ros.node.publishers import subscriber
 
 NAME = "bullet_lab_photographer"
@@ -26,8 +28,10 @@ DISTANCE = 1.25 / math.sin(0.5 * FIELD_OF_VIEW * 0.75)
 CLEARANCE = 0.5
 # A thing without size is looked at from here, m.
 SMALLEST = 0.1
+# Wall seconds for a connection, or a picture that has been taken.
+LATEST = 2.0
 CAMERA = """<sdf version="1.6"><model name="{name}"><static>true</static><link name="link">
-  <sensor name="camera" type="camera"><update_rate>20</update_rate><camera>
+  <sensor name="camera" type="camera"><update_rate>2</update_rate><camera>
     <horizontal_fov>{fov}</horizontal_fov>
     <image><width>800</width><height>600</height><format>R8G8B8</format></image>
     <clip><near>{near}</near><far>{far}</far></clip>
@@ -59,7 +63,8 @@ def photograph(
 ) -> Optional[np.ndarray]:
     """Return a picture of what is in a box of the world (m), (h, w, 3) uint8, blue green red.
 
-    `wait` lets some time pass, `patience` times at most; None if no picture comes.
+    `wait` lets a twentieth of a second pass, and is called `patience` times, so that the world is
+    as far afterwards however long the picture takes; None if none comes.
     """
     distance = distance_to(least, greatest)
     near = CLEARANCE * distance
@@ -69,11 +74,18 @@ def photograph(
     call("/gazebo/spawn_sdf_model", srv.SpawnModel, NAME, text, "/", pose, "world")
     listener = subscriber(f"/{NAME}/image_raw", Image, pictures.append)
     try:
-        while not pictures and patience > 0:
+        _wait_until(lambda: listener.get_num_connections() and publishers_know_this_node())
+        for _ in range(patience):
             wait()
-            patience -= 1
+        _wait_until(lambda: pictures)
     finally:
         listener.unregister()
         if not rospy.is_shutdown():
             call("/gazebo/delete_model", srv.DeleteModel, NAME)
-    return pixels_of(pictures[-1], "bgr8") if pictures else None
+    return pixels_of(pictures[0], "bgr8") if pictures else None
+
+
+def _wait_until(holds: Callable[[], Any]) -> None:
+    deadline = time.monotonic() + LATEST
+    while not holds() and time.monotonic() < deadline and not rospy.is_shutdown():
+        rospy.rostime.wallsleep(0.01)

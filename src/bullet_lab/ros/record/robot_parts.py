@@ -170,6 +170,11 @@ def controllers(master: Master) -> List[Controller]:
     return found
 
 
+# Nothing is on its way any more if nothing has come for so many wall seconds; where time does not
+# stand still that is never so, and it is looked so often.
+QUIET, LOOKS = 0.2, 5
+
+
 class Listeners:
     """Counts what comes on a robot's topics, and keeps the first picture of each that has some.
 
@@ -190,7 +195,14 @@ class Listeners:
         return all(one.get_num_connections() > 0 for one in self._subscribers.values())
 
     def close(self) -> None:
-        """Listen no longer."""
+        """Take what was sent before and is still on its way, and listen no longer."""
+        before = -1
+        for _ in range(LOOKS):
+            heard = sum(count.messages for count in self._report.counts.values())
+            if heard == before:
+                break
+            before = heard
+            rospy.rostime.wallsleep(QUIET)
         for one in self._subscribers.values():
             one.unregister()
 

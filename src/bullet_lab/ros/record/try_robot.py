@@ -35,9 +35,9 @@ from bullet_lab.reports import Reading
 from bullet_lab.reports.robot import ODOMETRY, TRUTH, Leg, RobotReport, Way
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_of
-from bullet_lab.ros.node.lock_step import Rate
+from bullet_lab.ros.node.lock_step import Rate, publishers_know_this_node
 from bullet_lab.ros.node.node import NodeError, node
-from bullet_lab.ros.node.odometry import planar_pose
+from bullet_lab.ros.node.odometry import NewestOdometry, planar_pose
 from bullet_lab.ros.node.publishers import publisher
 from bullet_lab.ros.record.photograph import photograph
 from bullet_lab.ros.record.recorder import RecordParameters, save_figures, save_summary
@@ -193,16 +193,17 @@ class Trial:
         topics = topics_of(model, answer.models, master)
         self._report = RobotReport(Path(parameters.out), robot, topics)
         self._report.about = parameters.about
-        self._odometry: Optional[PlanarPose] = None
+        self._odometry = NewestOdometry(robot.odometry) if robot.odometry else None
         self._rate: Optional[Rate] = None
+        self._connected_since = time.monotonic()
         self._listeners = Listeners(self._report, self._now, self._take_odometry)
+        if robot.drive:
+            self._velocities = publisher(robot.drive, Twist, 10)
         self._ways: List[Tuple[str, Way]] = []
         self._state = rospy.ServiceProxy(
             "/gazebo/get_model_state", srv.GetModelState, persistent=True
         )
-        if robot.drive:
-            self._velocities = publisher(robot.drive, Twist, 10)
-        self._rate = Rate(COMMANDS, self._listeners.are_connected, "what the robot speaks on")
+        self._rate = Rate(COMMANDS, self._is_heard, "what the robot speaks on")
 
     def run(self) -> None:
         """Do all of it, and write what came of it; on Ctrl-C as far as it went."""
@@ -236,6 +237,14 @@ class Trial:
             self._report.picture = photograph(*box, self._rate.sleep, round(COMMANDS * STAND))
         except LabError as error:
             rospy.logwarn("there is no picture of the robot: %s", error)
+
+    def _is_heard(self) -> bool:
+        """Whether all is connected, at both ends; others' nodes may not tell of theirs."""
+        if not self._listeners.are_connected():
+            self._connected_since = time.monotonic()
+            return False
+        waited = time.monotonic() - self._connected_since
+        return waited > SETTLED or publishers_know_this_node()
 
     def _now(self) -> int:
         # What was said before, and is kept for who comes later, comes before the first tick.
@@ -288,16 +297,23 @@ class Trial:
         _, _, upright = pose.rotate((0.0, 0.0, 1.0))
         self._report.tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, upright))))
         self._report.take(TRUTH, Reading(self._now(), (x, y, yaw)))
-        known = {TRUTH: (x, y, yaw), ODOMETRY: self._odometry}
+        known = {TRUTH: (x, y, yaw), ODOMETRY: self._newest_odometry()}
         for name, way in self._ways:
             if known[name] is not None:
                 way.add(known[name])
 
+    def _newest_odometry(self) -> Optional[PlanarPose]:
+        """What the odometry says by now; None, and from then on, where it says nothing."""
+        try:
+            return None if self._odometry is None else self._odometry.newest(self._rate.now)
+        except NodeError:
+            self._odometry = None
+            return None
+
     def _take_odometry(self, message: Odometry) -> None:
         with contextlib.suppress(LabError):
-            self._odometry = planar_pose(message)
             stamp = message.header.stamp.to_nsec()
-            self._report.take(ODOMETRY, Reading(stamp, self._odometry))
+            self._report.take(ODOMETRY, Reading(stamp, planar_pose(message)))
 
 
 def _is_enough(ways, quantity: str, asked: float) -> bool:

@@ -1,0 +1,7 @@
+#!/usr/bin/env python3
+"""Run the study; see bullet_lab.ros.verify.study. No ROS master is needed."""
+
+from bullet_lab.entry import run
+
+if __name__ == "__main__":
+    run("bullet_lab.ros.verify.study")

@@ -1,0 +1,1 @@
+"""Whether jobs repeat: on this machine to the byte, elsewhere as a page says."""

@@ -1,0 +1,32 @@
+"""A soak of a minute, in two halves: nothing ends, and it goes on where it was."""
+
+import csv
+import json
+import subprocess
+from pathlib import Path
+
+SOAK = Path(__file__).resolve().parents[2] / "scripts" / "soak.sh"
+SECONDS = 900
+
+
+def soak(folder, hours):
+    done = subprocess.run(
+        [str(SOAK), "--hours", str(hours), "--out", str(folder)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=SECONDS,
+    )
+    assert done.returncode == 0, done.stdout
+    return json.loads((folder / "summary.json").read_text())
+
+
+def test_a_soak_of_a_minute(tmp_path):
+    soak(tmp_path, 0.5 / 60)
+    summary = soak(tmp_path, 1 / 60)
+    assert summary["segments"] == 2
+    assert summary["hours"] >= 0.98 / 60
+    assert summary["done"]
+    with (tmp_path / "samples.csv").open() as file:
+        assert {row["segment"] for row in csv.DictReader(file)} == {"1", "2"}
+    assert (tmp_path / "soak.png").stat().st_size

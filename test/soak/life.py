@@ -1,0 +1,166 @@
+"""What happens in a soak: models, robots, subscribers and nodes that come and go, and resets."""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections import Counter
+from typing import Any, List, Tuple
+
+import numpy as np
+import rospy
+from bullet_lab.msg import MarkerDetectionArray
+from gazebo_msgs.msg import ModelState, ModelStates
+from geometry_msgs.msg import Point, Pose, Quaternion
+from lab import Lab
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Image, Imu, LaserScan
+from std_srvs.srv import Empty
+from visualization_msgs.msg import MarkerArray
+
+from bullet_lab.ros.messages.gazebo_types import srv
+from bullet_lab.simulation.world.resources import package_share
+
+INCLUDE = '<sdf version="1.6"><include><uri>model://{}</uri></include></sdf>'
+MODELS = ("beacon", "marker_panel", "docking_station_nested")
+ROBOTS = ("block_robot", "sensor_robot", "camera_robot")
+TOPICS: Tuple[Tuple[str, type], ...] = (
+    ("odom", Odometry),
+    ("noisy_odom", Odometry),
+    ("mycamera/image_raw", Image),
+    ("detections", MarkerDetectionArray),
+    ("/gazebo/model_states", ModelStates),
+    ("/bullet_lab/world", MarkerArray),
+    ("guest/odom", Odometry),
+    ("guest/scan", LaserScan),
+    ("guest/imu", Imu),
+    ("guest/mycamera/image_raw", Image),
+)
+MOST_MODELS, MOST_SUBSCRIBERS = 6, 5
+GUEST = "guest"
+# Chances of what happens in a simulated second.
+CHANCES = {
+    "model": 0.25,
+    "no_model": 0.25,
+    "move": 0.1,
+    "robot": 0.04,
+    "no_robot": 0.04,
+    "listen": 0.12,
+    "no_listen": 0.12,
+    "visit": 0.008,
+    "no_visit": 0.008,
+    "reset_world": 0.01,
+    "reset_simulation": 0.003,
+}
+
+
+class Life:
+    """Does one thing after the other, drawn by a generator.
+
+    Attributes:
+        done: how often what was done.
+    """
+
+    def __init__(self, lab: Lab, random: np.random.Generator):
+        self._lab, self._random = lab, random
+        self.done: Counter = Counter()
+        self._models: List[str] = []
+        self._subscribers: List[rospy.Subscriber] = []
+        self._guest = False
+        self._before, self._seconds = 0.0, 0.0
+        proxy = rospy.ServiceProxy
+        self._properties = proxy("/gazebo/get_world_properties", srv.GetWorldProperties)
+        self._spawn_sdf = proxy("/gazebo/spawn_sdf_model", srv.SpawnModel)
+        self._spawn_urdf = proxy("/gazebo/spawn_urdf_model", srv.SpawnModel)
+        self._delete = proxy("/gazebo/delete_model", srv.DeleteModel)
+        self._set_state = proxy("/gazebo/set_model_state", srv.SetModelState)
+        self._resets = {
+            n: proxy(f"/gazebo/{n}", Empty) for n in ("reset_world", "reset_simulation")
+        }
+
+    def seconds(self) -> float:
+        """Return the simulated seconds since the beginning, resets or not."""
+        now = self._properties().sim_time
+        self._seconds += now - self._before
+        self._before = now
+        return self._seconds
+
+    def go_on(self) -> None:
+        """Do what happens in one second."""
+        for name, chance in CHANCES.items():
+            if self._random.random() < chance and getattr(self, f"_{name}")():
+                self.done[name] += 1
+
+    def _model(self) -> bool:
+        if len(self._models) >= MOST_MODELS:
+            return False
+        name = f"model{self.done['model']}"
+        text = INCLUDE.format(self._random.choice(MODELS))
+        return self._spawned(self._spawn_sdf, name, text) and not self._models.append(name)
+
+    def _no_model(self) -> bool:
+        if not self._models:
+            return False
+        name = self._models.pop(self._random.integers(len(self._models)))
+        return self._delete(name).success
+
+    def _move(self) -> bool:
+        if not self._models:
+            return False
+        name = self._models[self._random.integers(len(self._models))]
+        return self._set_state(ModelState(model_name=name, pose=self._pose())).success
+
+    def _robot(self) -> bool:
+        if self._guest:
+            return False
+        text = (package_share() / "urdf" / f"{self._random.choice(ROBOTS)}.urdf").read_text()
+        self._guest = self._spawned(self._spawn_urdf, GUEST, text)
+        return self._guest
+
+    def _no_robot(self) -> bool:
+        was, self._guest = self._guest, False
+        return was and self._delete(GUEST).success
+
+    def _listen(self) -> bool:
+        if len(self._subscribers) >= MOST_SUBSCRIBERS:
+            return False
+        topic, kind = TOPICS[self._random.integers(len(TOPICS))]
+        self._subscribers.append(rospy.Subscriber(topic, kind, _passed_over, queue_size=1))
+        return True
+
+    def _no_listen(self) -> bool:
+        if not self._subscribers:
+            return False
+        self._subscribers.pop(self._random.integers(len(self._subscribers))).unregister()
+        return True
+
+    def _visit(self) -> bool:
+        self._lab.visit()
+        return True
+
+    def _no_visit(self) -> bool:
+        return self._lab.end_visit(self._random.choice([signal.SIGINT, signal.SIGKILL]))
+
+    def _reset_world(self) -> bool:
+        self._resets["reset_world"]()
+        return True
+
+    def _reset_simulation(self) -> bool:
+        self.seconds()
+        self._resets["reset_simulation"]()
+        self._before = 0.0
+        return True
+
+    def _spawned(self, spawn: rospy.ServiceProxy, name: str, text: str) -> bool:
+        return spawn(name, text, name, self._pose(), "").success
+
+    def _pose(self) -> Pose:
+        # Around the square that is driven, and in sight of the camera.
+        angle, distance = self._random.uniform(-math.pi, math.pi), self._random.uniform(3.0, 6.0)
+        turn = 0.5 * self._random.uniform(-math.pi, math.pi)
+        where = Point(distance * math.cos(angle), distance * math.sin(angle), 0.0)
+        return Pose(where, Quaternion(0.0, 0.0, math.sin(turn), math.cos(turn)))
+
+
+def _passed_over(_message: Any) -> None:
+    pass

@@ -1,0 +1,242 @@
+"""Has a lab live for hours of simulated time, and looks whether it grows; see scripts/soak.sh.
+
+A camera robot drives squares in lock step with noisy odometry and a marker detector, while models,
+robots with lasers, subscribers and nodes come and go, and the world and time are reset. What the
+nodes take of the machine is sampled into samples.csv; a soak that was stopped goes on in another
+segment, with nodes of its own. Slopes are judged within segments, after the first quarter of each.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, Sequence
+
+import numpy as np
+import rospy
+from lab import NODES, Lab
+from life import Life
+from slope import Slope, slope
+from tqdm import tqdm
+
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    VERMILION,
+    new_figure,
+    save,
+)
+from bullet_lab.core.files import write_json
+from bullet_lab.ros.launcher.supervision import prepare_master
+
+TAKEN = ("mb", "descriptors", "threads")
+UNITS = {"mb": "memory (MB)", "descriptors": "descriptors", "threads": "threads"}
+MOST_GROWTH = {"mb": 1.0, "descriptors": 1.0, "threads": 1.0}
+"""In an hour of simulated time."""
+
+COLUMNS = ("segment", "hours", "speed", *(f"{n}_{what}" for n in NODES for what in TAKEN))
+COLOURS = (VERMILION, BLUE, GREEN, ORANGE, PURPLE, BLACK)
+# Simulated seconds between samples, of long soaks; short ones have so many samples at least.
+SAMPLE_SECONDS, FEWEST_SAMPLES = 10.0, 60
+# Simulated seconds between lines, where there is no terminal for a bar.
+TELL_SECONDS = 900.0
+# Wall seconds without a simulated one.
+PATIENCE = 60.0
+FLAT, GROWS, OPEN = "flat", "grows", "open"
+
+
+class Samples:
+    """Rows of samples.csv, those of earlier segments among them."""
+
+    def __init__(self, path: Path):
+        self._path = path
+        self.rows: List[Dict[str, float]] = []
+        if path.exists():
+            with path.open() as file:
+                # The last one may have been cut.
+                rows = [row for row in csv.DictReader(file) if None not in row.values()]
+            self.rows = [{name: float(value) for name, value in row.items()} for row in rows]
+            if self.rows and tuple(self.rows[0]) != COLUMNS:
+                sys.exit(f"soak.sh: {path} has other columns: choose another --out")
+        self._write("w", [COLUMNS, *(row.values() for row in self.rows)])
+
+    @property
+    def hours(self) -> float:
+        """How long it has been simulated."""
+        return self.rows[-1]["hours"] if self.rows else 0.0
+
+    @property
+    def segment(self) -> int:
+        """The number of the next segment, from 1 on."""
+        return int(self.rows[-1]["segment"]) + 1 if self.rows else 1
+
+    def add(self, *values: float) -> None:
+        """Append a row."""
+        self.rows.append(dict(zip(COLUMNS, values)))
+        self._write("a", [values])
+
+    def column(self, name: str) -> np.ndarray:
+        """Return a column."""
+        return np.array([row[name] for row in self.rows])
+
+    def slope(self, values: np.ndarray) -> Slope:
+        """How much a column grows in an hour."""
+        return slope(self.column("hours"), values, self.column("segment"))
+
+    def _write(self, mode: str, rows: Sequence[Sequence[Any]]) -> None:
+        with self._path.open(mode, newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
+
+
+def live(samples: Samples, hours: float, seed: int, folder: Path) -> Dict[str, Any]:
+    """Have a lab live until so many hours have been simulated; return what happened."""
+    segment, before = samples.segment, samples.hours
+    lab = Lab(folder, seed)
+    failures: List[str] = []
+    life = Life(lab, np.random.default_rng([seed, segment]))
+    try:
+        for taken in _seconds(life, lab, 3600.0 * (hours - before), failures):
+            samples.add(segment, before + taken[0] / 3600.0, *taken[1:])
+    except (rospy.ServiceException, rospy.ROSException) as error:
+        failures.append(f"the bridge does not answer: {error}")
+    except KeyboardInterrupt:
+        print("stopped: what was sampled is kept, and the same command goes on", flush=True)
+    finally:
+        failures += lab.dead()
+        lab.end()
+    return {"done": dict(life.done), "failures": failures + lab.tracebacks()}
+
+
+def _seconds(life: Life, lab: Lab, most: float, failures: List[str]) -> Iterator[List[float]]:
+    """Live second by second; yield what is sampled: seconds, speed, and what nodes take."""
+    period = min(SAMPLE_SECONDS, most / FEWEST_SAMPLES)
+    acted = sampled = life.seconds()
+    start, wall, moved, told = acted, time.monotonic(), time.monotonic(), 0
+    with tqdm(total=round(most), unit="s", desc="simulated", disable=None, smoothing=0.01) as bar:
+        while not lab.dead():
+            now = life.seconds()
+            if now >= acted + 1.0:
+                life.go_on()
+                acted, moved = now, time.monotonic()
+            elif time.monotonic() > moved + PATIENCE:
+                failures.append(f"simulated time has stood still for {PATIENCE:.0f} s")
+                return
+            if now >= sampled + period:
+                speed = (now - sampled) / (time.monotonic() - wall)
+                yield [now - start, speed, *itertools.chain(*lab.taken().values())]
+                bar.update(min(round(now - start), bar.total) - bar.n)
+                sampled, wall = now, time.monotonic()
+                if bar.disable and (now - start) // TELL_SECONDS > told:
+                    told += 1
+                    print(f"{(now - start) / 3600.0:.2f} h simulated", flush=True)
+            if now >= start + most:
+                return
+            time.sleep(0.02)
+
+
+def judged(found: Slope, most: float) -> str:
+    """Say whether a slope shows growth beyond what is allowed, or that there is none."""
+    if found.high < most:
+        return FLAT
+    return GROWS if found.low > most else OPEN
+
+
+def verdicts(samples: Samples) -> Dict[str, Dict[str, Any]]:
+    """Judge the memory of all nodes together, and what each of them takes."""
+    columns = {f"{n} {w}": samples.column(f"{n}_{w}") for n in NODES for w in TAKEN}
+    columns["all mb"] = sum(samples.column(f"{name}_mb") for name in NODES)
+    found = {}
+    for name, values in columns.items():
+        rise, most = samples.slope(values), MOST_GROWTH[name.split()[1]]
+        numbers = {k: v if math.isfinite(v) else None for k, v in rise._asdict().items()}
+        last = float(values[-1]) if len(values) else None
+        found[name] = {"last": last, "per_hour": numbers, "verdict": judged(rise, most)}
+    return found
+
+
+def figure(samples: Samples, title: str) -> Any:
+    """Draw memory, descriptors, threads and speed over time."""
+    drawing = new_figure(9.0, 10.0)
+    axes = drawing.subplots(4, sharex=True)
+    hours, segments = samples.column("hours"), samples.column("segment")
+    begins = hours[np.flatnonzero(np.diff(segments)) + 1]
+    for what, ax in zip(TAKEN, axes):
+        for name, colour in zip(NODES, COLOURS):
+            ax.plot(hours, samples.column(f"{name}_{what}"), color=colour, lw=1.0, label=name)
+        ax.set(ylabel=UNITS[what])
+        ax.set_ylim(bottom=0.0)
+    axes[3].plot(hours, samples.column("speed"), color=GREY, lw=0.8)
+    axes[3].set(ylabel="times real time", xlabel="simulated time (h)")
+    axes[3].set_ylim(bottom=0.0)
+    for ax in axes:
+        ax.grid(alpha=0.3)
+        for begin in begins:
+            ax.axvline(begin, color=BLACK, lw=0.8, ls=":")
+    axes[0].legend(ncol=3, fontsize="small", loc="lower right")
+    axes[0].set_title(title, fontsize="medium")
+    drawing.tight_layout()
+    return drawing
+
+
+def in_words(found: Dict[str, Any]) -> str:
+    """Say of a verdict what it is from."""
+    value, low, high = found["per_hour"].values()
+    if value is None:
+        return "too short to tell"
+    return f"{value:+.2f} [{low:+.2f}, {high:+.2f}] in an hour: {found['verdict']}"
+
+
+def main() -> None:
+    """Soak; status 1 where something grows or fails."""
+    parser = argparse.ArgumentParser(prog="soak.sh", description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--hours", type=float, default=1.0, help="simulated, earlier segments counted"
+    )
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("results/soak"))
+    wanted = parser.parse_args()
+    folder = wanted.out.absolute()
+    (folder / "log").mkdir(parents=True, exist_ok=True)
+    samples = Samples(folder / "samples.csv")
+    began = time.monotonic()
+    happened: Dict[str, Any] = {"done": {}, "failures": []}
+    if samples.hours < wanted.hours:
+        prepare_master()
+        rospy.init_node("soak", disable_signals=True)
+        rospy.set_param("/use_sim_time", True)
+        happened = live(samples, wanted.hours, wanted.seed, folder / "log")
+    found = verdicts(samples)
+    everything = found["all mb"]
+    said = f"memory of all nodes, MB after the first quarter: {in_words(everything)}"
+    save(figure(samples, f"{samples.hours:.2f} h simulated; {said}"), folder / "soak.png")
+    summary = {
+        "seed": wanted.seed,
+        "hours": samples.hours,
+        "segments": samples.segment - 1,
+        "wall_time_s": time.monotonic() - began,
+        **happened,
+        "verdict": everything["verdict"],
+        "columns": found,
+    }
+    write_json(folder / "summary.json", summary)
+    for name in NODES:
+        print(f"{name:16} " + "; ".join(f"{w} {in_words(found[f'{name} {w}'])}" for w in TAKEN))
+    grown = [name for name, one in found.items() if one["verdict"] == GROWS]
+    for failure in [*happened["failures"], *(f"{name} grows" for name in grown)]:
+        print(failure)
+    print(f"{samples.hours:.2f} h in {samples.segment - 1} segments, slopes are within them")
+    print(f"{said}; see {wanted.out}")
+    sys.exit(1 if grown or happened["failures"] else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+"""Results are told apart by their bytes, and compared with references by their numbers."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from bullet_lab.ros.launcher.jobs import find_jobs, read_assignments
+from bullet_lab.ros.verify.fingerprints import Fingerprint, FingerprintError
+from bullet_lab.ros.verify.references import (
+    PLAN,
+    REFERENCES,
+    Plan,
+    References,
+    ReferencesError,
+    this_machine,
+)
+from bullet_lab.ros.verify.study import NAME, Row, compared, table
+
+PACKAGE = Path(__file__).resolve().parents[4]
+JOBS = find_jobs(PACKAGE)
+
+
+def of(tmp_path, name, text, **more):
+    path = tmp_path / name
+    path.write_text(text)
+    return Fingerprint.of(path, **more)
+
+
+def test_a_table_is_its_columns(tmp_path):
+    found = of(tmp_path, "a.csv", "stamp,x,word\n0.0,1.0,go\n1.0,3.0,\n2.0,inf,go\n")
+    assert [found.numbers[f"x {what}"] for what in ("count", "mean", "std")] == [2, 2, 1]
+    assert found.numbers["stamp std"] == pytest.approx(np.sqrt(2 / 3))
+    assert not [name for name in found.numbers if "word" in name]
+    assert found == of(tmp_path, "b.csv", "stamp,x,word\n0.0,1.0,go\n1.0,3.0,\n2.0,inf,go\n")
+    assert (
+        found.hash
+        != of(tmp_path, "c.csv", "stamp,x,word\n0.0,1.0,go\n1.0,3.0,x\n2.0,inf,go\n").hash
+    )
+
+
+def test_a_path_is_its_columns(tmp_path):
+    found = of(tmp_path, "a.tum", "0 1 2 0 0 0 0 1\n1 3 2 0 0 0 0 1\n")
+    assert (found.numbers["x mean"], found.numbers["y std"], found.numbers["qw mean"]) == (2, 0, 1)
+
+
+def test_json_is_compared_but_for_what_the_clock_says(tmp_path):
+    def of_run(**more):
+        run = {"docked": True, "run": {"sim_time_s": 2, **more}, "world": "w", "at": [1, 3]}
+        return of(tmp_path, "a.json", json.dumps(run))
+
+    found = of_run(wall_time_s=1.0)
+    assert found == of_run(wall_time_s=2.0, real_time_factor=3.0)
+    assert found != of_run(steps=1)
+    assert (found.numbers["docked"], found.numbers["run.sim_time_s"]) == (1, 2)
+    assert [found.numbers[f"at {what}"] for what in ("count", "mean", "std")] == [2, 2, 1]
+    assert len(found.numbers) == 5
+
+
+def test_a_picture_is_its_channels(tmp_path):
+    pixels = np.zeros((4, 6, 3), dtype=np.uint8)
+    pixels[:2, :, 0] = 200
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    numbers = Fingerprint.of(tmp_path / "a.png").numbers
+    assert (numbers["width"], numbers["height"]) == (6, 4)
+    assert (numbers["red mean"], numbers["red std"], numbers["blue mean"]) == (100, 100, 0)
+
+
+def test_any_other_file_is_the_numbers_in_it(tmp_path):
+    found = of(tmp_path, "a.world", "<pose>1 -2.5 3e-1 box2</pose>")
+    assert found.numbers["numbers count"] == 3
+    assert found.numbers["numbers mean"] == -0.4
+
+
+def test_what_is_no_json_is_refused(tmp_path):
+    with pytest.raises(FingerprintError, match=r"cannot read .*a\.json"):
+        of(tmp_path, "a.json", "{")
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "reference", "tolerance", "row"),
+    [
+        (("a", 1.0), ("a", 1.0), ("a", 1.0), 0.0, (True, "same", 0.0, True)),
+        (("a", 1.0), ("b", 1.0), ("a", 1.0), 0.0, (False, "same", 0.0, False)),
+        (("a", 1.0), ("a", 1.0), ("b", 1.25), 0.3, (True, "within", 0.2, True)),
+        (("a", 1.0), ("a", 1.0), ("b", 1.25), 0.1, (True, "differs", 0.2, False)),
+        (("a", 1.0), ("a", 1.0), ("b", 1.0), 0.0, (True, "differs", 0.0, False)),
+        (("a", 1.0), ("a", 1.0), None, 0.0, (True, "none", None, True)),
+        (("a", 1.0), None, ("a", 1.0), 0.0, (False, "same", 0.0, False)),
+        (None, None, ("a", 1.0), 0.0, (False, "differs", None, False)),
+    ],
+)
+def test_a_result_is_compared(first, second, reference, tolerance, row):
+    def results(of_one):
+        return {"x.csv": Fingerprint(of_one[0], {"x": of_one[1]})} if of_one else {}
+
+    found = list(compared("j", Plan("", tolerance), *map(results, (first, second, reference))))
+    assert [(r.twice, r.reference, r.difference, r.good) for r in found] == [row]
+
+
+def test_the_table_shows_what_is_wrong():
+    rows = [Row("squares", "odom.tum", False, "differs", 0.5, "x mean"), Row("dock", "a", True)]
+    assert list(table(rows)) == [
+        "job      file      twice    reference  largest difference",
+        "squares  odom.tum  DIFFERS  DIFFERS    5.0e-01 of x mean",
+        "dock     a         same     none",
+    ]
+
+
+def test_references_are_read_as_written(tmp_path):
+    known = References(this_machine(), {"squares": {"a.csv": Fingerprint("ab", {"x": 1.0})}})
+    known.write(tmp_path / "a.json")
+    assert References.read(tmp_path / "a.json") == known
+    assert known.elsewhere() == []
+    assert len(References({"python": "2"}, {}).elsewhere()) == len(this_machine())
+    (tmp_path / "a.json").write_text("[]")
+    with pytest.raises(ReferencesError, match=r"cannot use .*a\.json"):
+        References.read(tmp_path / "a.json")
+
+
+def test_each_job_has_references_and_each_plan_a_job():
+    """A new job gets its references by: scripts/run.sh verify jobs:=NAME renew:=true."""
+    others = set(JOBS) - {NAME}
+    assert set(References.read(PACKAGE / REFERENCES).files) == others
+    assert set(yaml.safe_load((PACKAGE / PLAN).read_text())) <= others
+    for job in others:
+        read_assignments(JOBS[job], Plan.of(job, PACKAGE).words.split())
