@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Measures how fast the lab is:
-#   scripts/bench.sh [bridge|noise|laser|camera|aruco|detectors|world|dock|robots|models|relay|view] [option …]
+#   scripts/bench.sh [bridge|noise|laser|camera|aruco|detectors|world|dock|robots|models|relay|view|processors] [option …]
 #   bridge (default)  the bridge beside the bare engine: --rounds N, --seconds S
 #   noise             noisy paths by the thousand beside the per-message loop: --rounds N, --paths N
 #   camera            frames beside bare ones, 30 Hz with aruco.py: --frames N, --seconds S
@@ -12,6 +12,7 @@
 #   robots            speed against the number of robots: --rounds N, --seconds S (simulated)
 #   models            speed against the number of models: the same
 #   relay             squares in lock step with and without a relay in between: --rounds N, --sides N
+#   processors        which results have other bits as an older processor would compute them
 #   view              what the world in a browser costs: --robots N, --seconds S, --rounds N
 # Prints a table and writes results/bench/bench.json, or noise.json and so on. No part of the tests.
 set -euo pipefail
@@ -55,6 +56,10 @@ main() {
       bench=relay out=relay
       shift
       ;;
+    processors)
+      bench=processors out=processors
+      shift
+      ;;
     view)
       bench=view out=view
       shift
@@ -66,7 +71,7 @@ main() {
     -* | "") ;;
     *)
       echo "bench.sh: there is no bench '$1'; benches: bridge, noise, laser, camera, aruco," \
-        "detectors, world, dock, robots, models, relay, view" >&2
+        "detectors, world, dock, robots, models, relay, view, processors" >&2
       exit 2
       ;;
   esac

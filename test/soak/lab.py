@@ -54,6 +54,8 @@ class Lab:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env={**os.environ, "PYTHONFAULTHANDLER": "1"},
+                # Ctrl-C is for whoever looks after it.
+                start_new_session=True,
             )
 
     def taken(self) -> Dict[str, Tuple[float, int, int]]:

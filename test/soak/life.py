@@ -69,7 +69,9 @@ class Life:
         self._guest = False
         self._before, self._seconds = 0.0, 0.0
         proxy = rospy.ServiceProxy
-        self._properties = proxy("/gazebo/get_world_properties", srv.GetWorldProperties)
+        self._properties = proxy(
+            "/gazebo/get_world_properties", srv.GetWorldProperties, persistent=True
+        )
         self._spawn_sdf = proxy("/gazebo/spawn_sdf_model", srv.SpawnModel)
         self._spawn_urdf = proxy("/gazebo/spawn_urdf_model", srv.SpawnModel)
         self._delete = proxy("/gazebo/delete_model", srv.DeleteModel)

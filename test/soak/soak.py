@@ -37,6 +37,7 @@ from bullet_lab.core.figures import (
 )
 from bullet_lab.core.files import write_json
 from bullet_lab.ros.launcher.supervision import prepare_master
+from bullet_lab.studies.study import interrupt_once
 
 TAKEN = ("mb", "descriptors", "threads")
 UNITS = {"mb": "memory (MB)", "descriptors": "descriptors", "threads": "threads"}
@@ -107,11 +108,12 @@ def live(samples: Samples, hours: float, seed: int, folder: Path) -> Dict[str, A
         for taken in _seconds(life, lab, 3600.0 * (hours - before), failures):
             samples.add(segment, before + taken[0] / 3600.0, *taken[1:])
     except (rospy.ServiceException, rospy.ROSException) as error:
-        failures.append(f"the bridge does not answer: {error}")
+        failures += [f"the bridge does not answer: {error}", *lab.dead()]
     except KeyboardInterrupt:
         print("stopped: what was sampled is kept, and the same command goes on", flush=True)
-    finally:
+    else:
         failures += lab.dead()
+    finally:
         lab.end()
     return {"done": dict(life.done), "failures": failures + lab.tracebacks()}
 
@@ -140,7 +142,7 @@ def _seconds(life: Life, lab: Lab, most: float, failures: List[str]) -> Iterator
                     print(f"{(now - start) / 3600.0:.2f} h simulated", flush=True)
             if now >= start + most:
                 return
-            time.sleep(0.02)
+            time.sleep(0.05)
 
 
 def judged(found: Slope, most: float) -> str:
@@ -213,6 +215,7 @@ def main() -> None:
         prepare_master()
         rospy.init_node("soak", disable_signals=True)
         rospy.set_param("/use_sim_time", True)
+        interrupt_once()
         happened = live(samples, wanted.hours, wanted.seed, folder / "log")
     found = verdicts(samples)
     everything = found["all mb"]

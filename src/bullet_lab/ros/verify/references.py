@@ -41,12 +41,12 @@ class Plan:
     """
 
     words: str = ""
-    tolerance: float = 0.0
+    tolerance: float = 1e-6
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     @staticmethod
     def of(job: str, package: Path) -> Plan:
-        """Read the plan of a job; one that has none is run as by default, and compared exactly."""
+        """Read the plan of a job; one that has none is run as by default."""
         path = package / PLAN
         try:
             return Plan(**yaml.safe_load(path.read_text()).get(job, {}))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import shlex
 import shutil
 from collections import Counter
 from dataclasses import asdict, dataclass
@@ -117,7 +118,7 @@ def _run_twice(
     """Run each job twice; return what came out by the job, and rows for those that failed."""
     runs = []
     for job in jobs:
-        words = plans[job.name].words.split()
+        words = shlex.split(plans[job.name].words)
         read_assignments(job, words)
         runs += [Run(job.name, words, part / "runs" / job.name / time) for time in TIMES]
     at_once = settings.workers or len(os.sched_getaffinity(0))

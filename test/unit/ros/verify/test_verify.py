@@ -1,6 +1,7 @@
 """Results are told apart by their bytes, and compared with references by their numbers."""
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -127,4 +128,4 @@ def test_each_job_has_references_and_each_plan_a_job():
     assert set(References.read(PACKAGE / REFERENCES).files) == others
     assert set(yaml.safe_load((PACKAGE / PLAN).read_text())) <= others
     for job in others:
-        read_assignments(JOBS[job], Plan.of(job, PACKAGE).words.split())
+        read_assignments(JOBS[job], shlex.split(Plan.of(job, PACKAGE).words))
