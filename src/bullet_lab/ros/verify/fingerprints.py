@@ -19,6 +19,9 @@ from bullet_lab.errors import LabError
 OF_THE_CLOCK = ("wall_time_s", "real_time_factor")
 """Keys of JSON files whose values tell how fast it went: those are left out."""
 
+MOST_COLUMNS = 100
+"""Of a table with more, such as a laser's, all of them are one."""
+
 _DIGITS = 9
 _HASH_DIGITS = 16
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.])")
@@ -139,6 +142,8 @@ def _picture(path: Path, _left_out: Sequence[str]) -> _Content:
 
 def _columns(columns: Mapping[str, Iterable[Any]]) -> Dict[str, float]:
     """Summaries of columns by their names; entries that are no finite numbers are left out."""
+    if len(columns) > MOST_COLUMNS:
+        columns = {"all columns": [entry for column in columns.values() for entry in column]}
     numbers: Dict[str, float] = {}
     for name, column in columns.items():
         entries = [number for number in map(_number, column) if math.isfinite(number)]
