@@ -84,8 +84,8 @@ def main() -> None:
     parser.add_argument("--here", action="store_true", help="compute, as this process is told to")
     wanted = parser.parse_args()
     if wanted.here:
-        hashes = {n: hashlib.sha256(np.array(v).tobytes()).hexdigest() for n, v in results().items()}
-        print(json.dumps(hashes))
+        all_bytes = {name: np.array(value).tobytes() for name, value in results().items()}
+        print(json.dumps({n: hashlib.sha256(one).hexdigest() for n, one in all_bytes.items()}))
         return
     found: Dict[str, Dict[str, str]] = {}
     for name, variables in TOLD.items():
