@@ -120,7 +120,7 @@ class NewestOdometry:
             return False
         if now is None or not in_lock_step():
             return not self.is_stale()
-        return self._period is None or self._stamp > now - self._period
+        return self._period is None or self._stamp + self._period > now
 
     def _receive(self, message: Odometry) -> None:
         try:

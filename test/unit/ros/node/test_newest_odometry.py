@@ -1,0 +1,20 @@
+"""The newest odometry in lock step."""
+
+import rospy
+from nav_msgs.msg import Odometry
+
+from bullet_lab.ros.node import odometry
+from bullet_lab.ros.node.odometry import NewestOdometry
+
+
+def test_time_that_has_been_set_back_to_less_than_a_period_is_no_error(monkeypatch):
+    monkeypatch.setattr(odometry, "subscriber", lambda *_: None)
+    monkeypatch.setattr(odometry, "in_lock_step", lambda: True)
+    monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(0))
+    newest = NewestOdometry("odom")
+    for stamp in (1.0, 1.05):
+        message = Odometry()
+        message.header.stamp = rospy.Time(stamp)
+        message.pose.pose.orientation.w = 1.0
+        newest._receive(message)
+    assert newest.newest(rospy.Time(0.01)) == (0.0, 0.0, 0.0)
