@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import astuple
 from typing import Callable, Tuple
 
 import numpy as np
@@ -148,8 +147,9 @@ def _given_pose(message: PoseStamped) -> Tuple[str, Pose]:
 
 def dock_result(result: DockingResult) -> DockResult:
     """Return a result as the action sends it."""
-    success, error, *rest = astuple(result)
-    return DockResult(success, int(error), *rest)
+    # Of the docking's own result, what the action has a field for.
+    said = {name: getattr(result, name) for name in DockResult.__slots__ if name != "error_code"}
+    return DockResult(error_code=int(result.error), **said)
 
 
 def undock_result(result: DockingResult) -> UndockResult:

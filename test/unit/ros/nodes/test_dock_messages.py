@@ -13,7 +13,7 @@ from sensor_msgs.msg import CameraInfo
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
-from bullet_lab.docking.types import DockingError
+from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.images import CameraGeometryError
 from bullet_lab.ros.messages.poses import InputError
@@ -23,6 +23,7 @@ from bullet_lab.ros.nodes.dock_messages import (
     GoalError,
     NotYetError,
     camera_of,
+    dock_result,
     mount_of,
     odometry_of,
     rough_pose,
@@ -143,3 +144,10 @@ def test_tolerances_are_replaced_where_they_are_given():
 def test_corners_stay_numbers():
     message = MarkerDetectionArray(detections=[MarkerDetection(corners=[0.5] * 8)])
     assert sightings_of(message)[0].corners.dtype == np.float64
+
+
+def test_a_result_is_told_whatever_else_is_known_of_it():
+    told = dock_result(DockingResult(True, DockingError.NONE, "docked", 2, 0.4, 0.01, -0.02))
+    fields = (told.success, told.error_code, told.message, told.retries)
+    assert fields == (True, 0, "docked", 2)
+    assert (told.distance, told.lateral, told.yaw) == (0.4, 0.01, -0.02)
