@@ -15,6 +15,7 @@ WITHOUT = {
     "noise_study",
     "published_noise",
     "umbmark",
+    "verify",
 }
 
 

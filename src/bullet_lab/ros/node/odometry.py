@@ -82,9 +82,15 @@ ODOMETRY_TIMEOUT, POLL_SECONDS = 5.0, 0.2
 
 
 class NewestOdometry:
-    """The newest usable pose on an odometry topic."""
+    """The newest usable pose on an odometry topic.
 
-    def __init__(self, topic: str):
+    Args:
+        topic: its name.
+        subscribed: whether to subscribe to it; else whoever has done so calls `take`. (rospy has
+            one type of messages for each topic of a node: no second one beside AnyMsg.)
+    """
+
+    def __init__(self, topic: str, subscribed: bool = True):
         self._topic = topic
         self._new = threading.Condition()
         self._pose: Optional[Tuple[float, float, float]] = None
@@ -92,7 +98,7 @@ class NewestOdometry:
         self._period: Optional[rospy.Duration] = None
         self._received = rospy.Time(0)
         self._refusals = Refusals()
-        self._subscriber = subscriber(topic, Odometry, self._receive)
+        self._subscriber = subscriber(topic, Odometry, self.take) if subscribed else None
 
     def newest(self, now: Optional[rospy.Time]) -> Tuple[float, float, float]:
         """Return the newest pose (m, m, rad), of the last `STALE_SECONDS`.
@@ -122,7 +128,8 @@ class NewestOdometry:
             return not self.is_stale()
         return self._period is None or self._stamp + self._period > now
 
-    def _receive(self, message: Odometry) -> None:
+    def take(self, message: Odometry) -> None:
+        """Take a message; one that cannot be used is refused and counted."""
         try:
             pose = planar_pose(message)
         except OdometryError as error:

@@ -193,7 +193,8 @@ class Trial:
         topics = topics_of(model, answer.models, master)
         self._report = RobotReport(Path(parameters.out), robot, topics)
         self._report.about = parameters.about
-        self._odometry = NewestOdometry(robot.odometry) if robot.odometry else None
+        self._odometry = NewestOdometry(robot.odometry, subscribed=False)
+        self._speaks = bool(robot.odometry)
         self._rate: Optional[Rate] = None
         self._connected_since = time.monotonic()
         self._listeners = Listeners(self._report, self._now, self._take_odometry)
@@ -304,13 +305,16 @@ class Trial:
 
     def _newest_odometry(self) -> Optional[PlanarPose]:
         """What the odometry says by now; None, and from then on, where it says nothing."""
+        if not self._speaks:
+            return None
         try:
-            return None if self._odometry is None else self._odometry.newest(self._rate.now)
+            return self._odometry.newest(self._rate.now)
         except NodeError:
-            self._odometry = None
+            self._speaks = False
             return None
 
     def _take_odometry(self, message: Odometry) -> None:
+        self._odometry.take(message)
         with contextlib.suppress(LabError):
             stamp = message.header.stamp.to_nsec()
             self._report.take(ODOMETRY, Reading(stamp, planar_pose(message)))

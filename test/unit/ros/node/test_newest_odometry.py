@@ -16,5 +16,5 @@ def test_time_that_has_been_set_back_to_less_than_a_period_is_no_error(monkeypat
         message = Odometry()
         message.header.stamp = rospy.Time(stamp)
         message.pose.pose.orientation.w = 1.0
-        newest._receive(message)
+        newest.take(message)
     assert newest.newest(rospy.Time(0.01)) == (0.0, 0.0, 0.0)
