@@ -41,6 +41,9 @@ enter_lab() {
     export ROS_PACKAGE_PATH=$ROS_PACKAGE_PATH:$given_packages
   fi
   PATH=$LAB_VENV/bin:$PATH
+  # With several threads, the last bit of a sum depends on how many cores there are, and small
+  # matrices take longer.
+  export OPENBLAS_NUM_THREADS=${OPENBLAS_NUM_THREADS:-1}
   # catkin's files set a default, which would look like a master that the user named.
   if [[ -z $given_master ]]; then
     unset ROS_MASTER_URI
