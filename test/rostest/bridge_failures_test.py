@@ -16,6 +16,23 @@ from lab_testing import PACKAGE, Master, Node, wait_for
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 
 # Joins the lock step and waits for a time that another member does not let come.
+LATE = """
+import rosgraph
+import rospy
+from bullet_lab.ros.node.node import run_node
+
+def register(_):
+    uri = rospy.get_node_uri()
+    rosgraph.Master(rospy.get_name()).registerPublisher("/late", "std_msgs/Empty", uri)
+
+def body():
+    # Comes after rospy has unregistered all that it knows of.
+    rospy.core.add_preshutdown_hook(register)
+    print("ready", flush=True)
+    rospy.spin()
+
+run_node("late", body)
+"""
 WAITING_MEMBER = """
 import rospy
 from bullet_lab.srv import Advance
@@ -187,6 +204,13 @@ class FailuresTest(unittest.TestCase):
         self.assertIsNone(stepping.poll())
         bridge.signal()
         self.assert_clean_end(bridge, master)
+
+    def test_what_is_registered_while_a_node_ends_is_not_left_with_the_master(self):
+        master = self.own_master()
+        late = self.helper(master, LATE)
+        late.send_signal(signal.SIGINT)
+        self.assertEqual(0, late.wait(60))
+        self.assertFalse(master.knows("/late"))
 
     def assert_clean_end(self, bridge, master):
         self.assertEqual(0, bridge.wait(), bridge.err)

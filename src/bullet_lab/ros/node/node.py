@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from typing import Any, Callable, Type, TypeVar, get_type_hints
+from typing import Any, Callable, Iterable, List, Tuple, Type, TypeVar, get_type_hints
 
 import rosgraph
 import rospy
@@ -82,6 +82,8 @@ def run_node(
         logging.getLogger("rospy").info("%s was ended", name, exc_info=True)
     finally:
         signals.wait()
+        if is_ending():
+            _leave_master()
     if master_is_gone.is_set():
         _end(name, "the ROS master is gone", STATUS_CANNOT_GO_ON)
     if is_ending() and JOB in os.environ:
@@ -100,6 +102,28 @@ def _wait_no_longer(_reason: str) -> None:
     a master that is gone, until the node ends.
     """
     rospy.core._shutdown_flag = True
+
+
+def _leave_master() -> None:
+    """Unregister what this node has registered while rospy unregistered all that it knew of."""
+    name = rospy.get_name()
+    # A master that is gone has nothing to forget.
+    with contextlib.suppress(OSError, rosgraph.MasterException):
+        master = rosgraph.Master(name)
+        # Under this name there may be another node by now.
+        if master.lookupNode(name) != rospy.get_node_uri():
+            return
+        published, subscribed, services = master.getSystemState()
+        for topic in _of_node(name, published):
+            master.unregisterPublisher(topic, rospy.get_node_uri())
+        for topic in _of_node(name, subscribed):
+            master.unregisterSubscriber(topic, rospy.get_node_uri())
+        for service in _of_node(name, services):
+            master.unregisterService(service, master.lookupService(service))
+
+
+def _of_node(name: str, state: Iterable[Tuple[str, List[str]]]) -> List[str]:
+    return [entry for entry, nodes in state if name in nodes]
 
 
 class Signals(threading.Thread):
