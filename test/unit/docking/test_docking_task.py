@@ -72,6 +72,7 @@ def test_docks_at_the_marker_within_a_larger_copy():
     check_docked(standin.run(replace(PLAIN, prints=prints, marker=marker)))
 
 
+@pytest.mark.long
 def test_same_numbers_give_the_same_drive():
     first, second = standin.run(PLAIN), standin.run(PLAIN)
     assert first.truth == second.truth

@@ -77,6 +77,7 @@ def test_its_noise_is_put_on_pose_by_pose(slip):
     np.testing.assert_allclose(found[:, 1], draws[:, 0], atol=1e-6)
 
 
+@pytest.mark.long
 def test_it_is_studied_and_drawn_as_the_others_are(slip, tmp_path):
     settings = StudySettings(
         levels=(0.0, 0.05), models=("report", "slip"), rates=(10.0,), paths=2000

@@ -61,7 +61,10 @@ def test_a_metre_straight_and_a_turn_on_the_spot(name, tmp_path):
     assert np.hypot(spin.x, spin.y) < 5e-3
 
 
-@pytest.mark.parametrize("acceleration", [0.0, 0.5, 2.0])
+@pytest.mark.parametrize(
+    "acceleration",
+    [0.5, pytest.param(0.0, marks=pytest.mark.long), pytest.param(2.0, marks=pytest.mark.long)],
+)
 def test_the_odometry_of_wheels_over_speeds_headings_and_accelerations(acceleration):
     """Statistics, for a robot whose wheels spin when it starts and slide when it stops."""
     model = replace(TWO_CASTERS, acceleration=acceleration).model()

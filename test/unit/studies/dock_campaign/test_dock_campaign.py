@@ -208,6 +208,7 @@ def test_a_docking_counts_only_if_it_is_true(values, result):
     assert run_trial(DrawSettings(), 0, dock)["result"] == result
 
 
+@pytest.mark.long
 def test_on_workers_it_is_the_same(reference, tmp_path):
     campaign(tmp_path, workers(2))
     assert_same_results(tmp_path, reference)

@@ -214,6 +214,7 @@ def test_an_unwritable_folder_is_one_line_and_status_2(tmp_path, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.long
 def test_the_words_that_roslaunch_adds_are_ignored(tmp_path, capsys):
     words = ["--seeds", "20", "__name:=published_noise", "__log:=/tmp/a b.log"]
     with pytest.raises(SystemExit) as end:
