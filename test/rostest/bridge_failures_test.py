@@ -16,22 +16,16 @@ from lab_testing import PACKAGE, Master, Node, wait_for
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 
 # Joins the lock step and waits for a time that another member does not let come.
-LATE = """
-import rosgraph
+LOGGING = """
 import rospy
 from bullet_lab.ros.node.node import run_node
 
-def register(_):
-    uri = rospy.get_node_uri()
-    rosgraph.Master(rospy.get_name()).registerPublisher("/late", "std_msgs/Empty", uri)
-
 def body():
-    # Comes after rospy has unregistered all that it knows of.
-    rospy.core.add_preshutdown_hook(register)
+    rospy.loginfo("a word")
     print("ready", flush=True)
     rospy.spin()
 
-run_node("late", body)
+run_node("logging", body)
 """
 WAITING_MEMBER = """
 import rospy
@@ -205,12 +199,13 @@ class FailuresTest(unittest.TestCase):
         bridge.signal()
         self.assert_clean_end(bridge, master)
 
-    def test_what_is_registered_while_a_node_ends_is_not_left_with_the_master(self):
+    def test_a_master_forgets_a_node_that_has_logged(self):
         master = self.own_master()
-        late = self.helper(master, LATE)
-        late.send_signal(signal.SIGINT)
-        self.assertEqual(0, late.wait(60))
-        self.assertFalse(master.knows("/late"))
+        node = self.helper(master, LOGGING)
+        self.assertTrue(master.knows("/logging"))
+        node.send_signal(signal.SIGINT)
+        self.assertEqual(0, node.wait(60))
+        self.assertFalse(master.knows("/logging"))
 
     def assert_clean_end(self, bridge, master):
         self.assertEqual(0, bridge.wait(), bridge.err)

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from typing import Any, Callable, Iterable, List, Tuple, Type, TypeVar, get_type_hints
+from typing import Any, Callable, Type, TypeVar, get_type_hints
 
 import rosgraph
 import rospy
@@ -33,6 +33,7 @@ TF_PREFIX = "tf_prefix"
 REPORT_WAIT_SECONDS = 3.0
 # Wall seconds that the main thread waits for the thread that ends the node.
 LONGEST_END = 10.0
+_ROSOUT_PARAMETER = "/rosout_disable_topics_generation"
 
 T = TypeVar("T")
 
@@ -82,8 +83,7 @@ def run_node(
         logging.getLogger("rospy").info("%s was ended", name, exc_info=True)
     finally:
         signals.wait()
-        if is_ending():
-            _leave_master()
+        _leave_master()
     if master_is_gone.is_set():
         _end(name, "the ROS master is gone", STATUS_CANNOT_GO_ON)
     if is_ending() and JOB in os.environ:
@@ -105,25 +105,15 @@ def _wait_no_longer(_reason: str) -> None:
 
 
 def _leave_master() -> None:
-    """Unregister what this node has registered while rospy unregistered all that it knew of."""
-    name = rospy.get_name()
+    """Unsubscribe from the parameter that rospy subscribes to where a node logs, and never leaves.
+
+    A master would know the node for ever, as one that still runs.
+    """
+    if rospy.get_node_uri() is None:
+        return
     # A master that is gone has nothing to forget.
     with contextlib.suppress(OSError, rosgraph.MasterException):
-        master = rosgraph.Master(name)
-        # Under this name there may be another node by now.
-        if master.lookupNode(name) != rospy.get_node_uri():
-            return
-        published, subscribed, services = master.getSystemState()
-        for topic in _of_node(name, published):
-            master.unregisterPublisher(topic, rospy.get_node_uri())
-        for topic in _of_node(name, subscribed):
-            master.unregisterSubscriber(topic, rospy.get_node_uri())
-        for service in _of_node(name, services):
-            master.unregisterService(service, master.lookupService(service))
-
-
-def _of_node(name: str, state: Iterable[Tuple[str, List[str]]]) -> List[str]:
-    return [entry for entry, nodes in state if name in nodes]
+        rosgraph.Master(rospy.get_name()).unsubscribeParam(rospy.get_node_uri(), _ROSOUT_PARAMETER)
 
 
 class Signals(threading.Thread):
