@@ -22,8 +22,10 @@ MARKER_SIZE, MARKER_HEIGHT = 0.2, 0.5
 FRAME = "camera_optical_frame"
 STEP = 0.01
 SPEED = 8.0
-# Wall seconds for a command at each tick, once there was one at the tick before.
+# Wall seconds for a command at each tick, once there was one at the tick before; after a tick
+# without one, the speed for as many simulated seconds: a node that is starved keeps its odometry.
 ANSWER_SECONDS = 0.3
+SLOW_SPEED, SLOW_SECONDS = 1.0, 0.6
 
 
 class StandIn:
@@ -80,14 +82,17 @@ class StandIn:
         self._answered.set()
 
     def _run(self):
-        next_time, number = time.monotonic(), 0
+        next_time, number, slow = time.monotonic(), 0, 0.0
         while not self._over:
             number += 1
-            next_time = max(next_time + STEP / SPEED, time.monotonic())
+            speed = SLOW_SPEED if slow > 0.0 else SPEED
+            next_time = max(next_time + STEP / speed, time.monotonic())
             time.sleep(max(0.0, next_time - time.monotonic()))
             self._step(number)
+            slow -= STEP
             if self._answers and number % 5 == 0:
                 self._answers = self._answered.wait(ANSWER_SECONDS)
+                slow = 0.0 if self._answers else SLOW_SECONDS
                 self._answered.clear()
 
     def _step(self, number):
