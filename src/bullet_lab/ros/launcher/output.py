@@ -62,8 +62,11 @@ class OutputFolder:
         return self
 
     def __exit__(self, *_) -> None:
-        """Let others use the folder, without what a program that was killed has left half."""
-        for part in self.path.rglob(f"{PART}*"):
+        """Let others use the folder, without what a program that was killed has left half.
+
+        Not below it: another run may be at work in a folder of its own there.
+        """
+        for part in (*self.path.glob(f"{PART}*"), *self.log.glob(f"{PART}*")):
             if part.is_dir():
                 shutil.rmtree(part, ignore_errors=True)
             else:
