@@ -1,7 +1,9 @@
 import contextlib
 import csv
+import importlib.util
 import logging
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,17 @@ from bullet_lab.simulation.world.urdf import read_urdf_file
 PACKAGE = Path(__file__).resolve().parents[2]
 BLOCK_ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 EMPTY_WORLD = "package://bullet_lab/worlds/empty.world"
+
+
+def module_of(path):
+    """Import a file below test/ that is no part of the package, such as "soak/slope.py"."""
+    file = PACKAGE / "test" / path
+    spec = importlib.util.spec_from_file_location(f"test_{file.stem}", file)
+    module = importlib.util.module_from_spec(spec)
+    # Where its dataclasses look for it.
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
 
 
 @contextlib.contextmanager

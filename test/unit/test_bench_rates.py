@@ -1,25 +1,12 @@
 """The bounds in scripts/bench.sh detectors know that crops of one photograph belong together."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import pytest
+from conftest import module_of
 
-PATH = Path(__file__).resolve().parents[1] / "bench" / "detectors" / "rates.py"
-
-
-@pytest.fixture(scope="module")
-def rate_of():
-    spec = importlib.util.spec_from_file_location("bench_rates", PATH)
-    module = importlib.util.module_from_spec(spec)
-    # Where its dataclass looks for it.
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module.rate_of
+rate_of = module_of("bench/detectors/rates.py").rate_of
 
 
-def test_none_in_many_crops_of_few_photographs_says_little_about_photographs(rate_of):
+def test_none_in_many_crops_of_few_photographs_says_little_about_photographs():
     rate = rate_of([0] * 30, [2000] * 30)
     assert (rate.rate, rate.low, rate.high) == (0.0, 0.0, 0.0)
     # The rule of three, and what 30 photographs allow.
@@ -27,7 +14,7 @@ def test_none_in_many_crops_of_few_photographs_says_little_about_photographs(rat
     assert rate.photographs_high == pytest.approx(1.0 - 0.05 ** (1 / 30))
 
 
-def test_false_crops_of_one_photograph_spread_the_bounds(rate_of):
+def test_false_crops_of_one_photograph_spread_the_bounds():
     together = rate_of([60] + [0] * 29, [100] * 30)
     apart = rate_of([2] * 30, [100] * 30)
     assert together.rate == apart.rate == 0.02

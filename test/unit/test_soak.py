@@ -1,24 +1,12 @@
 """scripts/soak.sh tells growth from what comes and goes."""
 
-import importlib.util
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import module_of
 
-PATH = Path(__file__).resolve().parents[1] / "soak" / "slope.py"
-
-
-@pytest.fixture(scope="module")
-def slope():
-    spec = importlib.util.spec_from_file_location("soak_slope", PATH)
-    module = importlib.util.module_from_spec(spec)
-    # Where its dataclass looks for it.
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module.slope
+slope = module_of("soak/slope.py").slope
 
 
 def sawtooth(random, hours, rise, segments=1):
@@ -38,7 +26,7 @@ def sawtooth(random, hours, rise, segments=1):
 
 @pytest.mark.parametrize("segments", [1, 2])
 @pytest.mark.parametrize("rise", [0.0, 3.0])
-def test_the_interval_holds_the_rise(slope, rise, segments):
+def test_the_interval_holds_the_rise(rise, segments):
     random = np.random.default_rng(3)
     found = [slope(*sawtooth(random, 4.0, rise, segments)) for _ in range(300)]
     held = sum(one.low <= rise <= one.high for one in found)
@@ -48,5 +36,5 @@ def test_the_interval_holds_the_rise(slope, rise, segments):
 
 
 @pytest.mark.parametrize("hours", [np.arange(10.0), np.linspace(0.0, 0.2, 1000)])
-def test_too_few_samples_tell_nothing(slope, hours):
+def test_too_few_samples_tell_nothing(hours):
     assert math.isnan(slope(hours, hours, np.zeros(len(hours))).value)

@@ -6,6 +6,7 @@ A state is asked at each tick for a command, or for how it ended; `TRANSITIONS` 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from typing import Dict, NamedTuple, Optional, Tuple, Type, Union
 
 import numpy as np
@@ -39,15 +40,15 @@ class Outcome(NamedTuple):
 Step = Union[Command, Outcome]
 
 
-class State:
+class State(ABC):
     """One thing that is done."""
 
     state = DockingState.SEARCHING  #: what it is called to the outside
     detail = ""  #: one line for humans
 
+    @abstractmethod
     def step(self, planner: DockingPlanner) -> Step:
         """Return the command for now, or how it ended; raises DockingFailureError."""
-        raise NotImplementedError
 
     def wants_images(self, planner: DockingPlanner) -> bool:
         """Say whether an image would be used now."""

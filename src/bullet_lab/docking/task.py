@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
 from typing import Deque, Optional
 
@@ -46,7 +47,7 @@ class UndockingTaskError(LabError):
     """An undocking that makes no sense."""
 
 
-class WatchedTask:
+class WatchedTask(ABC):
     """The part that all tasks share: the watch over time, odometry and wheels, and the ramp."""
 
     def __init__(
@@ -82,9 +83,9 @@ class WatchedTask:
         self._stuck.commanded(command)
         return command
 
+    @abstractmethod
     def _advance(self, stamp: float) -> Optional[Command]:
         """Return the command to go for, None to stop at once; may end the task."""
-        raise NotImplementedError
 
     def _accept(self, odometry: Odometry) -> bool:
         """Say whether a message of odometry is of use; what cannot be ends the task."""

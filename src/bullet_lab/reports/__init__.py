@@ -6,6 +6,7 @@ report is one class here.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, Mapping, NamedTuple, Optional, Sequence
 
@@ -33,7 +34,7 @@ class Reading(NamedTuple):
         return self.stamp // NANOSECONDS + self.stamp % NANOSECONDS / NANOSECONDS
 
 
-class Report:
+class Report(ABC):
     """What one job leaves behind in a folder.
 
     This one keeps a series for each topic, until all have come to the end; a subclass says
@@ -84,16 +85,16 @@ class Report:
         stamps, _ = next(iter(self.series.values())).table()
         return float(stamps[-1] - stamps[0]) if len(stamps) else 0.0
 
+    @abstractmethod
     def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
         """Return what summary.json says after `about`, with times and refusals of the run itself.
 
         `finished` says whether all came up to the end.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
         """Return the pictures by the names of their files."""
-        raise NotImplementedError
 
     def line(self, summary: Mapping[str, Any]) -> str:
         """Return in a line for people what came of it."""
