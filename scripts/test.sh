@@ -12,7 +12,7 @@ ROSTEST_TIMEOUT=600
 MUTANTS=564
 FAULTS=200
 # Much of a rostest is waiting: for nodes that start, for what must not come.
-AT_ONCE=$(($(nproc) + 1))
+AT_ONCE=$(($(nproc) + 2))
 
 # count PASSED FAILED: one line in the tally.
 count() { echo "$1 $2" >>"$LAB_TALLY"; }
