@@ -78,14 +78,14 @@ class LauncherTest(unittest.TestCase):
         self.folder = Path(folder.name).resolve()
 
     def test_two_runs_side_by_side_succeed(self):
-        runs = [start(self.folder, "squares", f"out:=out{i}", f"seed:={i}") for i in (1, 2)]
+        runs = [start(self.folder, "squares", f"out:=it's {i}", f"seed:={i}") for i in (1, 2)]
         for i, run in zip((1, 2), runs):
             status, out, err = finish(run)
             self.assertEqual(0, status, err)
-            summary = json.loads((self.folder / f"out{i}" / "summary.json").read_text())
+            summary = json.loads((self.folder / f"it's {i}" / "summary.json").read_text())
             self.assertEqual(i, summary["seed"])
-            self.assertIn(f"out{i}/summary.json", out)
-            self.assertEqual([], processes_of(self.folder / f"out{i}"))
+            self.assertIn(f"it's {i}/summary.json", out)
+            self.assertEqual([], processes_of(self.folder / f"it's {i}"))
 
     def test_results_go_below_the_current_folder_by_default(self):
         status, _, err = finish(start(self.folder, "beacons"))

@@ -57,6 +57,7 @@ def test_the_shipped_database_is_good():
     ("old", "new", "said"),
     [
         ("size: 0.1", "size: -0.1", "docks: home: marker: size is -0.1"),
+        ("size: 0.1", "size: " + 400 * "9", "docks: home: marker: size is "),
         ("size: 0.1", "size: .nan", "docks: home: marker: size is nan"),
         ("id: 3", "id: 3.5", "docks: home: marker: id is 3.5"),
         ("id: 3", "id: true", "docks: home: marker: id is True"),

@@ -18,7 +18,7 @@ from typing import BinaryIO, Iterator
 
 from PIL import ImageGrab
 
-from bullet_lab.core.files import PART, FileError
+from bullet_lab.core.files import PART, FileError, make_folder
 from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher.jobs import UsageError
 
@@ -48,10 +48,13 @@ class OutputFolder:
     def __enter__(self) -> OutputFolder:
         """Create and lock the folder, forget the summary of an earlier run; raise UsageError."""
         try:
-            self.log.mkdir(parents=True, exist_ok=True)
+            make_folder(self.path)
+            self.log.mkdir(exist_ok=True)
             self._descriptor = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             (self.path / SUMMARY).unlink(missing_ok=True)
+        except FileError as error:
+            raise UsageError(str(error)) from error
         except OSError as error:
             self._close()
             message = f"cannot write to {self.path}: {error.strerror}"

@@ -74,7 +74,7 @@ def test_words_for_a_full_disk_are_lost_and_nothing_is_raised():
 def test_a_file_in_the_way_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file", tmp_path / "file" / "deeper"):
-        with pytest.raises(UsageError, match="cannot write to"):
+        with pytest.raises(UsageError, match=f"cannot make the folder {path}"):
             OutputFolder(path).__enter__()
 
 
