@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from multiprocessing import get_context
 
 import numpy as np
 import psutil
@@ -212,6 +213,17 @@ def test_a_docking_counts_only_if_it_is_true(values, result):
 def test_on_workers_it_is_the_same(reference, tmp_path):
     campaign(tmp_path, workers(2))
     assert_same_results(tmp_path, reference)
+
+
+def trials_in_turn(indices):
+    return [run_trial(DrawSettings(5), index) for index in indices]
+
+
+@pytest.mark.long
+def test_a_docking_does_not_depend_on_those_before_it():
+    with get_context("spawn").Pool(2, maxtasksperchild=1) as pool:
+        alone, after_others = pool.map(trials_in_turn, [(7,), (1, 0, 7)], chunksize=1)
+    assert alone[-1] == after_others[-1]
 
 
 def test_killed_it_leaves_nothing_behind_and_goes_on_with_what_it_has(reference, tmp_path):
