@@ -19,7 +19,7 @@ from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.types import DockingError, DockingResult
+from bullet_lab.docking.types import Calibration, DockingError, DockingResult
 from bullet_lab.docking.verdict import (
     DOCKED,
     ERRORS,
@@ -147,6 +147,7 @@ class DockReport(DriveReport):
             "wall_contacts": contacts,
             "touched": dict(touches),
             "retries": result.retries if self.result else None,
+            "calibration": result.calibration and _in_numbers(result.calibration),
             "images": self._frames.seen,
             **run,
         }
@@ -179,6 +180,10 @@ class DockReport(DriveReport):
     def _state_at(self, seconds: float) -> str:
         before = [name for at, name in self._states if at <= seconds]
         return before[-1] if before else "at rest"
+
+
+def _in_numbers(calibration: Calibration) -> Dict[str, Dict[str, float]]:
+    return {name: learned._asdict() for name, learned in vars(calibration).items()}
 
 
 def _small(picture: np.ndarray) -> np.ndarray:

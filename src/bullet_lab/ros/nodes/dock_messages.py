@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Callable, Tuple
+from dataclasses import fields
+from typing import Callable, Optional, Tuple
 
 import numpy as np
 from actionlib_msgs.msg import GoalStatus
@@ -16,15 +17,18 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.task import DockingTask, UndockingTask
 from bullet_lab.docking.types import (
+    Calibration,
     CameraMount,
     DockingError,
     DockingResult,
+    Learned,
     Odometry,
     PlanarPose,
     Sighting,
 )
 from bullet_lab.errors import LabError
 from bullet_lab.msg import (
+    DockCalibration,
     DockFeedback,
     DockGoal,
     DockResult,
@@ -147,9 +151,33 @@ def _given_pose(message: PoseStamped) -> Tuple[str, Pose]:
 
 def dock_result(result: DockingResult) -> DockResult:
     """Return a result as the action sends it."""
-    # Of the docking's own result, what the action has a field for.
-    said = {name: getattr(result, name) for name in DockResult.__slots__ if name != "error_code"}
-    return DockResult(error_code=int(result.error), **said)
+    said = {field.name: getattr(result, field.name) for field in fields(result)}
+    error, calibration = said.pop("error"), said.pop("calibration")
+    told = _calibration_message(calibration)
+    return DockResult(error_code=int(error), calibration=told, **said)
+
+
+def docking_result(message: DockResult) -> DockingResult:
+    """Return a result that the action has sent, as docking knows it."""
+    said = {name: getattr(message, name) for name in DockResult.__slots__ if name != "error_code"}
+    said["calibration"] = _calibration_of(message.calibration)
+    return DockingResult(error=DockingError(message.error_code), **said)
+
+
+def _calibration_message(calibration: Optional[Calibration]) -> DockCalibration:
+    values = {}
+    for field in fields(Calibration):
+        learned = getattr(calibration, field.name, Learned(math.nan, math.nan))
+        values.update({field.name: learned.value, f"{field.name}_deviation": learned.deviation})
+    return DockCalibration(**values)
+
+
+def _calibration_of(message: DockCalibration) -> Optional[Calibration]:
+    if math.isnan(message.roll):
+        return None
+    names = [field.name for field in fields(Calibration)]
+    pairs = ((getattr(message, n), getattr(message, f"{n}_deviation")) for n in names)
+    return Calibration(*(Learned(*pair) for pair in pairs))
 
 
 def undock_result(result: DockingResult) -> UndockResult:

@@ -21,7 +21,6 @@ from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.core.parameters import boolean, integer, name_list, number, number_list, text
 from bullet_lab.docking.database import Dock, drawn_error, find_dock, read_docks
-from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.msg import DockAction, DockGoal
 from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.reports.dock import DockReport, Station
@@ -34,6 +33,7 @@ from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.node.transforms import own_frame
+from bullet_lab.ros.nodes.dock_messages import docking_result
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, DriveSquaresParameters, robot_names
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
@@ -298,8 +298,7 @@ def _docking_errand(parameters: PlotDockingParameters, dock: Dock, report: DockR
     def note(handle: ClientGoalHandle) -> None:
         result = handle.get_result()
         if handle.get_comm_state() == CommState.DONE and result is not None:
-            error = DockingError(result.error_code)
-            report.result = DockingResult(result.success, error, result.message, result.retries)
+            report.result = docking_result(result)
 
     def send() -> None:
         told = stamped_pose(rospy.Time.now(), own_frame(dock.frame), dock.pose)

@@ -13,7 +13,7 @@ from sensor_msgs.msg import CameraInfo
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
-from bullet_lab.docking.types import DockingError, DockingResult
+from bullet_lab.docking.types import Calibration, DockingError, DockingResult, Learned
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.images import CameraGeometryError
 from bullet_lab.ros.messages.poses import InputError
@@ -24,6 +24,7 @@ from bullet_lab.ros.nodes.dock_messages import (
     NotYetError,
     camera_of,
     dock_result,
+    docking_result,
     mount_of,
     odometry_of,
     rough_pose,
@@ -146,8 +147,16 @@ def test_corners_stay_numbers():
     assert sightings_of(message)[0].corners.dtype == np.float64
 
 
-def test_a_result_is_told_whatever_else_is_known_of_it():
-    told = dock_result(DockingResult(True, DockingError.NONE, "docked", 2, 0.4, 0.01, -0.02))
+@pytest.mark.parametrize(
+    "calibration", [None, Calibration(*(Learned(i, 0.1 * i) for i in range(7)))]
+)
+def test_a_result_comes_as_it_was_sent(calibration):
+    result = DockingResult(
+        True, DockingError.NONE, "docked", 2, 0.4, 0.01, -0.02, calibration=calibration
+    )
+    told = dock_result(result)
     fields = (told.success, told.error_code, told.message, told.retries)
     assert fields == (True, 0, "docked", 2)
     assert (told.distance, told.lateral, told.yaw) == (0.4, 0.01, -0.02)
+    assert math.isnan(told.calibration.drift) == (calibration is None)
+    assert docking_result(told) == result
