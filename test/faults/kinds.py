@@ -28,6 +28,7 @@ SMALLEST: Dict[str, Tuple[str, ...]] = {
     "save_world": ("count:=3", "rtf:=0"),
     "sensors": ("bag:=true",),
     "umbmark": ("side:=0.2", "runs:=1"),
+    "verify": ("jobs:=squares",),
 }
 LAUNCHER, TERMINAL, NODE, WORKER = "run.sh", "terminal", "node", "worker"
 """Whom a signal is for: run.sh alone, all of a terminal's, a node, a process of a study."""
