@@ -9,8 +9,9 @@ source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 # Without a trap, bash forgets a SIGINT that comes to it alone while another program runs.
 trap 'exit 130' INT
 "$LAB_ROOT/scripts/setup.sh"
-enter_lab
-# Python answers a SIGINT with status 1 before it runs a line of ours: it waits until then.
-# shellcheck disable=SC2016 # perl's
+# Python answers a SIGINT before it runs a line of ours with a traceback, and status 1: that waits
+# for the launcher. Whoever sources catkin's files runs Python, too.
+# shellcheck disable=SC2016 # perl's, and the other bash's
 exec perl -MPOSIX -e 'sigprocmask(SIG_BLOCK, POSIX::SigSet->new(SIGINT)); exec @ARGV' \
-  python -m bullet_lab.ros.launcher "$@"
+  bash -euo pipefail -c 'source "$0" && enter_lab && exec python -m bullet_lab.ros.launcher "$@"' \
+  "$LAB_ROOT/scripts/environment.sh" "$@"
