@@ -69,8 +69,10 @@ class PinholeCamera:
         """
         points = np.asarray(points, dtype=float).reshape(-1, 3)
         depth = np.where(points[:, 2] > 0.0, points[:, 2], np.nan)
-        u, v = self._bent(points[:, 0] / depth, points[:, 1] / depth)
-        return np.column_stack((self.fx * u + self.cx, self.fy * v + self.cy))
+        seen = points[:, :2] / depth[:, None]
+        if any(self.distortion):
+            seen = np.column_stack(self._bent(seen[:, 0], seen[:, 1]))
+        return seen * (self.fx, self.fy) + (self.cx, self.cy)
 
     def slopes(self, pixels: np.ndarray) -> np.ndarray:
         """Return x/z and y/z, (n, 2), of what is seen at (n, 2) pixels; NaN where nothing is.

@@ -7,7 +7,7 @@ broadcast as everywhere in numpy. Every yaw that is returned lies in [-pi, pi).
 from __future__ import annotations
 
 import math
-from typing import List, Tuple
+from typing import List, Sequence, Tuple
 
 import numpy as np
 
@@ -37,8 +37,11 @@ def wrap(angle):
     if isinstance(angle, (float, int)):
         wrapped = math.remainder(angle, math.tau)
         return wrapped if wrapped < math.pi or wrapped != wrapped else -math.pi
-    # fmod is exact, and so is the one subtraction that may follow.
-    wrapped = np.fmod(angle, math.tau)
+    largest = np.max(np.abs(angle), initial=0.0)
+    if largest < math.pi:
+        return np.subtract(angle, 0.0)
+    # fmod is slow and exact, and so is the one subtraction that may follow.
+    wrapped = angle if largest < math.tau else np.fmod(angle, math.tau)
     return wrapped - math.tau * ((wrapped >= math.pi) * 1.0 - (wrapped < -math.pi) * 1.0)
 
 
@@ -77,13 +80,9 @@ def compose(a, b) -> np.ndarray:
     array([[1.   , 2.5  , 1.571],
            [1.   , 2.   , 2.571]])
     """
-    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
-    return _poses(
-        a[..., 0] + cos * b[..., 0] - sin * b[..., 1],
-        a[..., 1] + sin * b[..., 0] + cos * b[..., 1],
-        wrap(a[..., 2] + b[..., 2]),
-    )
+    (ax, ay, ayaw), (bx, by, byaw) = _parts(a), _parts(b)
+    cos, sin = np.cos(ayaw), np.sin(ayaw)
+    return _poses(ax + cos * bx - sin * by, ay + sin * bx + cos * by, wrap(ayaw + byaw))
 
 
 def between(a, b) -> np.ndarray:
@@ -99,10 +98,16 @@ def between(a, b) -> np.ndarray:
     >>> between([1.0, 2.0, np.pi / 2.0], [1.0, 2.5, 0.0]).round(3)
     array([ 0.5  ,  0.   , -1.571])
     """
-    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
-    dx, dy = b[..., 0] - a[..., 0], b[..., 1] - a[..., 1]
-    return _poses(cos * dx + sin * dy, cos * dy - sin * dx, wrap(b[..., 2] - a[..., 2]))
+    (ax, ay, ayaw), (bx, by, byaw) = _parts(a), _parts(b)
+    cos, sin = np.cos(ayaw), np.sin(ayaw)
+    dx, dy = bx - ax, by - ay
+    return _poses(cos * dx + sin * dy, cos * dy - sin * dx, wrap(byaw - ayaw))
+
+
+def _parts(poses) -> Sequence:
+    # Of a single pose plain numbers, which are much faster.
+    poses = np.asarray(poses, dtype=float)
+    return poses.tolist() if poses.ndim == 1 else (poses[..., 0], poses[..., 1], poses[..., 2])
 
 
 def _poses(x, y, yaw) -> np.ndarray:

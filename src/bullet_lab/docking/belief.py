@@ -18,7 +18,7 @@ from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import (
     UNKNOWN_ODOMETRY,
-    DriftingPose,
+    DriftingPoses,
     GaussianPose,
     Viewpoint,
     extent_of,
@@ -47,6 +47,7 @@ _SURE_OF_SIZE, _HARDLY_REAL = 0.8, 0.01
 _ODOMETRY_ERRS = 0.3
 # How far, in rad, two prints on one wall may differ in yaw (a standard deviation).
 _SAME_WALL = 0.015
+_PRIOR, _DATABASE = 0, 1
 
 
 class DockParticles:
@@ -173,8 +174,8 @@ class DockBelief:
         self._dock_pose, self._settings, self._rng = dock_pose, settings, rng
         self.odometry = OdometryBuffer()
         self.particles: Optional[DockParticles] = None
-        self._prior: Optional[DriftingPose] = None
-        self._database: Optional[DriftingPose] = None
+        # What was believed before the marker was seen, and what the database says.
+        self._believed: Optional[DriftingPoses] = None
         self.visibility: Optional[MarkerVisibility] = None
         self._camera: Optional[PinholeCamera] = None
         self.tracks: List[MarkerTrack] = []
@@ -238,7 +239,7 @@ class DockBelief:
         for track in self.tracks:
             if track.real > _HARDLY_REAL or track.frames < 5 or track.sized < _SURE_OF_SIZE:
                 continue
-            if self._database.pose.excess(track.likeliest().mean[None].copy())[0] <= 0.0:
+            if self._believed.pose(_DATABASE).excess(track.likeliest().mean[None].copy())[0] <= 0.0:
                 return track
         return None
 
@@ -254,12 +255,11 @@ class DockBelief:
         if before is None:
             rough = se2.between(odometry.pose, self._dock_pose)
             self.particles = DockParticles(self._dock, tuple(rough.tolist()), self._rng)
-            self._prior = DriftingPose(self.particles.gaussian())
-            self._database = DriftingPose(self.particles.gaussian())
+            self._believed = DriftingPoses([self.particles.gaussian()] * 2)
             return
         step = motion_step(before, odometry)
         self.particles.move(step)
-        for believed in (self._prior, self._database, *self.tracks):
+        for believed in (self._believed, *self.tracks):
             believed.move(step)
 
     def observe(self, observation: Observation) -> None:
@@ -289,7 +289,7 @@ class DockBelief:
     def concentrate(self, estimate: GaussianPose, play: float) -> None:
         """Believe that the dock is at a pose, with so much more play to either side in m."""
         self.particles.concentrate(estimate, play)
-        self._prior = DriftingPose(self.particles.gaussian())
+        self._believed.put(_PRIOR, self.particles.gaussian())
 
     def forget(self, track: MarkerTrack) -> None:
         """Drop a track of what is not where it should be; the particles keep a trace of it."""
@@ -335,7 +335,8 @@ class DockBelief:
         for number, corners in enumerate(sightings):
             if number in owners:
                 continue
-            track = MarkerTrack(corners, view, marker.size, marker.height, self._prior.pose, noise)
+            prior = self._believed.pose(_PRIOR)
+            track = MarkerTrack(corners, view, marker.size, marker.height, prior, noise)
             track.last_seen = stamp
             self.tracks.append(track)
             if len(self.tracks) > _MOST_TRACKS:
@@ -344,9 +345,7 @@ class DockBelief:
 
 def _inside(corners: np.ndarray, camera: PinholeCamera) -> float:
     """Return how far within the image (4, 2) corners are, px; NaN where they are nowhere."""
-    u, v = corners[:, 0], corners[:, 1]
-    edges = np.stack([u, v, camera.width - 1 - u, camera.height - 1 - v])
-    return float(np.min(edges))
+    return float(np.minimum(corners, (camera.width - 1, camera.height - 1) - corners).min())
 
 
 def _wall_yaw(copy: MarkerTrack) -> Tuple[float, float]:

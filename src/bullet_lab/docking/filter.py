@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Tuple
+from typing import Sequence, Tuple
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from bullet_lab.docking.types import CameraMount, PixelNoise
 
 STATES = 11
 _OF_MARKER = 5
+_EYE = np.eye(STATES)
 CAMERA, ODOMETRY = slice(5, 8), slice(8, 11)
 """Where a state says how the camera is turned, and what is wrong with the odometry."""
 
@@ -36,9 +37,18 @@ _KNOWN_CAMERA = np.radians([0.05, 0.05, 0.05])
 _KNOWN_ODOMETRY = np.array([0.003, 0.003, 0.001])
 # Probability that a camera, or an odometry, is as it is known.
 _AS_KNOWN = 0.7
-# How much states are moved to find out what the pixels do, and the disturbances too.
-_NUDGES = 1e-4 * np.eye(_OF_MARKER)
+# How much states are moved, at first not, to find out what the pixels do, and disturbances too.
+_NUDGES = 1e-4 * np.eye(_OF_MARKER + 1, _OF_MARKER, -1)
 _TILT = 1e-4
+# What is seen turns by roll, pitch and yaw of the camera about the optical -z, x and y axes: what
+# optical points are multiplied by from the right, for small turns of 1 rad.
+_TURNS = np.array(
+    [
+        [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+        [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]],
+        [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
+    ]
+)
 # Pixels off below which the first linearisation will do.
 _LINEAR = 4.0
 # Standard deviation of a corner that is hidden, px. Corners whose squared distance (of 8 values) is
@@ -97,20 +107,26 @@ class GaussianPose:
         return GaussianPose(mean, own - np.outer(gain, own[2]))
 
 
-class DriftingPose:
-    """A pose that was believed once, moved along by odometry of which it is not known how good."""
+class DriftingPoses:
+    """Poses that were believed once, moved along by odometry of which is not known how good."""
 
-    def __init__(self, pose: GaussianPose):
-        self._x = np.concatenate([pose.mean, np.zeros(3)])[None]
-        self._p = np.zeros((1, 6, 6))
-        self._p[0, :3, :3] = pose.covariance
-        self._p[0, 3:, 3:] = np.diag(UNKNOWN_ODOMETRY**2)
+    def __init__(self, poses: Sequence[GaussianPose]):
+        self._x = np.zeros((len(poses), 6))
+        self._p = np.zeros((len(poses), 6, 6))
+        for number, pose in enumerate(poses):
+            self.put(number, pose)
 
-    @property
-    def pose(self) -> GaussianPose:
-        """As seen by the robot now, by odometry that may well be as known."""
-        odometry = slice(3, 6), _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY
-        x, p = _part_as_known(self._x, self._p, *odometry)
+    def put(self, number: int, pose: GaussianPose) -> None:
+        """Believe another pose from now on in the place of one."""
+        self._x[number, :3], self._x[number, 3:] = pose.mean, 0.0
+        self._p[number] = 0.0
+        self._p[number, :3, :3] = pose.covariance
+        self._p[number, 3:, 3:] = np.diag(UNKNOWN_ODOMETRY**2)
+
+    def pose(self, number: int) -> GaussianPose:
+        """Return one as seen by the robot now, by odometry that may well be as known."""
+        only = slice(number, number + 1)
+        x, p = _part_as_known(self._x[only], self._p[only], _DRIFTING_ODOMETRY)
         return GaussianPose(x[0, :3].copy(), p[0, :3, :3].copy())
 
     def move(self, motion: MotionStep) -> None:
@@ -124,10 +140,12 @@ def true_steps(step, errors: np.ndarray) -> np.ndarray:
     >>> true_steps((0.5, 0.0, 1.0), np.array([0.0, 0.1, 0.2]))
     array([0.5, 0. , 1.2])
     """
-    way, turn, drift = np.moveaxis(errors, -1, 0)
     dx, dy, dyaw = step
-    longer = np.exp(way.copy())
-    return np.stack([longer * dx, longer * dy, (1.0 + turn) * dyaw + drift * dx], axis=-1)
+    longer = np.exp(errors[..., 0].copy())
+    steps = np.empty(errors.shape)
+    steps[..., 0], steps[..., 1] = longer * dx, longer * dy
+    steps[..., 2] = (1.0 + errors[..., 1]) * dyaw + errors[..., 2] * dx
+    return steps
 
 
 def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> Tuple[np.ndarray, np.ndarray]:
@@ -142,7 +160,7 @@ def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> Tuple[np.ndarra
     x[:, 0], x[:, 1] = cos * dx + sin * dy, cos * dy - sin * dx
     x[:, 2] = wrap(x[:, 2] - turned)
     by_state = np.zeros_like(p)
-    by_state[:] = np.eye(x.shape[1])
+    by_state[:] = _EYE[: x.shape[1], : x.shape[1]]
     by_state[:, 0, 0] = by_state[:, 1, 1] = cos
     by_state[:, 0, 1], by_state[:, 1, 0] = sin, -sin
     by_step = np.zeros((len(x), 3, 3))
@@ -165,17 +183,31 @@ def as_known(x: np.ndarray, p: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
     Dickey, Annals of Mathematical Statistics 42, 1971) for what the images say, each is right with
     some probability; of both cases mean and covariance are given.
     """
-    x, p = _part_as_known(x, p, CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA)
-    return _part_as_known(x, p, ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
+    return _part_as_known(*_part_as_known(x, p, _CAMERA_PART), _ODOMETRY_PART)
 
 
-def _part_as_known(x, p, part: slice, known: np.ndarray, unknown: np.ndarray):
+class _Part:
+    """A part of the states, by its standard deviations where it is as known and where it is not."""
+
+    def __init__(self, where: slice, known: np.ndarray, unknown: np.ndarray):
+        self.where, self.known = where, np.diag(known**2)
+        self.log_unknown = np.sum(np.log(unknown))
+
+
+_CAMERA_PART = _Part(CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA)
+_ODOMETRY_PART = _Part(ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
+_DRIFTING_ODOMETRY = _Part(slice(3, 6), _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
+
+
+def _part_as_known(x: np.ndarray, p: np.ndarray, of: _Part) -> Tuple[np.ndarray, np.ndarray]:
     """Do what `as_known` does for one part of the states."""
-    wide = p[:, part, part] + np.diag(known**2)
+    part = of.where
+    wide = p[:, part, part] + of.known
     gain = np.linalg.solve(wide, p[:, part]).transpose(0, 2, 1)
-    logs = np.sum(np.log(unknown)) - 0.5 * np.linalg.slogdet(wide)[1]
+    logs = of.log_unknown - 0.5 * np.linalg.slogdet(wide)[1]
     logs = logs - 0.5 * squared_distances(x[:, part], wide)
-    right = _AS_KNOWN / (_AS_KNOWN + (1.0 - _AS_KNOWN) * np.exp(-np.clip(logs, -50.0, 50.0)))
+    logs = np.minimum(np.maximum(logs, -50.0), 50.0)
+    right = _AS_KNOWN / (_AS_KNOWN + (1.0 - _AS_KNOWN) * np.exp(-logs))
     off = -applied(gain, x[:, part])
     x = x + right[:, None] * off
     right = right[:, None, None]
@@ -195,9 +227,13 @@ class Viewpoint:
         """Turn (..., 3) points of the robot's present frame into the optical frame, m."""
         cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
         x, y = points[..., 0] - self.moved[0], points[..., 1] - self.moved[1]
-        then = np.stack([cos * x + sin * y, cos * y - sin * x, points[..., 2]], axis=-1)
+        then, optical = np.empty(points.shape), np.empty(points.shape)
+        then[..., 0], then[..., 1] = cos * x + sin * y, cos * y - sin * x
+        then[..., 2] = points[..., 2]
         there = (then - (self.mount.x, self.mount.y, self.mount.z)) @ self.mount.rotation()
-        return np.stack([-there[..., 1], -there[..., 2], there[..., 0]], axis=-1)
+        optical[..., 0], optical[..., 1] = -there[..., 1], -there[..., 2]
+        optical[..., 2] = there[..., 0]
+        return optical
 
     def pixels(self, optical: np.ndarray) -> np.ndarray:
         """Return (..., 2) pixels of (..., 3) points of the optical frame."""
@@ -227,6 +263,9 @@ class Viewpoint:
         return ray / floor, depth * floor
 
 
+_ACROSS, _UP = np.array([[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
+
+
 def corner_points(states: np.ndarray, sizes) -> np.ndarray:
     """Return the corners of markers in the robot's frame, m.
 
@@ -242,11 +281,13 @@ def corner_points(states: np.ndarray, sizes) -> np.ndarray:
     # Copies, since numpy's functions round differently where they take columns of a larger array
     # to overlap with their result, which depends on where that happens to lie in memory.
     half = 0.5 * (np.asarray(sizes, dtype=float) * np.exp(states[..., 4].copy()))[..., None]
-    across = half * np.array([1.0, -1.0, -1.0, 1.0])
-    up = half * np.array([1.0, 1.0, -1.0, -1.0])
+    across, up = half * _ACROSS, half * _UP
     x, y, yaw, height = (states[..., i, None] for i in range(4))
     yaw = yaw.copy()
-    return np.stack([x - np.sin(yaw) * across, y + np.cos(yaw) * across, height + up], axis=-1)
+    points = np.empty((*across.shape, 3))
+    points[..., 0], points[..., 1] = x - np.sin(yaw) * across, y + np.cos(yaw) * across
+    points[..., 2] = height + up
+    return points
 
 
 def predict(
@@ -259,15 +300,11 @@ def predict(
         roll, pitch and yaw of the robot at the moment of the image (n, 8, 3). NaN for a marker
         that is not ahead of the camera.
     """
-    count, own = len(states), states[:, :_OF_MARKER]
-    nudged = np.concatenate([own[:, None], own[:, None] + _NUDGES], axis=1)
-    points = view.optical(corner_points(nudged, np.repeat(sizes[:, None], _OF_MARKER + 1, axis=1)))
+    count, nudged = len(states), states[:, None, :_OF_MARKER] + _NUDGES
+    points = view.optical(corner_points(nudged, sizes[:, None]))
     points = points @ _camera_turns(states[:, CAMERA])[:, None]
-    here = points[:, 0]
-    x, y, z = np.moveaxis(here, -1, 0)
-    zero = np.zeros_like(x)
-    turned = [(y, -x, zero), (zero, -z, y), (z, zero, -x)]
-    tilted = here[:, None] + _TILT * np.stack([np.stack(t, axis=-1) for t in turned], axis=1)
+    here = points[:, :1]
+    tilted = here + _TILT * (here @ _TURNS)
     pixels = view.pixels(np.concatenate([points, tilted], axis=1)).reshape(count, -1, 8)
     seen = pixels[:, 0]
     changes = (pixels[:, 1:] - pixels[:, :1]).transpose(0, 2, 1)
@@ -284,13 +321,9 @@ def _camera_turns(turns: np.ndarray) -> np.ndarray:
     `turns` are (n, 3) roll, pitch and yaw of the camera against its known place, rad, in its frame.
     """
     size = np.sqrt(np.sum(turns * turns, axis=1))[:, None, None]
-    roll, pitch, yaw = (turns[:, i] for i in range(3))
-    zero = np.zeros_like(roll)
-    # What is seen turns about the optical x, y and z axes by pitch, yaw and -roll.
-    cross = np.stack([zero, -roll, -yaw, roll, zero, pitch, yaw, -pitch, zero], axis=1)
-    cross = cross.reshape(-1, 3, 3)
+    cross = (turns @ _TURNS.reshape(3, 9)).reshape(-1, 3, 3)
     half = np.sinc(0.5 * size / np.pi)
-    return np.eye(3) + np.sinc(size / np.pi) * cross + 0.5 * half * half * (cross @ cross)
+    return _EYE[:3, :3] + np.sinc(size / np.pi) * cross + 0.5 * half * half * (cross @ cross)
 
 
 def noise_covariance(noise: PixelNoise, extent: float, tilts: np.ndarray) -> np.ndarray:
@@ -300,7 +333,7 @@ def noise_covariance(noise: PixelNoise, extent: float, tilts: np.ndarray) -> np.
     """
     own = noise.corner**2 + (noise.relative * extent) ** 2 + (noise.small / extent) ** 2
     spread = tilts * np.array([noise.tilt, noise.tilt, noise.turn])
-    return own * np.eye(8) + spread @ spread.transpose(0, 2, 1)
+    return own * _EYE[:8, :8] + spread @ spread.transpose(0, 2, 1)
 
 
 def extent_of(corners: np.ndarray) -> float:
@@ -317,17 +350,20 @@ def innovations(start, x, p, sizes, corners, view: Viewpoint, noise: PixelNoise)
     """Compare corners with states `start` of covariance `p`, linearised at states `x`.
 
     Returns:
-        What is left to explain (n, 8) px, its derivatives by the state (n, 8, 11), and its
-        covariance (n, 8, 8).
+        What is left to explain (n, 8) px, its derivatives by the state (n, 8, 11), its covariance
+        (n, 8, 8), and where the corners are seen (n, 8) px, as `predict` says.
     """
-    seen, by_state, tilts = predict(x, sizes, view)
-    bad = ~np.isfinite(seen).all(axis=1)
-    seen[bad], by_state[bad], tilts[bad] = 1e4, 0.0, 0.0
+    predicted, by_state, tilts = predict(x, sizes, view)
+    seen, bad = predicted, ~np.isfinite(predicted).all(axis=1)
+    if bad.any():
+        seen = predicted.copy()
+        seen[bad], by_state[bad], tilts[bad] = 1e4, 0.0, 0.0
     off = start - x
     off[:, 2] = wrap(off[:, 2])
     rest = corners.reshape(8) - seen - applied(by_state, off)
     covariance = noise_covariance(noise, extent_of(corners), tilts)
-    return rest, by_state, covariance + by_state @ p @ by_state.transpose(0, 2, 1)
+    covariance = covariance + by_state @ p @ by_state.transpose(0, 2, 1)
+    return rest, by_state, covariance, predicted
 
 
 def squared_distances(rest: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -336,7 +372,7 @@ def squared_distances(rest: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     >>> squared_distances(np.array([[3.0, 4.0]]), np.array([np.diag([9.0, 4.0])]))
     array([5.])
     """
-    return np.sum(rest * np.linalg.solve(covariance, rest[..., None])[..., 0], axis=1)
+    return (rest * np.linalg.solve(covariance, rest[..., None])[..., 0]).sum(axis=1)
 
 
 def applied(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
@@ -369,16 +405,16 @@ def iterated_update(
     corners = np.asarray(corners, dtype=float)
     x = start
     for number in range(rounds):
-        rest, by_state, covariance = innovations(start, x, p, sizes, corners, view, noise)
+        rest, by_state, covariance, _ = innovations(start, x, p, sizes, corners, view, noise)
         for corner in hidden:
             covariance[:, 2 * corner, 2 * corner] += _HIDDEN**2
             covariance[:, 2 * corner + 1, 2 * corner + 1] += _HIDDEN**2
         gain = np.linalg.solve(covariance, by_state @ p).transpose(0, 2, 1)
         before, x = x, start + applied(gain, rest)
         x[:, 2] = wrap(x[:, 2])
-        if number == 0 and rounds < 6 and np.max(np.abs(rest)) < _LINEAR:
+        if number == 0 and rounds < 6 and np.abs(rest).max() < _LINEAR:
             break
-        if np.max(np.abs(x - before)) < 1e-4:
+        if np.abs(x - before).max() < 1e-4:
             break
     left = p - gain @ by_state @ p
     left = 0.5 * (left + left.transpose(0, 2, 1))

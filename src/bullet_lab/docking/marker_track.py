@@ -10,6 +10,7 @@ changes by more or less than it should; the marker's height betrays many at once
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import astuple
 from typing import Optional, Tuple
 
@@ -131,6 +132,7 @@ class MarkerTrack:
     Attributes:
         frames: images that were taken into account.
         last_seen: stamp of the last image that showed it, s.
+        real: probability that it is the marker itself and no copy of another size.
     """
 
     def __init__(
@@ -152,11 +154,6 @@ class MarkerTrack:
         self._known: Tuple = (None, ())
         self._extent = extent_of(corners)
         self._start(np.asarray(corners, dtype=float), view, prior)
-
-    @property
-    def real(self) -> float:
-        """Probability that it is the marker itself and no copy of another size."""
-        return float(np.sum(self._weights[self._scale == 0]))
 
     def estimate(self) -> Optional[GaussianPose]:
         """Return the pose if it is real; None if that is out of the question."""
@@ -252,13 +249,12 @@ class MarkerTrack:
 
         And the (4, 2) corners as that one predicts them; NaN if behind the camera.
         """
-        rest, _, covariance = innovations(
+        rest, _, covariance, seen = innovations(
             self._x, self._x, self._p, self._sizes, corners, view, self._noise
         )
         squares = squared_distances(rest, covariance)
         best = int(np.argmin(squares))
-        seen, _, _ = predict(self._x[best : best + 1], self._sizes[best : best + 1], view)
-        return float(squares[best]), seen[0].reshape(4, 2)
+        return float(squares[best]), seen[best].reshape(4, 2)
 
     def foreseen(self, view: Viewpoint) -> np.ndarray:
         """Return where the corners (4, 2) would be seen, if it is real; NaN if behind."""
@@ -329,17 +325,18 @@ class MarkerTrack:
     def _weigh(self) -> None:
         """Put the weights together: of the sizes, and of the yaws within each."""
         logs = self._sizing.logs + self._first
-        shares = np.exp(logs - np.max(logs))
-        for index in range(len(SCALES)):
+        present = np.unique(self._scale)
+        shares = np.zeros(len(SCALES))
+        shares[present] = np.exp(logs - np.max(logs))[present]
+        for index in present:
             of_size = self._scale == index
-            total = float(np.sum(self._within[of_size]))
-            if not np.any(of_size):
-                shares[index] = 0.0
-            elif total > 1e-280:
+            total = float(self._within[of_size].sum())
+            if total > 1e-280:
                 self._within[of_size] /= total
             else:
                 self._within[of_size] = 1.0 / np.count_nonzero(of_size)
         self._weights = self._within * shares[self._scale] / np.sum(shares)
+        self.real = float(np.sum(self._weights[self._scale == 0]))
 
     def _start(self, corners, view: Viewpoint, prior: GaussianPose) -> None:
         ray, reach = view.line_of_sight(corners, self._size)
@@ -391,26 +388,24 @@ class MarkerTrack:
     def _reduce(self) -> None:
         """Merge Gaussians that have become the same and drop the weakest of each size."""
         self._weigh()
-        keep = []
-        for index in np.argsort(-self._within):
-            rivals = [k for k in keep if self._scale[k] == self._scale[index]]
-            twin = next((k for k in rivals if self._alike(k, index)), None)
-            if twin is not None:
-                self._within[twin] += self._within[index]
+        keep, rivals_of = [], defaultdict(list)
+        spreads = 0.7 * np.sqrt(np.diagonal(self._p, axis1=1, axis2=2)) + 1e-5
+        for index in np.argsort(-self._within).tolist():
+            rivals = rivals_of[self._scale[index]]
+            off = self._x[rivals] - self._x[index]
+            off[:, 2] = wrap(off[:, 2])
+            alike = (np.abs(off) < spreads[rivals]).all(axis=1)
+            if alike.any():
+                self._within[rivals[int(alike.argmax())]] += self._within[index]
             elif not rivals or (
                 self._within[index] > _LEAST_WEIGHT
                 and len(rivals) < (12 if self.frames < 2 else _PER_SCALE)
             ):
                 keep.append(index)
-        shares = np.array([np.sum(self._weights[self._scale == i]) for i in range(len(SCALES))])
-        keep = [k for k in keep if shares[self._scale[k]] > _LEAST_SHARE]
+                rivals.append(index)
+        likely = [s for s in rivals_of if np.sum(self._weights[self._scale == s]) > _LEAST_SHARE]
+        keep = [k for k in keep if self._scale[k] in likely]
         self._x, self._p = self._x[keep], self._p[keep]
         self._scale, self._sizes = self._scale[keep], self._sizes[keep]
         self._within = self._within[keep]
         self._weigh()
-
-    def _alike(self, first: int, second: int) -> bool:
-        off = self._x[first] - self._x[second]
-        off[2] = wrap(float(off[2]))
-        spread = np.sqrt(np.diag(self._p[first]))
-        return bool(np.all(np.abs(off) < 0.7 * spread + 1e-5))

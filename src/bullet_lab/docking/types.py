@@ -6,6 +6,7 @@ its marker's face, with the yaw of a robot that stands in it.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -81,16 +82,21 @@ class CameraMount:
 
     def rotation(self) -> np.ndarray:
         """Return the (3, 3) matrix that turns directions of the camera into base_footprint."""
-        sr, cr = np.sin(self.roll), np.cos(self.roll)
-        sp, cp = np.sin(self.pitch), np.cos(self.pitch)
-        sy, cy = np.sin(self.yaw), np.cos(self.yaw)
-        return np.array(
-            [
-                [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-                [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-                [-sp, cp * sr, cp * cr],
-            ]
-        )
+        return _rotation(self.roll, self.pitch, self.yaw).copy()
+
+
+@functools.lru_cache(maxsize=16)
+def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    sr, cr = np.sin(roll), np.cos(roll)
+    sp, cp = np.sin(pitch), np.cos(pitch)
+    sy, cy = np.sin(yaw), np.cos(yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 @dataclass(frozen=True, eq=False)
