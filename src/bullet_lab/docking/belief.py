@@ -56,6 +56,10 @@ class DockParticles:
     def __init__(self, dock: Dock, rough: PlanarPose, rng: np.random.Generator):
         self._rng = rng
         self._boxes = wall_boxes(dock)
+        # Farther from the dock's origin there is no wall, m.
+        self._reach = math.hypot(
+            *np.abs(self._boxes.reshape(-1, 2, 2)).max(axis=(0, 2), initial=0.0)
+        )
         # The uncertainty is along the axes of the frame that the pose is given in, which may be
         # any; drawn on a disc and a square it makes little difference.
         position = _MARGIN * dock.uncertainty.position + 0.01
@@ -78,6 +82,8 @@ class DockParticles:
 
     def stands_free(self, radius: float) -> bool:
         """Drop what would have the robot touch a wall (it fills a circle); say if any is left."""
+        if np.square(self.poses[:, :2]).sum(axis=1).min() > (self._reach + radius) ** 2:
+            return True
         free = clearance(se2.inverse(self.poses)[:, :2], self._boxes) > radius
         if not np.all(free):
             self._learn(np.where(free, 1.0, 1e-6), counts=False)
@@ -181,6 +187,8 @@ class DockBelief:
         self.tracks: List[MarkerTrack] = []
         self.last_image = -math.inf
         self.images = 0
+        # What `estimate` has found of the present tracks: it is asked many times at each tick.
+        self._estimated: Optional[Tuple[Optional[GaussianPose]]] = None
 
     @property
     def pose(self) -> PlanarPose:
@@ -197,11 +205,13 @@ class DockBelief:
 
         A small marker tells little of its yaw; a larger copy on the same wall tells more.
         """
-        best, copy = self.best(), self.copy_on_the_wall()
-        estimate = None if best is None else best.estimate()
-        if estimate is None or copy is None:
-            return estimate
-        return estimate.turned_to(*_wall_yaw(copy))
+        if self._estimated is None:
+            best, copy = self.best(), self.copy_on_the_wall()
+            estimate = None if best is None else best.estimate()
+            if estimate is not None and copy is not None:
+                estimate = estimate.turned_to(*_wall_yaw(copy))
+            self._estimated = (estimate,)
+        return self._estimated[0]
 
     def pending(self) -> bool:
         """Say whether something may turn out to be the marker with some more images."""
@@ -250,6 +260,7 @@ class DockBelief:
 
     def add_odometry(self, odometry: Odometry) -> None:
         """Follow the odometry."""
+        self._estimated = None
         before = self.odometry.last
         self.odometry.add(odometry)
         if before is None:
@@ -267,6 +278,7 @@ class DockBelief:
         then = self.odometry.pose_at(observation.stamp)
         if then is None:
             return
+        self._estimated = None
         camera, dock = observation.camera, self._dock
         if camera is not self._camera:
             self._camera = camera
@@ -298,6 +310,7 @@ class DockBelief:
             drawn = drawn + self._rng.standard_normal(drawn.shape) * (0.1, 0.1, 0.06)
             self.particles.mix_in(drawn, 0.6)
         self.tracks.remove(track)
+        self._estimated = None
 
     def _shows_marker(self, sighting: Sighting) -> bool:
         marker, camera = self._dock.marker, self._camera
