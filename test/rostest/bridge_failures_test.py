@@ -163,6 +163,13 @@ class FailuresTest(unittest.TestCase):
         master.end()
         self.assert_ends(bridge, 1, "the ROS master is gone")
 
+    def test_master_whose_place_another_takes(self):
+        master = self.own_master()
+        bridge = self.running_bridge(master, robot=ROBOT)
+        master.end()
+        self.assertTrue(master.start())
+        self.assert_ends(bridge, 1, "the ROS master is gone")
+
     def test_unknown_plugin_is_skipped(self):
         plugin = '<gazebo><plugin name="p" filename="libgazebo_ros_coffee.so"/></gazebo>'
         text = (PACKAGE / "urdf" / "block_robot.urdf").read_text()

@@ -120,23 +120,29 @@ class Master:
         for _ in range(5):
             with contextlib.closing(socket.socket()) as probe:
                 probe.bind(("127.0.0.1", 0))
-                port = probe.getsockname()[1]
-            self.uri = f"http://127.0.0.1:{port}"
-            self.process = subprocess.Popen(
-                ["rosmaster", "--core", "-p", str(port)],
-                env=dict(os.environ, ROS_MASTER_URI=self.uri),
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
-            try:
-                wait_for(lambda: self._answers() or self.process.poll() is not None, "the master")
-            except AssertionError:
-                self.end()
-                raise
-            if self._answers():
+                self._port = probe.getsockname()[1]
+            self.uri = f"http://127.0.0.1:{self._port}"
+            if self.start():
                 return
-            self.end()
         raise AssertionError("no free port for a master")
+
+    def start(self):
+        """Start it, again after its end, in the same place; return whether that was free."""
+        self.process = subprocess.Popen(
+            ["rosmaster", "--core", "-p", str(self._port)],
+            env=dict(os.environ, ROS_MASTER_URI=self.uri),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        try:
+            wait_for(lambda: self._answers() or self.process.poll() is not None, "the master")
+        except AssertionError:
+            self.end()
+            raise
+        if not self._answers():
+            self.end()
+            return False
+        return True
 
     def _answers(self):
         try:

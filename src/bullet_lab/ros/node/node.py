@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import gc
 import logging
 import math
 import os
@@ -12,7 +13,9 @@ import signal
 import sys
 import threading
 import time
+import xmlrpc.client
 from collections import Counter
+from http.client import HTTPException
 from typing import Any, Callable, Type, TypeVar, get_type_hints
 
 import rosgraph
@@ -27,6 +30,8 @@ from bullet_lab.errors import LabError
 STATUS_CANNOT_GO_ON = 1
 STATUS_BAD_PARAMETER = 2
 MASTER_CHECK_SECONDS = 2.0
+LONGEST_REGISTRATION = 10.0
+GARBAGE_SECONDS = 10.0
 LOCK_STEP = "lock_step"
 # The parameter that keeps the frames of several robots apart, as the tf library finds it.
 TF_PREFIX = "tf_prefix"
@@ -67,6 +72,7 @@ def run_node(
         library.addHandler(_RosLog(logging.WARNING))
         library.propagate = False
         threading.Thread(target=_watch_master, args=(master_is_gone,), daemon=True).start()
+        threading.Thread(target=_collect_garbage, daemon=True).start()
         # Raised by Ctrl-C, or where another node asked this one to end: a clean end.
         with contextlib.suppress(rospy.ROSInterruptException):
             body()
@@ -149,15 +155,43 @@ class Signals(threading.Thread):
 
 
 def _watch_master(is_gone: threading.Event) -> None:
-    """End the node when the master is gone, which rospy itself never notices."""
+    """End the node when the master is gone, which rospy itself never notices.
+
+    So it is where another one has taken its place, which knows nothing of this node's topics.
+    """
+    # rospy registers in a thread of its own.
+    end = time.monotonic() + LONGEST_REGISTRATION
+    while not _is_known_to_master() and time.monotonic() < end and not rospy.is_shutdown():
+        time.sleep(0.1)
     misses = 0
     while not rospy.is_shutdown():
         time.sleep(MASTER_CHECK_SECONDS)
-        misses = 0 if rosgraph.is_master_online() else misses + 1
+        misses = 0 if _is_known_to_master() else misses + 1
         # One miss may be a busy machine.
         if misses >= 2 and not rospy.is_shutdown():
             is_gone.set()
             rospy.signal_shutdown("the ROS master is gone")
+
+
+def _is_known_to_master() -> bool:
+    name = rospy.get_name()
+    failures = (OSError, HTTPException, xmlrpc.client.Error, rosgraph.MasterException)
+    with contextlib.suppress(*failures):
+        return rosgraph.Master(name).lookupNode(name) == rospy.get_node_uri()
+    return False
+
+
+def _collect_garbage() -> None:
+    """Free what rospy leaves where a subscriber or a topic goes, every now and then.
+
+    Its connections and pollers hold themselves: images and descriptors stay until all objects are
+    looked through, which Python does less and less often as they get more.
+    """
+    # What was imported stays, and need not be looked through each time.
+    gc.freeze()
+    while not rospy.is_shutdown():
+        time.sleep(GARBAGE_SECONDS)
+        gc.collect()
 
 
 def node(body: Callable[[Any], None]) -> Callable[[], None]:
