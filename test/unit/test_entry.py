@@ -66,3 +66,22 @@ def test_nodes_listen_on_the_loopback_unless_they_are_opened(monkeypatch, given,
         monkeypatch.setenv(name, value)
     keep_to_this_machine()
     assert get_bind_address() == address
+
+
+def test_large_buffers_are_given_back_whatever_small_ones_stay():
+    program = (
+        "from bullet_lab.entry import give_large_buffers_back\n"
+        "def megabytes():\n"
+        "    return int(open('/proc/self/statm').read().split()[1]) * 4 // 1024\n"
+        "give_large_buffers_back()\n"
+        # Where that is not done, it takes these sizes for small from here on.
+        "del bytearray(16 * 2**20)[:]\n"
+        "before, small, large = megabytes(), [], []\n"
+        "for _ in range(6):\n"
+        "    large.append(bytearray(b'1') * (16 * 2**20))\n"
+        "    small.append(bytearray(100_000))\n"
+        "large.clear()\n"
+        "print(megabytes() - before)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert int(run.stdout) < 16, run.stderr
