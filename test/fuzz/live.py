@@ -16,9 +16,9 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Tuple
+from typing import Any, Deque, Dict, Iterator, List, Tuple
 
 import numpy as np
 import psutil
@@ -57,6 +57,8 @@ CALL_SECONDS, RECOVERY_SECONDS = 30.0, 60.0
 # MB that the bridge may grow by.
 MOST_GROWTH = 600.0
 TEXTS = 200
+# Characters of what a node says at each end, messages and calls that are told.
+SAID, LAST_SENT = 1500, 40
 # Calls among messages.
 CALLS = 0.05
 
@@ -78,6 +80,9 @@ class Lab:
             for name, words in NODES.items()
         }
         self.not_finite: Counter = Counter()
+        # What was sent last, and what before the first of those.
+        self.sent: Deque[str] = deque(maxlen=LAST_SENT)
+        self.not_finite_after: Dict[str, List[str]] = {}
         self.step = 0
         rospy.wait_for_service("/bullet_lab/advance", 120.0)
         rospy.Subscriber("/clock", Clock, self._note_time, queue_size=1)
@@ -96,6 +101,8 @@ class Lab:
         pose, twist = message.pose.pose, message.twist.twist
         numbers = [pose.position.x, pose.position.y, pose.orientation.z, twist.linear.x]
         if not all(map(math.isfinite, numbers)):
+            if topic not in self.not_finite:
+                self.not_finite_after[topic] = list(self.sent)
             self.not_finite[topic] += 1
 
     def megabytes(self) -> float:
@@ -117,7 +124,9 @@ class Lab:
         text = self.said(name)
         # Of the fault handler's pages, the thread that died is what counts.
         text = text[max(0, text.find("Current thread")) :]
-        return f"{self.nodes[name].returncode}: {' '.join(text.split())[:2000]}"
+        words = " ".join(text.split())
+        kept = words if len(words) < 2 * SAID else f"{words[:SAID]} … {words[-SAID:]}"
+        return f"{self.nodes[name].returncode}: {kept}"
 
     def time_goes_on(self) -> bool:
         """Return whether there are ticks of the clock again, once physics is not paused."""
@@ -186,8 +195,8 @@ class Caller:
         self.names = sorted(self._proxies)
         self.silent: Counter = Counter()
 
-    def call(self, name: str, messages: Messages) -> None:
-        """Call a service with something."""
+    def call(self, name: str, messages: Messages) -> str:
+        """Call a service with something; return that in words."""
         proxy, kind = self._proxies[name]
         request = messages.fill(kind._request_class())
         if name == "/bullet_lab/step":
@@ -200,11 +209,17 @@ class Caller:
         thread.join(CALL_SECONDS)
         if thread.is_alive() and name != "/bullet_lab/advance":
             self.silent[name] += 1
+        return shown(request)
 
     @staticmethod
     def _call(proxy: rospy.ServiceProxy, request: Any) -> None:
         with contextlib.suppress(rospy.ServiceException, rospy.ROSException, ValueError):
             proxy(request)
+
+
+def shown(message: Any) -> str:
+    """Return a message in some words."""
+    return " ".join(str(message).split())[:300]
 
 
 @contextlib.contextmanager
@@ -236,12 +251,14 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
             messages.now = rospy.get_time()
             if random.random() < CALLS:
                 name = caller.names[random.integers(len(caller.names))]
-                caller.call(name, messages)
+                lab.sent.append(f"{name}: {caller.call(name, messages)}")
                 calls[name] += 1
             else:
                 publisher, kind = outlets[random.integers(len(outlets))]
                 with contextlib.suppress(rospy.ROSException, rospy.ROSSerializationException):
-                    publisher.publish(messages.fill(kind()))
+                    message = messages.fill(kind())
+                    lab.sent.append(f"{publisher.name}: {shown(message)}")
+                    publisher.publish(message)
                 sent[publisher.name] += 1
             bar.update()
             if number % 200 == 199 and lab.dead():
@@ -262,6 +279,7 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
         "calls": sum(calls.values()),
         "by_topic": dict(sent),
         "by_service": dict(calls),
+        "not_finite_after": lab.not_finite_after,
         "failures": failures,
     }
 
