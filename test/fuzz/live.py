@@ -102,7 +102,8 @@ class Lab:
         numbers = [pose.position.x, pose.position.y, pose.orientation.z, twist.linear.x]
         if not all(map(math.isfinite, numbers)):
             if topic not in self.not_finite:
-                self.not_finite_after[topic] = list(self.sent)
+                came = f"{message._connection_header['callerid']}: {shown(message)}"
+                self.not_finite_after[topic] = [*self.sent, came]
             self.not_finite[topic] += 1
 
     def megabytes(self) -> float:
@@ -219,7 +220,7 @@ class Caller:
 
 def shown(message: Any) -> str:
     """Return a message in some words."""
-    return " ".join(str(message).split())[:300]
+    return " ".join(str(message).split())[:500]
 
 
 @contextlib.contextmanager

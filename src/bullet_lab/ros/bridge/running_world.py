@@ -29,7 +29,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.stepper import Stepper, StepperError
 from bullet_lab.ros.bridge.timing import Arrival, CommandCounter
 from bullet_lab.ros.messages.conversions import INPUT_CONVERTERS, OUTPUT_CONVERTERS
-from bullet_lab.ros.node.node import TF_PREFIX, NodeError, Refusals
+from bullet_lab.ros.node.node import MASTER_ERRORS, TF_PREFIX, NodeError, Refusals
 from bullet_lab.ros.node.publishers import BatchPublisher
 from bullet_lab.simulation.plugins import Input, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.controllers.controller import Controller
@@ -237,7 +237,7 @@ class _Routes:
         try:
             published, subscribed, _ = master.getSystemState()
             kinds = dict(master.getTopicTypes())
-        except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
+        except MASTER_ERRORS:
             return set()
         listeners = dict(subscribed)
         found: Set[Arrival] = set()
@@ -334,7 +334,7 @@ def answers(node: str) -> bool:
         uri = rosgraph.Master(CALLER).lookupNode(node)
         with xmlrpc.client.ServerProxy(uri, transport=_Transport()) as proxy:
             proxy.getPid(CALLER)
-    except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
+    except MASTER_ERRORS:
         return False
     return True
 

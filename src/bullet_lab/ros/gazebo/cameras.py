@@ -8,13 +8,11 @@ compressed_image_transport. A picture is compressed only while somebody listens.
 from __future__ import annotations
 
 import contextlib
-import xmlrpc.client
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Callable, Dict, List
 
-import rosgraph
 import rospy
 from sensor_msgs.msg import CompressedImage
 from sensor_msgs.srv import SetCameraInfo, SetCameraInfoResponse
@@ -24,6 +22,7 @@ from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
 from bullet_lab.ros.messages.conversions import compressed_message
+from bullet_lab.ros.node.node import MASTER_ERRORS
 from bullet_lab.simulation.plugins import Plugin
 from bullet_lab.simulation.plugins.camera import Camera, DepthCamera
 from bullet_lab.simulation.plugins.imu import Imu
@@ -40,7 +39,6 @@ COMPRESSION = (
 # Hz.
 LEAST_RATE, GREATEST_RATE = 1.0, 50.0
 # Where there is no master any more.
-UNREACHABLE = (OSError, xmlrpc.client.Error)
 # What set_camera_info changes.
 CALIBRATED = ("height", "width", "distortion_model", "D", "K", "R", "P", "binning_x", "binning_y")
 
@@ -156,7 +154,7 @@ def _take_up(offers: List[Callable[[], Any]], services: List[Any], sensor: Plugi
     for offer in offers:
         try:
             services.append(offer())
-        except (rospy.ServiceException, rosgraph.MasterException, *UNREACHABLE) as error:
+        except (rospy.ServiceException, *MASTER_ERRORS) as error:
             # Two sensors without a name of their own want the same services.
             if not rospy.is_shutdown():
                 rospy.logwarn("sensor '%s': %s", sensor.mount.plugin.name, error)

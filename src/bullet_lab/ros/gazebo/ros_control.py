@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-import xmlrpc.client
 from dataclasses import astuple
 from functools import partial
 from typing import Any, Callable, Collection, Dict, List, Optional
@@ -24,6 +23,7 @@ from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
 from bullet_lab.ros.messages.control_types import msg, srv
+from bullet_lab.ros.node.node import MASTER_ERRORS
 from bullet_lab.simulation.plugins.controllers.controller import Controller, known_controllers
 from bullet_lab.simulation.plugins.controllers.parameters import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.ros_control import RosControl
@@ -98,7 +98,7 @@ class _Manager:
                 self._offer()
         except StepperError:
             return
-        except (LabError, rospy.ServiceException, rosgraph.MasterException) as error:
+        except (LabError, rospy.ServiceException, *MASTER_ERRORS) as error:
             rospy.logerr("%s: %s; it is left out", where, error)
 
     def _wait_for_description(self) -> Optional[str]:
@@ -248,5 +248,5 @@ def _search(master: rosgraph.Master, name: str) -> str:
     try:
         found = master.searchParam(name)
         return str(master.getParam(found)) if found else ""
-    except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
+    except MASTER_ERRORS:
         return ""

@@ -40,6 +40,9 @@ REPORT_WAIT_SECONDS = 3.0
 LONGEST_END = 10.0
 _ROSOUT_PARAMETER = "/rosout_disable_topics_generation"
 
+MASTER_ERRORS = (rosgraph.MasterException, OSError, HTTPException, xmlrpc.client.Error)
+"""What calls of the master, or of other nodes, raise: it is refused, or there is no answer."""
+
 T = TypeVar("T")
 
 
@@ -118,7 +121,7 @@ def _leave_master() -> None:
     if rospy.get_node_uri() is None:
         return
     # A master that is gone has nothing to forget.
-    with contextlib.suppress(OSError, rosgraph.MasterException):
+    with contextlib.suppress(*MASTER_ERRORS):
         rosgraph.Master(rospy.get_name()).unsubscribeParam(rospy.get_node_uri(), _ROSOUT_PARAMETER)
 
 
@@ -175,8 +178,7 @@ def _watch_master(is_gone: threading.Event) -> None:
 
 def _is_known_to_master() -> bool:
     name = rospy.get_name()
-    failures = (OSError, HTTPException, xmlrpc.client.Error, rosgraph.MasterException)
-    with contextlib.suppress(*failures):
+    with contextlib.suppress(*MASTER_ERRORS):
         return rosgraph.Master(name).lookupNode(name) == rospy.get_node_uri()
     return False
 

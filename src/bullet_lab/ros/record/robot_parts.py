@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
-import xmlrpc.client
 from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Set, Tuple
 
 import rosgraph
@@ -19,7 +18,7 @@ from bullet_lab.msg import ModelDescription
 from bullet_lab.reports.robot import Controller, PluginRow, Robot, RobotReport
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.images import pixels_of
-from bullet_lab.ros.node.node import NodeError
+from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError
 from bullet_lab.ros.node.publishers import subscriber
 from bullet_lab.srv import DescribeModels, DescribeModelsResponse
 
@@ -51,7 +50,7 @@ class Master:
         try:
             published, subscribed, services = master.getSystemState()
             kinds = dict(master.getTopicTypes())
-        except (rosgraph.MasterException, OSError, xmlrpc.client.Error) as error:
+        except MASTER_ERRORS as error:
             raise NodeError(f"the ROS master does not answer: {error}") from error
         simulators = set(dict(published).get("/clock", ()))
         self.services = {name for name, _ in services}

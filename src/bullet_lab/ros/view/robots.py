@@ -12,7 +12,7 @@ import rospy
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.ros.node.node import TF_PREFIX
+from bullet_lab.ros.node.node import MASTER_ERRORS, TF_PREFIX
 from bullet_lab.ros.view.displays import Stage
 from bullet_lab.simulation.world.description import Model, Visual
 from bullet_lab.simulation.world.report import ReportOnce
@@ -180,7 +180,7 @@ def tf_prefix(namespace: str) -> str:
     try:
         found = master.searchParam(TF_PREFIX)
         prefix = str(master.getParam(found)).strip("/") if found else ""
-    except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
+    except MASTER_ERRORS:
         return ""
     return f"{prefix}/" if prefix else ""
 

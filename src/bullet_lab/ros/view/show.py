@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import xmlrpc.client
 from dataclasses import dataclass
 from typing import Any, Dict, FrozenSet, List, Optional, Set, Tuple
 
@@ -13,6 +12,7 @@ import rospy
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.gazebo.client import WORLD
+from bullet_lab.ros.node.node import MASTER_ERRORS
 from bullet_lab.ros.view import raw
 from bullet_lab.ros.view.camera import CameraDisplay
 from bullet_lab.ros.view.displays import (
@@ -93,7 +93,7 @@ def look_at_graph() -> Graph:
     try:
         publishers, subscribers, services = master.getSystemState()
         types = dict(master.getTopicTypes())
-    except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
+    except MASTER_ERRORS:
         return NOTHING
     own = rospy.get_name()
 
