@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import ClassVar, Tuple
 
 from bullet_lab.core.pose import Pose
@@ -12,6 +11,7 @@ from bullet_lab.simulation.plugins.samples import (
     OdometrySample,
     PlanarCommand,
     TransformSample,
+    is_sound,
 )
 
 STANDSTILL = PlanarCommand()
@@ -46,10 +46,10 @@ class MobileBase(Plugin):
         """Take over a velocity; it acts from the next update on.
 
         Raises:
-            PluginError: NaN or infinite; the command before stays in force.
+            PluginError: NaN or beyond `LARGEST_COMMAND`; the command before stays in force.
         """
-        if not all(math.isfinite(getattr(command, name)) for name in self.directions):
-            raise PluginError(f"the velocity {command} is not finite")
+        if not is_sound(*(getattr(command, name) for name in self.directions)):
+            raise PluginError(f"the velocity {command} is not finite, or out of all proportion")
         self._command = command
 
     def reset(self, step: int) -> None:

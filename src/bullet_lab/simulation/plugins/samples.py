@@ -26,6 +26,19 @@ class Sample:
     frame: str
 
 
+LARGEST_COMMAND = 1e6
+"""Of a velocity, a position or an effort, in SI units; of what is larger the engine makes NaN."""
+
+
+def is_sound(*values: float) -> bool:
+    """Return whether all numbers of a command are finite, and not out of all proportion.
+
+    >>> is_sound(0.5, -1e6), is_sound(1e308), is_sound(float("nan"))
+    (True, False, False)
+    """
+    return all(abs(value) <= LARGEST_COMMAND for value in values)
+
+
 @dataclass(frozen=True)
 class PlanarCommand:
     """The velocity that a robot shall have: m/s ahead and to the left, rad/s counter-clockwise."""

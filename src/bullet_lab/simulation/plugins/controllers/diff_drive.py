@@ -25,6 +25,7 @@ from bullet_lab.simulation.plugins.samples import (
     PlanarCommand,
     TransformSample,
     VelocitySample,
+    is_sound,
 )
 from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning
 
@@ -169,11 +170,11 @@ class DiffDriveController(Controller):
         """Take over a velocity; it acts from the next update on.
 
         Raises:
-            ControlError: it is not finite, or the controller is not running.
+            ControlError: not finite or beyond `LARGEST_COMMAND`, or the controller does not run.
         """
         self._refuse_unless_running()
-        if not (math.isfinite(command.vx) and math.isfinite(command.wz)):
-            raise ControlError(f"the velocity {command} is not finite")
+        if not is_sound(command.vx, command.wz):
+            raise ControlError(f"the velocity {command} is not finite, or out of all proportion")
         # A new list: what comes while an update runs is told from what was there before.
         self._asked = [command]
 

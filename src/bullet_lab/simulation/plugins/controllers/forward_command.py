@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Tuple, Union
 
 from bullet_lab.simulation.plugins.controllers.controller import (
@@ -14,7 +13,7 @@ from bullet_lab.simulation.plugins.controllers.controller import (
 )
 from bullet_lab.simulation.plugins.controllers.parameters import ControlError
 from bullet_lab.simulation.plugins.plugin import Input
-from bullet_lab.simulation.plugins.samples import JointCommand, JointCommands
+from bullet_lab.simulation.plugins.samples import JointCommand, JointCommands, is_sound
 
 
 class JointTargets(Controller):
@@ -40,14 +39,16 @@ class JointTargets(Controller):
         """Take over what the joints shall do.
 
         Raises:
-            ControlError: not as many as there are joints, or not finite.
+            ControlError: not as many as there are joints, not finite, or beyond `LARGEST_COMMAND`.
         """
         values = (command.value,) if isinstance(command, JointCommand) else command.values
         if len(values) != len(self.joints):
             joints = len(self.joints)
             raise ControlError(f"{len(values)} numbers for the {joints} joints of '{self.name}'")
-        if not all(map(math.isfinite, values)):
-            raise ControlError(f"a command to '{self.name}' is not finite")
+        if not is_sound(*values):
+            raise ControlError(
+                f"a command to '{self.name}' is not finite, or out of all proportion"
+            )
         self.targets = tuple(values)
 
 
