@@ -35,6 +35,7 @@ from bullet_lab.reports import Reading
 from bullet_lab.reports.robot import ODOMETRY, TRUTH, Leg, RobotReport, Way
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_of
+from bullet_lab.ros.node.driving import StoppableSender
 from bullet_lab.ros.node.lock_step import Rate, publishers_know_this_node
 from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.odometry import NewestOdometry, planar_pose
@@ -199,7 +200,9 @@ class Trial:
         self._connected_since = time.monotonic()
         self._listeners = Listeners(self._report, self._now, self._take_odometry)
         if robot.drive:
-            self._velocities = publisher(robot.drive, Twist, 10)
+            self._sender = StoppableSender(publisher(robot.drive, Twist, 10))
+            # However it ends, the robot stands.
+            rospy.on_shutdown(self._sender.end)
         self._ways: List[Tuple[str, Way]] = []
         self._state = rospy.ServiceProxy(
             "/gazebo/get_model_state", srv.GetModelState, persistent=True
@@ -255,13 +258,13 @@ class Trial:
     # The drive
 
     def _drive(self) -> None:
-        parameters, ahead, turn = self._parameters, Twist(), Twist()
-        ahead.linear.x, turn.angular.z = parameters.speed, parameters.turn_rate
-        radians = math.radians(TURN)
-        self._leg("metre", "ahead_m", METRE, ahead, METRE / parameters.speed)
-        self._leg("turn", "turned_deg", TURN, turn, radians / parameters.turn_rate)
+        speed, turn_rate = self._parameters.speed, self._parameters.turn_rate
+        self._leg("metre", "ahead_m", METRE, (speed, 0.0), METRE / speed)
+        self._leg("turn", "turned_deg", TURN, (0.0, turn_rate), math.radians(TURN) / turn_rate)
 
-    def _leg(self, name: str, quantity: str, asked: float, velocity: Twist, seconds: float) -> None:
+    def _leg(
+        self, name: str, quantity: str, asked: float, velocity: Tuple[float, float], seconds: float
+    ) -> None:
         """Drive until the odometry, or without any the truth, says that it is enough."""
         ways = {TRUTH: Way(), ODOMETRY: Way()}
         with self._followed(ways):
@@ -269,7 +272,7 @@ class Trial:
             latest = start + rospy.Duration(LATEST * seconds + STAND)
             self._look()
             while self._rate.now < latest and not _is_enough(ways, quantity, asked):
-                self._velocities.publish(velocity)
+                self._sender.send(velocity)
                 self._rate.sleep()
                 self._look()
             took = (self._rate.now - start).to_sec()
@@ -286,7 +289,7 @@ class Trial:
     def _stand(self, seconds: float) -> None:
         for _ in range(round(seconds * COMMANDS)):
             if self._report.robot.drive:
-                self._velocities.publish(Twist())
+                self._sender.send((0.0, 0.0))
             self._rate.sleep()
             self._look()
 
