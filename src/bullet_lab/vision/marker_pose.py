@@ -23,6 +23,7 @@ from bullet_lab.vision.marker_detector import (
     DetectorSettings,
     MarkerDetector,
 )
+from bullet_lab.vision.pose_tilts import Seen, linearised, mean_squares
 
 # Two poses are told apart if the worse one fits so much worse, and by more than the corners'
 # own error.
@@ -139,41 +140,18 @@ def estimate_pose(
     if not fits:
         raise VisionError("no pose fits the corners")
     best, other = fits[0][1], fits[-1][1]
-    if best is not other:
-        middle = whitening @ _between(best, other, points, corners, camera)
-        worse = max(0.0, float(middle @ middle) - fits[0][0])
-        # The root of the likelihood: half way is but the middle of a valley's floor.
-        likely = math.exp(-0.25 * worse)
-        best, other = _widened(best, other, likely), _widened(other, best, likely)
+    seen = Seen(points, corners, camera, whitening)
+    best, other = _widened(best, other, seen), _widened(other, best, seen)
     same = fits[0] is fits[-1] or np.sum(best.rotation * other.rotation) > 3.0 - 1e-4
     clear = other.error > _CLEAR_RATIO * best.error
     clear = clear and other.error - best.error > 0.5 * _CLEAR_SIGMAS * sigma
     return PoseEstimate(best, other, not (same or clear))
 
 
-def _between(
-    first: MarkerPose,
-    second: MarkerPose,
-    points: np.ndarray,
-    corners: np.ndarray,
-    camera: PinholeCamera,
-) -> np.ndarray:
-    """Return the residuals (8,) in px of the pose half way from one to the other."""
-    turn = cv2.Rodrigues(second.rotation @ first.rotation.T)[0]
-    rotation = cv2.Rodrigues(0.5 * turn)[0] @ first.rotation
-    middle = 0.5 * (first.translation + second.translation)
-    return _linearised(rotation, middle, points, corners, camera)[0]
-
-
-def _widened(pose: MarkerPose, other: MarkerPose, likely: float) -> MarkerPose:
-    """Return a pose that may be half way to the other one, by so much less likely than itself.
-
-    A marker that faces the camera is between two poses that fit better, each of them in a narrow
-    valley of the squares: half way is where it may be, which no curvature there tells.
-    """
+def _widened(pose: MarkerPose, other: MarkerPose, seen: Seen) -> MarkerPose:
     turn = cv2.Rodrigues(other.rotation @ pose.rotation.T)[0].ravel()
-    half = 0.5 * np.concatenate((other.translation - pose.translation, turn))
-    return replace(pose, covariance=pose.covariance + likely * np.outer(half, half))
+    covariance = mean_squares(pose.rotation, pose.translation, pose.covariance, turn, seen)
+    return replace(pose, covariance=covariance)
 
 
 def _whitening(covariance: np.ndarray) -> np.ndarray:
@@ -255,11 +233,11 @@ def _refined(
 ) -> Optional[Tuple[float, MarkerPose]]:
     """Return the pose of least squares from a start (Levenberg and Marquardt), and how it fits."""
 
-    def linearised(turned: np.ndarray, moved: np.ndarray):
-        residuals, jacobian = _linearised(turned, moved, points, corners, camera)
+    def weighted(turned: np.ndarray, moved: np.ndarray):
+        residuals, jacobian = linearised(turned, moved, points, corners, camera)
         return residuals, whitening @ residuals, whitening @ jacobian
 
-    seen, residuals, jacobian = linearised(rotation, translation)
+    seen, residuals, jacobian = weighted(rotation, translation)
     error, damping = float(residuals @ residuals), 1e-6
     for _ in range(_ITERATIONS):
         if not np.isfinite(error):
@@ -269,7 +247,7 @@ def _refined(
         step = -solve_symmetric(damped, jacobian.T @ residuals)
         moved = translation + step[:3]
         turned = cv2.Rodrigues(step[3:])[0] @ rotation
-        there = linearised(turned, moved)
+        there = weighted(turned, moved)
         error_there = float(there[1] @ there[1])
         if not error_there < error:
             damping *= 100.0
@@ -283,41 +261,6 @@ def _refined(
     covariance = invert_symmetric(jacobian.T @ jacobian)
     distance = float(np.sqrt(seen @ seen / 4.0))
     return error, MarkerPose(rotation, translation, distance, covariance)
-
-
-def _linearised(
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    points: np.ndarray,
-    corners: np.ndarray,
-    camera: PinholeCamera,
-) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the (8,) residuals in px and their (8, 6) derivatives by x, y, z and rotations."""
-    turned = points @ rotation.T
-    pixels, by_point = _projected(turned + translation, camera)
-    crosses = np.zeros((4, 3, 3))
-    crosses[:, 0, 1], crosses[:, 0, 2], crosses[:, 1, 2] = turned[:, 2], -turned[:, 1], turned[:, 0]
-    crosses -= np.swapaxes(crosses, 1, 2)
-    jacobian = np.concatenate((by_point, by_point @ crosses), axis=2).reshape(8, 6)
-    return (pixels - corners).ravel(), jacobian
-
-
-def _projected(seen: np.ndarray, camera: PinholeCamera) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the pixels (n, 2) of points of the optical frame and their (n, 2, 3) derivatives."""
-    if not any(camera.distortion):
-        x, y = seen[:, 0], seen[:, 1]
-        z = np.where(seen[:, 2] > 0.0, seen[:, 2], np.nan)
-        u, v = camera.fx * x / z, camera.fy * y / z
-        by_point = np.zeros((len(seen), 2, 3))
-        by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -u / z
-        by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -v / z
-        return np.column_stack((u + camera.cx, v + camera.cy)), by_point
-    # By central differences through the lens.
-    step = 1e-6 * float(np.abs(seen[:, 2]).mean())
-    shifts = step * np.vstack((np.zeros(3), np.eye(3), -np.eye(3)))
-    pixels = camera.project((seen[:, None] + shifts).reshape(-1, 3)).reshape(len(seen), 7, 2)
-    by_point = np.swapaxes((pixels[:, 1:4] - pixels[:, 4:]) / (2.0 * step), 1, 2)
-    return pixels[:, 0], by_point
 
 
 @dataclass(frozen=True, eq=False)

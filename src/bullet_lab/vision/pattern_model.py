@@ -73,16 +73,17 @@ class PatternModel:
         )
         return value, slopes
 
-    def light(self, evenly: bool = False) -> np.ndarray:
+    def light(self, evenly: bool = False, bowed: bool = True) -> np.ndarray:
         """Return what the numbers of the light are multiplied with, (k, n); the last 3 with B.
 
         Args:
-            evenly: without an offset, what is of second order, and what is beyond the quiet zone.
+            evenly: without an offset, and what is beyond the quiet zone.
+            bowed: with what is of second order.
         """
         contrast = self._planes * self._value
-        if evenly:
-            return np.concatenate((self._away, contrast))
         bowls = self._away**2, (self._away[0] * self._away[1])[None]
+        if evenly:
+            return np.concatenate((self._away, *(bowls if bowed else ()), contrast))
         return np.concatenate((self._tails(), self._planes, *bowls, contrast))
 
     def _tails(self) -> np.ndarray:

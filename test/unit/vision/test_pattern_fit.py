@@ -58,13 +58,14 @@ def test_motion_is_told_from_the_marker(length):
     assert np.abs(found.corners - true_corners(view)).max() < 0.1
 
 
-def test_a_marker_that_faces_the_camera_may_be_between_its_two_poses():
+@pytest.mark.parametrize("distance, sigma", [(7.0, 0.05), (6.0, 0.007), (2.0, 0.07)])
+def test_a_marker_that_faces_the_camera_may_be_between_its_two_poses(distance, sigma):
     """Normalised squares of the tilt of a small marker within their 99 % bounds, in the mean."""
-    view, total, count = View(7.0), 0.0, 60
+    view, total, count = View(distance), 0.0, 60
     chance = np.random.default_rng(6)
     for _ in range(count):
-        corners = true_corners(view) + chance.normal(0.0, 0.05, (4, 2))
-        pose = estimate_pose(corners, 0.2, CAMERA, 0.05).nearest_to(view.rotation)
+        corners = true_corners(view) + chance.normal(0.0, sigma, (4, 2))
+        pose = estimate_pose(corners, 0.2, CAMERA, sigma).nearest_to(view.rotation)
         turned = cv2.Rodrigues(view.rotation @ pose.rotation.T)[0].ravel()
         error = np.concatenate((view.translation - pose.translation, turned))
         total += error @ np.linalg.solve(pose.covariance, error)
@@ -86,6 +87,28 @@ def test_the_covariance_is_that_of_the_noise(distance, blur):
         total += off @ np.linalg.solve(found.covariance, off)
     low, high = chi2.ppf((0.005, 0.995), 8 * count)
     assert low < total < high
+
+
+@pytest.mark.parametrize("shared", [-0.04, 0.0, 0.11])
+def test_what_pixels_share_with_their_neighbours_moves_no_corner(shared):
+    view = View(6.0, yaw=25.0, pitch=4.0, roll=10.0)
+    image = image_of([marker()], view, samples=16).astype(np.float32)
+    part = np.float32([shared, 1.0 - 2.0 * shared, shared])
+    found = fit(cv2.sepFilter2D(image, -1, part, part), view)
+    assert np.abs(found.corners - true_corners(view)).max() < 0.006
+
+
+def test_a_blur_that_is_no_gaussian_makes_no_large_marker_less_certain():
+    """It makes residuals, but the same ones on both sides of an edge, which stays where it is."""
+    clean = image_of([marker()], VIEW, samples=8, blur=0.5)
+    covariance = fit(clean, VIEW).covariance
+    assert np.trace(covariance) < 8 * 0.0105**2
+
+
+def test_over_exposed_white_moves_no_corner():
+    image = image_of([marker(black=60.0, white=330.0)], VIEW, samples=8, blur=0.6, noise=2.0)
+    found = fit(image, VIEW)
+    assert np.abs(found.corners - true_corners(VIEW)).max() < 0.1
 
 
 def test_what_hides_a_corner_is_passed_over_and_the_corner_is_less_certain():

@@ -1,0 +1,214 @@
+"""The pixels of an image that tell where a marker is: all, or those across its edges."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Optional, Tuple
+
+import numpy as np
+
+from bullet_lab.vision.algebra import homography
+from bullet_lab.vision.images import Lens
+from bullet_lab.vision.pattern_model import UNIT_SQUARE, unit_square
+
+# What is looked at beyond the outline, in cells, at most and at least; the quiet zone is one cell,
+# and what lies beyond it is seen so many px within it.
+_AROUND, LEAST_AROUND, _BEYOND = 0.55, 0.1, 1.3
+# Of a marker up to so many px all pixels are looked at, of a larger one some hundreds at its edges:
+# at so many places of each cell's edge at most, and so far to either side, px.
+_SMALL, _MOST_PIXELS = 30.0, 600
+_PLACES, _REACH = 5, 2
+# In an image with much blur all pixels of a large marker are looked at as well, but for every other
+# row and column, and so on, where it is larger than so many px.
+_MANY = 60.0
+# Grey levels between which a pixel tells how bright it is, and the part of over-exposed ones that
+# may be noise.
+_TOLD = 0.0, 255.0
+_CLIPPED = 0.08
+# This part of the pixels must be the marker's.
+LEAST_SHARE = 0.5
+# A highlight: what is dark differs by so much of what is left to the brightest.
+_UNEVEN = 0.2
+
+
+def mean_cell(corners: np.ndarray, cells: int) -> float:
+    """Return the mean length in px of so many equal parts of a marker's sides."""
+    sides = corners[[1, 2, 3, 0]] - corners
+    return float(np.hypot(sides[:, 0], sides[:, 1]).mean()) / cells
+
+
+@dataclass(frozen=True, eq=False)
+class Pixels:
+    """Pixels of a marker.
+
+    Attributes:
+        points: (2, m) ideal px where the model is asked: as many, or a grid and what is around it.
+        levels: (n,) grey levels; less their group's mean where there are groups.
+        told: (n,) which of them count; over-exposed ones in groups do not.
+        group: so many have an offset of their own; 1: none. The first of each group come first.
+        grid: (rows, columns) that are pixels; what they share with their neighbours is told then.
+        chosen: which of a grid without its outer rows and columns the n are.
+    """
+
+    points: np.ndarray
+    levels: np.ndarray
+    told: np.ndarray
+    group: int = 1
+    grid: Optional[Tuple[int, int]] = None
+    chosen: Optional[np.ndarray] = None
+
+    @property
+    def grouped(self) -> bool:
+        """Whether there are groups."""
+        return self.group > 1
+
+    @property
+    def whole(self) -> bool:
+        """Whether there are groups, of which all pixels count."""
+        return self.grouped and bool(self.told.all())
+
+    def own(self, values: np.ndarray) -> np.ndarray:
+        """Return those of values (m,) that are the pixels', (n,)."""
+        if self.grid is None:
+            return values
+        return values.reshape(self.grid)[1:-1, 1:-1][self.chosen]
+
+    def seen(self, columns: np.ndarray, shared: float) -> np.ndarray:
+        """Return columns (k, m) as pixels have them that share so much with each neighbour."""
+        if self.grid is not None:
+            columns = columns.reshape(-1, *self.grid)
+            return _mixed(_mixed(columns, shared, 2), shared, 1)[:, self.chosen]
+        return _less_mean(columns, self.told, self.group) if self.grouped else columns
+
+    def by_shared(self, values: np.ndarray, shared: float) -> np.ndarray:
+        """Return derivatives (1, n) of values (m,) by what is shared."""
+        if self.grid is None:
+            return np.zeros((1, len(values)))
+        values = values.reshape(1, *self.grid)
+        across, down = (_mixed(_less_own(values, 3 - axis), shared, axis) for axis in (1, 2))
+        return (across + down)[:, self.chosen]
+
+
+def _mixed(grids: np.ndarray, shared: float, axis: int) -> np.ndarray:
+    """Return grids (k, rows, columns), each pixel with a part of both neighbours along an axis."""
+    inner = grids[:, 1:-1] if axis == 1 else grids[:, :, 1:-1]
+    return inner + shared * _less_own(grids, axis)
+
+
+def _less_own(grids: np.ndarray, axis: int) -> np.ndarray:
+    """Return both neighbours of each pixel along an axis, less twice its own value."""
+    if axis == 1:
+        return grids[:, :-2] + grids[:, 2:] - 2.0 * grids[:, 1:-1]
+    return grids[:, :, :-2] + grids[:, :, 2:] - 2.0 * grids[:, :, 1:-1]
+
+
+def _less_mean(columns: np.ndarray, told: np.ndarray, group: int) -> np.ndarray:
+    """Return columns (m, n) less the mean of those of each group that count; 0 for the others."""
+    told = told.reshape(group, -1).astype(float)
+    grouped = told * columns.reshape(len(columns), group, -1)
+    means = grouped.sum(axis=1, keepdims=True) / np.maximum(told.sum(axis=0), 1.0)
+    return (grouped - told * means).reshape(len(columns), -1)
+
+
+def pixels_of(image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens) -> Pixels:
+    """Return all pixels of a small marker (as for `fit_pattern`), those at its edges of a large."""
+    if mean_cell(corners, 1) <= _SMALL:
+        return all_pixels(image, corners, len(pattern), lens)
+    return _edge_pixels(image, corners, pattern, lens)
+
+
+def all_pixels(image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens) -> Pixels:
+    """Return the pixels of a marker of so many cells along a side, and of its quiet zone."""
+    within = 1.0 - _BEYOND / mean_cell(corners, cells)
+    around = float(np.clip(within, LEAST_AROUND, _AROUND)) / cells
+    to_image = homography(corners)
+    outline = lens.seen(_mapped(UNIT_SQUARE + around * (2.0 * UNIT_SQUARE - 1.0), to_image))
+    limits = np.array(image.shape[::-1]) - 1.0
+    each = max(1, math.ceil(mean_cell(corners, 1) / _MANY))
+    low, high = (np.clip(ends, 0.0, limits) for ends in (outline.min(axis=0), outline.max(axis=0)))
+    columns, rows = (np.arange(int(low[k]), int(np.ceil(high[k])) + 1, each) for k in (0, 1))
+    seen = np.stack(np.meshgrid(columns, rows), axis=-1)
+    levels = image[seen[..., 1], seen[..., 0]].astype(float)
+    inner = np.ascontiguousarray(lens.ideal(seen.reshape(-1, 2).astype(float)).T)
+    places, _ = unit_square(inner, to_image)
+    chosen = (np.abs(places - 0.5).max(axis=0) < 0.5 + around).reshape(levels.shape)
+    chosen = _told(levels, chosen)
+    if mean_cell(corners, 1) > _SMALL:
+        inner = np.ascontiguousarray(inner[:, chosen.ravel()])
+        return Pixels(inner, levels[chosen], chosen[chosen])
+    wider = [np.arange(ends[0] - 1, ends[-1] + 2) for ends in (columns, rows)]
+    asked = np.stack(np.meshgrid(*wider), axis=-1).reshape(-1, 2).astype(float)
+    asked = np.ascontiguousarray(lens.ideal(asked).T)
+    grid = len(wider[1]), len(wider[0])
+    return Pixels(asked, levels[chosen], chosen[chosen], grid=grid, chosen=chosen)
+
+
+def _told(levels: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return which of those chosen tell how bright they are, if they are enough; else all.
+
+    What is over-exposed, or too dark, may be anything beyond.
+    """
+    told = chosen & (levels > _TOLD[0]) & (levels < _TOLD[1])
+    return told if told.sum() > LEAST_SHARE * chosen.sum() else chosen
+
+
+def _edge_pixels(image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens) -> Pixels:
+    """Return the pixels on either side of places along all edges in a pattern."""
+    places, normals = _edges(pattern.tobytes(), len(pattern))
+    to_image = homography(corners)
+    points, beside = _mapped(places, to_image), _mapped(places + 1e-3 * normals, to_image)
+    across = beside - points
+    across /= np.hypot(across[:, 0], across[:, 1])[:, None]
+    offsets = np.arange(-_REACH, _REACH + 1.0)[:, None, None]
+    seen = np.rint(lens.seen(points + offsets * across)).astype(int)
+    inside = ((seen >= 0) & (seen < image.shape[::-1])).all(axis=(0, 2))
+    seen = seen[:, inside].reshape(-1, 2)
+    levels = image[seen[:, 1], seen[:, 0]].astype(float)
+    group = 2 * _REACH + 1
+    points = np.ascontiguousarray(lens.ideal(seen.astype(float)).T)
+    told = _told_in_groups(levels, group)
+    return Pixels(points, _less_mean(levels[None], told, group)[0], told, group)
+
+
+def _told_in_groups(levels: np.ndarray, group: int) -> np.ndarray:
+    """Return which levels (n,) tell how bright it is: those of groups without over-exposed pixels.
+
+    Where these are few, it is what is not over-exposed, but under a highlight all: half a group
+    takes its slope for an edge out of place, all of it makes large residuals, as it should.
+    """
+    told = levels < _TOLD[1]
+    if told.mean() > 1.0 - _CLIPPED:
+        return np.ones_like(told)
+    whole = np.tile(told.reshape(group, -1).all(axis=0), group)
+    if whole.mean() >= LEAST_SHARE:
+        return whole
+    darkest = levels.reshape(group, -1).min(axis=0)
+    low, high = np.percentile(darkest, (10.0, 90.0))
+    return told | (high - low > _UNEVEN * (_TOLD[1] - low))
+
+
+@lru_cache(maxsize=64)
+def _edges(pattern: bytes, cells: int) -> Tuple[np.ndarray, np.ndarray]:
+    """Return places (n, 2) of the unit square where black meets white, and what is across there."""
+    white = np.frombuffer(pattern, np.uint8).reshape(cells, cells) > 0
+    white = np.pad(white, 1, constant_values=True)
+    edges = int((white[:, 1:] != white[:, :-1]).sum() + (white[1:] != white[:-1]).sum())
+    each = int(np.clip(_MOST_PIXELS / ((2 * _REACH + 1) * edges), 2, _PLACES))
+    along = (np.arange(each) + 0.5) / each
+    points, normals = [], []
+    # Between the cells of a row, then, with rows and columns exchanged, of a column.
+    for order, cells_of in ((1, white), (-1, white.T)):
+        row, column = np.nonzero(cells_of[1:-1, 1:] != cells_of[1:-1, :-1])
+        x = np.repeat(column.astype(float), each)
+        y = (row[:, None] + along).ravel()
+        points.append(np.column_stack((x, y))[:, ::order])
+        normals.append(np.tile(np.array([1.0, 0.0])[::order], (len(x), 1)))
+    return np.concatenate(points) / cells, np.concatenate(normals)
+
+
+def _mapped(places: np.ndarray, to_image: np.ndarray) -> np.ndarray:
+    """Return where (n, 2) places of the unit square are, in ideal px."""
+    there = places @ to_image[:, :2].T + to_image[:, 2]
+    return there[:, :2] / there[:, 2:]
