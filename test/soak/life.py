@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import signal
 from collections import Counter
-from typing import Any, List, Tuple
+from typing import Any, Iterator, List, Tuple
 
 import numpy as np
 import rospy
@@ -76,6 +77,7 @@ class Life:
         self._spawn_urdf = proxy("/gazebo/spawn_urdf_model", srv.SpawnModel)
         self._delete = proxy("/gazebo/delete_model", srv.DeleteModel)
         self._set_state = proxy("/gazebo/set_model_state", srv.SetModelState)
+        self._stand = [proxy(f"/gazebo/{name}_physics", Empty) for name in ("pause", "unpause")]
         self._resets = {
             n: proxy(f"/gazebo/{n}", Empty) for n in ("reset_world", "reset_simulation")
         }
@@ -86,6 +88,15 @@ class Life:
         self._seconds += now - self._before
         self._before = now
         return self._seconds
+
+    @contextlib.contextmanager
+    def at_rest(self) -> Iterator[None]:
+        """Have only what was there at the beginning, and time stand meanwhile."""
+        while self._no_model() or self._no_robot() or self._no_listen() or self._no_visit():
+            pass
+        self._stand[0]()
+        yield
+        self._stand[1]()
 
     def go_on(self) -> None:
         """Do what happens in one second."""

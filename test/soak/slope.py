@@ -44,7 +44,7 @@ def slope(hours: Sequence[float], values: Sequence[float], segments: Sequence[in
         of = np.flatnonzero(np.asarray(segments) == segment)
         begin, end = hours[of[0]], hours[of[-1]]
         of = of[hours[of] >= begin + WARM_UP * (end - begin)]
-        if end - begin < SHORTEST or len(of) < 2 * BLOCKS:
+        if end - begin < SHORTEST or len(of) < BLOCKS:
             continue
         count += 1
         blocks = np.array_split(of, BLOCKS)

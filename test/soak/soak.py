@@ -3,7 +3,9 @@
 A camera robot drives squares in lock step with noisy odometry and a marker detector, while models,
 robots with lasers, subscribers and nodes come and go, and the world and time are reset. What the
 nodes take of the machine is sampled into samples.csv; a soak that was stopped goes on in another
-segment, with nodes of its own. Slopes are judged within segments, after the first quarter of each.
+segment, with nodes of its own. What is there at a time takes more or less: shadow maps alone take
+up to 64 MB. So now and then all that has come is taken away, and what the nodes take then is what
+is judged: slopes within segments, after the first quarter of each.
 """
 
 from __future__ import annotations
@@ -44,10 +46,15 @@ UNITS = {"mb": "memory (MB)", "descriptors": "descriptors", "threads": "threads"
 MOST_GROWTH = {"mb": 1.0, "descriptors": 1.0, "threads": 1.0}
 """In an hour of simulated time."""
 
-COLUMNS = ("segment", "hours", "speed", *(f"{n}_{what}" for n in NODES for what in TAKEN))
+COLUMNS = (
+    *("segment", "at_rest", "hours", "speed"),
+    *(f"{name}_{what}" for name in NODES for what in TAKEN),
+)
 COLOURS = (VERMILION, BLUE, GREEN, ORANGE, PURPLE, BLACK)
 # Simulated seconds between samples, of long soaks; short ones have so many samples at least.
 SAMPLE_SECONDS, FEWEST_SAMPLES = 10.0, 60
+# Simulated seconds between rests; and wall seconds of one, in which nodes look for garbage.
+REST_SECONDS, REST = 180.0, 12.0
 # Simulated seconds between lines, where there is no terminal for a bar.
 TELL_SECONDS = 900.0
 # Wall seconds without a simulated one.
@@ -89,9 +96,14 @@ class Samples:
         """Return a column."""
         return np.array([row[name] for row in self.rows])
 
+    def resting(self) -> np.ndarray:
+        """Return which rows are of a rest."""
+        return self.column("at_rest") > 0.0
+
     def slope(self, values: np.ndarray) -> Slope:
-        """How much a column grows in an hour."""
-        return slope(self.column("hours"), values, self.column("segment"))
+        """How much a column grows in an hour, at rest."""
+        rows = self.resting()
+        return slope(self.column("hours")[rows], values[rows], self.column("segment")[rows])
 
     def _write(self, mode: str, rows: Sequence[Sequence[Any]]) -> None:
         with self._path.open(mode, newline="") as file:
@@ -106,7 +118,7 @@ def live(samples: Samples, hours: float, seed: int, folder: Path) -> Dict[str, A
     life = Life(lab, np.random.default_rng([seed, segment]))
     try:
         for taken in _seconds(life, lab, 3600.0 * (hours - before), failures):
-            samples.add(segment, before + taken[0] / 3600.0, *taken[1:])
+            samples.add(segment, taken[0], before + taken[1] / 3600.0, *taken[2:])
     except (rospy.ServiceException, rospy.ROSException) as error:
         failures += [f"the bridge does not answer: {error}", *lab.dead()]
     except KeyboardInterrupt:
@@ -119,9 +131,9 @@ def live(samples: Samples, hours: float, seed: int, folder: Path) -> Dict[str, A
 
 
 def _seconds(life: Life, lab: Lab, most: float, failures: List[str]) -> Iterator[List[float]]:
-    """Live second by second; yield what is sampled: seconds, speed, and what nodes take."""
+    """Live second by second; yield samples: at rest or not, seconds, speed, what nodes take."""
     period = min(SAMPLE_SECONDS, most / FEWEST_SAMPLES)
-    acted = sampled = life.seconds()
+    acted = sampled = rested = life.seconds()
     start, wall, moved, told = acted, time.monotonic(), time.monotonic(), 0
     with tqdm(total=round(most), unit="s", desc="simulated", disable=None, smoothing=0.01) as bar:
         while not lab.dead():
@@ -134,7 +146,7 @@ def _seconds(life: Life, lab: Lab, most: float, failures: List[str]) -> Iterator
                 return
             if now >= sampled + period:
                 speed = (now - sampled) / (time.monotonic() - wall)
-                yield [now - start, speed, *itertools.chain(*lab.taken().values())]
+                yield [0.0, now - start, speed, *itertools.chain(*lab.taken().values())]
                 bar.update(min(round(now - start), bar.total) - bar.n)
                 sampled, wall = now, time.monotonic()
                 if bar.disable and (now - start) // TELL_SECONDS > told:
@@ -142,6 +154,12 @@ def _seconds(life: Life, lab: Lab, most: float, failures: List[str]) -> Iterator
                     print(f"{(now - start) / 3600.0:.2f} h simulated", flush=True)
             if now >= start + most:
                 return
+            if now >= rested + REST_SECONDS:
+                with life.at_rest():
+                    time.sleep(REST)
+                    yield [1.0, now - start, math.nan, *itertools.chain(*lab.taken().values())]
+                rested = now
+                wall = moved = time.monotonic()
             time.sleep(0.05)
 
 
@@ -169,11 +187,13 @@ def figure(samples: Samples, title: str) -> Any:
     """Draw memory, descriptors, threads and speed over time."""
     drawing = new_figure(9.0, 10.0)
     axes = drawing.subplots(4, sharex=True)
-    hours, segments = samples.column("hours"), samples.column("segment")
+    hours, segments, rest = samples.column("hours"), samples.column("segment"), samples.resting()
     begins = hours[np.flatnonzero(np.diff(segments)) + 1]
     for what, ax in zip(TAKEN, axes):
         for name, colour in zip(NODES, COLOURS):
-            ax.plot(hours, samples.column(f"{name}_{what}"), color=colour, lw=1.0, label=name)
+            values = samples.column(f"{name}_{what}")
+            ax.plot(hours, values, color=colour, lw=0.5, alpha=0.4)
+            ax.plot(hours[rest], values[rest], color=colour, marker=".", lw=1.0, label=name)
         ax.set(ylabel=UNITS[what])
         ax.set_ylim(bottom=0.0)
     axes[3].plot(hours, samples.column("speed"), color=GREY, lw=0.8)
@@ -219,7 +239,7 @@ def main() -> None:
         happened = live(samples, wanted.hours, wanted.seed, folder / "log")
     found = verdicts(samples)
     everything = found["all mb"]
-    said = f"memory of all nodes, MB after the first quarter: {in_words(everything)}"
+    said = f"memory of all nodes at rest, MB after the first quarter: {in_words(everything)}"
     save(figure(samples, f"{samples.hours:.2f} h simulated; {said}"), folder / "soak.png")
     summary = {
         "seed": wanted.seed,
