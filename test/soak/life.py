@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import signal
+import time
 from collections import Counter
 from typing import Any, Iterator, List, Tuple
 
@@ -39,6 +40,8 @@ TOPICS: Tuple[Tuple[str, type], ...] = (
 )
 MOST_MODELS, MOST_SUBSCRIBERS = 6, 5
 GUEST = "guest"
+# Before a rest is one: pictures of what is left, and wall seconds for them.
+PICTURES, PICTURE_SECONDS = 3, 20.0
 # Chances of what happens in a simulated second.
 CHANCES = {
     "model": 0.25,
@@ -94,7 +97,14 @@ class Life:
         """Have only what was there at the beginning, and time stand meanwhile."""
         while self._no_model() or self._no_robot() or self._no_listen() or self._no_visit():
             pass
+        # What is drawn is kept until the next picture, shadow maps of what is gone among it.
+        came: List[None] = []
+        camera = rospy.Subscriber("mycamera/image_raw", Image, lambda _: came.append(None))
+        end = time.monotonic() + PICTURE_SECONDS
+        while len(came) < PICTURES and time.monotonic() < end:
+            time.sleep(0.05)
         self._stand[0]()
+        camera.unregister()
         yield
         self._stand[1]()
 
