@@ -21,6 +21,7 @@ from std_srvs.srv import Empty
 from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.ros.messages.gazebo_types import srv
+from bullet_lab.simulation.rendering.scene import KEPT_DRAWABLES
 from bullet_lab.simulation.world.resources import package_share
 
 INCLUDE = '<sdf version="1.6"><include><uri>model://{}</uri></include></sdf>'
@@ -40,7 +41,7 @@ TOPICS: Tuple[Tuple[str, type], ...] = (
 )
 MOST_MODELS, MOST_SUBSCRIBERS = 6, 5
 GUEST = "guest"
-# Before a rest is one: pictures of what is left, and wall seconds for them.
+# Before a rest is one: pictures of what is left, and wall seconds for them, at most.
 PICTURES, PICTURE_SECONDS = 3, 20.0
 # Chances of what happens in a simulated second.
 CHANCES = {
@@ -97,16 +98,23 @@ class Life:
         """Have only what was there at the beginning, and time stand meanwhile."""
         while self._no_model() or self._no_robot() or self._no_listen() or self._no_visit():
             pass
-        # What is drawn is kept until the next picture, shadow maps of what is gone among it.
+        # The renderer keeps the last links that are gone, and until the next picture all shadows.
+        self.done["rest"] += 1
+        self._spawned(self._spawn_sdf, "boxes", small_boxes(self.done["rest"]))
+        self._watch()
+        self._delete("boxes")
+        self._watch()
+        self._stand[0]()
+        yield
+        self._stand[1]()
+
+    def _watch(self) -> None:
         came: List[None] = []
         camera = rospy.Subscriber("mycamera/image_raw", Image, lambda _: came.append(None))
         end = time.monotonic() + PICTURE_SECONDS
         while len(came) < PICTURES and time.monotonic() < end:
             time.sleep(0.05)
-        self._stand[0]()
         camera.unregister()
-        yield
-        self._stand[1]()
 
     def go_on(self) -> None:
         """Do what happens in one second."""
@@ -183,6 +191,17 @@ class Life:
         turn = 0.5 * self._random.uniform(-math.pi, math.pi)
         where = Point(distance * math.cos(angle), distance * math.sin(angle), 0.0)
         return Pose(where, Quaternion(0.0, 0.0, math.sin(turn), math.cos(turn)))
+
+
+def small_boxes(number: int) -> str:
+    """Return a model of as many links as the renderer keeps, unlike those of other numbers."""
+    links = "".join(
+        f"<link name='link{k}'><visual name='box'><geometry>"
+        f"<box><size>{0.01 + 1e-5 * number} 0.01 {0.01 + 1e-5 * k}</size></box>"
+        "</geometry></visual></link>"
+        for k in range(KEPT_DRAWABLES)
+    )
+    return f"<sdf version='1.6'><model name='boxes'><static>true</static>{links}</model></sdf>"
 
 
 def _passed_over(_message: Any) -> None:

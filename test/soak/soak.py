@@ -54,7 +54,7 @@ COLOURS = (VERMILION, BLUE, GREEN, ORANGE, PURPLE, BLACK)
 # Simulated seconds between samples, of long soaks; short ones have so many samples at least.
 SAMPLE_SECONDS, FEWEST_SAMPLES = 10.0, 60
 # Simulated seconds between rests; and wall seconds of one, in which nodes look for garbage.
-REST_SECONDS, REST = 180.0, 12.0
+REST_SECONDS, REST = 240.0, 12.0
 # Simulated seconds between lines, where there is no terminal for a bar.
 TELL_SECONDS = 900.0
 # Wall seconds without a simulated one.
