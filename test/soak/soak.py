@@ -158,7 +158,7 @@ def _seconds(life: Life, lab: Lab, most: float, failures: List[str]) -> Iterator
                 with life.at_rest():
                     time.sleep(REST)
                     yield [1.0, now - start, math.nan, *itertools.chain(*lab.taken().values())]
-                rested = now
+                rested = sampled = now
                 wall = moved = time.monotonic()
             time.sleep(0.05)
 
