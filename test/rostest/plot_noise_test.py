@@ -58,8 +58,11 @@ class PlotNoiseTest(unittest.TestCase):
 
     def rows(self, name="paths.csv"):
         """The rows of a table so far."""
-        path = self.out / name
-        return list(csv.DictReader(path.read_text().splitlines())) if path.exists() else []
+        try:
+            return list(csv.DictReader((self.out / name).read_text().splitlines()))
+        except FileNotFoundError:
+            # Not there so far, or just put aside.
+            return []
 
     def lines(self, name):
         return (self.out / name).read_text().splitlines()
