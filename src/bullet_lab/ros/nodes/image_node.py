@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Mapping, Optional
 
@@ -80,7 +81,7 @@ class CameraImage:
         return pixels_of(self._message, "bgr8").copy()
 
 
-class ImageNode:
+class ImageNode(ABC):
     """The base of the nodes that process images.
 
     Args:
@@ -123,9 +124,9 @@ class ImageNode:
 
     # For the nodes
 
+    @abstractmethod
     def process(self, image: CameraImage) -> Mapping[str, Any]:
         """Publish what is found and return figures for the diagnostics; raises LabError."""
-        raise NotImplementedError
 
     def process_unusable(self, image: CameraImage) -> None:
         """Publish an answer to an image that cannot be used, where an answer is due."""

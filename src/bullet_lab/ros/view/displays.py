@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import logging
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, Iterable, List, Optional, Set, Tuple
 
@@ -65,15 +66,13 @@ class Stage:
         return pose
 
 
-class Display:
+class Display(ABC):
     """What is seen of one topic; `read` and `large` as of `Feed`."""
 
     # Whether it is still of use when nobody publishes the topic any more.
     stays = False
 
-    def __init__(
-        self, stage: Stage, topic: str, read: Callable[[bytes], Any], large: bool = False
-    ):
+    def __init__(self, stage: Stage, topic: str, read: Callable[[bytes], Any], large: bool = False):
         self.stage = stage
         self.node = f"/topics{topic}"
         self._feed = Feed(topic, read, large=large)
@@ -84,13 +83,13 @@ class Display:
         if message is not None:
             self.show(message)
 
+    @abstractmethod
     def show(self, message: Any) -> None:
         """Show what `read` has made of a message."""
-        raise NotImplementedError
 
+    @abstractmethod
     def hide(self) -> None:
         """Show nothing any more."""
-        raise NotImplementedError
 
     def close(self) -> None:
         """Listen no longer, and show nothing."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
+from abc import ABC, abstractmethod
 from typing import ClassVar, Optional, Tuple
 
 from bullet_lab.core.pose import Pose, heading_of
@@ -79,7 +80,7 @@ class Wheel:
         self._body.drive_joint(self.joint, self._speed, self._torque)
 
 
-class WheelDrive(MobileBase):
+class WheelDrive(MobileBase, ABC):
     """What robots on driven wheels have in common.
 
     At each update the odometry is sent, then the wheels' motors are given the speeds of the last
@@ -119,9 +120,9 @@ class WheelDrive(MobileBase):
         for wheel in self.wheels:
             wheel.stop()
 
+    @abstractmethod
     def _report(self, step: int, seconds: float) -> None:
         """Send what is measured, `seconds` after the last time."""
-        raise NotImplementedError
 
 
 def base_velocity(body: Body, pose: Pose) -> PlanarCommand:

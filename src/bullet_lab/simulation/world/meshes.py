@@ -1,4 +1,4 @@
-"""Mesh files as triangles, as what PyBullet takes, and as solids.
+"""Mesh files as triangles and as what PyBullet takes.
 
 COLLADA is read with pycollada itself: trimesh would pass over its unit and over what is broken in
 it, and costs 0.3 s to import, which only worlds with .stl and .obj files pay.
@@ -122,14 +122,6 @@ def _bounds(mesh: MeshFile, _version: Tuple[int, int]) -> np.ndarray:
     bounds = np.array((vertices.min(axis=0), vertices.max(axis=0)))
     bounds.setflags(write=False)
     return bounds
-
-
-def mesh_solid(mesh: MeshFile) -> Any:
-    """Return what a mesh encloses as a `trimesh.Trimesh`; raises as `load_triangles`."""
-    import trimesh
-
-    triangles = load_triangles(mesh)
-    return trimesh.Trimesh(triangles.vertices, triangles.faces, process=False)
 
 
 def hull_corners(mesh: MeshFile) -> np.ndarray:

@@ -9,6 +9,7 @@ something of its own of shapes: `physics.bodies`, `rendering.surfaces`,
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar, Dict, Optional, Sequence, Tuple, Type
@@ -16,23 +17,23 @@ from typing import Any, ClassVar, Dict, Optional, Sequence, Tuple, Type
 import numpy as np
 
 from bullet_lab.core.pose import Vector
-from bullet_lab.simulation.world.meshes import mesh_bounds, mesh_solid
+from bullet_lab.simulation.world.meshes import mesh_bounds
 from bullet_lab.simulation.world.xml import TagReader
 
 
 class ShapeTag(TagReader):
     """A tag that describes a shape, with its measures as attributes (URDF) or children (SDF)."""
 
+    @abstractmethod
     def uri(self) -> str:
         """Return what names the file of a mesh."""
-        raise NotImplementedError
 
+    @abstractmethod
     def find(self, uri: str) -> Path:
         """Return the file that a URI means; raises ResourceError."""
-        raise NotImplementedError
 
 
-class Shape:
+class Shape(ABC):
     """What all shapes know.
 
     `tag` is its name in SDF and, if `in_urdf`, in URDF. One with colours of its own is white where
@@ -44,22 +45,22 @@ class Shape:
     has_own_colours: ClassVar[bool] = False
 
     @classmethod
+    @abstractmethod
     def read(cls, tag: ShapeTag) -> Any:
         """Return the shape that a tag describes; raises LabError."""
-        raise NotImplementedError
 
     def measures(self) -> Dict[str, Tuple[float, ...]]:
         """Return the numbers that make the shape, by their names in SDF."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: v if isinstance(v, tuple) else (v,) for name, v in values.items()}
 
+    @abstractmethod
     def bounds(self) -> np.ndarray:
         """Return the least and the greatest corner of the box around it, shape (2, 3), in m.
 
         >>> Box((2.0, 1.0, 0.5)).bounds().tolist()
         [[-1.0, -0.5, -0.25], [1.0, 0.5, 0.25]]
         """
-        raise NotImplementedError
 
     def distance(self, point: Vector) -> float:
         """Return how far a point is from its surface, in m; inside or outside.
@@ -74,18 +75,6 @@ class Shape:
         gaps = self._gaps(point)
         # Outside of a product of intervals, and inside.
         return abs(math.hypot(*(max(gap, 0.0) for gap in gaps)) + min(max(gaps), 0.0))
-
-    def volume(self) -> float:
-        """Return the volume in m³; 0 for a plane."""
-        return 0.0
-
-    def inertia(self, mass: float) -> np.ndarray:
-        """Return the (3, 3) inertia of a mass (kg) all over it, about its centre, in kg m².
-
-        >>> Box((3.0, 2.0, 1.0)).inertia(12.0).diagonal().tolist()
-        [5.0, 10.0, 13.0]
-        """
-        raise NotImplementedError
 
     def floor_sides(self) -> Optional[Tuple[float, float]]:
         """Return the sides (m) of the rectangle that it covers standing; None if it is none."""
@@ -111,13 +100,6 @@ class Box(Shape):
     def bounds(self) -> np.ndarray:
         return np.outer((-0.5, 0.5), self.size)
 
-    def volume(self) -> float:
-        return math.prod(self.size)
-
-    def inertia(self, mass: float) -> np.ndarray:
-        squares = np.square(self.size)
-        return np.diag(mass / 12.0 * (squares.sum() - squares))
-
     def floor_sides(self) -> Tuple[float, float]:
         return self.size[:2]
 
@@ -140,13 +122,6 @@ class Cylinder(Shape):
     def bounds(self) -> np.ndarray:
         return np.outer((-1.0, 1.0), (self.radius, self.radius, 0.5 * self.length))
 
-    def volume(self) -> float:
-        return math.pi * self.radius**2 * self.length
-
-    def inertia(self, mass: float) -> np.ndarray:
-        across = mass * (3.0 * self.radius**2 + self.length**2) / 12.0
-        return np.diag((across, across, 0.5 * mass * self.radius**2))
-
     def _gaps(self, point: Vector) -> Sequence[float]:
         x, y, z = point
         return math.hypot(x, y) - self.radius, abs(z) - 0.5 * self.length
@@ -165,12 +140,6 @@ class Sphere(Shape):
 
     def bounds(self) -> np.ndarray:
         return np.outer((-1.0, 1.0), 3 * (self.radius,))
-
-    def volume(self) -> float:
-        return 4.0 / 3.0 * math.pi * self.radius**3
-
-    def inertia(self, mass: float) -> np.ndarray:
-        return 0.4 * mass * self.radius**2 * np.eye(3)
 
     def _gaps(self, point: Vector) -> Sequence[float]:
         return (math.hypot(*point) - self.radius,)
@@ -204,8 +173,7 @@ class Mesh(Shape):
     `uri` is what the description said, for those who resolve it themselves (RViz); `path` is
     the file that it means here. With a `submesh`, only what a COLLADA file has in nodes of that
     name, or an .obj file in objects or groups, with its middle at the origin if it is `centred`.
-    What asks for its triangles raises MeshError or XmlError for a file that is not usable. Its
-    inertia is about its centre of mass.
+    What asks for its triangles raises MeshError or XmlError for a file that is not usable.
     """
 
     path: Path
@@ -227,13 +195,6 @@ class Mesh(Shape):
 
     def bounds(self) -> np.ndarray:
         return mesh_bounds(self)
-
-    def volume(self) -> float:
-        return mesh_solid(self).volume
-
-    def inertia(self, mass: float) -> np.ndarray:
-        solid = mesh_solid(self)
-        return mass / solid.volume * solid.moment_inertia
 
 
 SHAPES: Dict[str, Type[Shape]] = {kind.tag: kind for kind in (Box, Cylinder, Sphere, Plane, Mesh)}

@@ -7,6 +7,7 @@ import math
 import os
 import re
 import stat
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Callable, Match, Optional, Sequence, Tuple, Type
 from xml.etree.ElementTree import Element, ParseError
@@ -142,19 +143,19 @@ def child_text(element: Element, tag: str, default: str = "") -> str:
     return text or default
 
 
-class TagReader:
+class TagReader(ABC):
     """What a tag says, by the names of what it holds; raises XmlError where that makes no sense.
 
     Where there is a default, `doubt` decides whether it counts instead.
     """
 
+    @abstractmethod
     def text(self, key: str, default: str = "") -> str:
         """Return a text, or the default where there is none."""
-        raise NotImplementedError
 
+    @abstractmethod
     def where(self, key: str) -> str:
         """Name the place of a text in messages."""
-        raise NotImplementedError
 
     def doubt(self, error: LabError) -> None:
         """Take note of what makes no sense, and return for its default to count; or raise it."""

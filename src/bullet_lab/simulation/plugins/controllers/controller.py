@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, Dict, Mapping, Tuple, Type
 
@@ -64,7 +65,7 @@ class Adjustable:
     greatest: Any = ""
 
 
-class Controller:
+class Controller(ABC):
     """Base of all controllers.
 
     While it runs, `update` is called at each control period. It reads its joints, and writes
@@ -121,9 +122,9 @@ class Controller:
     def starting(self, step: int) -> None:
         """Get ready, at the simulated time `step`."""
 
+    @abstractmethod
     def update(self, step: int, seconds: float) -> None:
         """Read and command joints at the simulated time `step`, `seconds` after the last time."""
-        raise NotImplementedError
 
     def stopping(self) -> None:
         """Leave the joints in order."""

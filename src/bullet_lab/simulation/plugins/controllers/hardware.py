@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from abc import ABC, abstractmethod
 from typing import ClassVar, Dict, List, Optional, Tuple, Type
 
 from bullet_lab.simulation.physics.physics import Body
@@ -28,7 +29,7 @@ STRONGEST = 1e6
 AT_ONCE = 1.0
 
 
-class JointHandle:
+class JointHandle(ABC):
     """A joint: what controllers read of it, and the `command` that they write.
 
     Positions are in rad or m, velocities per s, efforts in N m or N, and so is the command,
@@ -48,9 +49,9 @@ class JointHandle:
         state = self._body.joint_state(self.name)
         self.position, self.velocity, self.effort = state.position, state.velocity, state.effort
 
+    @abstractmethod
     def write(self, seconds: float, stopped: bool) -> None:
         """Act on the coming step; `stopped` while the emergency stop is pressed."""
-        raise NotImplementedError
 
     def placed(self) -> None:
         """Take note that the robot was put somewhere else."""
