@@ -297,6 +297,7 @@ def tf_prefixes(model: Model, namespace: str, name: str = "") -> Callable[[str],
     """Return what gives the tf_prefix for the namespace of each of a model's plugins.
 
     Those that name none are in `namespace`; `name` is the model's in the world, its own if empty.
+    Raises NodeError where no master answers.
     """
     told = (namespace, *(plugin.tags.get(NAMESPACE, "") for plugin in model.plugins))
     spaces = {name or model.name, *(space.strip("/") for space in told)}
@@ -317,6 +318,8 @@ def _tf_prefix_in(namespace: str) -> str:
     except rosgraph.MasterException:
         # There is none.
         return ""
+    except MASTER_ERRORS as error:
+        raise NodeError(f"no ROS master answers: {error}") from error
 
 
 class _Transport(xmlrpc.client.Transport):

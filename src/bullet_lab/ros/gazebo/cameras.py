@@ -38,7 +38,6 @@ COMPRESSION = (
 )
 # Hz.
 LEAST_RATE, GREATEST_RATE = 1.0, 50.0
-# Where there is no master any more.
 # What set_camera_info changes.
 CALIBRATED = ("height", "width", "distortion_model", "D", "K", "R", "P", "binning_x", "binning_y")
 

@@ -10,7 +10,6 @@ import rospy
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
-from bullet_lab.ros.node.node import MASTER_ERRORS
 
 # Fields of a response besides success and status_message.
 Answer = Dict[str, Any]
@@ -35,8 +34,6 @@ def offer(
             values = {"success": False, "status_message": f"{prefix}{error}"}
         except rospy.ROSInterruptException:
             raise
-        except MASTER_ERRORS as error:
-            values = {"success": False, "status_message": f"{prefix}no ROS master answers: {error}"}
         except Exception as error:
             # Whatever a client sends, it gets an answer, and the others' simulation goes on.
             rospy.logerr("/gazebo/%s: %s", name, traceback.format_exc())
