@@ -31,7 +31,7 @@ def run(target: str) -> None:
     # With several, the last bit of a sum depends on how many cores there are.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     end_at_once_when_interrupted()
-    give_large_buffers_back()
+    give_memory_back()
     import logging
 
     # A log that finds no room on the disk is no reason for tracebacks.
@@ -49,8 +49,8 @@ def run(target: str) -> None:
     main()
 
 
-def give_large_buffers_back() -> None:
-    """Have the C library give the system back what is large as soon as it is freed.
+def give_memory_back() -> None:
+    """Have the C library give the system back what is freed, instead of keeping it.
 
     Where shadow maps and pictures of many sizes come and go, it comes to keep them among what is
     small, and a process grows by hundreds of megabytes in an hour. And it has a heap for each of

@@ -68,20 +68,48 @@ def test_nodes_listen_on_the_loopback_unless_they_are_opened(monkeypatch, given,
     assert get_bind_address() == address
 
 
+LARGE_AMONG_SMALL = """
+def megabytes():
+    return int(open("/proc/self/statm").read().split()[1]) * 4 // 1024
+
+# Where it is not told otherwise, glibc takes these sizes for small from here on.
+del bytearray(16 * 2**20)[:]
+before, small, large = megabytes(), [], []
+for _ in range(6):
+    large.append(bytearray(b"1") * (16 * 2**20))
+    small.append(bytearray(100_000))
+large.clear()
+print(megabytes() - before)
+"""
+HEAPS = """
+import ctypes, threading
+libc = ctypes.CDLL(None)
+libc.fdopen.restype = ctypes.c_void_p
+barrier = threading.Barrier(5)
+
+def take():
+    kept = bytearray(10_000)
+    barrier.wait()
+
+for _ in range(4):
+    threading.Thread(target=take).start()
+barrier.wait()
+out = ctypes.c_void_p(libc.fdopen(1, b"w"))
+libc.malloc_info(0, out)
+libc.fflush(out)
+"""
+
+
+def printed_with_memory_given_back(program):
+    code = f"from bullet_lab.entry import give_memory_back\ngive_memory_back()\n{program}"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
 def test_large_buffers_are_given_back_whatever_small_ones_stay():
-    program = (
-        "from bullet_lab.entry import give_large_buffers_back\n"
-        "def megabytes():\n"
-        "    return int(open('/proc/self/statm').read().split()[1]) * 4 // 1024\n"
-        "give_large_buffers_back()\n"
-        # Where that is not done, it takes these sizes for small from here on.
-        "del bytearray(16 * 2**20)[:]\n"
-        "before, small, large = megabytes(), [], []\n"
-        "for _ in range(6):\n"
-        "    large.append(bytearray(b'1') * (16 * 2**20))\n"
-        "    small.append(bytearray(100_000))\n"
-        "large.clear()\n"
-        "print(megabytes() - before)\n"
-    )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert int(run.stdout) < 16, run.stderr
+    assert int(printed_with_memory_given_back(LARGE_AMONG_SMALL)) < 16
+
+
+def test_threads_have_no_heaps_of_their_own():
+    assert printed_with_memory_given_back(HEAPS).count("<heap nr=") == 1

@@ -39,7 +39,7 @@ def wrap(angle):
         return wrapped if wrapped < math.pi or wrapped != wrapped else -math.pi
     largest = np.max(np.abs(angle), initial=0.0)
     if largest < math.pi:
-        return np.subtract(angle, 0.0)
+        return np.array(angle, dtype=float)
     # fmod is slow and exact, and so is the one subtraction that may follow.
     wrapped = angle if largest < math.tau else np.fmod(angle, math.tau)
     return wrapped - math.tau * ((wrapped >= math.pi) * 1.0 - (wrapped < -math.pi) * 1.0)
