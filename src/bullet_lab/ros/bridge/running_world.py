@@ -29,7 +29,13 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.stepper import Stepper, StepperError
 from bullet_lab.ros.bridge.timing import Arrival, CommandCounter
 from bullet_lab.ros.messages.conversions import INPUT_CONVERTERS, OUTPUT_CONVERTERS
-from bullet_lab.ros.node.node import MASTER_ERRORS, TF_PREFIX, NodeError, Refusals
+from bullet_lab.ros.node.node import (
+    MASTER_ERRORS,
+    TF_PREFIX,
+    NodeError,
+    Refusals,
+    search_parameter,
+)
 from bullet_lab.ros.node.publishers import BatchPublisher
 from bullet_lab.simulation.plugins import Input, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.controllers.controller import Controller
@@ -301,25 +307,8 @@ def tf_prefixes(model: Model, namespace: str, name: str = "") -> Callable[[str],
     """
     told = (namespace, *(plugin.tags.get(NAMESPACE, "") for plugin in model.plugins))
     spaces = {name or model.name, *(space.strip("/") for space in told)}
-    prefixes = {space: _tf_prefix_in(space) for space in spaces}
+    prefixes = {space: search_parameter(TF_PREFIX, space) for space in spaces}
     return lambda space: prefixes.get(space, "")
-
-
-def _tf_prefix_in(namespace: str) -> str:
-    """Return the tf_prefix that holds in a namespace: its own, or that of one around it."""
-    # The search begins in the namespace of whoever asks.
-    asking = f"/{namespace.strip('/')}/robot".replace("//", "/")
-    if not rosgraph.names.is_legal_name(asking):
-        return ""
-    master = rosgraph.Master(asking)
-    try:
-        found = master.searchParam(TF_PREFIX)
-        return str(master.getParam(found)) if found else ""
-    except rosgraph.MasterException:
-        # There is none.
-        return ""
-    except MASTER_ERRORS as error:
-        raise NodeError(f"no ROS master answers: {error}") from error
 
 
 class _Transport(xmlrpc.client.Transport):

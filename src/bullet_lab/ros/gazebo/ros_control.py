@@ -23,7 +23,7 @@ from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
 from bullet_lab.ros.messages.control_types import msg, srv
-from bullet_lab.ros.node.node import MASTER_ERRORS
+from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
 from bullet_lab.simulation.plugins.controllers.controller import Controller, known_controllers
 from bullet_lab.simulation.plugins.controllers.parameters import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.ros_control import RosControl
@@ -103,13 +103,12 @@ class _Manager:
 
     def _wait_for_description(self) -> Optional[str]:
         """Return the robot's URDF, once the parameter is there; None if the robot has gone."""
-        # The search begins in the robot's namespace, and goes up from there.
-        master = rosgraph.Master(f"{self._plugin.namespace}robot")
         name, waited = self._plugin.description, 0.0
         while not (self._ended.is_set() or rospy.is_shutdown()):
-            text = _search(master, name)
-            if text:
-                return text
+            with contextlib.suppress(NodeError):
+                text = search_parameter(name, self._plugin.namespace)
+                if text:
+                    return text
             if waited <= PATIENCE < waited + LOOK_SECONDS:
                 rospy.logwarn("controllers in %s wait for %s", self._plugin.namespace, name)
             waited += LOOK_SECONDS
@@ -242,11 +241,3 @@ def _state(controller: Controller) -> Any:
 def _parameters(namespace: str) -> Any:
     """Return the tree of parameters in a namespace, None where there is none."""
     return rospy.get_param(namespace.rstrip("/") or "/", None)
-
-
-def _search(master: rosgraph.Master, name: str) -> str:
-    try:
-        found = master.searchParam(name)
-        return str(master.getParam(found)) if found else ""
-    except MASTER_ERRORS:
-        return ""

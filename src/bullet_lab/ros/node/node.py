@@ -220,6 +220,26 @@ def private_parameters(kind: Type[T]) -> T:
     return read_parameters(kind, rospy.get_param, dict.fromkeys(names))
 
 
+def search_parameter(name: str, namespace: str) -> str:
+    """Return what a parameter says in a namespace, or in the nearest around it; empty without one.
+
+    Raises NodeError where no master answers.
+    """
+    # The search begins in the namespace of whoever asks.
+    asking = f"/{namespace.strip('/')}/node".replace("//", "/")
+    if not rosgraph.names.is_legal_name(asking):
+        return ""
+    master = rosgraph.Master(asking)
+    try:
+        found = master.searchParam(name)
+        return str(master.getParam(found)) if found else ""
+    except rosgraph.MasterException:
+        # It is gone meanwhile.
+        return ""
+    except MASTER_ERRORS as error:
+        raise NodeError(f"no ROS master answers: {error}") from error
+
+
 def ignore_clock() -> None:
     """Spare this node the messages on /clock, all of which rospy takes whoever asks the time."""
     own = getattr(rospy.impl.simtime, "_clock_sub", None)

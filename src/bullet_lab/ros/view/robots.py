@@ -7,12 +7,11 @@ import xmlrpc.client
 from dataclasses import dataclass
 from typing import Any, Dict, FrozenSet, List, Optional, Set, Tuple
 
-import rosgraph
 import rospy
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.ros.node.node import MASTER_ERRORS, TF_PREFIX
+from bullet_lab.ros.node.node import TF_PREFIX, NodeError, search_parameter
 from bullet_lab.ros.view.displays import Stage
 from bullet_lab.simulation.world.description import Model, Visual
 from bullet_lab.simulation.world.report import ReportOnce
@@ -176,11 +175,9 @@ class Robots:
 
 def tf_prefix(namespace: str) -> str:
     """Return the tf_prefix that holds in a namespace, with its slash; empty without one."""
-    master = rosgraph.Master(f"/{namespace}/view" if namespace else "/view")
     try:
-        found = master.searchParam(TF_PREFIX)
-        prefix = str(master.getParam(found)).strip("/") if found else ""
-    except MASTER_ERRORS:
+        prefix = search_parameter(TF_PREFIX, namespace).strip("/")
+    except NodeError:
         return ""
     return f"{prefix}/" if prefix else ""
 
