@@ -70,7 +70,7 @@ class DockParticles:
         self.weights = np.full(PARTICLES, 1.0 / PARTICLES)
         self.mass = 1.0
         # What is wrong with the odometry, in most cases nothing.
-        self._errors = rng.standard_normal((PARTICLES, 3)) * UNKNOWN_ODOMETRY
+        self._errors = rng.standard_normal((PARTICLES, len(UNKNOWN_ODOMETRY))) * UNKNOWN_ODOMETRY
         self._errors *= rng.random((PARTICLES, 1)) < _ODOMETRY_ERRS
 
     def move(self, motion: MotionStep) -> None:

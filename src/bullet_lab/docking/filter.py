@@ -1,11 +1,12 @@
 """Iterated extended Kalman filter on the corners of a marker, for many Gaussians at once.
 
-A marker state is (x m, y m, yaw rad, height m, growth, roll, pitch, yaw rad, way, turn, drift
+A marker state is (x m, y m, yaw rad, height m, growth, roll, pitch, yaw rad, way, turn, two drifts
 rad/m): pose of the dock in the robot's frame, height of the marker's centre above the floor, and
 logarithm of its size over the size that it is taken for; then what is not as it is known, how the
 camera is turned against its known place, and the odometry: logarithm of the true way over the
-told one, the true turn over the told one less 1, and what is turned on each metre ahead and not
-told. The motion model moves the first three with the odometry; the measurement model says where
+told one, the true turn over the told one less 1, and what is turned and not told on each metre
+ahead, and on each back. Wheels that differ turn the robot the other way when it backs out, a gyro
+that drifts the same way: so one says nothing of the other. The motion model moves the first three with the odometry; the measurement model says where
 the corners are seen.
 """
 
@@ -23,18 +24,19 @@ from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.odometry import MotionStep
 from bullet_lab.docking.types import CameraMount, PixelNoise
 
-STATES = 11
+STATES = 12
 _OF_MARKER = 5
 _EYE = np.eye(STATES)
-CAMERA, ODOMETRY = slice(5, 8), slice(8, 11)
+CAMERA, ODOMETRY = slice(5, 8), slice(8, STATES)
 """Where a state says how the camera is turned, and what is wrong with the odometry."""
 
 UNKNOWN_CAMERA = np.radians([1.2, 1.2, 1.2])
-UNKNOWN_ODOMETRY = np.array([0.035, 0.035, 0.02])
+UNKNOWN_ODOMETRY = np.array([0.035, 0.035, 0.02, 0.02])
 """Standard deviations of both, where they are not as known; else they are within these."""
 
 _KNOWN_CAMERA = np.radians([0.05, 0.05, 0.05])
-_KNOWN_ODOMETRY = np.array([0.003, 0.003, 0.001])
+_KNOWN_ODOMETRY = np.array([0.003, 0.003, 0.001, 0.001])
+_OF_POSE, _OF_ODOMETRY = 3, len(UNKNOWN_ODOMETRY)
 # Probability that a camera, or an odometry, is as it is known.
 _AS_KNOWN = 0.7
 # How much states are moved, at first not, to find out what the pixels do, and disturbances too.
@@ -111,8 +113,9 @@ class DriftingPoses:
     """Poses that were believed once, moved along by odometry of which is not known how good."""
 
     def __init__(self, poses: Sequence[GaussianPose]):
-        self._x = np.zeros((len(poses), 6))
-        self._p = np.zeros((len(poses), 6, 6))
+        states = _OF_POSE + _OF_ODOMETRY
+        self._x = np.zeros((len(poses), states))
+        self._p = np.zeros((len(poses), states, states))
         for number, pose in enumerate(poses):
             self.put(number, pose)
 
@@ -135,25 +138,28 @@ class DriftingPoses:
 
 
 def true_steps(step, errors: np.ndarray) -> np.ndarray:
-    """Return the steps (..., 3) that odometry tells as one step, if it errs as (..., 3) say.
+    """Return the steps (..., 3) that odometry tells as one step, if it errs as (..., 4) say.
 
-    >>> true_steps((0.5, 0.0, 1.0), np.array([0.0, 0.1, 0.2]))
+    >>> true_steps((0.5, 0.0, 1.0), np.array([0.0, 0.1, 0.2, 0.0]))
     array([0.5, 0. , 1.2])
+    >>> true_steps((-0.5, 0.0, 1.0), np.array([0.0, 0.1, 0.2, 0.4]))
+    array([-0.5,  0. ,  1.3])
     """
     dx, dy, dyaw = step
     longer = np.exp(errors[..., 0].copy())
-    steps = np.empty(errors.shape)
+    steps = np.empty((*errors.shape[:-1], _OF_POSE))
     steps[..., 0], steps[..., 1] = longer * dx, longer * dy
-    steps[..., 2] = (1.0 + errors[..., 1]) * dyaw + errors[..., 2] * dx
+    steps[..., 2] = (1.0 + errors[..., 1]) * dyaw + errors[..., 2] * max(dx, 0.0)
+    steps[..., 2] += errors[..., 3] * max(-dx, 0.0)
     return steps
 
 
 def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> Tuple[np.ndarray, np.ndarray]:
     """Return states (n, i) and covariances (n, i, i) as seen by the robot after a step.
 
-    Of each the first three are a pose, and the last three what is wrong with the odometry.
+    Of each the first three are a pose, and the last four what is wrong with the odometry.
     """
-    steps = true_steps(motion.step, x[:, -3:])
+    steps = true_steps(motion.step, x[:, -_OF_ODOMETRY:])
     turned = steps[:, 2].copy()  # see corner_points
     cos, sin = np.cos(turned), np.sin(turned)
     x, (dx, dy) = x.copy(), (x[:, :2] - steps[:, :2]).T
@@ -167,17 +173,19 @@ def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> Tuple[np.ndarra
     by_step[:, :2, :2] = -by_state[:, :2, :2]
     by_step[:, 0, 2], by_step[:, 1, 2] = x[:, 1], -x[:, 0]
     by_step[:, 2, 2] = -1.0
-    by_error = np.zeros((len(x), 3, 3))
+    by_error = np.zeros((len(x), _OF_POSE, _OF_ODOMETRY))
     by_error[:, :2, 0] = steps[:, :2]
-    by_error[:, 2, 1], by_error[:, 2, 2] = motion.step[2], motion.step[0]
-    by_state[:, :3, -3:] = by_step @ by_error
+    ahead = motion.step[0]
+    by_error[:, 2, 1], by_error[:, 2, 2] = motion.step[2], max(ahead, 0.0)
+    by_error[:, 2, 3] = max(-ahead, 0.0)
+    by_state[:, :_OF_POSE, -_OF_ODOMETRY:] = by_step @ by_error
     p = by_state @ p @ by_state.transpose(0, 2, 1)
     p[:, :3, :3] += by_step @ motion.covariance @ by_step.transpose(0, 2, 1)
     return x, p
 
 
 def as_known(x: np.ndarray, p: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return states (n, 11) and covariances with camera and odometry as known, where they may be.
+    """Return states (n, 12) and covariances with camera and odometry as known, where they may be.
 
     They are right more often than not. By Bayes' rule, with the ratio of Savage and Dickey (J. M.
     Dickey, Annals of Mathematical Statistics 42, 1971) for what the images say, each is right with
@@ -196,7 +204,7 @@ class _Part:
 
 _CAMERA_PART = _Part(CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA)
 _ODOMETRY_PART = _Part(ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
-_DRIFTING_ODOMETRY = _Part(slice(3, 6), _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
+_DRIFTING_ODOMETRY = _Part(slice(_OF_POSE, _OF_POSE + _OF_ODOMETRY), _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
 
 
 def _part_as_known(x: np.ndarray, p: np.ndarray, of: _Part) -> Tuple[np.ndarray, np.ndarray]:
@@ -293,10 +301,10 @@ def corner_points(states: np.ndarray, sizes) -> np.ndarray:
 def predict(
     states: np.ndarray, sizes: np.ndarray, view: Viewpoint
 ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return where corners of (n, 11) states with sizes (n,) are seen, and its derivatives.
+    """Return where corners of (n, 12) states with sizes (n,) are seen, and its derivatives.
 
     Returns:
-        Pixels (n, 8) as u, v of each corner in turn; derivatives by the state (n, 8, 11); and by
+        Pixels (n, 8) as u, v of each corner in turn; derivatives by the state (n, 8, 12); and by
         roll, pitch and yaw of the robot at the moment of the image (n, 8, 3). NaN for a marker
         that is not ahead of the camera.
     """
@@ -350,7 +358,7 @@ def innovations(start, x, p, sizes, corners, view: Viewpoint, noise: PixelNoise)
     """Compare corners with states `start` of covariance `p`, linearised at states `x`.
 
     Returns:
-        What is left to explain (n, 8) px, its derivatives by the state (n, 8, 11), its covariance
+        What is left to explain (n, 8) px, its derivatives by the state (n, 8, 12), its covariance
         (n, 8, 8), and where the corners are seen (n, 8) px, as `predict` says.
     """
     predicted, by_state, tilts = predict(x, sizes, view)
@@ -389,8 +397,8 @@ def iterated_update(
     """Take corners (4, 2) px into account (Bell and Cathey 1993: Gauss and Newton's steps).
 
     Args:
-        start: (n, 11) states.
-        p: (n, 11, 11) their covariances.
+        start: (n, 12) states.
+        p: (n, 12, 12) their covariances.
         sizes: (n,) m.
         corners: as seen by the camera of `view`, with `noise`.
         view: that camera.
@@ -399,7 +407,7 @@ def iterated_update(
         hidden: numbers of corners that say nothing.
 
     Returns:
-        States (n, 11), covariances (n, 11, 11), squared Mahalanobis distances of the corners (n,)
+        States (n, 12), covariances (n, 12, 12), squared Mahalanobis distances of the corners (n,)
         and logarithms of the determinants of their covariances (n,).
     """
     corners = np.asarray(corners, dtype=float)

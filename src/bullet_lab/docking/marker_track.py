@@ -216,7 +216,7 @@ class MarkerTrack:
         values = [Learned(*pair) for pair in zip(x.tolist(), np.sqrt(np.diag(p)).tolist())]
         height = Learned(values[3].value - self._height, values[3].deviation)
         roll, pitch, yaw = values[CAMERA]
-        way, turn, drift = values[ODOMETRY]
+        way, turn, drift, _ = values[ODOMETRY]
         return Calibration(
             roll, pitch, yaw, height, Learned(math.expm1(way.value), way.deviation), turn, drift
         )

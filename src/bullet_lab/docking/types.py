@@ -194,7 +194,7 @@ class Calibration:
     height: Learned  #: m, of the marker above the camera
     way: Learned  #: true way / told one - 1, which a printed size that is wrong looks like
     turn: Learned  #: true turn / told one - 1
-    drift: Learned  #: rad/m, turned to the left and not told
+    drift: Learned  #: rad/m, turned to the left on the way ahead and not told
 
     def remarks(self) -> str:
         """Say what is likely not as it is known: four standard deviations, and worth a word."""
