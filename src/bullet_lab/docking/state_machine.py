@@ -392,12 +392,14 @@ class Confirm(State):
             return STANDSTILL
         uncertain = float(estimate.deviations[2]) > 0.3 * planner.dock.tolerance.yaw
         patience = settings.unseen_timeout
-        waited = planner.now - self._since
+        waited, seen = planner.now - self._since, track.frames - self._frames
         if min(waited, planner.unseen(track)) > patience and planner.blind(track, left):
             return self._judge(planner, robot)
-        if track.frames - self._frames >= settings.final_frames * (3 if uncertain else 1):
+        # Where the light is poor or images get lost, it does not wait for ever for all of them.
+        late = waited > 5.0 * patience
+        if seen >= settings.final_frames * (3 if uncertain and not late else 1):
             return self._judge(planner, robot)
-        if waited > 5.0 * patience:
+        if late and (planner.unseen(track) > 2.0 * patience or waited > 10.0 * patience):
             return _retry(planner, left, "the marker is lost before the dock")
         return STANDSTILL
 
