@@ -74,6 +74,7 @@ class DockingPlanner:
         now: stamp of the tick, s.
         retries: how often it retreated to try again.
         stagings: how often it went for a better start.
+        lost_at_the_end: whether the marker was not found any more where the way ends.
         ahead: m, of the camera before the robot's middle.
     """
 
@@ -95,6 +96,7 @@ class DockingPlanner:
         self.now = 0.0
         self._at_rest_since: Optional[float] = None
         self.retries = self.stagings = 0
+        self.lost_at_the_end = False
         self._boxes = wall_boxes(dock)
         self._camera = np.array([mount.x, 0.0, 0.0])
         self._doubts = self._far_looks = self._probes = self._asides = 0
@@ -184,15 +186,16 @@ class DockingPlanner:
         return deviation > _UNSURE * self.dock.tolerance.yaw and self.retries < rounds
 
     def blind(self, track: MarkerTrack, left: float) -> bool:
-        """Say whether the marker must have left the image on the last bit of the way (m).
+        """Say whether the marker is not to be found on the last bit of the way (m).
 
-        So it does before a camera that looks up or down more than is known. Odometry is good
-        enough for what is left.
+        Before a camera that looks up or down more than is known it leaves the image; or it was
+        lost there once before. Odometry is good enough for what is left.
         """
         estimate, tolerance = self.estimate(), self.dock.tolerance
         along, across = float(estimate.deviations[0]), estimate.lateral_deviation
         certain = along < tolerance.distance and across < tolerance.lateral
-        return certain and abs(left) < _BLIND and self.belief.cut_off(track)
+        gone = self.lost_at_the_end or self.belief.cut_off(track)
+        return certain and abs(left) < _BLIND and gone
 
     def in_sight(self, left: float) -> float:
         """Return so much left to go (m), or less where the marker would not be found there."""

@@ -340,6 +340,7 @@ class Retreat(State):
 
     def __init__(self, left: float, in_sight: bool = True):
         self._target, self._in_sight = left, in_sight
+        self._since: Optional[float] = None
 
     def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         estimate = planner.estimate()
@@ -347,7 +348,9 @@ class Retreat(State):
             return Outcome("lost")
         target = planner.in_sight(self._target) if self._in_sight else self._target
         left = target - planner.left(estimate.robot)
-        unseen = planner.unseen(planner.belief.best())
+        self._since = planner.now if self._since is None else self._since
+        # It may be just that place from which it is not found.
+        unseen = min(planner.unseen(planner.belief.best()), planner.now - self._since)
         if left <= 0.0:
             return Outcome("arrived")
         if self._in_sight and unseen > 2.0 * planner.settings.unseen_timeout:
@@ -400,6 +403,7 @@ class Confirm(State):
         if seen >= settings.final_frames * (3 if uncertain and not late else 1):
             return self._judge(planner, robot)
         if late and (planner.unseen(track) > 2.0 * patience or waited > 10.0 * patience):
+            planner.lost_at_the_end = True
             return _retry(planner, left, "the marker is lost before the dock")
         return STANDSTILL
 
