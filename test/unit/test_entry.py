@@ -81,6 +81,21 @@ for _ in range(6):
 large.clear()
 print(megabytes() - before)
 """
+FREE_AMONG_WHAT_IS_USED = """
+from bullet_lab.entry import trim_memory
+
+def megabytes():
+    return int(open("/proc/self/statm").read().split()[1]) * 4 // 1024
+
+pictures, small = [], []
+for _ in range(50):
+    pictures.append(bytearray(b"1") * 900_000)
+    small.append(bytearray(2000))
+pictures.clear()
+before = megabytes()
+trim_memory()
+print(before - megabytes())
+"""
 HEAPS = """
 import ctypes, threading
 libc = ctypes.CDLL(None)
@@ -109,6 +124,10 @@ def printed_with_memory_given_back(program):
 
 def test_large_buffers_are_given_back_whatever_small_ones_stay():
     assert int(printed_with_memory_given_back(LARGE_AMONG_SMALL)) < 16
+
+
+def test_what_is_free_among_what_is_used_is_given_back():
+    assert int(printed_with_memory_given_back(FREE_AMONG_WHAT_IS_USED)) > 20
 
 
 def test_threads_have_no_heaps_of_their_own():

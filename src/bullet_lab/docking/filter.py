@@ -6,8 +6,8 @@ logarithm of its size over the size that it is taken for; then what is not as it
 camera is turned against its known place, and the odometry: logarithm of the true way over the
 told one, the true turn over the told one less 1, and what is turned and not told on each metre
 ahead, and on each back. Wheels that differ turn the robot the other way when it backs out, a gyro
-that drifts the same way: so one says nothing of the other. The motion model moves the first three with the odometry; the measurement model says where
-the corners are seen.
+that drifts the same way: so one says nothing of the other. The motion model moves the first three
+with the odometry; the measurement model says where the corners are seen.
 """
 
 from __future__ import annotations
@@ -204,7 +204,8 @@ class _Part:
 
 _CAMERA_PART = _Part(CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA)
 _ODOMETRY_PART = _Part(ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
-_DRIFTING_ODOMETRY = _Part(slice(_OF_POSE, _OF_POSE + _OF_ODOMETRY), _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
+_AFTER_POSE = slice(_OF_POSE, _OF_POSE + _OF_ODOMETRY)
+_DRIFTING_ODOMETRY = _Part(_AFTER_POSE, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
 
 
 def _part_as_known(x: np.ndarray, p: np.ndarray, of: _Part) -> Tuple[np.ndarray, np.ndarray]:

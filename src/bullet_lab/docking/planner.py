@@ -40,12 +40,6 @@ _ROOM_TO_TURN = 0.17
 # and how often; and the last bit of the way (m) that it goes without seeing the marker.
 _UNSURE, _MOST_ROUNDS = 0.5, 2
 _BLIND = 0.12
-# Bearings (rad) from which its yaw is seen, on the robot's side first, and how often it goes there;
-# where its standard deviation is less, that brings nothing.
-_BESIDE, _MOST_ASIDE = tuple(math.radians(a) for a in (25.0, 20.0, 15.0, -25.0, -20.0, -15.0)), 3
-_UNKNOWN_YAW = math.radians(2.0)
-# Share of the thinkable docks of which the marker must be seen from there.
-_MOSTLY_SEEN = 0.8
 # How far apart, in m along the dock's axis, two prints on one wall may seem.
 _SAME_PLANE = 0.2
 # Looks for a larger print, where the marker itself is too small to be found from outside: how
@@ -99,7 +93,7 @@ class DockingPlanner:
         self.lost_at_the_end = False
         self._boxes = wall_boxes(dock)
         self._camera = np.array([mount.x, 0.0, 0.0])
-        self._doubts = self._far_looks = self._probes = self._asides = 0
+        self._doubts = self._far_looks = self._probes = 0
         self._far_range = _FAR
         self._far_visibility: Optional[MarkerVisibility] = None
         self._cue: Tuple[Optional[MarkerTrack], int] = (None, 0)
@@ -249,53 +243,18 @@ class DockingPlanner:
 
         That is where the marker is found, if need be nearer than the database says, or else there.
         """
-        distances = [self.dock.staging_distance]
-        if self.belief.visibility is not None:
-            distances.insert(0, self._staging_in_sight())
+        staging, visibility = self.dock.staging_distance, self.belief.visibility
+        distances = [staging]
+        if visibility is not None:
+            room = self.lane.depth + self.shape.turning_radius + _ROOM_TO_TURN
+            distances.insert(0, min(staging, max(room, 0.9 * visibility.farthest + self.ahead)))
         for distance in distances:
-            way = self._safe_way(se2.compose(estimate.mean, (-distance, 0.0, 0.0)))
-            if way is not None:
+            there = se2.compose(estimate.mean, (-distance, 0.0, 0.0))
+            costmap = self.costmap()
+            way = costmap.path(se2.compose(self.belief.pose, there).tolist())
+            if way is not None and costmap.risk(self._ahead_of_robot(way)) <= 2.0 * _RISKY:
                 return way
         return None
-
-    def way_aside(self, estimate: GaussianPose) -> Optional[List[Point]]:
-        """Return a safe way to where the yaw of the dock is seen; None if none, or if it is known.
-
-        How a marker that faces the camera looks changes with the square of its tilt, and so says
-        little of it, the less the smaller the marker is. Seen from aside it says much.
-        """
-        unknown = float(estimate.deviations[2]) > _UNKNOWN_YAW
-        if not unknown or self.belief.visibility is None or self._asides >= _MOST_ASIDE:
-            return None
-        side = math.copysign(1.0, float(estimate.robot[1]))
-        distance = self._staging_in_sight()
-        for angle in _BESIDE:
-            bearing = np.array([-math.cos(angle), side * math.sin(angle), 0.0])
-            if self._mostly_seen(se2.compose(estimate.mean, (distance - self.ahead) * bearing)):
-                way = self._safe_way(se2.compose(estimate.mean, distance * bearing))
-                if way is not None:
-                    self._asides += 1
-                    return way
-        return None
-
-    def _staging_in_sight(self) -> float:
-        """Return how far before the marker (m) it is staged, nearer where it is found only there."""
-        room = self.lane.depth + self.shape.turning_radius + _ROOM_TO_TURN
-        farthest = 0.9 * self.belief.visibility.farthest + self.ahead
-        return min(self.dock.staging_distance, max(room, farthest))
-
-    def _mostly_seen(self, place: np.ndarray) -> bool:
-        """Say whether the marker is most likely seen from a place (3,) in the robot's frame."""
-        eye = se2.compose(self.belief.pose, place)
-        seen = se2.between(self.belief.samples(_SAMPLES), eye)
-        return bool(np.mean(self.belief.visibility.unobstructed(*seen.T[:2])) > _MOSTLY_SEEN)
-
-    def _safe_way(self, place: np.ndarray) -> Optional[List[Point]]:
-        """Return a safe way to a place (3,) in the robot's frame; None if there is none."""
-        costmap = self.costmap()
-        way = costmap.path(se2.compose(self.belief.pose, place).tolist())
-        safe = way is not None and costmap.risk(self._ahead_of_robot(way)) <= 2.0 * _RISKY
-        return way if safe else None
 
     def probing_way(self) -> float:
         """Return how far (m) to drive ahead or, negative, back; 0 if not safe or often enough.

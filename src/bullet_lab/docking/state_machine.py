@@ -153,12 +153,6 @@ class Stage(Drive):
         return Outcome("lost") if planner.estimate() is None else super().step(planner)
 
 
-class LookAside(Stage):
-    """Drives to a point beside the dock's axis, from where its yaw is seen."""
-
-    detail = "going to where the dock's yaw is seen"
-
-
 class Probe(State):
     """Drives a little way (m; negative: back), to see how the size of what is seen changes.
 
@@ -305,9 +299,6 @@ class Approach(State):
         if trouble:
             return _retry(planner, left, trouble)
         if planner.lane.leads_at_an_edge(robot, estimate.lateral_deviation):
-            way = planner.way_aside(estimate)
-            if way is not None:
-                return Outcome("yaw unknown", (PathFollower(way, planner.settings),))
             return _back_out(planner, left, 0.5)
         if planner.lane.within_walls(robot) and not self._entered:
             self._entered = True
@@ -452,14 +443,7 @@ TRANSITIONS: Dict[Type[State], Dict[str, Type[State]]] = {
         "lost": Look,
     },
     Stage: {"arrived": Measure, "not safe": Measure, "lost": Look},
-    Approach: {
-        "arrived": Confirm,
-        "failed": Retreat,
-        "bad start": BackOut,
-        "yaw unknown": LookAside,
-        "lost": Measure,
-    },
-    LookAside: {"arrived": Measure, "not safe": Measure, "lost": Look},
+    Approach: {"arrived": Confirm, "failed": Retreat, "bad start": BackOut, "lost": Measure},
     BackOut: {"arrived": Measure, "lost": Measure},
     Retreat: {"arrived": Measure, "lost": Measure},
     Confirm: {"within tolerance": Docked, "failed": Retreat, "lost": Measure},

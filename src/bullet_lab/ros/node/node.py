@@ -24,7 +24,7 @@ import rospy.impl.simtime
 
 from bullet_lab.core.files import FileError
 from bullet_lab.core.parameters import ParameterError, read_parameters
-from bullet_lab.entry import JOB
+from bullet_lab.entry import JOB, trim_memory
 from bullet_lab.errors import LabError
 
 STATUS_CANNOT_GO_ON = 1
@@ -194,6 +194,7 @@ def _collect_garbage() -> None:
     while not rospy.is_shutdown():
         time.sleep(GARBAGE_SECONDS)
         gc.collect()
+        trim_memory()
 
 
 def node(body: Callable[[Any], None]) -> Callable[[], None]:
