@@ -132,7 +132,8 @@ def fit_pattern(
     residuals = residuals - step @ columns
     noise = _noise(residuals, steepness, beyond, pixels.told)
     residuals = np.where(own, residuals / noise, _TUKEY)
-    return _judged(corners, residuals, columns / noise, pixels.group, to_corners)
+    told = int(pixels.told.sum())
+    return _judged(corners, residuals, told, columns / noise, pixels.group, to_corners)
 
 
 def _allowed(spread: np.ndarray, least: Union[float, np.ndarray]) -> np.ndarray:
@@ -217,17 +218,19 @@ def _tukey(ratios: np.ndarray) -> np.ndarray:
 def _judged(
     corners: np.ndarray,
     residuals: np.ndarray,
+    told: int,
     columns: np.ndarray,
     group: int,
     to_corners: np.ndarray,
 ) -> Optional[PatternFit]:
     """Return the fit with its covariance, if the pattern explains most of what is seen.
 
-    Residuals (n,) and columns (m, n) are in standard deviations; `to_corners` is of `moves_of`.
+    Residuals (n,) and columns (m, n) are in standard deviations; `told` of them are of pixels that
+    tell how bright it is, and `to_corners` is of `moves_of`.
     """
     own = np.abs(residuals) < _OUTLYING
     count = int(own.sum())
-    if count < max(_LEAST_PIXELS, LEAST_SHARE * len(own)):
+    if count < max(_LEAST_PIXELS, LEAST_SHARE * told):
         return None
     inverse = _Equations(columns, residuals, own.astype(float), _BLUR_PRIOR).inverse()
     if group > 1:
@@ -235,7 +238,7 @@ def _judged(
     else:
         squares = float(np.square(residuals[own]).sum()) / max(1.0, count - len(columns))
     covariance = squares * (to_corners @ inverse[_SHAPE, _SHAPE] @ to_corners.T)
-    return PatternFit(corners, 0.5 * (covariance + covariance.T), 1.0 - count / len(own))
+    return PatternFit(corners, 0.5 * (covariance + covariance.T), 1.0 - count / told)
 
 
 def _squares(residuals: np.ndarray, columns: np.ndarray, inverse: np.ndarray, group: int) -> float:

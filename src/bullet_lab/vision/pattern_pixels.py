@@ -24,9 +24,11 @@ _PLACES, _REACH = 5, 2
 # row and column, and so on, where it is larger than so many px.
 _MANY = 60.0
 # Grey levels between which a pixel tells how bright it is, and the part of over-exposed ones that
-# may be noise.
+# may be noise. Of more of them, those within so many grey levels are looked at for the noise that
+# was added afterwards, and what is nearer than so many of its standard deviations is one of them.
 _TOLD = 0.0, 255.0
 _CLIPPED = 0.08
+_NEARLY, _SURELY = 24.0, 3.0
 # This part of the pixels must be the marker's.
 LEAST_SHARE = 0.5
 # A highlight: what is dark differs by so much of what is left to the brightest.
@@ -150,8 +152,19 @@ def _told(levels: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 
     What is over-exposed, or too dark, may be anything beyond.
     """
-    told = chosen & (levels > _TOLD[0]) & (levels < _TOLD[1])
+    told = chosen & (levels > _TOLD[0]) & (levels < _over_exposed(levels[chosen]))
     return told if told.sum() > LEAST_SHARE * chosen.sum() else chosen
+
+
+def _over_exposed(levels: np.ndarray) -> float:
+    """Return the grey level from which on pixels may be over-exposed.
+
+    Noise that is added to what was cut off leaves half of it there, and has the rest below.
+    """
+    off = _TOLD[1] - levels
+    if (off <= 0.0).mean() < _CLIPPED:
+        return _TOLD[1]
+    return _TOLD[1] - _SURELY * math.sqrt(2.0 * np.square(off[off < _NEARLY]).mean())
 
 
 def _edge_pixels(image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens) -> Pixels:
@@ -178,9 +191,9 @@ def _told_in_groups(levels: np.ndarray, group: int) -> np.ndarray:
     Where these are few, it is what is not over-exposed, but under a highlight all: half a group
     takes its slope for an edge out of place, all of it makes large residuals, as it should.
     """
-    told = levels < _TOLD[1]
-    if told.mean() > 1.0 - _CLIPPED:
-        return np.ones_like(told)
+    if (levels >= _TOLD[1]).mean() < _CLIPPED:
+        return np.ones(len(levels), dtype=bool)
+    told = levels < _over_exposed(levels)
     whole = np.tile(told.reshape(group, -1).all(axis=0), group)
     if whole.mean() >= LEAST_SHARE:
         return whole
