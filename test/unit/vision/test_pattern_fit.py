@@ -111,6 +111,17 @@ def test_over_exposed_white_moves_no_corner():
     assert np.abs(found.corners - true_corners(VIEW)).max() < 0.1
 
 
+@pytest.mark.parametrize("distance", [2.0, 0.8])
+def test_noise_that_is_added_to_over_exposed_white_moves_no_corner(distance):
+    """Half of what was cut off at 255 is below, and looked like white that is as bright as that."""
+    view = View(distance, yaw=3.0, pitch=2.0)
+    image = image_of([marker(black=0.0, white=420.0)], view, samples=8).astype(float)
+    image += np.random.default_rng(2).normal(0.0, 3.0, image.shape)
+    found = fit(np.clip(np.rint(image), 0, 255), view)
+    assert np.abs(found.corners - true_corners(view)).max() < 0.08
+    assert found.hidden < 0.2
+
+
 def test_what_hides_a_corner_is_passed_over_and_the_corner_is_less_certain():
     image = image_of([marker()], VIEW, samples=8, blur=0.6, noise=2.0)
     free = fit(image, VIEW)
