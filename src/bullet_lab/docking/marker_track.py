@@ -132,6 +132,7 @@ class MarkerTrack:
     Attributes:
         frames: images that were taken into account.
         last_seen: stamp of the last image that showed it, s.
+        found_from: from how far it was found, at most, m.
         real: probability that it is the marker itself and no copy of another size.
     """
 
@@ -145,7 +146,7 @@ class MarkerTrack:
         noise: PixelNoise,
     ):
         self._size, self._height, self._noise = size, height, noise
-        self.frames, self.last_seen = 0, -math.inf
+        self.frames, self.last_seen, self.found_from = 0, -math.inf, 0.0
         self._eye = np.array([view.mount.x, view.mount.y])
         self._spot: Optional[np.ndarray] = None
         self._spot_frames = 0
@@ -286,7 +287,9 @@ class MarkerTrack:
         )
         ray = self._x[np.argmax(self._weights), :2] - self._eye
         moved = self._eye - view.origin[:2]
-        since = -float(ray @ moved) / max(float(np.hypot(*ray)), 1e-6)
+        away = float(np.hypot(*ray))
+        self.found_from = max(self.found_from, away)
+        since = -float(ray @ moved) / max(away, 1e-6)
         self._sizing.see(*self._reach(corners, view), since)
         self._reduce()
 

@@ -40,6 +40,8 @@ _ROOM_TO_TURN = 0.17
 # and how often; and the last bit of the way (m) that it goes without seeing the marker.
 _UNSURE, _MOST_ROUNDS = 0.5, 2
 _BLIND = 0.12
+# From this part of the way from which the marker was found it is found again.
+_AS_FAR = 0.95
 # How far apart, in m along the dock's axis, two prints on one wall may seem.
 _SAME_PLANE = 0.2
 # Looks for a larger print, where the marker itself is too small to be found from outside: how
@@ -129,10 +131,13 @@ class DockingPlanner:
         return misfit(self.dock, camera, self._mount, self.belief.farthest(camera))
 
     def in_reach(self, robot: np.ndarray) -> bool:
-        """Say whether the marker is near enough to be found."""
-        visibility = self.belief.visibility
+        """Say whether the marker is near enough to be found, as it was from as far before."""
+        visibility, track = self.belief.visibility, self.belief.best()
+        if visibility is None:
+            return True
+        before = 0.0 if track is None else _AS_FAR * track.found_from
         reach = math.hypot(float(robot[0]) + self.ahead, float(robot[1]))
-        return visibility is None or reach < visibility.farthest
+        return reach < max(visibility.farthest, before)
 
     def result(self, success: bool, error: DockingError, message: str) -> DockingResult:
         """Return the result with the present estimates."""

@@ -128,7 +128,7 @@ class PixelNoise:
     relative: float = 0.0015  #: as part of the marker's size in the image, added to it
     #: px², divided by the size in the image and added too: corners of a marker of few pixels per
     #: cell are off together with the pattern and the blur
-    small: float = 3.0
+    small: float = 5.0
     tilt: float = math.radians(0.15)  #: rad, pitch and roll of the robot, for all corners together
     turn: float = math.radians(0.03)  #: rad, of its yaw at the moment of the image
 
