@@ -24,6 +24,7 @@ ROS_NEEDS=(catkin_pkg netifaces pycryptodomex python-gnupg PyYAML rospkg)
 # They import tf2, which is C++ for the system's Python alone.
 NEED_TF2=(
   --ignore=test/unit/ros/gazebo/test_client.py
+  --ignore=test/unit/ros/nodes/test_bad_parameters.py
   --ignore=test/unit/ros/nodes/test_dock_messages.py
   --deselect=test/unit/ros/launcher/test_jobs.py::test_every_shipped_job_has_the_common_arguments_and_sound_defaults
 )
