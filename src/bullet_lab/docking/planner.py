@@ -38,7 +38,7 @@ _MOST_PROBES = 6
 _ROOM_TO_TURN = 0.17
 # Standard deviation of the yaw, as a share of the tolerance, above which it drives in once more,
 # and how often; and the last bit of the way (m) that it goes without seeing the marker.
-_UNSURE, _MOST_ROUNDS = 0.5, 2
+_UNSURE, _MOST_ROUNDS = 0.4, 2
 _BLIND = 0.12
 # From this part of the way from which the marker was found it is found again.
 _AS_FAR = 0.95
