@@ -260,7 +260,7 @@ def _threads(client: Any) -> int:
 
 
 def _future_result(future: Any) -> Any:
-    from distributed import KilledWorker
+    from distributed.scheduler import KilledWorker
 
     try:
         return future.result()
