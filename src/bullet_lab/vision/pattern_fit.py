@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Optional, Union
+from typing import Optional, Union
 
 import cv2
 import numpy as np
@@ -46,8 +46,8 @@ _OUTLYING = 3.5
 _LEAST_NOISE = 0.3
 # So many pixels must be the marker's, beside their share of all.
 _LEAST_PIXELS = 40
-# The corners may be moved by so many cells, and px where only pixels at the edges are looked at.
-_MOST_MOVED, _MOST_OF_EDGES = 1.0, 2.0
+# The corners may be moved by so many cells.
+_MOST_MOVED = 1.0
 # So many numbers are the blur's, the last ones of a fit; before them are those of `moves_of`.
 _SPREAD = 4
 _SHAPE = slice(-8 - _SPREAD, -_SPREAD)
@@ -109,11 +109,10 @@ def fit_pattern(
         reach = 2.0 * math.sqrt(max(spread[:2])) + _BLURRED_IN
         own = pixels.own((model.margin() > reach) | (model.outside() < LEAST_AROUND))
         own &= pixels.told
-        prior = _OVER_EXPOSED if pixels.grouped and not pixels.whole else _BLUR_PRIOR
         weights = np.where(own, _tukey(residuals / noise) / (noise * noise), 0.0)
         shape = pixels.seen(np.concatenate((model.shape(light), model.blur(light))), shared)
         columns = np.concatenate((columns, shape, pixels.by_shared(light @ of_light, shared)))
-        step = _Equations(columns, residuals, weights, prior).solution()
+        step = _Equations(columns, residuals, weights, _BLUR_PRIOR).solution()
         light = light + step[: len(light)]
         to_corners = moves_of(corners, model.to_image)
         moved = to_corners @ step[len(light) : -_SPREAD]
@@ -121,8 +120,7 @@ def fit_pattern(
         least = _FALL * spread[:2] if pixels.grid is None else 0.0
         gain = 1.0 if left >= _MOST_ROUNDS - _FULL_STEPS else 0.5
         before, spread = spread, _allowed(spread + gain * step[-_SPREAD:], least)
-        most = min(_MOST_MOVED * cell, _MOST_OF_EDGES if pixels.grouped else math.inf)
-        if not np.abs(corners - start).max() <= most:
+        if not np.abs(corners - start).max() <= _MOST_MOVED * cell:
             return None
         changed = np.abs(spread - before)
         sharpened = changed.max() - _ABOUT * spread.max() < _AS_SHARP and changed[3] < _SHARED_TO
@@ -148,16 +146,15 @@ def _allowed(spread: np.ndarray, least: Union[float, np.ndarray]) -> np.ndarray:
     return np.array([low, high, min(max(spread[2], -most), most), shared])
 
 
-# Least certainty of the blur's numbers before anything is seen: to a px² or so; their covariance to
-# a twentieth where edges are over-exposed, and what is left of them says little of it.
-_BLUR_PRIOR, _OVER_EXPOSED = 1.0, np.array([1.0, 1.0, 400.0, 1.0])
+# Least certainty of the blur's numbers before anything is seen: variances to a px² or so.
+_BLUR_PRIOR = 1.0
 
 
 class _Equations:
     """Normal equations of weighted least squares of columns (m, n) to levels (n,)."""
 
     def __init__(
-        self, columns: np.ndarray, levels: np.ndarray, weights: np.ndarray, prior: Any = 0.0
+        self, columns: np.ndarray, levels: np.ndarray, weights: np.ndarray, prior: float = 0.0
     ):
         both = np.concatenate((columns, levels[None]))
         both *= np.sqrt(weights)
