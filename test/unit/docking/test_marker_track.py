@@ -151,7 +151,7 @@ def test_a_copy_of_another_size_is_found_out_by_driving(scale):
     assert track.real > 0.5
     track, _ = drive(start, [(0.04, 0.0, 0.0)] * 20, shown, prior)
     assert track.real < 0.02
-    assert track.likeliest_size() == pytest.approx(0.2 * scale, rel=0.12)
+    assert track.likeliest_size() == pytest.approx(0.2 * scale, rel=0.1)
 
 
 def test_standing_still_proves_nothing():

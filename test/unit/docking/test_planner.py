@@ -1,6 +1,7 @@
 """Tests of where the planner lets a robot go."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import docking_standin as standin
 import numpy as np
@@ -46,3 +47,12 @@ def test_a_print_of_unknown_size_does_not_hang_where_the_robot_stands():
     # Of thirteen sizes the four that would be in the robot's way at once do not count.
     assert planner.costmap().risk(np.array([[0.15, 0.0]])) < 3.0 / 13.0
     assert planner.probing_way() < 0.0
+
+
+def test_a_marker_that_was_found_from_afar_is_missed_from_as_far(monkeypatch):
+    # Small as it is, it should be found from 2.1 m on.
+    planner, robot = planner_at_the_origin(0.075), np.array([-2.6, 0.0, 0.0])
+    assert not planner.in_reach(robot)
+    monkeypatch.setattr(planner.belief, "best", lambda: SimpleNamespace(found_from=2.9))
+    assert planner.in_reach(robot)
+    assert not planner.in_reach(np.array([-3.2, 0.0, 0.0]))

@@ -147,3 +147,47 @@ def test_it_drives_in_once_more_where_the_camera_may_be_turned(unsure, said):
     robot = np.array([-0.56, 0.0, 0.0])
     assert Confirm()._judge(planner, robot).name == said
     assert planner.retries == unsure
+
+
+def at_the_dock(unseen, frames, blind=False):
+    """A planner of a robot in the dock that waits for images, its yaw not well known."""
+    track = SimpleNamespace(frames=frames)
+    estimate = SimpleNamespace(robot=np.zeros(3), deviations=np.array([0.0, 0.0, 0.01]))
+    return SimpleNamespace(
+        belief=SimpleNamespace(best=lambda: track),
+        estimate=lambda: estimate,
+        settings=DockingSettings(),
+        dock=SimpleNamespace(tolerance=DockTolerance(0.005, 0.003, math.radians(0.4))),
+        left=lambda robot: 0.0,
+        unseen=lambda track: unseen,
+        blind=lambda track, left: blind,
+        settled=lambda: True,
+        unsure_of_yaw=lambda: False,
+        in_sight=lambda left: left,
+        tracker=SimpleNamespace(backwards=lambda robot, left: (-0.1, 0.0)),
+        now=0.0,
+        retries=0,
+        max_retries=5,
+        lost_at_the_end=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("unseen", "frames", "said"),
+    [(0.2, 7, "within tolerance"), (5.0, 0, "failed"), (0.2, 2, None)],
+)
+def test_it_waits_for_images_as_long_as_some_come(unseen, frames, said):
+    planner, state = at_the_dock(unseen, 0), Confirm()
+    state.step(planner)
+    # Where all images come, fifteen are waited for.
+    planner.now, planner.belief.best().frames = 8.0, frames
+    step = state.step(planner)
+    assert step == STANDSTILL if said is None else step.name == said
+    assert planner.lost_at_the_end == (said == "failed")
+
+
+def test_a_retreat_begins_where_the_marker_is_not_found():
+    planner, state = at_the_dock(5.0, 0), state_machine.Retreat(0.6)
+    assert state.step(planner) == (-0.1, 0.0)
+    planner.now = 4.0
+    assert state.step(planner).name == "lost"
