@@ -43,11 +43,10 @@ MOST_MODELS, MOST_SUBSCRIBERS = 6, 5
 GUEST = "guest"
 # Before a rest is one: pictures of what is left, and wall seconds for them, at most.
 PICTURES, PICTURE_SECONDS = 3, 20.0
-# Chances of what happens in a simulated second. Of each model that has gone PyBullet itself keeps
-# about 1 kB (0.9 kB of a body that `createMultiBody` made and `removeBody` took away).
+# Chances of what happens in a simulated second.
 CHANCES = {
-    "model": 0.1,
-    "no_model": 0.1,
+    "model": 0.25,
+    "no_model": 0.25,
     "move": 0.1,
     "robot": 0.04,
     "no_robot": 0.04,
@@ -96,7 +95,7 @@ class Life:
 
     @contextlib.contextmanager
     def at_rest(self) -> Iterator[None]:
-        """Have only what was there at the beginning, where it was, and time stand meanwhile."""
+        """Have only what was there at the beginning, and time stand meanwhile."""
         while self._no_model() or self._no_robot() or self._no_listen() or self._no_visit():
             pass
         # The renderer keeps the last links that are gone, and until the next picture all shadows.
@@ -104,8 +103,6 @@ class Life:
         self._spawned(self._spawn_sdf, "boxes", small_boxes(self.done["rest"]))
         self._watch()
         self._delete("boxes")
-        # How large shadow maps are, 60 MB more or less, depends on where the robot stands.
-        self._resets["reset_world"]()
         self._watch()
         self._stand[0]()
         yield
