@@ -66,8 +66,8 @@ def give_memory_back() -> None:
 def trim_memory() -> None:
     """Have the C library give the system back what is free among what is in use.
 
-    By itself it gives back large buffers and the end of its heap: pictures that waited for a
-    subscriber while it hung keep 60 MB resident for as long as a small thing behind them lives.
+    By itself it gives back large buffers and the end of its heap: what is free before a small
+    thing that is in use stays resident.
     """
     with contextlib.suppress(AttributeError):
         ctypes.CDLL(None).malloc_trim(0)

@@ -162,7 +162,7 @@ def _over_exposed(levels: np.ndarray) -> float:
     Noise that is added to what was cut off leaves half of it there, and has the rest below.
     """
     off = _TOLD[1] - levels
-    if (off <= 0.0).mean() < _CLIPPED:
+    if np.count_nonzero(off <= 0.0) <= _CLIPPED * len(off):
         return _TOLD[1]
     return _TOLD[1] - _SURELY * math.sqrt(2.0 * np.square(off[off < _NEARLY]).mean())
 
