@@ -289,7 +289,7 @@ def measure(frames: int, seconds: float) -> Dict[str, Any]:
         "load_average": os.getloadavg()[0],
         "frames": {},
     }
-    for threads in (1, 2):
+    for threads in (0, 2):
         print(f"frames with {threads} threads of the driver …", flush=True)
         command = [sys.executable, __file__, "--frames-only", "--frames", str(frames)]
         environment = {**os.environ, "LP_NUM_THREADS": str(threads)}

@@ -111,7 +111,7 @@ def workers(count: int = 0, scheduler: str = "") -> Run:
 
 def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
     # A process has one core: no library in it shall start a thread for each.
-    for library in ("LP", "MKL", "OMP", "OPENBLAS"):
+    for library in ("MKL", "OMP", "OPENBLAS"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     most = count or len(os.sched_getaffinity(0))
     left, deaths = list(reversed(numbers)), Counter()

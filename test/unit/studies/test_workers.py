@@ -24,7 +24,7 @@ from bullet_lab.studies.workers import (
 
 
 def where(number):
-    return os.getpid(), threading.get_ident(), os.environ.get("LP_NUM_THREADS")
+    return os.getpid(), threading.get_ident(), os.environ.get("OPENBLAS_NUM_THREADS")
 
 
 def square(number):
@@ -101,12 +101,12 @@ def test_every_number_gets_its_result(run):
     assert dict(run(square, [])) == {}
 
 
-def test_each_worker_works_in_one_thread_with_one_thread_for_graphics():
+def test_each_worker_works_in_one_thread_with_one_thread_for_libraries():
     found = dict(workers(2)(where, range(30)))
     threads = {}
-    for pid, thread, graphics in found.values():
+    for pid, thread, library in found.values():
         threads.setdefault(pid, set()).add(thread)
-        assert graphics == "1"
+        assert library == "1"
     assert 1 <= len(threads) <= 2
     assert os.getpid() not in threads
     assert all(len(ids) == 1 for ids in threads.values())

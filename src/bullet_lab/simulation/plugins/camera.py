@@ -17,7 +17,13 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import Schedule, ScheduleError
 from bullet_lab.simulation.plugins.plugin import Mount, Output, Plugin, PluginError, SensorTag
 from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
-from bullet_lab.simulation.rendering.finish import CameraSettings, Lens, SensorNoise, blurred
+from bullet_lab.simulation.rendering.finish import (
+    WHITE,
+    CameraSettings,
+    Lens,
+    SensorNoise,
+    blurred,
+)
 from bullet_lab.simulation.rendering.graphics import SAMPLES
 from bullet_lab.simulation.rendering.renderer import Shot
 
@@ -38,6 +44,8 @@ NOT_SIMULATED = ("reduceNormals", "normalsTopicName", "reflectanceTopicName")
 TO_RGB = {"bgr8": cv2.COLOR_BGR2RGB, "mono8": cv2.COLOR_GRAY2RGB}
 # The view reaches beyond what is measured, by this factor.
 FARTHER = 1.01
+# Times white, up to which a lens that blurs is told how bright it is.
+BRIGHTEST = 4.0
 # The greatest number of millimetres that a 16UC1 image holds.
 MOST_MILLIMETRES = 65535
 
@@ -133,8 +141,7 @@ class Camera(Plugin):
         Noise follows from the step. Raises LabError where something cannot be drawn.
         """
         settings = self.settings
-        picture = self.mount.renderer().picture(self.pose(), self._shot(), settings.exposure)
-        picture = blurred(self.lens.bend(picture), settings.blur)
+        picture = blurred(self.lens.bend(self._picture()), settings.blur)
         if self.encoding == "bgr8":
             picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
         elif self.encoding == "mono8":
@@ -142,6 +149,19 @@ class Camera(Plugin):
         if settings.noise_mean or settings.noise_stddev:
             picture = self._noisy(picture, step)
         return picture
+
+    def _picture(self) -> np.ndarray:
+        """Return the picture before a lens; where that blurs, what is brighter than white as well.
+
+        A lens blurs the light before the sensor cuts it off.
+        """
+        renderer, exposure, shot = self.mount.renderer(), self.settings.exposure, self._shot()
+        picture = renderer.picture(self.pose(), shot, exposure)
+        if not self.settings.blur or not (picture == WHITE).any():
+            return picture
+        light = BRIGHTEST * renderer.picture(self.pose(), shot, exposure / BRIGHTEST)
+        # Beside white a part of a pixel was cut off; elsewhere it differs by how it was rounded.
+        return np.where(light > picture + BRIGHTEST, light, picture).astype(np.float32)
 
     def _shot(self) -> Shot:
         return Shot(self.lens.ideal, self.near, self.far, self.settings.samples)

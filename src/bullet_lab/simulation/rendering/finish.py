@@ -82,10 +82,14 @@ class SensorNoise:
 
 
 def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
-    """Return the picture with a normal blur of `sigma` pixels."""
+    """Return the picture with a normal blur of `sigma` pixels, as uint8.
+
+    Of float32, what is beyond white is cut off afterwards.
+    """
     if sigma <= 0.0:
         return picture
-    return cv2.GaussianBlur(picture, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+    picture = cv2.GaussianBlur(picture, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+    return picture if picture.dtype == np.uint8 else cv2.convertScaleAbs(picture)
 
 
 class Lens:

@@ -246,6 +246,18 @@ def test_blur_exposure_and_samples_at_any_time(tmp_path):
         assert camera.take(0).shape == (120, 160, 3)
 
 
+def test_a_lens_blurs_before_white_is_cut_off(tmp_path):
+    board = plate(write_plate(tmp_path, "board", checkers(8, 8), 2.0, 2.0), Pose((1.5, 0.4, 0.6)))
+    with simulation_of(board, gravity=(0.0, 0.0, 0.0)) as simulation:
+        _, camera = add(simulation, tags="<blur>1.5</blur><exposure>0.5</exposure>")
+        dark = camera.take(0).astype(int)
+        camera.settings = replace(camera.settings, exposure=2.0)
+        bright = camera.take(0).astype(int)
+    assert (bright == 255).mean() > 0.2
+    # Levels were rounded before they were multiplied.
+    assert np.abs(bright - np.minimum(4 * dark, 255)).max() <= 5
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -6,11 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heap import bytes_kept
 from picture_worlds import CAMERA, checkers, plate, simulation_of, thing, write_plate
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.rendering.graphics import RendererError
+from bullet_lab.simulation.rendering.graphics import (
+    RendererError,
+    panda3d,
+    shared_graphics,
+)
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Light, Plane, World
@@ -164,6 +169,62 @@ def test_panels_that_come_and_go_leave_no_memory_behind(tmp_path):
         # Of 34 MB: a texture with its smaller copies has 0.85 MB. The allocator of a process that
         # has run other tests moves by several.
         assert resident_megabytes() - before < 15.0
+
+
+def test_shadow_maps_that_are_gone_leave_no_memory_behind():
+    """The driver's scenes kept one or two of 64 MB, in seven of seven runs."""
+    graphics, matrix = shared_graphics(), np.eye(4)
+    picture = graphics.target(64, 64, 1)
+    picture.look(panda3d().NodePath("nothing"), graphics.state(), 0, [matrix])
+    graphics.draw([picture])
+    before = resident_megabytes()
+    for _ in range(5):
+        maps = [graphics.shadow_target(4096, (1, 1)) for _ in range(3)]
+        for each in maps:
+            each.look(panda3d().NodePath("nothing"), graphics.state(), 0, [matrix])
+        for _ in range(3):
+            graphics.draw([*maps, picture])
+        while maps:
+            graphics.remove(maps.pop())
+        for _ in range(4):
+            graphics.draw([picture])
+        assert resident_megabytes() - before < 50.0
+
+
+def test_a_shadow_map_has_no_colours():
+    graphics, matrix = shared_graphics(), np.eye(4)
+    before = resident_megabytes()
+    target = graphics.shadow_target(4096, (1, 1))
+    target.look(panda3d().NodePath("nothing"), graphics.state(), 0, [matrix])
+    graphics.draw([target])
+    taken = resident_megabytes() - before
+    graphics.remove(target)
+    # Its depths are 67 MB.
+    assert 50.0 < taken < 100.0
+
+
+def test_a_picture_leaves_nothing_behind():
+    with simulation_of(cube("a", RED)) as simulation:
+        assert bytes_kept(lambda: middle(simulation), 100) < 10.0
+
+
+def test_shadow_maps_of_other_sizes_leave_nothing_behind():
+    graphics = shared_graphics()
+
+    def come_and_go():
+        graphics.remove(graphics.shadow_target(64, (1, 1)))
+
+    assert bytes_kept(come_and_go, 100) < 10.0
+
+
+def test_pictures_of_two_sizes_in_turn_are_as_drawn():
+    """What is kept of a buffer is of that buffer."""
+    small = PinholeCamera(8, 6, 8.0, 8.0, 3.5, 2.5)
+    with simulation_of(cube("a", RED)) as simulation:
+        for colour in ((255, 0, 0), BLUE) * 2:
+            assert tuple(simulation.renderer().picture(AHEAD, Shot(small))[3, 4]) == colour
+            assert middle(simulation) == colour
+            simulation.models["a"].place(Pose((2.0 if colour == BLUE else -2.0, 0.0, 0.5)))
 
 
 def test_any_thread_draws():
