@@ -3,7 +3,8 @@
 PyBullet takes 16 shapes in one call, and a mesh by its corners alone, and has one friction and
 softness for a link. So a link carries the first such group of its shapes, and helper links without
 mass, fixed to it, carry one more each. It gives shapes back only with the whole world, so equal
-ones are made once.
+ones are made once. Of each body it keeps the list of its shapes, 0.8 kB or more; so the last static
+ones that were taken away wait elsewhere, for models that come back.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
 from bullet_lab.simulation.physics.surfaces import Surface, axle_of, by_surface, on_treads
 from bullet_lab.simulation.world.description import Collision, Joint, Link
-from bullet_lab.simulation.world.inertia import FASTEST, mobility, principal_axes
+from bullet_lab.simulation.world.inertia import FARTHEST, FASTEST, mobility, principal_axes
 from bullet_lab.simulation.world.meshes import file_version, hull_corners, triangle_corners
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
@@ -62,6 +63,11 @@ EMPTY = ((), NONE, Surface())
 HELPER_JOINT = Joint("", "fixed", "", "")
 # Bullet's collision group and mask of what never moves: it touches all but its like.
 STATIC_FILTER = (2, ~2)
+# Of what has been taken away: nothing touches it and no ray meets it, wherever it is.
+AWAY_FILTER = (0, 0)
+AWAY: Vector = (0.0, 0.0, -FARTHEST)
+# Bodies that wait there: each takes 0.3 us of a step, which has 5 with the smallest robot.
+KEPT_BODIES = 6
 
 
 @dataclass(frozen=True)
@@ -94,6 +100,9 @@ class BodyMaker:
     def __init__(self, client: int):
         self._client = client
         self._made: Dict[Hashable, List[int]] = {}
+        # What tells bodies apart that may come back: of those in use, and of those that are away.
+        self._kinds: Dict[int, Hashable] = {}
+        self._away: Dict[int, Hashable] = {}
 
     @hidden_native_output()
     def make(
@@ -116,9 +125,42 @@ class BodyMaker:
             if len(parts) - 1 > MOST_LINKS:
                 need = f"its joints and shapes need {len(parts) - 1} links beside the root"
                 raise PhysicsError(f"{need}, and the engine holds {MOST_LINKS}")
-            return self._make(parts, static, pose), parts
+            kind = (parts[0].shape, parts[0].surface) if static and len(parts) == 1 else None
+            body = self._back(kind, pose)
+            if body is None:
+                body = self._make(parts, pose)
+            self._tune(body, parts, static)
+            self._kinds[body] = kind
+            return body, parts
         except pybullet.error as error:
             raise PhysicsError(f"PyBullet cannot make it: {error}") from error
+
+    def take_away(self, body: int) -> None:
+        """Take a body out of the world."""
+        kind = self._kinds.pop(body)
+        if kind is None:
+            pybullet.removeBody(body, self._client)
+            return
+        self._put(body, Pose(AWAY), AWAY_FILTER)
+        self._away[body] = kind
+        if len(self._away) > KEPT_BODIES:
+            oldest = next(iter(self._away))
+            del self._away[oldest]
+            pybullet.removeBody(oldest, self._client)
+
+    def _back(self, kind: Optional[Hashable], pose: Pose) -> Optional[int]:
+        """Return a body of a kind that was away, now at a pose, or None."""
+        body = next((body for body, one in self._away.items() if one == kind), None)
+        if body is not None:
+            del self._away[body]
+            self._put(body, pose, STATIC_FILTER)
+        return body
+
+    def _put(self, body: int, pose: Pose, groups: Tuple[int, int]) -> None:
+        """Put a static body somewhere, and say what it touches there."""
+        pybullet.resetBasePositionAndOrientation(body, *astuple(pose), physicsClientId=self._client)
+        # This forgets what it touched, too.
+        pybullet.setCollisionFilterGroupMask(body, ROOT, *groups, self._client)
 
     def _parts(self, links: Sequence[Link], joints: Sequence[Joint], static: bool) -> List[Part]:
         above = {joint.child: joint for joint in joints}
@@ -132,13 +174,13 @@ class BodyMaker:
             helpers += [Part(link, HELPER_JOINT, place, *group, origin) for group in more]
         return parts + helpers
 
-    def _make(self, parts: Sequence[Part], static: bool, pose: Pose) -> int:
-        (mass, _, centre), *masses = inertias = [part.mass_properties() for part in parts]
+    def _make(self, parts: Sequence[Part], pose: Pose) -> int:
+        (mass, _, centre), *masses = [part.mass_properties() for part in parts]
         joints = [part.joint for part in parts if part.joint is not None]
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_MAINTAIN_LINK_ORDER
         if any(part.link.self_collide for part in parts):
             flags |= pybullet.URDF_USE_SELF_COLLISION
-        body = pybullet.createMultiBody(
+        return pybullet.createMultiBody(
             *(mass, parts[0].shape, NONE, *astuple(pose), *astuple(centre)),
             linkMasses=[mass for mass, _, _ in masses],
             linkCollisionShapeIndices=[part.shape for part in parts[1:]],
@@ -156,16 +198,19 @@ class BodyMaker:
             flags=flags,
             physicsClientId=self._client,
         )
+
+    def _tune(self, body: int, parts: Sequence[Part], static: bool) -> None:
+        """Tell PyBullet of a body what `createMultiBody` does not take."""
         # Not in one call with what is a link's: these turn any link's index into the root's.
         self._change(body, ROOT, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=FASTEST)
-        for index, (part, (_, moments, frame)) in enumerate(zip(parts, inertias), start=ROOT):
+        for index, part in enumerate(parts, start=ROOT):
+            _, moments, frame = part.mass_properties()
             given = {"localInertiaDiagonal": moments, **part.surface.properties(frame, static)}
             if part.joint:
                 given.update(joint_properties(part.joint, parts[part.parent].link, part.link))
             self._change(body, index, **given)
             if static and index > ROOT:
                 pybullet.setCollisionFilterGroupMask(body, index, *STATIC_FILTER, self._client)
-        return body
 
     def _change(self, body: int, index: int, **properties: Any) -> None:
         pybullet.changeDynamics(body, index, physicsClientId=self._client, **properties)

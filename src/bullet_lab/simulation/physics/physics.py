@@ -412,7 +412,7 @@ class Physics:
     def remove(self, bodies: Dict[str, Body]) -> None:
         """Take the bodies of a model out of the world."""
         for body in bodies.values():
-            pybullet.removeBody(body.unique_id, self.client)
+            self._maker.take_away(body.unique_id)
             del self._bodies[body.unique_id]
         for body in self._bodies.values():
             if body.traction is not None:
