@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import os
 import re
 from dataclasses import MISSING, is_dataclass
 from pathlib import Path
@@ -185,7 +186,8 @@ def _declared_by(name: str, bracket: str) -> Declaration | None:
     elif bracket == FILE:
 
         def existing(value: str) -> str:
-            if value and "://" not in value and not Path(value).is_file():
+            # A Path raises OSError where a name is too long.
+            if value and "://" not in value and not os.path.isfile(value):
                 raise ValueError
             return value
 
@@ -219,7 +221,7 @@ def _targets(path: Path, package: Path, seen: tuple[Path, ...] = ()) -> dict[str
     for include in root.getElementsByTagName("include"):
         file = Path(include.getAttribute("file").replace(f"$(find {_PACKAGE})", str(package)))
         # One that includes itself hands on the same.
-        if file in (path, *seen) or not file.is_file():
+        if file in (path, *seen) or not os.path.isfile(file):
             continue
         inner = _targets(file, package, (path, *seen))
         for node in include.getElementsByTagName("arg"):

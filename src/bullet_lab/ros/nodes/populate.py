@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
 from typing import Any, List, Tuple
 from xml.sax.saxutils import escape
@@ -107,7 +108,7 @@ def description_of(model: str) -> str:
     if model.startswith("model://"):
         return inclusion_of(model)
     path = ResourceFinder.anywhere().find(model)
-    return inclusion_of(path.as_uri()) if path.is_dir() else read_text(path)
+    return inclusion_of(path.as_uri()) if os.path.isdir(path) else read_text(path)
 
 
 def inclusion_of(uri: str) -> str:

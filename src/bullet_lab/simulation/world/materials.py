@@ -103,7 +103,7 @@ class MaterialLibrary:
         `uris` name the folders or files with its script and its pictures.
         """
         scripts = tuple(self._scripts(uris, source, finder))
-        folders = [path if path.is_dir() else path.parent for _, path in scripts]
+        folders = [path if os.path.isdir(path) else path.parent for _, path in scripts]
         self._declared += [folder for folder in folders if folder not in self._declared]
         for path in (*(path for _, path in scripts), *self._declared):
             block, folder = self._block("material", name, [path])
@@ -155,7 +155,7 @@ class MaterialLibrary:
         return None, Path()
 
     def _script_files(self, place: Path) -> List[Path]:
-        if place.is_file():
+        if os.path.isfile(place):
             return [place]
         files = self._index(place).values()
         return [path for path in files if path.suffix == ".material"]
@@ -294,13 +294,13 @@ class MaterialLibrary:
         beside = [folder.parent / "textures" for folder in folders]
         for folder in (*folders, *beside, *self._declared):
             path = folder / name
-            if path.is_file() and is_below(path, folder):
+            if os.path.isfile(path) and is_below(path, folder):
                 return path
             path = self._index(folder).get(os.path.basename(name))
             if path is not None:
                 return path
         media = (folder / os.path.basename(name) for folder in gazebo_media_folders())
-        return next((path for path in media if path.is_file()), None)
+        return next((path for path in media if os.path.isfile(path)), None)
 
     def _index(self, folder: Path) -> Dict[str, Path]:
         """Return the files in a folder and below it by their bare names, the upper ones first."""

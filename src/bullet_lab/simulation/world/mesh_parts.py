@@ -161,7 +161,7 @@ class _Materials:
     def __getitem__(self, name: str) -> str:
         """Return a material file; many meshes name one that nobody has."""
         file = self._path.parent / name
-        if not file.exists():
+        if not os.path.exists(file):
             raise FileNotFoundError(name)
         try:
             file = _find(name, self._path)

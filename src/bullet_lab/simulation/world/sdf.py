@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Callable, Container, Iterator, List, Optional, Tuple, Union
@@ -214,10 +215,10 @@ def _checked_root(root: _Tag) -> _Tag:
 
 def _model_file(found: Path) -> Path:
     """Return the SDF file of a model folder, as its model.config says."""
-    if found.is_file():
+    if os.path.isfile(found):
         return found
     config = found / "model.config"
-    if not config.is_file():
+    if not os.path.isfile(config):
         return found / "model.sdf"
     listed = parse_text(read_text(config), str(config)).findall("sdf")
     if not listed:

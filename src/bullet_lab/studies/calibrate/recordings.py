@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Dict, Iterator, List, Optional, Sequence, Tuple
@@ -83,9 +84,9 @@ def find_recordings(paths: Sequence[Path], topics: Topics) -> List[Recording]:
 
 
 def _recordings(path: Path, topics: Topics) -> Iterator[Recording]:
-    if not path.exists():
+    if not os.path.exists(path):
         raise RecordingError(f"cannot read {path}: there is no such file or folder")
-    if not path.is_dir():
+    if not os.path.isdir(path):
         yield _read_file(path, topics)
         return
     folders = [path, *sorted(below for below in path.rglob("*") if below.is_dir())]

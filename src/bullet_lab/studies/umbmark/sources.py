@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from pathlib import Path
 from typing import List
 
@@ -38,7 +39,7 @@ def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[Run
     Raises:
         LabError: a file cannot be read, or there is none.
     """
-    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    files = sorted(path.iterdir()) if os.path.isdir(path) else [path]
     runs: List[Run] = []
     for file in files:
         if file.name.endswith(ODOMETRY):

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from bullet_lab.core.parameters import ParameterError
+from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher.jobs import (
     Target,
     UsageError,
@@ -126,6 +127,13 @@ def test_a_file_is_named_by_its_whole_path(tmp_path, monkeypatch):
     assert read_assignments(job, ["urdf:=a.urdf"]) == {"urdf": str(tmp_path / "a.urdf")}
     found = read_assignments(job, ["urdf:=package://bullet_lab/package.xml"])["urdf"]
     assert Path(found) == PACKAGE / "package.xml"
+
+
+@pytest.mark.parametrize("name", ["a" * 300 + ".urdf", "package://bullet_lab/" + "a" * 300])
+def test_a_name_that_is_too_long_is_that_of_no_file(tmp_path, name):
+    job = read("a", '<launch><arg name="urdf" default="" doc="x [file]"/></launch>', tmp_path)
+    with pytest.raises(LabError, match="File name too long|a file that exists"):
+        read_assignments(job, [f"urdf:={name}"])
 
 
 def test_a_limit_that_is_no_number_is_an_error(tmp_path):
