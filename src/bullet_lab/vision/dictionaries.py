@@ -154,7 +154,10 @@ def may_be_markers(image: np.ndarray, quads: np.ndarray, cells: int, lens: Lens)
     # Light may change evenly across a marker.
     middle = np.einsum("pk,nk->np", _half_planes(cells), values[:, : 8 * _GLANCES])
     around, along, within = (middle[:, part] for part in ring)
-    typical = np.median(values[:, : 8 * _GLANCES].reshape(-1, 2, 4 * _GLANCES), axis=2)
+    # Of an even number of levels, the median is the mean of the two in the middle.
+    half = 2 * _GLANCES
+    sorted_levels = np.sort(values[:, : 4 * half].reshape(-1, 2, 2 * half), axis=2)
+    typical = 0.5 * (sorted_levels[..., half - 1] + sorted_levels[..., half])
     likely = typical[:, 0] - typical[:, 1] > _LEAST_RISE
     for truth, part in (
         (outside > border, _FRAMED),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Iterable, List, Optional, Sequence, Tuple
 
 import cv2
@@ -20,7 +20,7 @@ from bullet_lab.vision.dictionaries import (
     read_cells,
 )
 from bullet_lab.vision.images import Lens, VisionError
-from bullet_lab.vision.outlines import OutlineSearch, mean_side, same_quads
+from bullet_lab.vision.outlines import OutlineSearch, mean_side, mean_sides, same_quads
 from bullet_lab.vision.pattern_fit import PatternFit, fit_pattern
 from bullet_lab.vision.quads import quads_in_cells, refine_corners
 
@@ -104,6 +104,11 @@ class DetectedMarker:
     covariance: np.ndarray  #: (8, 8) of the corners' u0, v0, u1 ... as the image tells it, px²
 
     @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviations (4, 2) of the corners' u and v, px."""
+        return np.sqrt(np.diag(self.covariance)).reshape(4, 2)
+
+    @property
     def side(self) -> float:
         """Mean length of its sides in px."""
         return mean_side(self.corners)
@@ -167,6 +172,11 @@ class MarkerDetector:
         if not markers and self.settings.second_pass:
             report.second_pass = True
             markers = self._look(grey, search.second_look(least), lens, report)
+            if report.undecoded == report.quads:
+                # Hulls of anything are no quadrilaterals to report.
+                last = replace(report)
+                markers = self._look(grey, search.last_look(least), lens, last)
+                report = last if last.undecoded < last.quads else report
         return Detections(markers, report)
 
     def _look(
@@ -200,13 +210,16 @@ class MarkerDetector:
         The largest come first. In the report, those that cannot be markers are counted.
         """
         settings = self.settings
-        sides = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).mean(axis=1)
-        quads = quads[np.argsort(-sides, kind="stable")]
+        report.quads = report.undecoded = 0
+        if not len(quads):
+            return quads, []
+        sides = mean_sides(quads)
+        order = np.argsort(-sides, kind="stable")
+        quads, sides = quads[order], sides[order]
         likely = may_be_markers(image, quads, self.dictionary.cells, lens)
-        same = same_quads(quads)
+        same = same_quads(quads, sides)
         versions, done = [], np.zeros(len(quads), dtype=bool)
         chosen: List[int] = []
-        report.quads = report.undecoded = 0
         for index in range(len(quads)):
             if done[index]:
                 continue
@@ -326,8 +339,8 @@ def noise_level(grey: np.ndarray) -> float:
     From the median of second differences both ways, which are zero on even ground and on
     straight edges (Immerkaer 1996, with the median in place of the mean).
     """
-    rows = np.arange(1, grey.shape[0] - 1, 12)
-    up, row, down = (grey[rows + k].astype(np.int16) for k in (-1, 0, 1))
+    last = len(grey) - 2
+    up, row, down = (grey[k : last + k : 12].astype(np.int16) for k in (0, 1, 2))
     vertical = up - 2 * row + down
     both = np.abs(vertical[:, :-2] - 2 * vertical[:, 1:-1] + vertical[:, 2:]).ravel()
     counts = np.cumsum(np.bincount(both, minlength=2))

@@ -7,8 +7,8 @@ is not as the pattern says, a hand before it or a highlight, is told from it and
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Optional, Union
+from dataclasses import dataclass, replace
+from typing import Optional, Tuple, Union
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from bullet_lab.vision.pattern_model import PatternModel, moves_of
 from bullet_lab.vision.pattern_pixels import (
     LEAST_AROUND,
     LEAST_SHARE,
+    Pixels,
     all_pixels,
     mean_cell,
     pixels_of,
@@ -44,6 +45,13 @@ _SOFT = 1.0
 _OUTLYING = 3.5
 # Standard deviation of grey levels that were rounded to whole ones.
 _LEAST_NOISE = 0.3
+# px²; where white was cut off and there is more blur than that, how white it would have been cannot
+# be told from the blur: the fit is to what was cut off.
+_MOST_CUT = 0.1
+# Variance of such corners, px²: edges of which the bright side was cut off come out steeper than
+# the lens drew them, and by where pixels are up to a quarter of one aside; more of it where only a
+# part of the marker is so bright, whose white is wider than in the other part.
+_CUT_VARIANCE, _PARTLY_CUT_VARIANCE = 0.01, 0.03
 # So many pixels must be the marker's, beside their share of all.
 _LEAST_PIXELS = 40
 # The corners may be moved by so many cells.
@@ -51,6 +59,8 @@ _MOST_MOVED = 1.0
 # So many numbers are the blur's, the last ones of a fit; before them are those of `moves_of`.
 _SPREAD = 4
 _SHAPE = slice(-8 - _SPREAD, -_SPREAD)
+# So many are the contrast's, the last ones of the light.
+_OF_CONTRAST = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +91,11 @@ def fit_pattern(
     and shadows do not matter. Robust weights are Tukey's; the covariance is that of least squares
     with the noise that the residuals show.
 
+    Over-exposed pixels do not count, unless what is left does not tell the light from the blur:
+    then the picture is fitted as it was cut off, with white that is wider than in the pattern, by
+    as much as the fit says. Where the sun shines on a part of a large marker, the pixels across
+    each place have a d of their own too, and white that was cut off there is wider than elsewhere.
+
     Args:
         image: (h, w) grey levels.
         corners: (4, 2) ideal px, clockwise from the marker's top left, to a fraction of a cell.
@@ -90,27 +105,50 @@ def fit_pattern(
     Returns:
         None where the pattern does not explain what is there.
     """
-    cells = len(pattern)
     pixels = pixels_of(image, corners, pattern, lens)
     if len(pixels.levels) < _LEAST_PIXELS:
         return None
+    fit, blur = _fit(pixels, image, corners, pattern, lens)
+    if pixels.over_exposed and not pixels.cut_off and (fit is None or blur > _MOST_CUT):
+        pixels = pixels_of(image, corners, pattern, lens, cut_off=True)
+        fit = _fit(pixels, image, corners, pattern, lens)[0] or fit
+    more = _CUT_VARIANCE if pixels.cut_off else 0.0
+    if pixels.parted and pixels.flooded.any():
+        more = _PARTLY_CUT_VARIANCE
+    if fit is not None and more:
+        fit = replace(fit, covariance=fit.covariance + more * np.eye(8))
+    return fit
+
+
+def _fit(
+    pixels: Pixels, image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens
+) -> Tuple[Optional[PatternFit], float]:
+    """Return the fit to some pixels, as `fit_pattern`, and the greatest variance of its blur."""
+    cells = len(pattern)
     spread = np.array([_FIRST_VARIANCE, _FIRST_VARIANCE, 0.0, _FIRST_SHARED])
     start, cell, light = corners, mean_cell(corners, cells), None
     for left in reversed(range(_MOST_ROUNDS)):
         model = PatternModel(pixels.points, corners, spread, pattern)
-        of_light, shared = model.light(pixels.grouped, not pixels.whole), spread[3]
-        columns = pixels.seen(of_light, shared)
+        if pixels.parted:
+            of_light = model.light(True, False, pixels.flooded)[:-_OF_CONTRAST]
+        else:
+            of_light = model.light(pixels.grouped, not pixels.whole, pixels.cut_off)
+        shared, value = spread[3], model.value
+        columns, levels = pixels.seen(of_light, shared, value), pixels.seen_levels(value)
         if light is None:
-            light = _Equations(columns, pixels.levels, np.ones(columns.shape[1])).solution()
-        residuals = pixels.levels - light @ columns
-        steepness, beyond = pixels.own(model.steepness(light)), pixels.own(model.beyond(light))
+            light = _Equations(columns, levels, np.ones(columns.shape[1])).solution()
+        residuals = levels - light @ columns
+        contrast = pixels.own_contrast(value) if pixels.parted else model.contrast(light)
+        steepness = pixels.own(model.steepness(contrast))
+        beyond = pixels.own(model.beyond(contrast))
         noise = _noise(residuals, steepness, beyond, pixels.told)
         # Blur brings in what lies beyond the quiet zone.
         reach = 2.0 * math.sqrt(max(spread[:2])) + _BLURRED_IN
         own = pixels.own((model.margin() > reach) | (model.outside() < LEAST_AROUND))
         own &= pixels.told
         weights = np.where(own, _tukey(residuals / noise) / (noise * noise), 0.0)
-        shape = pixels.seen(np.concatenate((model.shape(light), model.blur(light))), shared)
+        shape = np.concatenate((model.shape(contrast), model.blur(contrast)))
+        shape = pixels.seen(shape, shared, value)
         columns = np.concatenate((columns, shape, pixels.by_shared(light @ of_light, shared)))
         step = _Equations(columns, residuals, weights, _BLUR_PRIOR).solution()
         light = light + step[: len(light)]
@@ -121,19 +159,20 @@ def fit_pattern(
         gain = 1.0 if left >= _MOST_ROUNDS - _FULL_STEPS else 0.5
         before, spread = spread, _allowed(spread + gain * step[-_SPREAD:], least)
         if not np.abs(corners - start).max() <= _MOST_MOVED * cell:
-            return None
+            return None, float(spread[:2].max())
         changed = np.abs(spread - before)
         sharpened = changed.max() - _ABOUT * spread.max() < _AS_SHARP and changed[3] < _SHARED_TO
         if np.abs(moved).max() < _STILL and sharpened:
             break
-        if left and pixels.grouped and spread.max() > _SOFT:
+        if left and pixels.grouped and not pixels.parted and spread.max() > _SOFT:
             # Few pixels across each edge see little of so much blur.
-            pixels, light = all_pixels(image, corners, cells, lens), None
+            pixels, light = all_pixels(image, corners, cells, lens, pixels.cut_off), None
     residuals = residuals - step @ columns
     noise = _noise(residuals, steepness, beyond, pixels.told)
     residuals = np.where(own, residuals / noise, _TUKEY)
     told = int(pixels.told.sum())
-    return _judged(corners, residuals, told, columns / noise, pixels.group, to_corners)
+    fit = _judged(corners, residuals, told, columns / noise, pixels.group, to_corners)
+    return fit, float(spread[:2].max())
 
 
 def _allowed(spread: np.ndarray, least: Union[float, np.ndarray]) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Optional, Tuple
+from typing import Optional, Tuple, Union
 
 import cv2
 import numpy as np
@@ -21,6 +21,9 @@ class PatternModel:
         corners: (4, 2) ideal px.
         spread: of the blur, variances along u and v and their covariance, px².
         pattern: (cells, cells), 1 for white.
+
+    Attributes:
+        value: (n,) of the blurred pattern, B.
     """
 
     def __init__(
@@ -37,10 +40,10 @@ class PatternModel:
         motion = _motion_of(spread)
         if motion is None:
             parts = _blurred(cells * unit, self._by_pixel, spread, pattern)
-            self._value, slopes = parts[0], parts[1:3]
+            self.value, slopes = parts[0], parts[1:3]
             self._by_blur = _by_blur(parts[3:], self._by_pixel)
         else:
-            self._value, slopes = self._moved(cells * unit, spread, motion, pattern)
+            self.value, slopes = self._moved(cells * unit, spread, motion, pattern)
         self._slopes = cells * slopes
 
     def _moved(
@@ -73,18 +76,25 @@ class PatternModel:
         )
         return value, slopes
 
-    def light(self, evenly: bool = False, bowed: bool = True) -> np.ndarray:
+    def light(
+        self,
+        evenly: bool = False,
+        bowed: bool = True,
+        blooming: Union[bool, np.ndarray] = False,
+    ) -> np.ndarray:
         """Return what the numbers of the light are multiplied with, (k, n); the last 3 with B.
 
         Args:
             evenly: without an offset, and what is beyond the quiet zone.
             bowed: with what is of second order.
+            blooming: with white that is wider than it is in the pattern; (n,): where it is.
         """
-        contrast = self._planes * self._value
+        contrast = self._planes * self.value
         bowls = self._away**2, (self._away[0] * self._away[1])[None]
+        bloom = () if blooming is False else ((blooming * self._steep())[None],)
         if evenly:
-            return np.concatenate((self._away, *(bowls if bowed else ()), contrast))
-        return np.concatenate((self._tails(), self._planes, *bowls, contrast))
+            return np.concatenate((*bloom, self._away, *(bowls if bowed else ()), contrast))
+        return np.concatenate((*bloom, self._tails(), self._planes, *bowls, contrast))
 
     def _tails(self) -> np.ndarray:
         """Return what blur brings in from beyond the quiet zone on each side, (4, n)."""
@@ -106,26 +116,30 @@ class PatternModel:
         within = self._cells * (0.5 - np.abs(self._away)) + 1.0
         return (within / self._finest).min(axis=0)
 
-    def beyond(self, light: np.ndarray) -> np.ndarray:
+    def beyond(self, contrast: np.ndarray) -> np.ndarray:
         """Return how many grey levels (n,) blur may bring in from beyond the quiet zone."""
         tail, _ = _normal_at(self.margin() / -self._deviation)
-        return np.abs(self.contrast(light)) * tail
+        return np.abs(contrast) * tail
 
-    def steepness(self, light: np.ndarray) -> np.ndarray:
+    def steepness(self, contrast: np.ndarray) -> np.ndarray:
         """Return by how many grey levels a pixel changes with the image moved by 1 px, (n,)."""
+        return np.abs(contrast) * self._steep()
+
+    def _steep(self) -> np.ndarray:
+        """Return by how much the pattern changes with 1 px across its edges, (n,)."""
         x, y = self._slopes / self._cells
         slopes = x * self._by_pixel[0] + y * self._by_pixel[1]
-        return np.abs(self.contrast(light)) * np.hypot(slopes[0], slopes[1])
+        return np.hypot(slopes[0], slopes[1])
 
-    def shape(self, light: np.ndarray) -> np.ndarray:
+    def shape(self, contrast: np.ndarray) -> np.ndarray:
         """Return derivatives (8, n) of the grey levels by the moves that `moves_of` tells."""
-        steep = -self.contrast(light) * self._slopes
+        steep = -contrast * self._slopes
         both = (steep * self._away).sum(axis=0)
         return np.concatenate((steep[0] * self._planes, steep[1] * self._planes, both * self._away))
 
-    def blur(self, light: np.ndarray) -> np.ndarray:
+    def blur(self, contrast: np.ndarray) -> np.ndarray:
         """Return derivatives (3, n) by the blur's variances and covariance."""
-        return self.contrast(light) * self._by_blur
+        return contrast * self._by_blur
 
 
 def moves_of(corners: np.ndarray, to_image: np.ndarray) -> np.ndarray:

@@ -33,6 +33,12 @@ _NEARLY, _SURELY = 24.0, 3.0
 LEAST_SHARE = 0.5
 # A highlight: what is dark differs by so much of what is left to the brightest.
 _UNEVEN = 0.2
+_ROOT_HALF = math.sqrt(0.5)
+# Square of a pattern in which there is none.
+_FLAT = 1e-6
+# Partly in the sun: white beside some edges is so many times as bright as beside others, and by so
+# many standard deviations of what differs between places next to each other.
+_PARTED, _PARTED_BY, _PARTS = 1.2, 6.0, (6.0, 94.0)
 
 
 def mean_cell(corners: np.ndarray, cells: int) -> float:
@@ -50,6 +56,10 @@ class Pixels:
         levels: (n,) grey levels; less their group's mean where there are groups.
         told: (n,) which of them count; over-exposed ones in groups do not.
         group: so many have an offset of their own; 1: none. The first of each group come first.
+        over_exposed: whether there is so much white that was cut off that edges are without theirs.
+        cut_off: whether it counts.
+        parted: whether each group has a light of its own.
+        flooded: (n,) which groups have white that was cut off, where each has its own light.
         grid: (rows, columns) that are pixels; what they share with their neighbours is told then.
         chosen: which of a grid without its outer rows and columns the n are.
     """
@@ -58,6 +68,10 @@ class Pixels:
     levels: np.ndarray
     told: np.ndarray
     group: int = 1
+    over_exposed: bool = False
+    cut_off: bool = False
+    parted: bool = False
+    flooded: Optional[np.ndarray] = None
     grid: Optional[Tuple[int, int]] = None
     chosen: Optional[np.ndarray] = None
 
@@ -77,12 +91,37 @@ class Pixels:
             return values
         return values.reshape(self.grid)[1:-1, 1:-1][self.chosen]
 
-    def seen(self, columns: np.ndarray, shared: float) -> np.ndarray:
-        """Return columns (k, m) as pixels have them that share so much with each neighbour."""
+    def seen(self, columns: np.ndarray, shared: float, value: np.ndarray) -> np.ndarray:
+        """Return columns (k, m) as pixels have them that share so much with each neighbour.
+
+        Where each group has a light of its own, less what the pattern's value (m,) makes of it.
+        """
         if self.grid is not None:
             columns = columns.reshape(-1, *self.grid)
             return _mixed(_mixed(columns, shared, 2), shared, 1)[:, self.chosen]
-        return _less_mean(columns, self.told, self.group) if self.grouped else columns
+        if not self.grouped:
+            return columns
+        columns = _less_mean(columns, self.told, self.group)
+        return self._less_pattern(columns, value) if self.parted else columns
+
+    def seen_levels(self, value: np.ndarray) -> np.ndarray:
+        """Return the grey levels (n,), as `seen`."""
+        return self._less_pattern(self.levels[None], value)[0] if self.parted else self.levels
+
+    def own_contrast(self, value: np.ndarray) -> np.ndarray:
+        """Return white less black (n,) of each group, by its levels and the pattern's value."""
+        pattern = _less_mean(value[None], self.told, self.group).reshape(self.group, -1)
+        seen = (pattern * self.levels.reshape(pattern.shape)).sum(axis=0)
+        contrast = np.maximum(seen / np.maximum(np.square(pattern).sum(axis=0), _FLAT), 0.0)
+        return np.tile(contrast, self.group)
+
+    def _less_pattern(self, columns: np.ndarray, value: np.ndarray) -> np.ndarray:
+        """Return columns (k, n) less the pattern (n,), as much of it as each group has."""
+        pattern = _less_mean(value[None], self.told, self.group).reshape(self.group, -1)
+        pattern = pattern / np.sqrt(np.maximum(np.square(pattern).sum(axis=0), _FLAT))
+        grouped = columns.reshape(len(columns), *pattern.shape)
+        shares = (grouped * pattern).sum(axis=1, keepdims=True)
+        return (grouped - shares * pattern).reshape(columns.shape)
 
     def by_shared(self, values: np.ndarray, shared: float) -> np.ndarray:
         """Return derivatives (1, n) of values (m,) by what is shared."""
@@ -114,14 +153,21 @@ def _less_mean(columns: np.ndarray, told: np.ndarray, group: int) -> np.ndarray:
     return (grouped - told * means).reshape(len(columns), -1)
 
 
-def pixels_of(image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens) -> Pixels:
-    """Return all pixels of a small marker (as for `fit_pattern`), those at its edges of a large."""
+def pixels_of(
+    image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens, cut_off: bool = False
+) -> Pixels:
+    """Return all pixels of a small marker (as for `fit_pattern`), those at its edges of a large.
+
+    Over-exposed ones count where that is asked for by `cut_off`.
+    """
     if mean_cell(corners, 1) <= _SMALL:
-        return all_pixels(image, corners, len(pattern), lens)
-    return _edge_pixels(image, corners, pattern, lens)
+        return all_pixels(image, corners, len(pattern), lens, cut_off)
+    return _edge_pixels(image, corners, pattern, lens, cut_off)
 
 
-def all_pixels(image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens) -> Pixels:
+def all_pixels(
+    image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens, cut_off: bool
+) -> Pixels:
     """Return the pixels of a marker of so many cells along a side, and of its quiet zone."""
     within = 1.0 - _BEYOND / mean_cell(corners, cells)
     around = float(np.clip(within, LEAST_AROUND, _AROUND)) / cells
@@ -136,24 +182,28 @@ def all_pixels(image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens) -
     inner = np.ascontiguousarray(lens.ideal(seen.reshape(-1, 2).astype(float)).T)
     places, _ = unit_square(inner, to_image)
     chosen = (np.abs(places - 0.5).max(axis=0) < 0.5 + around).reshape(levels.shape)
-    chosen = _told(levels, chosen)
+    told = _told(levels, chosen)
+    share = told.sum() / max(1, chosen.sum())
+    over_exposed = bool(share < 1.0 - _CLIPPED)
+    cut_off = over_exposed and (cut_off or bool(share < LEAST_SHARE))
+    chosen = chosen if cut_off else told
     if mean_cell(corners, 1) > _SMALL:
         inner = np.ascontiguousarray(inner[:, chosen.ravel()])
-        return Pixels(inner, levels[chosen], chosen[chosen])
+        return Pixels(inner, levels[chosen], chosen[chosen], 1, over_exposed, cut_off)
     wider = [np.arange(ends[0] - 1, ends[-1] + 2) for ends in (columns, rows)]
     asked = np.stack(np.meshgrid(*wider), axis=-1).reshape(-1, 2).astype(float)
     asked = np.ascontiguousarray(lens.ideal(asked).T)
     grid = len(wider[1]), len(wider[0])
-    return Pixels(asked, levels[chosen], chosen[chosen], grid=grid, chosen=chosen)
+    told = chosen[chosen]
+    return Pixels(asked, levels[chosen], told, 1, over_exposed, cut_off, grid=grid, chosen=chosen)
 
 
 def _told(levels: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Return which of those chosen tell how bright they are, if they are enough; else all.
+    """Return which of those chosen tell how bright they are.
 
     What is over-exposed, or too dark, may be anything beyond.
     """
-    told = chosen & (levels > _TOLD[0]) & (levels < _over_exposed(levels[chosen]))
-    return told if told.sum() > LEAST_SHARE * chosen.sum() else chosen
+    return chosen & (levels > _TOLD[0]) & (levels < _over_exposed(levels[chosen]))
 
 
 def _over_exposed(levels: np.ndarray) -> float:
@@ -167,7 +217,9 @@ def _over_exposed(levels: np.ndarray) -> float:
     return _TOLD[1] - _SURELY * math.sqrt(2.0 * np.square(off[off < _NEARLY]).mean())
 
 
-def _edge_pixels(image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens) -> Pixels:
+def _edge_pixels(
+    image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens, cut_off: bool
+) -> Pixels:
     """Return the pixels on either side of places along all edges in a pattern."""
     places, normals = _edges(pattern.tobytes(), len(pattern))
     to_image = homography(corners)
@@ -181,25 +233,50 @@ def _edge_pixels(image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, le
     levels = image[seen[:, 1], seen[:, 0]].astype(float)
     group = 2 * _REACH + 1
     points = np.ascontiguousarray(lens.ideal(seen.astype(float)).T)
+    if _is_parted(levels, group):
+        told = np.ones(len(levels), dtype=bool)
+        flooded = np.tile((levels.reshape(group, -1) >= _TOLD[1]).any(axis=0), group)
+        levels = _less_mean(levels[None], told, group)[0]
+        return Pixels(points, levels, told, group, parted=True, flooded=flooded)
     told = _told_in_groups(levels, group)
-    return Pixels(points, _less_mean(levels[None], told, group)[0], told, group)
+    by_group = told.reshape(group, -1)
+    over_exposed = bool((by_group.any(axis=0) & ~by_group.all(axis=0)).any())
+    cut_off = over_exposed and (cut_off or _uneven(levels, group))
+    told |= cut_off
+    levels = _less_mean(levels[None], told, group)[0]
+    return Pixels(points, levels, told, group, over_exposed, cut_off)
+
+
+def _is_parted(levels: np.ndarray, group: int) -> bool:
+    """Return whether a part of the marker has much more light than another."""
+    by_place = levels.reshape(group, -1)
+    white = np.maximum(by_place[:_REACH].mean(axis=0), by_place[-_REACH:].mean(axis=0))
+    low, high = np.percentile(white, _PARTS) - np.percentile(by_place.min(axis=0), _PARTS[0])
+    noise = 1.4826 * _ROOT_HALF * np.median(np.abs(np.diff(white)))
+    return bool(high > _PARTED * low and high - low > _PARTED_BY * noise)
 
 
 def _told_in_groups(levels: np.ndarray, group: int) -> np.ndarray:
     """Return which levels (n,) tell how bright it is: those of groups without over-exposed pixels.
 
-    Where these are few, it is what is not over-exposed, but under a highlight all: half a group
-    takes its slope for an edge out of place, all of it makes large residuals, as it should.
+    Where these are few, it is what is not over-exposed.
     """
     if (levels >= _TOLD[1]).mean() < _CLIPPED:
         return np.ones(len(levels), dtype=bool)
     told = levels < _over_exposed(levels)
     whole = np.tile(told.reshape(group, -1).all(axis=0), group)
-    if whole.mean() >= LEAST_SHARE:
-        return whole
+    return whole if whole.mean() >= LEAST_SHARE else told
+
+
+def _uneven(levels: np.ndarray, group: int) -> bool:
+    """Return whether what is dark beside edges differs, as under a highlight or by much blur.
+
+    Half a group takes its slope for an edge out of place; all of it makes large residuals under a
+    highlight, as it should.
+    """
     darkest = levels.reshape(group, -1).min(axis=0)
     low, high = np.percentile(darkest, (10.0, 90.0))
-    return told | (high - low > _UNEVEN * (_TOLD[1] - low))
+    return bool(high - low > _UNEVEN * (_TOLD[1] - low))
 
 
 @lru_cache(maxsize=64)

@@ -5,7 +5,16 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from marker_images import CAMERA, Layer, View, corner_error, image_of, marker, true_corners
+from marker_images import (
+    CAMERA,
+    Layer,
+    View,
+    corner_error,
+    corner_points,
+    image_of,
+    marker,
+    true_corners,
+)
 
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, Match, dictionary_named
 from bullet_lab.vision.images import VisionError
@@ -16,6 +25,7 @@ from bullet_lab.vision.marker_detector import (
     noise_level,
     why_nothing,
 )
+from bullet_lab.vision.outlines import OutlineSearch, sound_quads
 
 TAGS = "apriltag_36h10"
 BENT = dataclasses.replace(CAMERA, distortion=(-0.3, 0.1, 0.001, -0.002, 0.02))
@@ -164,6 +174,34 @@ def test_nothing_is_found_in_cells_that_hold_something_else(distance):
         assert ids_of(detect(image)) == [0]
 
 
+@pytest.mark.parametrize("corner", range(4))
+@pytest.mark.parametrize("distance", [0.4, 0.6, 1.5])
+def test_a_marker_with_something_dark_before_a_corner(distance, corner):
+    """It is a part of the outline; from near by that was as many px off as it was large."""
+    view = View(distance, yaw=2.0, pitch=1.0)
+    image = image_of([marker(black=2.0, white=17.0)], view, samples=4, background=9.0, noise=1.5)
+    corners = true_corners(view)
+    half = 0.125 * np.hypot(*(corners[1] - corners[0]))
+    low, high = np.rint((corners[corner] - half, corners[corner] + half)).astype(int)
+    image[low[1] : high[1], low[0] : high[0]] = 2
+    (found,) = MarkerDetector(DetectorSettings(TAGS)).detect(image).markers
+    others = np.arange(4) != corner
+    assert np.abs(found.corners - corners)[others].max() < 1.0
+
+
+@pytest.mark.parametrize("corner", range(4))
+@pytest.mark.parametrize("distance", [0.6, 1.0, 1.5])
+def test_a_marker_with_a_corner_behind_what_is_as_grey_as_the_ground(distance, corner):
+    """The marker's black runs into the ground there, and no threshold shows four corners."""
+    view = View(distance, yaw=-3.0, roll=1.5)
+    cover = Layer(np.full((1, 1), 10.0), 0.05, tuple(corner_points(0.2)[corner, :2]))
+    layers = [marker(black=3.0, white=24.0), cover]
+    image = image_of(layers, view, background=10.0, blur=0.8, noise=2.7, seed=corner)
+    (found,) = MarkerDetector(DetectorSettings(TAGS)).detect(image).markers
+    others = np.arange(4) != corner
+    assert np.abs(found.corners - true_corners(view))[others].max() < 0.5
+
+
 def test_only_ids_that_were_asked_for():
     image = image_of([marker(5), marker(6, centre=(0.3, 0.0))], View(1.5), samples=4)
     detections = detect(image, ids=(6, 8))
@@ -263,10 +301,41 @@ def dots(chance, noise):
     return np.clip(values, 0, 255).astype(np.uint8)
 
 
+def test_what_has_no_height_is_no_quadrilateral():
+    """A docking ended by an index of -2**63."""
+    line = np.array([[456.6, 328.5], [456.6, 328.5], [449.7, 328.5], [449.7, 328.5]])
+    square = np.array([[10.0, 10.0], [50.0, 10.0], [50.0, 50.0], [10.0, 50.0]])
+    assert sound_quads(np.stack((line, square, square * np.inf, square))).shape == (2, 4, 2)
+
+
 def test_no_marker_in_dots():
     chance = np.random.default_rng(8)
     for _ in range(15):
         assert detect(dots(chance, chance.uniform(0.0, 6.0))).markers == []
+
+
+def test_a_square_among_more_dots_than_16_bits_can_number():
+    image = np.full((720, 960), 220, np.uint8)
+    image[::2, ::2] = 20
+    assert (image == 20).sum() > 2**16
+    image[600:650, 700:750] = 220
+    image[610:640, 710:740] = 20
+    quads = OutlineSearch(image, min_side=8.0).first_look(contrast=7.0)
+    low, high = quads.min(axis=1), quads.max(axis=1)
+    off = np.abs(low - (709.5, 609.5)) + np.abs(high - (739.5, 639.5))
+    assert off.sum(axis=1).min() < 0.1
+
+
+@pytest.mark.parametrize("edge", [16, 31, 48, 200])
+def test_a_dark_square_in_a_small_image(edge):
+    image = np.full((edge, edge + 1), 220, np.uint8)
+    image[2:-2, 2:-2] = 20
+    assert detect(image, min_side=5.0).report.quads == 1
+
+
+def test_with_a_lens_too_there_may_be_nothing_to_see():
+    report = detect(np.full((480, 640), 127, np.uint8), BENT).report
+    assert (report.quads, report.undecoded) == (0, 0)
 
 
 def test_the_reason_why_nothing_is_found():

@@ -40,10 +40,11 @@ def test_derivatives_are_those_of_the_model(spread):
 
     numbers = np.array([derivative(move) for move in np.eye(11)])
     model = PatternModel(points, corners, spread, PATTERN)
-    by_corners = np.linalg.inv(moves_of(corners, model.to_image)).T @ model.shape(light)
+    contrast = model.contrast(light)
+    by_corners = np.linalg.inv(moves_of(corners, model.to_image)).T @ model.shape(contrast)
     assert np.abs(by_corners - numbers[:8]).max() < 0.12 * np.abs(by_corners).max()
     np.testing.assert_allclose(
-        model.blur(light), numbers[8:], atol=0.05 * np.abs(numbers[8:]).max()
+        model.blur(contrast), numbers[8:], atol=0.05 * np.abs(numbers[8:]).max()
     )
 
 
@@ -120,6 +121,35 @@ def test_noise_that_is_added_to_over_exposed_white_moves_no_corner(distance):
     found = fit(np.clip(np.rint(image), 0, 255), view)
     assert np.abs(found.corners - true_corners(view)).max() < 0.08
     assert found.hidden < 0.2
+
+
+@pytest.mark.parametrize("white, blur", [(420.0, 0.9), (600.0, 0.6)])
+@pytest.mark.parametrize("distance", [0.9, 2.6])
+def test_a_blurred_marker_that_is_over_exposed_is_as_large_as_it_is(distance, white, blur):
+    """How bright white would be cannot be told from the blur: markers were 0.9 px too small."""
+    view = View(distance, yaw=8.0, pitch=4.0)
+    image = image_of([marker(black=100.0, white=white)], view, samples=12, blur=blur, noise=2.0)
+    found, true = fit(image, view), true_corners(view)
+    off = found.corners - true
+    assert np.abs(off).max() < 0.2
+    assert off.ravel() @ np.linalg.solve(found.covariance, off.ravel()) < chi2.ppf(0.999, 8)
+
+
+@pytest.mark.parametrize("distance", [0.7, 1.2, 2.4])
+@pytest.mark.parametrize("sun, blur", [(420.0, 0.6), (230.0, 0.8)])
+@pytest.mark.parametrize("shade", [0.25, -0.25, 0.0])
+def test_a_shadow_across_a_marker_moves_no_corner(distance, sun, blur, shade):
+    """What was in the sun looked as if it were not the marker's: corners there were 1 px off."""
+    view = View(distance, yaw=6.0, pitch=4.0)
+    paper = image_of([marker(black=20.0, white=200.0)], view, samples=12, blur=0.0) / 200.0
+    middle, side = true_corners(view).mean(axis=0), np.ptp(true_corners(view)[:, 0])
+    v, u = np.mgrid[: paper.shape[0], : paper.shape[1]]
+    lit = (u - middle[0]) + (v - middle[1]) < shade * side
+    image = np.where(lit, sun, 140.0) * paper
+    image = cv2.GaussianBlur(image.astype(np.float32), (0, 0), blur)
+    image += np.random.default_rng(4).normal(0.0, 2.0, image.shape).astype(np.float32)
+    found = fit(np.clip(np.rint(image), 0, 255), view)
+    assert np.abs(found.corners - true_corners(view)).max() < 0.25
 
 
 def test_what_hides_a_corner_is_passed_over_and_the_corner_is_less_certain():

@@ -149,6 +149,7 @@ def detection_message(marker: DetectedMarker, dictionary: str) -> MarkerDetectio
     """Return a marker without a pose, for want of a camera_info, as a message."""
     message = MarkerDetection(id=marker.id, dictionary=dictionary, bit_errors=marker.bit_errors)
     message.corners = np.asarray(marker.corners, dtype=float).ravel().tolist()
+    message.deviations = marker.deviations.ravel().tolist()
     message.pose.pose.orientation.w = message.alternative_pose.orientation.w = 1.0
     return message
 
