@@ -31,6 +31,9 @@ from bullet_lab.docking.types import CameraMount, DockingSettings, Observation, 
 from bullet_lab.vision.dictionaries import simple_name
 
 PARTICLES = 600
+# Of those that no miss rules out, and their share of what is thinkable where the robot drives: ways
+# around them are found, but where there is no other way they alone close none.
+_WALL_PARTICLES, _WALL_SHARE = 200, 0.05
 # The database may lie somewhat more than it says.
 _MARGIN = 1.1
 _SIZE_PLAY = 0.05
@@ -43,17 +46,30 @@ _MOST_TRACKS = 8
 # be worse than that to a new one, at most.
 _FIT, _FAMILIAR = 45.0, 20
 _SURE_OF_SIZE, _HARDLY_REAL = 0.8, 0.01
-# Share of the particles whose odometry has an error of its own.
-_ODOMETRY_ERRS = 0.3
+# How the reach of the light is distributed, poor light among it, and what spreads it evenly.
+_REACHES = (0.0, 0.15, 1.0), (0.35, 0.7, 1.15)
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 # How far, in rad, two prints on one wall may differ in yaw (a standard deviation).
 _SAME_WALL = 0.015
 _PRIOR, _DATABASE = 0, 1
 
 
 class DockParticles:
-    """Weighted poses of a dock in the robot's frame, drawn about the rough pose given there."""
+    """Weighted poses of a dock in the robot's frame, drawn about the rough pose given there.
 
-    def __init__(self, dock: Dock, rough: PlanarPose, rng: np.random.Generator):
+    Each has its own errors of the odometry, and its own reach of the light: from where it was
+    missed once it will be missed again, be it that the marker is not there or that it is too dark.
+
+    Attributes:
+        poses: (n, 3).
+        weights: (n,).
+        reach: (n,) of the light, as `MarkerVisibility.in_reach` takes it.
+        mass: share of the prior that is left.
+    """
+
+    def __init__(
+        self, dock: Dock, rough: PlanarPose, rng: np.random.Generator, count: int = PARTICLES
+    ):
         self._rng = rng
         self._boxes = wall_boxes(dock)
         # Farther from the dock's origin there is no wall, m.
@@ -64,14 +80,15 @@ class DockParticles:
         # any; drawn on a disc and a square it makes little difference.
         position = _MARGIN * dock.uncertainty.position + 0.01
         yaw = _MARGIN * dock.uncertainty.yaw + 0.005
-        off = rng.uniform(-1.0, 1.0, (PARTICLES, 3)) * (position, position, yaw)
+        off = rng.uniform(-1.0, 1.0, (count, 3)) * (position, position, yaw)
         self.poses = np.asarray(rough, dtype=float) + off
         self.poses[:, 2] = wrap(self.poses[:, 2])
-        self.weights = np.full(PARTICLES, 1.0 / PARTICLES)
+        self.weights = np.full(count, 1.0 / count)
         self.mass = 1.0
-        # What is wrong with the odometry, in most cases nothing.
-        self._errors = rng.standard_normal((PARTICLES, len(UNKNOWN_ODOMETRY))) * UNKNOWN_ODOMETRY
-        self._errors *= rng.random((PARTICLES, 1)) < _ODOMETRY_ERRS
+        # What is wrong with the odometry.
+        self._errors = rng.standard_normal((count, len(UNKNOWN_ODOMETRY))) * UNKNOWN_ODOMETRY
+        # Evenly spread, and in no order.
+        self.reach = np.interp(_GOLDEN * np.arange(count) % 1.0, *_REACHES)
 
     def move(self, motion: MotionStep) -> None:
         """Follow a step of the robot."""
@@ -92,7 +109,7 @@ class DockParticles:
     def add_miss(self, expected: np.ndarray, missed: float, counts: bool = True) -> None:
         """Learn from a look that found nothing, but misses what it should find with `missed`.
 
-        `expected` (n,) is the probability of finding the marker for each pose. What `counts`
+        `expected` (n,) says for each pose whether the marker should be found. What `counts`
         lessens `mass`, the share of the prior that is left.
         """
         self._learn(1.0 - (1.0 - missed) * expected, counts)
@@ -116,6 +133,7 @@ class DockParticles:
         drawn = poses[self._rng.integers(len(poses), size=count)]
         self.poses = np.concatenate([self.poses[keep], drawn])
         self._errors = np.concatenate([self._errors[keep], self._errors[: len(drawn)]])
+        self.reach = np.concatenate([self.reach[keep], self.reach[: len(drawn)]])
         self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
 
     def gaussian(self) -> GaussianPose:
@@ -130,7 +148,12 @@ class DockParticles:
 
     def samples(self, count: int) -> np.ndarray:
         """Draw (count, 3) poses."""
-        return self.poses[self._rng.choice(len(self.poses), count, p=self.weights)]
+        return self.looks(count)[0]
+
+    def looks(self, count: int) -> Tuple[np.ndarray, np.ndarray]:
+        """Draw (count, 3) poses and the light's reach (count,) at each."""
+        chosen = self._rng.choice(len(self.poses), count, p=self.weights)
+        return self.poses[chosen], self.reach[chosen]
 
     def _learn(self, likelihood: np.ndarray, counts: bool) -> None:
         weights = self.weights * likelihood
@@ -147,6 +170,7 @@ class DockParticles:
         chosen = np.minimum(np.searchsorted(np.cumsum(self.weights), places), count - 1)
         jitter = self._rng.standard_normal((count, 3)) * (0.02, 0.02, 0.008)
         self.poses, self._errors = self.poses[chosen] + jitter, self._errors[chosen]
+        self.reach = self.reach[chosen]
         self.weights = np.full(count, 1.0 / count)
 
 
@@ -162,6 +186,8 @@ class DockBelief:
     Attributes:
         odometry: the last messages.
         particles: of the dock's pose before its marker was seen; None before the first odometry.
+        walls: likewise, but of no look that found nothing: a marker that is hidden, or that the
+            detector does not find, is no less hard to drive against.
         visibility: from where the marker is visible; None before the first image.
         tracks: of what shows the marker.
         last_image: stamp of the newest image, s.
@@ -180,6 +206,7 @@ class DockBelief:
         self._dock_pose, self._settings, self._rng = dock_pose, settings, rng
         self.odometry = OdometryBuffer()
         self.particles: Optional[DockParticles] = None
+        self.walls: Optional[DockParticles] = None
         # What was believed before the marker was seen, and what the database says.
         self._believed: Optional[DriftingPoses] = None
         self.visibility: Optional[MarkerVisibility] = None
@@ -221,13 +248,24 @@ class DockBelief:
         """Draw (count, 3) poses of the dock in the odometry frame."""
         best = self.best()
         if best is None:
-            drawn = self.particles.samples(count)
+            drawn = self._thinkable(count)
         else:
             doubtful = int(round(count * min(1.0 - best.real, 0.5))) if best.real < 0.9 else 0
             drawn = best.samples(self._rng, count - doubtful)
             if doubtful:
-                drawn = np.concatenate([drawn, self.particles.samples(doubtful)])
+                drawn = np.concatenate([drawn, self._thinkable(doubtful)])
         return se2.compose(self.pose, drawn)
+
+    def _thinkable(self, count: int) -> np.ndarray:
+        """Draw (count, 3) poses of a dock whose marker is not seen, in the robot's frame."""
+        of_walls = int(_WALL_SHARE * count)
+        drawn = self.particles.samples(count - of_walls), self.walls.samples(of_walls)
+        return np.concatenate(drawn)
+
+    def stands_free(self, radius: float) -> bool:
+        """Drop what would have the robot touch a wall (it fills a circle); say if any is left."""
+        self.walls.stands_free(radius)
+        return self.particles.stands_free(radius)
 
     def obstacles(self) -> np.ndarray:
         """Return what bears copies of the marker: (n, 4) of x, y, radius (m, odometry), weight."""
@@ -265,11 +303,14 @@ class DockBelief:
         self.odometry.add(odometry)
         if before is None:
             rough = se2.between(odometry.pose, self._dock_pose)
-            self.particles = DockParticles(self._dock, tuple(rough.tolist()), self._rng)
+            drawn = self._dock, tuple(rough.tolist()), self._rng
+            self.particles = DockParticles(*drawn)
+            self.walls = DockParticles(*drawn, _WALL_PARTICLES)
             self._believed = DriftingPoses([self.particles.gaussian()] * 2)
             return
         step = motion_step(before, odometry)
         self.particles.move(step)
+        self.walls.move(step)
         for believed in (self._believed, *self.tracks):
             believed.move(step)
 
@@ -287,8 +328,7 @@ class DockBelief:
         self.images += 1
         view = Viewpoint(camera, self._mount, tuple(se2.between(self.pose, then).tolist()))
         shown = filter(self._shows_marker, observation.sightings)
-        corners = [np.asarray(sighting.corners, dtype=float) for sighting in shown]
-        self._associate(corners, view, observation.stamp)
+        self._associate(list(shown), view, observation.stamp)
         copy = self.copy_on_the_wall()
         for track in self.tracks if copy is not None else ():
             if track is not copy:
@@ -301,6 +341,7 @@ class DockBelief:
     def concentrate(self, estimate: GaussianPose, play: float) -> None:
         """Believe that the dock is at a pose, with so much more play to either side in m."""
         self.particles.concentrate(estimate, play)
+        self.walls.concentrate(estimate, play)
         self._believed.put(_PRIOR, self.particles.gaussian())
 
     def forget(self, track: MarkerTrack) -> None:
@@ -309,6 +350,7 @@ class DockBelief:
             drawn = track.samples(self._rng, 200)
             drawn = drawn + self._rng.standard_normal(drawn.shape) * (0.1, 0.1, 0.06)
             self.particles.mix_in(drawn, 0.6)
+            self.walls.mix_in(drawn, 0.6)
         self.tracks.remove(track)
         self._estimated = None
 
@@ -322,12 +364,12 @@ class DockBelief:
             return False
         return _inside(corners, camera) >= _BORDER and extent_of(corners) >= _SMALLEST
 
-    def _associate(self, sightings: List[np.ndarray], view: Viewpoint, stamp: float) -> None:
+    def _associate(self, sightings: List[Sighting], view: Viewpoint, stamp: float) -> None:
         """Give each sighting to the track that it fits best, or begin a new one with it."""
         pairs = []
-        for number, corners in enumerate(sightings):
+        for number, sighting in enumerate(sightings):
             for track in self.tracks:
-                cost = _association_cost(track, corners, view)
+                cost = _association_cost(track, sighting, view)
                 if cost is not None:
                     pairs.append((cost, number, track))
         owners: Dict[int, MarkerTrack] = {}
@@ -342,14 +384,15 @@ class DockBelief:
             if track.frames < owner.frames:
                 self.tracks.remove(track)
         for number, track in owners.items():
-            track.see(sightings[number], view)
+            track.see(sightings[number].corners, view, sightings[number].deviations)
             track.last_seen = stamp
         marker, noise = self._dock.marker, self._settings.noise
-        for number, corners in enumerate(sightings):
+        for number, sighting in enumerate(sightings):
             if number in owners:
                 continue
+            seen, known = (sighting.corners, view), (marker.size, marker.height)
             prior = self._believed.pose(_PRIOR)
-            track = MarkerTrack(corners, view, marker.size, marker.height, prior, noise)
+            track = MarkerTrack(*seen, *known, prior, noise, sighting.deviations)
             track.last_seen = stamp
             self.tracks.append(track)
             if len(self.tracks) > _MOST_TRACKS:
@@ -367,12 +410,13 @@ def _wall_yaw(copy: MarkerTrack) -> Tuple[float, float]:
     return float(likeliest.mean[2]), float(likeliest.covariance[2, 2]) + _SAME_WALL**2
 
 
-def _association_cost(track: MarkerTrack, corners: np.ndarray, view: Viewpoint) -> Optional[float]:
+def _association_cost(track: MarkerTrack, sighting: Sighting, view: Viewpoint) -> Optional[float]:
     """Return how badly corners fit a track, None if they are not of it.
 
     What was seen often is preferred to what is new and fits anything.
     """
-    misfit, predicted = track.nearest(corners, view)
+    corners = np.asarray(sighting.corners, dtype=float)
+    misfit, predicted = track.nearest(corners, view, sighting.deviations)
     if misfit < _FIT:
         return misfit - min(track.frames, _FAMILIAR)
     if not np.isfinite(predicted).all():

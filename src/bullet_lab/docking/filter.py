@@ -1,20 +1,21 @@
 """Iterated extended Kalman filter on the corners of a marker, for many Gaussians at once.
 
-A marker state is (x m, y m, yaw rad, height m, growth, roll, pitch, yaw rad, way, turn, two drifts
-rad/m): pose of the dock in the robot's frame, height of the marker's centre above the floor, and
-logarithm of its size over the size that it is taken for; then what is not as it is known, how the
-camera is turned against its known place, and the odometry: logarithm of the true way over the
-told one, the true turn over the told one less 1, and what is turned and not told on each metre
-ahead, and on each back. Wheels that differ turn the robot the other way when it backs out, a gyro
-that drifts the same way: so one says nothing of the other. The motion model moves the first three
-with the odometry; the measurement model says where the corners are seen.
+A marker state is (x m, y m, yaw rad, height m, growth, roll, pitch, yaw rad, u and v px of each
+corner, way, turn, two drifts rad/m): pose of the dock in the robot's frame, height of the marker's
+centre above the floor, and logarithm of its size over the size that it is taken for; then what is
+not as it is known, how the camera is turned against its known place, by how much each corner is
+seen aside in all images alike, and the odometry: logarithm of the true way over the told one, the
+true turn over the told one less 1, and what is turned and not told on each metre ahead, and on each
+back. Wheels that differ turn the robot the other way when it backs out, a gyro that drifts the same
+way: so one says nothing of the other. The motion model moves the first three with the odometry; the
+measurement model says where the corners are seen.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Sequence, Tuple
+from typing import Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -24,16 +25,22 @@ from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.odometry import MotionStep
 from bullet_lab.docking.types import CameraMount, PixelNoise
 
-STATES = 12
+STATES = 20
 _OF_MARKER = 5
 _EYE = np.eye(STATES)
-CAMERA, ODOMETRY = slice(5, 8), slice(8, STATES)
-"""Where a state says how the camera is turned, and what is wrong with the odometry."""
+CAMERA, CORNERS, ODOMETRY = slice(5, 8), slice(8, 16), slice(16, STATES)
+"""Where a state says how the camera is turned, by how much corners are seen beside where they are,
+and what is wrong with the odometry."""
+
+OFF_CORNER = 0.15
+"""Standard deviation of u and v of a corner, px, by which it is off in all images alike."""
 
 UNKNOWN_CAMERA = np.radians([1.2, 1.2, 1.2])
-UNKNOWN_ODOMETRY = np.array([0.035, 0.035, 0.02, 0.02])
+UNKNOWN_ODOMETRY = np.array([0.035, 0.05, 0.02, 0.02])
 """Standard deviations of both, where they are not as known; else they are within these."""
 
+# The same where corners are seen where they are, px, and where the others are as known.
+_SEEN_RIGHT = 0.02
 _KNOWN_CAMERA = np.radians([0.05, 0.05, 0.05])
 _KNOWN_ODOMETRY = np.array([0.003, 0.003, 0.001, 0.001])
 _OF_POSE, _OF_ODOMETRY = 3, len(UNKNOWN_ODOMETRY)
@@ -185,13 +192,17 @@ def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> Tuple[np.ndarra
 
 
 def as_known(x: np.ndarray, p: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return states (n, 12) and covariances with camera and odometry as known, where they may be.
+    """Return states (n, 20) and covariances as known, where they may be.
+
+    That is a camera and an odometry as they are known, and corners that are seen where they are.
 
     They are right more often than not. By Bayes' rule, with the ratio of Savage and Dickey (J. M.
     Dickey, Annals of Mathematical Statistics 42, 1971) for what the images say, each is right with
     some probability; of both cases mean and covariance are given.
     """
-    return _part_as_known(*_part_as_known(x, p, _CAMERA_PART), _ODOMETRY_PART)
+    for part in (_CORNER_PART, _CAMERA_PART, _ODOMETRY_PART):
+        x, p = _part_as_known(x, p, part)
+    return x, p
 
 
 class _Part:
@@ -202,6 +213,7 @@ class _Part:
         self.log_unknown = np.sum(np.log(unknown))
 
 
+_CORNER_PART = _Part(CORNERS, np.full(8, _SEEN_RIGHT), np.full(8, OFF_CORNER))
 _CAMERA_PART = _Part(CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA)
 _ODOMETRY_PART = _Part(ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
 _AFTER_POSE = slice(_OF_POSE, _OF_POSE + _OF_ODOMETRY)
@@ -302,10 +314,10 @@ def corner_points(states: np.ndarray, sizes) -> np.ndarray:
 def predict(
     states: np.ndarray, sizes: np.ndarray, view: Viewpoint
 ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return where corners of (n, 12) states with sizes (n,) are seen, and its derivatives.
+    """Return where corners of (n, 20) states with sizes (n,) are seen, and its derivatives.
 
     Returns:
-        Pixels (n, 8) as u, v of each corner in turn; derivatives by the state (n, 8, 12); and by
+        Pixels (n, 8) as u, v of each corner in turn; derivatives by the state (n, 8, 20); and by
         roll, pitch and yaw of the robot at the moment of the image (n, 8, 3). NaN for a marker
         that is not ahead of the camera.
     """
@@ -321,7 +333,8 @@ def predict(
     by_state = np.zeros((count, 8, STATES))
     by_state[..., :_OF_MARKER] = changes[..., :_OF_MARKER] / 1e-4
     by_state[..., CAMERA] = tilts
-    return seen, by_state, tilts
+    by_state[..., CORNERS] = _EYE[:8, :8]
+    return seen + states[:, CORNERS], by_state, tilts
 
 
 def _camera_turns(turns: np.ndarray) -> np.ndarray:
@@ -335,14 +348,32 @@ def _camera_turns(turns: np.ndarray) -> np.ndarray:
     return _EYE[:3, :3] + np.sinc(size / np.pi) * cross + 0.5 * half * half * (cross @ cross)
 
 
-def noise_covariance(noise: PixelNoise, extent: float, tilts: np.ndarray) -> np.ndarray:
-    """Return the (n, 8, 8) covariance of the corners of a marker as large as `extent`, px².
+@dataclass(frozen=True, eq=False)
+class CornerNoise:
+    """Noise of the corners in one image.
 
-    `tilts` are the (n, 8, 3) derivatives by roll, pitch and yaw.
+    Attributes:
+        usual: of any image.
+        deviations: (4, 2) px, what the image itself tells; None where it does not.
+        repeated: factor of all standard deviations, where images tell the same again.
     """
-    own = noise.corner**2 + (noise.relative * extent) ** 2 + (noise.small / extent) ** 2
-    spread = tilts * np.array([noise.tilt, noise.tilt, noise.turn])
-    return own * _EYE[:8, :8] + spread @ spread.transpose(0, 2, 1)
+
+    usual: PixelNoise
+    deviations: Optional[np.ndarray] = None
+    repeated: float = 1.0
+
+    def covariance(self, extent: float, tilts: np.ndarray) -> np.ndarray:
+        """Return the (n, 8, 8) covariance of the corners of a marker as large as `extent`, px².
+
+        `tilts` are the (n, 8, 3) derivatives by roll, pitch and yaw.
+        """
+        usual = self.usual
+        own = usual.corner**2 + (usual.relative * extent) ** 2 + (usual.small / extent) ** 2
+        each = own * _EYE[:8, :8]
+        if self.deviations is not None:
+            each = each + np.diag(np.square(self.deviations).ravel())
+        spread = tilts * np.array([usual.tilt, usual.tilt, usual.turn])
+        return self.repeated**2 * (each + spread @ spread.transpose(0, 2, 1))
 
 
 def extent_of(corners: np.ndarray) -> float:
@@ -355,11 +386,11 @@ def extent_of(corners: np.ndarray) -> float:
     return float(np.mean(diagonals)) / math.sqrt(2.0)
 
 
-def innovations(start, x, p, sizes, corners, view: Viewpoint, noise: PixelNoise):
+def innovations(start, x, p, sizes, corners, view: Viewpoint, noise: CornerNoise):
     """Compare corners with states `start` of covariance `p`, linearised at states `x`.
 
     Returns:
-        What is left to explain (n, 8) px, its derivatives by the state (n, 8, 12), its covariance
+        What is left to explain (n, 8) px, its derivatives by the state (n, 8, 20), its covariance
         (n, 8, 8), and where the corners are seen (n, 8) px, as `predict` says.
     """
     predicted, by_state, tilts = predict(x, sizes, view)
@@ -370,7 +401,7 @@ def innovations(start, x, p, sizes, corners, view: Viewpoint, noise: PixelNoise)
     off = start - x
     off[:, 2] = wrap(off[:, 2])
     rest = corners.reshape(8) - seen - applied(by_state, off)
-    covariance = noise_covariance(noise, extent_of(corners), tilts)
+    covariance = noise.covariance(extent_of(corners), tilts)
     covariance = covariance + by_state @ p @ by_state.transpose(0, 2, 1)
     return rest, by_state, covariance, predicted
 
@@ -393,13 +424,13 @@ def applied(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 
 def iterated_update(
-    start, p, sizes, corners, view: Viewpoint, noise: PixelNoise, rounds: int = 3, hidden=()
+    start, p, sizes, corners, view: Viewpoint, noise: CornerNoise, rounds: int = 3, hidden=()
 ):
     """Take corners (4, 2) px into account (Bell and Cathey 1993: Gauss and Newton's steps).
 
     Args:
-        start: (n, 12) states.
-        p: (n, 12, 12) their covariances.
+        start: (n, 20) states.
+        p: (n, 20, 20) their covariances.
         sizes: (n,) m.
         corners: as seen by the camera of `view`, with `noise`.
         view: that camera.
@@ -408,7 +439,7 @@ def iterated_update(
         hidden: numbers of corners that say nothing.
 
     Returns:
-        States (n, 12), covariances (n, 12, 12), squared Mahalanobis distances of the corners (n,)
+        States (n, 20), covariances (n, 20, 20), squared Mahalanobis distances of the corners (n,)
         and logarithms of the determinants of their covariances (n,).
     """
     corners = np.asarray(corners, dtype=float)
@@ -430,17 +461,28 @@ def iterated_update(
     return x, left, squared_distances(rest, covariance), np.linalg.slogdet(covariance)[1]
 
 
-def robust_update(start, p, sizes, corners, view: Viewpoint, noise: PixelNoise, rounds: int = 3):
+def robust_update(
+    start,
+    p,
+    sizes,
+    corners,
+    view: Viewpoint,
+    noise: CornerNoise,
+    rounds: int = 3,
+    judges=slice(None),
+):
     """Do as `iterated_update`, and without one of the corners where that alone explains the image.
 
-    Something before a corner moves it by pixels, and leaves the others where they are.
+    Something before a corner moves it by pixels, and leaves the others where they are. Only what
+    the `judges` among the states say of it counts: what is hardly thinkable may explain anything.
     """
     given = start, p, sizes, corners, view, noise, rounds
     best = whole = iterated_update(*given)
-    if np.min(whole[2]) < _SUSPICIOUS:
+    if np.min(whole[2][judges]) < _SUSPICIOUS:
         return whole
     for corner in range(4):
         without = iterated_update(*given, hidden=(corner,))
-        if np.min(without[2]) < min(np.min(best[2]), _EXPLAINED * np.min(whole[2])):
+        least = np.min(without[2][judges])
+        if least < min(np.min(best[2][judges]), _EXPLAINED * np.min(whole[2][judges])):
             best = without
-    return best if np.min(best[2]) < _SUSPICIOUS else whole
+    return best if np.min(best[2][judges]) < _SUSPICIOUS else whole

@@ -139,15 +139,17 @@ class MarkerVisibility:
         off = np.abs(np.arctan2(np.sin(off), np.cos(off)))
         return self.unobstructed(x, y) & (off < self.half_angle(np.hypot(x, y)))
 
-    def detection_rate(self, distance) -> np.ndarray:
-        """Return the probability of finding a visible marker at distances in m, in poor light."""
-        share = np.asarray(distance) / self.farthest
-        return np.clip((1.15 - share) / 0.45, 0.2, 1.0)
+    def in_reach(self, distance, reach) -> np.ndarray:
+        """Say whether a marker is found at distances (m) in light that has `reach`.
 
-    def detection_probability(self, cameras: np.ndarray) -> np.ndarray:
-        """Return the probability that (..., 3) cameras in the dock's frame find the marker."""
+        That is the share of the range of good light up to which it is. Shapes broadcast.
+        """
+        return np.asarray(distance) < np.asarray(reach) * self.farthest
+
+    def found(self, cameras: np.ndarray, reach) -> np.ndarray:
+        """Say whether (..., 3) cameras in the dock's frame should find the marker in such light."""
         distance = np.hypot(cameras[..., 0], cameras[..., 1])
-        return self.visible(cameras) * self.detection_rate(distance)
+        return self.visible(cameras) & self.in_reach(distance, reach)
 
     def half_angle(self, distance) -> np.ndarray:
         """Return how far off the image's middle (rad) a marker at a distance (m) is whole."""

@@ -162,7 +162,7 @@ class GracefulTask(WatchedTask):
             return
         if self._stage == self._navigate:
             self._belief.add_odometry(odometry)
-            self._belief.particles.stands_free(self._planner.shape.half_width)
+            self._belief.stands_free(self._planner.shape.half_width)
         else:
             self._odometry.add(odometry)
 

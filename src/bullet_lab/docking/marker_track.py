@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import astuple
 from typing import Optional, Tuple
 
 import numpy as np
@@ -19,10 +18,13 @@ import numpy as np
 from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.filter import (
     CAMERA,
+    CORNERS,
     ODOMETRY,
+    OFF_CORNER,
     STATES,
     UNKNOWN_CAMERA,
     UNKNOWN_ODOMETRY,
+    CornerNoise,
     GaussianPose,
     Viewpoint,
     applied,
@@ -60,6 +62,8 @@ _LEAST_WEIGHT = 1e-6
 _LEAST_SHARE = 1e-5
 # Images from one spot that count in full; of a marker narrower than so many px.
 _FRAMES_AT_A_SPOT, _OF_A_SMALL_ONE, _SMALL = 8, 3, 40.0
+# Gaussians of this part of the likeliest one's weight say whether a corner is hidden.
+_LIKELY = 0.1
 # A squared distance from which on an image fits nothing; after so many of them it is believed.
 _OUTLIER = 40.0
 _STUBBORN = 4
@@ -127,7 +131,8 @@ class MarkerTrack:
         size: of the real marker, m.
         height: of the real marker, m.
         prior: of the dock's pose in the robot's frame.
-        noise: of the corners.
+        noise: of the corners in any image.
+        deviations: (4, 2) px, how far off these may be as far as the image tells; None: not known.
 
     Attributes:
         frames: images that were taken into account.
@@ -144,6 +149,7 @@ class MarkerTrack:
         height: float,
         prior: GaussianPose,
         noise: PixelNoise,
+        deviations: Optional[np.ndarray] = None,
     ):
         self._size, self._height, self._noise = size, height, noise
         self.frames, self.last_seen, self.found_from = 0, -math.inf, 0.0
@@ -154,7 +160,7 @@ class MarkerTrack:
         # Of which states, and what became of the real ones: asked for many times at each tick.
         self._known: Tuple = (None, ())
         self._extent = extent_of(corners)
-        self._start(np.asarray(corners, dtype=float), view, prior)
+        self._start(np.asarray(corners, dtype=float), view, prior, CornerNoise(noise, deviations))
 
     def estimate(self) -> Optional[GaussianPose]:
         """Return the pose if it is real; None if that is out of the question."""
@@ -245,13 +251,16 @@ class MarkerTrack:
         if self._spot is not None:
             self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
 
-    def nearest(self, corners: np.ndarray, view: Viewpoint) -> Tuple[float, np.ndarray]:
+    def nearest(
+        self, corners: np.ndarray, view: Viewpoint, deviations: Optional[np.ndarray] = None
+    ) -> Tuple[float, np.ndarray]:
         """Return the least squared Mahalanobis distance (of 8 values) to one of its Gaussians.
 
         And the (4, 2) corners as that one predicts them; NaN if behind the camera.
         """
+        noise = CornerNoise(self._noise, deviations)
         rest, _, covariance, seen = innovations(
-            self._x, self._x, self._p, self._sizes, corners, view, self._noise
+            self._x, self._x, self._p, self._sizes, corners, view, noise
         )
         squares = squared_distances(rest, covariance)
         best = int(np.argmin(squares))
@@ -262,14 +271,22 @@ class MarkerTrack:
         best = np.argmax(np.where(self._scale == 0, self._within, -1.0))
         return predict(self._x[best, None], self._sizes[best, None], view)[0].reshape(4, 2)
 
-    def see(self, corners: np.ndarray, view: Viewpoint) -> None:
+    def see(
+        self, corners: np.ndarray, view: Viewpoint, deviations: Optional[np.ndarray] = None
+    ) -> None:
         """Take the corners of one more image into account.
 
         Images from one spot share their errors; after some of them, more say little.
+
+        Args:
+            corners: (4, 2) px.
+            view: by which camera.
+            deviations: as for the first ones.
         """
         corners = np.asarray(corners, dtype=float)
         self._extent = extent_of(corners)
-        seen = corners, view, self._noise_here(self._extent)
+        noise = CornerNoise(self._noise, deviations, self._repeated_here(self._extent))
+        seen = corners, view, noise, 3, self._likely()
         x, p, squares, logs = robust_update(self._x, self._p, self._sizes, *seen)
         if np.min(squares) > _OUTLIER:
             self._outliers += 1
@@ -317,13 +334,17 @@ class MarkerTrack:
         pixels = view.camera.fy * self._size / reach
         return reach, reach * _EDGE / max(pixels, 1.0)
 
-    def _noise_here(self, extent: float) -> PixelNoise:
+    def _likely(self) -> np.ndarray:
+        """Return which Gaussians are likely beside the likeliest one, (n,)."""
+        return self._weights > _LIKELY * np.max(self._weights)
+
+    def _repeated_here(self, extent: float) -> float:
+        """Return by how much more images from this spot are off than the first ones."""
         if self._spot is None or self._spot[0] > 0.012 or self._spot[1] > math.radians(0.7):
             self._spot, self._spot_frames = np.zeros(2), 0
         self._spot_frames += 1
         few = _OF_A_SMALL_ONE if extent < _SMALL else _FRAMES_AT_A_SPOT
-        repeated = max(1.0, self._spot_frames / few)
-        return PixelNoise(*(repeated * value for value in astuple(self._noise)))
+        return max(1.0, self._spot_frames / few)
 
     def _weigh(self) -> None:
         """Put the weights together: of the sizes, and of the yaws within each."""
@@ -341,7 +362,7 @@ class MarkerTrack:
         self._weights = self._within * shares[self._scale] / np.sum(shares)
         self.real = float(np.sum(self._weights[self._scale == 0]))
 
-    def _start(self, corners, view: Viewpoint, prior: GaussianPose) -> None:
+    def _start(self, corners, view: Viewpoint, prior: GaussianPose, noise: CornerNoise) -> None:
         ray, reach = view.line_of_sight(corners, self._size)
         count = len(_SLANTS)
         scale = np.repeat(np.arange(len(SCALES)), count)
@@ -359,9 +380,10 @@ class MarkerTrack:
         covariance[:, 3, 3] = np.where(scale == 0, _HEIGHT_KNOWN, _HEIGHT_FREE) ** 2
         covariance[:, 4, 4] = np.where(scale == 0, _GROWTH_KNOWN, _GROWTH_FREE) ** 2
         covariance[:, CAMERA, CAMERA] = np.diag(UNKNOWN_CAMERA**2)
+        covariance[:, CORNERS, CORNERS] = OFF_CORNER**2 * np.eye(8)
         covariance[:, ODOMETRY, ODOMETRY] = np.diag(UNKNOWN_ODOMETRY**2)
         self._scale, self._sizes = scale, sizes
-        fitted = robust_update(states, covariance, sizes, corners, view, self._noise, rounds=6)
+        fitted = robust_update(states, covariance, sizes, corners, view, noise, rounds=6)
         self._x, self._p, squares, _ = fitted
         unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
         self._fuse(prior)
@@ -393,6 +415,7 @@ class MarkerTrack:
         self._weigh()
         keep, rivals_of = [], defaultdict(list)
         spreads = 0.7 * np.sqrt(np.diagonal(self._p, axis1=1, axis2=2)) + 1e-5
+        spreads[:, CORNERS] = np.inf
         for index in np.argsort(-self._within).tolist():
             rivals = rivals_of[self._scale[index]]
             off = self._x[rivals] - self._x[index]

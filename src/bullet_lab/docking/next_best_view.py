@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, Optional
+from typing import Callable, List, Optional
 
 import numpy as np
 
@@ -22,6 +22,8 @@ _LEAST_PROBABILITY = 0.02
 _SAFE = 0.012
 # A look itself takes about so long; it is what makes a sure look worth a longer way.
 _LOOK_SECONDS = 3.0
+# Places that are tried, from the best on.
+_MOST_PLACES = 40
 # Kept off the edge of the image, so that the marker is wholly in it after a turn.
 _EDGE = math.radians(2.0)
 
@@ -36,22 +38,27 @@ class NextView:
 
 
 def detection_probabilities(
-    points: np.ndarray, ahead: float, docks: np.ndarray, visibility: MarkerVisibility
+    points: np.ndarray,
+    ahead: float,
+    docks: np.ndarray,
+    reach: np.ndarray,
+    visibility: MarkerVisibility,
 ) -> np.ndarray:
     """Return the probability of finding the marker, (n, 36) for each point and heading.
 
-    The robot is at `points` (n, 2), its camera `ahead` of its middle, m; `docks` are (m, 3).
+    The robot is at `points` (n, 2), its camera `ahead` of its middle, m; `docks` are (m, 3), in
+    light that has `reach` (m,).
     """
     to_dock = docks[None, :, :2] - points[:, None]
     distance = np.hypot(to_dock[..., 0], to_dock[..., 1])
     eyes = points[:, None] + to_dock * (ahead / np.maximum(distance, ahead))[..., None]
     flat = np.pad(eyes, ((0, 0), (0, 0), (0, 1)))
     x, y, _ = np.moveaxis(se2.between(docks[None], flat), -1, 0)
-    found = visibility.unobstructed(x, y) * visibility.detection_rate(np.hypot(x, y))
+    found = visibility.unobstructed(x, y) & visibility.in_reach(np.hypot(x, y), reach)
     bearing = np.arctan2(to_dock[..., 1], to_dock[..., 0])
-    reach = visibility.half_angle(distance) - _EDGE
+    aside = visibility.half_angle(distance) - _EDGE
     shares = [
-        np.mean(found * (np.abs(wrap(bearing - heading)) < reach), axis=1) for heading in _HEADINGS
+        np.mean(found * (np.abs(wrap(bearing - heading)) < aside), axis=1) for heading in _HEADINGS
     ]
     return np.stack(shares, axis=1)
 
@@ -60,10 +67,12 @@ def next_best_view(
     robot: PlanarPose,
     costmap: Costmap,
     docks: np.ndarray,
+    reach: np.ndarray,
     visibility: MarkerVisibility,
     ahead: float,
     speed: float,
     turn_speed: float,
+    is_safe: Callable[[List[Point]], bool],
 ) -> Optional[NextView]:
     """Return where to look next: where most is to be found for the time that it takes.
 
@@ -71,10 +80,12 @@ def next_best_view(
         robot: its pose in the odometry frame.
         costmap: of the floor about it.
         docks: (m, 3) thinkable poses of the dock in the odometry frame.
+        reach: (m,) of the light there, as `MarkerVisibility.in_reach` takes it.
         visibility: of the marker; None is returned if no safe place has any.
         ahead: m, how far the camera is ahead of the robot's middle.
         speed: m/s.
         turn_speed: rad/s.
+        is_safe: says of a way whether it will be driven; no other is returned.
     """
     for stride in _STRIDES:
         points = costmap.points[::stride, ::stride].reshape(-1, 2)
@@ -86,26 +97,32 @@ def next_best_view(
         costs = np.concatenate([[0.0], costs[safe]])[:, None]
         turns = np.abs(wrap(_HEADINGS - robot[2]))
         seconds = costs / speed + np.where(costs > 0.0, 2.0, turns[None] / turn_speed)
-        found = detection_probabilities(points, ahead, docks, visibility)
-        view = _best_view(points, costmap, found, seconds)
+        found = detection_probabilities(points, ahead, docks, reach, visibility)
+        view = _best_view(points, costmap, found, seconds, is_safe)
         if view is not None:
             return view
     return None
 
 
 def _best_view(
-    points: np.ndarray, costmap: Costmap, found: np.ndarray, seconds: np.ndarray
+    points: np.ndarray,
+    costmap: Costmap,
+    found: np.ndarray,
+    seconds: np.ndarray,
+    is_safe: Callable[[List[Point]], bool],
 ) -> Optional[NextView]:
     """Return the view of most worth; the robot is at the first point."""
     # Of headings that find as much, the one with the likely place in the middle is best.
     smooth = (np.roll(found, 1, axis=1) + found + np.roll(found, -1, axis=1)) / 3.0
     worth = (found + 0.05 * smooth) / (_LOOK_SECONDS + seconds)
     worth[found < _LEAST_PROBABILITY] = 0.0
-    for best in np.argsort(-worth, axis=None)[:40]:
-        place, heading = np.unravel_index(best, worth.shape)
+    headings = np.argmax(worth, axis=1)
+    # Each place once: the next best headings there are refused for the same way.
+    for place in np.argsort(-worth.max(axis=1))[:_MOST_PLACES]:
+        heading = headings[place]
         if worth[place, heading] <= 0.0:
             return None
         way = costmap.path(points[place]) if place else [tuple(points[0].tolist())]
-        if way is not None:
+        if way is not None and is_safe(way):
             return NextView(way, float(_HEADINGS[heading]), float(found[place, heading]))
     return None

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import List, Optional, Tuple
+from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.se2 import wrap
+from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.control import AxisTracker, Lane
 from bullet_lab.docking.costmap import Costmap, along
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose
-from bullet_lab.docking.geometry import MarkerVisibility, clearance, misfit, wall_boxes
+from bullet_lab.docking.geometry import (
+    QUIET_ZONE,
+    MarkerVisibility,
+    clearance,
+    misfit,
+    wall_boxes,
+)
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.next_best_view import NextView, next_best_view
 from bullet_lab.docking.types import (
@@ -33,6 +39,8 @@ from bullet_lab.errors import LabError
 _SAMPLES = 120
 _RISKY = 0.03
 _PROBE = 0.6
+# m; a way that comes nearer to a wall than the robot stands by so much is looked at from its start.
+_NEARER_WALL = 0.01
 _MOST_PROBES = 6
 # Between the walls' front edges and the circle in which the robot turns, at the least, in m.
 _ROOM_TO_TURN = 0.17
@@ -40,6 +48,8 @@ _ROOM_TO_TURN = 0.17
 # and how often; and the last bit of the way (m) that it goes without seeing the marker.
 _UNSURE, _MOST_ROUNDS = 0.4, 2
 _BLIND = 0.12
+# To look at a marker from beside its axis: as a part of how far the walls let it be seen, and rad.
+_ASIDE, _FARTHEST_ASIDE = 0.85, math.radians(35.0)
 # From this part of the way from which the marker was found it is found again.
 _AS_FAR = 0.95
 # How far apart, in m along the dock's axis, two prints on one wall may seem.
@@ -70,6 +80,7 @@ class DockingPlanner:
         now: stamp of the tick, s.
         retries: how often it retreated to try again.
         stagings: how often it went for a better start.
+        unclear: how often a way in was given up as the axis was not known well enough.
         lost_at_the_end: whether the marker was not found any more where the way ends.
         ahead: m, of the camera before the robot's middle.
     """
@@ -91,7 +102,7 @@ class DockingPlanner:
         self.ahead, self._mount = mount.x, mount
         self.now = 0.0
         self._at_rest_since: Optional[float] = None
-        self.retries = self.stagings = 0
+        self.retries = self.stagings = self.unclear = 0
         self.lost_at_the_end = False
         self._boxes = wall_boxes(dock)
         self._camera = np.array([mount.x, 0.0, 0.0])
@@ -194,7 +205,11 @@ class DockingPlanner:
         along, across = float(estimate.deviations[0]), estimate.lateral_deviation
         certain = along < tolerance.distance and across < tolerance.lateral
         gone = self.lost_at_the_end or self.belief.cut_off(track)
-        return certain and abs(left) < _BLIND and gone
+        return certain and self.near(left) and gone
+
+    def near(self, left: float) -> bool:
+        """Say whether so much left to go (m) is the last bit of the way."""
+        return abs(left) < _BLIND
 
     def in_sight(self, left: float) -> float:
         """Return so much left to go (m), or less where the marker would not be found there."""
@@ -211,15 +226,19 @@ class DockingPlanner:
             self.shape.turning_radius + self.settings.wall_margin,
         )
 
-    def still_safe(self, way: Tuple[Point, ...]) -> bool:
+    def still_safe(self, way: Sequence[Point]) -> bool:
         """Say whether the next metre and a half of a way is safe by what is known now."""
-        points = self._ahead_of_robot([self.belief.pose[:2], *way])
+        points = self._ahead_of_robot([self.belief.pose[:2], *way], 0.0)
         if not len(points):
             return True
         docks, radius = self.belief.samples(_SAMPLES), self.shape.turning_radius
         flat = np.column_stack([points, np.zeros(len(points))])
-        there = se2.between(docks[:, None], flat[None])[..., :2]
-        touched = clearance(there, self._boxes) < radius
+        away = clearance(se2.between(docks[:, None], flat[None])[..., :2], self._boxes)
+        # Where it stands it is free, whatever the circle says; nearer to a wall it may not be.
+        here = clearance(
+            se2.between(docks, np.array([*self.belief.pose[:2], 0.0]))[..., :2], self._boxes
+        )
+        touched = (away < radius) & (away < here[:, None] - _NEARER_WALL)
         if float(np.max(np.mean(touched, axis=0), initial=0.0)) > 2.0 * _RISKY:
             return False
         return not any(
@@ -236,12 +255,12 @@ class DockingPlanner:
         away = np.hypot(*(rows[:, :2] - self.belief.pose[:2]).T) - rows[:, 2]
         return rows[away > self.shape.turning_radius + self.settings.wall_margin]
 
-    def _ahead_of_robot(self, way) -> np.ndarray:
-        """Return points of a way without its first decimetres, where the robot stands anyway."""
+    def _ahead_of_robot(self, way, begin: float = 0.15) -> np.ndarray:
+        """Return points of a way from `begin` (m) on: at first the robot stands there anyway."""
         pieces = [along(first, second, 0.05) for first, second in zip(way, way[1:])]
         points = np.concatenate(pieces or [np.asarray(way, dtype=float)])
         travelled = np.cumsum(np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)]))
-        return points[(travelled > 0.15) & (travelled < 1.6)]
+        return points[(travelled > begin) & (travelled < 1.6)]
 
     def way_to_staging(self, estimate: GaussianPose) -> Optional[List[Point]]:
         """Return a safe way to a point on the axis before the dock; None if there is none.
@@ -253,13 +272,33 @@ class DockingPlanner:
         if visibility is not None:
             room = self.lane.depth + self.shape.turning_radius + _ROOM_TO_TURN
             distances.insert(0, min(staging, max(room, 0.9 * visibility.farthest + self.ahead)))
-        for distance in distances:
-            there = se2.compose(estimate.mean, (-distance, 0.0, 0.0))
-            costmap = self.costmap()
-            way = costmap.path(se2.compose(self.belief.pose, there).tolist())
-            if way is not None and costmap.risk(self._ahead_of_robot(way)) <= 2.0 * _RISKY:
+        ways = (self._safe_way(estimate, (-distance, 0.0, 0.0)) for distance in distances)
+        return next((way for way in ways if way is not None), None)
+
+    def way_aside(self, estimate: GaussianPose) -> Optional[List[Point]]:
+        """Return a safe way to as far from the marker, but beside its axis; None if there is none.
+
+        How much narrower a flat marker looks goes with the square of the angle that it is seen at:
+        from its axis that tells little of its yaw. Once on the left, once on the right.
+        """
+        walls, before = self.dock.walls, float(np.hypot(*estimate.robot[:2]))
+        angle = _FARTHEST_ASIDE
+        if walls is not None:
+            free = 0.5 * walls.opening - self.dock.marker.size * (0.5 + QUIET_ZONE)
+            angle = min(angle, _ASIDE * math.atan2(free, walls.depth))
+        for side in (angle, -angle) if self.unclear % 2 else (-angle, angle):
+            way = self._safe_way(estimate, (-before * math.cos(side), before * math.sin(side), 0.0))
+            if way is not None:
                 return way
         return None
+
+    def _safe_way(self, estimate: GaussianPose, there: PlanarPose) -> Optional[List[Point]]:
+        """Return a safe way to a pose in the dock's frame; None if there is none."""
+        costmap = self.costmap()
+        goal = se2.compose(self.belief.pose, se2.compose(estimate.mean, there))
+        way = costmap.path(goal.tolist())
+        safe = way is not None and costmap.risk(self._ahead_of_robot(way)) <= 2.0 * _RISKY
+        return way if safe else None
 
     def probing_way(self) -> float:
         """Return how far (m) to drive ahead or, negative, back; 0 if not safe or often enough.
@@ -292,7 +331,7 @@ class DockingPlanner:
         particles = self.belief.particles
         for visibility, missed, counts in looks:
             cameras = se2.between(particles.poses, self._camera)
-            particles.add_miss(visibility.detection_probability(cameras), missed, counts)
+            particles.add_miss(visibility.found(cameras, particles.reach), missed, counts)
 
     def use_cue(self) -> bool:
         """Narrow the belief by a copy that can only be on the dock's back wall; say if there is.
@@ -331,12 +370,16 @@ class DockingPlanner:
         return view
 
     def _next_view(self, visibility: MarkerVisibility) -> Optional[NextView]:
+        costmap = self.costmap()
+        docks, reach = self.belief.particles.looks(_SAMPLES)
         return next_best_view(
             self.belief.pose,
-            self.costmap(),
-            self.belief.samples(_SAMPLES),
+            costmap,
+            se2.compose(self.belief.pose, docks),
+            reach,
             visibility,
             self.ahead,
             self.settings.drive_speed,
             self.settings.turn_speed,
+            self.still_safe,
         )

@@ -14,6 +14,7 @@ import numpy as np
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.control import PathFollower, clip, turn_command
+from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.planner import DockingFailureError, DockingPlanner
 from bullet_lab.docking.types import STANDSTILL, Command, DockingError, DockingState, Point
@@ -233,6 +234,10 @@ def decide(planner: DockingPlanner) -> Outcome:
     way = planner.way_to_staging(estimate)
     if way is not None:
         return Outcome("off the lane", (PathFollower(way, planner.settings),))
+    if not planner.has_learnt():
+        # It was not seen on the last such drive: from where is it seen?
+        planner.belief.forget(track)
+        return Outcome("lost")
     # What shows the marker and is of unknown size may be anywhere on the line of sight, and so in
     # the way; a little drive tells where it is.
     probe = planner.probing_way()
@@ -254,6 +259,21 @@ def _back_out(planner: DockingPlanner, left: float, further: float) -> Outcome:
         return Outcome("lost")
     target = left + further
     return Outcome("bad start", (target, planner.in_sight(target) > left + _LEAST_RETREAT))
+
+
+def _look_aside(planner: DockingPlanner, estimate: GaussianPose) -> Optional[Outcome]:
+    """Return the way to where a flat marker shows its yaw; None where the same way in may do.
+
+    That is where a way in has shown already that from before the marker its yaw is not to be told.
+    """
+    if planner.lane.leads_at_an_edge(estimate.robot, 0.0):
+        return None
+    planner.unclear += 1
+    way = planner.way_aside(estimate) if planner.unclear > 1 else None
+    if way is None:
+        return None
+    _count_staging(planner, "no way into the dock is found")
+    return Outcome("unclear", (PathFollower(way, planner.settings),))
 
 
 def _count_staging(planner: DockingPlanner, message: str) -> None:
@@ -291,7 +311,14 @@ class Approach(State):
         if missing and not planner.blind(track, left):
             # Wait at rest for it to be seen again, then look at what is the matter.
             self._held = planner.now if self._held is None else self._held
-            return Outcome("lost") if planner.now - self._held > patience else STANDSTILL
+            if planner.now - self._held <= patience:
+                return STANDSTILL
+            if not planner.near(left):
+                return Outcome("lost")
+            # Something has come before it, or only from here it is not found.
+            planner.lost_at_the_end = True
+            if not planner.blind(track, left):
+                return _retry(planner, left, "the marker is lost before the dock")
         self._held = None
         if left <= _THERE:
             return Outcome("arrived")
@@ -299,7 +326,7 @@ class Approach(State):
         if trouble:
             return _retry(planner, left, trouble)
         if planner.lane.leads_at_an_edge(robot, estimate.lateral_deviation):
-            return _back_out(planner, left, 0.5)
+            return _look_aside(planner, estimate) or _back_out(planner, left, 0.5)
         if planner.lane.within_walls(robot) and not self._entered:
             self._entered = True
             if not planner.sure(track):
@@ -443,7 +470,13 @@ TRANSITIONS: Dict[Type[State], Dict[str, Type[State]]] = {
         "lost": Look,
     },
     Stage: {"arrived": Measure, "not safe": Measure, "lost": Look},
-    Approach: {"arrived": Confirm, "failed": Retreat, "bad start": BackOut, "lost": Measure},
+    Approach: {
+        "arrived": Confirm,
+        "failed": Retreat,
+        "bad start": BackOut,
+        "unclear": Stage,
+        "lost": Measure,
+    },
     BackOut: {"arrived": Measure, "lost": Measure},
     Retreat: {"arrived": Measure, "lost": Measure},
     Confirm: {"within tolerance": Docked, "failed": Retreat, "lost": Measure},

@@ -191,7 +191,7 @@ class DockingTask(WatchedTask):
         self._belief.add_odometry(odometry)
         shape = self._planner.shape
         filled = min(shape.front, shape.rear, shape.half_width)
-        free = self._belief.particles.stands_free(filled)
+        free = self._belief.stands_free(filled)
         if first and not free:
             self._end(DockingError.NOT_VALID, "the robot stands where the dock's walls must be")
             return

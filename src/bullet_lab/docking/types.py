@@ -103,12 +103,14 @@ def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
 class Sighting:
     """A marker in an image: its id, its dictionary as OpenCV names it, and its corners.
 
-    These are (4, 2) px of the raw image: top left, top right, bottom right, bottom left.
+    These are (4, 2) px of the raw image: top left, top right, bottom right, bottom left. How far
+    off u and v of each may be as far as the image tells, `deviations` (4, 2) px, nobody may know.
     """
 
     id: int
     dictionary: str
     corners: np.ndarray
+    deviations: Optional[np.ndarray] = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,6 @@
 """Tests of where the planner lets a robot go."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -9,6 +10,7 @@ import pytest
 
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.filter import GaussianPose
+from bullet_lab.docking.geometry import clearance, wall_boxes
 from bullet_lab.docking.planner import DockingPlanner
 from bullet_lab.docking.types import Observation, Odometry, RobotShape, Sighting
 
@@ -36,6 +38,19 @@ def test_stages_where_the_marker_is_found_but_clear_of_the_walls(size, before):
     assert way[-1] == pytest.approx((5.0 - before, 0.0), abs=0.02)
 
 
+def test_looks_at_a_marker_from_either_side_of_its_axis_in_turn():
+    planner, ends = planner_at_the_origin(0.075), []
+    for planner.unclear in (2, 3):
+        x, y = planner.way_aside(KNOWN)[-1]
+        assert math.hypot(x - 5.0, y) == pytest.approx(5.0, abs=0.02)
+        ends.append(y)
+    assert ends[0] == pytest.approx(-ends[1], abs=0.02)
+    # In sight between the walls' front edges, with an eighth of the free angle to spare.
+    walls, half = planner.dock.walls, 0.075 * 0.625
+    free = math.atan2(0.5 * walls.opening - half, walls.depth)
+    assert math.asin(abs(ends[0]) / 5.0) == pytest.approx(0.85 * free, abs=0.01)
+
+
 def test_a_print_of_unknown_size_does_not_hang_where_the_robot_stands():
     # Too high for the marker: a copy, small and right before the camera or large and far away.
     square = np.array([[-60.0, -60.0], [60.0, -60.0], [60.0, 60.0], [-60.0, 60.0]])
@@ -56,3 +71,29 @@ def test_a_marker_that_was_found_from_afar_is_missed_from_as_far(monkeypatch):
     monkeypatch.setattr(planner.belief, "best", lambda: SimpleNamespace(found_from=2.9))
     assert planner.in_reach(robot)
     assert not planner.in_reach(np.array([-3.2, 0.0, 0.0]))
+
+
+def test_no_way_creeps_towards_a_wall_however_short_it_is(monkeypatch):
+    planner = planner_at_the_origin(0.2)
+    aside = standin.make_dock(standin.Stand((0.0, 0.0, 0.0))).walls.opening / 2.0 + 0.05
+    boxes, radius = wall_boxes(planner.dock), planner.shape.turning_radius
+    front = float(clearance(np.array([[-5.0, aside]]), boxes)[0])
+    dock = np.array([5.0 - front + radius + 0.03, -aside, 0.0])
+    monkeypatch.setattr(planner.belief, "samples", lambda count: np.tile(dock, (count, 1)))
+    assert not planner.still_safe(((0.1, 0.0),))
+    assert planner.still_safe(((-0.1, 0.0), (-1.0, 0.0)))
+
+
+def test_looks_from_where_it_will_drive_to_and_nowhere_else(monkeypatch):
+    planner, refused = planner_at_the_origin(0.075), []
+    best = planner.next_view()
+    assert len(best.way) > 1
+    there = best.way[-1]
+    monkeypatch.setattr(planner, "still_safe", lambda way: math.dist(way[-1], there) > 0.5)
+    assert math.dist(planner.next_view().way[-1], there) > 0.5
+    monkeypatch.setattr(planner, "still_safe", refused.append)
+    assert planner.next_view() is None
+    ends = [tuple(way[-1]) for way in refused]
+    assert len(ends) > 40
+    # One after the other, each place is asked for once, whatever the headings there.
+    assert len(set(ends[:40])) == 40

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.docking import state_machine
+from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import DockTolerance
 from bullet_lab.docking.planner import DockingFailureError, DockingPlanner
 from bullet_lab.docking.state_machine import (
@@ -19,7 +20,7 @@ from bullet_lab.docking.state_machine import (
     State,
     StateMachine,
 )
-from bullet_lab.docking.types import STANDSTILL, DockingSettings
+from bullet_lab.docking.types import STANDSTILL, DockingSettings, RobotShape
 
 
 def reached(start):
@@ -135,6 +136,54 @@ def test_a_way_in_that_brings_nothing_new_is_not_tried_again():
     assert forgotten == [track]
 
 
+@pytest.mark.parametrize(
+    ("beside", "deviation", "before", "way", "said"),
+    [
+        (0.0, 0.3, 1, [(0.0, 0.0), (1.0, 0.0)], "unclear"),
+        (0.0, 0.3, 0, [(0.0, 0.0), (1.0, 0.0)], "bad start"),
+        (0.0, 0.3, 1, None, "bad start"),
+        (0.6, 0.01, 1, [(0.0, 0.0), (1.0, 0.0)], "bad start"),
+    ],
+)
+def test_a_yaw_that_a_way_in_did_not_tell_is_looked_at_from_aside(
+    monkeypatch, beside, deviation, before, way, said
+):
+    stand = standin.Stand((0.0, 0.0, 0.0))
+    dock, rng = standin.make_dock(stand), np.random.default_rng(1)
+    belief = DockBelief(dock, dock.pose, standin.MOUNT, stand.settings, rng)
+    planner = DockingPlanner(dock, belief, standin.MOUNT, RobotShape(), stand.settings, True, 5)
+    robot = np.array([-dock.walls.depth - 0.4, beside, 0.0])
+    estimate = SimpleNamespace(robot=robot, lateral_deviation=deviation)
+    track = SimpleNamespace(last_seen=0.0, frames=9)
+    planner.unclear = before
+    for name, result in {"estimate": estimate, "way_aside": way, "blind": False}.items():
+        monkeypatch.setattr(planner, name, lambda *_, result=result: result)
+    monkeypatch.setattr(belief, "best", lambda: track)
+    outcome = state_machine.Approach().step(planner)
+    assert outcome.name == said
+    assert planner.stagings == 1
+
+
+def test_a_little_drive_on_which_the_marker_is_not_seen_is_not_driven_again():
+    robot, track, forgotten = np.array([-3.4, 0.3, -0.1]), SimpleNamespace(frames=3), []
+    planner = SimpleNamespace(
+        belief=SimpleNamespace(best=lambda: track, forget=forgotten.append),
+        estimate=lambda: SimpleNamespace(robot=robot, lateral_deviation=0.6),
+        lane=SimpleNamespace(within_walls=lambda robot: False, holds=lambda *_: False),
+        left=lambda robot: 2.9,
+        stagings=0,
+        settings=DockingSettings(),
+        way_to_staging=lambda estimate: None,
+        probing_way=lambda: -0.6,
+        has_learnt=lambda: True,
+    )
+    assert state_machine.decide(planner).name == "size unknown"
+    assert forgotten == []
+    planner.has_learnt = lambda: False
+    assert state_machine.decide(planner).name == "lost"
+    assert forgotten == [track]
+
+
 @pytest.mark.parametrize(("unsure", "said"), [(False, "within tolerance"), (True, "failed")])
 def test_it_drives_in_once_more_where_the_camera_may_be_turned(unsure, said):
     planner = SimpleNamespace(
@@ -184,6 +233,29 @@ def test_it_waits_for_images_as_long_as_some_come(unseen, frames, said):
     step = state.step(planner)
     assert step == STANDSTILL if said is None else step.name == said
     assert planner.lost_at_the_end == (said == "failed")
+
+
+@pytest.mark.parametrize(
+    ("left", "certain", "said"),
+    [(0.02, True, None), (0.02, False, "failed"), (0.5, True, "lost")],
+)
+def test_a_marker_that_is_lost_near_the_dock_is_not_searched_anew(left, certain, said):
+    """Something has come before it; what is known of the dock is known all the same."""
+    planner, state = at_the_dock(5.0, 0), state_machine.Approach()
+    planner.left = lambda robot: left
+    planner.in_reach = lambda robot: True
+    planner.near = lambda left: left < 0.1
+    planner.blind = lambda track, left: certain and planner.lost_at_the_end
+    planner.lane = SimpleNamespace(
+        within_walls=lambda robot: False, leads_at_an_edge=lambda robot, deviation: False
+    )
+    planner.estimate().lateral_deviation = 0.0
+    planner.tracker.forwards = lambda robot, left: (0.05, 0.0)
+    assert state.step(planner) == STANDSTILL
+    planner.now = 2.0
+    step = state.step(planner)
+    assert step == (0.05, 0.0) if said is None else step.name == said
+    assert planner.lost_at_the_end == (said != "lost")
 
 
 def test_a_retreat_begins_where_the_marker_is_not_found():

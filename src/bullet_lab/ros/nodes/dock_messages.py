@@ -70,12 +70,16 @@ def camera_of(message: CameraInfo) -> PinholeCamera:
 
 
 def sightings_of(message: MarkerDetectionArray) -> Tuple[Sighting, ...]:
-    """Return the markers in an image; those with corners that are not finite are left out."""
+    """Return the markers in an image; those with corners that are not finite are left out.
+
+    So are those of which it is told how far off they may be, but not by finite numbers.
+    """
     found = []
     for detection in message.detections:
         corners = np.array(detection.corners, dtype=float).reshape(4, 2)
-        if np.isfinite(corners).all():
-            found.append(Sighting(detection.id, detection.dictionary, corners))
+        deviations = np.array(detection.deviations, dtype=float).reshape(4, 2)
+        if np.isfinite((corners, deviations)).all():
+            found.append(Sighting(detection.id, detection.dictionary, corners, deviations))
     return tuple(found)
 
 

@@ -44,6 +44,8 @@ ROBOT_HEIGHT = 0.55
 NEAREST, FARTHEST = 0.7, 5.0
 WIDEST = math.radians(60.0)
 DATABASE_ERROR = (0.3, 0.3, math.radians(10.0))
+DOCK_MODEL = "docking_station"
+UNTOLD_ROOM = 1.0
 LARGEST_ODOMETRY_STD = 0.1
 LARGEST_IMAGE_NOISE = 0.02
 LARGEST_BLUR = 1.0
@@ -85,8 +87,9 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
 
     The start's distance from the plane of the back wall is uniform within `NEAREST` to
     `FARTHEST`; its direction as seen from the marker, within `WIDEST` of the dock's axis, and
-    its heading are uniform too, drawn again until `TURNING_RADIUS` around it is free. The error
-    of the dock's rough pose is uniform within `DATABASE_ERROR`, and so are the standard
+    its heading are uniform too, drawn again until `TURNING_RADIUS` around it is free of the dock,
+    and `UNTOLD_ROOM` of what stands about it, of which nobody tells a robot that has no laser. The
+    error of the dock's rough pose is uniform within `DATABASE_ERROR`, and so are the standard
     deviations of noise and blur up to their largest.
     """
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(index,)))
@@ -138,9 +141,13 @@ def _draw_start(
         bearing = rng.uniform(-WIDEST, WIDEST)
         heading = rng.uniform(-math.pi, math.pi)
         x, y = dock_x - distance, dock_y + distance * math.tan(bearing)
-        if all(wall.distance((x, y)) > TURNING_RADIUS for wall in walls):
+        if all(wall.distance((x, y)) > _room(wall) for wall in walls):
             return x, y, heading
     raise ScenarioError("there is no room for a robot")
+
+
+def _room(wall: Footprint) -> float:
+    return TURNING_RADIUS if wall.name == DOCK_MODEL else UNTOLD_ROOM
 
 
 Record = Mapping[str, Any]

@@ -91,9 +91,11 @@ def test_camera_info():
 def test_markers_without_finite_corners_are_left_out():
     good = MarkerDetection(id=3, dictionary="d", corners=list(range(8)))
     bad = MarkerDetection(id=4, corners=[math.nan] * 8)
-    (found,) = sightings_of(MarkerDetectionArray(detections=[bad, good]))
+    worse = MarkerDetection(id=5, deviations=[math.inf] * 8)
+    (found,) = sightings_of(MarkerDetectionArray(detections=[bad, good, worse]))
     assert (found.id, found.dictionary) == (3, "d")
     assert found.corners.tolist() == [[0, 1], [2, 3], [4, 5], [6, 7]]
+    assert not found.deviations.any()
 
 
 def goal(frame="", x=0.0, y=0.0, yaw=0.0):

@@ -12,6 +12,7 @@ from bullet_lab.studies.dock_campaign.trial import (
     LARGEST_IMAGE_NOISE,
     LARGEST_ODOMETRY_STD,
     NEAREST,
+    UNTOLD_ROOM,
     WIDEST,
     WORLDS,
     DrawSettings,
@@ -60,6 +61,16 @@ def test_a_start_leaves_room_to_turn(drawn):
         world = scenario.world.rsplit("/", 1)[-1].replace(".world", "")
         x, y, _ = scenario.start
         assert min(wall.distance((x, y)) for wall in obstacles(world)) > TURNING_RADIUS
+
+
+def test_a_start_leaves_room_to_get_away_from_what_docking_is_not_told_of():
+    """Index 616 of seed 2026 stood between the dock and a panel beside it, and touched that."""
+    decoy = [wall for wall in obstacles("docking_decoy") if wall.name == "decoy"]
+    assert decoy
+    settings = DrawSettings(seed=2026, worlds=("docking_decoy",))
+    for index in range(300):
+        x, y, _ = draw_scenario(settings, index).start
+        assert min(wall.distance((x, y)) for wall in decoy) > UNTOLD_ROOM
 
 
 def test_the_walls_are_those_of_the_issue():
