@@ -39,12 +39,16 @@ class GoalRecord:
 
 
 class GoalAnswer(NamedTuple):
-    """What the driver says of the goal `id`; if it is rejected, the driver does not drive there."""
+    """What the driver says of the goal `id`; if it is rejected, the driver does not drive there.
+
+    It is `over` where the driver has nothing more to say of it.
+    """
 
     id: str
     text: str
-    rejected: bool
-    reached: bool
+    rejected: bool = False
+    reached: bool = False
+    over: bool = False
 
 
 class GoalReport(DriveReport):
@@ -97,7 +101,12 @@ class GoalReport(DriveReport):
 
     def is_complete(self) -> bool:
         # The robot has come to rest after the first goal, or will not drive.
-        return not self._stay and (bool(self._refused) or super().is_complete())
+        return not self._stay and (bool(self._refused) or self._is_told() and super().is_complete())
+
+    def _is_told(self) -> bool:
+        """Return whether all topics have told of the first goal, each in its own time."""
+        first = next(iter(self._answers.values()), None)
+        return bool(self._poses) and first is not None and first.over
 
     def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
         truth = self.truth.path()

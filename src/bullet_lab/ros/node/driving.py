@@ -101,6 +101,18 @@ class GoalServer(SimpleActionServer):
         # In this order: a new goal is noted before the request to give up the old one.
         return self.is_active() and self.is_preempt_requested() and not self.is_new_goal_available()
 
+    def tell(self, feedback: Any, stamp: rospy.Time) -> None:
+        """Publish feedback of the goal that is pursued, as of a time.
+
+        actionlib's own has the time of the last /clock that has come, which may be one before.
+        """
+        server, status = self.action_server, self.current_goal.get_goal_status()
+        message = server.ActionFeedback(status=status, feedback=feedback)
+        message.header.stamp = stamp
+        with server.lock:
+            if not rospy.is_shutdown():
+                server.feedback_pub.publish(message)
+
     def end(self, status: int, result: Optional[Any] = None, text: str = "") -> None:
         """End the goal that is pursued, with one of these three states, and a text for people."""
         ends = {

@@ -417,7 +417,7 @@ class DockNode:
         return self._frames.pose_in(target, source, wait=False)
 
     def _show(self, now: rospy.Time) -> None:
-        self._action.server.publish_feedback(self._action.feedback(self._task))
+        self._action.server.tell(self._action.feedback(self._task), now)
         if isinstance(self._task, DockingTask):
             status = self._task.status
             self._topics.publish(now, self._frame, status)

@@ -296,7 +296,7 @@ class DriveToGoal:
             return
         self._sender.send(self._driver.command(self._pose, seconds), ticket)
         self._topics.progress(now, self._pose)
-        self._server.publish_feedback(MoveBaseFeedback(stamped_pose(now, self._frame, self._pose)))
+        self._server.tell(MoveBaseFeedback(stamped_pose(now, self._frame, self._pose)), now)
         if self._driver.phase is DrivePhase.ARRIVED:
             left = self._driver.distance(self._pose)
             turn = math.degrees(self._driver.turn_left(self._pose))

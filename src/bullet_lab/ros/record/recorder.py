@@ -44,6 +44,13 @@ POLL_SECONDS = 0.02
 # Simulated time of an errand's goal: between two ticks of the server, which has seen the one
 # before.
 GOAL_TIME = rospy.Time(0, 525_000_000)
+# What is said of a goal that is not at its end.
+UNDER_WAY = (
+    GoalStatus.PENDING,
+    GoalStatus.ACTIVE,
+    GoalStatus.PREEMPTING,
+    GoalStatus.RECALLING,
+)
 # Wall seconds for the server to take the goal.
 ACCEPTANCE = 30.0
 
@@ -310,8 +317,8 @@ def _goal(message: PoseStamped) -> tuple:
 
 def _goal_status(message: GoalStatus) -> tuple:
     rejected = message.status in (GoalStatus.REJECTED, GoalStatus.RECALLED)
-    reached = message.status == GoalStatus.SUCCEEDED
-    return (), GoalAnswer(message.goal_id.id, message.text, rejected, reached)
+    reached, over = message.status == GoalStatus.SUCCEEDED, message.status not in UNDER_WAY
+    return (), GoalAnswer(message.goal_id.id, message.text, rejected, reached, over)
 
 
 def _places(things: Iterable[Any]) -> tuple:
