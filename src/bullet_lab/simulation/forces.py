@@ -11,6 +11,7 @@ from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.models import Entity, ModelInstance
 from bullet_lab.simulation.world.description import FrameState
+from bullet_lab.simulation.world.inertia import FARTHEST
 
 # Beyond this, in N or N m, numbers overflow rather than bodies move.
 STRONGEST = 1e9
@@ -68,7 +69,13 @@ class Wrench:
         """Make a wrench from one that is given in a frame, at a point of that frame.
 
         It is turned into the world's axes now, and keeps its directions there.
+
+        Raises:
+            ForceError: a number that is not finite or absurd.
         """
+        _check(force + torque)
+        if not max(map(abs, point)) <= FARTHEST:
+            raise ForceError(f"a force at {point} m is not within {FARTHEST:g} m")
         turn = Pose(quaternion=given_in.pose.quaternion)
         push, twist = turn.rotate(force), turn.rotate(torque)
         at = (given_in.pose * Pose(point)).position
@@ -97,6 +104,12 @@ class Effort:
         self.instance.body_of_joint(self.joint).exert(self.joint, self.effort)
 
 
+def _check(numbers: Tuple[float, ...]) -> None:
+    for number in numbers:
+        if not abs(number) <= STRONGEST:
+            raise ForceError(f"a force of {number:g} is not within {STRONGEST:g} N or N m")
+
+
 class Forces:
     """All forces that act or wait for their time. Belongs to the simulation's thread."""
 
@@ -114,9 +127,7 @@ class Forces:
         Raises:
             ForceError: a number that is not finite or absurd, or the model never moves.
         """
-        for number in force.numbers:
-            if not abs(number) <= STRONGEST:
-                raise ForceError(f"a force of {number:g} is not within {STRONGEST:g} N or N m")
+        _check(force.numbers)
         model = force.target[0].model
         if model.static:
             raise ForceError(f"model '{model.name}' is static: nothing moves it")

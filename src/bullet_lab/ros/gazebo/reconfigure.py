@@ -54,7 +54,7 @@ class Reconfigurable:
         self, namespace: str, settings: Sequence[Setting], change: Callable[[Values], Values]
     ):
         self._change = change
-        self._server = Server and Server(_type_of(settings), self._take, namespace)
+        self._server = Server and _server_of_one_group()(_type_of(settings), self._take, namespace)
 
     def shutdown(self) -> None:
         """Offer it no longer."""
@@ -67,6 +67,17 @@ class Reconfigurable:
         if level != AT_START:
             values.update(self._change(dict(values)))
         return values
+
+
+def _server_of_one_group() -> Any:
+    class OneGroup(Server):
+        """Passes over what a call says of groups: there is one, and the library fails without."""
+
+        def _set_callback(self, request: Any) -> Any:
+            request.config.groups = []
+            return super()._set_callback(request)
+
+    return OneGroup
 
 
 def _type_of(settings: Sequence[Setting]) -> Any:

@@ -149,6 +149,12 @@ def test_absurd_forces_are_refused(space, ball, force):
     assert not space.forces.active
 
 
+def test_forces_at_absurd_places_are_refused(space, ball):
+    with pytest.raises(ForceError, match="not within 1e\\+06 m"):
+        push(space, force=(1.0, 0.0, 0.0), point=(1e300, 0.0, 0.0))
+    assert not space.forces.active
+
+
 def test_nothing_pushes_what_is_static(space):
     space.add(Model("wall", (Link("l"),), static=True))
     with pytest.raises(ForceError, match="'wall' is static"):

@@ -1,5 +1,7 @@
 """Settings as dynamic_reconfigure's generator would describe them."""
 
+from types import SimpleNamespace
+
 import pytest
 
 pytest.importorskip("dynamic_reconfigure.encoding")
@@ -46,3 +48,17 @@ def test_what_is_changed_is_asked_for_and_the_start_is_not(monkeypatch):
 def test_without_the_package_nothing_is_offered(monkeypatch):
     monkeypatch.setattr(reconfigure, "Server", None)
     reconfigure.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz")], dict).shutdown()
+
+
+def test_what_a_call_says_of_groups_is_passed_over(monkeypatch):
+    class Server:
+        def __init__(self, kind, take, namespace):
+            pass
+
+        def _set_callback(self, request):
+            return request.config.groups
+
+    monkeypatch.setattr(reconfigure, "Server", Server)
+    made = reconfigure.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz", 1.0, 50.0)], dict)
+    without_a_first = SimpleNamespace(config=SimpleNamespace(groups=["id 7, parent 7"]))
+    assert made._server._set_callback(without_a_first) == []
