@@ -235,7 +235,7 @@ class ArucoTest(unittest.TestCase):
         self.send_until(said("id 0 at"), picture(VIEW))
         values = {v.key: v.value for v in diagnosis.wait(OK, "id 0 at 2.0").values}
         self.assertEqual("1", values["detections"])
-        self.assertGreater(float(values["frame rate (Hz)"]), 1.0)
+        self.assertGreater(float(values["frame rate (Hz)"]), 0.0)
         self.assertGreater(float(values["latency median (ms)"]), 0.0)
         flat = np.full((480, 640), 90, np.uint8)
         self.send_until(said("the image is flat"), flat)

@@ -77,8 +77,12 @@ class DockFailuresTest(unittest.TestCase):
         self.dock.send_goal(goal, feedback_cb=lambda said: self.states.append(said.state))
 
     def result(self):
-        wait_for(lambda: self.is_over(self.dock) and self.dock.get_result(), "a result")
-        return self.dock.get_result()
+        return self.result_of(self.dock)
+
+    def result_of(self, client):
+        """Wait for it: the state of a goal is told by another topic than its result."""
+        wait_for(lambda: self.is_over(client) and client.get_result(), "a result")
+        return client.get_result()
 
     def assert_failed(self, code, words, result=None):
         result = result or self.result()
@@ -145,9 +149,7 @@ class DockFailuresTest(unittest.TestCase):
     def test_undocking_too_far(self):
         for distance in (-1.0, 1e9, math.nan):
             self.undock.send_goal(UndockGoal(distance))
-            wait_for(lambda: self.is_over(self.undock), "a result")
-            result = self.undock.get_result()
-            self.assertEqual(DockResult.NOT_VALID, result.error_code)
+            self.assertEqual(DockResult.NOT_VALID, self.result_of(self.undock).error_code)
             self.assert_at_rest()
 
     # What is missing at the start
@@ -260,8 +262,8 @@ class DockFailuresTest(unittest.TestCase):
         result = self.result()
         self.assertEqual(DockResult.PREEMPTED, result.error_code)
         self.assertIn("another goal", result.message)
-        wait_for(lambda: self.is_over(other), "the second result")
-        self.assertTrue(other.get_result().success, other.get_result().message)
+        result = self.result_of(other)
+        self.assertTrue(result.success, result.message)
 
     def test_the_two_actions_exclude_each_other(self):
         self.send()
@@ -273,9 +275,7 @@ class DockFailuresTest(unittest.TestCase):
         self.assertIn("another goal", result.message)
         wait_for(lambda: self.commands.messages[-1].linear.x < -0.02, "the way back")
         self.send()
-        ended = lambda: self.is_over(self.undock) and self.undock.get_result()  # noqa: E731
-        wait_for(ended, "the end of undocking")
-        self.assertEqual(DockResult.PREEMPTED, self.undock.get_result().error_code)
+        self.assertEqual(DockResult.PREEMPTED, self.result_of(self.undock).error_code)
         self.wait_until_approaching()
 
     # It works as well
@@ -290,8 +290,7 @@ class DockFailuresTest(unittest.TestCase):
         self.assertAlmostEqual(0.0, y, delta=0.01)
         self.assertAlmostEqual(0.4, result.distance, delta=0.01)
         self.undock.send_goal(UndockGoal(0.5))
-        wait_for(lambda: self.is_over(self.undock), "a result")
-        self.assertTrue(self.undock.get_result().success)
+        self.assertTrue(self.result_of(self.undock).success)
         self.assertAlmostEqual(x - 0.5, self.robot.pose[0], delta=0.03)
         self.assert_at_rest()
 

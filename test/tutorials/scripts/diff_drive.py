@@ -12,17 +12,19 @@ start = rospy.wait_for_message("odom", Odometry, timeout=10).pose.pose.position.
 command = Twist()
 command.linear.x = 0.5
 rate = rospy.Rate(20)
+began = rospy.get_time()
 for _ in range(20):
     publisher.publish(command)
     rate.sleep()
 joints = rospy.wait_for_message("joint_states", JointState, timeout=10)
 turning = dict(zip(joints.name, joints.velocity))
 publisher.publish(Twist())
+seconds = rospy.get_time() - began
 rospy.sleep(1.0)
 odom = rospy.wait_for_message("odom", Odometry, timeout=10)
 truth = rospy.wait_for_message("ground_truth", Odometry, timeout=10)
 print("frames:", odom.header.frame_id, odom.child_frame_id)
-print("driven: %.3f" % (odom.pose.pose.position.x - start))
+print("driven in a second: %.3f" % ((odom.pose.pose.position.x - start) / seconds))
 print("off: %.3f" % abs(odom.pose.pose.position.x - truth.pose.pose.position.x))
 print("truth in:", truth.header.frame_id)
 print("joints:", " ".join(joints.name))

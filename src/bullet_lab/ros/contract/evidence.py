@@ -69,6 +69,7 @@ class Evidence:
         heard: what came on topics.
         frames: pairs of parent and child on /tf.
         parameters: of the master, by name.
+        seconds_before: for how long time ran the time before, in s.
     """
 
     published: Mapping[str, str] = field(default_factory=dict)
@@ -78,6 +79,7 @@ class Evidence:
     frames: Set[Tuple[str, str]] = field(default_factory=set)
     parameters: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
+    seconds_before: float = 0.0
 
 
 @dataclass

@@ -94,7 +94,9 @@ class ContractRun:
         found: List[Verdict] = []
         for row in chapter.rows:
             if row.run:
+                before = evidence.seconds
                 evidence = self._simulator.run(row.run, row.publish)
+                evidence.seconds_before = before
             elif row.wait:
                 evidence = self._simulator.stand(row.wait)
             evidence.services = offered
