@@ -90,9 +90,9 @@ def megabytes():
 pictures, small = [], []
 for _ in range(50):
     pictures.append(bytearray(b"1") * 900_000)
-    small.append(bytearray(2000))
-pictures.clear()
+    small.append(bytearray(20_000))
 before = megabytes()
+pictures.clear()
 trim_memory()
 print(before - megabytes())
 """

@@ -23,6 +23,8 @@ CONFIDENCE = 0.95
 PARAMETERS = ("diameter_error", "base_error")
 _STEP = 1e-6  # of a parameter, for derivatives
 _LARGEST = 0.4
+# Of a parameter: runs that are the same differ by this much at most, by how sums are rounded.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -256,7 +258,7 @@ def _intervals(
             return None
         variance += len(own) * own.var(axis=0, ddof=1)
         freedom += len(own) - 1
-    if not variance.all():
+    if (variance <= _ROUNDING**2).any():
         # All runs of a way are the same: nothing tells how far they might be off.
         return None
     reach = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom) * np.sqrt(variance)
