@@ -17,6 +17,7 @@ import rospy
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.se2 import quaternion_from_yaw
+from bullet_lab.ros.node.lock_step import publishers_know_this_node
 
 # Wall seconds after which something is not going to happen any more.
 PATIENCE = 60.0
@@ -182,8 +183,9 @@ class Topic:
             self.connect()
 
     def connect(self):
-        """Wait for a publisher."""
+        """Wait for a publisher, and until what it publishes comes here."""
         wait_for(self.is_connected, f"somebody on {self._name}")
+        wait_for(publishers_know_this_node, f"who publishes {self._name} to take note")
 
     def is_connected(self):
         """Whether there is a publisher."""
