@@ -115,7 +115,6 @@ class Estimate:
         low, high = self.intervals[name]
         return low <= value <= high
 
-
     def beside(self, floor: SystematicErrors) -> Estimate:
         """Return what is wrong beyond what is found on this floor where nothing is."""
         errors = _relative(self.errors, floor)
@@ -284,5 +283,3 @@ def centre_ellipse(errors: np.ndarray) -> Optional[np.ndarray]:
     known = se2.SQUARE_RADIUS
     hotelling = 2.0 * (count - 1) / (count - 2) * stats.f.ppf(CONFIDENCE, 2, count - 2)
     return np.cov(errors[:, :2].T) / count * hotelling / known
-
-
