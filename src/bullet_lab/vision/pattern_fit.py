@@ -138,7 +138,7 @@ def _fit(
         if light is None:
             light = _Equations(columns, levels, np.ones(columns.shape[1])).solution()
         residuals = levels - light @ columns
-        contrast = pixels.own_contrast(value) if pixels.parted else model.contrast(light)
+        contrast = pixels.own_contrast(value)[0] if pixels.parted else model.contrast(light)
         steepness = pixels.own(model.steepness(contrast))
         beyond = pixels.own(model.beyond(contrast))
         noise = _noise(residuals, steepness, beyond, pixels.told)
@@ -146,7 +146,8 @@ def _fit(
         reach = 2.0 * math.sqrt(max(spread[:2])) + _BLURRED_IN
         own = pixels.own((model.margin() > reach) | (model.outside() < LEAST_AROUND))
         own &= pixels.told
-        weights = np.where(own, _tukey(residuals / noise) / (noise * noise), 0.0)
+        shown = _shown(pixels, value, contrast, noise)
+        weights = np.where(own, shown * _tukey(residuals / noise) / (noise * noise), 0.0)
         shape = np.concatenate((model.shape(contrast), model.blur(contrast)))
         shape = pixels.seen(shape, shared, value)
         columns = np.concatenate((columns, shape, pixels.by_shared(light @ of_light, shared)))
@@ -155,8 +156,10 @@ def _fit(
         to_corners = moves_of(corners, model.to_image)
         moved = to_corners @ step[len(light) : -_SPREAD]
         corners = corners + moved.reshape(4, 2)
-        least = _FALL * spread[:2] if pixels.grid is None else 0.0
-        gain = 1.0 if left >= _MOST_ROUNDS - _FULL_STEPS else 0.5
+        least, gain = 0.0, 1.0
+        if pixels.grouped:
+            least = _FALL * spread[:2]
+            gain = 1.0 if left >= _MOST_ROUNDS - _FULL_STEPS else 0.5
         before, spread = spread, _allowed(spread + gain * step[-_SPREAD:], least)
         if not np.abs(corners - start).max() <= _MOST_MOVED * cell:
             return None, float(spread[:2].max())
@@ -164,12 +167,12 @@ def _fit(
         sharpened = changed.max() - _ABOUT * spread.max() < _AS_SHARP and changed[3] < _SHARED_TO
         if np.abs(moved).max() < _STILL and sharpened:
             break
-        if left and pixels.grouped and not pixels.parted and spread.max() > _SOFT:
+        if left and pixels.grouped and spread.max() > _SOFT:
             # Few pixels across each edge see little of so much blur.
             pixels, light = all_pixels(image, corners, cells, lens, pixels.cut_off), None
     residuals = residuals - step @ columns
     noise = _noise(residuals, steepness, beyond, pixels.told)
-    residuals = np.where(own, residuals / noise, _TUKEY)
+    residuals = np.where(own & (weights > 0.0), residuals / noise, _TUKEY)
     told = int(pixels.told.sum())
     fit = _judged(corners, residuals, told, columns / noise, pixels.group, to_corners)
     return fit, float(spread[:2].max())
@@ -246,6 +249,20 @@ def _median(values: np.ndarray) -> float:
 def _scale(sizes: np.ndarray) -> float:
     """Return the standard deviation of most residuals, by the median of their sizes."""
     return max(_LEAST_NOISE, 1.4826 * _median(sizes)) if len(sizes) else _LEAST_NOISE
+
+
+def _shown(
+    pixels: Pixels, value: np.ndarray, contrast: np.ndarray, noise: np.ndarray
+) -> Union[float, np.ndarray]:
+    """Return weights (n,) by how much of the contrast the pixels across each place of an edge show.
+
+    What hides an edge has none there. In a noisy picture no pixel tells that by itself.
+    """
+    if not pixels.grouped or pixels.parted:
+        return 1.0
+    own, squares = pixels.own_contrast(value)
+    deviation = np.maximum(noise / np.sqrt(squares), contrast / _TUKEY)
+    return _tukey((own - contrast) / np.maximum(deviation, 1e-9))
 
 
 def _tukey(ratios: np.ndarray) -> np.ndarray:

@@ -108,12 +108,16 @@ class Pixels:
         """Return the grey levels (n,), as `seen`."""
         return self._less_pattern(self.levels[None], value)[0] if self.parted else self.levels
 
-    def own_contrast(self, value: np.ndarray) -> np.ndarray:
-        """Return white less black (n,) of each group, by its levels and the pattern's value."""
+    def own_contrast(self, value: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Return white less black (n,) of each group, by its levels and the pattern's value.
+
+        And the pattern's sum of squares there, by which the variance of a level is divided.
+        """
         pattern = _less_mean(value[None], self.told, self.group).reshape(self.group, -1)
         seen = (pattern * self.levels.reshape(pattern.shape)).sum(axis=0)
-        contrast = np.maximum(seen / np.maximum(np.square(pattern).sum(axis=0), _FLAT), 0.0)
-        return np.tile(contrast, self.group)
+        squares = np.maximum(np.square(pattern).sum(axis=0), _FLAT)
+        contrast = np.maximum(seen / squares, 0.0)
+        return np.tile(contrast, self.group), np.tile(squares, self.group)
 
     def _less_pattern(self, columns: np.ndarray, value: np.ndarray) -> np.ndarray:
         """Return columns (k, n) less the pattern (n,), as much of it as each group has."""

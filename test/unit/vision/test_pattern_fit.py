@@ -49,12 +49,14 @@ def test_derivatives_are_those_of_the_model(spread):
 
 
 @pytest.mark.parametrize("length", [7.0, 12.0])
-def test_motion_is_told_from_the_marker(length):
+@pytest.mark.parametrize("right, down", [(0.8, 0.6), (1.0, 0.0)])
+def test_motion_is_told_from_the_marker(length, right, down):
+    # What moves along its own edges has less white beside some than beside others, as in the sun.
     view = View(1.6, yaw=25.0, pitch=4.0, roll=10.0)
     image = image_of([marker()], view, samples=12, blur=0.6).astype(np.float32)
     way = np.zeros((15, 15), np.float32)
     fine = np.linspace(-0.5 * length, 0.5 * length, 200)
-    np.add.at(way, (7 + np.rint(0.6 * fine).astype(int), 7 + np.rint(0.8 * fine).astype(int)), 1.0)
+    np.add.at(way, tuple(7 + np.rint(part * fine).astype(int) for part in (down, right)), 1.0)
     found = fit(cv2.filter2D(image, -1, way / way.sum()), view, 0.5)
     assert np.abs(found.corners - true_corners(view)).max() < 0.1
 
@@ -161,6 +163,22 @@ def test_what_hides_a_corner_is_passed_over_and_the_corner_is_less_certain():
     assert np.abs(hidden.corners - true_corners(VIEW)).max() < 0.3
     assert hidden.hidden > free.hidden + 0.02
     assert np.diag(hidden.covariance)[2:4].sum() > 1.3 * np.diag(free.covariance)[2:4].sum()
+
+
+@pytest.mark.parametrize("hidden", [0, 2])
+def test_what_hides_a_corner_in_the_dark_moves_none(hidden):
+    """Where no pixel by itself tells that it is hidden: of 25 grey levels, with noise of 5."""
+    view = View(1.0, yaw=4.0)
+    truth = true_corners(view)
+    image = image_of([marker(black=0.0, white=25.0)], view, samples=8).astype(np.float32)
+    reach, at = 0.11 * 100.0, truth[hidden]
+    low, high = (np.rint(at + end).astype(int) for end in (-reach, reach))
+    image[low[1] : high[1], low[0] : high[0]] = 5.0
+    chance, off = np.random.default_rng(3), []
+    for _ in range(20):
+        noisy = image + chance.normal(0.0, 5.0, image.shape).astype(np.float32)
+        off.append(fit(np.rint(np.clip(noisy, 0, 255)), view).corners - truth)
+    assert np.abs(np.mean(off, axis=0)).max() < 0.1
 
 
 def test_no_marker_is_none():
