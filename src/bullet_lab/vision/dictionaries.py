@@ -148,7 +148,9 @@ def may_be_markers(image: np.ndarray, quads: np.ndarray, cells: int, lens: Lens)
     """
     # Sums of products, as a product of matrices would start threads.
     places = np.einsum("pk,nik->npi", _glance(cells), homography(lens.ideal(quads)))
-    values = sample(image, lens.seen(places[..., :2] / places[..., 2:]))
+    # On the horizon of a quadrilateral there is nothing, and so no marker.
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        values = sample(image, lens.seen(places[..., :2] / places[..., 2:]))
     ring = slice(0, 4 * _GLANCES), slice(4 * _GLANCES, 8 * _GLANCES), slice(8 * _GLANCES, None)
     outside, border, inside = (values[:, part] for part in ring)
     # Light may change evenly across a marker.

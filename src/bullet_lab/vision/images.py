@@ -52,14 +52,15 @@ def grey(pixels: np.ndarray, encoding: str = "") -> np.ndarray:
 def sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the bilinear values of a (h, w) image at points (..., 2) of u, v in px.
 
-    Points outside get the value at the border. (OpenCV's `remap` rounds positions to 1/32 px.)
+    Points outside get the value at the border; what is no number is 0. (OpenCV's `remap` rounds
+    positions to 1/32 px.)
 
     >>> sample(np.array([[0.0, 10.0], [20.0, 30.0]]), np.array([[0.5, 0.5], [0.0, 0.25]]))
     array([15.,  5.])
     """
     height, width = image.shape
-    u = np.clip(points[..., 0], 0.0, width - 1.001)
-    v = np.clip(points[..., 1], 0.0, height - 1.001)
+    u = np.fmin(np.fmax(points[..., 0], 0.0), width - 1.001)
+    v = np.fmin(np.fmax(points[..., 1], 0.0), height - 1.001)
     column, row = u.astype(np.intp), v.astype(np.intp)
     right, down = u - column, v - row
     index = row * width + column

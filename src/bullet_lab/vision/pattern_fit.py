@@ -253,13 +253,13 @@ def _scale(sizes: np.ndarray) -> float:
 
 def _shown(
     pixels: Pixels, value: np.ndarray, contrast: np.ndarray, noise: np.ndarray
-) -> Union[float, np.ndarray]:
+) -> np.ndarray:
     """Return weights (n,) by how much of the contrast the pixels across each place of an edge show.
 
     What hides an edge has none there. In a noisy picture no pixel tells that by itself.
     """
     if not pixels.grouped or pixels.parted:
-        return 1.0
+        return np.ones(len(noise))
     own, squares = pixels.own_contrast(value)
     deviation = np.maximum(noise / np.sqrt(squares), contrast / _TUKEY)
     return _tukey((own - contrast) / np.maximum(deviation, 1e-9))

@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from bullet_lab.vision import dictionaries
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
-from bullet_lab.vision.images import VisionError
+from bullet_lab.vision.images import Lens, VisionError
 
 
 def test_every_dictionary_of_opencv_is_there_once():
@@ -55,3 +56,10 @@ def test_the_nearest_marker_however_turned_and_with_wrong_bits(turns):
     assert dictionary.nearest(bits) == (1234, turns, 0)
     bits[[3, 17, 30]] *= -1.0
     assert dictionary.nearest(bits) == (1234, turns, 3)
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_lies_on_the_horizon_of_a_quadrilateral_is_no_marker(monkeypatch):
+    monkeypatch.setattr(dictionaries, "homography", lambda quads: np.zeros((len(quads), 3, 3)))
+    image = np.full((48, 64), 100, np.uint8)
+    assert not dictionaries.may_be_markers(image, np.zeros((1, 4, 2)), 6, Lens()).any()
