@@ -185,7 +185,8 @@ class Topic:
     def connect(self):
         """Wait for a publisher, and until what it publishes comes here."""
         wait_for(self.is_connected, f"somebody on {self._name}")
-        wait_for(publishers_know_this_node, f"who publishes {self._name} to take note")
+        topic = self._subscriber.resolved_name
+        wait_for(lambda: publishers_know_this_node(topic), f"who publishes {topic} to take note")
 
     def is_connected(self):
         """Whether there is a publisher."""

@@ -214,21 +214,25 @@ def _leave() -> None:
     member().leave()
 
 
-def publishers_know_this_node() -> bool:
+def publishers_know_this_node(topic: str = "") -> bool:
     """Return whether the publishers of all that this node listens to have it on their lists.
+
+    Of one topic, by its whole name: whether any of its publishers has.
 
     A rospy subscriber counts a connection as soon as it begins to make it. What is published
     before the publisher has noted it never comes.
     """
     name, own = rospy.get_name(), _connections(rospy.get_node_uri())
-    heard = {(uri, topic) for uri, direction, topic in own if direction == INBOUND}
+    heard = {(uri, one) for uri, direction, one in own if direction == INBOUND}
+    if topic:
+        heard = {(uri, one) for uri, one in heard if one == topic}
     sent = {
-        (uri, topic)
+        (uri, one)
         for uri in {uri for uri, _ in heard}
-        for listener, direction, topic in _connections(uri)
+        for listener, direction, one in _connections(uri)
         if (listener, direction) == (name, OUTBOUND)
     }
-    return heard <= sent
+    return bool(heard & sent) if topic else heard <= sent
 
 
 def _connections(uri: str) -> List[Tuple[str, str, str]]:
