@@ -74,7 +74,7 @@ def photograph(
     call("/gazebo/spawn_sdf_model", srv.SpawnModel, NAME, text, "/", pose, "world")
     listener = subscriber(f"/{NAME}/image_raw", Image, pictures.append)
     try:
-        _wait_until(lambda: listener.get_num_connections() and publishers_know_this_node())
+        _wait_until(lambda: publishers_know_this_node(listener.resolved_name))
         for _ in range(patience):
             wait()
         _wait_until(lambda: pictures)
