@@ -88,8 +88,9 @@ def fit_pattern(
     image is fitted too. Of a small marker so is the part that each pixel has of its neighbours:
     what filters a picture after it was taken is no Gaussian, and moved corners by 0.01 px. Of a
     large marker the pixels across each place of an edge have an a of their own, so that highlights
-    and shadows do not matter. Robust weights are Tukey's; the covariance is that of least squares
-    with the noise that the residuals show.
+    and shadows do not matter. Robust weights are Tukey's, of each pixel and, of a large marker, of
+    the contrast that each place of an edge shows; the covariance is that of least squares with the
+    noise that the residuals show.
 
     Over-exposed pixels do not count, unless what is left does not tell the light from the blur:
     then the picture is fitted as it was cut off, with white that is wider than in the pattern, by
@@ -256,7 +257,8 @@ def _shown(
 ) -> np.ndarray:
     """Return weights (n,) by how much of the contrast the pixels across each place of an edge show.
 
-    What hides an edge has none there. In a noisy picture no pixel tells that by itself.
+    What hides an edge has none there. In a noisy picture no pixel tells that by itself. Where each
+    place has a light of its own, all weights are 1: there it is not told.
     """
     if not pixels.grouped or pixels.parted:
         return np.ones(len(noise))
