@@ -31,8 +31,9 @@ class StandIn:
         self.process = subprocess.Popen([sys.executable, str(HERE / "contract_standin.py")])
 
     def end(self):
-        self.process.terminate()
-        self.process.wait(10)
+        # It keeps nothing, and rospy's end within a signal can wait for what that has interrupted.
+        self.process.kill()
+        self.process.wait()
 
 
 def is_offered(service):

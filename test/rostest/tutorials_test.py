@@ -302,7 +302,6 @@ class TutorialsTest(unittest.TestCase):
     def test_differential_drive_and_joint_states(self):
         expect = self.check("diff_drive.py")
         expect("frames", "odom base_footprint")
-        # By the clock: how long it listens while it drives depends on the machine.
         expect("driven in a second", "0.5", 0.05)
         expect("off", "0", 0.01)
         expect("truth in", "world")
