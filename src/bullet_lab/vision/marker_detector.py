@@ -22,6 +22,7 @@ from bullet_lab.vision.dictionaries import (
 from bullet_lab.vision.images import Lens, VisionError
 from bullet_lab.vision.outlines import OutlineSearch, mean_side, mean_sides, same_quads
 from bullet_lab.vision.pattern_fit import PatternFit, fit_pattern
+from bullet_lab.vision.pattern_sides import without_hidden_side
 from bullet_lab.vision.quads import quads_in_cells, refine_corners
 
 # A quadrilateral that was found with several windows is tried in so many of its versions.
@@ -288,7 +289,9 @@ class MarkerDetector:
     def _measured(
         self, read: Match, corners: np.ndarray, image: np.ndarray, lens: Lens
     ) -> DetectedMarker:
-        fit = fit_pattern(image, corners, self.dictionary.pattern(read.marker), lens)
+        pattern = self.dictionary.pattern(read.marker)
+        corners = without_hidden_side(image, corners, pattern, lens)
+        fit = fit_pattern(image, corners, pattern, lens)
         if fit is None:
             # What is there is not as the pattern says: its outline alone is not to be relied on.
             spread = max(_UNSURE, _UNSURE_PART * mean_side(corners))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Optional, Tuple, Union
+from typing import NamedTuple, Optional, Tuple, Union
 
 import cv2
 import numpy as np
@@ -43,6 +43,8 @@ _AS_SHARP, _ABOUT = 0.11, 0.1
 _SOFT = 1.0
 # Residuals beyond so many standard deviations are not the marker's.
 _OUTLYING = 3.5
+# Contrast is shown that is so many standard deviations of its noise.
+_SHOWN = 2.0
 # Standard deviation of grey levels that were rounded to whole ones.
 _LEAST_NOISE = 0.3
 # px²; where white was cut off and there is more blur than that, how white it would have been cannot
@@ -52,6 +54,9 @@ _MOST_CUT = 0.1
 # the lens drew them, and by where pixels are up to a quarter of one aside; more of it where only a
 # part of the marker is so bright, whose white is wider than in the other part.
 _CUT_VARIANCE, _PARTLY_CUT_VARIANCE = 0.01, 0.03
+# A side is not the marker's if an end of it is so many px from where all other edges have it, and
+# so many standard deviations of that.
+_ODD, _ODD_BY = 0.1, 3.0
 # So many pixels must be the marker's, beside their share of all.
 _LEAST_PIXELS = 40
 # The corners may be moved by so many cells.
@@ -90,7 +95,8 @@ def fit_pattern(
     large marker the pixels across each place of an edge have an a of their own, so that highlights
     and shadows do not matter. Robust weights are Tukey's, of each pixel and, of a large marker, of
     the contrast that each place of an edge shows; the covariance is that of least squares with the
-    noise that the residuals show.
+    noise that the residuals show. A side of a large marker that is not where all other edges have
+    it is not the marker's, but of what stands before it: it is left out.
 
     Over-exposed pixels do not count, unless what is left does not tell the light from the blur:
     then the picture is fitted as it was cut off, with white that is wider than in the pattern, by
@@ -109,10 +115,12 @@ def fit_pattern(
     pixels = pixels_of(image, corners, pattern, lens)
     if len(pixels.levels) < _LEAST_PIXELS:
         return None
-    fit, blur = _fit(pixels, image, corners, pattern, lens)
+    fit, blur, odd = _fit(pixels, image, corners, pattern, lens)
     if pixels.over_exposed and not pixels.cut_off and (fit is None or blur > _MOST_CUT):
         pixels = pixels_of(image, corners, pattern, lens, cut_off=True)
-        fit = _fit(pixels, image, corners, pattern, lens)[0] or fit
+        fit = _fit(pixels, image, corners, pattern, lens).fit or fit
+    elif fit is not None and odd is not None:
+        fit = _fit(pixels.without(odd), image, fit.corners, pattern, lens).fit or fit
     more = _CUT_VARIANCE if pixels.cut_off else 0.0
     if pixels.parted and pixels.flooded.any():
         more = _PARTLY_CUT_VARIANCE
@@ -121,10 +129,23 @@ def fit_pattern(
     return fit
 
 
+class _Fitted(NamedTuple):
+    """A fit to some pixels.
+
+    Attributes:
+        fit: as of `fit_pattern`.
+        blur: the greatest variance of its blur, px².
+        odd: (n,) the pixels of a side that is not where the others have it; None: there is none.
+    """
+
+    fit: Optional[PatternFit]
+    blur: float
+    odd: Optional[np.ndarray] = None
+
+
 def _fit(
     pixels: Pixels, image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens
-) -> Tuple[Optional[PatternFit], float]:
-    """Return the fit to some pixels, as `fit_pattern`, and the greatest variance of its blur."""
+) -> _Fitted:
     cells = len(pattern)
     spread = np.array([_FIRST_VARIANCE, _FIRST_VARIANCE, 0.0, _FIRST_SHARED])
     start, cell, light = corners, mean_cell(corners, cells), None
@@ -163,7 +184,7 @@ def _fit(
             gain = 1.0 if left >= _MOST_ROUNDS - _FULL_STEPS else 0.5
         before, spread = spread, _allowed(spread + gain * step[-_SPREAD:], least)
         if not np.abs(corners - start).max() <= _MOST_MOVED * cell:
-            return None, float(spread[:2].max())
+            return _Fitted(None, float(spread[:2].max()))
         changed = np.abs(spread - before)
         sharpened = changed.max() - _ABOUT * spread.max() < _AS_SHARP and changed[3] < _SHARED_TO
         if np.abs(moved).max() < _STILL and sharpened:
@@ -175,8 +196,15 @@ def _fit(
     noise = _noise(residuals, steepness, beyond, pixels.told)
     residuals = np.where(own & (weights > 0.0), residuals / noise, _TUKEY)
     told = int(pixels.told.sum())
-    fit = _judged(corners, residuals, told, columns / noise, pixels.group, to_corners)
-    return fit, float(spread[:2].max())
+    judged = _judged(corners, residuals, told, columns / noise, pixels.group, to_corners)
+    blur = float(spread[:2].max())
+    if judged is None:
+        return _Fitted(None, blur)
+    fit, squares = judged
+    if pixels.sides is None or pixels.cut_off:
+        return _Fitted(fit, blur)
+    odd = _odd_side(corners, residuals, columns / noise, squares, to_corners, pixels.sides)
+    return _Fitted(fit, blur, odd)
 
 
 def _allowed(spread: np.ndarray, least: Union[float, np.ndarray]) -> np.ndarray:
@@ -258,12 +286,15 @@ def _shown(
     """Return weights (n,) by how much of the contrast the pixels across each place of an edge show.
 
     What hides an edge has none there. In a noisy picture no pixel tells that by itself. Where each
-    place has a light of its own, all weights are 1: there it is not told.
+    place has a light of its own, all that is told is whether there is any.
     """
-    if not pixels.grouped or pixels.parted:
+    if not pixels.grouped:
         return np.ones(len(noise))
     own, squares = pixels.own_contrast(value)
-    deviation = np.maximum(noise / np.sqrt(squares), contrast / _TUKEY)
+    deviation = noise / np.sqrt(squares)
+    if pixels.parted:
+        return np.where(own > _SHOWN * deviation, 1.0, 0.0)
+    deviation = np.maximum(deviation, contrast / _TUKEY)
     return _tukey((own - contrast) / np.maximum(deviation, 1e-9))
 
 
@@ -280,8 +311,10 @@ def _judged(
     columns: np.ndarray,
     group: int,
     to_corners: np.ndarray,
-) -> Optional[PatternFit]:
+) -> Optional[Tuple[PatternFit, float]]:
     """Return the fit with its covariance, if the pattern explains most of what is seen.
+
+    And the mean square of its residuals, of which 1 was expected.
 
     Residuals (n,) and columns (m, n) are in standard deviations; `told` of them are of pixels that
     tell how bright it is, and `to_corners` is of `moves_of`.
@@ -296,7 +329,37 @@ def _judged(
     else:
         squares = float(np.square(residuals[own]).sum()) / max(1.0, count - len(columns))
     covariance = squares * (to_corners @ inverse[_SHAPE, _SHAPE] @ to_corners.T)
-    return PatternFit(corners, 0.5 * (covariance + covariance.T), 1.0 - count / told)
+    return PatternFit(corners, 0.5 * (covariance + covariance.T), 1.0 - count / told), squares
+
+
+def _odd_side(
+    corners: np.ndarray,
+    residuals: np.ndarray,
+    columns: np.ndarray,
+    squares: float,
+    to_corners: np.ndarray,
+    sides: np.ndarray,
+) -> Optional[np.ndarray]:
+    """Return the pixels (n,) of the side that is farthest from where all others have it.
+
+    None where each is there. Arguments as of `_judged`, with the mean square that it found, and the
+    side that each pixel is on.
+    """
+    own, farthest, odd = np.abs(residuals) < _OUTLYING, 1.0, None
+    along = corners[[1, 2, 3, 0]] - corners
+    for side in range(4):
+        others = _Equations(columns, residuals, (own & (sides != side)).astype(float), _BLUR_PRIOR)
+        ends = [side, (side + 1) % 4]
+        across = np.array([-along[side, 1], along[side, 0]]) / np.hypot(*along[side])
+        to_ends = np.einsum("k,ekm->em", across, to_corners.reshape(4, 2, 8)[ends])
+        off = np.abs(to_ends @ others.solution()[_SHAPE])
+        variances = squares * np.einsum(
+            "ek,kl,el->e", to_ends, others.inverse()[_SHAPE, _SHAPE], to_ends
+        )
+        far = (off / np.maximum(_ODD, _ODD_BY * np.sqrt(variances))).max()
+        if far > farthest:
+            farthest, odd = far, sides == side
+    return odd
 
 
 def _squares(residuals: np.ndarray, columns: np.ndarray, inverse: np.ndarray, group: int) -> float:

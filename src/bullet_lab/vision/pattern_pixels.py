@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Optional, Tuple
 
@@ -18,7 +18,7 @@ from bullet_lab.vision.pattern_model import UNIT_SQUARE, unit_square
 _AROUND, LEAST_AROUND, _BEYOND = 0.55, 0.1, 1.3
 # Of a marker up to so many px all pixels are looked at, of a larger one some hundreds at its edges:
 # at so many places of each cell's edge at most, and so far to either side, px.
-_SMALL, _MOST_PIXELS = 30.0, 600
+SMALL, _MOST_PIXELS = 30.0, 600
 _PLACES, _REACH = 5, 2
 # In an image with much blur all pixels of a large marker are looked at as well, but for every other
 # row and column, and so on, where it is larger than so many px.
@@ -60,6 +60,8 @@ class Pixels:
         cut_off: whether it counts.
         parted: whether each group has a light of its own.
         flooded: (n,) which groups have white that was cut off, where each has its own light.
+        sides: (n,) on which side of the marker, 0 for the one above, then clockwise; -1 for
+            what is within it. None where no edges were looked at.
         grid: (rows, columns) that are pixels; what they share with their neighbours is told then.
         chosen: which of a grid without its outer rows and columns the n are.
     """
@@ -72,6 +74,7 @@ class Pixels:
     cut_off: bool = False
     parted: bool = False
     flooded: Optional[np.ndarray] = None
+    sides: Optional[np.ndarray] = None
     grid: Optional[Tuple[int, int]] = None
     chosen: Optional[np.ndarray] = None
 
@@ -84,6 +87,19 @@ class Pixels:
     def whole(self) -> bool:
         """Whether there are groups, of which all pixels count."""
         return self.grouped and bool(self.told.all())
+
+    def without(self, these: np.ndarray) -> Pixels:
+        """Return those of an edge without these (n,), which are all of their groups."""
+        left = ~these
+        flooded = None if self.flooded is None else self.flooded[left]
+        return replace(
+            self,
+            points=np.ascontiguousarray(self.points[:, left]),
+            levels=self.levels[left],
+            told=self.told[left],
+            flooded=flooded,
+            sides=None,
+        )
 
     def own(self, values: np.ndarray) -> np.ndarray:
         """Return those of values (m,) that are the pixels', (n,)."""
@@ -164,7 +180,7 @@ def pixels_of(
 
     Over-exposed ones count where that is asked for by `cut_off`.
     """
-    if mean_cell(corners, 1) <= _SMALL:
+    if mean_cell(corners, 1) <= SMALL:
         return all_pixels(image, corners, len(pattern), lens, cut_off)
     return _edge_pixels(image, corners, pattern, lens, cut_off)
 
@@ -191,7 +207,7 @@ def all_pixels(
     over_exposed = bool(share < 1.0 - _CLIPPED)
     cut_off = over_exposed and (cut_off or bool(share < LEAST_SHARE))
     chosen = chosen if cut_off else told
-    if mean_cell(corners, 1) > _SMALL:
+    if mean_cell(corners, 1) > SMALL:
         inner = np.ascontiguousarray(inner[:, chosen.ravel()])
         return Pixels(inner, levels[chosen], chosen[chosen], 1, over_exposed, cut_off)
     wider = [np.arange(ends[0] - 1, ends[-1] + 2) for ends in (columns, rows)]
@@ -225,11 +241,7 @@ def _edge_pixels(
     image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens, cut_off: bool
 ) -> Pixels:
     """Return the pixels on either side of places along all edges in a pattern."""
-    places, normals = _edges(pattern.tobytes(), len(pattern))
-    to_image = homography(corners)
-    points, beside = _mapped(places, to_image), _mapped(places + 1e-3 * normals, to_image)
-    across = beside - points
-    across /= np.hypot(across[:, 0], across[:, 1])[:, None]
+    places, points, across = edges_of(pattern, homography(corners))
     offsets = np.arange(-_REACH, _REACH + 1.0)[:, None, None]
     seen = np.rint(lens.seen(points + offsets * across)).astype(int)
     inside = ((seen >= 0) & (seen < image.shape[::-1])).all(axis=(0, 2))
@@ -237,18 +249,25 @@ def _edge_pixels(
     levels = image[seen[:, 1], seen[:, 0]].astype(float)
     group = 2 * _REACH + 1
     points = np.ascontiguousarray(lens.ideal(seen.astype(float)).T)
+    sides = np.tile(_sides(places[inside]), group)
     if _is_parted(levels, group):
         told = np.ones(len(levels), dtype=bool)
         flooded = np.tile((levels.reshape(group, -1) >= _TOLD[1]).any(axis=0), group)
         levels = _less_mean(levels[None], told, group)[0]
-        return Pixels(points, levels, told, group, parted=True, flooded=flooded)
+        return Pixels(points, levels, told, group, parted=True, flooded=flooded, sides=sides)
     told = _told_in_groups(levels, group)
     by_group = told.reshape(group, -1)
     over_exposed = bool((by_group.any(axis=0) & ~by_group.all(axis=0)).any())
     cut_off = over_exposed and (cut_off or _uneven(levels, group))
     told |= cut_off
     levels = _less_mean(levels[None], told, group)[0]
-    return Pixels(points, levels, told, group, over_exposed, cut_off)
+    return Pixels(points, levels, told, group, over_exposed, cut_off, sides=sides)
+
+
+def _sides(places: np.ndarray) -> np.ndarray:
+    """Return on which side of the unit square places (n, 2) are, as in `Pixels`."""
+    x, y = places.T
+    return np.select((y == 0.0, x == 1.0, y == 1.0, x == 0.0), (0, 1, 2, 3), -1)
 
 
 def _is_parted(levels: np.ndarray, group: int) -> bool:
@@ -283,9 +302,22 @@ def _uneven(levels: np.ndarray, group: int) -> bool:
     return bool(high - low > _UNEVEN * (_TOLD[1] - low))
 
 
+def edges_of(
+    pattern: np.ndarray, to_image: np.ndarray
+) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return places where black meets white, in the unit square and in px, and what is across.
+
+    All are (n, 2); the last are of 1 px, towards white.
+    """
+    places, normals = _edges(pattern.tobytes(), len(pattern))
+    points, beside = _mapped(places, to_image), _mapped(places + 1e-3 * normals, to_image)
+    across = beside - points
+    return places, points, across / np.hypot(across[:, 0], across[:, 1])[:, None]
+
+
 @lru_cache(maxsize=64)
 def _edges(pattern: bytes, cells: int) -> Tuple[np.ndarray, np.ndarray]:
-    """Return places (n, 2) of the unit square where black meets white, and what is across there."""
+    """Return places (n, 2) of the unit square where black meets white, and the way to white."""
     white = np.frombuffer(pattern, np.uint8).reshape(cells, cells) > 0
     white = np.pad(white, 1, constant_values=True)
     edges = int((white[:, 1:] != white[:, :-1]).sum() + (white[1:] != white[:-1]).sum())
@@ -298,7 +330,8 @@ def _edges(pattern: bytes, cells: int) -> Tuple[np.ndarray, np.ndarray]:
         x = np.repeat(column.astype(float), each)
         y = (row[:, None] + along).ravel()
         points.append(np.column_stack((x, y))[:, ::order])
-        normals.append(np.tile(np.array([1.0, 0.0])[::order], (len(x), 1)))
+        to_white = np.where(cells_of[1:-1, 1:][row, column], 1.0, -1.0)
+        normals.append(np.outer(np.repeat(to_white, each), np.array([1.0, 0.0])[::order]))
     return np.concatenate(points) / cells, np.concatenate(normals)
 
 

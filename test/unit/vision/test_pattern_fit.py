@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from marker_images import CAMERA, TAGS, View, image_of, marker, true_corners
+from marker_images import CAMERA, TAGS, Layer, View, image_of, marker, true_corners
 from scipy.stats import chi2
 
 from bullet_lab.vision.dictionaries import dictionary_named
@@ -179,6 +179,35 @@ def test_what_hides_a_corner_in_the_dark_moves_none(hidden):
         noisy = image + chance.normal(0.0, 5.0, image.shape).astype(np.float32)
         off.append(fit(np.rint(np.clip(noisy, 0, 255)), view).corners - truth)
     assert np.abs(np.mean(off, axis=0)).max() < 0.1
+
+
+@pytest.mark.parametrize("grey", [60.0, 160.0, 235.0])
+@pytest.mark.parametrize("hidden", [0.6, 2.0, 5.0])
+def test_a_wall_before_a_side_is_no_side(hidden, grey):
+    """Its edge looked like the marker's: so many px off, with a tenth of a px told."""
+    for roll in (0.0, 90.0, 180.0, 270.0):
+        view = View(0.8, yaw=20.0, roll=roll)
+        left = 0.1 - hidden * view.distance / CAMERA.fx
+        wall = Layer(np.array([[grey]]), 2.0, (left + 1.0, 0.0))
+        image = image_of([marker(quiet=2), wall], view, blur=0.6, noise=2.0)
+        (found,) = MarkerDetector(DetectorSettings(TAGS)).detect(image).markers
+        off = found.corners - true_corners(view)
+        assert np.abs(off).max() < 0.35
+        assert off.ravel() @ np.linalg.solve(found.covariance, off.ravel()) < 8 * 5.0
+
+
+def test_what_hides_edges_is_told_also_where_a_part_is_in_the_sun():
+    """There each place has a light of its own, and what has no edge made no residual."""
+    view = View(0.8)
+    image = image_of([marker()], view, samples=8, blur=0.6).astype(np.float32)
+    truth = true_corners(view)
+    (left, top), (right, bottom) = truth.min(axis=0).astype(int), truth.max(axis=0).astype(int)
+    image[:, : (left + right) // 2] *= 0.4
+    free = fit(image, view)
+    image[top - 12 : (top + bottom) // 2, left - 12 : right + 12] = 200.0
+    hidden = fit(image, view)
+    assert free.hidden < 0.2
+    assert hidden is None or hidden.hidden > 0.35
 
 
 def test_no_marker_is_none():
