@@ -198,12 +198,14 @@ def figure(samples: Samples, title: str) -> Any:
         ax.set_ylim(bottom=0.0)
     axes[3].plot(hours, samples.column("speed"), color=GREY, lw=0.8)
     axes[3].set(ylabel="times real time", xlabel="simulated time (h)")
-    axes[3].set_ylim(bottom=0.0)
+    # Between two resets there may be next to nothing to do.
+    axes[3].set_yscale("log")
     for ax in axes:
         ax.grid(alpha=0.3)
         for begin in begins:
             ax.axvline(begin, color=BLACK, lw=0.8, ls=":")
-    axes[0].legend(ncol=3, fontsize="small", loc="lower right")
+    axes[0].set_ylim(top=1.35 * axes[0].get_ylim()[1])
+    axes[0].legend(ncol=len(NODES), fontsize="small", loc="upper center")
     axes[0].set_title(title, fontsize="medium")
     drawing.tight_layout()
     return drawing
