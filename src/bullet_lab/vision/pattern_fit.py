@@ -56,7 +56,7 @@ _MOST_CUT = 0.1
 _CUT_VARIANCE, _PARTLY_CUT_VARIANCE = 0.01, 0.03
 # A side is not the marker's if an end of it is so many px from where all other edges have it, and
 # so many standard deviations of that.
-_ODD, _ODD_BY = 0.1, 3.0
+_ODD, _ODD_BY = 0.07, 3.0
 # So many pixels must be the marker's, beside their share of all.
 _LEAST_PIXELS = 40
 # The corners may be moved by so many cells.
@@ -115,12 +115,13 @@ def fit_pattern(
     pixels = pixels_of(image, corners, pattern, lens)
     if len(pixels.levels) < _LEAST_PIXELS:
         return None
-    fit, blur, odd = _fit(pixels, image, corners, pattern, lens)
+    first = _fit(pixels, image, corners, pattern, lens)
+    fit, blur = first.fit, first.blur
     if pixels.over_exposed and not pixels.cut_off and (fit is None or blur > _MOST_CUT):
         pixels = pixels_of(image, corners, pattern, lens, cut_off=True)
         fit = _fit(pixels, image, corners, pattern, lens).fit or fit
-    elif fit is not None and odd is not None:
-        fit = _fit(pixels.without(odd), image, fit.corners, pattern, lens).fit or fit
+    elif fit is not None and first.odd:
+        fit = _without_odd_side(first, image, pattern, lens)
     more = _CUT_VARIANCE if pixels.cut_off else 0.0
     if pixels.parted and pixels.flooded.any():
         more = _PARTLY_CUT_VARIANCE
@@ -135,12 +136,20 @@ class _Fitted(NamedTuple):
     Attributes:
         fit: as of `fit_pattern`.
         blur: the greatest variance of its blur, px².
-        odd: (n,) the pixels of a side that is not where the others have it; None: there is none.
+        pixels: those of the fit.
+        odd: of sides that are not where the others have them, the farthest first: by how many
+            standard deviations, and which pixels (n,) are theirs.
     """
 
     fit: Optional[PatternFit]
     blur: float
-    odd: Optional[np.ndarray] = None
+    pixels: Optional[Pixels] = None
+    odd: Tuple[Tuple[float, np.ndarray], ...] = ()
+
+    @property
+    def disagreement(self) -> float:
+        """By how many standard deviations the farthest side is off; 0 if none is."""
+        return self.odd[0][0] if self.odd else 0.0
 
 
 def _fit(
@@ -201,10 +210,30 @@ def _fit(
     if judged is None:
         return _Fitted(None, blur)
     fit, squares = judged
-    if pixels.sides is None or pixels.cut_off:
+    if pixels.cut_off or (pixels.parted and pixels.flooded.any()):
         return _Fitted(fit, blur)
-    odd = _odd_side(corners, residuals, columns / noise, squares, to_corners, pixels.sides)
-    return _Fitted(fit, blur, odd)
+    sides = np.stack([pixels.own(side) for side in model.sides()])
+    odd = _odd_sides(corners, residuals, columns / noise, squares, to_corners, sides)
+    return _Fitted(fit, blur, pixels, odd)
+
+
+def _without_odd_side(
+    first: _Fitted, image: np.ndarray, pattern: np.ndarray, lens: Lens
+) -> PatternFit:
+    """Return the fit without the side without which all others agree best.
+
+    As uncertain as they still disagree.
+    """
+    best = first
+    for _, side in first.odd:
+        fewer = first.pixels.without(side)
+        fitted = _fit(fewer, image, first.fit.corners, pattern, lens)
+        if fitted.fit is not None and fitted.disagreement < best.disagreement:
+            best = fitted
+        if not best.odd:
+            return best.fit
+    by = best.disagreement
+    return replace(best.fit, covariance=by * by * best.fit.covariance)
 
 
 def _allowed(spread: np.ndarray, least: Union[float, np.ndarray]) -> np.ndarray:
@@ -332,34 +361,33 @@ def _judged(
     return PatternFit(corners, 0.5 * (covariance + covariance.T), 1.0 - count / told), squares
 
 
-def _odd_side(
+def _odd_sides(
     corners: np.ndarray,
     residuals: np.ndarray,
     columns: np.ndarray,
     squares: float,
     to_corners: np.ndarray,
     sides: np.ndarray,
-) -> Optional[np.ndarray]:
-    """Return the pixels (n,) of the side that is farthest from where all others have it.
+) -> Tuple[Tuple[float, np.ndarray], ...]:
+    """Return the sides that are not where all others have them, as `_Fitted.odd`.
 
-    None where each is there. Arguments as of `_judged`, with the mean square that it found, and the
-    side that each pixel is on.
+    Arguments as of `_judged`, with the mean square that it found, and which pixels are on each
+    side, (4, n).
     """
-    own, farthest, odd = np.abs(residuals) < _OUTLYING, 1.0, None
+    own, odd = np.abs(residuals) < _OUTLYING, []
     along = corners[[1, 2, 3, 0]] - corners
-    for side in range(4):
-        others = _Equations(columns, residuals, (own & (sides != side)).astype(float), _BLUR_PRIOR)
+    for side, pixels in enumerate(sides):
+        others = _Equations(columns, residuals, (own & ~pixels).astype(float), _BLUR_PRIOR)
         ends = [side, (side + 1) % 4]
         across = np.array([-along[side, 1], along[side, 0]]) / np.hypot(*along[side])
         to_ends = np.einsum("k,ekm->em", across, to_corners.reshape(4, 2, 8)[ends])
         off = np.abs(to_ends @ others.solution()[_SHAPE])
-        variances = squares * np.einsum(
-            "ek,kl,el->e", to_ends, others.inverse()[_SHAPE, _SHAPE], to_ends
-        )
-        far = (off / np.maximum(_ODD, _ODD_BY * np.sqrt(variances))).max()
-        if far > farthest:
-            farthest, odd = far, sides == side
-    return odd
+        by_shape = others.inverse()[_SHAPE, _SHAPE]
+        variances = squares * np.einsum("ek,kl,el->e", to_ends, by_shape, to_ends)
+        by = off / np.sqrt(np.maximum(variances, 1e-12))
+        if ((off > _ODD) & (by > _ODD_BY)).any():
+            odd.append((float(by.max()), pixels))
+    return tuple(sorted(odd, key=lambda one: -one[0]))
 
 
 def _squares(residuals: np.ndarray, columns: np.ndarray, inverse: np.ndarray, group: int) -> float:

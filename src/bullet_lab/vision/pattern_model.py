@@ -111,6 +111,12 @@ class PatternModel:
         """Return how far outside of the outline pixels are, (n,) in cells; within it below 0."""
         return self._cells * (np.abs(self._away).max(axis=0) - 0.5)
 
+    def sides(self) -> np.ndarray:
+        """Return which pixels are at each side, (4, n): the one above, then clockwise."""
+        right, below = self._away
+        inner = 0.5 - 0.75 / self._cells
+        return np.stack((below < -inner, right > inner, below > inner, right < -inner))
+
     def margin(self) -> np.ndarray:
         """Return by how many px pixels are within the quiet zone's outer edge, (n,)."""
         within = self._cells * (0.5 - np.abs(self._away)) + 1.0

@@ -60,8 +60,6 @@ class Pixels:
         cut_off: whether it counts.
         parted: whether each group has a light of its own.
         flooded: (n,) which groups have white that was cut off, where each has its own light.
-        sides: (n,) on which side of the marker, 0 for the one above, then clockwise; -1 for
-            what is within it. None where no edges were looked at.
         grid: (rows, columns) that are pixels; what they share with their neighbours is told then.
         chosen: which of a grid without its outer rows and columns the n are.
     """
@@ -74,7 +72,6 @@ class Pixels:
     cut_off: bool = False
     parted: bool = False
     flooded: Optional[np.ndarray] = None
-    sides: Optional[np.ndarray] = None
     grid: Optional[Tuple[int, int]] = None
     chosen: Optional[np.ndarray] = None
 
@@ -89,17 +86,15 @@ class Pixels:
         return self.grouped and bool(self.told.all())
 
     def without(self, these: np.ndarray) -> Pixels:
-        """Return those of an edge without these (n,), which are all of their groups."""
-        left = ~these
+        """Return those without these (n,), and without the others of their groups."""
+        left = ~np.tile(these.reshape(self.group, -1).any(axis=0), self.group)
+        fewer = replace(self, levels=self.levels[left], told=self.told[left])
+        if self.grid is not None:
+            chosen = self.chosen.copy()
+            chosen[chosen] = left
+            return replace(fewer, chosen=chosen)
         flooded = None if self.flooded is None else self.flooded[left]
-        return replace(
-            self,
-            points=np.ascontiguousarray(self.points[:, left]),
-            levels=self.levels[left],
-            told=self.told[left],
-            flooded=flooded,
-            sides=None,
-        )
+        return replace(fewer, points=np.ascontiguousarray(self.points[:, left]), flooded=flooded)
 
     def own(self, values: np.ndarray) -> np.ndarray:
         """Return those of values (m,) that are the pixels', (n,)."""
@@ -241,7 +236,7 @@ def _edge_pixels(
     image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens, cut_off: bool
 ) -> Pixels:
     """Return the pixels on either side of places along all edges in a pattern."""
-    places, points, across = edges_of(pattern, homography(corners))
+    _, points, across = edges_of(pattern, homography(corners))
     offsets = np.arange(-_REACH, _REACH + 1.0)[:, None, None]
     seen = np.rint(lens.seen(points + offsets * across)).astype(int)
     inside = ((seen >= 0) & (seen < image.shape[::-1])).all(axis=(0, 2))
@@ -249,25 +244,18 @@ def _edge_pixels(
     levels = image[seen[:, 1], seen[:, 0]].astype(float)
     group = 2 * _REACH + 1
     points = np.ascontiguousarray(lens.ideal(seen.astype(float)).T)
-    sides = np.tile(_sides(places[inside]), group)
     if _is_parted(levels, group):
         told = np.ones(len(levels), dtype=bool)
         flooded = np.tile((levels.reshape(group, -1) >= _TOLD[1]).any(axis=0), group)
         levels = _less_mean(levels[None], told, group)[0]
-        return Pixels(points, levels, told, group, parted=True, flooded=flooded, sides=sides)
+        return Pixels(points, levels, told, group, parted=True, flooded=flooded)
     told = _told_in_groups(levels, group)
     by_group = told.reshape(group, -1)
     over_exposed = bool((by_group.any(axis=0) & ~by_group.all(axis=0)).any())
     cut_off = over_exposed and (cut_off or _uneven(levels, group))
     told |= cut_off
     levels = _less_mean(levels[None], told, group)[0]
-    return Pixels(points, levels, told, group, over_exposed, cut_off, sides=sides)
-
-
-def _sides(places: np.ndarray) -> np.ndarray:
-    """Return on which side of the unit square places (n, 2) are, as in `Pixels`."""
-    x, y = places.T
-    return np.select((y == 0.0, x == 1.0, y == 1.0, x == 0.0), (0, 1, 2, 3), -1)
+    return Pixels(points, levels, told, group, over_exposed, cut_off)
 
 
 def _is_parted(levels: np.ndarray, group: int) -> bool:
