@@ -86,6 +86,8 @@ def run_from(
         sys.exit(STATUS_UNFINISHED if isinstance(error, UnfinishedError) else STATUS_BAD_INPUT)
     except KeyboardInterrupt:
         sys.exit(STATUS_INTERRUPTED)
+    # Python takes handlers away before it is at its end: what comes after that would kill it.
+    _ignore_interrupts()
     sys.exit(0)
 
 
@@ -100,9 +102,13 @@ def interrupt_once() -> None:
 
 
 def _interrupt(_number: int, _frame: Any) -> None:
+    _ignore_interrupts()
+    raise KeyboardInterrupt
+
+
+def _ignore_interrupts() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    raise KeyboardInterrupt
 
 
 @contextlib.contextmanager

@@ -227,6 +227,8 @@ def _without_odd_side(
     best = first
     for _, side in first.odd:
         fewer = first.pixels.without(side)
+        if len(fewer.levels) < _LEAST_PIXELS:
+            continue
         fitted = _fit(fewer, image, first.fit.corners, pattern, lens)
         if fitted.fit is not None and fitted.disagreement < best.disagreement:
             best = fitted

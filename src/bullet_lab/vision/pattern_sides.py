@@ -66,16 +66,25 @@ def without_hidden_side(
     seen = _edges_seen(image, corners, pattern, lens)
     if seen is None:
         return corners
-    misplaced = float((np.abs(seen.off) > near).mean())
+    misplaced = _share_beyond(near, seen.off)
     if misplaced <= _ELSEWHERE:
         return corners
     least, side = misplaced - _FEWER, None
     for axis, end in _SIDES:
         left = seen.off - seen.moves @ _moves(seen, seen.places[:, axis] != end)
-        misplaced = float((np.abs(left) > near).mean())
+        misplaced = _share_beyond(near, left)
         if misplaced < least:
             least, side = misplaced, (axis, end)
-    return corners if side is None else _without(side, image, corners, pattern, lens)
+    if side is None:
+        return corners
+    moved = _without(side, image, corners, pattern, lens)
+    is_near = np.abs(moved - corners).max() <= mean_cell(corners, len(pattern))
+    return moved if is_near else corners
+
+
+def _share_beyond(near: float, off: np.ndarray) -> float:
+    """Return how many of (n,) are not within so many px, as a share; what is no number is not."""
+    return 1.0 - float((np.abs(off) <= near).mean())
 
 
 def _without(

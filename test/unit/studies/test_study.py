@@ -13,6 +13,17 @@ from bullet_lab.core.parameters import boolean, check_parameters, integer, numbe
 from bullet_lab.studies.study import progress, run_from, write_table
 from bullet_lab.studies.workers import TaskLostError, WorkersError
 
+ENDING = """
+import os, signal
+from bullet_lab.studies.study import run_from
+
+class Last:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+
+last = Last()
+run_from("ending", "", (), lambda folder, tell: None, ["out"])
+"""
 CODE = """
 import os, signal, time
 from bullet_lab.studies.study import interrupt_once
@@ -157,3 +168,7 @@ def test_each_study_is_a_program(name, tmp_path):
     assert done.returncode == 2
     assert done.stderr.startswith(f"{name}: --seed is '-1': it must be a whole number from 0")
     assert done.stderr.count("\n") == 1
+
+
+def test_ctrl_c_while_python_ends_changes_no_status():
+    assert subprocess.run([sys.executable, "-c", ENDING], timeout=60).returncode == 0

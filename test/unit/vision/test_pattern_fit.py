@@ -14,6 +14,7 @@ from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
 from bullet_lab.vision.marker_pose import estimate_pose
 from bullet_lab.vision.pattern_fit import fit_pattern
 from bullet_lab.vision.pattern_model import PatternModel, moves_of
+from bullet_lab.vision.pattern_sides import without_hidden_side
 
 PATTERN = dictionary_named(TAGS).pattern(0)
 VIEW = View(2.0, yaw=25.0, pitch=4.0, roll=10.0, shift=(0.1, 0.05))
@@ -198,6 +199,23 @@ def test_a_wall_before_a_side_is_no_side(distance, hidden, grey):
         off = found.corners - true_corners(view)
         assert np.abs(off).max() < 0.35
         assert off.ravel() @ np.linalg.solve(found.covariance, off.ravel()) < 8 * 5.0
+
+
+def test_edges_that_are_nowhere_lead_corners_nowhere():
+    view = View(0.8, yaw=20.0)
+    start = true_corners(view)
+    chance = np.random.default_rng(5)
+    for cover in range(0, 130, 10):
+        image = image_of([marker()], view, samples=4).astype(float)
+        image[:, 320 - cover : 320 + cover] = 120.0
+        image += chance.normal(0.0, chance.uniform(1.0, 80.0), image.shape)
+        image = np.clip(image, 0, 255).astype(np.uint8)
+        corners = without_hidden_side(image, start, PATTERN, Lens())
+        assert np.abs(corners - start).max() < 17.0
+    column = np.zeros((8, 8), np.uint8)
+    column[1:7, 4] = 1
+    stripes = np.tile(np.where(np.arange(640) // 9 % 2, 200, 20).astype(np.uint8), (480, 1))
+    assert np.isfinite(without_hidden_side(stripes, start, column, Lens())).all()
 
 
 def test_what_hides_edges_is_told_also_where_a_part_is_in_the_sun():

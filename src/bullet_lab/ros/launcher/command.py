@@ -47,9 +47,11 @@ class StopSignals:
     good: a second Ctrl-C may not interrupt the last lines.
     """
 
+    NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
     def __init__(self):
         self.received: int | None = None
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in self.NUMBERS:
             signal.signal(number, self._remember)
 
     def _remember(self, number: int, _frame) -> None:
@@ -73,6 +75,9 @@ def main() -> None:
         print(f"run.sh: {error}", file=sys.stderr)
         wrong = isinstance(error, (UsageError, ParameterError))
         status = STATUS_BAD_VALUE if wrong else STATUS_FAILED
+    # Python takes handlers away before it is at its end: what comes after that would kill it.
+    for number in StopSignals.NUMBERS:
+        signal.signal(number, signal.SIG_IGN)
     sys.exit(status)
 
 
