@@ -31,7 +31,7 @@ class StandIn:
         self.process = subprocess.Popen([sys.executable, str(HERE / "contract_standin.py")])
 
     def end(self):
-        # It keeps nothing, and rospy's end within a signal can wait for what that has interrupted.
+        # It keeps nothing; asked by SIGTERM, on a busy machine, it did not end within 10 s.
         self.process.kill()
         self.process.wait()
 

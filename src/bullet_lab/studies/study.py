@@ -69,6 +69,7 @@ def run_from(
         short: other options, such as -n, and the parameters that they give.
     """
     words = sys.argv[1:] if words is None else words
+    status = 0
     try:
         interrupt_once()
         parser = ArgumentParser(prog=name, description=(about or "").split("\n")[0])
@@ -83,12 +84,12 @@ def run_from(
         run(values["out"], *read, lambda line: print(f"{name}: {line}", flush=True))
     except LabError as error:
         print(f"{name}: {error}", file=sys.stderr, flush=True)
-        sys.exit(STATUS_UNFINISHED if isinstance(error, UnfinishedError) else STATUS_BAD_INPUT)
+        status = STATUS_UNFINISHED if isinstance(error, UnfinishedError) else STATUS_BAD_INPUT
     except KeyboardInterrupt:
-        sys.exit(STATUS_INTERRUPTED)
+        status = STATUS_INTERRUPTED
     # Python takes handlers away before it is at its end: what comes after that would kill it.
     _ignore_interrupts()
-    sys.exit(0)
+    sys.exit(status)
 
 
 def interrupt_once() -> None:

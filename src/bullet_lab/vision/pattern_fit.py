@@ -95,8 +95,8 @@ def fit_pattern(
     large marker the pixels across each place of an edge have an a of their own, so that highlights
     and shadows do not matter. Robust weights are Tukey's, of each pixel and, of a large marker, of
     the contrast that each place of an edge shows; the covariance is that of least squares with the
-    noise that the residuals show. A side of a large marker that is not where all other edges have
-    it is not the marker's, but of what stands before it: it is left out.
+    noise that the residuals show. A side that is not where all other edges have it is not the
+    marker's, but of what stands before it: it is left out.
 
     Over-exposed pixels do not count, unless what is left does not tell the light from the blur:
     then the picture is fitted as it was cut off, with white that is wider than in the pattern, by
@@ -155,6 +155,7 @@ class _Fitted(NamedTuple):
 def _fit(
     pixels: Pixels, image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens
 ) -> _Fitted:
+    """Return the fit to some pixels, from corners on; arguments as of `fit_pattern`."""
     cells = len(pattern)
     spread = np.array([_FIRST_VARIANCE, _FIRST_VARIANCE, 0.0, _FIRST_SHARED])
     start, cell, light = corners, mean_cell(corners, cells), None

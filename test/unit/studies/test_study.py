@@ -14,7 +14,8 @@ from bullet_lab.studies.study import progress, run_from, write_table
 from bullet_lab.studies.workers import TaskLostError, WorkersError
 
 ENDING = """
-import os, signal
+import os, signal, sys
+from bullet_lab.errors import LabError
 from bullet_lab.studies.study import run_from
 
 class Last:
@@ -22,7 +23,10 @@ class Last:
         os.kill(os.getpid(), signal.SIGINT)
 
 last = Last()
-run_from("ending", "", (), lambda folder, tell: None, ["out"])
+def run(folder, tell):
+    if folder.name == "bad":
+        raise LabError("bad")
+run_from("ending", "", (), run, sys.argv[1:])
 """
 CODE = """
 import os, signal, time
@@ -170,5 +174,6 @@ def test_each_study_is_a_program(name, tmp_path):
     assert done.stderr.count("\n") == 1
 
 
-def test_ctrl_c_while_python_ends_changes_no_status():
-    assert subprocess.run([sys.executable, "-c", ENDING], timeout=60).returncode == 0
+@pytest.mark.parametrize("folder, status", [("good", 0), ("bad", 2)])
+def test_ctrl_c_while_python_ends_changes_no_status(folder, status):
+    assert subprocess.run([sys.executable, "-c", ENDING, folder], timeout=60).returncode == status
