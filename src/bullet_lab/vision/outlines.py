@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Dict, Iterable, Iterator, List, Optional, Sequence, Tuple
+from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -82,12 +82,14 @@ _HULL_TOLERANCE = 0.02
 _HULL_CORNERS = (4, 5, 6)
 # Most by which a quadrilateral may be larger than such a hull, which lacks a corner.
 _WITH_CORNER = 1.15
-# Parts of a side's length beside its line, in which its points are, and how the line is fitted: the
-# last time with little regard for those that are far off, which takes 30 times as long.
-_BESIDE = ((0.06, cv2.DIST_L2), (0.03, cv2.DIST_L2), (0.015, cv2.DIST_L1))
+# Parts of a side's length beside its line, in which its points are, and in how many rounds the line
+# is fitted: the last time with little regard for those that are far off.
+_BESIDE = ((0.06, 1), (0.03, 1), (0.015, 15))
+# px; points nearer to a line than this count alike.
+_ON_LINE = 0.05
 # So many make a line.
 _LEAST_POINTS = 8
-# Of a whole contour: OpenCV goes through those of a line up to 600 times.
+# Of a whole contour.
 _MOST_POINTS = 256
 # Half the size shows markers from this side on, px.
 _COARSE_SIDE = 20.0
@@ -115,6 +117,8 @@ class OutlineSearch:
         self._half = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         self._pieces = 0
         self._is_clear = False
+        # What the second look has of the masks of the last one.
+        self._kept: Dict[_Mask, _Labelled] = {}
 
     def first_look(self, contrast: float) -> np.ndarray:
         """Return (n, 4, 2) corners u, v in px, clockwise as one looks at the image.
@@ -139,39 +143,42 @@ class OutlineSearch:
 
         Only where it costs little.
         """
-        quads = [np.empty((0, 4, 2))]
+        sides: List[_OpenSides] = []
         for mask in _LAST_LOOK if self._is_clear else ():
-            dark, least = self._dark(mask, contrast)
-            found = _open_quads(_pieces(dark, least, mask.joined, is_open=True), least)
-            quads.append(self._full_size(found) if mask.coarse else found)
-        return sound_quads(np.concatenate(quads))
+            labelled = self._kept.get(mask) or self._labelled(mask, contrast)
+            sides += _open_sides(labelled, self._least(mask), mask.coarse)
+        return sound_quads(self._full_size(*_open_quads(sides)))
 
     def _look(self, masks: Sequence[_Mask], contrast: float, trim: float) -> np.ndarray:
         outlines: List[_Outline] = []
         for mask in masks:
-            dark, least = self._dark(mask, contrast)
-            contours = list(_pieces(dark, least, mask.joined))
+            labelled, least = self._labelled(mask, contrast), self._least(mask)
+            if mask in _LAST_LOOK:
+                self._kept[mask] = labelled
+            contours = list(_pieces(labelled, least))
             self._pieces += len(contours)
             outlines += _outlines_of(contours, least, mask.coarse)
-        quads = _fit_sides(outlines, trim)
         coarse = np.array([outline.coarse for outline in outlines], dtype=bool)
-        quads[coarse] = self._full_size(quads[coarse])
-        return sound_quads(quads)
+        return sound_quads(self._full_size(_fit_sides(outlines, trim), coarse))
 
-    def _dark(self, mask: _Mask, contrast: float) -> Tuple[np.ndarray, float]:
-        """Return what a mask holds dark, 255, and the least side to look for in it, px."""
-        grey, least = self._grey, self._min_side
-        if mask.coarse:
-            grey, least = self._half, 0.5 * max(least, _COARSE_SIDE)
+    def _labelled(self, mask: _Mask, contrast: float) -> _Labelled:
+        """Return the pieces of what a mask holds dark."""
+        grey = self._half if mask.coarse else self._grey
         if mask.ceiling < 255:
             grey = cv2.min(grey, mask.ceiling)
-        return darker_part(grey, mask.window, mask.part, math.ceil(contrast)), least
+        dark = darker_part(grey, mask.window, mask.part, math.ceil(contrast))
+        return _labelled(dark, mask.joined)
 
-    def _full_size(self, quads: np.ndarray) -> np.ndarray:
-        """Return where points of the image of half the size are in the whole one."""
+    def _least(self, mask: _Mask) -> float:
+        """Return the least side to look for in a mask, px."""
+        return 0.5 * max(self._min_side, _COARSE_SIDE) if mask.coarse else self._min_side
+
+    def _full_size(self, quads: np.ndarray, coarse: np.ndarray) -> np.ndarray:
+        """Return quadrilaterals with those (n,) of the image of half the size where they are."""
         scale = np.array(self._grey.shape[::-1]) / np.array(self._half.shape[::-1])
         # Pixels are numbered at their centres.
-        return (quads + 0.5) * scale - 0.5
+        quads[coarse] = (quads[coarse] + 0.5) * scale - 0.5
+        return quads
 
 
 def darker_part(grey: np.ndarray, window: int, part: float, contrast: int) -> np.ndarray:
@@ -194,19 +201,25 @@ def _square(window: int) -> np.ndarray:
     return np.ones((window, window), np.uint8)
 
 
-def _pieces(
-    dark: np.ndarray, min_side: float, joined: bool, is_open: bool = False
-) -> Iterator[_Placed]:
+class _Labelled(NamedTuple):
+    """The pieces of a mask: labels (h, w), and (n, 5) u, v, width, height, area by label.
+
+    Label 0 is what is not dark, without an area.
+    """
+
+    labels: np.ndarray
+    stats: np.ndarray
+
+
+def _pieces(labelled: _Labelled, min_side: float, is_open: bool = False) -> Iterator[_Placed]:
     """Yield the outer contours of the pieces of a mask that are large and broad enough.
 
-    Pieces hang together by the edges of pixels and, if `joined`, by their corners. Those of what
-    `is_open` may be lines with two sides.
+    Those of what `is_open` may be lines with two sides.
     """
-    labels, stats = _labelled(dark, joined)
-    stats[0] = 0
+    labels, stats = labelled
     # Most are small, and need no closer look.
-    labelled = (stats[:, 2] + stats[:, 3] >= math.ceil(2.0 * min_side)).nonzero()[0]
-    u, v, width, height, area = stats[labelled].T
+    large = (stats[:, 2] + stats[:, 3] >= math.ceil(2.0 * min_side)).nonzero()[0]
+    u, v, width, height, area = stats[large].T
     extent = width + height
     # The outline of what is convex is no longer than that of the box around it; a border is some
     # pixels wide.
@@ -214,16 +227,19 @@ def _pieces(
     fits &= 8 * np.minimum(width, height) >= np.maximum(width, height)
     # What reaches the edge of the image is cut off by it.
     fits &= np.minimum(u, v) > 0
-    fits &= (u + width < dark.shape[1]) & (v + height < dark.shape[0])
+    fits &= (u + width < labels.shape[1]) & (v + height < labels.shape[0])
     ragged = _OPEN_RAGGED if is_open else _RAGGED
-    labelled, most = labelled[fits], (ragged * extent[fits]).tolist()
-    for placed, longest in zip(_contours(labels, labelled, stats[labelled, :4]), most):
+    large, most = large[fits], (ragged * extent[fits]).tolist()
+    for placed, longest in zip(_contours(labels, large, stats[large, :4]), most):
         if len(placed[0]) <= longest:
             yield placed
 
 
-def _labelled(dark: np.ndarray, joined: bool) -> Tuple[np.ndarray, np.ndarray]:
-    """Return (h, w) labels of a mask's pieces, and (n, 5) u, v, width, height, area of each."""
+def _labelled(dark: np.ndarray, joined: bool) -> _Labelled:
+    """Return the pieces of what is dark.
+
+    They hang together by the edges of pixels and, if `joined`, by their corners.
+    """
     # Labels of 16 bits take less time. One is given only where a run of pixels begins in a row.
     runs = len(dark) * ((dark.shape[1] + 1) // 2)
     if runs > _MOST_LABELS:
@@ -233,7 +249,9 @@ def _labelled(dark: np.ndarray, joined: bool) -> Tuple[np.ndarray, np.ndarray]:
     joining = cv2.CCL_SPAGHETTI if few else cv2.CCL_BBDT
     how = (8, joining) if joined else (4, cv2.CCL_DEFAULT)
     kind = cv2.CV_16U if few else cv2.CV_32S
-    return cv2.connectedComponentsWithStatsWithAlgorithm(dark, how[0], kind, how[1])[1:3]
+    labels, stats = cv2.connectedComponentsWithStatsWithAlgorithm(dark, how[0], kind, how[1])[1:3]
+    stats[0] = 0
+    return _Labelled(labels, stats)
 
 
 def _contours(labels: np.ndarray, labelled: np.ndarray, boxes: np.ndarray) -> List[_Placed]:
@@ -375,26 +393,39 @@ def _outline_of(contour: np.ndarray, min_side: float) -> Optional[np.ndarray]:
     return corners
 
 
-def _open_quads(contours: Iterable[_Placed], min_side: float) -> np.ndarray:
-    """Return (n, 4, 2) corners of what is dark and square but for a gap, or a hidden corner.
+class _OpenSides(NamedTuple):
+    """The four longest sides of a contour's hull.
+
+    Attributes:
+        contour: (n, 2) some of its points.
+        first: (4, 2) where the sides begin.
+        along: (4, 2) to where they end.
+        area: of the hull.
+        coarse: of the image of half the size.
+    """
+
+    contour: np.ndarray
+    first: np.ndarray
+    along: np.ndarray
+    area: float
+    coarse: bool
+
+
+def _open_sides(labelled: _Labelled, min_side: float, coarse: bool) -> List[_OpenSides]:
+    """Return the sides of what is dark and may be square but for a gap, or a hidden corner.
 
     What is as dark as the marker's surroundings and lies on a corner joins the two: no threshold
     shows an outline with four corners then. The hull of the border still has four long sides.
     """
-    sized = ((contour, offset, _extent(contour)) for contour, offset in contours)
-    large = [one for one in sized if one[2] >= max(_LEAST_OPEN, 2.0 * min_side)]
-    large.sort(key=lambda one: -one[2])
-    quads = (_open_quad(contour, offset) for contour, offset, _ in large[:_MOST_OPEN])
-    found = [quad for quad in quads if quad is not None]
-    return np.stack(found) if found else np.empty((0, 4, 2))
+    contours = _pieces(labelled, max(0.5 * _LEAST_OPEN, min_side) + 1.0, is_open=True)
+    large = sorted(contours, key=lambda placed: -float(np.ptp(placed[0][:, 0], axis=0).sum()))
+    sides = (_sides_of_hull(contour, offset, coarse) for contour, offset in large[:_MOST_OPEN])
+    return [of_one for of_one in sides if of_one is not None]
 
 
-def _extent(contour: np.ndarray) -> float:
-    return float(np.ptp(contour[:, 0], axis=0).sum())
-
-
-def _open_quad(contour: np.ndarray, offset: Tuple[int, int]) -> Optional[np.ndarray]:
-    """Return where the lines along the four longest sides of a contour's hull meet, or None."""
+def _sides_of_hull(
+    contour: np.ndarray, offset: Tuple[int, int], coarse: bool
+) -> Optional[_OpenSides]:
     hull = cv2.convexHull(contour)
     area, length = cv2.contourArea(hull), cv2.arcLength(hull, True)
     if area < _LEAST_AREA * length * length:
@@ -405,37 +436,84 @@ def _open_quad(contour: np.ndarray, offset: Tuple[int, int]) -> Optional[np.ndar
     edges = np.roll(simple, -1, axis=0) - simple
     longest = np.sort(np.argsort(-np.hypot(edges[:, 0], edges[:, 1]), kind="stable")[:4])
     some = contour[:: 1 + len(contour) // _MOST_POINTS, 0].astype(float)
-    points, normals = _lines_along(some, simple[longest], edges[longest])
-    quad = intersections(points, normals).astype(np.float32)
-    if not np.isfinite(quad).all() or not cv2.isContourConvex(quad):
-        return None
-    if cv2.contourArea(quad) > _WITH_CORNER * area:
-        return None
-    return quad.astype(float) + offset
+    return _OpenSides(some + offset, simple[longest] + offset, edges[longest], area, coarse)
 
 
-def _lines_along(
-    contour: np.ndarray, first: np.ndarray, along: np.ndarray
-) -> Tuple[np.ndarray, np.ndarray]:
-    """Return points and normals (4, 2) of lines through what of a contour (n, 2) is beside sides.
+def _open_quads(sides: Sequence[_OpenSides]) -> Tuple[np.ndarray, np.ndarray]:
+    """Return (n, 4, 2) where the lines along four sides meet, and which (n,) of it are coarse."""
+    if not sides:
+        return np.empty((0, 4, 2)), np.empty(0, dtype=bool)
+    quads = intersections(*_lines_along(sides))
+    own = np.isfinite(quads).all(axis=(1, 2))
+    for k in np.flatnonzero(own):
+        quad = quads[k].astype(np.float32)
+        own[k] = cv2.isContourConvex(quad)
+        own[k] &= cv2.contourArea(quad) <= _WITH_CORNER * sides[k].area
+    coarse = np.array([of_one.coarse for of_one in sides])
+    return quads[own], coarse[own]
 
-    These begin at `first` (4, 2) and go `along` (4, 2). What sticks out at one end of a side turns
-    it, so what is beside its line is chosen anew, more narrowly each time.
+
+def _lines_along(sides: Sequence[_OpenSides]) -> Tuple[np.ndarray, np.ndarray]:
+    """Return points and normals (n, 4, 2) of lines through what of a contour is beside its sides.
+
+    What sticks out at one end of a side turns it, so what is beside its line is chosen anew, more
+    narrowly each time.
     """
-    lengths = np.hypot(along[:, 0], along[:, 1])
-    points = first + 0.5 * along
-    along = along / lengths[:, None]
-    for beside, kind in _BESIDE:
-        for k in range(4):
-            away = contour - points[k]
-            across = away[:, 0] * along[k, 1] - away[:, 1] * along[k, 0]
-            near = np.abs(across) < max(1.0, beside * lengths[k])
-            near &= np.abs(away @ along[k]) < (0.5 - _SECOND_TRIM / 2) * lengths[k]
-            if near.sum() >= _LEAST_POINTS:
-                beside_it = contour[near].astype(np.float32)
-                line = cv2.fitLine(beside_it, kind, 0, 0.01, 0.01).ravel()
-                along[k], points[k] = line[:2], line[2:]
-    return points, np.stack((along[:, 1], -along[:, 0]), axis=-1)
+    contours = np.concatenate([of_one.contour for of_one in sides])
+    owners = np.repeat(np.arange(len(sides)), [len(of_one.contour) for of_one in sides])
+    along = np.stack([of_one.along for of_one in sides])
+    points = np.stack([of_one.first for of_one in sides]) + 0.5 * along
+    lengths = np.hypot(along[..., 0], along[..., 1])
+    along /= lengths[..., None]
+    for beside, rounds in _BESIDE:
+        away = contours[:, None] - points[owners]
+        ahead, across = _in_frame(away, along[owners])
+        near = np.abs(across) < np.maximum(1.0, beside * lengths)[owners]
+        near &= np.abs(ahead) < ((0.5 - _SECOND_TRIM / 2) * lengths)[owners]
+        of_point, side = near.nonzero()
+        side += 4 * owners[of_point]
+        moved, turned = _lines_through(away[near], side, 4 * len(sides), rounds)
+        enough = (np.bincount(side, minlength=4 * len(sides)) >= _LEAST_POINTS).reshape(-1, 4, 1)
+        points = points + np.where(enough, moved.reshape(-1, 4, 2), 0.0)
+        along = np.where(enough, turned.reshape(-1, 4, 2), along)
+    return points, np.stack((along[..., 1], -along[..., 0]), axis=-1)
+
+
+def _in_frame(away: np.ndarray, along: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return how far points (…, 2) are along unit vectors (…, 2), and across them."""
+    ahead = away[..., 0] * along[..., 0] + away[..., 1] * along[..., 1]
+    return ahead, away[..., 0] * along[..., 1] - away[..., 1] * along[..., 0]
+
+
+def _lines_through(
+    points: np.ndarray, line: np.ndarray, count: int, rounds: int
+) -> Tuple[np.ndarray, np.ndarray]:
+    """Return a point and the unit vector (count, 2) along each line through points (n, 2).
+
+    Of least squares and, the more rounds there are, of least distances: each round gives points
+    the weight that makes their squares distances. NaN where there are no points.
+
+    Args:
+        points: px.
+        line: (n,) which line a point is of.
+        count: how many lines there are.
+        rounds: of the fit.
+    """
+    x, y = points.T
+    weights = np.ones(len(points))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for _ in range(rounds):
+            parts = (weights, weights * x, weights * y)
+            parts += (parts[1] * x, parts[1] * y, parts[2] * y)
+            total, *sums = (np.bincount(line, part, count) for part in parts)
+            mean_x, mean_y, xx, xy, yy = (part / total for part in sums)
+            xx, xy, yy = xx - mean_x * mean_x, xy - mean_x * mean_y, yy - mean_y * mean_y
+            angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+            middle = np.stack((mean_x, mean_y), axis=-1)
+            along = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+            across = _in_frame(points - middle[line], along[line])[1]
+            weights = 1.0 / np.maximum(np.abs(across), _ON_LINE)
+    return middle, along
 
 
 _NEXT = [1, 2, 3, 0]
