@@ -3,6 +3,7 @@ import csv
 import importlib.util
 import logging
 import re
+import signal
 import sys
 from pathlib import Path
 
@@ -18,6 +19,11 @@ from bullet_lab.simulation.world.urdf import read_urdf_file
 PACKAGE = Path(__file__).resolve().parents[2]
 BLOCK_ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 EMPTY_WORLD = "package://bullet_lab/worlds/empty.world"
+
+
+def pytest_configure():
+    # Processes that are started in the background of a script ignore it, as do theirs.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def module_of(path):
