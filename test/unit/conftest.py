@@ -21,9 +21,12 @@ BLOCK_ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 EMPTY_WORLD = "package://bullet_lab/worlds/empty.world"
 
 
-def pytest_configure():
-    # Processes that are started in the background of a script ignore it, as do theirs.
+@pytest.fixture(autouse=True)
+def _answered_signals():
+    # A study that ended in an earlier test ignores them, as does what a script started in its
+    # background; processes inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def module_of(path):
