@@ -3,7 +3,10 @@
 Speaks viser's protocol as the page does.
 """
 
+import contextlib
+import json
 import re
+import secrets
 import threading
 import time
 
@@ -29,7 +32,8 @@ class Looker:
         self.received = 0
         scheme, host = url.split("/")[0], url.split("/")[2]
         self._options = {"origin": f"{scheme}//{host}", "max_size": None, "compression": None}
-        self._address = url.replace("http", "ws", 1).rstrip("/")
+        # A name of its own, as each tab has.
+        self._address = f"{url.replace('http', 'ws', 1)}{secrets.token_hex(4)}"
         self._socket = connect(
             self._address, subprotocols=[f"viser-v{viser.__version__}"], **self._options
         )
@@ -63,8 +67,8 @@ class Looker:
         self._say(_messages.GuiUpdateMessage(uuid, {"value": value}))
 
     def driver(self):
-        """Return a socket to drive by."""
-        return connect(self._address + "/drive", **self._options)
+        """Return a pad to drive by."""
+        return Driver(connect(self._address + "/drive", **self._options))
 
     def positions(self, name):
         """Return where the copies in a node are, (n, 3); empty where there is no such node."""
@@ -103,6 +107,34 @@ class Looker:
             self.controls[message["uuid"]] = dict(message["props"])
         elif name is not None and "props" in message:
             self.nodes[name] = dict(message["props"])
+
+
+class Driver:
+    """A pad as the page has it: its words bear the newest time that the server has told.
+
+    `told` is what that has said last.
+    """
+
+    def __init__(self, socket):
+        self.socket = socket
+        self.told = json.loads(socket.recv())
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.socket.close()
+
+    def listen(self):
+        """Take up what the server has said, and return the newest."""
+        with contextlib.suppress(TimeoutError):
+            while True:
+                self.told = json.loads(self.socket.recv(timeout=0.0))
+        return self.told
+
+    def send(self, shares):
+        """Say what is held down, forward and to the left."""
+        self.socket.send(f"{self.listen()['time']} {shares}")
 
 
 def read_messages(data):

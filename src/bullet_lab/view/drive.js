@@ -1,28 +1,60 @@
 // A pad and the arrow keys, which drive: what is held down is said ten times a second on a socket
-// of its own, as shares of the full speed forward and to the left. Silence stops the robot.
+// of its own, as shares of the full speed forward and to the left, behind the newest time that the
+// server has told: it stops the robot when that is too old.
 (() => {
   const PERIOD_MS = 100;
   const RETRY_MS = 1000;
   const RADIUS = 55;
   const KEYS = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1] };
-  const address =
-    location.href.replace(/^http/, "ws").split(/[?#]/)[0].replace(/\/$/, "") + "/drive";
+  const HINTS = {
+    free: "Drag, or hold the arrow keys, to drive",
+    other: "Another page drives. Click here to take over",
+    late: "The link is too slow to drive",
+  };
+  const { nonce, dataset } = document.currentScript;
   const held = new Set();
   let pulled = [0, 0];
   let said = "0 0";
   let socket = null;
+  let told = { time: 0, other: false, late: false };
+
+  // Each tab has a name of its own, in the address that viser's socket and ours are opened at.
+  const [token] = location.pathname.split("/").filter(Boolean);
+  history.replaceState(null, "", `/${token}/${dataset.tab}/`);
+  const address = location.href.replace(/^http/, "ws").split(/[?#]/)[0] + "drive";
+
+  // viser unpacks its one script, and makes styles, without the nonce that they need.
+  const create = document.createElement;
+  let scripts = 1;
+  document.createElement = function (name, options) {
+    const element = create.call(this, name, options);
+    const kind = element.localName;
+    if (kind === "style" || (kind === "script" && scripts-- > 0)) element.nonce = nonce;
+    return element;
+  };
 
   const pad = document.createElement("div");
   const knob = document.createElement("div");
   pad.id = "drive-pad";
-  pad.title = "Drag, or hold the arrow keys, to drive";
+  const hint = document.createElement("div");
   pad.style.cssText =
     "position:fixed;left:16px;bottom:16px;width:130px;height:130px;z-index:5;" +
     "border-radius:50%;background:rgba(60,70,80,.28);touch-action:none;cursor:grab;";
   knob.style.cssText =
     "position:absolute;left:40px;top:40px;width:50px;height:50px;border-radius:50%;" +
     "background:rgba(0,114,178,.85);pointer-events:none;";
-  pad.append(knob);
+  hint.style.cssText =
+    "position:absolute;left:140px;bottom:8px;width:180px;font:13px sans-serif;" +
+    "pointer-events:none;";
+  pad.append(knob, hint);
+
+  const show = () => {
+    const state = told.other ? "other" : told.late ? "late" : "free";
+    pad.title = HINTS[state];
+    pad.dataset.state = state;
+    hint.textContent = state === "free" ? "" : HINTS[state];
+    knob.style.opacity = state === "other" ? 0.3 : 1;
+  };
 
   const wanted = () => {
     let [forward, left] = pulled;
@@ -39,7 +71,7 @@
     knob.style.transform = `translate(${-left * RADIUS}px, ${-forward * RADIUS}px)`;
     if (socket === null || socket.readyState !== WebSocket.OPEN) return;
     if (words === said && words === "0 0") return;
-    socket.send(words);
+    socket.send(`${told.time} ${words}`);
     said = words;
   };
 
@@ -59,6 +91,10 @@
   };
 
   pad.addEventListener("pointerdown", (event) => {
+    if (told.other) {
+      socket.send("take over");
+      return;
+    }
     pad.setPointerCapture(event.pointerId);
     pull(event);
   });
@@ -102,6 +138,10 @@
     socket.addEventListener("open", () => {
       said = "0 0";
       pad.style.opacity = 1;
+    });
+    socket.addEventListener("message", (event) => {
+      told = JSON.parse(event.data);
+      show();
     });
     socket.addEventListener("close", () => {
       pad.style.opacity = 0.3;

@@ -8,61 +8,48 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import contextvars
 import http
-import math
+import json
+import secrets
+import time
 from pathlib import Path
-from typing import Any, Callable, Iterator, Optional, Tuple
+from typing import Any, Callable, Iterator, Optional
 
 from bullet_lab.errors import LabError
 from bullet_lab.view.gate import Gate
+from bullet_lab.view.pad import PERIOD, Pad, Wheel
+from bullet_lab.view.soundness import is_sound
 
 HOST = "127.0.0.1"
-DRIVE = "/drive"
-# Wall seconds without a word from the page after which it no longer drives.
-SILENCE = 0.5
-STILL = (0.0, 0.0)
+DRIVE = "drive"
 TITLE = "bullet_lab"
-# Nothing is loaded from, or sent to, anywhere else.
+# Scripts and styles count only with the nonce of the page; nothing comes from, or goes to, anywhere
+# else. viser unpacks itself in WebAssembly, and has workers.
+POLICY = (
+    "default-src 'none'; script-src 'nonce-{nonce}' 'wasm-unsafe-eval'; style-src 'nonce-{nonce}'; "
+    "img-src 'self' data: blob:; font-src data:; worker-src blob:; connect-src 'self' data: blob:; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
 HEADERS = {
-    "Content-Security-Policy": "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; "
-    "connect-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
-
-# Shares of the full speed, within [-1, 1]: forward, and turning left.
-Shares = Tuple[float, float]
+# Which page the code at hand is about, in the tasks that serve it.
+_PAGE: contextvars.ContextVar[str] = contextvars.ContextVar("page", default="")
 
 
 class ViewError(LabError):
     """There is no page to be had."""
 
 
-def read_shares(word: Any) -> Shares:
-    """Return what a word of the page asks for; nothing, if it makes no sense.
-
-    >>> read_shares("0.5 -3")
-    (0.5, -1.0)
-    >>> read_shares("faster")
-    (0.0, 0.0)
-    """
-    try:
-        forward, left = map(float, word.split())
-    except (ValueError, TypeError, AttributeError):
-        return STILL
-    if not (math.isfinite(forward) and math.isfinite(left)):
-        return STILL
-    return max(-1.0, min(1.0, forward)), max(-1.0, min(1.0, left))
-
-
 class Page:
-    """A page for whoever has its URL.
+    """A page for whoever has its URL; each browser tab has a name of its own.
 
     Args:
         port: to listen on; the next that is free, if it is not.
-        drive: called, from the page's own thread, when somebody drives, and with STILL once when
-            he no longer does: has let go, is silent, or is gone.
+        wheel: which tab drives.
 
     Attributes:
         server: viser's, to make a scene and controls with.
@@ -71,9 +58,9 @@ class Page:
         ViewError: viser is not there, or not one that lets itself be guarded.
     """
 
-    def __init__(self, port: int, drive: Callable[[Shares], None]):
+    def __init__(self, port: int, wheel: Wheel):
         self._gate = Gate()
-        self._drive = drive
+        self._wheel = wheel
         self._serve_page: Optional[Callable] = None
         viser = _import_viser()
         with self._guarding(viser):
@@ -88,6 +75,14 @@ class Page:
     def url(self) -> str:
         """Where the page is, with the token."""
         return f"http://{HOST}:{self.server.get_port()}/{self._gate.token}/"
+
+    def on_connect(self, handle: Callable[[str, Any], None]) -> None:
+        """Call `handle` with the name of each tab that opens, and viser's client for it."""
+
+        async def connected(client: Any) -> None:
+            handle(_PAGE.get(), client)
+
+        self.server.on_client_connect(connected)
 
     def close(self) -> None:
         """Close the page."""
@@ -116,44 +111,81 @@ class Page:
         path = self._gate.path(request.path, request.headers)
         if path is None:
             return _response(http.HTTPStatus.FORBIDDEN)
-        request.path = path
-        if request.headers.get("Upgrade") is not None:
-            known = path in ("", "/", DRIVE)
-            return None if known else _response(http.HTTPStatus.NOT_FOUND)
-        if path not in ("", "/"):
+        parts = path.strip("/").split("/")
+        is_socket = request.headers.get("Upgrade") is not None
+        # /, /tab and, for sockets, /tab/drive: the page tells the server its tab's name.
+        if parts[1:] not in ([], [DRIVE]) or (parts[1:] and not is_socket):
             return _response(http.HTTPStatus.NOT_FOUND)
+        request.path = "/" + "/".join(parts)
+        if is_socket:
+            return None
+        request.path = "/"
         # As it is, to put something into it.
-        del request.headers["Accept-Encoding"]
+        if "Accept-Encoding" in request.headers:
+            del request.headers["Accept-Encoding"]
         answer = self._serve_page(connection, request)
-        return _response(http.HTTPStatus.OK, _with_drive(answer.body), "text/html; charset=utf-8")
+        nonce = secrets.token_urlsafe(16)
+        headers = {
+            "Content-Type": "text/html; charset=utf-8",
+            "Content-Security-Policy": POLICY.format(nonce=nonce),
+        }
+        return _response(http.HTTPStatus.OK, _with_pad(answer.body, nonce), headers)
 
     def _handler(self, viser: Callable) -> Callable:
         async def handle(connection: Any) -> None:
-            other = connection.request.path == DRIVE
-            await (self._listen(connection) if other else viser(connection))
+            tab, _, rest = connection.request.path.strip("/").partition("/")
+            _PAGE.set(tab)
+            try:
+                await (self._listen(connection, tab) if rest else viser(_Checked(connection)))
+            finally:
+                self._wheel.leave(tab)
 
         return handle
 
-    async def _listen(self, connection: Any) -> None:
-        """Drive as the page says, for as long as it does."""
+    async def _listen(self, connection: Any, tab: str) -> None:
+        """Drive as the pad of a tab says, for as long as it does."""
         from websockets.exceptions import ConnectionClosed
 
-        moving = False
+        pad = Pad(tab, self._wheel)
+        telling = asyncio.ensure_future(_tell(connection, pad))
         try:
             while True:
                 try:
-                    word = await asyncio.wait_for(connection.recv(), SILENCE if moving else None)
-                    shares = read_shares(word)
+                    word = await asyncio.wait_for(connection.recv(), pad.patience(time.monotonic()))
                 except asyncio.TimeoutError:
-                    shares = STILL
-                if moving or shares != STILL:
-                    self._drive(shares)
-                moving = shares != STILL
+                    pad.stop()
+                else:
+                    pad.take(word, time.monotonic())
         except ConnectionClosed:
             pass
         finally:
-            if moving:
-                self._drive(STILL)
+            telling.cancel()
+
+
+async def _tell(connection: Any, pad: Pad) -> None:
+    """Tell a pad the time that its words have to bear, and who drives."""
+    from websockets.exceptions import ConnectionClosed
+
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            await connection.send(json.dumps(pad.state(time.monotonic())))
+            await asyncio.sleep(PERIOD)
+
+
+class _Checked:
+    """A connection of viser's from which only sound messages come."""
+
+    def __init__(self, connection: Any):
+        self._connection = connection
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._connection, name)
+
+    async def recv(self) -> bytes:
+        while True:
+            data = await self._connection.recv()
+            if is_sound(data):
+                return data
 
 
 def _import_viser() -> Callable[..., Any]:
@@ -174,16 +206,18 @@ def _import_viser() -> Callable[..., Any]:
     return Local
 
 
-def _with_drive(page: bytes) -> bytes:
+def _with_pad(page: bytes, nonce: str) -> bytes:
+    """Return the page with its pad, its tab's name, and the nonce on each script of it."""
     script = (Path(__file__).parent / "drive.js").read_bytes()
-    page = page.replace(b"<title>Viser</title>", f"<title>{TITLE}</title>".encode(), 1)
-    return page.replace(b"</title>", b"</title>\n<script>" + script + b"</script>", 1)
+    title = f"<title>{TITLE}</title>\n<script data-tab='{secrets.token_urlsafe(9)}'>".encode()
+    page = page.replace(b"<title>Viser</title>", title + script + b"</script>", 1)
+    return page.replace(b"<script", f"<script nonce='{nonce}'".encode())
 
 
-def _response(status: http.HTTPStatus, body: bytes = b"", kind: str = "text/plain") -> Any:
+def _response(status: http.HTTPStatus, body: bytes = b"", more: Any = ()) -> Any:
     from websockets.datastructures import Headers
     from websockets.http11 import Response
 
-    headers = Headers(HEADERS, Connection="close")
-    headers["Content-Type"], headers["Content-Length"] = kind, str(len(body))
+    headers = Headers({"Content-Type": "text/plain", **HEADERS, **dict(more)}, Connection="close")
+    headers["Content-Length"] = str(len(body))
     return Response(status.value, status.phrase, headers, body)

@@ -36,10 +36,12 @@ from bullet_lab.ros.node.node import (
     Refusals,
     search_parameter,
 )
-from bullet_lab.ros.node.publishers import BatchPublisher
+from bullet_lab.ros.node.publishers import COMMAND_TIMEOUT, BatchPublisher
 from bullet_lab.simulation.plugins import Input, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.controllers.controller import Controller
+from bullet_lab.simulation.plugins.mobile_base import STANDSTILL
 from bullet_lab.simulation.plugins.plugin import NAMESPACE
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
 from bullet_lab.simulation.world.description import Model
 
@@ -79,6 +81,7 @@ class DeviceTopics:
         self._instances: Dict[str, ModelInstance] = {}
         self._inputs: Dict[str, List[Input]] = {}
         self._subscribers: Dict[str, rospy.Subscriber] = {}
+        self._timeouts: Dict[Arrival, threading.Timer] = {}
         self.commands = CommandCounter(_Routes(self._subscribers).find)
 
     def publisher(self, topic: str, kind: type) -> BatchPublisher:
@@ -185,11 +188,43 @@ class DeviceTopics:
         inputs = self._inputs[topic] = [entry]
         converter = INPUT_CONVERTERS[entry.kind]
 
-        def receive(message: Any) -> None:
-            command = converter.convert(message)
+        def obey(command: Any) -> None:
             self._stepper.do_now(lambda: self._command(topic, inputs, command))
 
+        def receive(message: Any) -> None:
+            command, header = converter.convert(message), message._connection_header
+            arrival = Arrival(topic, header["callerid"])
+            # Out of the way before it could stop what this command starts.
+            self._end_timeout(arrival)
+            obey(command)
+            if COMMAND_TIMEOUT in header and entry.kind is PlanarCommand and command != STANDSTILL:
+                self._begin_timeout(arrival, header, lambda: obey(STANDSTILL))
+
         self.subscribe(topic, converter.message_kind, receive)
+
+    def _begin_timeout(self, arrival: Arrival, header: Any, stop: Callable[[], None]) -> None:
+        """Stop a robot whose driver promises further commands, and sends none in time."""
+
+        def end() -> None:
+            with contextlib.suppress(StepperError):
+                stop()
+            rospy.logwarn(
+                "%s: no command from %s for %s s: stopped",
+                arrival.topic,
+                arrival.sender,
+                header[COMMAND_TIMEOUT],
+            )
+
+        with contextlib.suppress(ValueError, OverflowError):
+            timeout = threading.Timer(float(header[COMMAND_TIMEOUT]), end)
+            timeout.daemon = True
+            self._timeouts[arrival] = timeout
+            timeout.start()
+
+    def _end_timeout(self, arrival: Arrival) -> None:
+        timeout = self._timeouts.pop(arrival, None)
+        if timeout is not None:
+            timeout.cancel()
 
     def _command(self, topic: str, inputs: Sequence[Input], command: Any) -> None:
         for entry in inputs:

@@ -26,6 +26,9 @@ LISTENERS_CHECK_SECONDS = 0.5
 # Messages of a queue, and wall seconds that one may take which is due, in lock step.
 MOST_WAITING, LATEST = 1000, 10.0
 SHUTDOWN_CHECK_SECONDS = 0.2
+# In the header of a publisher's connection: wall seconds after which the bridge takes a command of
+# its to be over.
+COMMAND_TIMEOUT = "command_timeout"
 _MILLISECOND = 1_000_000
 
 T = TypeVar("T")

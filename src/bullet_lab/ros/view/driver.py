@@ -3,49 +3,53 @@
 from __future__ import annotations
 
 import threading
-from typing import Collection, Dict, Tuple
+from typing import Collection, Dict, Optional, Tuple
 
 from geometry_msgs.msg import PoseStamped, Twist
 from move_base_msgs.msg import MoveBaseActionGoal
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.poses import pose_message
-from bullet_lab.ros.node.publishers import Publisher
-from bullet_lab.ros.view.panel import Panel
-from bullet_lab.view.page import STILL, Shares
+from bullet_lab.ros.node.publishers import COMMAND_TIMEOUT, Publisher
+from bullet_lab.ros.view.panel import TabControls
+from bullet_lab.view.pad import HOLD, STILL, Shares
 
+# The bridge stops what a command of ours drives unless the next one comes within this time.
+HEADERS = {Twist: {COMMAND_TIMEOUT: str(HOLD)}}
 SIMPLE_GOAL, ACTION_GOAL = "move_base_simple/goal", "move_base/goal"
 
 
 class Driver:
-    """Publishes commands and goals, each on a topic that somebody on the page has chosen."""
+    """Publishes commands and goals, each on the topic that is chosen on the tab that drives."""
 
-    def __init__(self, panel: Panel):
-        self._panel = panel
+    def __init__(self) -> None:
         self._publishers: Dict[Tuple[str, type], Publisher] = {}
         self._driven = ""
         self._lock = threading.Lock()
 
-    def drive(self, shares: Shares) -> None:
-        """Drive with shares of the full speeds, on the topic that is chosen; from any thread."""
+    def drive(self, controls: Optional[TabControls], shares: Shares) -> None:
+        """Drive with shares of a tab's full speeds, on its topic; from any thread.
+
+        Without controls, as the tab is closed, what was driven is stopped.
+        """
         with self._lock:
-            topic = self._panel.drive_topic
+            topic = "" if controls is None or shares == STILL else controls.drive_topic
             if self._driven and self._driven != topic:
-                self._send(self._driven, STILL)
-            self._driven = topic if shares != STILL else ""
+                self._publisher(self._driven, Twist).publish(Twist())
+            self._driven = topic
             if topic:
-                self._send(topic, shares)
+                twist = Twist()
+                twist.linear.x = shares[0] * controls.full_speed
+                twist.angular.z = shares[1] * controls.full_turn_rate
+                self._publisher(topic, Twist).publish(twist)
 
     def stop(self) -> None:
         """Have the robot stand still that is driven, if one is."""
-        with self._lock:
-            if self._driven:
-                self._send(self._driven, STILL)
-                self._driven = ""
+        self.drive(None, STILL)
 
-    def send_goal(self, heard: Collection[str], frame: str, pose: Pose) -> str:
-        """Send a goal to who listens beside the robot that is chosen; return what became of it."""
-        namespace = self._panel.drive_topic.rpartition("/")[0]
+    def send_goal(self, drive_topic: str, heard: Collection[str], frame: str, pose: Pose) -> str:
+        """Send a goal to who listens beside a robot's drive; return what became of it."""
+        namespace = drive_topic.rpartition("/")[0]
         goal = PoseStamped(pose=pose_message(pose))
         goal.header.frame_id = frame
         action = MoveBaseActionGoal(header=goal.header)
@@ -58,16 +62,11 @@ class Driver:
                 return f"goal: ({x:.2f}, {y:.2f}) m"
         return f"nobody listens to {namespace}/{SIMPLE_GOAL}"
 
-    def _send(self, topic: str, shares: Shares) -> None:
-        forward, left = shares
-        twist = Twist()
-        twist.linear.x = forward * self._panel.full_speed
-        twist.angular.z = left * self._panel.full_turn_rate
-        self._publisher(topic, Twist).publish(twist)
-
     def _publisher(self, topic: str, kind: type) -> Publisher:
         key = (topic, kind)
         if key not in self._publishers:
             # Latched: who listens is connected a moment later.
-            self._publishers[key] = Publisher(topic, kind, queue_size=10, latch=kind is not Twist)
+            self._publishers[key] = Publisher(
+                topic, kind, queue_size=10, latch=kind is not Twist, headers=HEADERS.get(kind)
+            )
         return self._publishers[key]

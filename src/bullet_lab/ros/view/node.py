@@ -18,7 +18,7 @@ import logging
 import threading
 import time
 from dataclasses import dataclass
-from typing import Any, Optional
+from typing import Any, Dict, List, Optional
 
 import rospy
 
@@ -26,8 +26,9 @@ from bullet_lab.core import parameters
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.node.node import ignore_clock, private_parameters, run_node
 from bullet_lab.ros.view.driver import Driver
-from bullet_lab.ros.view.panel import Panel
+from bullet_lab.ros.view.panel import Panel, TabControls
 from bullet_lab.ros.view.show import OFF_AT_FIRST, SWITCHES, Show
+from bullet_lab.view.pad import Wheel
 from bullet_lab.view.page import Page
 from bullet_lab.view.scene import floor_point
 
@@ -64,10 +65,13 @@ class View:
 
     def __init__(self, given: ViewParameters):
         self._given = given
-        self._page = Page(given.port, lambda shares: self._driver.drive(shares))
+        self._driver = Driver()
+        # By the number of viser's client, in their order.
+        self._tabs: Dict[int, TabControls] = {}
+        self._wheel = Wheel(lambda tab, shares: self._driver.drive(self._controls(tab), shares))
+        self._page = Page(given.port, self._wheel)
         server = self._page.server
-        self._panel = Panel(server.gui, SWITCHES, given.speed, given.turn_rate, OFF_AT_FIRST)
-        self._driver = Driver(self._panel)
+        self._panel = Panel(server.gui, SWITCHES, OFF_AT_FIRST)
         self._show: Optional[Show] = None
         self._somebody = threading.Event()
         self._holds = given.unpause
@@ -79,8 +83,10 @@ class View:
         server.scene.world_axes.visible = False
         server.scene.add_grid("/grid", GRID_SIZE, GRID_SIZE, cell_size=1.0, section_size=5.0)
         server.scene.on_click()(self._send_goal)
-        server.on_client_connect(lambda _: self._somebody.set())
-        rospy.loginfo("the view is at %s", self._page.url)
+        self._page.on_connect(self._open)
+        server.on_client_disconnect(self._close)
+        # Whoever has the URL can drive: rosout and its log are for all.
+        print(f"the view is at {self._page.url}", flush=True)
         if self._holds:
             rospy.loginfo("simulated time begins when it is opened")
 
@@ -93,9 +99,25 @@ class View:
                 self._show_to_somebody()
         self._page.close()
 
+    def _open(self, tab: str, client: Any) -> None:
+        given = self._given
+        controls = TabControls(client.gui, tab, given.speed, given.turn_rate)
+        self._tabs[client.client_id] = controls
+        self._somebody.set()
+
+    def _close(self, client: Any) -> None:
+        self._tabs.pop(client.client_id, None)
+
+    def _controls(self, tab: str) -> Optional[TabControls]:
+        """Return the controls of a tab; those that it has opened last, if it has come again."""
+        return next((one for one in reversed(self._open_tabs()) if one.tab == tab), None)
+
+    def _open_tabs(self) -> List[TabControls]:
+        return list(self._tabs.values())
+
     def _show_to_somebody(self) -> None:
-        server = self._page.server
-        self._show = Show(server.scene, self._panel, self._given.frame, self._given.image_rate)
+        server, given = self._page.server, self._given
+        self._show = Show(server.scene, self._panel, self._open_tabs, given.frame, given.image_rate)
         due = gone = time.monotonic()
         go_on, looks_for = due + FIRST_SIGHT_SECONDS, due + LOOK_FOR_SECONDS
         while not rospy.is_shutdown():
@@ -117,7 +139,8 @@ class View:
 
     def _look_at_robot(self, until: float) -> float:
         """Turn all eyes to the robot; return until when it is to be looked for, wall seconds."""
-        place = self._show.place()
+        places = (self._show.place(tab.drive_topic) for tab in self._open_tabs())
+        place = next((place for place in places if place is not None), None)
         if place is None:
             return until
         x, y, _ = place.position
@@ -131,9 +154,15 @@ class View:
         show, point = self._show, floor_point(event.ray_origin, event.ray_direction)
         if show is None or point is None:
             return
-        heading = show.heading_to(point)
-        pose = Pose.from_rpy((*point, 0.0), (0.0, 0.0, heading))
-        self._panel.say(self._driver.send_goal(show.graph.heard, show.stage.fixed, pose))
+        controls = self._tabs.get(event.client_id)
+        if controls is None:
+            return
+        if not self._wheel.claim(controls.tab):
+            controls.say("another page drives: take over by a click on the pad first")
+            return
+        topic = controls.drive_topic
+        pose = Pose.from_rpy((*point, 0.0), (0.0, 0.0, show.heading_to(topic, point)))
+        controls.say(self._driver.send_goal(topic, show.graph.heard, show.stage.fixed, pose))
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from typing import Any, Dict, FrozenSet, List, Optional, Set, Tuple
+from typing import Any, Callable, Collection, Dict, FrozenSet, List, Optional, Set, Tuple
 
 import rosgraph
 import rospy
@@ -34,7 +34,7 @@ from bullet_lab.ros.view.markers import (
     contacts_display,
     single_marker_display,
 )
-from bullet_lab.ros.view.panel import Panel
+from bullet_lab.ros.view.panel import Panel, TabControls
 from bullet_lab.ros.view.points import PointsDisplay
 from bullet_lab.ros.view.robots import Robots
 from bullet_lab.view.scene import Copies, Labels
@@ -71,9 +71,8 @@ OFF_AT_FIRST = (NAMES, POINTS)
 IMAGE, TWIST = "sensor_msgs/Image", "geometry_msgs/Twist"
 # Of several images, the ones with what was found in them come first.
 BEST_IMAGES = ("aruco/image_annotated", "/image_annotated", "rgb/image_raw", "/image_raw")
-# Wall seconds between two looks at which topics there are; more, where a look takes long: so many
-# times as long.
-LOOK_SECONDS, LOOK_TIMES = 1.0, 50.0
+# Wall seconds between two looks at which topics there are.
+LOOK_SECONDS = 1.0
 # Of every so many ticks, one for what need not be smooth.
 SLOW = 3
 
@@ -181,6 +180,7 @@ class Show:
     Args:
         scene: viser's.
         panel: to tell and to ask.
+        tabs: returns the controls of each tab that is open.
         frame: that all is seen in; to be found out, if empty.
         image_rate: images of the camera per second.
 
@@ -189,8 +189,15 @@ class Show:
         graph: the topics that there are.
     """
 
-    def __init__(self, scene: Any, panel: Panel, frame: str, image_rate: float):
-        self._panel, self._frame = panel, frame
+    def __init__(
+        self,
+        scene: Any,
+        panel: Panel,
+        tabs: Callable[[], Collection[TabControls]],
+        frame: str,
+        image_rate: float,
+    ):
+        self._panel, self._tabs, self._frame = panel, tabs, frame
         self.stage = Stage(scene, fixed=frame or "world")
         self.graph = NOTHING
         self._clock = Clock()
@@ -198,7 +205,8 @@ class Show:
         self._world: Optional[WorldDisplay] = None
         self._robots: Optional[Robots] = None
         self._displays = [Displays(kind, self.stage) for kind in KINDS]
-        self._camera = CameraDisplay(panel.show_image, image_rate)
+        self._image_rate = image_rate
+        self._cameras: Dict[TabControls, CameraDisplay] = {}
         self._ticks = 0
         self._next_look = -math.inf
 
@@ -209,8 +217,7 @@ class Show:
         now = time.monotonic()
         if now >= self._next_look:
             self._look()
-            took = time.monotonic() - now
-            self._next_look = now + max(LOOK_SECONDS, LOOK_TIMES * took)
+            self._next_look = time.monotonic() + LOOK_SECONDS
         for part in (self._robots, self._world):
             if part is not None:
                 part.tick()
@@ -220,27 +227,28 @@ class Show:
                 if self._ticks // SLOW % displays.kind.every == 0:
                     displays.tick()
             self._frames.show(self._panel.is_on(FRAMES), self._panel.is_on(NAMES))
-        self._camera.follow(self._panel.image_topic)
-        self._camera.tick()
+        for tab, camera in list(self._cameras.items()):
+            camera.follow(tab.image_topic)
+            camera.tick()
 
     def close(self) -> None:
         """Listen to nothing, and show nothing."""
         for displays in self._displays:
             displays.close()
-        for part in (self._world, self._frames, self._clock, self._camera):
+        for part in (self._world, self._frames, self._clock, *self._cameras.values()):
             if part is not None:
                 part.close()
         if self._robots is not None:
             self._robots.clear()
 
-    def heading_to(self, point: Tuple[float, float]) -> float:
-        """Return the direction, rad, that a point of the floor is in from the robot chosen."""
-        x, y, _ = (self.place() or Pose()).position
+    def heading_to(self, drive_topic: str, point: Tuple[float, float]) -> float:
+        """Return the direction, rad, that a point of the floor is in from a robot."""
+        x, y, _ = (self.place(drive_topic) or Pose()).position
         return math.atan2(point[1] - y, point[0] - x)
 
-    def place(self) -> Optional[Pose]:
-        """Return where the robot chosen is; None while it is not shown."""
-        namespace = self._panel.drive_topic.rpartition("/")[0].strip("/")
+    def place(self, drive_topic: str) -> Optional[Pose]:
+        """Return where the robot is that is driven on a topic; None while it is not shown."""
+        namespace = drive_topic.rpartition("/")[0].strip("/")
         return None if self._robots is None else self._robots.place_of(namespace)
 
     def _look(self) -> None:
@@ -252,12 +260,22 @@ class Show:
         for displays in self._displays:
             on = self._panel.is_on(displays.kind.name)
             displays.follow(self.graph.published if on else {})
-        images = [t for t, kind in self.graph.published.items() if kind == IMAGE]
-        self._panel.offer_images(sorted(images), closest(sorted(images), BEST_IMAGES))
-        driven = sorted(t for t, kind in self.graph.heard.items() if kind == TWIST)
-        self._panel.offer_robots(driven, closest(driven, ("/cmd_vel",)))
+        self._follow_tabs()
         self._panel.offer_noise(self.graph.services)
         self._panel.tell_time(self._clock.seconds, self._clock.speed, self._notes())
+
+    def _follow_tabs(self) -> None:
+        """Offer each tab what there is, and give it a camera."""
+        images = sorted(t for t, kind in self.graph.published.items() if kind == IMAGE)
+        driven = sorted(t for t, kind in self.graph.heard.items() if kind == TWIST)
+        tabs = self._tabs()
+        for tab in tabs:
+            tab.offer_images(images, closest(images, BEST_IMAGES))
+            tab.offer_robots(driven, closest(driven, ("/cmd_vel",)))
+            if tab not in self._cameras:
+                self._cameras[tab] = CameraDisplay(tab.show_image, self._image_rate)
+        for gone in [tab for tab in self._cameras if tab not in tabs]:
+            self._cameras.pop(gone).close()
 
     def _notes(self) -> List[str]:
         guessed = sorted(self.stage.guessed)

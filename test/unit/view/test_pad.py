@@ -1,0 +1,82 @@
+"""How long a word of the pad counts, and which tab drives; on a clock of the test's own."""
+
+import math
+
+import pytest
+
+from bullet_lab.view.pad import HOLD, PERIOD, STILL, TAKE_OVER, Pad, Wheel, read_word
+
+
+@pytest.fixture
+def driven():
+    return []
+
+
+@pytest.fixture
+def wheel(driven):
+    return Wheel(lambda tab, shares: driven.append((tab, shares)))
+
+
+@pytest.mark.parametrize(
+    "word", ["1 nan 0", "inf 1 0", "1 1e999 0", "1 0", "1 0 0 0", "", b"1 1 0", None, "1 " * 10**6]
+)
+def test_a_word_that_makes_no_sense_is_old_and_still(word):
+    assert read_word(word) == (-math.inf, STILL)
+
+
+def test_a_word_counts_from_the_time_that_it_bears(wheel, driven):
+    pad = Pad("a", wheel)
+    pad.take("10 1 0", 10.3)
+    assert driven == [("a", (1.0, 0.0))]
+    assert pad.patience(10.3) == pytest.approx(HOLD - 0.3)
+    pad.stop()
+    assert driven[-1] == ("a", STILL)
+    assert pad.patience(10.4) is None
+
+
+@pytest.mark.parametrize("age", [HOLD, 2.0, 6.0, -1.0])
+def test_a_late_word_is_a_stop(wheel, driven, age):
+    pad = Pad("a", wheel)
+    pad.take(f"{10.0 - age} 1 0", 10.0)
+    assert not driven
+    assert pad.state(10.0)["late"]
+    pad.take("10 1 0", 10.0)
+    pad.take(f"{10.0 - age} 1 0", 10.1)
+    assert driven == [("a", (1.0, 0.0)), ("a", STILL)]
+
+
+def test_a_burst_of_old_words_drives_nothing(wheel, driven):
+    pad = Pad("a", wheel)
+    for number in range(60):
+        pad.take(f"{10.0 + number * PERIOD} 1 0", 17.0)
+    assert not driven
+
+
+def test_one_tab_drives_and_another_takes_over_by_asking(wheel, driven):
+    first, second = Pad("a", wheel), Pad("b", wheel)
+    first.take("10 1 0", 10.0)
+    second.take("10 -1 0", 10.0)
+    assert driven == [("a", (1.0, 0.0))]
+    assert second.state(10.0)["other"]
+    assert not first.state(10.0)["other"]
+    second.take(TAKE_OVER, 10.0)
+    assert driven[1:] == [("a", STILL)]
+    first.take("10 1 0", 10.0)
+    second.take("10 -1 0", 10.0)
+    assert driven[2:] == [("b", (-1.0, 0.0))]
+
+
+def test_who_leaves_is_stopped_and_others_may_drive(wheel, driven):
+    Pad("a", wheel).take("10 1 0", 10.0)
+    wheel.leave("b")
+    assert driven == [("a", (1.0, 0.0))]
+    wheel.leave("a")
+    assert driven[-1] == ("a", STILL)
+    assert wheel.claim("b")
+
+
+def test_who_stands_still_is_told_so_once(wheel, driven):
+    pad = Pad("a", wheel)
+    for word in ("10 0 0", "10 1 0", "10 0 0", "10 0 0"):
+        pad.take(word, 10.0)
+    assert driven == [("a", (1.0, 0.0)), ("a", STILL)]
