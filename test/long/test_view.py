@@ -16,9 +16,11 @@ from actionlib_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry
 from playwright.sync_api import Error, sync_playwright
+from sensor_msgs.msg import LaserScan
+from visualization_msgs.msg import Marker, MarkerArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "rostest"))
-from lab_testing import Master, Topic, wait_for  # noqa: E402
+from lab_testing import Master, Node, Topic, wait_for  # noqa: E402
 from view_looker import wait_for_url  # noqa: E402
 
 CENTIMETRE = 0.01
@@ -80,7 +82,8 @@ def opened(browser, url):
     page.on("request", lambda request: asked.append(request.url))
     page.on("console", lambda line: asked.append(line.text) if "Refused" in line.text else None)
     page.goto(url)
-    page.wait_for_function(f"window.__viserSceneTree && '/robots/0' in {NODES}")
+    # Not wait_for_function, which the page's policy forbids.
+    wait_for(lambda: page.evaluate(f"window.__viserSceneTree && '/robots/0' in {NODES}"), "a robot")
     page.evaluate("document.querySelector('.mantine-Notification-closeButton')?.click()")
     yield page
     if not page.is_closed():
@@ -220,6 +223,66 @@ def test_the_job_goal_takes_clicks_and_is_closed_to_strangers(robot, browser, tm
             stranger.goto(url.rsplit("/", 2)[0])
         stranger.close()
 
+
+TAGS = ("script", "img", "iframe", "svg", "style", "a", "b", "object", "embed", "form")
+SPRING = "window.__sprung = true; parent.__sprung = true"
+SHAPES = (
+    f"<{{0}} src=x onerror='{SPRING}' onload='{SPRING}'>{SPRING}</{{0}}>",
+    f"<{{0}} srcdoc=\"<script>{SPRING}</script>\"></{{0}}>",
+    "<{0} style='position:fixed;inset:0' href='http://evil.example' data='//evil.example'>x</{0}>",
+    f"**[{{0}}](javascript:{SPRING})** ![{{0}}](http://evil.example/x.png) http://evil.example",
+    f"&lt;{{0}}&gt;</div><{{0}} autofocus onfocus='{SPRING}'>",
+)
+MARKUP = [shape.format(tag) for shape in SHAPES for tag in TAGS]
+
+
+def test_markup_in_names_is_text(master, browser, tmp_path):
+    assert len(MARKUP) == 50
+    nodes = [
+        Node("pybullet_bridge.py", world="package://bullet_lab/worlds/empty.world"),
+        Node("view.py", port=18090),
+    ]
+    try:
+        url = wait_for_url(lambda: nodes[1].out)
+        scans = rospy.Publisher("/scan", LaserScan, queue_size=100, latch=True)
+        markers = rospy.Publisher("/texts", MarkerArray, queue_size=1, latch=True)
+        texts = [Marker(ns=t, id=n, type=Marker.TEXT_VIEW_FACING) for n, t in enumerate(MARKUP)]
+        for marker in texts:
+            marker.header.frame_id, marker.text = "world", marker.ns
+            marker.color.a = marker.scale.z = 1.0
+        markers.publish(MarkerArray(texts))
+        page = browser.new_page(viewport=SIZE)
+        page.set_default_timeout(PATIENCE_MS)
+        asked, refused = [], []
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("console", lambda line: refused.append(line.text))
+        page.goto(url)
+        there = f"window.__viserSceneTree && Object.keys({NODES}).length > 5"
+        wait_for(lambda: page.evaluate(there), "the scene")
+        inside = page.evaluate(ELEMENTS)
+        for markup in MARKUP:
+            scan = LaserScan(ranges=[1.0, 1.0], range_max=9.0, angle_increment=0.1)
+            scan.header.frame_id = markup
+
+            def shown(markup=markup, scan=scan):
+                scans.publish(scan)
+                time.sleep(0.2)
+                return markup in page.evaluate("document.body.textContent")
+
+            wait_for(shown, lambda markup=markup: markup)
+        keep(page, "markup")
+        assert page.evaluate(ELEMENTS) == inside
+        assert not page.evaluate("Boolean(window.__sprung)")
+        assert not [one for one in asked if not one.startswith((url, "data:", "blob:"))]
+        assert not [one for one in refused if "Content Security Policy" in one]
+        page.close()
+    finally:
+        for node in reversed(nodes):
+            node.end()
+
+
+# How many elements the page has that a name could bring.
+ELEMENTS = "document.querySelectorAll('script, iframe, object, embed, form, a, b, [onerror]').length"
 
 # What becomes of a socket.
 SOCKET = """address => new Promise(resolve => {

@@ -45,6 +45,8 @@ from bullet_lab.simulation.world.urdf import read_urdf_file
 __all__ = ["ModelInstance", "Simulation", "SimulationError", "Snapshot", "Timer", "View"]
 
 LOG = logging.getLogger(__name__)
+# Steps between two looks whether all joints are numbers still.
+LONGEST_MARCH = 20
 
 TfPrefix = Union[str, Callable[[str], str]]
 
@@ -210,7 +212,7 @@ class Simulation:
         self._physics.set_gravity(gravity)
         for instance in self._instances.values():
             for plugin in instance.plugins:
-                plugin.gravity = -gravity[2]
+                plugin.gravity = gravity
 
     def light(self, name: str) -> Light:
         """Return a light; raises SimulationError for an unknown name."""
@@ -263,7 +265,9 @@ class Simulation:
         """Advance to a step; samples are sent as they fall due on the way."""
         timers = self._timers + self._measuring
         while self.step < step:
-            self._march(min([timer.schedule.next_step for timer in timers] + [step]))
+            dates = [timer.schedule.next_step for timer in timers]
+            self._march(min([*dates, step, self.step + LONGEST_MARCH]))
+            self._mend()
             for timer in timers:
                 if timer.schedule.next_step <= self.step:
                     timer.schedule.advance()
@@ -310,13 +314,38 @@ class Simulation:
             acting.append(self._bear)
         acting += [traction.before_step for traction in self._tractions]
         advance = self._physics.step
+        places = [body.com_place for body in self._bodies.values() if body.moves]
         step = self.step
         while step < stop:
             for act in acting:
                 act(step)
             advance()
             step += 1
+            # A step later, what is no number any more ruins all that it touches.
+            for place in places:
+                x = place()[0][0]
+                if x - x != 0.0:
+                    stop = step
         self.step = step
+
+    def _mend(self) -> None:
+        """Put back models with a pose that is no number, which would ruin all others in time.
+
+        It may be the floor's: Bullet hands NaN on to whatever it touches.
+        """
+        lost = {self._owners[i] for i, body in self._bodies.items() if not body.is_finite()}
+        instances = [self._instances[name] for name in sorted(lost)]
+        # What stands still is made anew after that: else Bullet no longer finds what touches it.
+        for instance in sorted(instances, key=lambda one: one.model.static):
+            what = "its pose is no longer finite; reset to its first pose"
+            LOG.warning("model '%s': %s", instance.name, what)
+            if instance.model.static and not instance.plugins:
+                self.remove(instance.name)
+                self.add(instance.model)
+                continue
+            instance.place(instance.model.pose)
+            for plugin in instance.plugins:
+                plugin.reset(self.step)
 
     def _find_tractions(self) -> None:
         tractions = (body.traction for body in self._bodies.values())
@@ -341,7 +370,7 @@ class Simulation:
         self, model: Model, bodies: Mapping[str, Body], tf_prefix: TfPrefix
     ) -> Tuple[Plugin, ...]:
         plugins = []
-        common = (-self.world.gravity[2], self.seed)
+        common = (self.world.gravity, self.seed)
         draws = (self.renderer, self._shape_name)
         for tag in model.plugins:
             space = namespace_of(tag, model.name)

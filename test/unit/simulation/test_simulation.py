@@ -357,3 +357,22 @@ def test_where_wall_time_goes_is_known_by_plugin(world):
     assert spent["plugin 'planar_move' of 'block_robot'"] >= 0.08
     assert spent["clock and states"] >= 0.02
     assert world.take_spent() == {}
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_a_model_that_is_no_longer_finite_is_named_and_reset_and_harms_no_other(number):
+    with Simulation.of(EMPTY_WORLD) as simulation:
+        lost = simulation.add(thing("lost", pose=Pose((0.0, 0.0, 0.5))))
+        on_top = simulation.add(thing("on_top", pose=Pose((0.0, 0.0, 1.51))))
+        far = simulation.add(thing("far", pose=Pose((8.0, 0.0, 0.5))))
+        simulation.run_for(0.5)
+        before = [bodies[0].pose().position for bodies in map(bodies_of, (lost, on_top, far))]
+        bodies_of(lost)[0].set_velocity((number, 0.0, 0.0), (0.0, 0.0, 0.0))
+        with complains("model 'lost': its pose is no longer finite"):
+            simulation.run_for(1.0)
+        after = [bodies[0].pose().position for bodies in map(bodies_of, (lost, on_top, far))]
+    assert np.array(after) == pytest.approx(np.array(before), abs=0.02)
+
+
+def bodies_of(instance):
+    return list(instance.bodies.values())

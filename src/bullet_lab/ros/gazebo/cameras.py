@@ -8,6 +8,7 @@ compressed_image_transport. A picture is compressed only while somebody listens.
 from __future__ import annotations
 
 import contextlib
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -40,6 +41,9 @@ COMPRESSION = (
 LEAST_RATE, GREATEST_RATE = 1.0, 50.0
 # What set_camera_info changes.
 CALIBRATED = ("height", "width", "distortion_model", "D", "K", "R", "P", "binning_x", "binning_y")
+
+# Of the distortion models that OpenCV knows, the largest has 14; characters of a model's name.
+MOST_COEFFICIENTS, LONGEST_NAME = 14, 100
 
 
 class CompressedPictures:
@@ -125,6 +129,9 @@ class SensorServices:
 
     def _calibrate(self, camera: Camera, request: Any) -> SetCameraInfoResponse:
         told = {name: getattr(request.camera_info, name) for name in CALIBRATED}
+        wrong = wrong_calibration(told)
+        if wrong:
+            return SetCameraInfoResponse(False, wrong)
 
         def change() -> None:
             camera.calibration = told
@@ -140,6 +147,18 @@ class SensorServices:
         with contextlib.suppress(StepperError):
             self._world.do(lambda: camera.set_rate(rate, self._world.simulation.step))
         return values
+
+
+def wrong_calibration(told: Dict[str, Any]) -> str:
+    """Return what is wrong with a calibration of set_camera_info; empty where nothing is."""
+    for name in "DKRP":
+        if not all(map(math.isfinite, told[name])):
+            return f"{name} has a number that is not finite"
+    if len(told["D"]) > MOST_COEFFICIENTS:
+        return f"D has {len(told['D'])} coefficients; at most {MOST_COEFFICIENTS} are allowed"
+    if len(told["distortion_model"]) > LONGEST_NAME:
+        return f"distortion_model has more than {LONGEST_NAME} characters"
+    return ""
 
 
 def _rate_of(camera: Camera) -> Setting:

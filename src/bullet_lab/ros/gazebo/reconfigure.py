@@ -5,9 +5,14 @@ Where python3-dynamic-reconfigure is not installed, none are offered.
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from types import SimpleNamespace
 from typing import Any, Callable, Dict, Sequence, Tuple
+
+import rospy
+
+from bullet_lab.errors import LabError
 
 try:
     from dynamic_reconfigure.server import Server
@@ -47,13 +52,15 @@ class Reconfigurable:
     """Offers settings below a namespace; nothing where dynamic_reconfigure is missing.
 
     `change(values)` is called, in the thread of whoever changes something, with all that is asked
-    for, and returns what holds.
+    for, and returns what holds. Where a number is not finite, or `change` raises LabError, all
+    stays as it is.
     """
 
     def __init__(
         self, namespace: str, settings: Sequence[Setting], change: Callable[[Values], Values]
     ):
-        self._change = change
+        self._namespace, self._change = namespace, change
+        self._held: Values = {}
         self._server = Server and _server_of_one_group()(_type_of(settings), self._take, namespace)
 
     def shutdown(self) -> None:
@@ -65,8 +72,25 @@ class Reconfigurable:
 
     def _take(self, values: Values, level: int) -> Values:
         if level != AT_START:
-            values.update(self._change(dict(values)))
+            try:
+                values.update(self._change(_finite(values)))
+            except LabError as error:
+                rospy.logwarn("%s: %s; nothing is changed", self._namespace, error)
+                values.update(self._held)
+        self._held = dict(values)
         return values
+
+
+class SettingError(LabError):
+    """A setting that cannot be."""
+
+
+def _finite(values: Values) -> Values:
+    """Return a copy of settings; raises SettingError for a number that is not finite."""
+    for name, value in values.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            raise SettingError(f"{name} is {value}, which is not finite")
+    return dict(values)
 
 
 def _server_of_one_group() -> Any:

@@ -5,6 +5,7 @@ One `Physics` is one PyBullet client, so several simulations can live in one pro
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -73,6 +74,7 @@ class Body:
         joint_names: of the movable joints; balls, which have no single position, are not named.
         turned_inertia: whether the root's principal axes are turned against its frame.
         floats: whether there are links that gravity does not pull, which `bear` holds up.
+        moves: whether its root can move.
         weight: the share of its mass that gravity pulls.
         settling: in how many steps at most `settle` is still needed, since it was put somewhere.
         traction: the friction of wheels that steer it by slipping, if it has such.
@@ -112,6 +114,7 @@ class Body:
                 self.drive_joint(part.joint.name, 0.0, 0.0)
         self.joint_names = tuple(self._joints)
         self._weigh()
+        self.moves = self.parts[0].mass_properties()[0] > 0.0
 
     def pose(self) -> Pose:
         """Return the pose of the root link's frame in the world."""
@@ -131,6 +134,12 @@ class Body:
         x, y, z = self.com_pose().rotate(self._com_inverse.position)
         linear = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
         return linear, (wx, wy, wz)
+
+    def is_finite(self) -> bool:
+        """Return whether all of its poses are numbers still."""
+        joints = (self.joint_state(name).position for name in self._joints)
+        position, quaternion = self.com_place()
+        return math.isfinite(sum(position) + sum(quaternion) + sum(joints))
 
     def place(self, pose: Pose) -> None:
         """Put the body somewhere, at rest, its joints at zero."""

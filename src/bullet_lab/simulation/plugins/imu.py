@@ -8,7 +8,7 @@ from typing import ClassVar, Deque, Optional, Tuple
 
 import numpy as np
 
-from bullet_lab.core.pose import Pose, Quaternion, Vector
+from bullet_lab.core.pose import Pose, Quaternion, Vector, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
 from bullet_lab.simulation.plugins.plugin import Mount, Output, Plugin, SensorTag, slower_of
@@ -103,14 +103,15 @@ class InertialUnit(Plugin):
     def produce(self, step: int) -> None:
         self._step = step
         linear, angular = self.place.velocity()
-        ax, ay, az = self._accelerometer.advance(step, linear)
+        acceleration = self._accelerometer.advance(step, linear)
         if not self.imu.wanted:
             return
         pose = self.place.pose()
         into = Pose(quaternion=pose.inverse().quaternion)
         rate = np.array(into.rotate(angular))
-        upwards = self.gravity if self.feels_gravity else 0.0
-        force = np.array(into.rotate((ax, ay, az + upwards)))
+        if self.feels_gravity:
+            acceleration = subtract(acceleration, self.gravity)
+        force = np.array(into.rotate(acceleration))
         orientation = (Pose(quaternion=self.reference) * pose).quaternion
         self.imu.send(self._reading(step, orientation, rate, force))
 

@@ -107,7 +107,7 @@ class PlanarMove(MobileBase):
         (_, _, height), quaternion = self._body.com_place()
         # The floor has carried what the step before did not turn into a fall: the body was sent
         # off without vertical velocity, so this is Newton's law, and no contact need be asked.
-        pull = self.gravity * self._body.weight
+        pull = -self.gravity[2] * self._body.weight
         carried = self._mass * (pull + (height - self._height) / STEP_SQUARED)
         self._height = height
         self._load += LOAD_SMOOTHING * (carried - self._load)
@@ -130,7 +130,7 @@ class PlanarMove(MobileBase):
     def placed(self) -> None:
         self._last_pose = self._pose()
         self._height = self._body.com_pose().position[2]
-        self._load = self._mass * self.gravity * self._body.weight
+        self._load = -self._mass * self.gravity[2] * self._body.weight
 
     def _velocity_since(self, step: int, pose: Pose) -> PlanarCommand:
         """Return the mean velocity since the last sample, in the robot's present frame."""

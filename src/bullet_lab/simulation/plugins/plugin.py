@@ -67,7 +67,7 @@ class PluginError(LabError):
 class Mount(TagReader):
     """What a plugin is fixed to: a model, its bodies by root link, and its tag.
 
-    `gravity` is in m/s² and points down, `seed` is the simulation's, `tf_prefix` stands
+    `gravity` is in m/s², in the world; `seed` is the simulation's, `tf_prefix` stands
     before the names of the robot's frames, `renderer` gives what draws its pictures, and
     `name_shape` the full name of the shape at a place on a link (`physics.contacts.shape_name`).
     `namespace` stands before topics.
@@ -76,7 +76,7 @@ class Mount(TagReader):
     model: Model
     bodies: Mapping[str, Body]
     plugin: PluginTag
-    gravity: float
+    gravity: Vector
     seed: int = 0
     tf_prefix: str = ""
     renderer: Optional[Callable[[], Renderer]] = field(default=None, repr=False)
@@ -270,7 +270,7 @@ class Plugin:
         inputs: topics with commands for it.
         outputs: topics with what it measures.
         schedule: when `produce` is due; None for a plugin that measures nothing.
-        gravity: in m/s², down; may be changed from outside.
+        gravity: in m/s², in the world; may be changed from outside.
     """
 
     filenames: ClassVar[Tuple[str, ...]] = ()

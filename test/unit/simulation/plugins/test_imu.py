@@ -1,5 +1,6 @@
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -337,3 +338,17 @@ def test_the_initial_orientation_may_be_the_reference(wanted, yaw):
 def test_refusals(model, message):
     with empty() as simulation, complains(re.escape(message)):
         simulation.add(model())
+
+
+@pytest.mark.parametrize("gravity", [(2.0, 0.0, -9.6), (0.0, -3.0, -9.0), (0.0, 0.0, 5.0)])
+def test_gravity_in_any_direction_is_felt(gravity):
+    opposite = tuple(-part for part in gravity)
+    with held() as simulation:
+        simulation.world = replace(simulation.world, gravity=gravity)
+        made_later = simulation.add(imu_sensor())
+        samples = record(made_later, "imu")
+        simulation.run_for(0.05)
+        assert samples[-1].specific_force == pytest.approx(opposite, abs=1e-9)
+        simulation.set_gravity((0.0, 0.0, -G))
+        simulation.set_gravity(gravity)
+        assert made_later.plugins[0].gravity == gravity

@@ -130,8 +130,8 @@ class DiffDriveController(Controller):
             raise ControlError(f"{len(sides[0])} wheels on the left, {len(sides[1])} on the right")
         self._left, self._right = (setup.joints(names, VELOCITY) for names in sides)
         self.joints = self._left + self._right
-        self._measured, self._factors = self._geometry(given), _multipliers(given)
-        self._apply_multipliers()
+        self._measured = self._geometry(given)
+        self._apply(_multipliers(given))
         self._limits = [SpeedLimiter.of(given.below(path)) for path in ("linear/x", "angular/z")]
         self._timeout = given.number("cmd_vel_timeout", 0.5)
         self._open_loop = given.boolean("open_loop", False)
@@ -179,8 +179,7 @@ class DiffDriveController(Controller):
         self._asked = [command]
 
     def adjust(self, values: Mapping[str, Any], step: int) -> None:
-        self._factors = {name: values[name] for name in self._factors}
-        self._apply_multipliers()
+        self._apply({name: values[name] for name in self._factors})
         self._odometry.adjust(self.separation, *self._ways())
         self._schedule = self.setup.schedule(min(values["publish_rate"], STEPS_PER_SECOND))
         self._schedule.restart(step)
@@ -284,13 +283,15 @@ class DiffDriveController(Controller):
             separation = math.dist(left.origin, right.origin)
         return separation, _wheel_radius(left) if radius is None else radius
 
-    def _apply_multipliers(self) -> None:
-        """Take over separation and radii; raises ControlError where they are not positive."""
+    def _apply(self, factors: Dict[str, float]) -> None:
+        """Take over multipliers; raises ControlError, and changes nothing, for unusable ones."""
         separation, radius = self._measured
-        left, right, apart = self._factors.values()
-        self.separation, self.radii = apart * separation, (left * radius, right * radius)
-        if min(self.separation, *self.radii) <= 0.0:
+        left, right, apart = factors.values()
+        sizes = (apart * separation, left * radius, right * radius)
+        if not all(0.0 < size < math.inf for size in sizes):
             raise ControlError("separation and radius of the wheels have to be positive")
+        self._factors = factors
+        self.separation, self.radii = sizes[0], sizes[1:]
 
 
 def _multipliers(given: ControlParameters) -> Dict[str, float]:
