@@ -1,5 +1,1 @@
 """A mobile-robotics lab that runs without Gazebo: numerics, simulation and ROS nodes."""
-
-from bullet_lab import moved
-
-moved.install()

@@ -282,7 +282,9 @@ def test_markup_in_names_is_text(master, browser, tmp_path):
 
 
 # How many elements the page has that a name could bring.
-ELEMENTS = "document.querySelectorAll('script, iframe, object, embed, form, a, b, [onerror]').length"
+ELEMENTS = (
+    "document.querySelectorAll('script, iframe, object, embed, form, a, b, [onerror]').length"
+)
 
 # What becomes of a socket.
 SOCKET = """address => new Promise(resolve => {

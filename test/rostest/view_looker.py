@@ -5,8 +5,10 @@ Speaks viser's protocol as the page does.
 
 import contextlib
 import json
+import queue
 import re
 import secrets
+import socket
 import threading
 import time
 
@@ -107,6 +109,60 @@ class Looker:
             self.controls[message["uuid"]] = dict(message["props"])
         elif name is not None and "props" in message:
             self.nodes[name] = dict(message["props"])
+
+
+class Link:
+    """A forwarded port that takes its time: `delay` s each way, and nothing passes while `stalled`.
+
+    Args:
+        url: of the page.
+        delay: s, each way.
+
+    Attributes:
+        url: of the page by this link.
+    """
+
+    def __init__(self, url, delay=0.0):
+        self._target = (url.split("/")[2].split(":")[0], int(url.split("/")[2].split(":")[1]))
+        self._delay, self.stalled = delay, threading.Event()
+        self._server = socket.create_server(("127.0.0.1", 0))
+        port = self._server.getsockname()[1]
+        self.url = url.replace(f":{self._target[1]}", f":{port}")
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def close(self):
+        """Take no more connections."""
+        self._server.close()
+
+    def _serve(self):
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._server.accept()
+                far = socket.create_connection(self._target)
+                for ends in ((near, far), (far, near)):
+                    pieces = queue.Queue()
+                    for work in (self._take, self._pass_on):
+                        threading.Thread(target=work, args=(*ends, pieces), daemon=True).start()
+
+    def _take(self, source, _, pieces):
+        with contextlib.suppress(OSError):
+            while True:
+                data = source.recv(65536)
+                pieces.put((time.monotonic() + self._delay, data))
+                if not data:
+                    return
+
+    def _pass_on(self, _, target, pieces):
+        with contextlib.suppress(OSError):
+            while True:
+                due, data = pieces.get()
+                time.sleep(max(0.0, due - time.monotonic()))
+                while self.stalled.is_set():
+                    time.sleep(0.01)
+                if not data:
+                    target.close()
+                    return
+                target.sendall(data)
 
 
 class Driver:

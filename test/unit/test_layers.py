@@ -34,8 +34,8 @@ ROOMS = (
     "ros.launcher",
     "ros.verify",
 )
-# Old names, and what is made by catkin.
-PASSED_OVER = ("moved", "msg", "srv")
+# What is made by catkin.
+PASSED_OVER = ("msg", "srv")
 MOST_FILES = 30
 
 

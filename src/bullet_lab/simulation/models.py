@@ -6,7 +6,6 @@ Clients name models, and links as "model::link".
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
 
@@ -54,12 +53,6 @@ class ModelInstance:
     plugins: Tuple[Plugin, ...]
     moves: int = 0
     _frames: Dict[str, AttachedFrame] = field(default_factory=dict)
-
-    @property
-    def devices(self) -> Tuple[Plugin, ...]:
-        """The plugins, by their name of before 2.0."""
-        warnings.warn("devices is now plugins", DeprecationWarning, stacklevel=2)
-        return self.plugins
 
     @property
     def name(self) -> str:

@@ -30,6 +30,3 @@ __all__ = [
 
 for _module in pkgutil.iter_modules(__path__, f"{__name__}."):
     importlib.import_module(_module.name)
-
-# The names of before 2.0.
-__getattr__ = importlib.import_module(f"{__name__}.plugin").__getattr__

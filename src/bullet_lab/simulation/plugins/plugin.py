@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import logging
 import re
-import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any, Callable, ClassVar, Dict, List, Mapping, Optional, Set, Tuple, Type
 from zlib import crc32
@@ -330,30 +329,3 @@ def namespace_of(tag: PluginTag, model: str) -> str:
 def _kind_of(tag: PluginTag) -> Optional[Type[Plugin]]:
     # Gazebo accepts the name without .so as well.
     return _KINDS.get(tag.filename) or _KINDS.get(f"{tag.filename}.so")
-
-
-def _device(*filenames: str) -> Callable[[Type[Plugin]], Type[Plugin]]:
-    """Register a class for files of plugins, as before there was `Plugin.filenames`."""
-
-    def register(kind: Type[Plugin]) -> Type[Plugin]:
-        _KINDS.update(dict.fromkeys(filenames, kind))
-        return kind
-
-    return register
-
-
-# Names of before 2.0, in plugins that users wrote.
-_OLD_NAMES: Dict[str, Tuple[str, Any]] = {
-    "Device": ("Plugin", Plugin),
-    "DeviceError": ("PluginError", PluginError),
-    "device": ("Plugin.filenames", _device),
-    "make_device": ("make_plugin", make_plugin),
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _OLD_NAMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    new, value = _OLD_NAMES[name]
-    warnings.warn(f"{name} is now {new}", DeprecationWarning, stacklevel=2)
-    return value

@@ -1,5 +1,6 @@
 """Settings as dynamic_reconfigure's generator would describe them."""
 
+import math
 from types import SimpleNamespace
 
 import pytest
@@ -8,8 +9,9 @@ pytest.importorskip("dynamic_reconfigure.encoding")
 
 from dynamic_reconfigure.encoding import decode_description, encode_description
 
+from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo import reconfigure
-from bullet_lab.ros.gazebo.cameras import COMPRESSION
+from bullet_lab.ros.gazebo.cameras import COMPRESSION, wrong_calibration
 from bullet_lab.ros.gazebo.reconfigure import Setting, _type_of
 
 
@@ -43,6 +45,41 @@ def test_what_is_changed_is_asked_for_and_the_start_is_not(monkeypatch):
     assert not asked
     assert made._server.take({"rate": 9.0}, 1) == {"rate": 5.0}
     assert asked == [{"rate": 9.0}]
+
+
+@pytest.mark.parametrize("rate", [math.nan, math.inf, 0.0])
+def test_what_is_refused_changes_nothing(monkeypatch, rate):
+    class Server:
+        def __init__(self, kind, take, namespace):
+            self.config = take(dict(kind.defaults), -1)
+            self.take = take
+
+    def change(values):
+        if not values["rate"] > 0.0:
+            raise LabError("the rate has to be positive")
+        return values
+
+    monkeypatch.setattr(reconfigure, "Server", Server)
+    made = reconfigure.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz", 0.0, 50.0)], change)
+    assert made._server.take({"rate": rate}, 1) == {"rate": 2.0}
+    assert made._server.take({"rate": 9.0}, 1) == {"rate": 9.0}
+    assert made._server.take({"rate": rate}, 1) == {"rate": 9.0}
+
+
+@pytest.mark.parametrize(
+    ("part", "wrong"),
+    [
+        ({}, ""),
+        ({"D": [math.nan]}, "not finite"),
+        ({"P": [math.inf] * 12}, "not finite"),
+        ({"D": [0.0] * 100_000}, "at most 14"),
+        ({"distortion_model": "x" * 10_000}, "characters"),
+    ],
+)
+def test_a_calibration_has_numbers_and_a_usual_size(part, wrong):
+    usual = {"D": [0.1] * 5, "K": [1.0] * 9, "R": [1.0] * 9, "P": [1.0] * 12}
+    said = wrong_calibration({**usual, "distortion_model": "plumb_bob", **part})
+    assert wrong in said and bool(said) == bool(wrong)
 
 
 def test_without_the_package_nothing_is_offered(monkeypatch):

@@ -1,14 +1,10 @@
-import importlib
 
 import pytest
 
-from bullet_lab.simulation import plugins
 from bullet_lab.simulation.plugins import (
     Output,
     Plugin,
-    PluginError,
     known_plugins,
-    make_plugin,
     plugin,
 )
 from bullet_lab.simulation.plugins.samples import RangeSample
@@ -110,34 +106,3 @@ def test_a_subclass_does_not_take_over_the_files_of_its_base(altimeter):
     with Simulation.of(FLOOR) as simulation:
         robot = simulation.add(read_urdf(ROBOT.format("libtest_altimeter.so"), "here"))
         assert type(robot.plugins[0]) is altimeter
-
-
-def test_plugins_of_before_still_work():
-    with pytest.warns(DeprecationWarning, match="device is now Plugin.filenames"):
-        from bullet_lab.simulation.plugins import device
-    with pytest.warns(DeprecationWarning, match="Device is now Plugin"):
-        from bullet_lab.simulation.plugins import Device
-
-    @device("libtest_of_before.so")
-    class Before(Device):
-        pass
-
-    with Simulation.of(FLOOR) as simulation:
-        robot = simulation.add(read_urdf(ROBOT.format("libtest_of_before.so"), "here"))
-        with pytest.warns(DeprecationWarning, match="devices is now plugins"):
-            (device,) = robot.devices
-        assert isinstance(device, Before)
-
-
-def test_the_other_old_names():
-    sys_name = "bullet_lab.simulation.plugins.plugin"
-    module = importlib.import_module(sys_name)
-    with pytest.warns(DeprecationWarning):
-        assert module.DeviceError is PluginError
-    with pytest.warns(DeprecationWarning):
-        assert plugins.make_device is make_plugin
-    with pytest.warns(DeprecationWarning):
-        from bullet_lab.simulation.devices import Device
-    assert Device is Plugin
-    with pytest.raises(AttributeError, match="nothing"):
-        module.nothing  # noqa: B018

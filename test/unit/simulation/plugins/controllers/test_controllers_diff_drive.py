@@ -205,6 +205,17 @@ def test_it_is_adjusted_while_it_drives(world):
     assert rims == pytest.approx((0.075 / 0.03, 0.525 / 0.072))
 
 
+@pytest.mark.parametrize("factor", [math.nan, 0.0, -1.0, math.inf])
+def test_what_cannot_be_adjusted_changes_nothing(world, factor):
+    _, controller, _ = drive(world, wheel_radius_multiplier=1.2)
+    before = controller.separation, controller.radii
+    for name in ("wheel_separation_multiplier", "right_wheel_radius_multiplier"):
+        with pytest.raises(ControlError, match="have to be positive"):
+            controller.adjust(settings(controller, **{name: factor}), world.step)
+        controller.adjust(settings(controller), world.step)
+        assert (controller.separation, controller.radii) == before
+
+
 def test_a_robot_that_is_put_elsewhere_has_not_driven(world):
     robot, controller, odometry = drive(world, cmd_vel_timeout=10.0)
     controller.command(PlanarCommand(vx=0.2))

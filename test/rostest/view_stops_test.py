@@ -1,0 +1,166 @@
+#!/usr/bin/env python3
+"""However the driver of a robot is lost, it stands within 0.6 s of the last key."""
+
+import signal
+import sys
+import time
+import unittest
+
+import rospy
+import rostest
+from geometry_msgs.msg import Twist
+from lab_testing import PACKAGE, Node, Topic, wait_for
+from nav_msgs.msg import Odometry
+from view_looker import Link, Looker, wait_for_url
+
+SPEED = 0.4
+# s from the last key to the robot at rest.
+LATEST = 0.6
+BURST = 6.0
+
+
+class ViewStopsTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        world = "package://bullet_lab/worlds/empty.world"
+        robot = PACKAGE / "urdf" / "block_robot.urdf"
+        cls.bridge = Node("pybullet_bridge.py", world=world, robot=robot)
+        cls.odom = Topic("odom", Odometry)
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.bridge.end()
+
+    def setUp(self):
+        self.view = Node("view.py", port=18100, speed=SPEED)
+        self.addCleanup(self.view.end)
+        self.url = wait_for_url(lambda: self.view.out)
+        self.looker = Looker(self.url)
+        self.addCleanup(self.looker.close)
+        wait_for(self.is_offered, "the robot on the page")
+
+    def is_offered(self):
+        controls = list(self.looker.controls.values())
+        return any(c.get("label") == "Robot" and c.get("value") == "/cmd_vel" for c in controls)
+
+    def place(self):
+        position = self.odom.messages[-1].pose.pose.position
+        return position.x, position.y
+
+    def speed(self):
+        return self.odom.messages[-1].twist.twist.linear.x
+
+    def drive(self, driver, seconds=1.0):
+        """Hold the key until the robot drives, and so much longer."""
+
+        def drives():
+            driver.send("1 0")
+            time.sleep(0.1)
+            return self.speed() > 0.9 * SPEED
+
+        wait_for(drives, "the robot to drive")
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            driver.send("1 0")
+            time.sleep(0.1)
+        driver.send("1 0")
+
+    def check_stop(self, before):
+        """Check that it stands, no farther from there than it drives in the time allowed."""
+        wait_for(lambda: abs(self.speed()) < 1e-3, "the robot to stand")
+        self.assertLess(abs(self.place()[0] - before[0]), LATEST * SPEED)
+
+    def test_a_silent_link(self):
+        with self.looker.driver() as driver:
+            self.drive(driver)
+            self.check_stop(self.place())
+
+    def test_a_view_that_is_killed(self):
+        self.lose_view(signal.SIGKILL)
+
+    def test_a_view_that_hangs(self):
+        self.lose_view(signal.SIGSTOP)
+
+    def lose_view(self, how):
+        with self.looker.driver() as driver:
+            self.drive(driver)
+            before = self.place()
+            self.view.signal(how)
+            self.check_stop(before)
+            if how == signal.SIGSTOP:
+                self.view.signal(signal.SIGCONT)
+
+    def test_a_slow_link(self):
+        link = Link(self.url, 2.0)
+        self.addCleanup(link.close)
+        there = Looker(link.url)
+        self.addCleanup(there.close)
+        before = self.place()
+        with there.driver() as driver:
+            end = time.monotonic() + BURST
+            while time.monotonic() < end:
+                driver.send("1 0")
+                time.sleep(0.1)
+            wait_for(lambda: driver.listen()["late"], "the page to say so")
+            self.check_stop(before)
+
+    def test_a_stalled_link(self):
+        link = Link(self.url)
+        self.addCleanup(link.close)
+        there = Looker(link.url)
+        self.addCleanup(there.close)
+        wait_for(lambda: there.controls, "the page")
+        with there.driver() as driver:
+            self.drive(driver)
+            before = self.place()
+            link.stalled.set()
+            end = time.monotonic() + BURST
+            while time.monotonic() < end:
+                driver.send("1 0")
+                time.sleep(0.1)
+            self.check_stop(before)
+            driver.socket.send(f"{driver.told['time']} 0 0")
+            link.stalled.clear()
+            # The server has read all that was on its way once it tells a time that is newer.
+            newest = driver.told["time"]
+            wait_for(lambda: driver.listen()["time"] > newest + BURST, "the link")
+            self.check_stop(before)
+
+    def test_another_page_takes_over_by_asking(self):
+        commands = Topic("cmd_vel", Twist, connected=False)
+        other = Looker(self.url)
+        self.addCleanup(other.close)
+        with self.looker.driver() as first, other.driver() as second:
+            self.drive(first, 0.0)
+            wait_for(lambda: second.listen()["other"], "the page to say who drives")
+            second.send("-1 0")
+            second.socket.send("take over")
+            wait_for(lambda: first.listen()["other"], "the other page to drive")
+            count = len(commands.messages)
+            first.send("1 0")
+            wait_for(lambda: commands.messages[-1] == Twist(), "the robot to be stopped")
+            self.assertFalse([m for m in commands.messages[count:] if m.linear.x])
+        commands.close()
+
+    def test_a_slider_that_says_nan_or_too_much(self):
+        commands = Topic("cmd_vel", Twist, connected=False)
+        for value in (float("nan"), 1e9, -5.0):
+            self.looker.press("m/s", value)
+        self.looker.press("Robot", "/elsewhere")
+        with self.looker.driver() as driver:
+
+            def drives():
+                driver.send("1 0")
+                return commands.messages and commands.messages[-1].linear.x
+
+            # Where a menu says what it does not offer, nothing is driven.
+            self.looker.press("Robot", "/cmd_vel")
+            wait_for(drives, "the robot to be driven")
+        wait_for(lambda: commands.messages[-1] == Twist(), "the robot to be stopped")
+        self.assertTrue(all(0.0 <= m.linear.x <= 2.0 for m in commands.messages))
+        commands.close()
+
+
+if __name__ == "__main__":
+    rospy.init_node("view_stops_test")
+    rostest.rosrun("bullet_lab", "view_stops_test", ViewStopsTest, sys.argv)
