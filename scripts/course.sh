@@ -25,6 +25,8 @@ _lab_course() {
   for word in "${words[@]}"; do
     [[ :$PATH: == *":$word:"* ]] || PATH=$PATH:$word
   done
+  # Names that OpenCV has lost since Noetic's.
+  export PYTHONPATH=$root/config/course${PYTHONPATH:+:$PYTHONPATH}
   mkdir -p "$folder"
   ln -sfn /usr/bin/python3 "$folder/python3"
   ln -sfn /usr/bin/python3 "$folder/python"

@@ -23,8 +23,8 @@ use_lab_python() {
 
 # The setup files of catkin read variables that may be unset.
 source_setup_file() {
-  # They write a file, which is left where they are killed meanwhile.
-  local TMPDIR=$LAB_DIR
+  # They write a file, which is left where they are killed meanwhile. Another user's clone is theirs.
+  [[ ! -w $LAB_DIR ]] || local TMPDIR=$LAB_DIR
   set +u
   # shellcheck disable=SC1090
   source "$1"

@@ -39,10 +39,11 @@ debian_packages() {
         libstd-srvs-dev libtf2-ros-dev libvisualization-msgs-dev libroscpp-dev \
         ros-actionlib-msgs ros-diagnostic-msgs ros-geometry-msgs ros-move-base-msgs ros-nav-msgs \
         ros-rosgraph-msgs ros-sensor-msgs ros-std-msgs ros-std-srvs ros-tf2-msgs ros-trajectory-msgs ros-visualization-msgs \
-        ros-robot-state-publisher libegl1 libgl1-mesa-dri
+        ros-robot-state-publisher libegl1 libgl1 libgl1-mesa-dri \
+        joint-state-publisher tf-tools libnodeletlib-tools topic-tools
       ;;
     rviz) echo rviz xvfb ;;
-    test) echo shellcheck python3-rostest topic-tools iproute2 sdformat-sdf libxml2-utils xvfb ;;
+    test) echo shellcheck python3-rostest iproute2 sdformat-sdf libxml2-utils xvfb ;;
     # What scripts of courses import; Debian's OpenCV has windows and the old calls for markers.
     course)
       echo python3-opencv python3-tf python3-tf-conversions python3-tf2-geometry-msgs \
@@ -57,16 +58,17 @@ noetic_packages() {
   case $1 in
     base)
       names=(actionlib actionlib-msgs catkin control-msgs controller-manager-msgs cv-bridge diagnostic-msgs dynamic-reconfigure gazebo-msgs geometry-msgs
-        message-filters message-generation message-runtime move-base-msgs nav-msgs robot-state-publisher rosbag rosbash
-        rosgraph-msgs roslaunch rosmaster rospy sensor-msgs std-msgs std-srvs tf2-msgs tf2-ros trajectory-msgs visualization-msgs)
-      echo ca-certificates g++ make cmake python3 python3-venv libegl1 libgl1-mesa-dri
+        joint-state-publisher message-filters message-generation message-runtime move-base-msgs nav-msgs nodelet
+        robot-state-publisher rosbag rosbash
+        rosgraph-msgs roslaunch rosmaster rospy sensor-msgs std-msgs std-srvs tf tf2-msgs tf2-ros topic-tools trajectory-msgs visualization-msgs)
+      echo ca-certificates g++ make cmake python3 python3-venv libegl1 libgl1 libgl1-mesa-dri
       ;;
     rviz)
       names=(rviz)
       echo xvfb
       ;;
     test)
-      names=(rostest topic-tools)
+      names=(rostest)
       echo shellcheck iproute2 sdformat-sdf libxml2-utils xvfb
       ;;
     course)
@@ -109,10 +111,19 @@ checksum_of() { inputs_of "$1" | sha256sum; }
 is_done() {
   local stamp=$LAB_DIR/stamp/$1
   case $1 in
+    debian-*) has_packages "$1" || return 1 ;;
     python-*) [[ -x $LAB_VENV/bin/python ]] || return 1 ;;
     build) [[ -e $LAB_WS/devel/setup.bash ]] || return 1 ;;
   esac
   [[ -e $stamp && $(<"$stamp") == "$(checksum_of "$1")" ]]
+}
+
+# One may have been removed since. Without dpkg, the stamp has to do.
+has_packages() {
+  command -v dpkg-query >/dev/null || return 0
+  local packages
+  read -r -d '' -a packages < <(debian_packages "${1#debian-}") || true
+  [[ -z $(missing_of "${packages[@]}") ]]
 }
 
 mark_done() { checksum_of "$1" >"$LAB_DIR/stamp/$1"; }

@@ -36,7 +36,8 @@ def _originals() -> Iterator[Tuple[Path, np.ndarray]]:
         found = importlib.util.find_spec(package)
         if found is None or not found.submodule_search_locations:
             continue
-        for path in sorted(Path(found.submodule_search_locations[0], folder).iterdir()):
+        # Debian's packages come without.
+        for path in sorted(Path(found.submodule_search_locations[0], folder).glob("*")):
             if path.suffix.lower() not in _KINDS:
                 continue
             image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)

@@ -21,6 +21,7 @@ parameters = aruco.DetectorParameters_create()
 corners, ids, rejected = aruco.detectMarkers(picture, dictionary, parameters=parameters)
 rvecs, tvecs, _ = aruco.estimatePoseSingleMarkers(corners, 0.1, np.eye(3), np.zeros(5))
 aruco.drawDetectedMarkers(picture, corners, ids)
+aruco.drawAxis(picture, np.eye(3), np.zeros(5), rvecs[0], tvecs[0], 0.05)
 cv2.imshow("camera", picture)
 cv2.waitKey(100)
 

@@ -26,6 +26,7 @@ from bullet_lab.entry import JOB
 from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher.jobs import Job
 from bullet_lab.ros.launcher.output import tied
+from bullet_lab.ros.node.node import MASTER_ERRORS
 
 _POLL_PERIOD = 0.05
 _SIGINT_TIMEOUT = 6.0
@@ -58,11 +59,13 @@ def prepare_master() -> RunMaster:
             setup files, and no master answers there.
     """
     uri = os.environ.get("ROS_MASTER_URI", "").strip()
-    if uri and _answers(uri):
+    is_stock = uri.rstrip("/") == STOCK_URI
+    # What ROS's setup files set by themselves is no wish to join another user's nodes.
+    if uri and _answers(uri) and not (is_stock and is_of_another_user(uri)):
         # The id that the master's first launch gave it; roslaunch insists on the same.
         code, _, run_id = Master(uri=uri).get().getParam("/roslaunch", "/run_id")
         return RunMaster(uri, str(run_id) if code == 1 else "nodes", own=False)
-    if uri and uri.rstrip("/") != STOCK_URI:
+    if uri and not is_stock:
         raise SupervisionError(f"no ROS master answers at ROS_MASTER_URI={uri}")
     # roslaunch prefers ROS_HOSTNAME, which would open the master to the network.
     os.environ.pop("ROS_HOSTNAME", None)
@@ -72,6 +75,15 @@ def prepare_master() -> RunMaster:
     master.start()
     os.environ["ROS_MASTER_URI"] = master.uri
     return RunMaster(master.uri, "nodes", own=True)
+
+
+def is_of_another_user(uri: str) -> bool:
+    """Return whether the master that answers on this machine runs as another user."""
+    try:
+        _, _, process = Master(uri=uri).get().getPid("/run")
+        return Path(f"/proc/{process}").stat().st_uid != os.getuid()
+    except (*MASTER_ERRORS, OSError):
+        return False
 
 
 def _answers(uri: str) -> bool:

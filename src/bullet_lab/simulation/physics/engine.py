@@ -20,7 +20,7 @@ except ImportError as error:
 
     raise EngineMissingError(
         f"PyBullet is not installed for {sys.executable}: run scripts/setup.sh, "
-        "or 'pip install pybullet'"
+        "or build with the virtual environment that README.md describes"
     ) from error
 
 __all__ = ["EngineMissingError", "PhysicsError", "pybullet"]
