@@ -9,6 +9,7 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 import numpy as np
 
 from bullet_lab.core.parameters import declarations
+from bullet_lab.errors import LabError
 from bullet_lab.noise.calibration import Fit, Problem, fit, intervals
 from bullet_lab.noise.goodness import Goodness, goodness
 from bullet_lab.noise.likelihood import PARTS
@@ -17,6 +18,10 @@ from bullet_lab.noise.search import covariance
 from bullet_lab.noise.systematic import SystematicErrors
 
 _ALIKE = 0.99  # correlation of two estimates that the steps cannot tell apart
+
+
+class UndeterminedError(LabError):
+    """Steps do not tell what the parameters of a model are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +67,20 @@ class Calibration:
 
 
 def calibrate(problem: Problem, follows: np.ndarray, seed: int) -> Calibration:
-    """Find the parameters of a problem with one odometry; for the arguments see `goodness`."""
-    found = fit(problem)
-    return Calibration(
-        problem, found, intervals(problem, found)[0], goodness(problem, found, follows, seed)
-    )
+    """Find the parameters of a problem with one odometry; for the arguments see `goodness`.
+
+    Raises:
+        UndeterminedError: the steps do not determine them.
+    """
+    try:
+        found = fit(problem)
+        ends, quality = intervals(problem, found)[0], goodness(problem, found, follows, seed)
+    except np.linalg.LinAlgError:
+        raise UndeterminedError(
+            f"{problem.model}: the steps do not determine its parameters: "
+            "do odometry and truth belong together, and does the robot drive and turn?"
+        ) from None
+    return Calibration(problem, found, ends, quality)
 
 
 def symbol(name: str) -> str:

@@ -33,6 +33,14 @@ _NOTEWORTHY = 1e-5  # m and rad, of the truth's noise
 _TIMES = 100.0  # so many times the truth's noise is a step at least
 
 
+# m and rad: equal but for rounding.
+SAME = 1e-9
+# m and rad in all: of less, a scale says nothing.
+LEAST_WAY, LEAST_TURN = 0.5, 1.0
+# Odometry of real robots is off by 20 % at most; mm and degrees by a factor of 57 and more.
+LARGEST_SCALE = 2.0
+
+
 class StepsError(LabError):
     """Two paths have no steps in common, or too few."""
 
@@ -90,6 +98,31 @@ class Steps:
 
     def __len__(self) -> int:
         return len(self.true)
+
+    def check(self) -> None:
+        """Raise StepsError where odometry and truth cannot be of one robot, with the likely cause.
+
+        The odometry's way and turn are compared with the truth's by their regression, which noise
+        on the odometry does not bias.
+        """
+        if np.abs(self.true - self.odometry).max(initial=0.0) <= SAME:
+            raise StepsError("the odometry equals the truth: are both from one topic or column?")
+        kinds = ((0, "way", "m", LEAST_WAY), (2, "turn", "rad", LEAST_TURN))
+        for column, what, unit, least in kinds:
+            true, odometry = self.true[:, column], self.odometry[:, column]
+            if np.abs(true).sum() < least:
+                continue
+            share = float(true @ odometry / (true @ true))
+            if share < 0.0:
+                raise StepsError(
+                    f"the odometry's {what} runs against the truth's: "
+                    f"is the sign of the {what}, or an axis, of one of them reversed?"
+                )
+            if not 1.0 / LARGEST_SCALE <= share <= LARGEST_SCALE:
+                raise StepsError(
+                    f"the odometry's {what} is {share:.3g} times the truth's; "
+                    f"at most {LARGEST_SCALE:g} times is plausible: are both in {unit}?"
+                )
 
 
 def take_steps(recording: Recording, settings: StepSettings) -> Steps:

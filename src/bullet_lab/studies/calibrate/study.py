@@ -135,6 +135,7 @@ def run_calibration(
     invented = not recordings
     recordings = recordings or [made_up(drive, settings.seed)]
     taken = joined([take_steps(recording, steps) for recording in recordings])
+    taken.check()
     errors, left_out = _separable(taken, settings.errors)
     for remark in (*_remarks(taken), *left_out):
         tell(remark)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -13,11 +14,21 @@ from bullet_lab.drive.square import Square
 from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, derived_seed, model_named
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.study import MOST_SEED, Settings
-from bullet_lab.studies.umbmark.estimate import Estimate, Umbmark, fit, umbmark
+from bullet_lab.studies.umbmark.estimate import LARGEST, Estimate, Umbmark, fit, umbmark
 from bullet_lab.studies.umbmark.floor import FloorPlan
-from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, Run
+from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, Run, return_errors
 
 LARGEST_ERROR = 0.1
+# Sides: half the way round, farther than wheels that are wrong by some percent bring a robot.
+MOST_OF_SIDE = 2.0
+# Of the return error: what wheels do not explain is more than what they do.
+MOST_LEFT = 0.5
+# Of the side: what rulers and random noise leave.
+LEAST_LEFT = 0.01
+# Standard errors that chance does not reach.
+SURE = 3.0
+# m and rad: equal but for rounding.
+SAME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -98,6 +109,37 @@ class Benchmark:
         """
         length = float(np.mean([run.side() for run in runs])) if side is None else side
         return cls(tuple(runs), base, umbmark(runs, length, base), fit(runs, base))
+
+    def doubts(self) -> List[str]:
+        """Return why the result is not to be trusted, with likely causes; empty where it is."""
+        largest, left = self.figures.e_max_syst, self.estimate.residual
+        side = float(np.mean([run.side() for run in self.runs]))
+        found = [
+            f"{name} lies on the bound of the fit, {100.0 * LARGEST:.0f} %: "
+            "are wheel_base and the units right?"
+            for name in self.estimate.on_bounds()
+        ]
+        if largest > MOST_OF_SIDE * side:
+            found.append(
+                f"the mean return error of {largest:.3g} m is more than half the way round: "
+                f"is the side {side:.3g} m, and are positions in m?"
+            )
+        if left > max(MOST_LEFT * largest, LEAST_LEFT * side, SURE * self._standard_error()):
+            found.append(
+                f"{left:.3g} m of the mean return error of {largest:.3g} m are not explained by "
+                "wheels: are angles in rad and positions in m, and is the y axis to the left?"
+            )
+        if all(np.abs(run.return_error()).max() < SAME for run in self.runs):
+            found.append("the odometry equals the truth: are both from the same topic or column?")
+        return found
+
+    def _standard_error(self) -> float:
+        """Return the larger standard error (m) of both centres; 0 of single runs."""
+        errors = [return_errors(self.runs, direction)[:, :2] for direction in DIRECTIONS]
+        return max(
+            math.sqrt(float(one.var(axis=0, ddof=1).sum()) / len(one)) if len(one) > 1 else 0.0
+            for one in errors
+        )
 
     def summary(self) -> Dict[str, Any]:
         """Return the figures as the field knows them."""

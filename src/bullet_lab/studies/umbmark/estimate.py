@@ -22,7 +22,7 @@ from bullet_lab.studies.umbmark.runs import (
 CONFIDENCE = 0.95
 PARAMETERS = ("diameter_error", "base_error")
 _STEP = 1e-6  # of a parameter, for derivatives
-_LARGEST = 0.4
+LARGEST = 0.4
 # Of a parameter: runs that are the same differ by this much at most, by how sums are rounded.
 _ROUNDING = 1e-12
 
@@ -109,6 +109,10 @@ class Estimate:
     intervals: Optional[Dict[str, Tuple[float, float]]]
     residual: float
 
+    def on_bounds(self) -> List[str]:
+        """Return the names of the parameters that lie on the bounds of the fit."""
+        return [name for name in PARAMETERS if abs(getattr(self.errors, name)) > 0.999 * LARGEST]
+
     def holds(self, name: str, value: float) -> bool:
         """Return whether an interval holds a value."""
         assert self.intervals is not None
@@ -160,7 +164,7 @@ def fit(runs: Sequence[Run], base: float) -> Estimate:
     def left(parameters: np.ndarray) -> np.ndarray:
         return data.weighted(data.left(_errors(parameters, base))).ravel()
 
-    bounds = (-_LARGEST, _LARGEST)
+    bounds = (-LARGEST, LARGEST)
     found = optimize.least_squares(left, (0.0, 0.0), bounds=bounds, x_scale=1e-2, xtol=1e-13)
     errors = _errors(found.x, base)
     slopes = [
@@ -250,6 +254,9 @@ def _intervals(
     found: np.ndarray, shares: np.ndarray, directions: np.ndarray
 ) -> Optional[Dict[str, Tuple[float, float]]]:
     """Return the intervals of the parameters by the shares of each run in them, (n, 2)."""
+    if np.abs(found).max() > 0.999 * LARGEST:
+        # On a bound, the squares are not least: no interval holds.
+        return None
     variance, freedom = np.zeros(len(found)), 0
     for direction in DIRECTIONS:
         own = shares[directions == direction]

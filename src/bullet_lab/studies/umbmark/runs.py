@@ -13,6 +13,8 @@ from bullet_lab.errors import LabError
 
 CLOCKWISE, COUNTER_CLOCKWISE = "cw", "ccw"
 DIRECTIONS = (CLOCKWISE, COUNTER_CLOCKWISE)
+# m; no robot of wheels drives a square farther away, and sums of squares stay finite.
+FARTHEST = 1e6
 
 
 class RunError(LabError):
@@ -42,6 +44,12 @@ class Run:
         """Refuse what is no square."""
         if len(self.odometry) < 2 or not np.isfinite(self.odometry).all():
             raise RunError(f"{self.name}: there is no odometry of a square")
+        largest = max(np.abs(self.odometry).max(), *map(abs, (*self.start, *self.end)))
+        if largest > FARTHEST:
+            raise RunError(
+                f"{self.name}: {largest:g} is out of range: positions are in m, angles in rad, "
+                f"and at most {FARTHEST:g}"
+            )
         turned = abs(self.turned())
         if not 0.75 < turned / (2.0 * np.pi) < 1.25:
             raise RunError(

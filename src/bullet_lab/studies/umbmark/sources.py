@@ -9,6 +9,7 @@ from typing import List
 
 import numpy as np
 
+from bullet_lab.core.se2 import steps
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, finite_numbers
 from bullet_lab.studies.noise_study.paths import read_path
 from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, Run, RunError
@@ -57,6 +58,12 @@ def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[Run
 def _run(file: Path, odometry: Trajectory, truth: Trajectory) -> Run:
     """Return a run between the first and the last pose of both: the robot rests there."""
     first, last = truth.poses[[0, -1]].tolist()
+    turns = [steps(one.poses)[:, 2].sum() for one in (odometry, truth)]
+    if turns[0] * turns[1] < 0.0:
+        raise RunError(
+            f"{file}: odometry and truth turn in opposite directions: "
+            "is the y axis or the yaw of one of them mirrored?"
+        )
     return Run(file.stem, odometry.poses, tuple(first), tuple(last))
 
 

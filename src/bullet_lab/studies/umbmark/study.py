@@ -116,10 +116,13 @@ def run_umbmark(
     """
     found = before.estimate
     recovered = found.beside(floor)
+    doubts = before.doubts()
     summary: Dict[str, Any] = {
         "job": "umbmark",
         **about,
         "finished": True,
+        "trusted": not doubts,
+        "not_trusted_because": doubts,
         **before.summary(),
         "recovered": {
             **_named(recovered.errors),
@@ -139,10 +142,14 @@ def run_umbmark(
         summary.update(after=after.summary(), falls_by=times)
     with whole_results(folder) as part:
         write_table(part / "returns.csv", _return_rows(before, after))
-        text_ = yaml.safe_dump(multipliers(found.errors), sort_keys=False)
-        (part / "corrected.yaml").write_text(text_)
+        if not doubts:
+            text_ = yaml.safe_dump(multipliers(found.errors), sort_keys=False)
+            (part / "corrected.yaml").write_text(text_)
         save(clusters_figure(before, after), part / "clusters.png")
         write_json(part / SUMMARY, summary)
+    if doubts:
+        # Of an earlier run.
+        (folder / "corrected.yaml").unlink(missing_ok=True)
     return summary
 
 
@@ -165,7 +172,8 @@ def describe(
     before: Benchmark, after: Optional[Benchmark], floor: systematic.SystematicErrors = NONE
 ) -> List[str]:
     """Return what came of it as lines for people."""
-    lines = [*_figures(before)]
+    lines = [f"NOT TO BE TRUSTED: {doubt}" for doubt in before.doubts()]
+    lines += _figures(before)
     found, figures = before.estimate, before.figures
     lines.append(
         f"closed forms, for small errors: E_d {figures.e_d:.5f}, E_b {figures.e_b:.5f}"

@@ -1,7 +1,7 @@
 """The job calibrate: its files, its words, and what it refuses."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from bullet_lab.noise.odometry_noise import ProbabilisticRule, rule_of
 from bullet_lab.studies.calibrate import study
 from bullet_lab.studies.calibrate.coverage import coverage
 from bullet_lab.studies.calibrate.drive import DriveSettings, calibration_drive, made_up
-from bullet_lab.studies.calibrate.steps import StepSettings
+from bullet_lab.studies.calibrate.steps import StepsError, StepSettings, take_steps
 from bullet_lab.studies.calibrate.study import (
     CalibrateSettings,
     main,
@@ -184,3 +184,29 @@ def test_paths_of_coverage_have_the_noise_that_is_said():
 
 def test_the_true_noise_of_a_drive_is_that_of_the_node():
     assert rule_of("probabilistic", DriveSettings().noise()) == ProbabilisticRule()
+
+
+REVERSED, LEFT_HANDED = (-1.0, -1.0, 1.0), (1.0, -1.0, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("scale", "line"),
+    [
+        (REVERSED, "runs against the truth's"),
+        (LEFT_HANDED, "runs against the truth's"),
+        ((1000.0, 1000.0, 1.0), "are both in m"),
+        ((1.0, 1.0, 57.3), "are both in rad"),
+        ((0.0, 0.0, 0.0), "are both in m"),
+    ],
+)
+def test_odometry_that_cannot_be_is_refused_with_its_likely_cause(scale, line):
+    taken = take_steps(made_up(DriveSettings(), 3), StepSettings())
+    taken.check()
+    with pytest.raises(StepsError, match=line):
+        replace(taken, odometry=taken.odometry * scale).check()
+
+
+def test_odometry_that_equals_the_truth_is_refused():
+    taken = take_steps(made_up(DriveSettings(), 3), StepSettings())
+    with pytest.raises(StepsError, match="equals the truth"):
+        replace(taken, odometry=taken.true).check()

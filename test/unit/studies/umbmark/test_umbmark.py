@@ -271,3 +271,77 @@ def test_results_are_left_behind(tmp_path):
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"summary.json", "returns.csv", "corrected.yaml", "clusters.png"}
     assert len((tmp_path / "returns.csv").read_text().splitlines()) == 9
+
+
+def returns_of(runs):
+    return [(run.direction, *run.return_error()) for run in runs]
+
+
+def told(rows, side=4.0, base=BELIEVED.base):
+    """Return the doubts of returns (direction, m, m, rad) that were measured with a rule."""
+    runs = [
+        Run(f"{n}", perfect_square(side, way), (0.0, 0.0, 0.0), (x, y, yaw))
+        for n, (way, x, y, yaw) in enumerate(rows)
+    ]
+    return Benchmark.of(runs, base).doubts()
+
+
+def plausible_returns(seed=5):
+    generator = np.random.default_rng(seed)
+    rows = returns_of(ideal_runs(errors(0.002, 0.01)))
+    return [
+        (way, x + dx, y + dy, yaw + turn)
+        for way, x, y, yaw in rows * 3
+        for dx, dy, turn in [generator.normal(0.0, (0.01, 0.01, 0.005))]
+    ]
+
+
+def test_plausible_returns_are_trusted():
+    assert told(plausible_returns()) == []
+
+
+@pytest.mark.parametrize("scale", [(1000.0, 1000.0, 1.0), (100.0, 100.0, 1.0), (1.0, 1.0, 57.3)])
+def test_returns_in_other_units_are_not_trusted(scale):
+    wrong = [(way, *np.multiply((x, y, yaw), scale)) for way, x, y, yaw in plausible_returns()]
+    assert told(wrong)
+
+
+def test_mirrored_returns_are_not_trusted():
+    mirrored = [(way, x, -y, -yaw) for way, x, y, yaw in plausible_returns()]
+    assert told(mirrored)
+
+
+def test_a_fit_on_its_bound_has_no_interval():
+    generator = np.random.default_rng(7)
+    runs = [
+        Run(f"{n}", perfect_square(4.0, way), (0.0, 0.0, 0.0), (*generator.normal(0, 0.1, 2), 1.5))
+        for n in range(3)
+        for way in ("cw", "ccw")
+    ]
+    found = Benchmark.of(runs, BELIEVED.base)
+    assert found.estimate.intervals is None or not found.estimate.on_bounds()
+    assert found.doubts()
+
+
+def test_odometry_that_equals_the_truth_is_not_trusted():
+    (doubt,) = told([("cw", 0.0, 0.0, 0.0), ("ccw", 0.0, 0.0, 0.0)])
+    assert "equals the truth" in doubt
+
+
+@pytest.mark.parametrize("value", [1e308, -1e7])
+def test_numbers_out_of_range_are_refused(value):
+    with pytest.raises(RunError, match="out of range"):
+        told([("cw", value, 0.0, 0.0), ("ccw", 0.0, 0.0, 0.0)])
+
+
+def test_what_is_not_trusted_leaves_no_corrected_parameters(tmp_path):
+    (tmp_path / "corrected.yaml").write_text("of an earlier run")
+    runs = [
+        Run(way, perfect_square(4.0, way), (0.0, 0.0, 0.0), (30.0, 20.0, 0.0))
+        for way in ("cw", "ccw")
+    ]
+    before = Benchmark.of(runs, BELIEVED.base)
+    summary = run_umbmark(tmp_path, before, None, {})
+    assert not summary["trusted"]
+    assert not (tmp_path / "corrected.yaml").exists()
+    assert describe(before, None)[0].startswith("NOT TO BE TRUSTED")
