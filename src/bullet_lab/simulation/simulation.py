@@ -28,7 +28,13 @@ from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.forces import Forces
 from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose
-from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_name
+from bullet_lab.simulation.physics.contacts import (
+    Contact,
+    Touch,
+    contacts_of,
+    shape_name,
+    touches_of,
+)
 from bullet_lab.simulation.physics.physics import Body, Physics
 from bullet_lab.simulation.physics.traction import Traction
 from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin, namespace_of
@@ -82,6 +88,7 @@ class Simulation:
         self._on_failure: Optional[Callable[[str, LabError], None]] = None
         self._spent: DefaultDict[Union[Plugin, Timer], float] = defaultdict(float)
         self.forces = Forces()
+        self._known_is_told = False
         for model in self.world.models:
             with leaving_out(lambda said: LOG.warning("%s", said)):
                 instance = self.add(model, namespace="")
@@ -201,6 +208,10 @@ class Simulation:
         if name not in self._instances:
             raise SimulationError(f"there is no model '{name}'")
         return contacts_of(self._instances[name].bodies.values(), self._owners, name)
+
+    def touches(self, name: str) -> List[Touch]:
+        """Return the links that a model touched in the last step; none for an unknown model."""
+        return touches_of(name, self._bodies, self._owners)
 
     def set_gravity(self, gravity: Vector) -> None:
         """Change gravity, in m/s²; raises SimulationError for what is not finite."""
@@ -353,8 +364,9 @@ class Simulation:
                 LOG.warning("%s is left out: %s", what, error)
                 continue
             if plugin is None:
-                known = ", ".join(known_plugins())
-                LOG.warning("%s is not simulated and skipped; known are %s", what, known)
+                known = "" if self._known_is_told else f"; known are {', '.join(known_plugins())}"
+                self._known_is_told = True
+                LOG.warning("%s is not simulated and skipped%s", what, known)
                 continue
             plugin.reset(self.step)
             if plugin.schedule is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, Iterable, List, Mapping, Sequence, Tuple
+from typing import Dict, Iterable, List, Mapping, NamedTuple, Sequence, Tuple
 
 from bullet_lab.core.pose import Pose, Vector, add
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
@@ -98,6 +98,31 @@ def contacts_of(bodies: Iterable[Body], owners: Mapping[int, str], own: str) -> 
                 strongest[other] = (force, place)
     sums.pop(own, None)
     return {other: Contact(force, strongest[other][1]) for other, force in sums.items()}
+
+
+class Touch(NamedTuple):
+    """Something that a model touches: its own link, the other's as model::link.
+
+    `up` is the z of the unit normal towards the model: 1 for level ground below it.
+    """
+
+    own: str
+    other: str
+    up: float
+
+
+def touches_of(own: str, bodies: Mapping[int, Body], owners: Mapping[int, str]) -> List[Touch]:
+    """Return what the model `own` touched in the last step, beside itself.
+
+    Bodies and the names of their models are by the bodies' unique ids.
+    """
+    found = []
+    for body in [body for unique_id, body in bodies.items() if owners[unique_id] == own]:
+        for _, _, second, index, other, _, _, normal, distance, force, *_ in body.near_points():
+            if owners[second] != own and (force > 0.0 or distance < 0.0):
+                name = f"{owners[second]}::{bodies[second].part_at(other).link.name}"
+                found.append(Touch(body.part_at(index).link.name, name, normal[2]))
+    return found
 
 
 def nearest_shape(collisions: Sequence[Collision], point: Vector) -> Collision:
