@@ -17,6 +17,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription
 from bullet_lab.reports.robot import Controller, PluginRow, Robot, RobotReport
 from bullet_lab.ros.gazebo.client import call
+from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError
 from bullet_lab.ros.node.publishers import subscriber
@@ -32,6 +33,8 @@ ENOUGH = 10
 SETTINGS = "dynamic_reconfigure/"
 # What the simulator itself says.
 OWN_TOPICS = ("/clock", "/rosout", "/tf", "/tf_static", "/gazebo/", "/bullet_lab/")
+# rad/s or m/s, of a joint that moves.
+TURNING = 0.05
 # What a header begins with: its number, and the stamp in s and ns.
 HEADER = struct.Struct("<III")
 
@@ -68,25 +71,59 @@ def _of(nodes: Set[str], topics: Iterable[Any], kinds: Mapping[str, str]) -> Dic
     return {topic: kinds.get(topic, "*") for topic in found if not topic.startswith(OWN_TOPICS)}
 
 
-def described() -> DescribeModelsResponse:
-    """Return what the bridge says of all models; raises NodeError."""
-    return call(SERVICE, DescribeModels, "")
+def described(name: str = "") -> DescribeModelsResponse:
+    """Return what the bridge says of a model, or of all; raises NodeError."""
+    return call(SERVICE, DescribeModels, name)
 
 
-def choose(models: Iterable[ModelDescription], name: str, heard: Iterable[str]):
+def choose(
+    models: Iterable[ModelDescription],
+    name: str,
+    heard: Mapping[str, str],
+    of_world_file: bool = False,
+) -> Optional[ModelDescription]:
     """Return the model that is the robot; None while there is none.
 
     Args:
         models: of the world.
-        name: that it has; if empty, one that can be driven is preferred, then one with plugins.
-        heard: the topics with velocities that the simulator listens to.
+        name: that it has; if empty, one that can be driven is preferred, then one with plugins,
+            and of several the first by name.
+        heard: the topics that the simulator listens to, with their types.
+        of_world_file: whether, where nothing was spawned, a robot of the world file will do: what
+            moves, has plugins and can be driven.
     """
     if name:
         return next((model for model in models if model.name == name), None)
-    candidates = [model for model in models if not model.of_world_file]
-    drivable = [m for m in candidates if set(heard) & {t for p in m.plugins for t in p.inputs}]
-    lively = [model for model in candidates if model.plugins]
-    return next(iter([*drivable, *lively, *candidates]), None)
+    there = sorted(models, key=lambda model: (model.is_static, model.name))
+    spawned = [model for model in there if not model.of_world_file]
+    lively = [model for model in spawned if model.plugins]
+    found = [*drivable(spawned, heard), *lively, *spawned]
+    if of_world_file and not found and _of_kind(heard, VELOCITIES):
+        moving = [model for model in there if model.plugins and not model.is_static]
+        found = [*drivable(moving, heard), *moving]
+    return found[0] if found else None
+
+
+def drivable(
+    models: Iterable[ModelDescription], heard: Mapping[str, str]
+) -> List[ModelDescription]:
+    """Return the models with a plugin that takes velocities, by name."""
+    drives = set(_of_kind(heard, VELOCITIES))
+    found = [m for m in models if drives & {topic for p in m.plugins for topic in p.inputs}]
+    return sorted(found, key=lambda model: model.name)
+
+
+def why_it_stands(model: ModelDescription, drive: str, is_heard: bool) -> List[str]:
+    """Return what is known of why a robot does not move while it is told to on a topic."""
+    if model.is_static:
+        return ["the model is static"]
+    if not is_heard:
+        return [f"nothing listens to {drive}"]
+    ask = rospy.ServiceProxy("/gazebo/get_joint_properties", srv.GetJointProperties)
+    rates = {joint: ask(f"{model.name}::{joint}").rate for joint in model.joints}
+    turning = [joint for joint, rate in rates.items() if rate and abs(rate[0]) > TURNING]
+    found = [f"{', '.join(turning) or 'none'} of its joints turn"] if rates else []
+    return [*found, f"it stands on {', '.join(model.stands_on) or 'nothing'}"]
 
 
 def robot_of(model: ModelDescription, answer: DescribeModelsResponse, master: Master) -> Robot:
@@ -99,7 +136,8 @@ def robot_of(model: ModelDescription, answer: DescribeModelsResponse, master: Ma
     beside = {t for row in rows if drive in row.inputs for t in row.outputs}
     strange = others if drive in own else others | own
     odometry = _nearest(_of_kind(master.spoken, ODOMETRY), beside, strange, drive) if drive else ""
-    names = {other.name for other in answer.models if other.of_world_file}
+    names = {m.name for m in answer.models if m.of_world_file and m.name != model.name}
+    kin = [other for other in answer.models if other.of_world_file == model.of_world_file]
     said = [line for line in answer.said if not any(f"'{name}'" in line for name in names)]
     return Robot(
         name=model.name,
@@ -110,7 +148,13 @@ def robot_of(model: ModelDescription, answer: DescribeModelsResponse, master: Ma
         drive=drive,
         odometry=odometry,
         said=tuple(said),
+        choice=tuple(other.name for other in drivable(kin, master.heard)),
     )
+
+
+def rows_of_others(model: ModelDescription, models: Iterable[ModelDescription]) -> List[PluginRow]:
+    """Return the plugins of all models but one."""
+    return [_row(p) for other in models if other.name != model.name for p in other.plugins]
 
 
 def _row(plugin: Any) -> PluginRow:

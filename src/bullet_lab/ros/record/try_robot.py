@@ -13,14 +13,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-import re
-import shlex
-import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Tuple
 
 import rospy
 from geometry_msgs.msg import Twist
@@ -38,8 +34,9 @@ from bullet_lab.ros.messages.poses import pose_of
 from bullet_lab.ros.node.driving import StoppableSender
 from bullet_lab.ros.node.lock_step import Rate, publishers_know_this_node
 from bullet_lab.ros.node.node import NodeError, node
-from bullet_lab.ros.node.odometry import NewestOdometry, planar_pose
+from bullet_lab.ros.node.odometry import ODOMETRY_TIMEOUT, NewestOdometry, planar_pose
 from bullet_lab.ros.node.publishers import publisher
+from bullet_lab.ros.record.launch_file import Launched
 from bullet_lab.ros.record.photograph import photograph
 from bullet_lab.ros.record.recorder import RecordParameters, save_figures, save_summary
 from bullet_lab.ros.record.robot_parts import (
@@ -50,7 +47,9 @@ from bullet_lab.ros.record.robot_parts import (
     choose,
     described,
     robot_of,
+    rows_of_others,
     topics_of,
+    why_it_stands,
 )
 
 # Hz of commands, as those of teleoperation.
@@ -64,11 +63,9 @@ LATEST, FARTHEST = 3.0, 1.5
 # velocities yet.
 ARRIVAL, SIMULATION, SETTLED, SETTLED_WITHOUT_DRIVE = 120.0, 60.0, 3.0, 20.0
 LOOK = 0.5
-# Wall seconds for what roslaunch has started to end, of the six that this node has itself.
-GOODBYE = 5.0
+# Models in a line.
+MOST_NAMES = 10
 METRE, TURN = 1.0, 360.0
-# What is in a line of roslaunch's that tells what went wrong.
-TELLING = re.compile(r"rror\b|Exception|not found|died")
 
 
 @dataclass(frozen=True)
@@ -83,82 +80,62 @@ class TryRobotParameters(RecordParameters):
     turn_rate: float = number(0.5, "rad/s", above=0.0, maximum=10.0)
 
 
-def assignments(words: str) -> List[str]:
-    """Return words like name:=value or name=value, as roslaunch has them."""
-    return [re.sub("^([^=:]+):?=", r"\1:=", word) for word in shlex.split(words)]
-
-
-def reason_in(log: str) -> str:
-    """Return the line in what roslaunch has printed that says most about why it has ended."""
-    lines = [
-        line for line in re.sub(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)", "", log).splitlines() if line
-    ]
-    telling = (n for n, line in enumerate(lines) if re.search(TELLING, line))
-    first = next(telling, 0)
-    # What ends with a colon is told in the line below.
-    last = next((n for n in range(first, len(lines)) if not lines[n].endswith(":")), first)
-    return " ".join(line.strip() for line in lines[first : last + 1]) or "without a word"
-
-
-class Launched:
-    """A launch file that runs as long as this is open, by a roslaunch of its own."""
-
-    def __init__(self, path: str, arguments: str):
-        folder = Path(os.environ.get("ROS_LOG_DIR") or ".")
-        self._path, self._log = path, folder / "launch_file.log"
-        words = ["roslaunch", "--sigint-timeout", "3", "--sigterm-timeout", "1", path]
-        with self._log.open("w") as log:
-            self._process = subprocess.Popen(
-                words + assignments(arguments), stdout=log, stderr=subprocess.STDOUT
-            )
-
-    def check(self) -> None:
-        """Raise NodeError if it has ended."""
-        if self._process.poll() is not None:
-            reason = reason_in(self._log.read_text(errors="replace"))
-            raise NodeError(f"{self._path} has ended, see {self._log}: {reason}")
-
-    def close(self) -> None:
-        """End all that it has started."""
-        self._process.terminate()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(GOODBYE)
-
-
 @node
 def try_robot(parameters: TryRobotParameters) -> None:
     """Find the robot, listen to it, drive it, and leave what came of it."""
     with contextlib.ExitStack() as stack:
+        launched: Optional[Launched] = None
         check: Callable[[], None] = lambda: None  # noqa: E731
         if parameters.launch_file:
             launched = Launched(parameters.launch_file, parameters.args)
             stack.callback(launched.close)
             check = launched.check
         model = _wait_for_robot(parameters.model, check)
-        if parameters.launch_file:
+        if launched is not None:
             _settle(check)
-        Trial(parameters, model.name).run()
+            for line in launched.failures():
+                rospy.logwarn("%s", line)
+            # Of several, the first by name, now that all are there.
+            chosen = choose(described().models, parameters.model, Master().heard, True)
+            model = chosen or model
+        try:
+            Trial(parameters, model.name, launched).run()
+        except (NodeError, rospy.ServiceException) as error:
+            check()
+            raise NodeError(str(error)) from error
 
 
 def _wait_for_robot(name: str, check: Callable[[], None]) -> ModelDescription:
-    start = time.monotonic()
-    simulated = False
+    start = since = time.monotonic()
+    models: List[ModelDescription] = []
+    before: Any = None
     while True:
         check()
         master = Master()
-        simulated = simulated or SERVICE in master.services
         if SERVICE in master.services:
-            found = choose(described().models, name, master.heard)
+            models = described().models
+            now = (master, [model.name for model in models])
+            since, before = (since if now == before else time.monotonic()), now
+            is_quiet = time.monotonic() - since > SETTLED_WITHOUT_DRIVE
+            found = choose(models, name, master.heard, is_quiet)
             if found is not None:
                 return found
         waited = time.monotonic() - start
-        if waited > SIMULATION and not simulated:
+        if waited > SIMULATION and before is None:
             hint = "a launch file that only spawns wants world:=… beside it"
             raise NodeError(f"no simulation has come within {SIMULATION:g} s: {hint}")
         if waited > ARRIVAL:
-            what = f"no model '{name}'" if name else "no robot"
-            raise NodeError(f"{what} has come within {ARRIVAL:g} s")
+            raise NodeError(no_robot(name, models))
         _look_again()
+
+
+def no_robot(name: str, models: Iterable[ModelDescription]) -> str:
+    """Return what is said where no robot has come: which models model:=NAME may name."""
+    what = f"no model '{name}'" if name else "no robot"
+    moving = sorted((model for model in models if not model.is_static), key=lambda m: not m.plugins)
+    names = [model.name for model in moving[:MOST_NAMES]]
+    hint = f"model:=NAME takes one of {', '.join(names)}" if names else "there is none that moves"
+    return f"{what} has come within {ARRIVAL:g} s: {hint}"
 
 
 def _settle(check: Callable[[], None]) -> None:
@@ -186,21 +163,23 @@ def _look_again() -> None:
 class Trial:
     """One robot that is listened to and driven."""
 
-    def __init__(self, parameters: TryRobotParameters, name: str):
-        self._parameters, self._name = parameters, name
+    def __init__(self, parameters: TryRobotParameters, name: str, launched: Optional[Launched]):
+        self._parameters, self._name, self._launched = parameters, name, launched
         answer, master = described(), Master()
         model = next(model for model in answer.models if model.name == name)
         robot = robot_of(model, answer, master)
         topics = topics_of(model, answer.models, master)
-        self._report = RobotReport(Path(parameters.out), robot, topics)
+        others = rows_of_others(model, answer.models)
+        self._report = RobotReport(Path(parameters.out), robot, topics, others)
         self._report.about = parameters.about
         self._odometry = NewestOdometry(robot.odometry, subscribed=False)
-        self._speaks = bool(robot.odometry)
+        self._pauses = False
         self._rate: Optional[Rate] = None
         self._connected_since = time.monotonic()
         self._listeners = Listeners(self._report, self._now, self._take_odometry)
         if robot.drive:
-            self._sender = StoppableSender(publisher(robot.drive, Twist, 10))
+            self._velocities = publisher(robot.drive, Twist, 10)
+            self._sender = StoppableSender(self._velocities)
             # However it ends, the robot stands.
             rospy.on_shutdown(self._sender.end)
         self._ways: List[Tuple[str, Way]] = []
@@ -222,20 +201,26 @@ class Trial:
             finished = True
         finally:
             self._listeners.close()
-            self._save(finished)
+            summary = self._save(finished)
         self._rate.leave()
+        if self._report.has_failed(summary):
+            raise NodeError(self._report.line(summary))
 
-    def _save(self, finished: bool) -> None:
+    def _save(self, finished: bool) -> Mapping[str, Any]:
         report = self._report
+        if self._launched is not None:
+            report.not_started = self._launched.failures()
         report.finish()
         summary = report.summary(finished, {})
         save_figures(report, report.figures(summary))
         save_summary(report, summary)
         print(report.table())
-        rospy.loginfo("%s", report.line(summary))
+        if not report.has_failed(summary):
+            rospy.loginfo("%s", report.line(summary))
+        return summary
 
     def _photograph(self) -> None:
-        (model,) = [one for one in described().models if one.name == self._name]
+        (model,) = described(self._name).models
         box = [(corner.x, corner.y, corner.z) for corner in (model.least, model.greatest)]
         try:
             self._report.picture = photograph(*box, self._rate.sleep, round(COMMANDS * STAND))
@@ -267,18 +252,35 @@ class Trial:
     ) -> None:
         """Drive until the odometry, or without any the truth, says that it is enough."""
         ways = {TRUTH: Way(), ODOMETRY: Way()}
+        touched: Dict[str, None] = {}
         with self._followed(ways):
             start = self._rate.now
             latest = start + rospy.Duration(LATEST * seconds + STAND)
+            ticks = 0
             self._look()
-            while self._rate.now < latest and not _is_enough(ways, quantity, asked):
+            while self._rate.now < latest and not self._is_enough(ways, quantity, asked):
                 self._sender.send(velocity)
                 self._rate.sleep()
                 self._look()
+                ticks += 1
+                if ticks % COMMANDS == 0:
+                    touched.update(dict.fromkeys(described(self._name).models[0].touches))
             took = (self._rate.now - start).to_sec()
+            late = self._rate.now >= latest
+            (model,) = described(self._name).models
+            is_heard = self._velocities.get_num_connections() > 0
+            causes = why_it_stands(model, self._report.robot.drive, is_heard)
+            touched.update(dict.fromkeys(model.touches))
             self._stand(STAND)
         said, true = ways[ODOMETRY].figures(), ways[TRUTH].figures()
-        self._report.legs.append(Leg(name, quantity, asked, said, true, took))
+        leg = Leg(name, quantity, asked, said, true, took, late, tuple(touched), tuple(causes))
+        self._report.legs.append(leg)
+
+    def _is_enough(self, ways: Mapping[str, Way], quantity: str, asked: float) -> bool:
+        """Whether it has come far enough by its odometry, or by the truth where that is silent."""
+        true = ways[TRUTH].figures()
+        said = None if self._pauses else ways[ODOMETRY].figures()
+        return (said or true)[quantity] >= asked or true[quantity] >= FARTHEST * asked
 
     @contextlib.contextmanager
     def _followed(self, ways) -> Iterator[None]:
@@ -296,6 +298,8 @@ class Trial:
     def _look(self) -> None:
         """Take note of where the robot is."""
         state = self._state(self._name, "world")
+        if not state.success:
+            raise NodeError(f"'{self._name}' is gone: {state.status_message}")
         pose = pose_of(state.pose.position, state.pose.orientation)
         (x, y, _), yaw = pose.position, pose.yaw
         _, _, upright = pose.rotate((0.0, 0.0, 1.0))
@@ -307,22 +311,23 @@ class Trial:
                 way.add(known[name])
 
     def _newest_odometry(self) -> Optional[PlanarPose]:
-        """What the odometry says by now; None, and from then on, where it says nothing."""
-        if not self._speaks:
+        """What the odometry says by now; None while it pauses: nobody waits for it twice."""
+        topic = self._report.robot.odometry
+        if not topic:
             return None
         try:
-            return self._odometry.newest(self._rate.now)
-        except NodeError:
-            self._speaks = False
+            pose = self._odometry.newest(self._rate.now, 0.0 if self._pauses else ODOMETRY_TIMEOUT)
+        except NodeError as error:
+            if not self._pauses:
+                rospy.logwarn("%s: driving by the truth until it comes again", error)
+                self._report.pauses += 1
+            self._pauses = True
             return None
+        self._pauses = False
+        return pose
 
     def _take_odometry(self, message: Odometry) -> None:
         self._odometry.take(message)
         with contextlib.suppress(LabError):
             stamp = message.header.stamp.to_nsec()
             self._report.take(ODOMETRY, Reading(stamp, planar_pose(message)))
-
-
-def _is_enough(ways, quantity: str, asked: float) -> bool:
-    said, true = (ways[name].figures() for name in (ODOMETRY, TRUTH))
-    return (said or true)[quantity] >= asked or true[quantity] >= FARTHEST * asked

@@ -6,7 +6,7 @@ import pytest
 from bullet_lab.msg import ModelDescription, PluginDescription
 
 from bullet_lab.ros.record.robot_parts import choose, robot_of, topics_of
-from bullet_lab.ros.record.try_robot import assignments, reason_in
+from bullet_lab.ros.record.launch_file import assignments, reason_in
 
 TWIST, ODOMETRY = "geometry_msgs/Twist", "nav_msgs/Odometry"
 
