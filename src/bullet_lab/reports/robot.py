@@ -5,7 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import (
+    Any,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -129,11 +140,6 @@ class Way:
         self.turned += math.remainder(pose[2] - self._last[2], math.tau)
         self._last = pose
 
-    @property
-    def is_known(self) -> bool:
-        """Whether anything has come."""
-        return self._start is not None
-
     def ahead_and_aside(self) -> Tuple[float, float]:
         """Return how far it has come, m."""
         if self._start is None:
@@ -185,18 +191,16 @@ class Leg:
 
     def reasons(self) -> List[str]:
         """Return what is known of why the robot did not do what it was asked."""
-        if not self.has_moved():
-            found = list(self.causes)
-        else:
-            backwards = self.truth[self.quantity] < 0.0
-            verb = "turned" if self.quantity == "turned_deg" else "drove"
-            found = [f"{verb} the other way"] if backwards else []
+        found = [] if self.has_moved() else list(self.causes)
+        if self.has_moved() and self.truth[self.quantity] < 0.0:
+            found = [
+                "drove the other way" if self.quantity == "ahead_m" else "turned the other way"
+            ]
         if self.touched:
-            more = f" and {len(self.touched) - MOST_NAMES} more" * (len(self.touched) > MOST_NAMES)
-            found.append(f"touches {', '.join(self.touched[:MOST_NAMES])}{more}")
+            found.append(f"touches {', '.join(self.touched[:MOST_NAMES])}")
         if self.late:
             found.append(f"out of time after {self.seconds:.0f} s")
-        return found
+        return found if self.has_failed() else []
 
     def has_moved(self) -> bool:
         """Return whether the robot has really moved."""
@@ -220,7 +224,7 @@ class Leg:
             "truth": self.truth,
             "moved": self.has_moved(),
             "failed": self.has_failed(),
-            "reasons": self.reasons() if self.has_failed() else [],
+            "reasons": self.reasons(),
             "odometry_error_percent": self.error(),
             "seconds": self.seconds,
         }
@@ -228,8 +232,10 @@ class Leg:
     def line(self) -> str:
         """Return it in a few words."""
         unit = "m" if self.quantity == "ahead_m" else "°"
-        true, why = self.truth[self.quantity], ", ".join(self.reasons())
-        why = f": {why}" if why else ""
+        true, why = (
+            self.truth[self.quantity],
+            ": ".join(["", ", ".join(self.reasons())]).rstrip(": "),
+        )
         if not self.has_moved():
             return f"{self.name}: it does not move ({true:.3f} {unit} of {self.asked:g}){why}"
         said = "nothing came from its odometry"
@@ -237,9 +243,8 @@ class Leg:
             said = f"its odometry says {self.odometry[self.quantity]:.3f} {unit}"
             said += f" ({self.error():.2f} % off)"
         beside = "" if unit == "°" else f", turned by {self.truth['turned_deg']:.2f}° on the way"
-        if self.has_failed():
-            return f"{self.name}: {true:.2f} of {self.asked:g} {unit}{why}{beside}; {said}"
-        return f"{self.name}: {true:.3f} {unit}{beside}; {said}"
+        come = f"{true:.2f} of {self.asked:g}" if self.has_failed() else f"{true:.3f}"
+        return f"{self.name}: {come} {unit}{why}{beside}; {said}"
 
 
 class RobotReport(Report):

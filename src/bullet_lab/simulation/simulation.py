@@ -18,7 +18,7 @@ import math
 import time
 from collections import defaultdict
 from dataclasses import dataclass, replace
-from typing import Any, Callable, DefaultDict, Dict, List, Mapping, Optional, Tuple, Union
+from typing import Any, Callable, DefaultDict, Dict, Iterator, List, Mapping, Optional, Tuple, Union
 
 import numpy as np
 
@@ -28,13 +28,7 @@ from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.forces import Forces
 from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose
-from bullet_lab.simulation.physics.contacts import (
-    Contact,
-    Touch,
-    contacts_of,
-    shape_name,
-    touches_of,
-)
+from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_name, touching_points
 from bullet_lab.simulation.physics.physics import Body, Physics
 from bullet_lab.simulation.physics.traction import Traction
 from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin, namespace_of
@@ -209,9 +203,18 @@ class Simulation:
             raise SimulationError(f"there is no model '{name}'")
         return contacts_of(self._instances[name].bodies.values(), self._owners, name)
 
-    def touches(self, name: str) -> List[Touch]:
-        """Return the links that a model touched in the last step; none for an unknown model."""
-        return touches_of(name, self._bodies, self._owners)
+    def touches(self, name: str) -> Iterator[Tuple[str, str, float]]:
+        """Yield what a model touched in the last step: its own link, and the other model::link.
+
+        The third is the z of the unit normal towards the model: 1 on level ground.
+        """
+        for body in self._instances[name].bodies.values():
+            for point in touching_points(body):
+                _, _, second, index, other, _, _, normal, *_ = point
+                if self._owners[second] != name:
+                    link = self._bodies[second].part_at(other).link.name
+                    owner = self._owners[second]
+                    yield body.part_at(index).link.name, f"{owner}::{link}", normal[2]
 
     def set_gravity(self, gravity: Vector) -> None:
         """Change gravity, in m/s²; raises SimulationError for what is not finite."""

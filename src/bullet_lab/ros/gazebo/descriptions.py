@@ -57,7 +57,7 @@ class ModelDescriptions:
     def _described(self, instance: ModelInstance) -> ModelDescription:
         model = instance.model
         least, greatest = bounds(instance)
-        touches = self._world.simulation.touches(model.name)
+        touches = list(self._world.simulation.touches(model.name))
         of_world_file = {one.name for one in self._world.simulation.world.models}
         return ModelDescription(
             name=model.name,
@@ -68,8 +68,8 @@ class ModelDescriptions:
             plugins=[_described_plugin(one) for one in survey(instance)],
             least=Point(*least),
             greatest=Point(*greatest),
-            stands_on=sorted({touch.own for touch in touches if touch.up > STEEPEST}),
-            touches=sorted({touch.other for touch in touches if touch.up <= STEEPEST}),
+            stands_on=sorted({own for own, _, up in touches if up > STEEPEST}),
+            touches=sorted({other for _, other, up in touches if up <= STEEPEST}),
         )
 
 

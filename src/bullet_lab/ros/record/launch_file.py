@@ -10,19 +10,26 @@ import shlex
 import subprocess
 from collections import Counter
 from pathlib import Path
-from typing import Callable, List
+from typing import Callable, List, Optional
 
 from bullet_lab.ros.node.node import NodeError
 
 # Wall seconds for what roslaunch has started to end, of the six that this node has itself.
 GOODBYE = 5.0
-COLOURS = re.compile(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)")
 # What is in a line of roslaunch's that tells what went wrong.
 TELLING = re.compile(r"rror\b|Exception|not found|died")
 NOT_LAUNCHED = re.compile(r"cannot launch node of type \[(.+?)/(.+?)\]: (.*)")
 DIED = re.compile(r"\[([^][]+)\] process has died .*?(exit code -?\d+|without exit code)")
 # How Debian names what has the nodes of a ROS package, the likeliest first.
-DEBIAN = ("{}-tools", "lib{}lib-tools", "lib{}-tools", "ros-{}", "ros-noetic-{}", "{}", "python3-{}")
+DEBIAN = (
+    "{}-tools",
+    "lib{}lib-tools",
+    "lib{}-tools",
+    "ros-{}",
+    "ros-noetic-{}",
+    "{}",
+    "python3-{}",
+)
 ROS = re.compile(r"Robot OS|\bROS\b|ros\.org")
 
 
@@ -33,7 +40,7 @@ def assignments(words: str) -> List[str]:
 
 def reason_in(log: str) -> str:
     """Return the line in what roslaunch has printed that says most about why it has ended."""
-    lines = [line for line in re.sub(COLOURS, "", log).splitlines() if line]
+    lines = [line for line in log.splitlines() if line]
     telling = (n for n, line in enumerate(lines) if re.search(TELLING, line))
     first = next(telling, 0)
     # What ends with a colon is told in the line below.
@@ -46,7 +53,7 @@ def failures_in(log: str, package_of: Callable[[str], str]) -> List[str]:
 
     `package_of` gives the Debian package with the nodes of a ROS package; empty for none.
     """
-    log, found = re.sub(COLOURS, "", log), []
+    found = []
     for package, name, why in re.findall(NOT_LAUNCHED, log):
         debian, is_missing = package_of(package), why == package
         why = f"there is no ROS package '{package}'" if is_missing else why
@@ -79,29 +86,36 @@ def debian_package(package: str) -> str:
 
 
 class Launched:
-    """A launch file that runs as long as this is open, by a roslaunch of its own."""
+    """A launch file that runs as long as this is open, by a roslaunch of its own; none without."""
 
     def __init__(self, path: str, arguments: str):
         folder = Path(os.environ.get("ROS_LOG_DIR") or ".")
-        self._path, self._log = path, folder / "launch_file.log"
+        self.path, self._log = path, folder / "launch_file.log"
         words = ["roslaunch", "--sigint-timeout", "3", "--sigterm-timeout", "1", path]
-        with self._log.open("w") as log:
-            self._process = subprocess.Popen(
-                words + assignments(arguments), stdout=log, stderr=subprocess.STDOUT
-            )
+        self._process: Optional[subprocess.Popen] = None
+        if path:
+            with self._log.open("w") as log:
+                self._process = subprocess.Popen(
+                    words + assignments(arguments), stdout=log, stderr=subprocess.STDOUT
+                )
 
     def check(self) -> None:
         """Raise NodeError if it has ended."""
-        if self._process.poll() is not None:
-            reason = reason_in(self._log.read_text(errors="replace"))
-            raise NodeError(f"{self._path} has ended, see {self._log}: {reason}")
+        if self._process is not None and self._process.poll() is not None:
+            reason = reason_in(self._printed())
+            raise NodeError(f"{self.path} has ended, see {self._log}: {reason}")
 
     def failures(self) -> List[str]:
         """Return a line for each node that could not start or has died."""
-        return failures_in(self._log.read_text(errors="replace"), debian_package)
+        return failures_in(self._printed(), debian_package)
 
     def close(self) -> None:
         """End all that it has started."""
-        self._process.terminate()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(GOODBYE)
+        if self._process is not None:
+            self._process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(GOODBYE)
+
+    def _printed(self) -> str:
+        text = self._log.read_text(errors="replace") if self.path else ""
+        return re.sub(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)", "", text)

@@ -33,8 +33,11 @@ ENOUGH = 10
 SETTINGS = "dynamic_reconfigure/"
 # What the simulator itself says.
 OWN_TOPICS = ("/clock", "/rosout", "/tf", "/tf_static", "/gazebo/", "/bullet_lab/")
+TOUCHED = "/bullet_lab/touched"
 # rad/s or m/s, of a joint that moves.
 TURNING = 0.05
+# Models in a line.
+MOST_NAMES = 10
 # What a header begins with: its number, and the stamp in s and ns.
 HEADER = struct.Struct("<III")
 
@@ -60,15 +63,11 @@ class Master:
         self.heard = _of(simulators, subscribed, kinds)
         self.spoken = _of(simulators, published, kinds)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Master) and vars(self) == vars(other)
-
-    __hash__ = None
-
 
 def _of(nodes: Set[str], topics: Iterable[Any], kinds: Mapping[str, str]) -> Dict[str, str]:
     found = sorted(topic for topic, users in topics if nodes.intersection(users))
-    return {topic: kinds.get(topic, "*") for topic in found if not topic.startswith(OWN_TOPICS)}
+    others = [t for t in found if not (t.startswith(OWN_TOPICS) or t.endswith(TOUCHED))]
+    return {topic: kinds.get(topic, "*") for topic in others}
 
 
 def described(name: str = "") -> DescribeModelsResponse:
@@ -79,7 +78,7 @@ def described(name: str = "") -> DescribeModelsResponse:
 def choose(
     models: Iterable[ModelDescription],
     name: str,
-    heard: Mapping[str, str],
+    drives: Iterable[str],
     of_world_file: bool = False,
 ) -> Optional[ModelDescription]:
     """Return the model that is the robot; None while there is none.
@@ -88,29 +87,32 @@ def choose(
         models: of the world.
         name: that it has; if empty, one that can be driven is preferred, then one with plugins,
             and of several the first by name.
-        heard: the topics that the simulator listens to, with their types.
-        of_world_file: whether, where nothing was spawned, a robot of the world file will do: what
-            moves, has plugins and can be driven.
+        drives: the topics with velocities that the simulator listens to.
+        of_world_file: whether a robot of the world file will do where nothing was spawned: one
+            that moves, has plugins and can be driven.
     """
     if name:
         return next((model for model in models if model.name == name), None)
     there = sorted(models, key=lambda model: (model.is_static, model.name))
     spawned = [model for model in there if not model.of_world_file]
-    lively = [model for model in spawned if model.plugins]
-    found = [*drivable(spawned, heard), *lively, *spawned]
-    if of_world_file and not found and _of_kind(heard, VELOCITIES):
-        moving = [model for model in there if model.plugins and not model.is_static]
-        found = [*drivable(moving, heard), *moving]
-    return found[0] if found else None
+    found = spawned
+    if of_world_file and drives and not spawned:
+        found = [model for model in there if model.plugins and not model.is_static]
+    lively = [model for model in found if model.plugins]
+    return next(iter([*drivable(found, drives), *lively, *found]), None)
 
 
-def drivable(
-    models: Iterable[ModelDescription], heard: Mapping[str, str]
-) -> List[ModelDescription]:
+def drivable(models: Iterable[ModelDescription], drives: Iterable[str]) -> List[ModelDescription]:
     """Return the models with a plugin that takes velocities, by name."""
-    drives = set(_of_kind(heard, VELOCITIES))
-    found = [m for m in models if drives & {topic for p in m.plugins for topic in p.inputs}]
+    found = [m for m in models if set(drives) & {t for p in m.plugins for t in p.inputs}]
     return sorted(found, key=lambda model: model.name)
+
+
+def candidates(models: Iterable[ModelDescription]) -> str:
+    """Return which models the argument `model` may name, those with plugins first."""
+    moving = sorted((m for m in models if not m.is_static), key=lambda m: not m.plugins)
+    names = ", ".join(model.name for model in moving[:MOST_NAMES])
+    return f"model:=NAME takes one of {names}" if names else "no model in the world can move"
 
 
 def why_it_stands(model: ModelDescription, drive: str, is_heard: bool) -> List[str]:
@@ -131,11 +133,12 @@ def robot_of(model: ModelDescription, answer: DescribeModelsResponse, master: Ma
     rows = tuple(_row(plugin) for plugin in model.plugins)
     others = _topics(other for other in answer.models if other.name != model.name)
     own = _topics([model])
-    drive = _nearest(_of_kind(master.heard, VELOCITIES), own, others, "")
+    drives = of_kind(master.heard, VELOCITIES)
+    drive = _nearest(drives, own, others, "")
     # A drive's odometry is its own plugin's; a controller's that of no plugin.
     beside = {t for row in rows if drive in row.inputs for t in row.outputs}
     strange = others if drive in own else others | own
-    odometry = _nearest(_of_kind(master.spoken, ODOMETRY), beside, strange, drive) if drive else ""
+    odometry = _nearest(of_kind(master.spoken, ODOMETRY), beside, strange, drive) if drive else ""
     names = {m.name for m in answer.models if m.of_world_file and m.name != model.name}
     kin = [other for other in answer.models if other.of_world_file == model.of_world_file]
     said = [line for line in answer.said if not any(f"'{name}'" in line for name in names)]
@@ -148,7 +151,7 @@ def robot_of(model: ModelDescription, answer: DescribeModelsResponse, master: Ma
         drive=drive,
         odometry=odometry,
         said=tuple(said),
-        choice=tuple(other.name for other in drivable(kin, master.heard)),
+        choice=tuple(other.name for other in drivable(kin, drives)),
     )
 
 
@@ -168,7 +171,8 @@ def _topics(models: Iterable[ModelDescription]) -> Set[str]:
     return {topic for plugin in plugins for topic in (*plugin.inputs, *plugin.outputs)}
 
 
-def _of_kind(topics: Mapping[str, str], kind: str) -> List[str]:
+def of_kind(topics: Mapping[str, str], kind: str) -> List[str]:
+    """Return the topics of a type."""
     return [topic for topic, has in topics.items() if has == kind]
 
 

@@ -16,7 +16,7 @@ import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Tuple
+from typing import Any, List, Mapping, Optional, Set, Tuple
 
 import rospy
 from geometry_msgs.msg import Twist
@@ -44,8 +44,10 @@ from bullet_lab.ros.record.robot_parts import (
     VELOCITIES,
     Listeners,
     Master,
+    candidates,
     choose,
     described,
+    of_kind,
     robot_of,
     rows_of_others,
     topics_of,
@@ -63,9 +65,8 @@ LATEST, FARTHEST = 3.0, 1.5
 # velocities yet.
 ARRIVAL, SIMULATION, SETTLED, SETTLED_WITHOUT_DRIVE = 120.0, 60.0, 3.0, 20.0
 LOOK = 0.5
-# Models in a line.
-MOST_NAMES = 10
 METRE, TURN = 1.0, 360.0
+NOWHERE: Mapping[str, Way] = {}
 
 
 @dataclass(frozen=True)
@@ -83,75 +84,46 @@ class TryRobotParameters(RecordParameters):
 @node
 def try_robot(parameters: TryRobotParameters) -> None:
     """Find the robot, listen to it, drive it, and leave what came of it."""
-    with contextlib.ExitStack() as stack:
-        launched: Optional[Launched] = None
-        check: Callable[[], None] = lambda: None  # noqa: E731
-        if parameters.launch_file:
-            launched = Launched(parameters.launch_file, parameters.args)
-            stack.callback(launched.close)
-            check = launched.check
-        model = _wait_for_robot(parameters.model, check)
-        if launched is not None:
-            _settle(check)
-            for line in launched.failures():
-                rospy.logwarn("%s", line)
-            # Of several, the first by name, now that all are there.
-            chosen = choose(described().models, parameters.model, Master().heard, True)
-            model = chosen or model
+    with contextlib.closing(Launched(parameters.launch_file, parameters.args)) as launched:
+        model = _find_robot(parameters.model, launched)
+        for line in launched.failures():
+            rospy.logwarn("%s", line)
         try:
             Trial(parameters, model.name, launched).run()
         except (NodeError, rospy.ServiceException) as error:
-            check()
+            launched.check()
             raise NodeError(str(error)) from error
 
 
-def _wait_for_robot(name: str, check: Callable[[], None]) -> ModelDescription:
+def _find_robot(name: str, launched: Launched) -> ModelDescription:
+    """Wait for the robot, and until nothing new comes: controllers are loaded after their robot."""
     start = since = time.monotonic()
     models: List[ModelDescription] = []
+    found: Optional[ModelDescription] = None
     before: Any = None
     while True:
-        check()
+        launched.check()
         master = Master()
         if SERVICE in master.services:
             models = described().models
-            now = (master, [model.name for model in models])
-            since, before = (since if now == before else time.monotonic()), now
-            is_quiet = time.monotonic() - since > SETTLED_WITHOUT_DRIVE
-            found = choose(models, name, master.heard, is_quiet)
-            if found is not None:
-                return found
-        waited = time.monotonic() - start
-        if waited > SIMULATION and before is None:
+        now = (vars(master), [model.name for model in models])
+        since, before = (since if now == before else time.monotonic()), now
+        quiet, waited = time.monotonic() - since, time.monotonic() - start
+        drives = of_kind(master.heard, VELOCITIES)
+        if found is None and launched.path and choose(models, name, drives, True) is not None:
+            with contextlib.suppress(rospy.ServiceException):
+                rospy.ServiceProxy("/gazebo/unpause_physics", Empty)()
+        found = choose(models, name, drives, quiet > SETTLED_WITHOUT_DRIVE)
+        patience = SETTLED if drives else SETTLED_WITHOUT_DRIVE
+        if found is not None and (quiet > patience or not launched.path):
+            return found
+        if waited > SIMULATION and not models and SERVICE not in master.services:
             hint = "a launch file that only spawns wants world:=… beside it"
             raise NodeError(f"no simulation has come within {SIMULATION:g} s: {hint}")
-        if waited > ARRIVAL:
-            raise NodeError(no_robot(name, models))
+        if waited > ARRIVAL and found is None:
+            what = f"no model '{name}'" if name else "no robot"
+            raise NodeError(f"{what} has come within {ARRIVAL:g} s: {candidates(models)}")
         _look_again()
-
-
-def no_robot(name: str, models: Iterable[ModelDescription]) -> str:
-    """Return what is said where no robot has come: which models model:=NAME may name."""
-    what = f"no model '{name}'" if name else "no robot"
-    moving = sorted((model for model in models if not model.is_static), key=lambda m: not m.plugins)
-    names = [model.name for model in moving[:MOST_NAMES]]
-    hint = f"model:=NAME takes one of {', '.join(names)}" if names else "there is none that moves"
-    return f"{what} has come within {ARRIVAL:g} s: {hint}"
-
-
-def _settle(check: Callable[[], None]) -> None:
-    """Wait until nothing new comes: controllers are loaded after their robot."""
-    with contextlib.suppress(rospy.ServiceException):
-        rospy.ServiceProxy("/gazebo/unpause_physics", Empty)()
-    before, since = Master(), time.monotonic()
-    while True:
-        _look_again()
-        check()
-        now = Master()
-        if now != before:
-            before, since = now, time.monotonic()
-        patience = SETTLED if VELOCITIES in now.heard.values() else SETTLED_WITHOUT_DRIVE
-        if time.monotonic() - since > patience:
-            return
 
 
 def _look_again() -> None:
@@ -163,7 +135,7 @@ def _look_again() -> None:
 class Trial:
     """One robot that is listened to and driven."""
 
-    def __init__(self, parameters: TryRobotParameters, name: str, launched: Optional[Launched]):
+    def __init__(self, parameters: TryRobotParameters, name: str, launched: Launched):
         self._parameters, self._name, self._launched = parameters, name, launched
         answer, master = described(), Master()
         model = next(model for model in answer.models if model.name == name)
@@ -182,7 +154,6 @@ class Trial:
             self._sender = StoppableSender(self._velocities)
             # However it ends, the robot stands.
             rospy.on_shutdown(self._sender.end)
-        self._ways: List[Tuple[str, Way]] = []
         self._state = rospy.ServiceProxy(
             "/gazebo/get_model_state", srv.GetModelState, persistent=True
         )
@@ -208,8 +179,7 @@ class Trial:
 
     def _save(self, finished: bool) -> Mapping[str, Any]:
         report = self._report
-        if self._launched is not None:
-            report.not_started = self._launched.failures()
+        report.not_started = self._launched.failures()
         report.finish()
         summary = report.summary(finished, {})
         save_figures(report, report.figures(summary))
@@ -252,50 +222,41 @@ class Trial:
     ) -> None:
         """Drive until the odometry, or without any the truth, says that it is enough."""
         ways = {TRUTH: Way(), ODOMETRY: Way()}
-        touched: Dict[str, None] = {}
-        with self._followed(ways):
-            start = self._rate.now
-            latest = start + rospy.Duration(LATEST * seconds + STAND)
-            ticks = 0
-            self._look()
-            while self._rate.now < latest and not self._is_enough(ways, quantity, asked):
-                self._sender.send(velocity)
-                self._rate.sleep()
-                self._look()
-                ticks += 1
-                if ticks % COMMANDS == 0:
-                    touched.update(dict.fromkeys(described(self._name).models[0].touches))
-            took = (self._rate.now - start).to_sec()
-            late = self._rate.now >= latest
-            (model,) = described(self._name).models
-            is_heard = self._velocities.get_num_connections() > 0
-            causes = why_it_stands(model, self._report.robot.drive, is_heard)
-            touched.update(dict.fromkeys(model.touches))
-            self._stand(STAND)
+        touched: Set[str] = set()
+        start = self._rate.now
+        self._look(ways)
+        for tick in range(1, round((LATEST * seconds + STAND) * COMMANDS) + 1):
+            self._sender.send(velocity)
+            self._rate.sleep()
+            self._look(ways)
+            is_late = not self._is_enough(ways, quantity, asked)
+            if tick % COMMANDS == 0 or not is_late:
+                touched.update(described(self._name).models[0].touches)
+            if not is_late:
+                break
+        took = (self._rate.now - start).to_sec()
+        (model,) = described(self._name).models
+        is_heard = self._velocities.get_num_connections() > 0
+        causes = why_it_stands(model, self._report.robot.drive, is_heard)
+        self._stand(STAND, ways)
         said, true = ways[ODOMETRY].figures(), ways[TRUTH].figures()
-        leg = Leg(name, quantity, asked, said, true, took, late, tuple(touched), tuple(causes))
-        self._report.legs.append(leg)
+        known = (is_late, tuple(sorted(touched)), tuple(causes))
+        self._report.legs.append(Leg(name, quantity, asked, said, true, took, *known))
 
     def _is_enough(self, ways: Mapping[str, Way], quantity: str, asked: float) -> bool:
-        """Whether it has come far enough by its odometry, or by the truth where that is silent."""
+        """Whether it has come far enough by its odometry, or by the truth while that pauses."""
         true = ways[TRUTH].figures()
         said = None if self._pauses else ways[ODOMETRY].figures()
         return (said or true)[quantity] >= asked or true[quantity] >= FARTHEST * asked
 
-    @contextlib.contextmanager
-    def _followed(self, ways) -> Iterator[None]:
-        self._ways = list(ways.items())
-        yield
-        self._ways = []
-
-    def _stand(self, seconds: float) -> None:
+    def _stand(self, seconds: float, ways: Mapping[str, Way] = NOWHERE) -> None:
         for _ in range(round(seconds * COMMANDS)):
             if self._report.robot.drive:
                 self._sender.send((0.0, 0.0))
             self._rate.sleep()
-            self._look()
+            self._look(ways)
 
-    def _look(self) -> None:
+    def _look(self, ways: Mapping[str, Way]) -> None:
         """Take note of where the robot is."""
         state = self._state(self._name, "world")
         if not state.success:
@@ -306,7 +267,7 @@ class Trial:
         self._report.tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, upright))))
         self._report.take(TRUTH, Reading(self._now(), (x, y, yaw)))
         known = {TRUTH: (x, y, yaw), ODOMETRY: self._newest_odometry()}
-        for name, way in self._ways:
+        for name, way in ways.items():
             if known[name] is not None:
                 way.add(known[name])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, Iterable, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import Dict, Iterable, List, Mapping, Sequence, Tuple
 
 from bullet_lab.core.pose import Pose, Vector, add
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
@@ -79,6 +79,12 @@ class Contact:
     position: Vector
 
 
+def touching_points(body: Body) -> List[tuple]:
+    """Return PyBullet's points where a body touches something; the body itself comes first."""
+    # Bullet lists what is merely near, too; what comes apart overlaps without a force.
+    return [point for point in body.near_points() if point[9] > 0.0 or point[8] < 0.0]
+
+
 def contacts_of(bodies: Iterable[Body], owners: Mapping[int, str], own: str) -> Dict[str, Contact]:
     """Return the contacts of the model `own` with others in the last step, by their names.
 
@@ -87,42 +93,13 @@ def contacts_of(bodies: Iterable[Body], owners: Mapping[int, str], own: str) -> 
     sums: Dict[str, float] = {}
     strongest: Dict[str, Tuple[float, Vector]] = {}
     for body in bodies:
-        # The body that is asked for always comes first.
-        for _, _, second, _, _, place, _, _, distance, force, *_ in body.near_points():
-            # Bullet lists what is merely near, too; what comes apart overlaps without a force.
-            if force <= 0.0 and distance >= 0.0:
-                continue
+        for _, _, second, _, _, place, _, _, _, force, *_ in touching_points(body):
             other = owners[second]
             sums[other] = sums.get(other, 0.0) + force
             if other not in strongest or force > strongest[other][0]:
                 strongest[other] = (force, place)
     sums.pop(own, None)
     return {other: Contact(force, strongest[other][1]) for other, force in sums.items()}
-
-
-class Touch(NamedTuple):
-    """Something that a model touches: its own link, the other's as model::link.
-
-    `up` is the z of the unit normal towards the model: 1 for level ground below it.
-    """
-
-    own: str
-    other: str
-    up: float
-
-
-def touches_of(own: str, bodies: Mapping[int, Body], owners: Mapping[int, str]) -> List[Touch]:
-    """Return what the model `own` touched in the last step, beside itself.
-
-    Bodies and the names of their models are by the bodies' unique ids.
-    """
-    found = []
-    for body in [body for unique_id, body in bodies.items() if owners[unique_id] == own]:
-        for _, _, second, index, other, _, _, normal, distance, force, *_ in body.near_points():
-            if owners[second] != own and (force > 0.0 or distance < 0.0):
-                name = f"{owners[second]}::{bodies[second].part_at(other).link.name}"
-                found.append(Touch(body.part_at(index).link.name, name, normal[2]))
-    return found
 
 
 def nearest_shape(collisions: Sequence[Collision], point: Vector) -> Collision:
