@@ -16,6 +16,7 @@ from bullet_lab.ros.node.node import NodeError
 
 # Wall seconds for what roslaunch has started to end, of the six that this node has itself.
 GOODBYE = 5.0
+COLOURS = re.compile(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)")
 # What is in a line of roslaunch's that tells what went wrong.
 TELLING = re.compile(r"rror\b|Exception|not found|died")
 NOT_LAUNCHED = re.compile(r"cannot launch node of type \[(.+?)/(.+?)\]: (.*)")
@@ -40,7 +41,7 @@ def assignments(words: str) -> List[str]:
 
 def reason_in(log: str) -> str:
     """Return the line in what roslaunch has printed that says most about why it has ended."""
-    lines = [line for line in log.splitlines() if line]
+    lines = [line for line in re.sub(COLOURS, "", log).splitlines() if line]
     telling = (n for n, line in enumerate(lines) if re.search(TELLING, line))
     first = next(telling, 0)
     # What ends with a colon is told in the line below.
@@ -53,7 +54,7 @@ def failures_in(log: str, package_of: Callable[[str], str]) -> List[str]:
 
     `package_of` gives the Debian package with the nodes of a ROS package; empty for none.
     """
-    found = []
+    log, found = re.sub(COLOURS, "", log), []
     for package, name, why in re.findall(NOT_LAUNCHED, log):
         debian, is_missing = package_of(package), why == package
         why = f"there is no ROS package '{package}'" if is_missing else why
@@ -117,5 +118,4 @@ class Launched:
                 self._process.wait(GOODBYE)
 
     def _printed(self) -> str:
-        text = self._log.read_text(errors="replace") if self.path else ""
-        return re.sub(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)", "", text)
+        return self._log.read_text(errors="replace") if self.path else ""
