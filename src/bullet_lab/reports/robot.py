@@ -339,7 +339,10 @@ class RobotReport(Report):
 
     def line(self, summary: Mapping[str, Any]) -> str:
         if not self.robot.drive:
-            return f"'{self.robot.name}' listens to no velocities: it is shown, not driven"
+            left_out = f"; left out: {', '.join(self.left_out())}" if self.left_out() else ""
+            return (
+                f"'{self.robot.name}' listens to no velocities: it is shown, not driven{left_out}"
+            )
         return "; ".join(leg.line() for leg in self.legs) or "it was not driven"
 
     def has_failed(self, summary: Mapping[str, Any]) -> bool:
