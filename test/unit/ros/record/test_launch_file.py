@@ -47,7 +47,8 @@ log file: /tmp/gripper-4*.log\x1b[0m
 def test_nodes_that_could_not_start_or_died():
     packages = {"nodelet": "libnodeletlib-tools"}
     assert failures_in(LOG, lambda package: packages.get(package, "")) == [
-        "map_server/map_server: there is no ROS package 'map_server'; Debian has none that is known",
+        "map_server/map_server: there is no ROS package 'map_server'; "
+        "Debian has none that is known",
         "nodelet/nodelet: there is no ROS package 'nodelet'; Debian has it: libnodeletlib-tools "
         "(2 times)",
         "mine/run.py: Cannot locate node of type [run.py] in package",
