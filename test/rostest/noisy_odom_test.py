@@ -139,7 +139,9 @@ class NoisyOdomTest(unittest.TestCase):
         perfect = arc(30)
         noisy = self.send(perfect)
         last = noisy[-1].header.stamp
-        wait_for(lambda: any(m.header.stamp == last for m in ellipses.messages), "the last ellipse")
+        wait_for(
+            lambda: any(m.header.stamp == last for m in ellipses.messages), "the last ellipse"
+        )
         marker = next(m for m in ellipses.messages if m.header.stamp == last)
         self.assertEqual(noisy[-1].header.frame_id, marker.header.frame_id)
         self.assertEqual(noisy[-1].pose.pose.position, marker.pose.position)

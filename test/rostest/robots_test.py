@@ -82,7 +82,9 @@ class RobotsTest(unittest.TestCase):
         left, right = self.topic("left/odom", Odometry), self.topic("right/odom", Odometry)
         starts = [topic.wait(1)[-1].pose.pose.position for topic in (left, right)]
         self.drive("left", -0.5)
-        wait_for(lambda: left.messages[-1].pose.pose.position.x < starts[0].x - 0.2, "left to move")
+        wait_for(
+            lambda: left.messages[-1].pose.pose.position.x < starts[0].x - 0.2, "left to move"
+        )
         moved = right.messages[-1].pose.pose.position
         self.assertAlmostEqual(starts[1].x, moved.x, delta=0.002)
 
@@ -104,7 +106,9 @@ class RobotsTest(unittest.TestCase):
             space = {"__ns": "right"}
             noise = Node("noisy_odom.py", remap=space)
             self.addCleanup(noise.end)
-            plot = Node("plot_noise.py", remap=space, out=name, until="drive_squares/finished")
+            plot = Node(
+                "plot_noise.py", remap=space, out=name, until="drive_squares/finished"
+            )
             self.addCleanup(plot.end)
             pairs = Path(name) / "paths.csv"
             wait_for(

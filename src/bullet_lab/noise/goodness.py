@@ -127,7 +127,9 @@ def goodness(problem: Problem, found: Fit, follows: np.ndarray, seed: int) -> Go
 
 
 def _whitened(problem: Problem, found: Fit) -> np.ndarray:
-    return whitened(problem.pairs, problem.rule(found.estimates), problem.expected(found.estimates))
+    return whitened(
+        problem.pairs, problem.rule(found.estimates), problem.expected(found.estimates)
+    )
 
 
 def _replicas(problem: Problem, found: Fit, seed: int):

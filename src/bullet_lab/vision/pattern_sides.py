@@ -118,7 +118,7 @@ def _edges_seen(
     off = rises.argmax(axis=0)[shown] - float(reach)
     # As in `moves_of`.
     third = (places @ to_image[2, :2] + to_image[2, 2])[:, None]
-    along = across @ to_image[:2, :2] - (across * points).sum(axis=1)[:, None] * to_image[2, :2]
+    along = (across @ to_image[:2, :2] - (across * points).sum(axis=1)[:, None] * to_image[2, :2])
     along /= third
     x, y = (places - 0.5).T
     planes = np.stack((np.ones(len(x)), x, y), axis=1)

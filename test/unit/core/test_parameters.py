@@ -45,7 +45,9 @@ def read(**given):
 
 
 def test_defaults():
-    assert read() == Sample(0.5, 2.0, 1, False, "slow", "odom", (), (0.0, 1.0, 2.0), {}, 3)
+    assert read() == Sample(
+        0.5, 2.0, 1, False, "slow", "odom", (), (0.0, 1.0, 2.0), {}, 3
+    )
     assert read().about is not read().about
 
 

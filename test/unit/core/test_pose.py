@@ -51,7 +51,9 @@ def test_composing_is_the_product_of_the_matrices():
     a, b = Pose.from_rpy((1, -2, 0.5), ANGLES[0]), Pose.from_rpy((0.3, 4, -1), ANGLES[1])
     product = a * b
     assert product.rotation_matrix() == pytest.approx(axes_of(ANGLES[0]) @ axes_of(ANGLES[1]))
-    assert product.position == pytest.approx(np.array(a.position) + axes_of(ANGLES[0]) @ b.position)
+    assert product.position == pytest.approx(
+        np.array(a.position) + axes_of(ANGLES[0]) @ b.position
+    )
 
 
 def test_the_inverse_undoes():

@@ -149,7 +149,9 @@ def test_memory_does_not_grow_with_the_number_of_paths(monkeypatch):
 
     def peak(paths):
         tracemalloc.start()
-        study_case(trajectory, ("report", 0.1, 20.0), np.random.default_rng(1), paths, 1.0, keep=5)
+        study_case(
+            trajectory, ("report", 0.1, 20.0), np.random.default_rng(1), paths, 1.0, keep=5
+        )
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         return most

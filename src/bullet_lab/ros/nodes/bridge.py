@@ -170,7 +170,9 @@ class PyBulletBridge:
         world = RunningWorld(self.stepper, self._topics)
         hidden = "" if robot is None else robot.name
         folder = Path(parameters.save_folder)
-        self._gazebo = Gazebo(world, parameters.world_frame, hidden, parameters.states_rate, folder)
+        self._gazebo = Gazebo(
+            world, parameters.world_frame, hidden, parameters.states_rate, folder
+        )
         self._descriptions = ModelDescriptions(world, warnings)
         self._controllers = ControllerManagers(world)
         self._touches = TouchCounter(world)

@@ -49,7 +49,6 @@ IDLE_FLAGS = (
 # What others do with these would be missed.
 REFUSED = (("-p", "--play"), ("--iters",), ("--initial_sim_time",))
 
-
 @dataclass(frozen=True)
 class ServerArguments:
     """The command line of gzserver.

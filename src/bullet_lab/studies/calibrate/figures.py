@@ -96,7 +96,9 @@ def _draw_profile(axes: Axes, one: Calibration, name: str, found) -> None:
     left, right = value - 1.4 * (value - low), value + 1.4 * (high - value)
     if low == 0.0:
         left = 1e-3 * value
-    sides = [np.linspace(value, end, _POINTS // 2 + 1)[1:] for end in (left, right) if end != value]
+    sides = [
+        np.linspace(value, end, _POINTS // 2 + 1)[1:] for end in (left, right) if end != value
+    ]
     points = [(value, 0.0)]
     for side in sides:
         points += zip(side, profile(one.problem, one.fit, name, side))

@@ -262,7 +262,9 @@ def clock_offset(truth: Trajectory, odometry: Trajectory, stamps: np.ndarray):
     period = float(np.median(np.diff(stamps)))
     # Long enough for the noise of single messages to matter little.
     window = max(4.0 * period, 0.5)
-    inside = (stamps > stamps[0] + _WIDEST_OFFSET) & (stamps < stamps[-1] - window - _WIDEST_OFFSET)
+    inside = (stamps > stamps[0] + _WIDEST_OFFSET) & (
+        stamps < stamps[-1] - window - _WIDEST_OFFSET
+    )
     begins = stamps[inside]
     if len(begins) < FEWEST_STEPS:
         return 0.0, np.inf

@@ -243,7 +243,9 @@ class _Drive:
             return
         image = camera.take(simulation.step)
         found = self._detector.detect(grey(image, "rgb8"), camera.camera).markers
-        sightings = tuple(Sighting(m.id, self._dictionary, m.corners, m.deviations) for m in found)
+        sightings = tuple(
+            Sighting(m.id, self._dictionary, m.corners, m.deviations) for m in found
+        )
         # The same object for all images, as it is one camera.
         observation = Observation(simulation.seconds, self._known_camera, sightings)
         self._late.append((simulation.seconds + late, observation))

@@ -150,7 +150,9 @@ def _corner(rng: np.random.Generator) -> Dict[str, Any]:
 
 
 _SHIFTS = tuple((f"mount_{axis}_m", MOUNT_SHIFT) for axis in "xyz")
-_TURNS = tuple((f"mount_{axis}_deg", math.degrees(MOUNT_TURN)) for axis in ("roll", "pitch", "yaw"))
+_TURNS = tuple(
+    (f"mount_{axis}_deg", math.degrees(MOUNT_TURN)) for axis in ("roll", "pitch", "yaw")
+)
 
 STRESSES: Dict[str, Draw] = {
     "pose": _even(*((f"dock_{axis}_m", FARTHEST_DOCK) for axis in "xy"), ("dock_yaw_deg", 180.0)),
@@ -240,7 +242,9 @@ def _cover(stress: Stress, dock: Dock) -> Model:
 def robot_under(stress: Stress, robot: Model, camera_frame: str) -> Model:
     """Return a robot with its camera where it really is; the frame is one of `robot.frames`."""
     keeper, pose = robot.frames[camera_frame]
-    return replace(robot, frames={**robot.frames, camera_frame: (keeper, pose * stress.mount)})
+    return replace(
+        robot, frames={**robot.frames, camera_frame: (keeper, pose * stress.mount)}
+    )
 
 
 class StressedOdometry:

@@ -130,7 +130,9 @@ def _benchmark(
     return Benchmark.of(runs, base, drive.side)
 
 
-def _robot(base: float, drive: DriveSettings, floor: bool, correction: SystematicErrors) -> Robot:
+def _robot(
+    base: float, drive: DriveSettings, floor: bool, correction: SystematicErrors
+) -> Robot:
     if floor:
         return drive.plan.build(drive.errors, correction)
     believed = Wheels(DIAMETER, DIAMETER, base)
@@ -195,3 +197,5 @@ def describe_campaign(records: int, summary: Mapping[str, Any]) -> List[str]:
     fall = summary["least_fall"]
     falls = "to nothing" if fall is None else f"{fall:.0f} times or more"
     return [*lines, f"the largest systematic return error falls {falls} with the correction"]
+
+

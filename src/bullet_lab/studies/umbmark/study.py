@@ -167,7 +167,9 @@ def describe(
     """Return what came of it as lines for people."""
     lines = [*_figures(before)]
     found, figures = before.estimate, before.figures
-    lines.append(f"closed forms, for small errors: E_d {figures.e_d:.5f}, E_b {figures.e_b:.5f}")
+    lines.append(
+        f"closed forms, for small errors: E_d {figures.e_d:.5f}, E_b {figures.e_b:.5f}"
+    )
     for name, title in (("diameter_error", "D_right/D_left"), ("base_error", "base/believed")):
         value = getattr(found.errors, name)
         between = ""

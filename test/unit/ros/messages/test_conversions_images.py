@@ -71,7 +71,7 @@ def test_points_are_read_as_what_they_were():
         ("z", 8, 7, 1),
         ("rgb", 16, 7, 1),
     ]
-    for u, v in ((0, 0), (3, 2), (1, 2)):
+    for (u, v) in ((0, 0), (3, 2), (1, 2)):
         at = v * message.row_step + u * message.point_step
         assert struct.unpack_from("<fff", message.data, at) == tuple(points[v, u])
         # As PCL takes them apart: blue, green, red.

@@ -54,7 +54,9 @@ def test_scans():
     assert message.intensities == (0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(("infrared", "kind"), [(True, Range.INFRARED), (False, Range.ULTRASOUND)])
+@pytest.mark.parametrize(
+    ("infrared", "kind"), [(True, Range.INFRARED), (False, Range.ULTRASOUND)]
+)
 def test_ranges(infrared, kind):
     message = message_of(RangeSample(50, "sonar", infrared, 0.5, 0.25, 4.0, 1.5))
     assert (message.header.stamp, message.header.frame_id) == (genpy.Time(0, 50_000_000), "sonar")

@@ -121,13 +121,8 @@ def test_shapes_of_one_link_are_told_apart():
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "base_fixed_joint_lump__nose_collision_1",
-        "base_fixed_joint_lump__nose_collision",
-        "nose_collision",
-        "nose",
-    ],
+    "name", ["base_fixed_joint_lump__nose_collision_1", "base_fixed_joint_lump__nose_collision",
+             "nose_collision", "nose"]
 )
 def test_only_the_named_shapes_are_watched(name):
     assert not any(sample.contacts for sample in run(bumper([name]), 0.2))

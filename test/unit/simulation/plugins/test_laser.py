@@ -28,11 +28,15 @@ def ray(samples=360, angles=(-math.pi, math.pi), limits=(0.1, 10.0), more="", re
 
 def laser(inner=None, rate=10, tags=TAGS, plugin=PLUGIN, kind="ray", **robot):
     inner = ray() if inner is None else inner
-    return carrier(sensor(kind, f"<update_rate>{rate}</update_rate>{inner}", plugin, tags), **robot)
+    return carrier(
+        sensor(kind, f"<update_rate>{rate}</update_rate>{inner}", plugin, tags), **robot
+    )
 
 
 def noise(deviation, mean=0.0):
-    return f"<noise><type>gaussian</type><mean>{mean}</mean><stddev>{deviation}</stddev></noise>"
+    return (
+        f"<noise><type>gaussian</type><mean>{mean}</mean><stddev>{deviation}</stddev></noise>"
+    )
 
 
 def one_scan(simulation, model, topic="scan", **where):
@@ -100,7 +104,8 @@ def test_the_can_that_the_laser_is_in_is_not_seen(world):
 
 def test_the_robots_own_parts_are_seen_beyond_the_least_range_only(world):
     mast = (
-        "<collision><origin xyz='0.3 0 0'/><geometry><box size='0.1 0.1 1'/></geometry></collision>"
+        "<collision><origin xyz='0.3 0 0'/><geometry><box size='0.1 0.1 1'/></geometry>"
+        "</collision>"
     )
     world.add(box("1 9 1", "2.5 0 0 0 0 0"))
     seen = one_scan(world, laser(ray(2, (0.0, math.pi), (0.1, 5.0)), collision=CAN + mast))

@@ -74,7 +74,9 @@ SENSOR = """<gazebo reference="base"><sensor type="{}" name="s">
         ("range", "ray", "it", "", ""),
     ],
 )
-def test_the_namespace_without_a_tag_is_that_of_gazebos_plugin(name, sensor, topic, missing, empty):
+def test_the_namespace_without_a_tag_is_that_of_gazebos_plugin(
+    name, sensor, topic, missing, empty
+):
     def topic_of(tag, namespace):
         filename = f"libgazebo_ros_{name}.so"
         text = ROBOT.format(filename).replace("<updateRate>50</updateRate>", tag)

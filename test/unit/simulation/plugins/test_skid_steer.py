@@ -21,7 +21,8 @@ PLACES = {
     "right_rear_joint": (-0.2, -0.25),
 }
 SIZES = (
-    f"<wheelSeparation>{SEPARATION}</wheelSeparation><wheelDiameter>{2 * RADIUS}</wheelDiameter>"
+    f"<wheelSeparation>{SEPARATION}</wheelSeparation>"
+    f"<wheelDiameter>{2 * RADIUS}</wheelDiameter>"
 )
 QUARTER = "1.5707963267948966"
 

@@ -305,7 +305,9 @@ def test_tags_of_a_plugin_that_it_does_not_know_are_reported(caplog):
             simulation.add(carrier(plugin)).command("/ns/cmd_vel", PlanarCommand())
 
     (message,) = warnings_of(caplog, make)
-    assert message == ("model 'carrier': plugin 'drive': <comandTopic> is not known and skipped")
+    assert message == (
+        "model 'carrier': plugin 'drive': <comandTopic> is not known and skipped"
+    )
 
 
 def test_a_plugin_that_is_not_known_is_reported(caplog):

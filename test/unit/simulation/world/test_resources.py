@@ -24,7 +24,9 @@ def files(tmp_path):
 @pytest.fixture
 def finder(files):
     packages = {"pkg": files / "pkg"}
-    return ResourceFinder(files / "pkg" / "urdf", packages.get, [files / "first", files / "second"])
+    return ResourceFinder(
+        files / "pkg" / "urdf", packages.get, [files / "first", files / "second"]
+    )
 
 
 def test_what_may_be_found(finder, files):

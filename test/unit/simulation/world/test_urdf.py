@@ -196,10 +196,8 @@ BAD = {
         "link 'a': no body has the principal moments 0, 0, 0",
     ),
     "origin": (
-        robot(
-            '<link name="a"><visual><origin xyz="0 0"/><geometry><sphere radius="1"/>'
-            "</geometry></visual></link>"
-        ),
+        robot('<link name="a"><visual><origin xyz="0 0"/><geometry><sphere radius="1"/>'
+              "</geometry></visual></link>"),
         "link 'a': origin xyz: '0 0' is not 3 finite numbers",
     ),
     "colour": (

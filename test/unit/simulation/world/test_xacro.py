@@ -71,7 +71,7 @@ def test_it_can_be_spawned_by_its_path(write):
     [
         ("<link", "", "no element found|unclosed token|not well-formed"),
         ('<link name="${no_such_name}"/>', HEAD, "no_such_name"),
-        ("<xacro:no_such_macro/>", HEAD, "no_such_macro"),
+        ('<xacro:no_such_macro/>', HEAD, "no_such_macro"),
         ('<xacro:include filename="missing.xacro"/>', HEAD, "missing.xacro"),
         ('<link name="$(arg never_given)"/>', HEAD, "never_given"),
     ],

@@ -122,7 +122,9 @@ def test_it_runs_from_the_command_line_on_files(tmp_path, capsys):
 
 def test_a_path_one_way_cannot_tell_the_gyro_from_the_wheels(tmp_path, capsys):
     write_paths(tmp_path / "paths.csv", made_up(LAP, 3), rows=90)
-    _, out, _ = run(capsys, tmp_path, "--data", tmp_path / "paths.csv", "--models", "probabilistic")
+    _, out, _ = run(
+        capsys, tmp_path, "--data", tmp_path / "paths.csv", "--models", "probabilistic"
+    )
     assert "gyro_bias_per_metre is not fitted" in out
     assert "gyro_bias_per_metre " not in out.split("not fitted", 1)[1]
 
