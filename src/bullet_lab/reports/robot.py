@@ -5,18 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import (
-    Any,
-    Dict,
-    Iterable,
-    Iterator,
-    List,
-    Mapping,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Tuple,
-)
+from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -115,7 +104,7 @@ class Count:
         }
 
 
-def declared_rates(rows: Iterable[PluginRow]) -> Dict[str, float]:
+def declared_rates(rows: Sequence[PluginRow]) -> Dict[str, float]:
     """Return the rate (Hz) of each topic: those of all that speak on it, 0 if one has none."""
     shares: Dict[str, List[float]] = {}
     for row in rows:
@@ -191,11 +180,9 @@ class Leg:
 
     def reasons(self) -> List[str]:
         """Return what is known of why the robot did not do what it was asked."""
-        found = [] if self.has_moved() else list(self.causes)
-        if self.has_moved() and self.truth[self.quantity] < 0.0:
-            found = [
-                "drove the other way" if self.quantity == "ahead_m" else "turned the other way"
-            ]
+        verb = "turned" if self.quantity == "turned_deg" else "drove"
+        backwards = [f"{verb} the other way"] if self.truth[self.quantity] < 0.0 else []
+        found = backwards if self.has_moved() else list(self.causes)
         if self.touched:
             found.append(f"touches {', '.join(self.touched[:MOST_NAMES])}")
         if self.late:
@@ -232,10 +219,8 @@ class Leg:
     def line(self) -> str:
         """Return it in a few words."""
         unit = "m" if self.quantity == "ahead_m" else "°"
-        true, why = (
-            self.truth[self.quantity],
-            ": ".join(["", ", ".join(self.reasons())]).rstrip(": "),
-        )
+        true, reasons = self.truth[self.quantity], ", ".join(self.reasons())
+        why = f": {reasons}" if reasons else ""
         if not self.has_moved():
             return f"{self.name}: it does not move ({true:.3f} {unit} of {self.asked:g}){why}"
         said = "nothing came from its odometry"
@@ -266,11 +251,7 @@ class RobotReport(Report):
     """
 
     def __init__(
-        self,
-        folder: Path,
-        robot: Robot,
-        kinds: Mapping[str, str],
-        others: Sequence[PluginRow] = (),
+        self, folder: Path, robot: Robot, kinds: Mapping[str, str], others: Sequence[PluginRow] = ()
     ):
         super().__init__(folder)
         self.robot = robot
@@ -340,9 +321,8 @@ class RobotReport(Report):
     def line(self, summary: Mapping[str, Any]) -> str:
         if not self.robot.drive:
             left_out = f"; left out: {', '.join(self.left_out())}" if self.left_out() else ""
-            return (
-                f"'{self.robot.name}' listens to no velocities: it is shown, not driven{left_out}"
-            )
+            shown = "listens to no velocities: it is shown, not driven"
+            return f"'{self.robot.name}' {shown}{left_out}"
         return "; ".join(leg.line() for leg in self.legs) or "it was not driven"
 
     def has_failed(self, summary: Mapping[str, Any]) -> bool:

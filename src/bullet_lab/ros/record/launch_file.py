@@ -22,15 +22,7 @@ TELLING = re.compile(r"rror\b|Exception|not found|died")
 NOT_LAUNCHED = re.compile(r"cannot launch node of type \[(.+?)/(.+?)\]: (.*)")
 DIED = re.compile(r"\[([^][]+)\] process has died .*?(exit code -?\d+|without exit code)")
 # How Debian names what has the nodes of a ROS package, the likeliest first.
-DEBIAN = (
-    "{}-tools",
-    "lib{}lib-tools",
-    "lib{}-tools",
-    "ros-{}",
-    "ros-noetic-{}",
-    "{}",
-    "python3-{}",
-)
+DEBIAN = "{}-tools lib{}lib-tools lib{}-tools ros-{} ros-noetic-{} {} python3-{}".split()
 ROS = re.compile(r"Robot OS|\bROS\b|ros\.org")
 
 
@@ -83,7 +75,8 @@ def debian_package(package: str) -> str:
     # Debian's tf is a game.
     known = {part.split(None, 1)[0] for part in parts if re.search(ROS, part)}
     found = next((name for name in names if name in known), "")
-    return "" if Path(f"/var/lib/dpkg/info/{found}.list").exists() else found
+    # Some have their architecture after a colon.
+    return "" if any(Path("/var/lib/dpkg/info").glob(f"{found}[.:]*list")) else found
 
 
 class Launched:

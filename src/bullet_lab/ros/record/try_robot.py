@@ -28,7 +28,7 @@ from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription
 from bullet_lab.reports import Reading
-from bullet_lab.reports.robot import ODOMETRY, TRUTH, Leg, RobotReport, Way
+from bullet_lab.reports.robot import ODOMETRY, STANDING, TRUTH, Leg, RobotReport, Way
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_of
 from bullet_lab.ros.node.driving import StoppableSender
@@ -230,14 +230,17 @@ class Trial:
             self._rate.sleep()
             self._look(ways)
             is_late = not self._is_enough(ways, quantity, asked)
-            if tick % COMMANDS == 0 or not is_late:
+            if tick % COMMANDS == 0:
                 touched.update(described(self._name).models[0].touches)
             if not is_late:
                 break
         took = (self._rate.now - start).to_sec()
         (model,) = described(self._name).models
-        is_heard = self._velocities.get_num_connections() > 0
-        causes = why_it_stands(model, self._report.robot.drive, is_heard)
+        touched.update(model.touches)
+        causes: List[str] = []
+        if abs(ways[TRUTH].figures()[quantity]) < STANDING * asked:
+            is_heard = self._velocities.get_num_connections() > 0
+            causes = why_it_stands(model, self._report.robot.drive, is_heard)
         self._stand(STAND, ways)
         said, true = ways[ODOMETRY].figures(), ways[TRUTH].figures()
         known = (is_late, tuple(sorted(touched)), tuple(causes))
