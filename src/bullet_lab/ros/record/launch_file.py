@@ -22,7 +22,8 @@ TELLING = re.compile(r"rror\b|Exception|not found|died")
 NOT_LAUNCHED = re.compile(r"cannot launch node of type \[(.+?)/(.+?)\]: (.*)")
 DIED = re.compile(r"\[([^][]+)\] process has died .*?(exit code -?\d+|without exit code)")
 # How Debian names what has the nodes of a ROS package, the likeliest first.
-DEBIAN = "{}-tools lib{}lib-tools lib{}-tools ros-{} ros-noetic-{} {} python3-{}".split()
+DEBIAN = ("{}-tools", "lib{}lib-tools", "ros-{}", "ros-noetic-{}", "{}", "python3-{}")
+INSTALLED = Path("/var/lib/dpkg/info")
 ROS = re.compile(r"Robot OS|\bROS\b|ros\.org")
 
 
@@ -76,7 +77,7 @@ def debian_package(package: str) -> str:
     known = {part.split(None, 1)[0] for part in parts if re.search(ROS, part)}
     found = next((name for name in names if name in known), "")
     # Some have their architecture after a colon.
-    return "" if any(Path("/var/lib/dpkg/info").glob(f"{found}[.:]*list")) else found
+    return "" if any(INSTALLED.glob(f"{found}[.:]*list")) else found
 
 
 class Launched:

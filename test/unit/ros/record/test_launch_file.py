@@ -71,14 +71,19 @@ Homepage: https://wiki.ros.org/geometry2
 @pytest.mark.parametrize(
     ("package", "found"), [("tf", "tf-tools"), ("tf2_ros", "tf2-tools"), ("amcl", "")]
 )
-def test_the_debian_package_of_a_ros_package(monkeypatch, package, found):
+def test_the_debian_package_of_a_ros_package(monkeypatch, tmp_path, package, found):
     def run(command, **_):
         shown = [part for part in APT.split("\n\n") if part.split()[1] in command]
         return SimpleNamespace(stdout="\n\n".join(shown).encode())
 
     monkeypatch.setattr(launch_file.subprocess, "run", run)
+    monkeypatch.setattr(launch_file, "INSTALLED", tmp_path)
     debian_package.cache_clear()
     assert debian_package(package) == found
+    debian_package.cache_clear()
+    # What is installed already does not help.
+    (tmp_path / f"{found}:amd64.list").touch()
+    assert debian_package(package) == ""
     debian_package.cache_clear()
 
 

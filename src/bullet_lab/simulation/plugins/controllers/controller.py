@@ -155,8 +155,8 @@ def make_controller(setup: ControllerSetup) -> Controller:
     """Return a controller of the kind that is asked for; raises ControlError."""
     kind = _KINDS.get(setup.kind)
     if kind is None:
-        known = "the service list_controller_types names those that are"
-        raise ControlError(f"the type '{setup.kind}' is not simulated; {known}")
+        known = ", ".join(known_controllers())
+        raise ControlError(f"the type '{setup.kind}' is not simulated; known are {known}")
     return kind(setup)
 
 
