@@ -51,12 +51,39 @@ CART = """<robot name="cart" xmlns:xacro="http://www.ros.org/wiki/xacro">
   </gazebo>
 </robot>"""
 
+# A robot that stands in the world file, before a wall; one arm of it has a strange controller.
+LINK = """<link name="{0}"><pose>{1} 0 0 0</pose><inertial><mass>5</mass></inertial>
+  <collision name="c"><geometry><box><size>{2}</size></box></geometry>
+    <surface><friction><ode><mu>0</mu></ode></friction></surface></collision></link>"""
+WORLD = f"""<sdf version="1.6"><world name="lab"><include><uri>model://ground_plane</uri></include>
+  <model name="house"><static>1</static>{LINK.format("wall_3", "0.9 0 0.5", "0.1 4 1")}</model>
+  <model name="rover">{LINK.format("base", "0 0 0.1", "0.3 0.3 0.2")}
+    <link name="arm"><pose>0 0 0.5 0 0 0</pose></link>
+    <joint name="hinge" type="revolute"><parent>base</parent><child>arm</child>
+      <axis><xyz>0 0 1</xyz></axis></joint>
+    <plugin name="wheels" filename="libgazebo_ros_planar_move.so"/>
+    <plugin name="control" filename="libgazebo_ros_control.so">
+      <robotNamespace>/</robotNamespace></plugin>
+  </model></world></sdf>"""
+KIND = "effort_controllers/JointTrajectoryController"
+LAUNCH = f"""<launch>
+  <include file="$(find gazebo_ros)/launch/empty_world.launch">
+    <arg name="world_name" value="$(dirname)/lab.world"/><arg name="gui" value="false"/>
+    <arg name="paused" value="true"/></include>
+  <param name="robot_description" value="&lt;robot name='rover'>&lt;link name='base'/>&lt;/robot>"/>
+  <param name="arm/type" value="{KIND}"/>
+  <node name="load" pkg="rosservice" type="rosservice"
+        args="call --wait /controller_manager/load_controller arm"/>
+  <node name="map" pkg="map_server" type="map_server"/>
+  <node name="fails" pkg="rostopic" type="rostopic" args="bogus"/>
+</launch>"""
+
 
 class RobotJobTest(unittest.TestCase):
     """One run for each kind of file."""
 
-    def run_job(self, *words):
-        out, printed = run_job("robot", *words, folder=FOLDER.name)
+    def run_job(self, *words, status=0):
+        out, printed = run_job("robot", *words, folder=FOLDER.name, status=status)
         for name in ("robot.png", "robot.md", "truth.tum"):
             self.assertTrue((out / name).stat().st_size, name)
         return json.loads((out / "summary.json").read_text()), printed
@@ -90,6 +117,24 @@ class RobotJobTest(unittest.TestCase):
         self.assertEqual("rover", summary["robot"]["name"])
         self.assertTrue(summary["drive"]["metre"]["moved"], printed)
         self.assertEqual([], summary["silent"])
+
+    def test_what_goes_wrong_is_said(self):
+        for name, text in (("lab.world", WORLD), ("lab.launch", LAUNCH)):
+            with open(os.path.join(FOLDER.name, name), "w") as file:
+                file.write(text)
+        file = os.path.join(FOLDER.name, "lab.launch")
+        summary, printed = self.run_job(f"urdf:={file}", "speed:=0.5", "turn_rate:=2", status=1)
+        self.assertEqual("rover", summary["robot"]["name"])
+        self.assertTrue(summary["finished"])
+        self.assertEqual([f"arm ({KIND})"], summary["left_out"])
+        self.assertIn(f"controller 'arm': the type '{KIND}' is not simulated", printed)
+        missing, died = summary["not_started"]
+        self.assertIn("map_server/map_server: there is no ROS package 'map_server'", missing)
+        self.assertRegex(died, r"fails-\d+ has died \(exit code \d+\)")
+        metre = summary["drive"]["metre"]
+        self.assertIn("touches house::wall_3", metre["reasons"])
+        self.assertIn("metre: 0.70 of 1 m: touches house::wall_3", printed)
+        self.assertFalse(summary["drive"]["turn"]["failed"])
 
     def test_what_cannot_be_driven_is_shown(self):
         summary, printed = self.run_job(f"urdf:={TUTORIALS / 'urdf' / 'pendulum.urdf'}")

@@ -20,6 +20,11 @@ TRUTH, ODOMETRY = "truth", "odometry"
 TABLE = "robot.md"
 # A robot that has come less far than this share of what was asked for has not moved.
 STANDING = 0.05
+# The share of what was asked for that a robot must have come, really. Wheels that slip as they turn
+# lose a tenth (docs/contact_model.md); half as much again is allowed.
+DONE = 0.85
+# Names in a line.
+MOST_NAMES = 3
 # Of the rate that a topic is to have.
 RATE_TOLERANCE = 0.05
 # Messages, before a rate is made of them.
@@ -27,7 +32,10 @@ FEWEST = 3
 
 
 class PluginRow(NamedTuple):
-    """A `<plugin>`: its topics, its rate in Hz (0: none of its own), the tags that do nothing."""
+    """A `<plugin>`: its topics, its rate in Hz (0: none of its own), the tags that do nothing.
+
+    `refused` are the controllers, with their types, that it could not load.
+    """
 
     name: str
     filename: str
@@ -37,6 +45,7 @@ class PluginRow(NamedTuple):
     inputs: Tuple[str, ...]
     outputs: Tuple[str, ...]
     tags_not_simulated: Tuple[str, ...]
+    refused: Tuple[str, ...] = ()
 
 
 class Controller(NamedTuple):
@@ -51,7 +60,7 @@ class Controller(NamedTuple):
 class Robot:
     """What a robot is made of; `drive` and `odometry` are topics, empty where it has none.
 
-    `said` is what the simulation has warned of.
+    `said` is what the simulation has warned of, `choice` the names of all that could be driven.
     """
 
     name: str
@@ -62,6 +71,7 @@ class Robot:
     drive: str = ""
     odometry: str = ""
     said: Tuple[str, ...] = ()
+    choice: Tuple[str, ...] = ()
 
 
 class Count:
@@ -94,6 +104,15 @@ class Count:
         }
 
 
+def declared_rates(rows: Sequence[PluginRow]) -> Dict[str, float]:
+    """Return the rate (Hz) of each topic: those of all that speak on it, 0 if one has none."""
+    shares: Dict[str, List[float]] = {}
+    for row in rows:
+        for topic in row.outputs:
+            shares.setdefault(topic, []).append(row.rate)
+    return {topic: sum(rates) if all(rates) else 0.0 for topic, rates in shares.items()}
+
+
 class Way:
     """How far a robot has come since it was first seen: m along and across its first heading."""
 
@@ -109,11 +128,6 @@ class Way:
             self._start = self._last = pose
         self.turned += math.remainder(pose[2] - self._last[2], math.tau)
         self._last = pose
-
-    @property
-    def is_known(self) -> bool:
-        """Whether anything has come."""
-        return self._start is not None
 
     def ahead_and_aside(self) -> Tuple[float, float]:
         """Return how far it has come, m."""
@@ -140,6 +154,9 @@ class Leg:
         quantity: the figure of `Way.figures` that it is about.
         asked: that much of it.
         seconds: simulated.
+        late: whether it was given up because it took too long.
+        touched: model::link, what it touched from the side.
+        causes: what is known of why it stands.
     """
 
     name: str
@@ -148,6 +165,29 @@ class Leg:
     odometry: Optional[Mapping[str, float]]
     truth: Mapping[str, float]
     seconds: float
+    late: bool = False
+    touched: Tuple[str, ...] = ()
+    causes: Tuple[str, ...] = ()
+
+    def has_failed(self) -> bool:
+        """Return whether the robot did not do what it was asked, by the truth.
+
+        One that is slow to brake comes too far, and its odometry says so.
+        """
+        share, error = self.truth[self.quantity] / self.asked, self.error()
+        is_off = error is not None and error > 100.0 * (1.0 - DONE)
+        return self.late or share < DONE or (is_off and share > 2.0 - DONE)
+
+    def reasons(self) -> List[str]:
+        """Return what is known of why the robot did not do what it was asked."""
+        verb = "turned" if self.quantity == "turned_deg" else "drove"
+        backwards = [f"{verb} the other way"] if self.truth[self.quantity] < 0.0 else []
+        found = backwards if self.has_moved() else list(self.causes)
+        if self.touched:
+            found.append(f"touches {', '.join(self.touched[:MOST_NAMES])}")
+        if self.late:
+            found.append(f"out of time after {self.seconds:.0f} s")
+        return found if self.has_failed() else []
 
     def has_moved(self) -> bool:
         """Return whether the robot has really moved."""
@@ -170,6 +210,8 @@ class Leg:
             "odometry": self.odometry,
             "truth": self.truth,
             "moved": self.has_moved(),
+            "failed": self.has_failed(),
+            "reasons": self.reasons(),
             "odometry_error_percent": self.error(),
             "seconds": self.seconds,
         }
@@ -177,15 +219,17 @@ class Leg:
     def line(self) -> str:
         """Return it in a few words."""
         unit = "m" if self.quantity == "ahead_m" else "°"
-        true = self.truth[self.quantity]
+        true, reasons = self.truth[self.quantity], ", ".join(self.reasons())
+        why = f": {reasons}" if reasons else ""
         if not self.has_moved():
-            return f"{self.name}: it does not move ({true:.3f} {unit} of {self.asked:g})"
-        said = "it has no odometry"
+            return f"{self.name}: it does not move ({true:.3f} {unit} of {self.asked:g}){why}"
+        said = "nothing came from its odometry"
         if self.odometry is not None:
             said = f"its odometry says {self.odometry[self.quantity]:.3f} {unit}"
             said += f" ({self.error():.2f} % off)"
         beside = "" if unit == "°" else f", turned by {self.truth['turned_deg']:.2f}° on the way"
-        return f"{self.name}: {true:.3f} {unit}{beside}; {said}"
+        come = f"{true:.2f} of {self.asked:g}" if self.has_failed() else f"{true:.3f}"
+        return f"{self.name}: {come} {unit}{why}{beside}; {said}"
 
 
 class RobotReport(Report):
@@ -198,12 +242,20 @@ class RobotReport(Report):
         picture: of the robot, (h, w, 3) uint8, blue green red.
         seen: the first picture of each of its cameras, likewise, by topic.
         tilt_deg: how far from upright it was in the end.
+        not_started: nodes of its launch file that could not start or died.
+        pauses: how often its odometry paused.
+
+    Args:
+        kinds: types of its topics.
+        others: plugins of other models, which may speak on the same topics.
     """
 
-    def __init__(self, folder: Path, robot: Robot, kinds: Mapping[str, str]):
+    def __init__(
+        self, folder: Path, robot: Robot, kinds: Mapping[str, str], others: Sequence[PluginRow] = ()
+    ):
         super().__init__(folder)
         self.robot = robot
-        rates = {topic: row.rate for row in robot.plugins for topic in row.outputs}
+        rates = declared_rates((*robot.plugins, *others))
         self.counts = {topic: Count(kind, rates.get(topic, 0.0)) for topic, kind in kinds.items()}
         self.series = {
             TRUTH: PathSeries(folder / "truth.tum"),
@@ -213,6 +265,8 @@ class RobotReport(Report):
         self.picture: Optional[np.ndarray] = None
         self.seen: Dict[str, np.ndarray] = {}
         self.tilt_deg = 0.0
+        self.not_started: List[str] = []
+        self.pauses = 0
 
     def take(self, topic: str, reading: Reading) -> bool:
         """Take a pose of `TRUTH` or `ODOMETRY`."""
@@ -227,8 +281,10 @@ class RobotReport(Report):
         replace_file(self.folder / TABLE, lambda part: part.write_text(self.table()))
 
     def left_out(self) -> List[str]:
-        """Return the plugins that do nothing."""
-        return [f"{row.name} ({row.filename})" for row in self.robot.plugins if not row.acts]
+        """Return the plugins that do nothing, and the controllers that were refused."""
+        plugins = self.robot.plugins
+        idle = [f"{row.name} ({row.filename})" for row in plugins if not row.acts]
+        return idle + [controller for row in plugins for controller in row.refused]
 
     def silent(self) -> List[str]:
         """Return the topics with a rate that nothing came on."""
@@ -251,10 +307,12 @@ class RobotReport(Report):
             "finished": finished,
             "robot": robot,
             "left_out": self.left_out(),
+            "not_started": self.not_started,
             "topics": {topic: count.figures() for topic, count in self.counts.items()},
             "silent": self.silent(),
             "off_rate": self.off_rate(),
             "drive": {leg.name: leg.figures() for leg in self.legs},
+            "odometry_pauses": self.pauses,
             "tilt_deg": self.tilt_deg,
             "sim_time_s": self.seconds(),
             **run,
@@ -262,8 +320,13 @@ class RobotReport(Report):
 
     def line(self, summary: Mapping[str, Any]) -> str:
         if not self.robot.drive:
-            return f"'{self.robot.name}' listens to no velocities: it is shown, not driven"
+            left_out = f"; left out: {', '.join(self.left_out())}" if self.left_out() else ""
+            shown = "listens to no velocities: it is shown, not driven"
+            return f"'{self.robot.name}' {shown}{left_out}"
         return "; ".join(leg.line() for leg in self.legs) or "it was not driven"
+
+    def has_failed(self, summary: Mapping[str, Any]) -> bool:
+        return any(leg.has_failed() for leg in self.legs)
 
     def table(self) -> str:
         """Return what acts and what does not, in Markdown."""
@@ -301,7 +364,7 @@ def _from_the_start(rows: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
 
 
 def _lines(report: RobotReport) -> Iterator[str]:
-    robot = report.robot
+    robot, pauses = report.robot, report.pauses
     yield f"# {robot.name}"
     yield ""
     yield f"{len(robot.links)} links: {', '.join(robot.links)}"
@@ -322,7 +385,11 @@ def _lines(report: RobotReport) -> Iterator[str]:
             for row in robot.plugins
         ],
     )
-    yield from _rows(("controller", "type", "state"), robot.controllers)
+    refused = [name for row in robot.plugins for name in row.refused]
+    yield from _rows(
+        ("controller", "type", "state"),
+        [*robot.controllers, *((*name[:-1].split(" (", 1), "**refused**") for name in refused)],
+    )
     yield from _rows(
         ("topic", "type", "Hz declared", "Hz seen", "messages"),
         [
@@ -337,12 +404,17 @@ def _lines(report: RobotReport) -> Iterator[str]:
         ],
     )
     yield ""
+    if len(robot.choice) > 1:
+        yield f"- drives {robot.name} of {', '.join(robot.choice)}: model:=NAME chooses another"
     yield f"- velocities: {robot.drive or 'nothing listens to any'}"
-    yield f"- odometry: {robot.odometry or 'none'}"
+    yield f"- odometry: {robot.odometry or 'none'}" + f" (pauses: {pauses})" * bool(pauses)
     yield from (f"- {leg.line()}" for leg in report.legs)
-    if robot.said:
-        yield from ("", "What the simulation said of it:", "")
-        yield from (f"- {line}" for line in robot.said)
+    for title, lines in (
+        ("Could not start, or died:", report.not_started),
+        ("What the simulation said of it:", robot.said),
+    ):
+        if lines:
+            yield from ("", title, "", *(f"- {line}" for line in lines))
 
 
 def _rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:

@@ -18,7 +18,7 @@ import math
 import time
 from collections import defaultdict
 from dataclasses import dataclass, replace
-from typing import Any, Callable, DefaultDict, Dict, List, Mapping, Optional, Tuple, Union
+from typing import Any, Callable, DefaultDict, Dict, Iterator, List, Mapping, Optional, Tuple, Union
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.forces import Forces
 from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose
-from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_name
+from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_name, touching_points
 from bullet_lab.simulation.physics.physics import Body, Physics
 from bullet_lab.simulation.physics.traction import Traction
 from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin, namespace_of
@@ -84,6 +84,7 @@ class Simulation:
         self._on_failure: Optional[Callable[[str, LabError], None]] = None
         self._spent: DefaultDict[Union[Plugin, Timer], float] = defaultdict(float)
         self.forces = Forces()
+        self._known_is_told = False
         for model in self.world.models:
             with leaving_out(lambda said: LOG.warning("%s", said)):
                 instance = self.add(model, namespace="")
@@ -203,6 +204,19 @@ class Simulation:
         if name not in self._instances:
             raise SimulationError(f"there is no model '{name}'")
         return contacts_of(self._instances[name].bodies.values(), self._owners, name)
+
+    def touches(self, name: str) -> Iterator[Tuple[str, str, float]]:
+        """Yield what a model touched in the last step: its own link, and the other model::link.
+
+        The third is the z of the unit normal towards the model: 1 on level ground.
+        """
+        for body in self._instances[name].bodies.values():
+            for point in touching_points(body):
+                _, _, second, index, other, _, _, normal, *_ = point
+                if self._owners[second] != name:
+                    link = self._bodies[second].part_at(other).link.name
+                    owner = self._owners[second]
+                    yield body.part_at(index).link.name, f"{owner}::{link}", normal[2]
 
     def set_gravity(self, gravity: Vector) -> None:
         """Change gravity, in m/s²; raises SimulationError for what is not finite."""
@@ -382,8 +396,9 @@ class Simulation:
                 LOG.warning("%s is left out: %s", what, error)
                 continue
             if plugin is None:
-                known = ", ".join(known_plugins())
-                LOG.warning("%s is not simulated and skipped; known are %s", what, known)
+                known = "" if self._known_is_told else f"; known are {', '.join(known_plugins())}"
+                self._known_is_told = True
+                LOG.warning("%s is not simulated and skipped%s", what, known)
                 continue
             plugin.reset(self.step)
             if plugin.schedule is not None:

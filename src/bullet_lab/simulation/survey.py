@@ -21,7 +21,7 @@ FARTHEST_CORNER = 1e3
 class PluginSurvey:
     """What a `<plugin>` tag does: its topics, the rate (Hz) at which it sends, 0 for none.
 
-    `acts` is false for one that was left out.
+    `acts` is false for one that was left out; `refused` are controllers that it could not load.
     """
 
     tag: PluginTag
@@ -30,6 +30,7 @@ class PluginSurvey:
     inputs: Tuple[str, ...] = ()
     outputs: Tuple[str, ...] = ()
     unread: Tuple[str, ...] = ()
+    refused: Tuple[str, ...] = ()
 
 
 def survey(instance: ModelInstance) -> Tuple[PluginSurvey, ...]:
@@ -44,7 +45,8 @@ def _of(tag: PluginTag, plugin: Optional[Plugin]) -> PluginSurvey:
     rate = 0.0 if plugin.schedule is None else 1.0 / plugin.schedule.period
     inputs = tuple(entry.topic for entry in plugin.inputs)
     outputs = tuple(dict.fromkeys(entry.topic for entry in plugin.outputs))
-    return PluginSurvey(tag, True, rate, inputs, outputs, plugin.mount.unread_tags())
+    unread, refused = plugin.mount.unread_tags(), tuple(plugin.refused.values())
+    return PluginSurvey(tag, True, rate, inputs, outputs, unread, refused)
 
 
 def bounds(instance: ModelInstance) -> Tuple[Vector, Vector]:

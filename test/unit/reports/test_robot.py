@@ -14,6 +14,7 @@ from bullet_lab.reports.robot import (
     Robot,
     RobotReport,
     Way,
+    declared_rates,
 )
 
 WHEELS = PluginRow("wheels", "libwheels.so", "", True, 20.0, ("/go",), ("/odom",), ("warp",))
@@ -132,3 +133,93 @@ def test_a_robot_without_a_drive_is_shown(tmp_path):
     report = RobotReport(tmp_path, Robot("lamp"), {})
     assert "shown, not driven" in report.line({})
     assert "nothing listens to any" in report.table()
+
+
+def test_rates_of_plugins_that_share_a_topic_add_up(tmp_path):
+    slow = PluginRow("slow", "a.so", "", True, 20.0, (), ("/joint_states", "/odom"), ())
+    fast = PluginRow("fast", "b.so", "", True, 100.0, (), ("/joint_states",), ())
+    own = PluginRow("own", "c.so", "", True, 0.0, (), ("/odom",), ())
+    assert declared_rates((slow, fast, own)) == {"/joint_states": 120.0, "/odom": 0.0}
+    # The other robot's plugin speaks on the topic, too.
+    shared = RobotReport(tmp_path, Robot("cart", plugins=(slow,)), KINDS, (fast,))
+    for stamp in range(12):
+        shared.counts["/joint_states"].note(stamp * 10**9 // 120)
+    assert shared.off_rate() == []
+
+
+WALL = ("house::wall_3",)
+
+
+@pytest.mark.parametrize(
+    ("said", "true", "asked", "late", "touched", "line"),
+    [
+        (0.71, 0.71, 1.0, True, WALL, "metre: 0.71 of 1 m: touches house::wall_3, out of time"),
+        (1.0, 0.61, 1.0, False, ("r1::base",), "metre: 0.61 of 1 m: touches r1::base"),
+        (0.32, 0.32, 1.0, True, (), "metre: 0.32 of 1 m: out of time after 5 s"),
+        (None, -0.5, 1.0, True, (), "metre: -0.50 of 1 m: drove the other way, out of time"),
+        # The odometry is wrong by far, in either direction.
+        (1.0, 0.3, 1.0, False, (), "metre: 0.30 of 1 m, turned by"),
+        (0.4, 1.5, 1.0, False, (), "metre: 1.50 of 1 m, turned by"),
+    ],
+)
+def test_a_robot_that_did_not_do_what_it_was_asked(said, true, asked, late, touched, line):
+    figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": 0.0}
+    odometry = None if said is None else {**figures, "ahead_m": said}
+    truth = {**figures, "ahead_m": true}
+    one = Leg("metre", "ahead_m", asked, odometry, truth, 5.0, late, touched)
+    assert one.has_failed()
+    assert one.figures()["failed"]
+    assert one.line().startswith(line)
+
+
+def test_a_turn_the_other_way():
+    figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": -1636.8}
+    one = Leg("turn", "turned_deg", 360.0, figures, figures, 43.7, True)
+    assert one.line().startswith(
+        "turn: -1636.80 of 360 °: turned the other way, out of time after 44 s"
+    )
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        leg({"ahead_m": 1.0}, {"ahead_m": 0.9}),
+        leg({"turned_deg": 365.0}, {"turned_deg": 330.0}, "turned_deg", 360.0),
+        # It is slow to brake, and knows it.
+        leg({"ahead_m": 2.5}, {"ahead_m": 2.6}),
+        leg(None, {"ahead_m": 1.3}),
+    ],
+)
+def test_a_robot_that_did_what_it_was_asked(one, report):
+    assert not one.has_failed()
+    assert one.reasons() == []
+    report.legs.append(one)
+    assert not report.has_failed({})
+
+
+def test_why_it_stands_is_said():
+    figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": 0.0}
+    causes = ("none of its joints turn", "it stands on base")
+    one = Leg("metre", "ahead_m", 1.0, None, figures, 16.0, True, (), causes)
+    assert one.line() == (
+        "metre: it does not move (0.000 m of 1): none of its joints turn, it stands on base, "
+        "out of time after 16 s"
+    )
+
+
+def test_what_could_not_be_is_in_the_report(tmp_path):
+    kind = "effort_controllers/JointTrajectoryController"
+    row = PluginRow("c", "control.so", "", True, 0.0, (), (), (), (f"arm ({kind})",))
+    robot = Robot("ur5", plugins=(row,), choice=("ur5", "ur6"))
+    report = RobotReport(tmp_path, robot, {})
+    report.not_started = ["tf/view: there is no ROS package 'tf'"]
+    report.pauses = 2
+    lines = report.table().splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    assert ["arm", kind, "**refused**"] in cells
+    assert "- tf/view: there is no ROS package 'tf'" in lines
+    assert "- drives ur5 of ur5, ur6: model:=NAME chooses another" in lines
+    assert "- odometry: none (pauses: 2)" in lines
+    summary = report.summary(True, {})
+    assert summary["left_out"] == [f"arm ({kind})"]
+    assert summary["not_started"] == report.not_started

@@ -16,6 +16,8 @@ from bullet_lab.simulation.survey import PluginSurvey, bounds, survey
 from bullet_lab.srv import DescribeModels, DescribeModelsResponse
 
 MOST_LINES = 1000
+# z of the normal of the steepest ground that a robot stands on (60°): a wall is steeper.
+STEEPEST = 0.5
 
 
 class Warnings(logging.Handler):
@@ -55,6 +57,7 @@ class ModelDescriptions:
     def _described(self, instance: ModelInstance) -> ModelDescription:
         model = instance.model
         least, greatest = bounds(instance)
+        touches = list(self._world.simulation.touches(model.name))
         of_world_file = {one.name for one in self._world.simulation.world.models}
         return ModelDescription(
             name=model.name,
@@ -65,6 +68,8 @@ class ModelDescriptions:
             plugins=[_described_plugin(one) for one in survey(instance)],
             least=Point(*least),
             greatest=Point(*greatest),
+            stands_on=sorted({own for own, _, up in touches if up > STEEPEST}),
+            touches=sorted({other for _, other, up in touches if up <= STEEPEST}),
         )
 
 
@@ -78,4 +83,5 @@ def _described_plugin(plugin: PluginSurvey) -> PluginDescription:
         inputs=[rospy.resolve_name(topic) for topic in plugin.inputs],
         outputs=[rospy.resolve_name(topic) for topic in plugin.outputs],
         tags_not_simulated=plugin.unread,
+        refused=plugin.refused,
     )

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import threading
 import time
 from dataclasses import astuple
@@ -27,6 +28,8 @@ from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
 from bullet_lab.simulation.plugins.controllers.controller import Controller, known_controllers
 from bullet_lab.simulation.plugins.controllers.parameters import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.ros_control import RosControl
+
+LOG = logging.getLogger(__name__)
 
 BASE_CLASS = "controller_interface::ControllerBase"
 INTERFACE_SPACE = "hardware_interface::"
@@ -99,7 +102,7 @@ class _Manager:
         except StepperError:
             return
         except (LabError, rospy.ServiceException, *MASTER_ERRORS) as error:
-            rospy.logerr("%s: %s; it is left out", where, error)
+            LOG.error("%s: %s; it is left out", where, error)
 
     def _wait_for_description(self) -> Optional[str]:
         """Return the robot's URDF, once the parameter is there; None if the robot has gone."""
@@ -110,7 +113,7 @@ class _Manager:
                 if text:
                     return text
             if waited <= PATIENCE < waited + LOOK_SECONDS:
-                rospy.logwarn("controllers in %s wait for %s", self._plugin.namespace, name)
+                LOG.warning("controllers in %s wait for %s", self._plugin.namespace, name)
             waited += LOOK_SECONDS
             self._ended.wait(LOOK_SECONDS)
         return None
@@ -155,7 +158,7 @@ class _Manager:
             except StepperError as error:
                 raise rospy.ServiceException(str(error)) from error
             except LabError as error:
-                rospy.logerr("%scontroller_manager: %s", self._plugin.namespace, error)
+                LOG.error("%scontroller_manager: %s", self._plugin.namespace, error)
                 return False
 
         return answer
@@ -165,7 +168,11 @@ class _Manager:
         if not request.name or not rosgraph.names.is_legal_name(where):
             raise ControlError(f"no controller can be called '{request.name}'")
         parameters = ControlParameters(_parameters(where), where)
+        refused = self._plugin.refused
+        if request.name not in self._manager().controllers:
+            refused[request.name] = f"{request.name} ({parameters.text('type') or 'no type'})"
         controller = self._world.do(lambda: self._add(request.name, parameters))
+        refused.pop(request.name, None)
         settings = [Setting(*astuple(one)) for one in controller.adjustables]
         if settings:
             change = partial(self._adjust, controller)

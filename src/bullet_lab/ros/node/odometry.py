@@ -100,19 +100,22 @@ class NewestOdometry:
         self._refusals = Refusals()
         self._subscriber = subscriber(topic, Odometry, self.take) if subscribed else None
 
-    def newest(self, now: Optional[rospy.Time]) -> Tuple[float, float, float]:
+    def newest(
+        self, now: Optional[rospy.Time], patience: float = ODOMETRY_TIMEOUT
+    ) -> Tuple[float, float, float]:
         """Return the newest pose (m, m, rad), of the last `STALE_SECONDS`.
 
-        In lock step, all that was sent up to `now` is awaited. Raises NodeError if none comes.
+        In lock step, all that was sent up to `now` is awaited. Raises NodeError if none comes for
+        `patience` wall seconds.
         """
-        deadline = time.monotonic() + ODOMETRY_TIMEOUT
+        deadline = time.monotonic() + patience
         with self._new:
             while not self._is_new(now):
-                self._new.wait(POLL_SECONDS)
                 if rospy.is_shutdown():
                     raise rospy.ROSInterruptException("shutdown")
-                if time.monotonic() > deadline:
-                    raise NodeError(f"no odometry on {self._topic} for {ODOMETRY_TIMEOUT:g} s")
+                if time.monotonic() >= deadline:
+                    raise NodeError(f"no odometry on {self._topic} for {patience:g} s")
+                self._new.wait(POLL_SECONDS)
             return self._pose
 
     def is_stale(self) -> bool:

@@ -17,6 +17,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription
 from bullet_lab.reports.robot import Controller, PluginRow, Robot, RobotReport
 from bullet_lab.ros.gazebo.client import call
+from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError
 from bullet_lab.ros.node.publishers import subscriber
@@ -32,6 +33,11 @@ ENOUGH = 10
 SETTINGS = "dynamic_reconfigure/"
 # What the simulator itself says.
 OWN_TOPICS = ("/clock", "/rosout", "/tf", "/tf_static", "/gazebo/", "/bullet_lab/")
+TOUCHED = "/bullet_lab/touched"
+# rad/s or m/s, of a joint that moves.
+TURNING = 0.05
+# Models in a line.
+MOST_NAMES = 10
 # What a header begins with: its number, and the stamp in s and ns.
 HEADER = struct.Struct("<III")
 
@@ -57,36 +63,69 @@ class Master:
         self.heard = _of(simulators, subscribed, kinds)
         self.spoken = _of(simulators, published, kinds)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Master) and vars(self) == vars(other)
-
-    __hash__ = None
-
 
 def _of(nodes: Set[str], topics: Iterable[Any], kinds: Mapping[str, str]) -> Dict[str, str]:
     found = sorted(topic for topic, users in topics if nodes.intersection(users))
-    return {topic: kinds.get(topic, "*") for topic in found if not topic.startswith(OWN_TOPICS)}
+    others = [t for t in found if not (t.startswith(OWN_TOPICS) or t.endswith(TOUCHED))]
+    return {topic: kinds.get(topic, "*") for topic in others}
 
 
-def described() -> DescribeModelsResponse:
-    """Return what the bridge says of all models; raises NodeError."""
-    return call(SERVICE, DescribeModels, "")
+def described(name: str = "") -> DescribeModelsResponse:
+    """Return what the bridge says of a model, or of all; raises NodeError."""
+    return call(SERVICE, DescribeModels, name)
 
 
-def choose(models: Iterable[ModelDescription], name: str, heard: Iterable[str]):
+def choose(
+    models: Iterable[ModelDescription],
+    name: str,
+    drives: Iterable[str],
+    of_world_file: bool = False,
+) -> Optional[ModelDescription]:
     """Return the model that is the robot; None while there is none.
 
     Args:
         models: of the world.
-        name: that it has; if empty, one that can be driven is preferred, then one with plugins.
-        heard: the topics with velocities that the simulator listens to.
+        name: that it has; if empty, one that can be driven is preferred, then one with plugins,
+            and of several the first by name.
+        drives: the topics with velocities that the simulator listens to.
+        of_world_file: whether a robot of the world file will do where nothing was spawned: one
+            that moves, has plugins and can be driven.
     """
     if name:
         return next((model for model in models if model.name == name), None)
-    candidates = [model for model in models if not model.of_world_file]
-    drivable = [m for m in candidates if set(heard) & {t for p in m.plugins for t in p.inputs}]
-    lively = [model for model in candidates if model.plugins]
-    return next(iter([*drivable, *lively, *candidates]), None)
+    there = sorted(models, key=lambda model: (model.is_static, model.name))
+    spawned = [model for model in there if not model.of_world_file]
+    found = spawned
+    if of_world_file and drives and not spawned:
+        found = [model for model in there if model.plugins and not model.is_static]
+    lively = [model for model in found if model.plugins]
+    return next(iter([*drivable(found, drives), *lively, *found]), None)
+
+
+def drivable(models: Iterable[ModelDescription], drives: Iterable[str]) -> List[ModelDescription]:
+    """Return the models with a plugin that takes velocities, by name."""
+    found = [m for m in models if set(drives) & {t for p in m.plugins for t in p.inputs}]
+    return sorted(found, key=lambda model: model.name)
+
+
+def candidates(models: Iterable[ModelDescription]) -> str:
+    """Return which models the argument `model` may name, those with plugins first."""
+    moving = sorted((m for m in models if not m.is_static), key=lambda m: not m.plugins)
+    names = ", ".join(model.name for model in moving[:MOST_NAMES])
+    return f"model:=NAME takes one of {names}" if names else "no model in the world can move"
+
+
+def why_it_stands(model: ModelDescription, drive: str, is_heard: bool) -> List[str]:
+    """Return what is known of why a robot does not move while it is told to on a topic."""
+    if model.is_static:
+        return ["the model is static"]
+    if not is_heard:
+        return [f"nothing listens to {drive}"]
+    ask = rospy.ServiceProxy("/gazebo/get_joint_properties", srv.GetJointProperties)
+    rates = {joint: ask(f"{model.name}::{joint}").rate for joint in model.joints}
+    turning = [joint for joint, rate in rates.items() if rate and abs(rate[0]) > TURNING]
+    found = [f"{', '.join(turning) or 'none'} of its joints turn"] if rates else []
+    return [*found, f"it stands on {', '.join(model.stands_on) or 'nothing'}"]
 
 
 def robot_of(model: ModelDescription, answer: DescribeModelsResponse, master: Master) -> Robot:
@@ -94,12 +133,14 @@ def robot_of(model: ModelDescription, answer: DescribeModelsResponse, master: Ma
     rows = tuple(_row(plugin) for plugin in model.plugins)
     others = _topics(other for other in answer.models if other.name != model.name)
     own = _topics([model])
-    drive = _nearest(_of_kind(master.heard, VELOCITIES), own, others, "")
+    drives = of_kind(master.heard, VELOCITIES)
+    drive = _nearest(drives, own, others, "")
     # A drive's odometry is its own plugin's; a controller's that of no plugin.
     beside = {t for row in rows if drive in row.inputs for t in row.outputs}
     strange = others if drive in own else others | own
-    odometry = _nearest(_of_kind(master.spoken, ODOMETRY), beside, strange, drive) if drive else ""
-    names = {other.name for other in answer.models if other.of_world_file}
+    odometry = _nearest(of_kind(master.spoken, ODOMETRY), beside, strange, drive) if drive else ""
+    names = {m.name for m in answer.models if m.of_world_file and m.name != model.name}
+    kin = [other for other in answer.models if other.of_world_file == model.of_world_file]
     said = [line for line in answer.said if not any(f"'{name}'" in line for name in names)]
     return Robot(
         name=model.name,
@@ -110,7 +151,13 @@ def robot_of(model: ModelDescription, answer: DescribeModelsResponse, master: Ma
         drive=drive,
         odometry=odometry,
         said=tuple(said),
+        choice=tuple(other.name for other in drivable(kin, drives)),
     )
+
+
+def rows_of_others(model: ModelDescription, models: Iterable[ModelDescription]) -> List[PluginRow]:
+    """Return the plugins of all models but one."""
+    return [_row(p) for other in models if other.name != model.name for p in other.plugins]
 
 
 def _row(plugin: Any) -> PluginRow:
@@ -124,7 +171,8 @@ def _topics(models: Iterable[ModelDescription]) -> Set[str]:
     return {topic for plugin in plugins for topic in (*plugin.inputs, *plugin.outputs)}
 
 
-def _of_kind(topics: Mapping[str, str], kind: str) -> List[str]:
+def of_kind(topics: Mapping[str, str], kind: str) -> List[str]:
+    """Return the topics of a type."""
     return [topic for topic, has in topics.items() if has == kind]
 
 

@@ -13,14 +13,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-import re
-import shlex
-import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Iterator, List, Optional, Tuple
+from typing import Any, List, Mapping, Optional, Set, Tuple
 
 import rospy
 from geometry_msgs.msg import Twist
@@ -32,14 +28,15 @@ from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription
 from bullet_lab.reports import Reading
-from bullet_lab.reports.robot import ODOMETRY, TRUTH, Leg, RobotReport, Way
+from bullet_lab.reports.robot import ODOMETRY, STANDING, TRUTH, Leg, RobotReport, Way
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_of
 from bullet_lab.ros.node.driving import StoppableSender
 from bullet_lab.ros.node.lock_step import Rate, publishers_know_this_node
 from bullet_lab.ros.node.node import NodeError, node
-from bullet_lab.ros.node.odometry import NewestOdometry, planar_pose
+from bullet_lab.ros.node.odometry import ODOMETRY_TIMEOUT, NewestOdometry, planar_pose
 from bullet_lab.ros.node.publishers import publisher
+from bullet_lab.ros.record.launch_file import Launched
 from bullet_lab.ros.record.photograph import photograph
 from bullet_lab.ros.record.recorder import RecordParameters, save_figures, save_summary
 from bullet_lab.ros.record.robot_parts import (
@@ -47,10 +44,14 @@ from bullet_lab.ros.record.robot_parts import (
     VELOCITIES,
     Listeners,
     Master,
+    candidates,
     choose,
     described,
+    of_kind,
     robot_of,
+    rows_of_others,
     topics_of,
+    why_it_stands,
 )
 
 # Hz of commands, as those of teleoperation.
@@ -64,11 +65,8 @@ LATEST, FARTHEST = 3.0, 1.5
 # velocities yet.
 ARRIVAL, SIMULATION, SETTLED, SETTLED_WITHOUT_DRIVE = 120.0, 60.0, 3.0, 20.0
 LOOK = 0.5
-# Wall seconds for what roslaunch has started to end, of the six that this node has itself.
-GOODBYE = 5.0
 METRE, TURN = 1.0, 360.0
-# What is in a line of roslaunch's that tells what went wrong.
-TELLING = re.compile(r"rror\b|Exception|not found|died")
+NOWHERE: Mapping[str, Way] = {}
 
 
 @dataclass(frozen=True)
@@ -83,98 +81,49 @@ class TryRobotParameters(RecordParameters):
     turn_rate: float = number(0.5, "rad/s", above=0.0, maximum=10.0)
 
 
-def assignments(words: str) -> List[str]:
-    """Return words like name:=value or name=value, as roslaunch has them."""
-    return [re.sub("^([^=:]+):?=", r"\1:=", word) for word in shlex.split(words)]
-
-
-def reason_in(log: str) -> str:
-    """Return the line in what roslaunch has printed that says most about why it has ended."""
-    lines = [
-        line for line in re.sub(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)", "", log).splitlines() if line
-    ]
-    telling = (n for n, line in enumerate(lines) if re.search(TELLING, line))
-    first = next(telling, 0)
-    # What ends with a colon is told in the line below.
-    last = next((n for n in range(first, len(lines)) if not lines[n].endswith(":")), first)
-    return " ".join(line.strip() for line in lines[first : last + 1]) or "without a word"
-
-
-class Launched:
-    """A launch file that runs as long as this is open, by a roslaunch of its own."""
-
-    def __init__(self, path: str, arguments: str):
-        folder = Path(os.environ.get("ROS_LOG_DIR") or ".")
-        self._path, self._log = path, folder / "launch_file.log"
-        words = ["roslaunch", "--sigint-timeout", "3", "--sigterm-timeout", "1", path]
-        with self._log.open("w") as log:
-            self._process = subprocess.Popen(
-                words + assignments(arguments), stdout=log, stderr=subprocess.STDOUT
-            )
-
-    def check(self) -> None:
-        """Raise NodeError if it has ended."""
-        if self._process.poll() is not None:
-            reason = reason_in(self._log.read_text(errors="replace"))
-            raise NodeError(f"{self._path} has ended, see {self._log}: {reason}")
-
-    def close(self) -> None:
-        """End all that it has started."""
-        self._process.terminate()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(GOODBYE)
-
-
 @node
 def try_robot(parameters: TryRobotParameters) -> None:
     """Find the robot, listen to it, drive it, and leave what came of it."""
-    with contextlib.ExitStack() as stack:
-        check: Callable[[], None] = lambda: None  # noqa: E731
-        if parameters.launch_file:
-            launched = Launched(parameters.launch_file, parameters.args)
-            stack.callback(launched.close)
-            check = launched.check
-        model = _wait_for_robot(parameters.model, check)
-        if parameters.launch_file:
-            _settle(check)
-        Trial(parameters, model.name).run()
+    with contextlib.closing(Launched(parameters.launch_file, parameters.args)) as launched:
+        model = _find_robot(parameters.model, launched)
+        for line in launched.failures():
+            rospy.logwarn("%s", line)
+        try:
+            Trial(parameters, model.name, launched).run()
+        except (NodeError, rospy.ServiceException) as error:
+            launched.check()
+            raise NodeError(str(error)) from error
 
 
-def _wait_for_robot(name: str, check: Callable[[], None]) -> ModelDescription:
-    start = time.monotonic()
-    simulated = False
+def _find_robot(name: str, launched: Launched) -> ModelDescription:
+    """Wait for the robot, and until nothing new comes: controllers are loaded after their robot."""
+    start = since = time.monotonic()
+    models: List[ModelDescription] = []
+    found: Optional[ModelDescription] = None
+    before: Any = None
     while True:
-        check()
+        launched.check()
         master = Master()
-        simulated = simulated or SERVICE in master.services
         if SERVICE in master.services:
-            found = choose(described().models, name, master.heard)
-            if found is not None:
-                return found
-        waited = time.monotonic() - start
-        if waited > SIMULATION and not simulated:
+            models = described().models
+        now = (vars(master), [model.name for model in models])
+        since, before = (since if now == before else time.monotonic()), now
+        quiet, waited = time.monotonic() - since, time.monotonic() - start
+        drives = of_kind(master.heard, VELOCITIES)
+        if found is None and launched.path and choose(models, name, drives, True) is not None:
+            with contextlib.suppress(rospy.ServiceException):
+                rospy.ServiceProxy("/gazebo/unpause_physics", Empty)()
+        found = choose(models, name, drives, quiet > SETTLED_WITHOUT_DRIVE)
+        patience = SETTLED if drives else SETTLED_WITHOUT_DRIVE
+        if found is not None and (quiet > patience or not launched.path):
+            return found
+        if waited > SIMULATION and not models and SERVICE not in master.services:
             hint = "a launch file that only spawns wants world:=… beside it"
             raise NodeError(f"no simulation has come within {SIMULATION:g} s: {hint}")
-        if waited > ARRIVAL:
+        if waited > ARRIVAL and found is None:
             what = f"no model '{name}'" if name else "no robot"
-            raise NodeError(f"{what} has come within {ARRIVAL:g} s")
+            raise NodeError(f"{what} has come within {ARRIVAL:g} s: {candidates(models)}")
         _look_again()
-
-
-def _settle(check: Callable[[], None]) -> None:
-    """Wait until nothing new comes: controllers are loaded after their robot."""
-    with contextlib.suppress(rospy.ServiceException):
-        rospy.ServiceProxy("/gazebo/unpause_physics", Empty)()
-    before, since = Master(), time.monotonic()
-    while True:
-        _look_again()
-        check()
-        now = Master()
-        if now != before:
-            before, since = now, time.monotonic()
-        patience = SETTLED if VELOCITIES in now.heard.values() else SETTLED_WITHOUT_DRIVE
-        if time.monotonic() - since > patience:
-            return
 
 
 def _look_again() -> None:
@@ -186,24 +135,25 @@ def _look_again() -> None:
 class Trial:
     """One robot that is listened to and driven."""
 
-    def __init__(self, parameters: TryRobotParameters, name: str):
-        self._parameters, self._name = parameters, name
+    def __init__(self, parameters: TryRobotParameters, name: str, launched: Launched):
+        self._parameters, self._name, self._launched = parameters, name, launched
         answer, master = described(), Master()
         model = next(model for model in answer.models if model.name == name)
         robot = robot_of(model, answer, master)
         topics = topics_of(model, answer.models, master)
-        self._report = RobotReport(Path(parameters.out), robot, topics)
+        others = rows_of_others(model, answer.models)
+        self._report = RobotReport(Path(parameters.out), robot, topics, others)
         self._report.about = parameters.about
         self._odometry = NewestOdometry(robot.odometry, subscribed=False)
-        self._speaks = bool(robot.odometry)
+        self._pauses = False
         self._rate: Optional[Rate] = None
         self._connected_since = time.monotonic()
         self._listeners = Listeners(self._report, self._now, self._take_odometry)
         if robot.drive:
-            self._sender = StoppableSender(publisher(robot.drive, Twist, 10))
+            self._velocities = publisher(robot.drive, Twist, 10)
+            self._sender = StoppableSender(self._velocities)
             # However it ends, the robot stands.
             rospy.on_shutdown(self._sender.end)
-        self._ways: List[Tuple[str, Way]] = []
         self._state = rospy.ServiceProxy(
             "/gazebo/get_model_state", srv.GetModelState, persistent=True
         )
@@ -222,20 +172,25 @@ class Trial:
             finished = True
         finally:
             self._listeners.close()
-            self._save(finished)
+            summary = self._save(finished)
         self._rate.leave()
+        if self._report.has_failed(summary):
+            raise NodeError(self._report.line(summary))
 
-    def _save(self, finished: bool) -> None:
+    def _save(self, finished: bool) -> Mapping[str, Any]:
         report = self._report
+        report.not_started = self._launched.failures()
         report.finish()
         summary = report.summary(finished, {})
         save_figures(report, report.figures(summary))
         save_summary(report, summary)
         print(report.table())
-        rospy.loginfo("%s", report.line(summary))
+        if not report.has_failed(summary):
+            rospy.loginfo("%s", report.line(summary))
+        return summary
 
     def _photograph(self) -> None:
-        (model,) = [one for one in described().models if one.name == self._name]
+        (model,) = described(self._name).models
         box = [(corner.x, corner.y, corner.z) for corner in (model.least, model.greatest)]
         try:
             self._report.picture = photograph(*box, self._rate.sleep, round(COMMANDS * STAND))
@@ -267,62 +222,76 @@ class Trial:
     ) -> None:
         """Drive until the odometry, or without any the truth, says that it is enough."""
         ways = {TRUTH: Way(), ODOMETRY: Way()}
-        with self._followed(ways):
-            start = self._rate.now
-            latest = start + rospy.Duration(LATEST * seconds + STAND)
-            self._look()
-            while self._rate.now < latest and not _is_enough(ways, quantity, asked):
-                self._sender.send(velocity)
-                self._rate.sleep()
-                self._look()
-            took = (self._rate.now - start).to_sec()
-            self._stand(STAND)
+        touched: Set[str] = set()
+        start = self._rate.now
+        self._look(ways)
+        for tick in range(1, round((LATEST * seconds + STAND) * COMMANDS) + 1):
+            self._sender.send(velocity)
+            self._rate.sleep()
+            self._look(ways)
+            is_late = not self._is_enough(ways, quantity, asked)
+            if tick % COMMANDS == 0:
+                touched.update(described(self._name).models[0].touches)
+            if not is_late:
+                break
+        took = (self._rate.now - start).to_sec()
+        (model,) = described(self._name).models
+        touched.update(model.touches)
+        causes: List[str] = []
+        if abs(ways[TRUTH].figures()[quantity]) < STANDING * asked:
+            is_heard = self._velocities.get_num_connections() > 0
+            causes = why_it_stands(model, self._report.robot.drive, is_heard)
+        self._stand(STAND, ways)
         said, true = ways[ODOMETRY].figures(), ways[TRUTH].figures()
-        self._report.legs.append(Leg(name, quantity, asked, said, true, took))
+        known = (is_late, tuple(sorted(touched)), tuple(causes))
+        self._report.legs.append(Leg(name, quantity, asked, said, true, took, *known))
 
-    @contextlib.contextmanager
-    def _followed(self, ways) -> Iterator[None]:
-        self._ways = list(ways.items())
-        yield
-        self._ways = []
+    def _is_enough(self, ways: Mapping[str, Way], quantity: str, asked: float) -> bool:
+        """Whether it has come far enough by its odometry, or by the truth while that pauses."""
+        true = ways[TRUTH].figures()
+        said = None if self._pauses else ways[ODOMETRY].figures()
+        return (said or true)[quantity] >= asked or true[quantity] >= FARTHEST * asked
 
-    def _stand(self, seconds: float) -> None:
+    def _stand(self, seconds: float, ways: Mapping[str, Way] = NOWHERE) -> None:
         for _ in range(round(seconds * COMMANDS)):
             if self._report.robot.drive:
                 self._sender.send((0.0, 0.0))
             self._rate.sleep()
-            self._look()
+            self._look(ways)
 
-    def _look(self) -> None:
+    def _look(self, ways: Mapping[str, Way]) -> None:
         """Take note of where the robot is."""
         state = self._state(self._name, "world")
+        if not state.success:
+            raise NodeError(f"'{self._name}' is gone: {state.status_message}")
         pose = pose_of(state.pose.position, state.pose.orientation)
         (x, y, _), yaw = pose.position, pose.yaw
         _, _, upright = pose.rotate((0.0, 0.0, 1.0))
         self._report.tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, upright))))
         self._report.take(TRUTH, Reading(self._now(), (x, y, yaw)))
         known = {TRUTH: (x, y, yaw), ODOMETRY: self._newest_odometry()}
-        for name, way in self._ways:
+        for name, way in ways.items():
             if known[name] is not None:
                 way.add(known[name])
 
     def _newest_odometry(self) -> Optional[PlanarPose]:
-        """What the odometry says by now; None, and from then on, where it says nothing."""
-        if not self._speaks:
+        """What the odometry says by now; None while it pauses: nobody waits for it twice."""
+        topic = self._report.robot.odometry
+        if not topic:
             return None
         try:
-            return self._odometry.newest(self._rate.now)
-        except NodeError:
-            self._speaks = False
+            pose = self._odometry.newest(self._rate.now, 0.0 if self._pauses else ODOMETRY_TIMEOUT)
+        except NodeError as error:
+            if not self._pauses:
+                rospy.logwarn("%s: driving by the truth until it comes again", error)
+                self._report.pauses += 1
+            self._pauses = True
             return None
+        self._pauses = False
+        return pose
 
     def _take_odometry(self, message: Odometry) -> None:
         self._odometry.take(message)
         with contextlib.suppress(LabError):
             stamp = message.header.stamp.to_nsec()
             self._report.take(ODOMETRY, Reading(stamp, planar_pose(message)))
-
-
-def _is_enough(ways, quantity: str, asked: float) -> bool:
-    said, true = (ways[name].figures() for name in (ODOMETRY, TRUTH))
-    return (said or true)[quantity] >= asked or true[quantity] >= FARTHEST * asked

@@ -79,6 +79,12 @@ class Contact:
     position: Vector
 
 
+def touching_points(body: Body) -> List[tuple]:
+    """Return PyBullet's points where a body touches something; the body itself comes first."""
+    # Bullet lists what is merely near, too; what comes apart overlaps without a force.
+    return [point for point in body.near_points() if point[9] > 0.0 or point[8] < 0.0]
+
+
 def contacts_of(bodies: Iterable[Body], owners: Mapping[int, str], own: str) -> Dict[str, Contact]:
     """Return the contacts of the model `own` with others in the last step, by their names.
 
@@ -87,11 +93,7 @@ def contacts_of(bodies: Iterable[Body], owners: Mapping[int, str], own: str) -> 
     sums: Dict[str, float] = {}
     strongest: Dict[str, Tuple[float, Vector]] = {}
     for body in bodies:
-        # The body that is asked for always comes first.
-        for _, _, second, _, _, place, _, _, distance, force, *_ in body.near_points():
-            # Bullet lists what is merely near, too; what comes apart overlaps without a force.
-            if force <= 0.0 and distance >= 0.0:
-                continue
+        for _, _, second, _, _, place, _, _, _, force, *_ in touching_points(body):
             other = owners[second]
             sums[other] = sums.get(other, 0.0) + force
             if other not in strongest or force > strongest[other][0]:

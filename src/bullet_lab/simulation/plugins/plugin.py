@@ -188,7 +188,9 @@ class SensorTag(ElementReader):
         plugin = mount.plugin
         where = f"model '{mount.model.name}': plugin '{plugin.name}'"
         if plugin.sensor is None or plugin.sensor.get("type") not in kinds:
-            raise PluginError(f'{where} ({plugin.filename}) needs a <sensor type="{kinds[0]}">')
+            found = "" if plugin.sensor is None else f', not "{plugin.sensor.get("type")}"'
+            wanted = f'<sensor type="{kinds[0]}">'
+            raise PluginError(f"{where} ({plugin.filename}) needs a {wanted}{found}")
         super().__init__(plugin.sensor, f"{where}: <sensor>")
         self._mount = mount
 
@@ -270,6 +272,7 @@ class Plugin:
         outputs: topics with what it measures.
         schedule: when `produce` is due; None for a plugin that measures nothing.
         gravity: in m/s², in the world; may be changed from outside.
+        refused: what it was asked for in vain, by name: controllers with their types.
     """
 
     filenames: ClassVar[Tuple[str, ...]] = ()
@@ -286,6 +289,7 @@ class Plugin:
         self.inputs: Tuple[Input, ...] = ()
         self.outputs: Tuple[Output, ...] = ()
         self.schedule: Optional[Schedule] = None
+        self.refused: Dict[str, str] = {}
 
     def before_step(self, step: int) -> None:
         """Act on the model before the physics advances from `step` to `step + 1`."""

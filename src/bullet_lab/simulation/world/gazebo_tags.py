@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterable, Iterator
 from xml.etree.ElementTree import Element
 
+from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.world.description import WHITE, Link, Model, PluginTag
 from bullet_lab.simulation.world.materials import MaterialLibrary
 from bullet_lab.simulation.world.report import ReportOnce, leaving_out
@@ -207,6 +208,7 @@ SERVER_PLUGINS = ("libgazebo_ros_api_plugin", "libgazebo_ros_paths_plugin", "lib
 def report_unknown(element: Element, source: str, report: ReportOnce) -> None:
     """Warn of each kind of tag in an <sdf> that is not simulated; `source` names the document."""
     read, quiet = SDF_READ[element.tag], SDF_QUIET.get(element.tag, ())
+    unread = []
     for child in element:
         if child.tag in SDF_READ and child.tag in read:
             report_unknown(child, source, report)
@@ -214,7 +216,12 @@ def report_unknown(element: Element, source: str, report: ReportOnce) -> None:
             name = f"<{child.tag}>"
             if child.tag == "plugin":
                 name = f"plugin '{child.get('name', '')}' ({child.get('filename', '')})"
-            report(f"{source}: <{element.tag}>: {name} is not simulated")
+            unread.append(f"{name} is not simulated")
+    if element.tag == "physics" and unread:
+        # Nearly every world has some of these: one line for all of them.
+        unread = [f"{', '.join(unread)}; the time step is {1.0 / STEPS_PER_SECOND:g} s"]
+    for line in unread:
+        report(f"{source}: <{element.tag}>: {line}")
 
 
 def _asks_for_something(element: Element) -> bool:

@@ -48,11 +48,13 @@ def set_model_configuration_client(
 
 
 def _call(service: str, kind: Any, *wanted: Any) -> bool:
-    rospy.wait_for_service(service)
     try:
+        rospy.wait_for_service(service)
         answer = rospy.ServiceProxy(service, kind)(*wanted)
-    except rospy.ServiceException as error:
-        rospy.logerr("%s: %s", service, error)
+    except (rospy.ServiceException, rospy.ROSException) as error:
+        # A node that is told to end while it waits ends without a traceback.
+        if not rospy.is_shutdown():
+            rospy.logerr("%s: %s", service, error)
         return False
     if not answer.success:
         rospy.logerr("%s: %s", service, answer.status_message)

@@ -1,9 +1,11 @@
 """The newest odometry in lock step."""
 
+import pytest
 import rospy
 from nav_msgs.msg import Odometry
 
 from bullet_lab.ros.node import odometry
+from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.node.odometry import NewestOdometry
 
 
@@ -18,3 +20,12 @@ def test_time_that_has_been_set_back_to_less_than_a_period_is_no_error(monkeypat
         message.pose.pose.orientation.w = 1.0
         newest.take(message)
     assert newest.newest(rospy.Time(0.01)) == (0.0, 0.0, 0.0)
+
+
+def test_without_patience_nobody_waits(monkeypatch):
+    monkeypatch.setattr(odometry, "subscriber", lambda *_: None)
+    monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
+    newest = NewestOdometry("odom")
+    monkeypatch.setattr(newest._new, "wait", lambda _: pytest.fail("it waits"))
+    with pytest.raises(NodeError, match="no odometry on odom"):
+        newest.newest(None, 0.0)

@@ -5,8 +5,15 @@ from types import SimpleNamespace
 import pytest
 from bullet_lab.msg import ModelDescription, PluginDescription
 
-from bullet_lab.ros.record.robot_parts import choose, robot_of, topics_of
-from bullet_lab.ros.record.try_robot import assignments, reason_in
+from bullet_lab.ros.record import robot_parts
+from bullet_lab.ros.record.robot_parts import (
+    candidates,
+    choose,
+    robot_of,
+    rows_of_others,
+    topics_of,
+    why_it_stands,
+)
 
 TWIST, ODOMETRY = "geometry_msgs/Twist", "nav_msgs/Odometry"
 
@@ -87,18 +94,52 @@ def test_what_was_said_of_the_world_is_left_out():
     assert (robot.drive, robot.odometry) == ("", "")
 
 
-def test_arguments_of_a_launch_file():
-    assert assignments("") == []
-    assert assignments("a:=1 b=2") == ["a:=1", "b:=2"]
-    assert assignments("world:='a b=c'") == ["world:=a b=c"]
+def test_of_several_robots_the_first_by_name_is_driven():
+    tb = [model(f"tb3_{n}", plugin([f"/tb3_{n}/go"])) for n in (2, 0, 1)]
+    drives = [f"/tb3_{n}/go" for n in range(3)]
+    assert choose([LAMP, *tb], "", drives).name == "tb3_0"
+    now = master(dict.fromkeys(drives, TWIST))
+    assert robot_of(tb[1], answer(LAMP, *tb), now).choice == ("tb3_0", "tb3_1", "tb3_2")
 
 
-def test_why_a_launch_file_has_ended():
-    log = "logging to x\n\x1b[31mResource not found: lidar\nROS path [0]=/x\x1b[0m\nThe traceback\n"
-    assert reason_in(log) == "Resource not found: lidar"
-    assert reason_in("start\nRLException: while processing a.launch:\nno b\nd") == (
-        "RLException: while processing a.launch: no b"
-    )
-    assert reason_in("Error:\n") == "Error:"
-    assert reason_in("done\n") == "done"
-    assert reason_in("") == "without a word"
+def test_a_robot_of_the_world_file_is_taken_where_nothing_else_came():
+    robot = model("robot", plugin(["/go"]), of_world_file=True)
+    statue = model("a_statue", plugin(["/go"]), of_world_file=True)
+    statue.is_static = True
+    door = model("a_door", plugin(), of_world_file=True)
+    world = [WALL, statue, door, robot]
+    assert choose(world, "", ["/go"]) is None
+    assert choose(world, "", ["/go"], True).name == "robot"
+    assert choose([*world, BOX], "", ["/go"], True).name == "box"
+    # A controller may drive it, whose topic no plugin names.
+    assert choose([WALL, statue, door], "", ["/base/go"], True).name == "a_door"
+    assert choose(world, "", [], True) is None
+    # What is said of it is no matter of the world.
+    said = ["model 'robot': odd", "model 'wall': crooked"]
+    assert robot_of(robot, answer(*world, said=said), master()).said == ("model 'robot': odd",)
+
+
+def test_whom_model_may_name():
+    wall = model("wall", of_world_file=True)
+    wall.is_static = True
+    assert candidates([wall]) == "no model in the world can move"
+    assert candidates([BOX, wall, LAMP]) == "model:=NAME takes one of lamp, box"
+
+
+def test_the_plugins_of_others():
+    assert [row.outputs for row in rows_of_others(CART, [CART, ROVER])] == [("/rover/odom",)]
+
+
+def test_why_a_robot_stands(monkeypatch):
+    rates = {"cart::left": [2.0], "cart::right": [0.0], "cart::ball": []}
+    answers = {joint: SimpleNamespace(rate=rate) for joint, rate in rates.items()}
+    monkeypatch.setattr(robot_parts.rospy, "ServiceProxy", lambda *_: answers.__getitem__)
+    cart = model("cart")
+    assert why_it_stands(cart, "/go", False) == ["nothing listens to /go"]
+    assert why_it_stands(cart, "/go", True) == ["it stands on nothing"]
+    cart.joints, cart.stands_on = ["left", "right", "ball"], ["base"]
+    assert why_it_stands(cart, "/go", True) == ["left of its joints turn", "it stands on base"]
+    rates["cart::left"][0] = 0.0
+    assert why_it_stands(cart, "/go", True)[0] == "none of its joints turn"
+    cart.is_static = True
+    assert why_it_stands(cart, "/go", True) == ["the model is static"]

@@ -286,7 +286,7 @@ def test_impossible_settings_are_refused(wrong):
         ({"tags": "<distortionK1>0.1</distortionK1>",
           "more": "<distortion><k1>0.2</k1></distortion>"}, "other coefficients"),
         ({"tags": "<distortionK1>-3</distortionK1>"}, "the picture is black: 8. % of it"),
-        ({"kind": "depth"}, 'needs a <sensor type="camera">'),
+        ({"kind": "wideanglecamera"}, 'needs a <sensor type="camera">, not "wideanglecamera"'),
     ],
 )  # fmt: skip
 def test_tags_that_make_no_camera(wall, changes, message):

@@ -105,7 +105,7 @@ def test_no_ray_is_cast_while_nobody_listens():
         (lambda: sonar(TAGS + "<fov>wide</fov>"), "<fov>: 'wide' is not a finite number"),
         (
             lambda: carrier(sensor("imu", "", "libgazebo_ros_range.so", TAGS)),
-            'needs a <sensor type="ray">',
+            'needs a <sensor type="ray">, not "imu"',
         ),
     ],
 )

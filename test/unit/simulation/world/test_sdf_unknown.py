@@ -72,10 +72,32 @@ def test_worlds(tmp_path, caplog):
     path = write_world(tmp_path, inner)
     read_world_file(path)
     assert caplog.messages == [
-        f"{path}: <physics>: <max_step_size> is not simulated",
+        f"{path}: <physics>: <max_step_size> is not simulated; the time step is 0.001 s",
         f"{path}: <world>: plugin 'wind' (libwind.so) is not simulated",
         f"{path}: <world>: <road> is not simulated",
     ]
+
+
+def test_what_physics_asks_for_is_one_line(tmp_path, caplog):
+    path = write_world(
+        tmp_path,
+        "<physics type='ode'><max_step_size>0.01</max_step_size>"
+        "<real_time_update_rate>100</real_time_update_rate></physics>",
+    )
+    read_world_file(path)
+    (message,) = caplog.messages
+    assert message.startswith(f"{path}: <physics>: <max_step_size> is not simulated, ")
+    assert message.endswith("<real_time_update_rate> is not simulated; the time step is 0.001 s")
+
+
+def test_the_known_plugins_are_named_once(caplog):
+    plugins = "".join(f'<plugin name="{n}" filename="lib{n}.so"/>' for n in ("fly", "swim"))
+    model = read_model_text(model_text(model=plugins), "text")
+    with Simulation() as simulation:
+        simulation.add(model)
+        simulation.add(model, "another")
+    assert [("known are" in message) for message in caplog.messages] == [True] + 3 * [False]
+    assert all("is not simulated and skipped" in message for message in caplog.messages)
 
 
 def test_a_model_that_is_included_often_is_told_of_once(tmp_path, caplog):
