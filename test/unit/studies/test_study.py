@@ -165,7 +165,7 @@ def test_a_table_leaves_empty_what_is_not_known(tmp_path):
 )
 def test_each_study_is_a_program(name, tmp_path):
     done = subprocess.run(
-        [sys.executable, "-m", f"bullet_lab.studies.{name}", str(tmp_path / "out"), "--seed", "-1"],
+        [sys.executable, "-m", f"bullet_lab.studies.{name}.study", tmp_path / "out", "--seed", "-1"],
         stderr=subprocess.PIPE,
         text=True,
     )
