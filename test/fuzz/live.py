@@ -1,7 +1,9 @@
 """Sends random messages and calls to a running bridge and the nodes around it; see scripts/fuzz.sh.
 
-Every topic that one of them hears gets messages, every service of theirs is called. Afterwards all
-nodes live, time goes on, and nothing that is not finite has come out on the odometry.
+Every topic that one of them hears gets messages, every service of theirs is called, settings are
+changed by dynamic_reconfigure, and the view's page gets messages on both of its sockets. Afterwards
+all nodes live, time goes on, nothing that is not finite has come out on the odometry, and what the
+view drove stands.
 """
 
 from __future__ import annotations
@@ -25,16 +27,26 @@ import psutil
 import roslib.message
 import rospy
 import rosservice
+import yaml
 from bullet_lab.srv import SetRtf
+from controller_manager_msgs.srv import LoadController, SwitchController, SwitchControllerRequest
+from dynamic_reconfigure.srv import Reconfigure
+from gazebo_msgs.srv import SpawnModel
+from geometry_msgs.msg import Point, Quaternion, Twist
+from geometry_msgs.msg import Pose as PoseMsg
 from messages import Messages
 from mutations import generator, mutant
 from nav_msgs.msg import Odometry
+from page import PageFuzzer
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty
 from tqdm import tqdm
+from view_looker import wait_for_url
 from ways import WAYS
 
 from bullet_lab.ros.launcher.supervision import prepare_master
+from bullet_lab.ros.view.panel import FASTEST, FASTEST_TURN
+from bullet_lab.ros.view.show import KINDS
 
 NODES: Dict[str, Tuple[str, ...]] = {
     "pybullet_bridge.py": (
@@ -47,11 +59,18 @@ NODES: Dict[str, Tuple[str, ...]] = {
     "aruco.py": ("_image:=mycamera/image_raw",),
     "dock.py": (),
     "drive_to_goal.py": (),
+    "view.py": ("_port:=18300",),
 }
+# A robot with controllers, as test/tutorials has it.
+CART, CONTROLLERS = "cart", ("joint_state_controller", "drive", "mast")
 # rospy's own, and what is there to end things.
 LEFT_ALONE = ("get_loggers", "set_logger_level", "/gazebo/shutdown")
 HEARD_BY_ALL = ("/clock", "/rosout")
-OUTPUTS = ("odom", "noisy_odom")
+OUTPUTS = ("/odom", "/noisy_odom", "/cart/drive/odom")
+# Of types that the view shows, and nobody here publishes.
+SHOWN = {
+    f"/fuzz/{kind.rpartition('/')[2]}": kind for one in KINDS for kind in one.displays
+}
 # Wall seconds for a call, and for time to go on afterwards.
 CALL_SECONDS, RECOVERY_SECONDS = 30.0, 60.0
 # MB that the bridge may grow by.
@@ -59,8 +78,8 @@ MOST_GROWTH = 600.0
 TEXTS = 200
 # Characters of what a node says at each end, messages and calls that are told.
 SAID, LAST_SENT = 1500, 40
-# Calls among messages.
-CALLS = 0.05
+# Calls among messages, and messages to the page.
+CALLS, TO_PAGE = 0.05, 0.1
 
 
 class Lab:
@@ -84,12 +103,23 @@ class Lab:
         self.sent: Deque[str] = deque(maxlen=LAST_SENT)
         self.not_finite_after: Dict[str, List[str]] = {}
         self.step = 0
+        # The view's last command on each topic.
+        self.driven: Dict[str, Twist] = {}
+        self.too_fast: Counter = Counter()
         rospy.wait_for_service("/bullet_lab/advance", 120.0)
+        spawn_cart()
+        self.url = wait_for_url(lambda: self.said("view.py"))
         rospy.Subscriber("/clock", Clock, self._note_time, queue_size=1)
         for topic in OUTPUTS:
             rospy.Subscriber(topic, Odometry, self._check, topic, queue_size=50)
         time.sleep(5.0)
         self.memory = self.megabytes()
+
+    def listen_to_view(self, topics: List[Tuple[str, str]]) -> None:
+        """Note what the view commands, on all topics that commands are heard on."""
+        for topic, kind in topics:
+            if kind == "geometry_msgs/Twist":
+                rospy.Subscriber(topic, Twist, self._note_command, topic, queue_size=50)
 
     def _note_time(self, message: Clock) -> None:
         self.step += 1
@@ -105,6 +135,22 @@ class Lab:
                 came = f"{message._connection_header['callerid']}: {shown(message)}"
                 self.not_finite_after[topic] = [*self.sent, came]
             self.not_finite[topic] += 1
+
+    def _note_command(self, message: Twist, topic: str) -> None:
+        if message._connection_header["callerid"] == "/view":
+            speeds = message.linear.x / FASTEST, message.angular.z / FASTEST_TURN
+            if not all(-1.0 <= speed <= 1.0 for speed in speeds):
+                self.too_fast[topic] += 1
+            self.driven[topic] = message
+
+    def view_has_stopped(self) -> bool:
+        """Return whether all that the view has driven is told to stand, once no page is open."""
+        deadline = time.monotonic() + RECOVERY_SECONDS
+        while time.monotonic() < deadline:
+            if all(message == Twist() for message in list(self.driven.values())):
+                return True
+            time.sleep(0.1)
+        return False
 
     def megabytes(self) -> float:
         """Return the bridge's resident memory."""
@@ -184,15 +230,44 @@ def texts(seed: int) -> List[str]:
     return found
 
 
+def spawn_cart() -> None:
+    """Spawn a robot with controllers, and have them run."""
+    tutorials = Path(__file__).resolve().parents[1] / "tutorials"
+    text = (tutorials / "urdf" / "cart.urdf").read_text()
+    rospy.set_param(f"/{CART}/robot_description", text)
+    rospy.set_param(f"/{CART}", {**rospy.get_param(f"/{CART}"), **settings_of_cart(tutorials)})
+    pose = PoseMsg(Point(-2.0, -2.0, 0.0), Quaternion(w=1.0))
+    rospy.ServiceProxy("/gazebo/spawn_urdf_model", SpawnModel)(CART, text, "", pose, "")
+    for name in CONTROLLERS:
+        service(f"/{CART}/controller_manager/load_controller", LoadController)(name)
+    switch = service(f"/{CART}/controller_manager/switch_controller", SwitchController)
+    switch(CONTROLLERS, (), SwitchControllerRequest.STRICT, False, 0.0)
+
+
+def settings_of_cart(tutorials: Path) -> Dict[str, Any]:
+    """Return the parameters of the cart's controllers."""
+    return yaml.safe_load((tutorials / "config" / f"{CART}.yaml").read_text())
+
+
+def service(name: str, kind: type) -> rospy.ServiceProxy:
+    """Return a service once it is there."""
+    rospy.wait_for_service(name, 120.0)
+    return rospy.ServiceProxy(name, kind)
+
+
 class Caller:
     """Calls services, each in a thread of its own, and notes those that do not answer."""
 
     def __init__(self, services: List[str]):
         self._proxies = {}
+        # Those of dynamic_reconfigure answer an empty request with all that they offer.
+        self._settings = {}
         for name in services:
             kind = rosservice.get_service_class_by_name(name)
             if kind is not None:
                 self._proxies[name] = (rospy.ServiceProxy(name, kind), kind)
+            if kind is Reconfigure:
+                self._settings[name] = self._proxies[name][0]().config
         self.names = sorted(self._proxies)
         self.silent: Counter = Counter()
 
@@ -200,6 +275,8 @@ class Caller:
         """Call a service with something; return that in words."""
         proxy, kind = self._proxies[name]
         request = messages.fill(kind._request_class())
+        if name in self._settings:
+            request.config = messages.some_settings(self._settings[name])
         if name == "/bullet_lab/step":
             request.steps = min(request.steps, 500)
         if name == "/bullet_lab/advance":
@@ -242,15 +319,23 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
     """Send so many messages; return what became of it."""
     random = np.random.default_rng([wanted.seed, 0xF])
     lab = Lab(folder)
+    page = PageFuzzer(lab.url, random)
+    # What is published at last is seen by the view, which is heard to listen then.
+    time.sleep(3.0)
     topics, services = inputs()
+    lab.listen_to_view(topics)
     caller = Caller(services)
     messages = Messages(random, texts(wanted.seed))
     failures: List[str] = []
-    sent, calls = Counter(), Counter()
-    with publishers(topics) as outlets, _bar(wanted.messages) as bar:
+    sent, calls, to_page = Counter(), Counter(), 0
+    with publishers([*topics, *SHOWN.items()]) as outlets, _bar(wanted.messages) as bar:
         for number in range(wanted.messages):
             messages.now = rospy.get_time()
-            if random.random() < CALLS:
+            kind_of_input = random.random()
+            if kind_of_input < TO_PAGE:
+                lab.sent.append(page.send())
+                to_page += 1
+            elif kind_of_input < TO_PAGE + CALLS:
                 name = caller.names[random.integers(len(caller.names))]
                 lab.sent.append(f"{name}: {caller.call(name, messages)}")
                 calls[name] += 1
@@ -265,7 +350,12 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
             if number % 200 == 199 and lab.dead():
                 break
     failures += [f"{name} has ended with {lab.last_words(name)}" for name in lab.dead()]
+    if not page.lives():
+        failures.append(f"the page is no longer served: {lab.said('view.py')[-600:]}")
+    page.close()
     if not failures:
+        if not lab.view_has_stopped():
+            failures.append(f"the view drives on: {lab.driven}")
         if not lab.time_goes_on():
             failures.append(f"time does not go on: {lab.said('pybullet_bridge.py')[-600:]}")
         grown = lab.megabytes() - lab.memory
@@ -273,11 +363,13 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
             failures.append(f"the bridge has grown by {grown:.0f} MB")
     failures += [f"{name} has not answered {n} times" for name, n in caller.silent.items()]
     failures += [f"{n} messages on {topic} are not finite" for topic, n in lab.not_finite.items()]
+    failures += [f"{n} commands of the view on {t} are too fast" for t, n in lab.too_fast.items()]
     failures += lab.end()
     return {
         "seed": wanted.seed,
         "messages": sum(sent.values()),
         "calls": sum(calls.values()),
+        "to_page": to_page,
         "by_topic": dict(sent),
         "by_service": dict(calls),
         "not_finite_after": lab.not_finite_after,
@@ -302,6 +394,7 @@ def main() -> None:
     for failure in summary["failures"]:
         print(failure)
     print(f"{summary['messages']} messages, {summary['calls']} calls, "
+          f"{summary['to_page']} messages to the page, "
           f"{len(summary['failures'])} failures; see {wanted.out}")  # fmt: skip
     sys.exit(1 if summary["failures"] else 0)
 

@@ -13,7 +13,7 @@ FLOATS = (0.0, -0.0, 1.0, -1.0, 1e-320, 1e-9, 1e9, 1e38, 1e308, -1e308, np.nan, 
 SECONDS = (0, 1, 5, 2**31 - 1, 2**31, 2**32 - 1)
 NAMES = (
     "", "/", "odom", "map", "base_footprint", "world", "camera_robot", "ground_plane", "dock",
-    "camera_robot::base_footprint", "left_wheel_joint", "sun", "nobody", "a b", "\0", "é" * 40,
+    "camera_robot::base_footprint", "left_wheel_joint", "sun", "cart", "drive", "mast", "nobody", "a b", "\0", "é" * 40,
     "A" * 5000, "../../etc/passwd", "-1", "//x//", "~x",
 )  # fmt: skip
 ARRAY = re.compile(r"(.*)\[(\d*)\]")
@@ -44,6 +44,16 @@ class Messages:
             values = self._random.normal(size=4)
             message.x, message.y, message.z, message.w = values / np.linalg.norm(values)
         return message
+
+    def some_settings(self, config: Any) -> Any:
+        """Return some of a dynamic_reconfigure Config's settings, with other values."""
+        made = type(config)()
+        for kind in ("bools", "ints", "strs", "doubles"):
+            chosen = [one for one in getattr(config, kind) if self._random.integers(2)]
+            values = [self.fill(type(one)()).value for one in chosen]
+            settings = [type(one)(one.name, value) for one, value in zip(chosen, values)]
+            getattr(made, kind).extend(settings)
+        return made
 
     def _value(self, kind: str, name: str) -> Any:
         array = ARRAY.fullmatch(kind)

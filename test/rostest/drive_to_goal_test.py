@@ -213,6 +213,7 @@ class DriveToGoalTest(unittest.TestCase):
             self.cancels.publish(GoalID(id=active.goal_id.id) if by_id else GoalID())
             self.assertIn("request", self.wait_for_status(GoalStatus.PREEMPTED, number).text)
             self.assert_stands()
+        self.assertNotIn("uninitialized", self.node.err)
 
     def client(self):
         client = SimpleActionClient("move_base", MoveBaseAction)

@@ -41,7 +41,7 @@ class Looker:
         )
         self._thread = threading.Thread(target=self._receive, daemon=True)
         self._thread.start()
-        self._say(
+        self.say(
             _messages.ViewerCameraMessage(
                 wxyz=(1.0, 0.0, 0.0, 0.0),
                 position=(0.0, 0.0, 5.0),
@@ -57,7 +57,7 @@ class Looker:
 
     def click(self, x, y):
         """Click on the floor."""
-        self._say(
+        self.say(
             _messages.ScenePointerMessage(
                 "click", (x, y, 5.0), (0.0, 0.0, -1.0), ((0.5, 0.5),), None
             )
@@ -66,7 +66,7 @@ class Looker:
     def press(self, label, value):
         """Have a control of the page, by its label, say a value."""
         uuid = next(k for k, props in self.controls.items() if props.get("label") == label)
-        self._say(_messages.GuiUpdateMessage(uuid, {"value": value}))
+        self.say(_messages.GuiUpdateMessage(uuid, {"value": value}))
 
     def driver(self):
         """Return a pad to drive by."""
@@ -82,8 +82,10 @@ class Looker:
         self._socket.close()
         self._thread.join(5.0)
 
-    def _say(self, message):
-        self._socket.send(msgpack.encode(message.as_serializable_dict()))
+    def say(self, message):
+        """Send a message, one of viser's or its bytes."""
+        data = message if isinstance(message, bytes) else pack(message.as_serializable_dict())
+        self._socket.send(data)
 
     def _receive(self):
         try:
@@ -191,6 +193,11 @@ class Driver:
     def send(self, shares):
         """Say what is held down, forward and to the left."""
         self.socket.send(f"{self.listen()['time']} {shares}")
+
+
+def pack(message):
+    """Return a message, a dict, as viser's protocol has it."""
+    return msgpack.encode(message)
 
 
 def read_messages(data):

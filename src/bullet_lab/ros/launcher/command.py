@@ -34,6 +34,7 @@ from bullet_lab.ros.launcher.output import (
     words_to,
 )
 from bullet_lab.simulation.world.resources import ros_package_folder
+from bullet_lab.simulation.world.xml import parse_text, read_text
 
 _HELP = ("-h", "--help")
 STATUS_FAILED = 1
@@ -105,11 +106,22 @@ def _dispatch(words: list[str]) -> int:
 
 
 def make_package_known(file: Path) -> None:
-    """Have ROS find the package that a file lies in, and those beside it, if it does not yet."""
+    """Add the folder that holds a file's package to ROS_PACKAGE_PATH, if ROS does not find it."""
     package = next((one for one in file.parents if (one / "package.xml").is_file()), None)
-    if package is not None and ros_package_folder(package.name) is None:
-        known = os.environ.get("ROS_PACKAGE_PATH", "")
-        os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join(filter(None, (known, str(package.parent))))
+    if package is None or ros_package_folder(_package_name(package)) is not None:
+        return
+    known = os.environ.get("ROS_PACKAGE_PATH", "")
+    os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join(filter(None, (known, str(package.parent))))
+
+
+def _package_name(folder: Path) -> str:
+    """Return the name in a package.xml, the folder's where there is none: it may differ."""
+    try:
+        manifest = folder / "package.xml"
+        name = parse_text(read_text(manifest), str(manifest)).findtext("name")
+    except LabError:
+        name = None
+    return (name or folder.name).strip()
 
 
 def _run(job: Job, values: dict[str, str], package: Path, signals: StopSignals) -> int:

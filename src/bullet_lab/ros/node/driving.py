@@ -6,8 +6,8 @@ import threading
 from typing import Any, Callable, Optional, Tuple
 
 import rospy
-from actionlib import ServerGoalHandle, SimpleActionServer
-from actionlib_msgs.msg import GoalStatus
+from actionlib import ActionServer, ServerGoalHandle, SimpleActionServer
+from actionlib_msgs.msg import GoalID, GoalStatus
 from geometry_msgs.msg import Twist
 
 from bullet_lab.ros.node.lock_step import in_lock_step
@@ -82,6 +82,7 @@ class GoalServer(SimpleActionServer):
         super().__init__(name, kind, auto_start=False)
         self.register_goal_callback(lambda: on_goal(self.next_goal))
         self.register_preempt_callback(self._preempt)
+        self.action_server.internal_cancel_callback = self._cancel
 
     def start(self) -> None:
         """Serve, and go on saying how goals stand where time is set back.
@@ -137,6 +138,18 @@ class GoalServer(SimpleActionServer):
         if in_lock_step():
             # actionlib itself answers as ROS time passes, and that may stand meanwhile.
             self.action_server.publish_status()
+
+    def _cancel(self, goal_id: GoalID) -> None:
+        """Cancel goals, as actionlib does.
+
+        It remembers the cancellation of a goal that has not come yet without a goal, and logs an
+        error for it at each later cancellation: such an entry gets an empty goal.
+        """
+        server = self.action_server
+        with server.lock:
+            ActionServer.internal_cancel_callback(server, goal_id)
+            for tracker in server.status_list:
+                tracker.goal = tracker.goal or server.ActionGoal()
 
     def _preempt(self) -> None:
         if not self.is_new_goal_available():

@@ -141,13 +141,13 @@ class ResourceFinder:
             folder = self._packages(parts.netloc)
             if folder is None:
                 raise ResourceError(f"'{uri}': no ROS package '{parts.netloc}'")
-            return _inside(folder, unquote(parts.path).lstrip("/"), uri)
+            path = unquote(parts.path).lstrip("/")
+            return _search((folder,), path, uri) or _existing(folder / path, uri)
         if parts.scheme == "model":
-            name = (parts.netloc + unquote(parts.path)).lstrip("/")
-            for folder in self._models:
-                if (folder / name).exists():
-                    return _inside(folder, name, uri)
-            raise ResourceError(f"'{uri}': in none of the model folders (GAZEBO_MODEL_PATH)")
+            found = _search(self._models, (parts.netloc + unquote(parts.path)).lstrip("/"), uri)
+            if found is None:
+                raise ResourceError(f"'{uri}': in none of the model folders (GAZEBO_MODEL_PATH)")
+            return found
         if parts.scheme == "file" and parts.netloc in ("", "localhost"):
             return self._absolute(uri, Path(unquote(parts.path)))
         if parts.scheme == "file":
@@ -163,12 +163,9 @@ class ResourceFinder:
         own = () if self._folder is None else (self._folder,)
         listed = listed_folders("GAZEBO_RESOURCE_PATH")
         folders = (*own, *(folder / part for folder in listed for part in RESOURCES))
-        for folder in folders:
-            if (folder / path).exists():
-                return _inside(folder, path, uri)
         if not folders:
             raise ResourceError(f"'{uri}': a relative path in a text that lies in no folder")
-        return _inside(folders[0], path, uri)
+        return _search(folders, path, uri) or _existing(folders[0] / path, uri)
 
     def _absolute(self, uri: str, path: Path) -> Path:
         """Allow an absolute path only below the document, a model folder or a ROS package."""
@@ -196,10 +193,22 @@ def _package_above(path: Path) -> Tuple[Path, ...]:
     return tuple(holders)[:1]
 
 
-def _inside(folder: Path, path: str, uri: str) -> Path:
-    if not is_below(folder / path, folder):
+def _search(folders: Iterable[Path], path: str, uri: str) -> Optional[Path]:
+    """Return what a path leads to in the first folder that has it, None if none does.
+
+    Raises:
+        ResourceError: the path leads out of a folder. Whether anything is there is not looked at:
+            the error does not tell which files exist.
+    """
+    leaves = False
+    for folder in folders:
+        if not is_below(folder / path, folder):
+            leaves = True
+        elif (folder / path).exists():
+            return folder / path
+    if leaves:
         raise ResourceError(f"'{uri}': leaves its folder")
-    return _existing(folder / path, uri)
+    return None
 
 
 def is_below(path: Path, folder: Path) -> bool:

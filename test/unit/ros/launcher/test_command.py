@@ -1,9 +1,12 @@
-"""run.sh's launcher as a process."""
+"""run.sh's launcher as a process, and the packages of the files that it is given."""
 
+import os
 import subprocess
 import sys
 
-from bullet_lab.ros.launcher.command import STATUS_FAILED
+import pytest
+
+from bullet_lab.ros.launcher.command import STATUS_FAILED, make_package_known
 
 ENDING = """
 import os, signal
@@ -21,3 +24,21 @@ command.main()
 
 def test_ctrl_c_while_python_ends_changes_no_status():
     assert subprocess.run([sys.executable, "-c", ENDING], timeout=60).returncode == STATUS_FAILED
+
+
+@pytest.mark.parametrize("known", ["", "/somewhere"])
+def test_an_unknown_package_is_made_known_with_those_beside_it(known, tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_PACKAGE_PATH", known)
+    (tmp_path / "checkout/launch").mkdir(parents=True)
+    (tmp_path / "checkout/package.xml").write_text("<package><name>nobodys</name></package>")
+    make_package_known(tmp_path / "checkout/launch/a.launch")
+    listed = os.environ["ROS_PACKAGE_PATH"].split(os.pathsep)
+    assert listed == [*filter(None, [known]), str(tmp_path)]
+
+
+def test_a_package_is_known_by_its_name_whatever_its_folder_is_called(tmp_path, monkeypatch):
+    # All that lies beside the folder would be searched, a whole home or /tmp.
+    monkeypatch.setenv("ROS_PACKAGE_PATH", "")
+    (tmp_path / "package.xml").write_text("<package><name>bullet_lab</name></package>")
+    make_package_known(tmp_path / "launch/squares.launch")
+    assert os.environ["ROS_PACKAGE_PATH"] == ""

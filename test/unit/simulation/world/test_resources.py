@@ -69,6 +69,8 @@ def test_what_may_be_found(finder, files):
         ("model://nix", "in none of the model folders"),
         ("model://../secret/s.stl", "leaves its folder"),
         ("model://car/../../secret/s.stl", "leaves its folder"),
+        # Whether a file outside exists is not told.
+        ("model://../secret/nix.stl", "leaves its folder"),
         ("model:///etc/passwd", "in none of the model folders"),
         ("model://way_out/s.stl", "leaves its folder"),
     ],

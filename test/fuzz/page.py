@@ -1,0 +1,122 @@
+"""Random messages on both sockets of the view's page: viser's, and the one that drives."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import secrets
+import sys
+import time
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, List
+
+import numpy as np
+from mutations import mutant
+from viser import _messages
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "rostest"))
+from view_looker import Looker, pack  # noqa: E402
+
+TYPES = sorted(
+    name
+    for name, kind in vars(_messages).items()
+    if is_dataclass(kind) and issubclass(kind, _messages.Message)
+)
+WORDS = ("0", "1", "-1", "0.5", "nan", "inf", "-1e308", "1e-320", "x", "1 0", "١", "A" * 5000)
+# Values that a control of some kind could take, and others that none could.
+VALUES = (
+    0, 1, -1, 0.05, 0.4, 5.0, 1e9, -1e308, float("nan"), float("inf"), 2**63, True, None,
+    "Pause", "Go on", "100 ms", "Reset", "1 x", "/cmd_vel", "/drive/cmd_vel", "(none)", "<b>",
+    "x" * 5000, [], [1.0, "a"], {}, {"value": {"value": 1}}, b"\xff\0",
+)  # fmt: skip
+# How often the time that a word bears is the newest, and a message is for a control of the page.
+IN_TIME, OF_CONTROL, MUTATED = 0.8, 0.5, 0.3
+# Of so many messages, one opens the page anew.
+NEW_PAGE = 50
+
+
+class PageFuzzer:
+    """Somebody with the page's URL who sends what no page sends.
+
+    Args:
+        url: of the page, with the token.
+        random: to draw from.
+    """
+
+    def __init__(self, url: str, random: np.random.Generator):
+        self._url, self._random = url, random
+        # Another page, which is to live on.
+        self._witness = Looker(url)
+        self._page = Looker(url)
+        self._drive = self._page.driver()
+        self._told: List[bytes] = []
+
+    def send(self) -> str:
+        """Send something; return it in words."""
+        if self._random.integers(NEW_PAGE) == 0:
+            self._reopen()
+        try:
+            return self._send_word() if self._random.integers(2) else self._send_message()
+        except (WebSocketException, OSError) as error:
+            self._reopen()
+            return f"closed: {error}"
+
+    def lives(self) -> bool:
+        """Return whether the other page is still served."""
+        before = self._witness.received
+        for _ in range(600):
+            if self._witness.received > before:
+                return True
+            time.sleep(0.1)
+        return False
+
+    def close(self) -> None:
+        """Close all pages."""
+        self._drive.socket.close()
+        self._page.close()
+        self._witness.close()
+
+    def _reopen(self) -> None:
+        with contextlib.suppress(WebSocketException, OSError):
+            self._drive.socket.close()
+            self._page.close()
+        self._page = Looker(self._url)
+        self._drive = self._page.driver()
+
+    def _one_of(self, values: Any) -> Any:
+        return values[self._random.integers(len(values))]
+
+    def _send_word(self) -> str:
+        stamp = str(self._drive.listen()["time"])
+        if self._random.random() > IN_TIME:
+            stamp = self._one_of(WORDS)
+        word = self._one_of(
+            (f"{stamp} {self._one_of(WORDS)} {self._one_of(WORDS)}", "take over", stamp, b"\0\xff")
+        )
+        self._drive.socket.send(word)
+        return f"drive: {word!r:.100}"
+
+    def _send_message(self) -> str:
+        message = self._update() if self._random.random() < OF_CONTROL else self._any_message()
+        data = pack(message)
+        if self._random.random() < MUTATED:
+            data = mutant([*self._told[-20:], data], self._random)
+        self._told.append(data)
+        self._page.say(data)
+        return f"page: {message!r:.200}"
+
+    def _update(self) -> Any:
+        controls = list(self._page.controls) or ["none"]
+        updates = {self._one_of(("value", "value", "value", "label", "disabled")): self._value()}
+        return {"type": "GuiUpdateMessage", "uuid": self._one_of(controls), "updates": updates}
+
+    def _any_message(self) -> Any:
+        name = self._one_of(TYPES)
+        parts = {field.name: self._value() for field in fields(getattr(_messages, name))}
+        return {"type": name, **parts}
+
+    def _value(self) -> Any:
+        return self._one_of(VALUES)
