@@ -81,18 +81,17 @@ def ctrl_c():
     signal.signal(signal.SIGINT, before)
 
 
+@contextlib.contextmanager
 def in_process_cluster(workers, **options):
     # Every worker process imports this file, and nearly none needs Dask.
+    import dask
     from distributed import LocalCluster
 
-    return LocalCluster(
-        n_workers=workers,
-        processes=False,
-        protocol="tcp",
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",
-        **options,
-    )
+    address = {"protocol": "tcp", "host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
+    # Dask would leave a folder in the system's directory for temporary files.
+    with tempfile.TemporaryDirectory() as folder, dask.config.set(temporary_directory=folder):
+        with LocalCluster(n_workers=workers, processes=False, **address, **options) as cluster:
+            yield cluster
 
 
 @pytest.mark.parametrize("run", [workers(2), workers(1), this_process])

@@ -22,6 +22,9 @@ RETURNS = ("direction", "x", "y", "yaw")
 
 PAIRS = tuple(CSV_HEADER.split(","))
 
+AT_REST = 0.01
+"""Distance, m, from the first or last pose within which the robot counts as resting there."""
+
 
 def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[Run]:
     """Read runs: one from each bag, table of two paths, or pair of TUM files in a folder.
@@ -57,6 +60,7 @@ def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[Run
 
 def _run(file: Path, odometry: Trajectory, truth: Trajectory) -> Run:
     """Return a run between the first and the last pose of both: the robot rests there."""
+    _check_times(file, odometry, truth)
     first, last = truth.poses[[0, -1]].tolist()
     turns = [steps(one.poses)[:, 2].sum() for one in (odometry, truth)]
     if turns[0] * turns[1] < 0.0:
@@ -65,6 +69,22 @@ def _run(file: Path, odometry: Trajectory, truth: Trajectory) -> Run:
             "is the y axis or the yaw of one of them mirrored?"
         )
     return Run(file.stem, odometry.poses, tuple(first), tuple(last))
+
+
+def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
+    """Raise RunError where the truth does not cover the time that the robot drives."""
+    from_start, from_end = (
+        np.flatnonzero(np.hypot(*(odometry.poses - rest)[:, :2].T) > AT_REST)
+        for rest in odometry.poses[[0, -1]]
+    )
+    if not (from_start.size and from_end.size):
+        return
+    begin, end = odometry.stamps[[from_start[0], from_end[-1]]]
+    if truth.stamps[0] > begin or truth.stamps[-1] < end:
+        raise RunError(
+            f"{file}: the robot drives from {begin:.3f} to {end:.3f} s, but the truth covers "
+            f"{truth.stamps[0]:.3f} to {truth.stamps[-1]:.3f} s: are both of one run and one clock?"
+        )
 
 
 def _read_table(path: Path, side: float) -> List[Run]:

@@ -76,6 +76,15 @@ def test_files_of_both_ways_say_what_the_wheels_are(write, tmp_path):
     assert found.base_error == pytest.approx(WRONG.base_error, rel=1e-3)
 
 
+@pytest.mark.parametrize(("shift", "share"), [(1000.0, 1.0), (-1000.0, 1.0), (0.0, 0.7)])
+def test_a_truth_of_another_time_is_refused(shift, share, tmp_path):
+    true, reported = recorded(0.5)
+    count = int(share * len(true.stamps))
+    write_pair(tmp_path, "a", Trajectory(true.stamps[:count] + shift, true.poses[:count]), reported)
+    with pytest.raises(RunError, match="are both of one run and one clock"):
+        read_runs(tmp_path, "", "", 1.0)
+
+
 def test_a_table_of_what_was_measured_with_a_rule(tmp_path):
     # At corners 90° - alpha: the odometry's square is perfect, the true one is known.
     alpha = 0.01

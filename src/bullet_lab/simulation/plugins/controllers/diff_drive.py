@@ -33,6 +33,8 @@ LOG = logging.getLogger(__name__)
 # What dynamic_reconfigure lets them be, in ros_controllers.
 MULTIPLIERS = (0.5, 1.5)
 RATES = (0.0, 2000.0)
+# Updates that the speed is a mean of; a longer window would be memory for nothing.
+LONGEST_WINDOW = 10_000
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,13 @@ class SpeedLimiter:
 
         def limits(kind: str) -> Optional[Tuple[float, float]]:
             most = parameters.number(f"max_{kind}", 0.0)
-            ends = (parameters.number(f"min_{kind}", -most), most)
-            return ends if parameters.boolean(f"has_{kind}_limits", False) else None
+            least = parameters.number(f"min_{kind}", -most)
+            if not parameters.boolean(f"has_{kind}_limits", False):
+                return None
+            if least > most:
+                where = f"{parameters.where}/max_{kind}"
+                raise ControlError(f"{where} is {most:g}: it must be at least min_{kind}, {least:g}")
+            return least, most
 
         return cls(limits("velocity"), limits("acceleration"), limits("jerk"))
 
@@ -144,7 +151,7 @@ class DiffDriveController(Controller):
         self._variances = tuple(
             given.numbers(f"{what}_covariance_diagonal", 6) for what in ("pose", "twist")
         )
-        window = max(1, int(given.number("velocity_rolling_window_size", 10)))
+        window = int(min(max(1.0, given.number("velocity_rolling_window_size", 10)), LONGEST_WINDOW))
         self._odometry = WheelOdometry(self.separation, window, *self._ways())
         self._sends_transforms = given.boolean("enable_odom_tf", True)
         self.adjustables = (
@@ -179,9 +186,10 @@ class DiffDriveController(Controller):
         self._asked = [command]
 
     def adjust(self, values: Mapping[str, Any], step: int) -> None:
+        schedule = self.setup.schedule(min(values["publish_rate"], STEPS_PER_SECOND))
         self._apply({name: values[name] for name in self._factors})
         self._odometry.adjust(self.separation, *self._ways())
-        self._schedule = self.setup.schedule(min(values["publish_rate"], STEPS_PER_SECOND))
+        self._schedule = schedule
         self._schedule.restart(step)
         self._sends_transforms = values["enable_odom_tf"]
 

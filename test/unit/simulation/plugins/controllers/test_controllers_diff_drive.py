@@ -205,6 +205,22 @@ def test_it_is_adjusted_while_it_drives(world):
     assert rims == pytest.approx((0.075 / 0.03, 0.525 / 0.072))
 
 
+@pytest.mark.parametrize("length", [-1.0, 0.5, 1e308])
+def test_a_window_of_any_length_is_taken(world, length):
+    _, _, odometry = drive(world, velocity_rolling_window_size=length)
+    world.run_for(0.1)
+    assert odometry
+
+
+def test_a_rate_that_cannot_be_changes_nothing_else(world):
+    _, controller, _ = drive(world)
+    before = controller.separation
+    asked = settings(controller, publish_rate=-1.0, wheel_separation_multiplier=1.5)
+    with pytest.raises(ControlError, match="publish_rate"):
+        controller.adjust(asked, world.step)
+    assert controller.separation == before
+
+
 @pytest.mark.parametrize("factor", [math.nan, 0.0, -1.0, math.inf])
 def test_what_cannot_be_adjusted_changes_nothing(world, factor):
     _, controller, _ = drive(world, wheel_radius_multiplier=1.2)
@@ -247,6 +263,10 @@ def test_a_reset_begins_again(world):
         ({"pose_covariance_diagonal": [1.0]}, "list of 6 numbers"),
         ({"wheel_separation": 0.0}, "have to be positive"),
         ({"publish_rate": 5000.0}, "5000 Hz"),
+        (
+            {"linear": {"x": {"has_velocity_limits": True, "max_velocity": -1.0}}},
+            "linear/x/max_velocity is -1: it must be at least min_velocity, 1",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_by_name(world, parameters, complaint):
