@@ -5,11 +5,13 @@ import json
 import math
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 import rospy
 from actionlib_msgs.msg import GoalStatus
@@ -26,6 +28,8 @@ from view_looker import wait_for_url  # noqa: E402
 CENTIMETRE = 0.01
 # Within so many seconds of the page's end, a robot that it drives has to be told to stand.
 LATEST_STOP = 0.5
+# And within so many of the end of the browser itself, it has to be at rest.
+LATEST_REST = 0.6
 PATIENCE_MS = 120_000
 # A machine without a graphics card draws in software, which Chromium has to be asked for.
 OPTIONS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -44,14 +48,20 @@ def master():
 
 
 @pytest.fixture(scope="module")
-def browser():
+def launch():
+    """Start a Chromium."""
+    # Chromium's own sandbox does not work for root.
+    options = [*OPTIONS, "--no-sandbox"] if os.geteuid() == 0 else OPTIONS
+    program = shutil.which("chromium") or shutil.which("chromium-browser")
     with sync_playwright() as playwright:
-        # Chromium's own sandbox does not work for root.
-        options = [*OPTIONS, "--no-sandbox"] if os.geteuid() == 0 else OPTIONS
-        program = shutil.which("chromium") or shutil.which("chromium-browser")
-        made = playwright.chromium.launch(executable_path=program, args=options)
-        yield made
-        made.close()
+        yield lambda: playwright.chromium.launch(executable_path=program, args=options)
+
+
+@pytest.fixture(scope="module")
+def browser(launch):
+    made = launch()
+    yield made
+    made.close()
 
 
 @contextlib.contextmanager
@@ -117,6 +127,9 @@ class Robot:
         """Return how many goals were reached."""
         states = self._states.messages
         return len({m.goal_id.id for m in states if m.status == GoalStatus.SUCCEEDED})
+
+    def speed(self):
+        return self.odom.messages[-1].twist.twist.linear.x
 
     def is_at_newest_goal(self):
         goal, (place,) = self._goals.messages[-1].pose.position, self.places()
@@ -222,6 +235,34 @@ def test_the_job_goal_takes_clicks_and_is_closed_to_strangers(robot, browser, tm
         with pytest.raises(Error, match="ERR_HTTP_RESPONSE_CODE_FAILURE"):
             stranger.goto(url.rsplit("/", 2)[0])
         stranger.close()
+
+
+@pytest.mark.parametrize("how", [signal.SIGSTOP, signal.SIGKILL])
+def test_a_browser_that_hangs_or_dies_stops_the_robot(how, robot, launch, tmp_path):
+    others = set(browser_processes())
+    browser = launch()
+    with running("goal", tmp_path) as url, opened(browser, url) as page:
+        wait_for(lambda: robot.reached() == 1, "the job's own goal to be reached")
+        page.keyboard.down("ArrowUp")
+        wait_for(lambda: robot.speed() > 0.3, "to be driven")
+        rospy.rostime.wallsleep(1.0)
+        ours = set(browser_processes()) - others
+        assert ours
+        lost = time.monotonic()
+        for process in ours:
+            process.send_signal(how)
+        wait_for(lambda: abs(robot.speed()) < 1e-3, "the robot to stand")
+        assert time.monotonic() - lost < LATEST_REST
+        assert robot.commands[-1][1] == Twist()
+        if how == signal.SIGSTOP:
+            for process in ours:
+                process.send_signal(signal.SIGCONT)
+    with contextlib.suppress(Error):
+        browser.close()
+
+
+def browser_processes():
+    return [p for p in psutil.Process().children(recursive=True) if "chrom" in p.name()]
 
 
 TAGS = ("script", "img", "iframe", "svg", "style", "a", "b", "object", "embed", "form")
