@@ -13,6 +13,7 @@ import contextlib
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -166,6 +167,11 @@ class Lab:
         self._logs[name].seek(0)
         return self._logs[name].read()
 
+    def resets(self) -> Counter:
+        """Return how often the bridge has warned that a model's pose was no longer finite."""
+        warning = re.compile(r"model '([^']*)': its pose is no longer finite")
+        return Counter(warning.findall(self.said("pybullet_bridge.py")))
+
     def last_words(self, name: str) -> str:
         """Return the status of a node that has ended, and what it printed at the end."""
         text = self.said(name)
@@ -231,7 +237,7 @@ def texts(seed: int) -> List[str]:
 
 
 def spawn_cart() -> None:
-    """Spawn a robot with controllers, and have them run."""
+    """Spawn a robot with controllers, if it is not there, and have them run."""
     tutorials = Path(__file__).resolve().parents[1] / "tutorials"
     text = (tutorials / "urdf" / "cart.urdf").read_text()
     rospy.set_param(f"/{CART}/robot_description", text)
@@ -251,7 +257,7 @@ def settings_of_cart(tutorials: Path) -> Dict[str, Any]:
 
 def service(name: str, kind: type) -> rospy.ServiceProxy:
     """Return a service once it is there."""
-    rospy.wait_for_service(name, 120.0)
+    rospy.wait_for_service(name, CALL_SECONDS)
     return rospy.ServiceProxy(name, kind)
 
 
@@ -269,6 +275,7 @@ class Caller:
             if kind is Reconfigure:
                 self._settings[name] = self._proxies[name][0]().config
         self.names = sorted(self._proxies)
+        self.with_settings = sorted(self._settings)
         self.silent: Counter = Counter()
 
     def call(self, name: str, messages: Messages) -> str:
@@ -336,7 +343,8 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
                 lab.sent.append(page.send())
                 to_page += 1
             elif kind_of_input < TO_PAGE + CALLS:
-                name = caller.names[random.integers(len(caller.names))]
+                names = caller.names if random.integers(3) else caller.with_settings
+                name = names[random.integers(len(names))]
                 lab.sent.append(f"{name}: {caller.call(name, messages)}")
                 calls[name] += 1
             else:
@@ -347,8 +355,11 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
                     publisher.publish(message)
                 sent[publisher.name] += 1
             bar.update()
-            if number % 200 == 199 and lab.dead():
-                break
+            if number % 200 == 199:
+                if lab.dead():
+                    break
+                with contextlib.suppress(rospy.ROSException, rospy.ServiceException):
+                    spawn_cart()
     failures += [f"{name} has ended with {lab.last_words(name)}" for name in lab.dead()]
     if not page.lives():
         failures.append(f"the page is no longer served: {lab.said('view.py')[-600:]}")
@@ -361,6 +372,7 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
         grown = lab.megabytes() - lab.memory
         if grown > MOST_GROWTH:
             failures.append(f"the bridge has grown by {grown:.0f} MB")
+    failures += [f"{name} became NaN: {n} warnings" for name, n in lab.resets().items()]
     failures += [f"{name} has not answered {n} times" for name, n in caller.silent.items()]
     failures += [f"{n} messages on {topic} are not finite" for topic, n in lab.not_finite.items()]
     failures += [f"{n} commands of the view on {t} are too fast" for t, n in lab.too_fast.items()]

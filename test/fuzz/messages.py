@@ -50,10 +50,16 @@ class Messages:
         made = type(config)()
         for kind in ("bools", "ints", "strs", "doubles"):
             chosen = [one for one in getattr(config, kind) if self._random.integers(2)]
-            values = [self.fill(type(one)()).value for one in chosen]
+            values = [self._setting(one) for one in chosen]
             settings = [type(one)(one.name, value) for one, value in zip(chosen, values)]
             getattr(made, kind).extend(settings)
         return made
+
+    def _setting(self, setting: Any) -> Any:
+        """Return another value for a setting: of numbers, often one that its limits let through."""
+        if isinstance(setting.value, float) and self._odd():
+            return self._one_of((np.nan, 0.0, setting.value))
+        return self.fill(type(setting)()).value
 
     def _value(self, kind: str, name: str) -> Any:
         array = ARRAY.fullmatch(kind)

@@ -26,14 +26,16 @@ TYPES = sorted(
     if is_dataclass(kind) and issubclass(kind, _messages.Message)
 )
 WORDS = ("0", "1", "-1", "0.5", "nan", "inf", "-1e308", "1e-320", "x", "1 0", "١", "A" * 5000)
-# Values that a control of some kind could take, and others that none could.
+SHARES = ("0", "1", "-1", "0.5", "-0.25")
+NUMBERS = (0, 1, -1, 0.05, 0.4, 5.0, 1e9, -1e308, float("nan"), float("inf"), 2**63)
+# Values that no control could take.
 VALUES = (
-    0, 1, -1, 0.05, 0.4, 5.0, 1e9, -1e308, float("nan"), float("inf"), 2**63, True, None,
-    "Pause", "Go on", "100 ms", "Reset", "1 x", "/cmd_vel", "/drive/cmd_vel", "(none)", "<b>",
-    "x" * 5000, [], [1.0, "a"], {}, {"value": {"value": 1}}, b"\xff\0",
+    *NUMBERS, True, None, "/elsewhere", "<b>", "x" * 5000, [], [1.0, "a"], {},
+    {"value": {"value": 1}}, b"\xff\0",
 )  # fmt: skip
-# How often the time that a word bears is the newest, and a message is for a control of the page.
-IN_TIME, OF_CONTROL, MUTATED = 0.8, 0.5, 0.3
+# How often a command to drive makes sense, a message is for a control of the page and has a value
+# of its kind, and the bytes of a message are changed.
+SENSE, OF_CONTROL, OF_KIND, MUTATED = 0.6, 0.7, 0.6, 0.2
 # Of so many messages, one opens the page anew.
 NEW_PAGE = 50
 
@@ -91,11 +93,12 @@ class PageFuzzer:
 
     def _send_word(self) -> str:
         stamp = str(self._drive.listen()["time"])
-        if self._random.random() > IN_TIME:
-            stamp = self._one_of(WORDS)
-        word = self._one_of(
-            (f"{stamp} {self._one_of(WORDS)} {self._one_of(WORDS)}", "take over", stamp, b"\0\xff")
-        )
+        if self._random.random() < SENSE:
+            word = f"{stamp} {self._one_of(SHARES)} {self._one_of(SHARES)}"
+        else:
+            words = " ".join(self._one_of(WORDS) for _ in range(2))
+            sent = (f"{stamp} {words}", f"{self._one_of(WORDS)} {words}", "take over", stamp)
+            word = self._one_of((*sent, b"\0\xff"))
         self._drive.socket.send(word)
         return f"drive: {word!r:.100}"
 
@@ -109,9 +112,16 @@ class PageFuzzer:
         return f"page: {message!r:.200}"
 
     def _update(self) -> Any:
-        controls = list(self._page.controls) or ["none"]
-        updates = {self._one_of(("value", "value", "value", "label", "disabled")): self._value()}
-        return {"type": "GuiUpdateMessage", "uuid": self._one_of(controls), "updates": updates}
+        uuid, props = self._one_of([*list(self._page.controls.items()), ("none", {})])
+        key = self._one_of(("value", "value", "value", "label", "disabled"))
+        value = self._value_for(props) if self._random.random() < OF_KIND else self._value()
+        return {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {key: value}}
+
+    def _value_for(self, props: Any) -> Any:
+        """Return a value of the kind that a control has, in its limits or not."""
+        if "options" in props:
+            return self._one_of(list(props["options"]))
+        return self._one_of(NUMBERS if "min" in props else (True, False))
 
     def _any_message(self) -> Any:
         name = self._one_of(TYPES)

@@ -85,6 +85,8 @@ class Simulation:
         self._spent: DefaultDict[Union[Plugin, Timer], float] = defaultdict(float)
         self.forces = Forces()
         self._known_is_told = False
+        # When (wall s) it was last warned of a model's reset, by its name.
+        self._warned_of_reset: Dict[str, float] = {}
         for model in self.world.models:
             with leaving_out(lambda said: LOG.warning("%s", said)):
                 instance = self.add(model, namespace="")
@@ -351,8 +353,7 @@ class Simulation:
         instances = [self._instances[name] for name in sorted(lost)]
         # What stands still is made anew after that: else Bullet no longer finds what touches it.
         for instance in sorted(instances, key=lambda one: one.model.static):
-            what = "its pose is no longer finite; reset to its first pose"
-            LOG.warning("model '%s': %s", instance.name, what)
+            self._warn_of_reset(instance.name)
             if instance.model.static and not instance.plugins:
                 self.remove(instance.name)
                 self.add(instance.model)
@@ -360,6 +361,13 @@ class Simulation:
             instance.place(instance.model.pose)
             for plugin in instance.plugins:
                 plugin.reset(self.step)
+
+    def _warn_of_reset(self, name: str) -> None:
+        """Warn that a model was reset, once a second at most."""
+        now = time.monotonic()
+        if now - self._warned_of_reset.get(name, -math.inf) >= 1.0:
+            self._warned_of_reset[name] = now
+            LOG.warning("model '%s': its pose is no longer finite; reset to its first pose", name)
 
     def _find_tractions(self) -> None:
         tractions = (body.traction for body in self._bodies.values())
