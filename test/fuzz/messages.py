@@ -13,7 +13,8 @@ FLOATS = (0.0, -0.0, 1.0, -1.0, 1e-320, 1e-9, 1e9, 1e38, 1e308, -1e308, np.nan, 
 SECONDS = (0, 1, 5, 2**31 - 1, 2**31, 2**32 - 1)
 NAMES = (
     "", "/", "odom", "map", "base_footprint", "world", "camera_robot", "ground_plane", "dock",
-    "camera_robot::base_footprint", "left_wheel_joint", "sun", "cart", "drive", "mast", "nobody", "a b", "\0", "é" * 40,
+    "camera_robot::base_footprint", "left_wheel_joint", "sun",
+    "cart", "drive", "mast", "nobody", "a b", "\0", "é" * 40,
     "A" * 5000, "../../etc/passwd", "-1", "//x//", "~x",
 )  # fmt: skip
 ARRAY = re.compile(r"(.*)\[(\d*)\]")

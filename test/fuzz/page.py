@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import secrets
 import sys
 import time
 from dataclasses import fields, is_dataclass
@@ -15,7 +13,6 @@ import numpy as np
 from mutations import mutant
 from viser import _messages
 from websockets.exceptions import WebSocketException
-from websockets.sync.client import connect
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "rostest"))
 from view_looker import Looker, pack  # noqa: E402

@@ -164,8 +164,9 @@ def test_a_table_leaves_empty_what_is_not_known(tmp_path):
     "name", ["noise_study", "published_noise", "detection_range", "dock_campaign"]
 )
 def test_each_study_is_a_program(name, tmp_path):
+    module = f"bullet_lab.studies.{name}.study"
     done = subprocess.run(
-        [sys.executable, "-m", f"bullet_lab.studies.{name}.study", tmp_path / "out", "--seed", "-1"],
+        [sys.executable, "-m", module, tmp_path / "out", "--seed", "-1"],
         stderr=subprocess.PIPE,
         text=True,
     )

@@ -89,9 +89,12 @@ def in_process_cluster(workers, **options):
 
     address = {"protocol": "tcp", "host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
     # Dask would leave a folder in the system's directory for temporary files.
-    with tempfile.TemporaryDirectory() as folder, dask.config.set(temporary_directory=folder):
-        with LocalCluster(n_workers=workers, processes=False, **address, **options) as cluster:
-            yield cluster
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        stack.enter_context(dask.config.set(temporary_directory=folder))
+        yield stack.enter_context(
+            LocalCluster(n_workers=workers, processes=False, **address, **options)
+        )
 
 
 @pytest.mark.parametrize("run", [workers(2), workers(1), this_process])

@@ -55,8 +55,10 @@ class SpeedLimiter:
             if not parameters.boolean(f"has_{kind}_limits", False):
                 return None
             if least > most:
-                where = f"{parameters.where}/max_{kind}"
-                raise ControlError(f"{where} is {most:g}: it must be at least min_{kind}, {least:g}")
+                raise ControlError(
+                    f"{parameters.where}/max_{kind} is {most:g}: "
+                    f"it must be at least min_{kind}, {least:g}"
+                )
             return least, most
 
         return cls(limits("velocity"), limits("acceleration"), limits("jerk"))
@@ -151,7 +153,8 @@ class DiffDriveController(Controller):
         self._variances = tuple(
             given.numbers(f"{what}_covariance_diagonal", 6) for what in ("pose", "twist")
         )
-        window = int(min(max(1.0, given.number("velocity_rolling_window_size", 10)), LONGEST_WINDOW))
+        window = given.number("velocity_rolling_window_size", 10)
+        window = int(min(max(window, 1), LONGEST_WINDOW))
         self._odometry = WheelOdometry(self.separation, window, *self._ways())
         self._sends_transforms = given.boolean("enable_odom_tf", True)
         self.adjustables = (
