@@ -27,9 +27,6 @@ _lab_course() {
   done
   # Names that OpenCV has lost since Noetic's.
   export PYTHONPATH=$root/config/course${PYTHONPATH:+:$PYTHONPATH}
-  mkdir -p "$folder"
-  ln -sfn /usr/bin/python3 "$folder/python3"
-  ln -sfn /usr/bin/python3 "$folder/python"
   hash -r
 }
 

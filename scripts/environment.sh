@@ -7,6 +7,7 @@ LAB_ROOT=$(cd -P "$(dirname "${BASH_SOURCE[0]}")" && cd .. && pwd)
 LAB_DIR=$LAB_ROOT/build
 LAB_VENV=$LAB_DIR/venv
 LAB_WS=$LAB_DIR/ws
+LAB_COURSE=$LAB_DIR/course
 if [[ -e /opt/ros/noetic/setup.bash ]]; then
   LAB_ROS=/opt/ros/noetic
 else

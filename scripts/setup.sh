@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Installs and builds what is missing; does nothing, quickly, when nothing is.
 #
-# Usage: scripts/setup.sh [--with rviz] [--with test] [--with course] [--with browser]
+# Usage: scripts/setup.sh [--no-build] [--with rviz] [--with test] [--with course] [--with browser]
 #
+# --no-build leaves the building to you, in a catkin workspace of your own.
 # Debian packages come by apt-get (through sudo where not root), Python packages into
 # build/venv, the catkin workspace is built in build/ws. Where /opt/ros/noetic exists it
 # is used instead of Debian's ROS. What ran is in build/log.
@@ -111,8 +112,9 @@ checksum_of() { inputs_of "$1" | sha256sum; }
 is_done() {
   local stamp=$LAB_DIR/stamp/$1
   case $1 in
+    debian-course) has_packages "$1" && [[ -x $LAB_COURSE/python ]] || return 1 ;;
     debian-*) has_packages "$1" || return 1 ;;
-    python-*) [[ -x $LAB_VENV/bin/python ]] || return 1 ;;
+    python-*) [[ -x $LAB_VENV/bin/python ]] && are_all_there "$stamp.system" || return 1 ;;
     build) [[ -e $LAB_WS/devel/setup.bash ]] || return 1 ;;
   esac
   [[ -e $stamp && $(<"$stamp") == "$(checksum_of "$1")" ]]
@@ -125,6 +127,9 @@ has_packages() {
   read -r -d '' -a packages < <(debian_packages "${1#debian-}") || true
   [[ -z $(missing_of "${packages[@]}") ]]
 }
+
+# Those that a file lists, one a line.
+are_all_there() { xargs -r -d '\n' ls -d <"$1"; } >/dev/null 2>&1
 
 mark_done() { checksum_of "$1" >"$LAB_DIR/stamp/$1"; }
 
@@ -203,6 +208,13 @@ apt_get() {
   "${command[@]}" "$@"
 }
 
+# Where course.sh finds Debian's Python, whatever stands first in PATH.
+link_debians_python() {
+  mkdir -p "$LAB_COURSE"
+  ln -sfn /usr/bin/python3 "$LAB_COURSE/python3"
+  ln -sfn /usr/bin/python3 "$LAB_COURSE/python"
+}
+
 # A list that cannot be refreshed may be one that is not needed: the installation tells.
 apt_install() {
   apt_get update || true
@@ -211,6 +223,7 @@ apt_install() {
 
 step_debian() {
   local title=$1 log=$2 part=$3 missing
+  [[ $part != course ]] || link_debians_python
   read -r -d '' -a packages < <(debian_packages "$part") || true
   mapfile -t missing < <(missing_of "${packages[@]}")
   ((${#missing[@]})) || return 0
@@ -247,15 +260,45 @@ create_venv() {
     && put_own_toolkits_first
 }
 
+# Prints where the descriptions are of those of the system's packages that ours need.
+SYSTEM_PACKAGES='
+import re, sys
+from importlib.metadata import distributions
+
+def plain(name):
+    return re.sub("[-_.]+", "-", name).lower()
+
+found, seen = {}, set()
+for one in distributions():
+    found.setdefault(plain(one.metadata["Name"] or ""), one)
+names = list(open(sys.argv[1]))
+while names:
+    name = re.match(r"[\w.-]*", names.pop())[0]
+    one = found.get(plain(name))
+    if one and one not in seen:
+        seen.add(one)
+        names += [line for line in one.requires or () if "extra ==" not in line]
+        if not str(one._path).startswith(sys.prefix):
+            print(one._path)
+'
+
+# note_system_packages STEP LIST: they may be removed or replaced later.
+note_system_packages() {
+  "$LAB_VENV/bin/python" -c "$SYSTEM_PACKAGES" "$2" >"$LAB_DIR/stamp/$1.system"
+}
+
 step_python() {
-  local title=$1 log=$2 part=$3
+  local title=$1 log=$2 part=$3 list=$LAB_ROOT/requirements.txt
   unset PYTHONPATH PYTHONHOME
   export PYTHONNOUSERSITE=1
   if [[ $part == base ]]; then
     run_quietly "$title" "$log" create_venv
   else
-    run_quietly "$title" "$log" pip_install -r "$LAB_ROOT/requirements-$part.txt"
+    list=$LAB_ROOT/requirements-$part.txt
+    run_quietly "$title" "$log" pip_install -r "$list"
   fi
+  # What cannot be told of a strange installation is not looked after.
+  note_system_packages "python-$part" "$list" 2>>"$log" || true
 }
 
 # ---- The catkin workspace ----
@@ -337,21 +380,32 @@ open_steps() {
 }
 
 steps_of() {
-  printf '%s\n' debian-base python-base build
+  printf '%s\n' debian-base python-base
+  if [[ ${1-} == --no-build ]]; then
+    shift
+  else
+    echo build
+  fi
   while (($#)); do
     case "$1 ${2-}" in
       "--with rviz") echo debian-rviz ;;
       "--with test") printf '%s\n' debian-test python-test ;;
       "--with course") echo debian-course ;;
       "--with browser") printf '%s\n' debian-browser python-browser ;;
-      *) fail "unknown argument '$*'; usage: setup.sh [--with rviz|test|course|browser] …" ;;
+      *) fail "unknown argument '$*'; usage: setup.sh [--no-build] [--with rviz|test|course|browser] …" ;;
     esac
     shift 2
   done
 }
 
+# Another user's clone is set up by its owner.
 take_lock() {
-  mkdir -p "$LAB_DIR"/{log,stamp}
+  local owner
+  if ! mkdir -p "$LAB_DIR"/{log,stamp} 2>/dev/null || [[ ! -w $LAB_DIR ]]; then
+    owner=$(stat -c %U "$LAB_DIR" 2>/dev/null || stat -c %U "$LAB_ROOT")
+    fail "something is missing, and you may not write to $LAB_DIR; its owner, $owner, has to run:" \
+      "$LAB_ROOT/scripts/setup.sh${*:+ $*}"
+  fi
   exec 9>"$LAB_DIR/setup.lock"
   if ! flock -n 9; then
     say "waiting for another setup.sh"
@@ -367,7 +421,7 @@ main() {
   if [[ $LAB_ROOT =~ [[:space:]] ]]; then
     fail "catkin cannot build in a folder with a space in its name: $LAB_ROOT"
   fi
-  take_lock
+  take_lock "$@"
   # shellcheck disable=SC2086
   mapfile -t steps < <(open_steps $wanted)
   for i in "${!steps[@]}"; do

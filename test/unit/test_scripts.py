@@ -3,6 +3,7 @@
 import ast
 import importlib
 import importlib.util
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -17,6 +18,57 @@ def test_the_lab_is_found_through_a_link_to_its_scripts(tmp_path):
     command = f"source {tmp_path}/scripts/environment.sh && echo $LAB_ROOT"
     run = subprocess.run(["bash", "-c", command], stdout=subprocess.PIPE, text=True, check=True)
     assert run.stdout.strip() == str(ROOT)
+
+
+def of_setup(lines):
+    command = f"source {ROOT}/scripts/setup.sh; {lines}"
+    return subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+
+
+def test_who_may_not_write_to_a_clone_is_told_who_sets_it_up():
+    # Not even root makes a folder there.
+    run = of_setup("LAB_ROOT=/proc LAB_DIR=/proc/build; take_lock --with course")
+    assert run.returncode == 1
+    assert run.stderr.splitlines() == [
+        "setup: something is missing, and you may not write to /proc/build; its owner, root, "
+        "has to run: /proc/scripts/setup.sh --with course"
+    ]
+
+
+def test_no_build_leaves_out_the_build_alone():
+    steps = of_setup("steps_of --with course").stdout.split()
+    assert steps == ["debian-base", "python-base", "build", "debian-course"]
+    steps.remove("build")
+    assert of_setup("steps_of --no-build --with course").stdout.split() == steps
+
+
+def test_the_python_of_courses_is_made_by_the_set_up(tmp_path):
+    # Whoever sources course.sh may not write to the clone.
+    lines = f"LAB_DIR={tmp_path} LAB_COURSE={tmp_path}/course; mkdir {tmp_path}/stamp; "
+    lines += "has_packages() { :; }; missing_of() { :; }; "
+    lines += "mark_done debian-course; is_done debian-course || step_debian title log course; "
+    lines += "is_done debian-course"
+    assert of_setup(lines).returncode == 0
+    for name in ("python", "python3"):
+        assert os.readlink(tmp_path / "course" / name) == "/usr/bin/python3"
+
+
+def test_a_package_of_the_system_that_was_removed_is_noticed(tmp_path):
+    (tmp_path / "venv/bin").mkdir(parents=True)
+    (tmp_path / "venv/bin/python").symlink_to("/usr/bin/python3")
+    (tmp_path / "stamp").mkdir()
+    (tmp_path / "list.txt").write_text("# What\nlab-needs>=1; python_version >= '3'\nno\n")
+    needs = {"lab_needs": "of.those>2", "of_those": "not_this; extra == 'it'", "not_this": "stray"}
+    for name, other in needs.items():
+        folder = tmp_path / f"system/{name}-3.dist-info"
+        folder.mkdir(parents=True)
+        (folder / "METADATA").write_text(f"Name: {name}\nRequires-Dist: {other}\n")
+    lines = f"LAB_DIR={tmp_path}; LAB_VENV={tmp_path}/venv; export PYTHONPATH={tmp_path}/system; "
+    lines += f"note_system_packages python-base {tmp_path}/list.txt; mark_done python-base; "
+    lines += "is_done python-base || exit 2; "
+    lines += f"rm -r {tmp_path}/system/not_this-3.dist-info; is_done python-base || exit 3; "
+    lines += f"rm -r {tmp_path}/system/of_those-3.dist-info; is_done python-base || exit 4"
+    assert of_setup(lines).returncode == 4
 
 
 def programs():
