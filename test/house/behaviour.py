@@ -1,0 +1,139 @@
+"""Prints what users rely on, a line each, for a diff before and after a change of the structure.
+
+Jobs with their arguments, parameters of executables, types with md5 sums, rows of the contract and
+plugins. With --live also the topics and services of a running bridge and its nodes. With --results
+DIR also the files in a folder of results, the columns of its tables and the keys of its summaries.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import importlib
+import json
+import re
+import sys
+import tempfile
+from dataclasses import MISSING, is_dataclass
+from pathlib import Path
+from typing import Any, Iterator
+
+import yaml
+
+from bullet_lab.core.parameters import declarations
+from bullet_lab.ros.launcher.jobs import find_jobs
+from bullet_lab.simulation.plugins import known_plugins
+
+PACKAGE = Path(__file__).resolve().parents[2]
+RUN = re.compile(r"""\brun\(["']([\w.]+)(?::\w+)?["']\)""")
+
+
+def jobs() -> Iterator[str]:
+    """Yield the arguments of each job with their defaults."""
+    for name, job in find_jobs(PACKAGE).items():
+        for argument in job.arguments.values():
+            yield f"job {name} {argument.name}:={argument.default}"
+
+
+def executables() -> Iterator[str]:
+    """Yield each executable's parameters with their defaults and what is allowed."""
+    for script in sorted((PACKAGE / "scripts").glob("*.py")):
+        yield f"executable {script.name}"
+        found = RUN.search(script.read_text())
+        kinds = vars(importlib.import_module(found[1])).values() if found else ()
+        for kind in kinds:
+            if isinstance(kind, type) and is_dataclass(kind):
+                for entry in declarations(kind).values():
+                    default = "" if entry.default is MISSING else f"={entry.default_text}"
+                    limits = entry.check.allowed
+                    yield f"executable {script.name} {entry.name}{default} [{limits}]"
+
+
+def types() -> Iterator[str]:
+    """Yield the md5 sums of this package's messages, services and actions."""
+    for folder, ending in (("msg", ""), ("srv", ""), ("action", "Action")):
+        for path in sorted((PACKAGE / folder).glob(f"*.{folder}")):
+            module = "srv" if folder == "srv" else "msg"
+            name = path.stem + ending
+            kind = getattr(importlib.import_module(f"bullet_lab.{module}"), name)
+            yield f"{folder} {path.stem} {kind._md5sum}"
+
+
+def contract() -> Iterator[str]:
+    """Yield the rows of the contract, and the files of plugins that are simulated."""
+    for path in sorted((PACKAGE / "config" / "contract").glob("*.yaml")):
+        content = yaml.safe_load(path.read_text())
+        for row in content.get("rows", ()) if isinstance(content, dict) else ():
+            yield f"contract {path.stem}: {row.get('name') or row}"
+    yield from (f"plugin {name}" for name in known_plugins())
+
+
+def live() -> Iterator[str]:
+    """Yield the topics and services of a running bridge and the nodes around it."""
+    import rosgraph
+    import rospy
+    import rosservice
+
+    sys.path.insert(0, str(PACKAGE / "test" / "fuzz"))
+    from live import Lab
+
+    from bullet_lab.ros.launcher.supervision import prepare_master
+
+    prepare_master()
+    rospy.init_node("behaviour", disable_signals=True)
+    rospy.set_param("/use_sim_time", True)
+    with tempfile.TemporaryDirectory() as folder:
+        lab = Lab(Path(folder))
+        master = rosgraph.Master("/behaviour")
+        published, subscribed, services = master.getSystemState()
+        kinds = dict(master.getTopicTypes())
+        for what, listed in (("published", published), ("subscribed", subscribed)):
+            for topic, nodes in listed:
+                for node in sorted(set(nodes) - {"/behaviour"}):
+                    yield f"{what} {topic} {kinds.get(topic, '?')} {node}"
+        for name, nodes in services:
+            if not name.endswith(("get_loggers", "set_logger_level")):
+                yield f"service {name} {rosservice.get_service_type(name)} {nodes[0]}"
+        lab.end()
+
+
+def results(folder: Path) -> Iterator[str]:
+    """Yield the files of results with the columns of tables and the keys of JSON files."""
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder)
+        if path.suffix == ".csv":
+            with path.open(newline="") as file:
+                yield f"result {name}: {','.join(next(csv.reader(file), []))}"
+        elif path.suffix == ".json":
+            yield from (f"result {name}: {key}" for key in keys_of(json.loads(path.read_text())))
+        elif path.is_file():
+            yield f"result {name}"
+
+
+def keys_of(value: Any, above: str = "") -> Iterator[str]:
+    """Yield the keys of nested dictionaries, with those above them; of lists, their first entry."""
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            yield f"{above}/{key}"
+            yield from keys_of(entry, f"{above}/{key}")
+    elif isinstance(value, list) and value:
+        yield from keys_of(value[0], f"{above}[]")
+
+
+def main() -> None:
+    """Print all lines, sorted within each kind."""
+    parser = argparse.ArgumentParser(prog="house.sh behaviour", description=__doc__.splitlines()[0])
+    parser.add_argument("--live", action="store_true")
+    parser.add_argument("--results", type=Path)
+    wanted = parser.parse_args()
+    parts = [jobs(), executables(), types(), contract()]
+    if wanted.live:
+        parts.append(live())
+    if wanted.results:
+        parts.append(results(wanted.results))
+    for part in parts:
+        print("\n".join(sorted(set(part))))
+
+
+if __name__ == "__main__":
+    main()
