@@ -2,36 +2,22 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, NamedTuple, Tuple
+from typing import Dict, List, NamedTuple, Tuple
 
 import numpy as np
 
 from bullet_lab.ros.launcher.jobs import find_jobs
 
 PACKAGE = Path(__file__).resolve().parents[2]
-JOBS = sorted(find_jobs(PACKAGE))
-# The least that a job can do; one that is not here does what it does by default.
-SMALLEST: Dict[str, Tuple[str, ...]] = {
-    "calibrate": ("laps:=1", "models:=rate_invariant", "systematic:=none"),
-    "detection_range": (
-        *("worlds:=marker_panel", "lights:=default", "distances:=1", "bearings:=0"),
-        *("frames:=2", "dots:=2"),
-    ),
-    "dock": ("x:=1.5",),
-    "dock_campaign": ("n:=2", "workers:=2"),
-    "fleet": ("n:=2",),
-    "noise_study": ("paths:=20", "levels:=0.1", "models:=rate_invariant", "rates:=5"),
-    "published_noise": ("seeds:=100",),
-    "save_world": ("count:=3", "rtf:=0"),
-    "sensors": ("bag:=true",),
-    "umbmark": ("side:=0.2", "runs:=1"),
-    "verify": ("jobs:=squares",),
-}
+JOBS = find_jobs(PACKAGE)
+# In addition to a job's smallest run: work for both workers, and a bag to be closed.
+MORE = {"dock_campaign": ["n:=2"], "sensors": ["bag:=true"]}
 LAUNCHER, TERMINAL, NODE, WORKER = "run.sh", "terminal", "node", "worker"
-"""Whom a signal is for: run.sh alone, all of a terminal's, a node, a process of a study."""
+"""Receivers of a signal: run.sh alone, all processes of a terminal, a node, a study's worker."""
 # Wall seconds: half of the moments are of the first kind, equally often in each decade.
 FIRST, EARLY, LATE = 1e-3, 1.0, 8.0
 STOPPED_SECONDS = 5.0
@@ -91,22 +77,29 @@ class Fault:
     moment: float
 
 
+def arguments_of(job: str) -> List[str]:
+    """Return the arguments of a job's smallest run, with two workers where it has workers."""
+    declared = JOBS[job]
+    workers = ["workers:=2"] if "workers" in declared.arguments else []
+    return [*shlex.split(declared.smallest), *workers, *MORE.get(job, ())]
+
+
 def is_live(job: str) -> bool:
     """Return whether a job has a simulation that runs on ROS."""
-    text = (PACKAGE / "launch" / f"{job}.launch").read_text()
+    text = JOBS[job].path.read_text()
     return "bridge.launch.xml" in text or "pybullet_bridge.py" in text
 
 
 def drawn(seed: int, index: int) -> Fault:
     """Return the fault of an index: jobs come by turns, all else at random."""
-    job = JOBS[index % len(JOBS)]
+    job = list(JOBS)[index % len(JOBS)]
     random = np.random.default_rng([seed, index])
     kinds = [name for name, kind in KINDS.items() if is_live(job) or not kind.live]
     weights = np.array([KINDS[name].weight for name in kinds])
     name = kinds[random.choice(len(kinds), p=weights / weights.sum())]
     targets = KINDS[name].targets
     target = targets[random.integers(len(targets))] if targets else ""
-    if target == WORKER and "workers" not in find_jobs(PACKAGE)[job].arguments:
+    if target == WORKER and "workers" not in JOBS[job].arguments:
         target = NODE
     choice, share, early = random.uniform(), random.uniform(), random.uniform() < 0.5
     moment = FIRST * (EARLY / FIRST) ** share if early else LATE * share

@@ -25,11 +25,11 @@ from kinds import (
     LAUNCHER,
     NODE,
     PACKAGE,
-    SMALLEST,
     STOPPED_SECONDS,
     TERMINAL,
     WORKER,
     Fault,
+    arguments_of,
     is_live,
 )
 from PIL import Image
@@ -72,7 +72,7 @@ class Trial:
         self._outcome = Outcome()
         self._before: Dict[Path, int] = {}
         self._was_done = False
-        self._words = [*SMALLEST.get(fault.job, ())]
+        self._words = arguments_of(fault.job)
         if self._kind.live:
             self._words = [word for word in self._words if not word.startswith("rtf")] + [SLOWLY]
 

@@ -1,3 +1,4 @@
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -28,6 +29,7 @@ TEXT = """<?xml version="1.0"?>
     per metre [number >= 0]"/>
   <arg name="empty" default=""/>
   <arg name="fixed" value="1"/>
+  <arg name="smallest" value="std:=0 empty:='a b'"/>
   <group><arg name="inner" default="1"/></group>
 </launch>
 """
@@ -58,6 +60,7 @@ def test_job_says_what_its_file_says(job):
         ("std", "0.1", "Noise per metre", "number >= 0"),
         ("empty", "", "", ""),
     ]
+    assert job.smallest == "std:=0 empty:='a b'"
 
 
 def test_comment_inside_the_root_is_the_summary_too(tmp_path):
@@ -138,13 +141,19 @@ def test_a_name_that_is_too_long_is_that_of_no_file(tmp_path, name):
 
 def test_a_limit_that_is_no_number_is_an_error(tmp_path):
     text = '<launch><arg name="std" default="1" doc="x [number >= --1]"/></launch>'
-    with pytest.raises(UsageError, match=r"the doc of std ends with \[number >= --1\]: "):
+    with pytest.raises(UsageError, match=r"the doc of std ends with \[number >= --1\]; a bracket"):
         read("a", text, tmp_path)
 
 
-@pytest.mark.parametrize("doc", ["x [nubmer >= 0]", "x [number => 0]", "x [only]", "x [a||b]"])
+@pytest.mark.parametrize(
+    "doc",
+    [
+        *("x [nubmer >= 0]", "x [number => 0]", "x [only]", "x [a||b]", "x [number >=]"),
+        *("x [integer > 0]", "x [ ]"),
+    ],
+)
 def test_bracket_outside_the_grammar_is_an_error(tmp_path, doc):
-    with pytest.raises(UsageError, match="the doc of std ends with an unknown kind of values"):
+    with pytest.raises(UsageError, match=r"the doc of std ends with \[.*\]; a bracket is text, "):
         argument(doc.replace(">", "&gt;"), tmp_path)
 
 
@@ -179,7 +188,7 @@ def test_list_has_a_line_for_each_job(job):
 
 NODES = """
 <launch>
-  <arg name="noise" default="" doc="If empty, that of the node"/>
+  <arg name="noise" default=""/>
   <arg name="seed" default="1" doc="Of all"/>
   <arg name="speed" default="0.5" doc="How fast [number &gt;= 0.1]"/>
   <arg name="many" default=""/>
@@ -253,11 +262,13 @@ def test_every_shipped_job_has_the_common_arguments_and_sound_defaults():
         assert job.summary.endswith(".")
         assert {"out", "rtf", "seed", "rviz"} <= {a.name for a in job.arguments.values()}
         for argument in job.arguments.values():
-            assert argument.doc, argument.name
             if argument.default == "":
                 assert argument.declarations(), f"{job.name}: nobody declares {argument.name}"
             elif "$(" not in argument.default:
                 argument.check(argument.default)
+            _, sentence = argument.help("")
+            assert sentence, f"{job.name}: {argument.name} has no sentence"
+        read_assignments(job, shlex.split(job.smallest))
     # Its executable runs a function of a module that has another node's main.
     of_fleet = Target("bullet_lab.ros.nodes.drive_squares", "robots")
     assert of_fleet in jobs["fleet"].arguments["n"].targets
