@@ -6,21 +6,25 @@ from xml.etree import ElementTree
 
 import pytest
 
-from bullet_lab.ros.contract import probes
 from bullet_lab.ros.contract.judges import JUDGES
-from bullet_lab.ros.contract.program import ContractParameters, read_command
-from bullet_lab.ros.contract.results import (
+from bullet_lab.ros.contract.program import (
+    ContractParameters,
+    deviations_table,
+    listing,
+    read_command,
+    table,
+    write_junit,
+)
+from bullet_lab.ros.contract.rows import ContractError, Deviation, Row, read_contract
+from bullet_lab.ros.contract.run import (
     DEVIATES,
     FAILED,
     PASSED,
     Verdict,
-    deviations_table,
-    listing,
-    table,
+    floor_text,
+    places,
     verdict,
-    write_junit,
 )
-from bullet_lab.ros.contract.rows import ContractError, Deviation, Row, read_contract
 from bullet_lab.simulation.plugins import known_plugins
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -52,16 +56,16 @@ def test_each_word_is_used():
 
 @pytest.mark.parametrize("probe", PROBES, ids=lambda probe: probe.name)
 def test_a_probe_is_a_model_with_its_plugin(probe):
-    model = ElementTree.fromstring(probes.probe_text(probe, FOLDER))
+    model = ElementTree.fromstring(probe.text(FOLDER))
     plugins = list(model.iter("plugin"))
     assert [entry.get("filename") for entry in plugins] == [probe.plugin]
     assert {entry.tag for entry in plugins[0]} == set(probe.tags)
 
 
 def test_probes_stand_apart_and_on_the_floor():
-    where = probes.places(PROBES)
+    where = places(PROBES)
     assert len(set(where.values())) == len(PROBES)
-    floor = ElementTree.fromstring(probes.floor_text(list(where.values())))
+    floor = ElementTree.fromstring(floor_text(list(where.values())))
     assert len(list(floor.iter("collision"))) == len(PROBES)
 
 
@@ -137,11 +141,11 @@ def test_options_are_the_declared_parameters():
     ("text", "said"),
     [
         ("rows: 3", "no rows"),
-        ("rows: [{name: a, line: 1}]", "expects none"),
-        ("rows: [{name: a, line: 1, rate: 1, tf: [a, b]}]", "too much"),
+        ("rows: [{name: a, line: 1}]", "needs exactly one of"),
+        ("rows: [{name: a, line: 1, rate: 1, tf: [a, b]}]", "needs exactly one of"),
         ("rows: [{name: a, rate: 1}]", "no line"),
         ("rows: [{name: a, line: 1, probe: b, rate: 1}]", "no probe 'b'"),
-        ("rows: [{name: a, line: 1, rate: 1}, {name: a, line: 1, rate: 1}]", "rows twice"),
+        ("rows: [{name: a, line: 1, rate: 1}, {name: a, line: 1, rate: 1}]", "duplicate rows"),
         ("probes: {a: {robot: b, colour: red}}\nrows: []", "colour"),
         ("rows: [", "while parsing"),
     ],

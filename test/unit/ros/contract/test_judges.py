@@ -6,8 +6,7 @@ import pytest
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 
-from bullet_lab.ros.contract.evidence import Evidence, Heard, Scene
-from bullet_lab.ros.contract.judges import JUDGES, judge
+from bullet_lab.ros.contract.judges import JUDGES, Evidence, Heard, Scene, judge
 
 MD5 = Odometry._md5sum
 TYPES = {"nav_msgs/Odometry": MD5, "std_srvs/Empty": "d41d8cd98f00b204e9800998ecf8427e"}
