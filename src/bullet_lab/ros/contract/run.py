@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
+from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import rospy
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.contract.judges import Evidence, Scene, beside, judge
-from bullet_lab.ros.contract.rows import PREFIX, Chapter, Contract, Deviation, Probe, Row
+from bullet_lab.ros.contract.rows import PREFIX, Contract, Deviation, Probe, Row
 from bullet_lab.ros.contract.simulator import CallError, Simulator, SimulatorError
 
 Place = Tuple[float, float, float]
+Rows = List[Tuple[Row, Optional[Probe]]]
+"""Rows with their probes; None for a row that has none."""
+
 PASSED, DEVIATES, FAILED = "passed", "deviates", "FAILED"
 ROUND_SECONDS = 2.6
 """Simulated seconds for which the probes of a round are observed."""
@@ -85,20 +88,10 @@ class ContractRun:
         was_paused = self._simulator.must("get_physics_properties").pause
         self._simulator.must("pause_physics")
         found: List[Verdict] = []
-        rounds: Dict[int, List[Tuple[Probe, Row]]] = {}
         try:
             self._clear()
-            for chapter in self._contract.chapters:
-                rows = [row for row in chapter.rows if row.word and row.name in self._wanted]
-                if not chapter.has_steps():
-                    for row in rows:
-                        probe = chapter.probes[row.probe]
-                        rounds.setdefault(probe.round, []).append((probe, row))
-                elif rows:
-                    found += self._follow(chapter)
-                    self._clear()
-            for _, round_rows in sorted(rounds.items(), key=lambda entry: entry[0]):
-                found += self._round(round_rows)
+            for rows in self._groups():
+                found += self._follow(rows)
                 self._clear()
         finally:
             # An error here must not hide the first one.
@@ -109,12 +102,36 @@ class ContractRun:
         order = {row.name: number for number, row in enumerate(self._contract.rows)}
         return sorted(found, key=lambda entry: order[entry.row.name])
 
-    def _follow(self, chapter: Chapter) -> List[Verdict]:
-        """Do and judge the rows of a chapter, one after the other."""
-        offered = self._observe([(row, row.topic) for row in chapter.rows])
+    def _groups(self) -> Iterator[Rows]:
+        """Yield the rows that are followed together: chapters with steps, and rounds of probes."""
+        rounds: Dict[int, Rows] = {}
+        for chapter in self._contract.chapters:
+            wanted = [row for row in chapter.rows if self._is_wanted(row)]
+            if not chapter.has_steps():
+                for row in wanted:
+                    probe = chapter.probes[row.probe]
+                    rounds.setdefault(probe.round, []).append((row, probe))
+            elif wanted:
+                yield [(row, None) for row in chapter.rows]
+        for number in sorted(rounds):
+            yield rounds[number]
+
+    def _is_wanted(self, row: Row) -> bool:
+        return bool(row.word) and row.name in self._wanted
+
+    def _follow(self, rows: Rows) -> List[Verdict]:
+        """Spawn the probes of some rows, then do and judge the rows one after the other."""
+        probes = {probe.name: probe for _, probe in rows if probe}
+        where = places(probes)
+        refused = self._spawn_all(probes.values(), where)
+        topics = [probe.full_name(row.topic) if probe else row.topic for row, probe in rows]
+        offered = self._observe([row for row, _ in rows], topics)
         evidence = Evidence()
+        if probes:
+            commands = [command for probe in probes.values() for command in probe.commands()]
+            evidence = self._simulator.run(ROUND_SECONDS, commands)
         found: List[Verdict] = []
-        for row in chapter.rows:
+        for (row, probe), topic in zip(rows, topics):
             if row.run:
                 before = evidence.seconds
                 evidence = self._simulator.run(row.run, row.publish)
@@ -124,10 +141,13 @@ class ContractRun:
             evidence.services = offered
             if row.word == "parameter":
                 evidence.parameters = {name: rospy.get_param(name, None) for name in row.expected}
-            scene = Scene(evidence, self._contract.types, row.topic, CORNER)
+            place = where[probe.name] if probe else CORNER
+            scene = Scene(evidence, self._contract.types, topic, place)
             if row.call:
                 self._call(row, scene)
-            if row.word and row.name in self._wanted:
+            if probe and probe.name in refused:
+                found.append(verdict(row, f"the probe is refused: {refused[probe.name]}"))
+            elif self._is_wanted(row):
                 found.append(self._judged(row, scene))
         self._simulator.forget()
         return found
@@ -139,40 +159,19 @@ class ContractRun:
         except CallError as error:
             scene.error = str(error)
 
-    def _round(self, rows: Sequence[Tuple[Probe, Row]]) -> List[Verdict]:
-        """Spawn the probes of some rows, let time run, and judge."""
-        present = list({probe.name: probe for probe, _ in rows}.values())
-        where = places(present)
-        standing = [where[probe.name] for probe in present if probe.floor]
-        if standing:
-            self._spawn("floor", floor_text(standing), "", Pose())
-        refused = {probe.name: self._place(probe, where[probe.name]) for probe in present}
-        offered = self._observe([(row, probe.full_name(row.topic)) for probe, row in rows])
-        commands = [command for probe in present for command in probe.commands()]
-        evidence = self._simulator.run(ROUND_SECONDS, commands)
-        evidence.services = offered
-        found = []
-        for probe, row in rows:
-            topic, place = probe.full_name(row.topic), where[probe.name]
-            scene = Scene(evidence, self._contract.types, topic, place)
-            wrong = refused[probe.name]
-            found.append(verdict(row, wrong) if wrong else self._judged(row, scene))
-        self._simulator.forget()
-        return found
-
-    def _observe(self, named: Iterable[Tuple[Row, str]]) -> Dict[str, Tuple[str, str]]:
+    def _observe(self, rows: Sequence[Row], topics: Sequence[str]) -> Dict[str, Tuple[str, str]]:
         """Subscribe to the topics of rows; return type and md5 sum of their services."""
-        topics, services = [], []
-        for row, topic in named:
+        heard, services = [], []
+        for row, topic in zip(rows, topics):
             if row.word in _WITHOUT_MESSAGES:
                 services.append(topic)
             deviation = self._deviations.get(row.name)
             words = {row.word, *(deviation.instead if deviation else ())}
             if topic and words - _WITHOUT_MESSAGES:
-                topics.append(topic)
+                heard.append(topic)
             if row.word == "stamped":
-                topics.append(beside(topic, row.expected))
-        self._simulator.listen(topics)
+                heard.append(beside(topic, row.expected))
+        self._simulator.listen(heard)
         return self._simulator.services(services)
 
     def _judged(self, row: Row, scene: Scene) -> Verdict:
@@ -181,19 +180,25 @@ class ContractRun:
         instead = "; ".join(filter(None, (judge(word, value, scene) for word, value in entries)))
         return verdict(row, judge(row.word, row.expected, scene), deviation, instead)
 
-    def _place(self, probe: Probe, place: Place) -> str:
-        """Spawn a probe; return why that failed, or an empty text."""
-        space = probe.robot_namespace
-        prefix = {f"/{space}/tf_prefix": probe.tf_prefix} if probe.tf_prefix else {}
-        for name, value in {**prefix, **probe.parameters}.items():
-            self._parameters.append(name)
-            rospy.set_param(name, self._contract.read(value))
-        text = probe.text(self._contract.folder)
-        try:
-            self._spawn(probe.name, text, space, Pose.from_rpy(place, tuple(probe.rpy)))
-        except SimulatorError as error:
-            return f"the probe is refused: {error}"
-        return ""
+    def _spawn_all(self, probes: Iterable[Probe], where: Mapping[str, Place]) -> Dict[str, str]:
+        """Spawn probes, and a floor below them; return errors by the names of refused probes."""
+        standing = [where[probe.name] for probe in probes if probe.floor]
+        if standing:
+            self._spawn("floor", floor_text(standing), "", Pose())
+        refused = {}
+        for probe in probes:
+            space = probe.robot_namespace
+            prefix = {f"/{space}/tf_prefix": probe.tf_prefix} if probe.tf_prefix else {}
+            for name, value in {**prefix, **probe.parameters}.items():
+                self._parameters.append(name)
+                rospy.set_param(name, self._contract.read(value))
+            text = probe.text(self._contract.folder)
+            pose = Pose.from_rpy(where[probe.name], tuple(probe.rpy))
+            try:
+                self._spawn(probe.name, text, space, pose)
+            except SimulatorError as error:
+                refused[probe.name] = str(error)
+        return refused
 
     def _spawn(self, name: str, text: str, space: str, pose: Pose) -> None:
         position = dict(zip("xyz", pose.position))
@@ -216,12 +221,12 @@ class ContractRun:
             rospy.delete_param(self._parameters.pop())
 
 
-def places(probes: Iterable[Probe]) -> Dict[str, Place]:
+def places(names: Iterable[str]) -> Dict[str, Place]:
     """Return the place of each probe by its name, in m."""
     x, y, z = CORNER
     return {
-        probe.name: (x + APART * (number % ROW_LENGTH), y + APART * (number // ROW_LENGTH), z)
-        for number, probe in enumerate(probes)
+        name: (x + APART * (number % ROW_LENGTH), y + APART * (number // ROW_LENGTH), z)
+        for number, name in enumerate(names)
     }
 
 

@@ -52,7 +52,6 @@ class Simulator:
         self._master = rosgraph.Master(CALLER)
         self._lock = threading.Lock()
         self._now = 0.0
-        self._services: Dict[str, Tuple[str, str]] = {}
         self._recorder = Recorder()
         self._clock = rospy.Subscriber("/clock", Clock, self._take_time)
 
@@ -74,16 +73,14 @@ class Simulator:
 
     def service(self, name: str) -> Tuple[str, str]:
         """Return the type and the md5 sum of a service; raise CallError if there is none."""
-        if name not in self._services:
-            try:
-                uri = self._master.lookupService(name)
-                header = rosservice.get_service_headers(name, uri)
-                self._services[name] = (header["type"], header["md5sum"])
-            except (rosgraph.MasterException, rosservice.ROSServiceException, KeyError) as error:
-                raise CallError(f"there is no service {name}") from error
-            except (OSError, rosservice.ROSServiceIOException) as error:
-                raise CallError(f"{name} does not answer: {error}") from error
-        return self._services[name]
+        try:
+            uri = self._master.lookupService(name)
+            header = rosservice.get_service_headers(name, uri)
+            return header["type"], header["md5sum"]
+        except (OSError, rosservice.ROSServiceIOException) as error:
+            raise CallError(f"{name} does not answer: {error}") from error
+        except (rosgraph.MasterException, rosservice.ROSServiceException, KeyError) as error:
+            raise CallError(f"there is no service {name}") from error
 
     def services(self, names: Iterable[str]) -> Dict[str, Tuple[str, str]]:
         """Return type and md5 sum of those of the services that exist."""
@@ -115,7 +112,6 @@ class Simulator:
     def forget(self) -> None:
         """Unsubscribe from all topics."""
         self._recorder.close()
-        self._services.clear()
 
     def run(self, seconds: float, commands: Iterable[Mapping[str, Any]] = ()) -> Evidence:
         """Send commands, let time run, and return what was seen in exactly these seconds.

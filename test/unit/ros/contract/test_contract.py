@@ -63,7 +63,7 @@ def test_a_probe_is_a_model_with_its_plugin(probe):
 
 
 def test_probes_stand_apart_and_on_the_floor():
-    where = places(PROBES)
+    where = places(probe.name for probe in PROBES)
     assert len(set(where.values())) == len(PROBES)
     floor = ElementTree.fromstring(floor_text(list(where.values())))
     assert len(list(floor.iter("collision"))) == len(PROBES)
