@@ -1,4 +1,4 @@
-"""Which faults there are, and which one a seed and an index stand for."""
+"""The kinds of faults, and the fault that a seed and an index mean."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ JOBS = find_jobs(PACKAGE)
 MORE = {"dock_campaign": ["n:=2"], "sensors": ["bag:=true"]}
 LAUNCHER, TERMINAL, NODE, WORKER = "run.sh", "terminal", "node", "worker"
 """Receivers of a signal: run.sh alone, all processes of a terminal, a node, a study's worker."""
-# Wall seconds: half of the moments are of the first kind, equally often in each decade.
+# Wall s: half of the moments are between FIRST and EARLY, with equal weight for each decade.
 FIRST, EARLY, LATE = 1e-3, 1.0, 8.0
 STOPPED_SECONDS = 5.0
 
@@ -27,10 +27,10 @@ class Kind(NamedTuple):
     """A kind of fault.
 
     Attributes:
-        weight: how often it is drawn, relative to others.
-        targets: of a signal.
-        signal: that is sent, if any; after SIGSTOP, SIGCONT follows.
-        live: whether it takes a simulation that runs on ROS.
+        weight: its frequency, relative to other kinds.
+        targets: receivers of the signal.
+        signal: the signal, if any; SIGCONT follows a SIGSTOP.
+        live: whether it needs a simulation that runs on ROS.
     """
 
     weight: float
@@ -44,15 +44,15 @@ KINDS: Dict[str, Kind] = {
     "int": Kind(4, (LAUNCHER, TERMINAL, TERMINAL, NODE, WORKER), signal.SIGINT),
     "term": Kind(3, (LAUNCHER, NODE, NODE, WORKER), signal.SIGTERM),
     "stop": Kind(2, (LAUNCHER, NODE, NODE, WORKER), signal.SIGSTOP),
-    # The master that was there before the job ends; the second time another takes its place.
+    # The job uses a running master, which ends; for master_back, another one replaces it.
     "master_gone": Kind(1),
     "master_back": Kind(1),
     "disk_full": Kind(1.5),
-    # Simulated time stands for a while.
+    # Simulated time is paused for a while.
     "clock": Kind(1, live=True),
-    # Somebody subscribes to everything and does not read; it goes after a while.
+    # A node subscribes to all topics, does not read, and ends after a while.
     "deaf": Kind(1.5, live=True),
-    # Who drives the robot is asked to end, while it moves.
+    # The node that drives the robot gets a signal while the robot moves.
     "rest_int": Kind(1, signal=signal.SIGINT, live=True),
     "rest_term": Kind(1, signal=signal.SIGTERM, live=True),
 }
@@ -60,12 +60,12 @@ KINDS: Dict[str, Kind] = {
 
 @dataclass(frozen=True)
 class Fault:
-    """What is done to a job, and when.
+    """A fault, and the job and the moment of it.
 
     Attributes:
-        target: of a signal.
-        choice: in [0, 1), which one of several targets.
-        moment: wall seconds, counted from when the target is there.
+        target: receiver of the signal.
+        choice: number in [0, 1) that selects one of several targets.
+        moment: wall seconds after the target has started.
     """
 
     seed: int
@@ -91,7 +91,7 @@ def is_live(job: str) -> bool:
 
 
 def drawn(seed: int, index: int) -> Fault:
-    """Return the fault of an index: jobs come by turns, all else at random."""
+    """Return the fault of an index: jobs take turns, everything else is random."""
     job = list(JOBS)[index % len(JOBS)]
     random = np.random.default_rng([seed, index])
     kinds = [name for name, kind in KINDS.items() if is_live(job) or not kind.live]

@@ -42,13 +42,13 @@ AUTO, NONE = "auto", "none"
 class ContractParameters:
     """Options of the program."""
 
-    only: str = parameters.text("", "check the rows whose name has this in it; all if empty")
-    list: bool = parameters.boolean(False, "say which rows there are, and check nothing")
+    only: str = parameters.text("", "check the rows with this in their names; all if empty")
+    list: bool = parameters.boolean(False, "list the rows, and check nothing")
     deviations: str = parameters.choice(
-        AUTO, "the bridge's deviations are known of: auto where it is the bridge", (AUTO, NONE)
+        AUTO, "accept the bridge's known deviations: if it is the bridge, or never", (AUTO, NONE)
     )
-    markdown: bool = parameters.boolean(False, "say the deviations as a table in Markdown")
-    junit: str = parameters.text("", "file for the results as JUnit's XML; none if empty")
+    markdown: bool = parameters.boolean(False, "print the deviations as a Markdown table")
+    junit: str = parameters.text("", "file for the results as JUnit XML; none if empty")
     contract: str = parameters.text("", "folder with another contract; the package's if empty")
 
 
@@ -152,7 +152,7 @@ def write_junit(path: Path, verdicts: Sequence[Verdict], seconds: float) -> None
 def deviations_table(contract: Contract) -> str:
     """Return the deviations as a Markdown table."""
     sources = {row.name: row.source for row in contract.rows}
-    lines = ["| rows | where Gazebo says so | here, and why |", "|---|---|---|"]
+    lines = ["| rows | source in Gazebo | here, and why |", "|---|---|---|"]
     for entry in contract.deviations:
         names = ", ".join(f"`{name}`" for name in entry.rows)
         lines.append(f"| {names} | {_joined(map(sources.get, entry.rows))} | {entry.reason} |")

@@ -1,4 +1,4 @@
-"""The package's contract: its files are sound, and they leave nothing of the bridge out."""
+"""The package's contract: its files are valid, and cover everything that the bridge offers."""
 
 import re
 from pathlib import Path
@@ -32,7 +32,7 @@ FOLDER = ROOT / "config" / "contract"
 CONTRACT = read_contract(FOLDER)
 PROBES = [probe for chapter in CONTRACT.chapters for probe in chapter.probes.values()]
 SOURCE = re.compile(r"gazebo_(ros|plugins|ros_control)/[\w/]+\.(cpp|h):\d+(,\d+)*")
-# Of this simulation only, or of no consequence; see the plugins' pages.
+# Tags of this simulation only, or ignored tags; see the pages of the plugins.
 OWN_TAGS = {
     *("samples", "exposure", "blur", "supportRadius", "leftWheelDiameter", "rightWheelDiameter"),
     *("alwaysOn", "visualize", "rosDebugLevel", "the rest", "legacyMode"),
@@ -46,7 +46,7 @@ def plugins_of_gazebo():
 
 
 @pytest.mark.parametrize("row", CONTRACT.rows, ids=lambda row: row.name)
-def test_a_row_stands_on_a_line_of_gazebo_ros_pkgs(row):
+def test_a_row_names_a_line_of_gazebo_ros_pkgs(row):
     assert SOURCE.fullmatch(row.source)
 
 
@@ -74,7 +74,7 @@ def test_each_plugin_has_a_probe_with_and_one_without_each_of_its_tags(plugin):
     own = [probe for probe in PROBES if probe.plugin == plugin]
     pages = (ROOT / "docs" / "plugins").glob("*.md")
     page = next(page for page in pages if plugin in page.read_text().split("\n", 1)[0])
-    cells = ",".join(TAG_ROW.findall(page.read_text().partition("Passed over")[0]))
+    cells = ",".join(TAG_ROW.findall(re.split("Passed over|Ignored", page.read_text())[0]))
     tags = {tag.strip(" `") for tag in re.split(r",| … ", cells)} - OWN_TAGS
     tags = {tag for tag in tags if re.fullmatch(r"[a-zA-Z]\w\w+", tag)}
     used = {tag for probe in own for tag in probe.tags}
@@ -86,7 +86,7 @@ def test_each_plugin_has_a_probe_with_and_one_without_each_of_its_tags(plugin):
 
 
 def _elsewhere(tag, page, plugin):
-    """Whether a page of several plugins says that a tag is another's."""
+    """Whether a page of several plugins has a tag for another one of them."""
     return any(
         re.search(rf"`{tag}`.*\|.*`({other})`", page.read_text())
         for other in ("imu", "imu_sensor")
@@ -121,7 +121,7 @@ def test_a_row_holds_unless_it_is_known_to_deviate(complaint, known, instead, st
     assert verdict(ROW, complaint, known, instead).status == status
 
 
-def test_table_listing_and_junit_tell_of_each_row(tmp_path):
+def test_table_listing_and_junit_have_each_row(tmp_path):
     verdicts = [Verdict(ROW, PASSED), Verdict(ROW, FAILED, "2 Hz"), Verdict(ROW, DEVIATES, "so")]
     lines = table(verdicts).splitlines()
     assert "a.cpp:1  2 Hz" in lines[1]
@@ -138,7 +138,7 @@ def test_options_are_the_declared_parameters():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("rows: 3", "no rows"),
         ("rows: [{name: a, line: 1}]", "needs exactly one of"),
@@ -150,9 +150,9 @@ def test_options_are_the_declared_parameters():
         ("rows: [", "while parsing"),
     ],
 )
-def test_a_contract_that_makes_no_sense_is_refused(tmp_path, text, said):
+def test_an_invalid_contract_is_refused(tmp_path, text, message):
     (tmp_path / "bad.yaml").write_text(text)
-    with pytest.raises(ContractError, match=said):
+    with pytest.raises(ContractError, match=message):
         read_contract(tmp_path)
 
 
