@@ -12,6 +12,8 @@ import struct
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
+from rosgraph.names import namespace, ns_join
+
 RATE_TOLERANCE = 0.03
 """Relative tolerance of a rate that is measured by stamps."""
 
@@ -133,11 +135,6 @@ class Scene:
         around = topic.rpartition("/")[0]
         near = [name for name in sorted(self.evidence.published) if name.startswith(around)]
         return f"; there are {', '.join(near[:6])}" if around and near else ""
-
-
-def beside(topic: str, name: str) -> str:
-    """Return the full name of a topic in the namespace of another topic."""
-    return name if name.startswith("/") else f"{topic.rpartition('/')[0]}/{name}"
 
 
 def find_field(message: Any, path: str) -> Any:
@@ -279,7 +276,8 @@ def _spread(expected: Mapping[str, Any], scene: Scene) -> str:
 
 def _stamped(other: str, scene: Scene) -> str:
     """Each stamp but the first and the last is also a stamp of the other topic."""
-    theirs = {round(stamp, 6) for stamp in scene.heard(beside(scene.topic, other)).stamps()}
+    heard = scene.heard(ns_join(namespace(scene.topic), other))
+    theirs = {round(stamp, 6) for stamp in heard.stamps()}
     inner = scene.heard().stamps()[1:-1]
     lone = [stamp for stamp in inner if round(stamp, 6) not in theirs]
     return f"no {other} at {lone[0]:.3f} s" if lone else "" if inner else "too few messages"

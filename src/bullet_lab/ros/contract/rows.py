@@ -18,6 +18,7 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Type, Ty
 from xml.sax.saxutils import escape, quoteattr
 
 import yaml
+from rosgraph.names import ns_join
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.contract.judges import JUDGES
@@ -79,10 +80,7 @@ class Probe:
 
     def full_name(self, topic: str) -> str:
         """Return the full name of a topic or service of this probe; empty for an empty name."""
-        if not topic or topic.startswith("/"):
-            return topic
-        space = self.robot_namespace.strip("/")
-        return f"/{space}/{topic}" if space else f"/{topic}"
+        return ns_join(f"/{self.robot_namespace.strip('/')}", topic) if topic else ""
 
     def commands(self) -> List[Dict[str, Any]]:
         """Return the entries of `publish` with full names of topics."""

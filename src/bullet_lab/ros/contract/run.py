@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import rospy
+from rosgraph.names import namespace, ns_join
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.contract.judges import Evidence, Scene, beside, judge
+from bullet_lab.ros.contract.judges import Evidence, Scene, judge
 from bullet_lab.ros.contract.rows import PREFIX, Contract, Deviation, Probe, Row
 from bullet_lab.ros.contract.simulator import CallError, Simulator, SimulatorError
 
@@ -170,7 +171,7 @@ class ContractRun:
             if topic and words - _WITHOUT_MESSAGES:
                 heard.append(topic)
             if row.word == "stamped":
-                heard.append(beside(topic, row.expected))
+                heard.append(ns_join(namespace(topic), row.expected))
         self._simulator.listen(heard)
         return self._simulator.services(services)
 

@@ -14,6 +14,7 @@ import rosgraph
 import roslib.message
 import rospy
 import rosservice
+from rosgraph.names import ns_join
 from rosgraph_msgs.msg import Clock
 from tf2_msgs.msg import TFMessage
 
@@ -33,6 +34,10 @@ SETTLE_SECONDS = 0.3
 SLOWEST = 20.0
 """Wall seconds in which a simulated second must pass."""
 
+_CALL_ERRORS = (
+    *(rosservice.ROSServiceException, rospy.ServiceException, genpy.MessageException),
+    *(ValueError, OSError),
+)
 _POLL_SECONDS = 0.02
 _CLOCK_POLL_SECONDS = 0.002
 
@@ -56,38 +61,26 @@ class Simulator:
         self._clock = rospy.Subscriber("/clock", Clock, self._take_time)
 
     def call(self, service: str, request: Mapping[str, Any]) -> Any:
-        """Return the answer of a service; raise CallError."""
-        name = service if service.startswith("/") else f"/gazebo/{service}"
-        type_name, _ = self.service(name)
-        kind = roslib.message.get_service_class(type_name)
-        if kind is None:
-            raise CallError(f"{name}: {type_name} is not installed here")
-        message = kind._request_class()
+        """Return the answer of a service, by default of /gazebo; raise CallError."""
+        name = ns_join("/gazebo", service)
         try:
+            kind = rosservice.get_service_class_by_name(name)
+            message = kind._request_class()
             genpy.message.fill_message_args(message, [dict(request)])
             return _within(ANSWER_SECONDS, lambda: rospy.ServiceProxy(name, kind)(message))
         except concurrent.futures.TimeoutError as error:
             raise CallError(f"{name}: no answer in {ANSWER_SECONDS:g} s") from error
-        except (rospy.ServiceException, genpy.MessageException, ValueError) as error:
+        except _CALL_ERRORS as error:
             raise CallError(f"{name}: {error}") from error
-
-    def service(self, name: str) -> Tuple[str, str]:
-        """Return the type and the md5 sum of a service; raise CallError if there is none."""
-        try:
-            uri = self._master.lookupService(name)
-            header = rosservice.get_service_headers(name, uri)
-            return header["type"], header["md5sum"]
-        except (OSError, rosservice.ROSServiceIOException) as error:
-            raise CallError(f"{name} does not answer: {error}") from error
-        except (rosgraph.MasterException, rosservice.ROSServiceException, KeyError) as error:
-            raise CallError(f"there is no service {name}") from error
 
     def services(self, names: Iterable[str]) -> Dict[str, Tuple[str, str]]:
         """Return type and md5 sum of those of the services that exist."""
         found: Dict[str, Tuple[str, str]] = {}
         for name in names:
-            with contextlib.suppress(CallError):
-                found[name] = self.service(name)
+            with contextlib.suppress(rosgraph.MasterException, *_CALL_ERRORS):
+                uri = self._master.lookupService(name)
+                header = rosservice.get_service_headers(name, uri)
+                found[name] = header.get("type", ""), header.get("md5sum", "")
         return found
 
     def offered(self) -> List[str]:

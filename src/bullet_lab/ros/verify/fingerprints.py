@@ -98,7 +98,11 @@ def _content(path: Path, left_out: Sequence[str]) -> Tuple[bytes, Dict[str, Iter
         return data, {"numbers": _NUMBER.findall(data.decode(errors="replace"))}
     text = path.read_text()
     texts = text.splitlines() if path.suffix == ".jsonl" else [text]
-    values = [_without(json.loads(entry), left_out) for entry in texts]
+
+    def without(value: Dict[str, Any]) -> Dict[str, Any]:
+        return {key: entry for key, entry in value.items() if key not in left_out}
+
+    values = [json.loads(entry, object_hook=without) for entry in texts]
     columns: Dict[str, List[float]] = {}
     for name, number in _leaves(values, ""):
         columns.setdefault(name, []).append(number)
@@ -110,12 +114,6 @@ def _channels(path: Path) -> Dict[str, Iterable[Any]]:
         pixels = np.asarray(image.convert("RGB"), dtype=float).reshape(-1, 3)
         size = {"width": [image.width], "height": [image.height]}
     return {**size, **dict(zip(("red", "green", "blue"), pixels.T))}
-
-
-def _without(value: Any, left_out: Sequence[str]) -> Any:
-    if isinstance(value, dict):
-        return {k: _without(v, left_out) for k, v in value.items() if k not in left_out}
-    return [_without(v, left_out) for v in value] if isinstance(value, list) else value
 
 
 def _leaves(value: Any, name: str) -> Iterator[Tuple[str, Any]]:
