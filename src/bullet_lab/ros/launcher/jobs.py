@@ -214,7 +214,7 @@ def _filled(value: str) -> str:
 
 
 def _existing(value: str) -> str:
-    # A Path raises OSError for a name that is too long.
+    # Of a Path, `is_file` raises OSError for a name that is too long.
     if value and "://" not in value and not os.path.isfile(value):
         raise ValueError
     return value
@@ -253,7 +253,8 @@ def _module_of(executable: str, package: Path) -> str:
     # In the sources, and where it is installed.
     for folder in (package / "scripts", package.parent.parent / "lib" / _PACKAGE):
         path = folder / os.path.basename(executable)
-        if path.suffix == ".py" and path.is_file():
+        # Of a Path, `is_file` raises OSError for a name that is too long.
+        if path.suffix == ".py" and os.path.isfile(path):
             return runpy.run_path(str(path)).get("MAIN", "").partition(":")[0]
     return ""
 

@@ -50,7 +50,7 @@ def test_a_path_is_its_columns(tmp_path):
     assert (found.numbers["x mean"], found.numbers["y std"], found.numbers["qw mean"]) == (2, 0, 1)
 
 
-def test_json_is_compared_but_for_what_the_clock_says(tmp_path):
+def test_json_is_compared_without_keys_of_the_wall_clock(tmp_path):
     def of_run(**more):
         run = {"docked": True, "run": {"sim_time_s": 2, **more}, "world": "w", "at": [1, 3]}
         return of(tmp_path, "a.json", json.dumps(run))
@@ -78,7 +78,7 @@ def test_any_other_file_is_the_numbers_in_it(tmp_path):
     assert found.numbers["numbers mean"] == -0.4
 
 
-def test_what_is_no_json_is_refused(tmp_path):
+def test_invalid_json_is_refused(tmp_path):
     with pytest.raises(FingerprintError, match=r"cannot read .*a\.json"):
         of(tmp_path, "a.json", "{")
 
