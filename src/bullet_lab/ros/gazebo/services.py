@@ -1,10 +1,11 @@
-"""Gazebo's services on models, links and joints, and its topics that put them elsewhere."""
+"""Gazebo's services on models, links and joints, and the topics that set their states."""
 
 from __future__ import annotations
 
+import traceback
 from dataclasses import replace
 from functools import partial
-from typing import Any, Callable
+from typing import Any, Callable, Dict, Optional
 
 import rospy
 
@@ -12,7 +13,6 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld, tf_prefixes
 from bullet_lab.ros.bridge.stepper import StepperError
-from bullet_lab.ros.gazebo.offers import Answer, offer, offer_between_steps
 from bullet_lab.ros.messages.gazebo_types import msg, srv
 from bullet_lab.ros.messages.poses import (
     InputError,
@@ -40,78 +40,95 @@ from bullet_lab.simulation.world.description import FrameState, Light, Model
 from bullet_lab.simulation.world.sdf import read_spawned
 
 QUEUE_SIZE = 10
+# Status message of a getter that succeeded, after the type's name.
+GOT = "got properties"
+
+# Fields of a response besides success and status_message; None for no others.
+Answer = Optional[Dict[str, Any]]
 
 
 class SpawnError(LabError):
-    """A model cannot be put into the world."""
+    """A model cannot be added to the world."""
+
+
+def offer(
+    name: str, kind: Any, answer: Callable[[Any], Answer], done: str = "", failed: str = ""
+) -> rospy.Service:
+    """Offer a service of /gazebo; an error sets success to False and the status message.
+
+    Args:
+        name: of the service, below /gazebo.
+        kind: its type; the status messages begin with the type's name, as Gazebo's do.
+        answer: returns fields of the response to a request.
+        done: status message after a success; empty for an empty status message.
+        failed: text between the type's name and the error.
+    """
+    fields = kind._response_class.__slots__
+    prefix = f"{kind.__name__}: "
+
+    def handle(request: Any) -> Any:
+        values: Dict[str, Any] = {"success": True, "status_message": done and prefix + done}
+        try:
+            values.update(answer(request) or {})
+        except LabError as error:
+            values = {"success": False, "status_message": f"{prefix}{failed}{error}"}
+        except rospy.ROSInterruptException:
+            raise
+        except Exception as error:
+            # The client gets an answer whatever it sends, and the simulation continues.
+            rospy.logerr("/gazebo/%s: %s", name, traceback.format_exc())
+            values = {"success": False, "status_message": f"{prefix}{failed}{error!r}"}
+        if not values["success"] and "success" not in fields:
+            rospy.logwarn("%s", values["status_message"])
+        known = {key: value for key, value in values.items() if key in fields}
+        return kind._response_class(**known)
+
+    return rospy.Service(f"/gazebo/{name}", kind, handle)
+
+
+def offer_between_steps(
+    world: RunningWorld, name: str, kind: Any, answer: Callable[[Any], Answer], done: str
+) -> rospy.Service:
+    """Offer a service of /gazebo that the thread of the simulation answers between two steps."""
+    return offer(name, kind, lambda request: world.do(partial(answer, request)), done)
 
 
 class GazeboServices:
-    """Offers the services and listens to the topics /gazebo/set_model_state and set_link_state."""
+    """Offers the services and subscribes to /gazebo/set_model_state and set_link_state."""
 
     def __init__(self, world: RunningWorld):
         self._world = world
         self._refusals = Refusals()
-        offered = partial(offer_between_steps, world)
-        spawn = (srv.SpawnModel, self._spawn, "SpawnModel: Successfully spawned entity")
-        set_model, set_link = self._change(self._set_model), self._change(self._set_link)
+        spawned = ("Successfully spawned entity", "Failure - ")
         self._services = [
-            # As in Gazebo, the text and not the service decides what is read.
-            offer("spawn_sdf_model", *spawn, "SpawnModel: Failure - "),
-            offer("spawn_urdf_model", *spawn, "SpawnModel: Failure - "),
-            offer(
-                "delete_model",
-                srv.DeleteModel,
-                self._change(self._delete),
-                "DeleteModel: successfully deleted model",
-            ),
-            offer(
-                "set_model_state",
-                srv.SetModelState,
-                lambda request: set_model(request.model_state),
-                "SetModelState: set model state done",
-            ),
-            offer(
-                "set_link_state",
-                srv.SetLinkState,
-                lambda request: set_link(request.link_state),
-                "SetLinkState: success",
-            ),
-            offer(
-                "set_model_configuration",
-                srv.SetModelConfiguration,
-                self._change(self._configure),
-                "SetModelConfiguration: success",
-            ),
-            offered("get_world_properties", srv.GetWorldProperties, self._world_properties),
-            offered("get_model_properties", srv.GetModelProperties, self._model_properties),
-            offered("get_model_state", srv.GetModelState, self._model_state),
-            offered("get_link_state", srv.GetLinkState, self._link_state, "got state"),
-            offered("apply_body_wrench", srv.ApplyBodyWrench, self._apply_wrench, ""),
-            offered("clear_body_wrenches", srv.BodyRequest, self._clear_wrenches, ""),
-            offered("apply_joint_effort", srv.ApplyJointEffort, self._apply_effort, "effort set"),
-            offered("clear_joint_forces", srv.JointRequest, self._clear_efforts, ""),
-            # Gazebo knows it by this name, too.
-            offered("clear_joint_efforts", srv.JointRequest, self._clear_efforts, ""),
+            # As in Gazebo, both services accept SDF and URDF.
+            offer("spawn_sdf_model", srv.SpawnModel, self._spawn, *spawned),
+            offer("spawn_urdf_model", srv.SpawnModel, self._spawn, *spawned),
         ]
-        self._listen("set_model_state", msg.ModelState, set_model)
-        self._listen("set_link_state", msg.LinkState, set_link)
+        for name, kind, answer, done in (
+            ("delete_model", srv.DeleteModel, self._delete, "successfully deleted model"),
+            ("set_model_state", srv.SetModelState, self._set_model, "set model state done"),
+            ("set_link_state", srv.SetLinkState, self._set_link, "success"),
+            ("set_model_configuration", srv.SetModelConfiguration, self._configure, "success"),
+            ("get_world_properties", srv.GetWorldProperties, self._world_properties, GOT),
+            ("get_model_properties", srv.GetModelProperties, self._model_properties, GOT),
+            ("get_model_state", srv.GetModelState, self._model_state, GOT),
+            ("get_link_state", srv.GetLinkState, self._link_state, "got state"),
+            ("apply_body_wrench", srv.ApplyBodyWrench, self._apply_wrench, ""),
+            ("clear_body_wrenches", srv.BodyRequest, self._clear_wrenches, ""),
+            ("apply_joint_effort", srv.ApplyJointEffort, self._apply_effort, "effort set"),
+            ("clear_joint_forces", srv.JointRequest, self._clear_efforts, ""),
+            # Gazebo has both names for it.
+            ("clear_joint_efforts", srv.JointRequest, self._clear_efforts, ""),
+        ):
+            self._services.append(offer_between_steps(world, name, kind, answer, done))
+        self._subscribe("/gazebo/set_model_state", msg.ModelState, self._move_model)
+        self._subscribe("/gazebo/set_link_state", msg.LinkState, self._move_link)
 
-    def _change(self, change: Callable[[Any], str]) -> Callable[[Any], Answer]:
-        """Return what answers by a change between two steps, which names the changed model."""
-
-        def answer(request: Any) -> Answer:
-            self._world.change(partial(change, request))
-            return {}
-
-        return answer
-
-    def _listen(self, name: str, kind: type, take: Callable[[Any], Answer]) -> None:
-        topic = f"/gazebo/{name}"
-
+    def _subscribe(self, topic: str, kind: type, move: Callable[[Any], None]) -> None:
         def receive(message: Any) -> None:
             try:
-                take(message)
+                self._world.do(partial(move, message))
             except StepperError:
                 raise
             except LabError as error:
@@ -119,19 +136,17 @@ class GazeboServices:
 
         self._world.topics.subscribe(topic, kind, receive, QUEUE_SIZE)
 
-    def _spawn(self, request: Any) -> Answer:
+    def _spawn(self, request: Any) -> None:
         name = request.model_name
         pose = normalised_pose(request.initial_pose)
-        # Read in this thread, so that the simulation does not wait for it.
+        # Parsed in the service's own thread: the simulation does not wait for it.
         model = read_spawned(request.model_xml, f"model_xml of '{name}'")
         if isinstance(model, Light):
             self._world.do(lambda: self._add_light(replace(model, name=name or model.name)))
-            return {}
-        prefixes = tf_prefixes(model, request.robot_namespace, name)
-        self._world.change(lambda: self._add(model, pose, request, prefixes))
-        return {}
+            prefixes = tf_prefixes(model, request.robot_namespace, name)
+        self._world.do(lambda: self._add(model, pose, request, prefixes))
 
-    def _add(self, model: Model, pose: Pose, request: Any, prefixes: Callable[[str], str]) -> str:
+    def _add(self, model: Model, pose: Pose, request: Any, prefixes: Callable[[str], str]) -> None:
         name = request.model_name or model.name
         if name in self._world.models:
             raise SpawnError("entity already exists.")
@@ -142,47 +157,51 @@ class GazeboServices:
         try:
             self._world.topics.connect(instance)
         except (LabError, ValueError, rospy.ROSException) as error:
-            self._take_out(name)
+            self._world.simulation.remove(name)
             raise SpawnError(f"cannot connect its topics: {error}") from error
-        return name
+        self._world.notify(name)
 
     def _add_light(self, light: Light) -> None:
         simulation = self._world.simulation
         if light.name in (*simulation.models, *(one.name for one in simulation.world.lights)):
             raise SpawnError("entity already exists.")
-        # It stays where its text has it, as in Gazebo.
+        # As in Gazebo, the pose in the SDF counts and not the one in the request.
         simulation.set_light(light)
 
-    def _delete(self, request: Any) -> str:
-        find_model(self._world.models, request.model_name)
-        self._take_out(request.model_name)
-        return request.model_name
+    def _delete(self, request: Any) -> None:
+        instance = find_model(self._world.models, request.model_name)
+        self._world.topics.disconnect_devices(instance.plugins)
+        self._world.simulation.remove(request.model_name)
+        self._world.notify(request.model_name)
 
-    def _take_out(self, name: str) -> None:
-        self._world.topics.disconnect(name)
-        self._world.simulation.remove(name)
+    def _set_model(self, request: Any) -> None:
+        self._move_model(request.model_state)
 
-    def _set_model(self, message: Any) -> str:
-        instance, state = find_model(self._world.models, message.model_name), self._asked(message)
+    def _move_model(self, message: Any) -> None:
+        instance = find_model(self._world.models, message.model_name)
+        state = self._state_in_world(message)
         instance.move(state.pose, state.linear, state.angular)
-        return instance.name
+        self._world.notify(instance.name)
 
-    def _set_link(self, message: Any) -> str:
-        link, state = find_link(self._world.models, message.link_name), self._asked(message)
-        move_link(link, state)
-        return link.instance.name
+    def _set_link(self, request: Any) -> None:
+        self._move_link(request.link_state)
 
-    def _asked(self, message: Any) -> FrameState:
-        """Return the state in the world that a message asks for; raises InputError."""
+    def _move_link(self, message: Any) -> None:
+        link = find_link(self._world.models, message.link_name)
+        move_link(link, self._state_in_world(message))
+        self._world.notify(link.instance.name)
+
+    def _state_in_world(self, message: Any) -> FrameState:
+        """Return the requested pose and twist in the world frame; raises InputError."""
         state = FrameState(normalised_pose(message.pose), *twist_of(message.twist))
         return in_world(frame_state(self._world.models, message.reference_frame), state)
 
-    def _configure(self, request: Any) -> str:
+    def _configure(self, request: Any) -> None:
         if len(request.joint_names) != len(request.joint_positions):
             raise InputError("joint name and position list have different lengths")
         positions = dict(zip(request.joint_names, request.joint_positions))
         find_model(self._world.models, request.model_name).configure(positions)
-        return request.model_name
+        self._world.notify(request.model_name)
 
     def _world_properties(self, _request: Any) -> Answer:
         simulation = self._world.simulation
@@ -214,34 +233,30 @@ class GazeboServices:
         place = (pose_message(state.pose), twist_message(state))
         return {"link_state": msg.LinkState(request.link_name, *place, name or "world")}
 
-    def _apply_wrench(self, request: Any) -> Answer:
+    def _apply_wrench(self, request: Any) -> None:
         force = vector_of(request.wrench.force, "the force")
         torque = vector_of(request.wrench.torque, "the torque")
         point = vector_of(request.reference_point, "the reference point")
         link = find_link(self._world.models, request.body_name)
         frame = frame_state(self._world.models, request.reference_frame)
         if request.reference_frame in WORLD_FRAMES:
-            # As in Gazebo: the axes are the world's, the point is seen from the body.
+            # As in Gazebo: force and torque in the world frame, the point relative to the body.
             frame = FrameState(Pose(link.frame.pose().position))
         wrench = Wrench.at_point(frame, link, force, torque, point, self._period(request))
         self._world.simulation.forces.add(wrench)
-        return {}
 
-    def _clear_wrenches(self, request: Any) -> Answer:
+    def _clear_wrenches(self, request: Any) -> None:
         link = find_link(self._world.models, request.body_name)
         self._world.simulation.forces.clear(Wrench, (link.instance, link.link))
-        return {}
 
-    def _apply_effort(self, request: Any) -> Answer:
+    def _apply_effort(self, request: Any) -> None:
         joint = find_joint(self._world.models, request.joint_name)
         effort = Effort(*joint, request.effort, self._period(request))
         self._world.simulation.forces.add(effort)
-        return {}
 
-    def _clear_efforts(self, request: Any) -> Answer:
+    def _clear_efforts(self, request: Any) -> None:
         joint = find_joint(self._world.models, request.joint_name)
         self._world.simulation.forces.clear(Effort, joint)
-        return {}
 
     def _period(self, request: Any) -> Period:
         now = self._world.simulation.step

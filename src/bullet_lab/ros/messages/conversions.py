@@ -24,8 +24,7 @@ from sensor_msgs.msg import (
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from tf2_msgs.msg import TFMessage
 
-from bullet_lab.ros.messages.control_types import JointControllerState
-from bullet_lab.ros.messages.gazebo_types import msg
+from bullet_lab.ros.messages.gazebo_types import JointControllerState, msg
 from bullet_lab.ros.messages.poses import set_pose, set_quaternion, set_time, set_vector
 from bullet_lab.simulation.plugins.samples import (
     CameraInfoSample,

@@ -87,7 +87,7 @@ def test_without_the_package_nothing_is_offered(monkeypatch):
     reconfigure.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz")], dict).shutdown()
 
 
-def test_what_a_call_says_of_groups_is_passed_over(monkeypatch):
+def test_groups_of_a_request_are_ignored(monkeypatch):
     class Server:
         def __init__(self, kind, take, namespace):
             pass
