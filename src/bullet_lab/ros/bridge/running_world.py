@@ -81,7 +81,7 @@ class DeviceTopics:
 
     def flush(self) -> None:
         """Send the messages of the last steps."""
-        lossless = self._stepper.hurried
+        lossless = self._stepper.lossless
         for publisher in self._publishers.values():
             publisher.flush(lossless)
 

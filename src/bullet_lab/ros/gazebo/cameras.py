@@ -15,13 +15,15 @@ from typing import Any, Callable, Dict, List
 
 import rospy
 from sensor_msgs.msg import CompressedImage
-from sensor_msgs.srv import SetCameraInfo, SetCameraInfoResponse
+from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Empty, EmptyResponse
 
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
+from bullet_lab.ros.gazebo.services import offer
 from bullet_lab.ros.messages.conversions import compressed_message
+from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node.node import MASTER_ERRORS
 from bullet_lab.simulation.models import ModelInstance
 from bullet_lab.simulation.plugins.camera import Camera, DepthCamera
@@ -94,7 +96,7 @@ class SensorServices:
                 name = rospy.resolve_name(plugin.service)
                 offers = [partial(rospy.Service, name, Empty, lambda _: EmptyResponse())]
             if offers:
-                self._registrar.submit(_offer, offers, services, plugin.mount.plugin.name)
+                self._registrar.submit(_start, offers, services, plugin.mount.plugin.name)
 
     def _end(self, model: str) -> None:
         for topic in self._topics.pop(model):
@@ -107,7 +109,7 @@ class SensorServices:
         name = rospy.resolve_name(camera.topic("set_camera_info"))
         topic = rospy.resolve_name(images.topic)
         offers: List[Callable[[], Any]] = [
-            partial(rospy.Service, name, SetCameraInfo, partial(self._calibrate, camera)),
+            partial(offer, name, SetCameraInfo, partial(self._calibrate, camera)),
             partial(Reconfigurable, topic, COMPRESSION, images.set),
         ]
         if camera.name:
@@ -115,16 +117,10 @@ class SensorServices:
             offers.append(partial(Reconfigurable, space, [_rate_setting(camera)], change))
         return offers
 
-    def _calibrate(self, camera: Camera, request: Any) -> SetCameraInfoResponse:
+    def _calibrate(self, camera: Camera, request: Any) -> None:
         calibration = {name: getattr(request.camera_info, name) for name in CALIBRATED}
-        wrong = wrong_calibration(calibration)
-        if wrong:
-            return SetCameraInfoResponse(False, wrong)
-        try:
-            self._world.do(lambda: setattr(camera, "calibration", calibration))
-        except StepperError as error:
-            return SetCameraInfoResponse(False, str(error))
-        return SetCameraInfoResponse(True, "")
+        check_calibration(calibration)
+        self._world.do(lambda: setattr(camera, "calibration", calibration))
 
     def _set_rate(self, camera: Camera, values: Values) -> Values:
         rate = values["imager_rate"]
@@ -133,17 +129,16 @@ class SensorServices:
         return values
 
 
-def wrong_calibration(calibration: Dict[str, Any]) -> str:
-    """Return the error of a calibration for set_camera_info; empty if it is valid."""
+def check_calibration(calibration: Dict[str, Any]) -> None:
+    """Raise InputError for an invalid calibration of set_camera_info."""
     for name in "DKRP":
         if not all(map(math.isfinite, calibration[name])):
-            return f"{name} has a number that is not finite"
-    if len(calibration["D"]) > MOST_COEFFICIENTS:
-        count = len(calibration["D"])
-        return f"D has {count} coefficients; at most {MOST_COEFFICIENTS} are allowed"
+            raise InputError(f"{name} has a number that is not finite")
+    count = len(calibration["D"])
+    if count > MOST_COEFFICIENTS:
+        raise InputError(f"D has {count} coefficients; at most {MOST_COEFFICIENTS} are allowed")
     if len(calibration["distortion_model"]) > LONGEST_NAME:
-        return f"distortion_model has more than {LONGEST_NAME} characters"
-    return ""
+        raise InputError(f"distortion_model has more than {LONGEST_NAME} characters")
 
 
 def _rate_setting(camera: Camera) -> Setting:
@@ -153,10 +148,10 @@ def _rate_setting(camera: Camera) -> Setting:
     )
 
 
-def _offer(offers: List[Callable[[], Any]], services: List[Any], sensor: str) -> None:
-    for offer in offers:
+def _start(offers: List[Callable[[], Any]], services: List[Any], sensor: str) -> None:
+    for start in offers:
         try:
-            services.append(offer())
+            services.append(start())
         except (rospy.ServiceException, *MASTER_ERRORS) as error:
             # Two sensors of the same name have the same services.
             if not rospy.is_shutdown():

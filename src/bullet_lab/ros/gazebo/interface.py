@@ -26,7 +26,7 @@ from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.bridge.world_topics import WorldMarkers
 from bullet_lab.ros.gazebo.cameras import SensorServices
 from bullet_lab.ros.gazebo.properties import GazeboPhysics, GazeboProperties
-from bullet_lab.ros.gazebo.services import GazeboServices
+from bullet_lab.ros.gazebo.services import Answer, GazeboServices, offer
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import pose_message, set_time, time_of, twist_message
 from bullet_lab.simulation.models import (
@@ -40,7 +40,7 @@ from bullet_lab.simulation.plugins import Plugin
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.survey import PluginSurvey, bounds, survey
 from bullet_lab.simulation.world.sdf_writer import world_text
-from bullet_lab.srv import DescribeModels, DescribeModelsResponse, SaveWorld, SaveWorldResponse
+from bullet_lab.srv import DescribeModels, SaveWorld
 
 # Hz of checks in simulated time, and of messages in wall time, of /gazebo/performance_metrics.
 PERFORMANCE_CHECK_RATE = 100.0
@@ -65,47 +65,44 @@ class WorldSaver:
         self._world = world
         self._folder = ConfinedFolder(folder)
         self._lock = threading.Lock()
-        self._service = rospy.Service("/bullet_lab/save_world", SaveWorld, self._save)
+        self._service = offer("/bullet_lab/save_world", SaveWorld, self._save)
 
-    def _save(self, request: Any) -> SaveWorldResponse:
+    def _save(self, request: Any) -> Answer:
         start = time.perf_counter()
         try:
             if not request.path or "\0" in request.path:
                 raise SaveError("no file is named")
             if request.return_text:
-                response = self._describe(self._folder.path / request.path)
+                values = self._describe(self._folder.path / request.path)
             else:
                 # One at a time: the file of the later request replaces that of the earlier one.
                 with self._lock:
-                    response = self._write(request.path)
-        except (LabError, OSError, RuntimeError) as error:
-            # pathlib raises the last two for names that are too long and for circular links.
-            return SaveWorldResponse(success=False, status_message=str(LabError(error)))
-        response.seconds = time.perf_counter() - start
-        return response
+                    values = self._write(request.path)
+        except (OSError, RuntimeError) as error:
+            # pathlib raises them for names that are too long and for circular links.
+            raise LabError(error) from error
+        return {**values, "seconds": time.perf_counter() - start}
 
-    def _write(self, name: str) -> SaveWorldResponse:
+    def _write(self, name: str) -> Dict[str, Any]:
         try:
             path = self._folder.place(name)
         except FileError as error:
             hint = "~save_folder is the bridge's; save_world.py writes anywhere"
             raise SaveError(f"{error}; {hint}") from error
-        response = self._describe(path)
-        text, response.text = response.text, ""
-        self._folder.write(path, text)
-        return response
+        values = self._describe(path)
+        self._folder.write(path, values.pop("text"))
+        return values
 
-    def _describe(self, path: Path) -> SaveWorldResponse:
+    def _describe(self, path: Path) -> Dict[str, Any]:
         snapshot = self._world.do(self._world.simulation.snapshot)
         text, notes = world_text(snapshot, path.parent)
-        return SaveWorldResponse(
-            success=True,
-            status_message="; ".join(notes),
-            path=str(path),
-            text=text,
-            models=len(snapshot.models),
-            saved_at=time_of(snapshot.step),
-        )
+        return {
+            "status_message": "; ".join(notes),
+            "path": str(path),
+            "text": text,
+            "models": len(snapshot.models),
+            "saved_at": time_of(snapshot.step),
+        }
 
 
 class _States(rospy.SubscribeListener):
@@ -263,14 +260,11 @@ class ModelDescriptions:
 
     def __init__(self, world: RunningWorld, warnings: Warnings):
         self._world, self._warnings = world, warnings
-        self._service = rospy.Service("/bullet_lab/describe_models", DescribeModels, self._answer)
+        self._service = offer("/bullet_lab/describe_models", DescribeModels, self._answer)
 
-    def _answer(self, request: Any) -> DescribeModelsResponse:
-        try:
-            models = self._world.do(lambda: self._describe(request.model_name))
-        except LabError as error:
-            return DescribeModelsResponse(success=False, status_message=str(error))
-        return DescribeModelsResponse(success=True, models=models, said=self._warnings.lines)
+    def _answer(self, request: Any) -> Answer:
+        models = self._world.do(lambda: self._describe(request.model_name))
+        return {"models": models, "said": self._warnings.lines}
 
     def _describe(self, name: str) -> List[ModelDescription]:
         models = self._world.models

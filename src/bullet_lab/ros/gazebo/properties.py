@@ -23,7 +23,7 @@ from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.properties import change_joint, change_link
 from bullet_lab.simulation.world.description import Inertia, Light
 from bullet_lab.simulation.world.inertia import INERTIA_KEYS, matrix_from_elements
-from bullet_lab.srv import SetRtf, SetRtfResponse
+from bullet_lab.srv import SetRtf
 
 JOINT_TYPES = {
     "revolute": srv.GetJointPropertiesResponse.REVOLUTE,
@@ -77,9 +77,11 @@ class GazeboProperties:
         if speed is not None or effort is not None:
             # ODE's motor: it aims at the speed `vel` with an effort of `fmax` at most.
             instance.body_of_joint(name).drive_joint(name, speed or 0.0, abs(effort or 0.0))
-        unused = [key for key in UNUSED if len(getattr(config, key))]
         done = f"SetJointProperties: {SET}"
-        return {"status_message": f"{done}; {', '.join(unused)} do nothing here" if unused else done}
+        unused = [key for key in UNUSED if len(getattr(config, key))]
+        if unused:
+            done += f"; {', '.join(unused)} do nothing here"
+        return {"status_message": done}
 
     def _link(self, request: Any) -> Answer:
         link = find_link(self._world.models, request.link_name)
@@ -193,9 +195,19 @@ class GazeboPhysics:
         # The values that clients of dynamic_reconfigure have seen last.
         self._reported = self._current()
         self._services = [
-            offer("get_physics_properties", srv.GetPhysicsProperties, self._get, GOT),
-            offer("set_physics_properties", srv.SetPhysicsProperties, self._set),
-            rospy.Service("/bullet_lab/set_rtf", SetRtf, self._set_rtf),
+            offer(
+                "/gazebo/get_physics_properties",
+                srv.GetPhysicsProperties,
+                self._get,
+                f"GetPhysicsProperties: {GOT}",
+            ),
+            offer(
+                "/gazebo/set_physics_properties",
+                srv.SetPhysicsProperties,
+                self._set,
+                failed="SetPhysicsProperties: ",
+            ),
+            offer("/bullet_lab/set_rtf", SetRtf, self._set_rtf),
             Reconfigurable(SPACE, self._settings(), self._reconfigure),
         ]
 
@@ -221,16 +233,17 @@ class GazeboPhysics:
 
     def _set(self, request: Any) -> Answer:
         if not math.isclose(request.time_step, STEP_SECONDS, rel_tol=1e-9):
-            always = f"it is {STEP_SECONDS:g} s here, always"
-            raise InputError(f"time_step is {request.time_step:g} s: {always}")
+            allowed = f"only {STEP_SECONDS:g} s is allowed"
+            raise InputError(f"time_step is {request.time_step:g} s; {allowed}")
         gravity = vector_of(request.gravity, "gravity")
         factor = _factor(request.max_update_rate / STEPS_PER_SECOND, "max_update_rate")
         self._world.do(lambda: self._world.simulation.set_gravity(gravity))
         self._world.stepper.set_real_time_factor(factor)
-        if request.ode_config == self._ode:
-            return {"status_message": "physics engine updated"}
-        self._ode = request.ode_config
-        return {"status_message": "physics engine updated; ode_config is kept and does nothing"}
+        done = "physics engine updated"
+        if request.ode_config != self._ode:
+            self._ode = request.ode_config
+            done += "; ode_config is kept and does nothing"
+        return {"status_message": done}
 
     def _settings(self) -> List[Setting]:
         limits = {**LIMITS, **ODE_LIMITS}
@@ -256,15 +269,11 @@ class GazeboPhysics:
         self._reported = self._current()
         return self._reported
 
-    def _set_rtf(self, request: Any) -> SetRtfResponse:
-        try:
-            self._world.stepper.set_real_time_factor(_factor(request.rtf, "rtf"))
-        except LabError as error:
-            return SetRtfResponse(success=False, status_message=str(error))
-        return SetRtfResponse(success=True, status_message="")
+    def _set_rtf(self, request: Any) -> None:
+        self._world.stepper.set_real_time_factor(_factor(request.rtf, "rtf"))
 
 
 def _factor(factor: float, name: str) -> float:
     if not 0.0 <= factor < math.inf:
-        raise InputError(f"{name} must be a number >= 0, 0 for as fast as it goes")
+        raise InputError(f"{name} is {factor}; it must be a number >= 0, 0 for full speed")
     return factor

@@ -54,43 +54,50 @@ class SpawnError(LabError):
 def offer(
     name: str, kind: Any, answer: Callable[[Any], Answer], done: str = "", failed: str = ""
 ) -> rospy.Service:
-    """Offer a service of /gazebo; an error sets success to False and the status message.
+    """Offer a service whose response to an error has no success and the error as status message.
 
     Args:
-        name: of the service, below /gazebo.
-        kind: its type; the status messages begin with the type's name, as Gazebo's do.
+        name: of the service.
+        kind: its type.
         answer: returns fields of the response to a request.
-        done: status message after a success; empty for an empty status message.
-        failed: text between the type's name and the error.
+        done: status message after a success.
+        failed: text before an error in the status message.
     """
     fields = kind._response_class.__slots__
-    prefix = f"{kind.__name__}: "
 
     def handle(request: Any) -> Any:
-        values: Dict[str, Any] = {"success": True, "status_message": done and prefix + done}
+        values: Dict[str, Any] = {"success": True, "status_message": done}
         try:
             values.update(answer(request) or {})
         except LabError as error:
-            values = {"success": False, "status_message": f"{prefix}{failed}{error}"}
+            values = {"success": False, "status_message": f"{failed}{error}"}
         except rospy.ROSInterruptException:
             raise
         except Exception as error:
             # The client gets an answer whatever it sends, and the simulation continues.
-            rospy.logerr("/gazebo/%s: %s", name, traceback.format_exc())
-            values = {"success": False, "status_message": f"{prefix}{failed}{error!r}"}
+            rospy.logerr("%s: %s", name, traceback.format_exc())
+            values = {"success": False, "status_message": f"{failed}{error!r}"}
         if not values["success"] and "success" not in fields:
             rospy.logwarn("%s", values["status_message"])
         known = {key: value for key, value in values.items() if key in fields}
         return kind._response_class(**known)
 
-    return rospy.Service(f"/gazebo/{name}", kind, handle)
+    return rospy.Service(name, kind, handle)
 
 
 def offer_between_steps(
     world: RunningWorld, name: str, kind: Any, answer: Callable[[Any], Answer], done: str
 ) -> rospy.Service:
-    """Offer a service of /gazebo that the thread of the simulation answers between two steps."""
-    return offer(name, kind, lambda request: world.do(partial(answer, request)), done)
+    """Offer a service of /gazebo that the thread of the simulation answers between two steps.
+
+    Its status messages begin with the name of its type, as Gazebo's do.
+    """
+    prefix = f"{kind.__name__}: "
+
+    def between_steps(request: Any) -> Answer:
+        return world.do(partial(answer, request))
+
+    return offer(f"/gazebo/{name}", kind, between_steps, done and prefix + done, prefix)
 
 
 class GazeboServices:
@@ -99,11 +106,11 @@ class GazeboServices:
     def __init__(self, world: RunningWorld):
         self._world = world
         self._refusals = Refusals()
-        spawned = ("Successfully spawned entity", "Failure - ")
+        messages = ("SpawnModel: Successfully spawned entity", "SpawnModel: Failure - ")
         self._services = [
             # As in Gazebo, both services accept SDF and URDF.
-            offer("spawn_sdf_model", srv.SpawnModel, self._spawn, *spawned),
-            offer("spawn_urdf_model", srv.SpawnModel, self._spawn, *spawned),
+            offer("/gazebo/spawn_sdf_model", srv.SpawnModel, self._spawn, *messages),
+            offer("/gazebo/spawn_urdf_model", srv.SpawnModel, self._spawn, *messages),
         ]
         for name, kind, answer, done in (
             ("delete_model", srv.DeleteModel, self._delete, "successfully deleted model"),

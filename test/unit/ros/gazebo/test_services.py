@@ -22,7 +22,8 @@ def test_errors_are_answers(monkeypatch, error, message, logged):
     log = []
     monkeypatch.setattr(services.rospy, "Service", lambda name, kind, handle: handle)
     monkeypatch.setattr(services.rospy, "logerr", lambda *words: log.append(words))
-    handle = services.offer("delete_model", srv.DeleteModel, lambda request: raising(error))
+    kind = srv.DeleteModel
+    handle = services.offer("x", kind, lambda request: raising(error), failed="DeleteModel: ")
     answer = handle(srv.DeleteModel._request_class("a"))
     assert not answer.success
     assert message in answer.status_message
