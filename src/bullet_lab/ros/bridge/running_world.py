@@ -95,7 +95,7 @@ class DeviceTopics:
             for entry in (*device.outputs, *device.inputs):
                 # rospy would register the topic, and nobody could subscribe to it.
                 if not entry.topic or not rosgraph.names.is_legal_name(entry.topic):
-                    raise TopicError(f"{owner}: no topic is called '{entry.topic}'")
+                    raise TopicError(f"{owner}: invalid topic name '{entry.topic}'")
         for device in devices:
             for output in device.outputs:
                 self._connect_output(output)

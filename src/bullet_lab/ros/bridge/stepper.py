@@ -332,7 +332,7 @@ class Stepper:
         for what, seconds in self.simulation.take_spent().items():
             self.watch.spend(what, seconds)
             self.watch.spend("steps", -seconds)
-        lag = self.watch.look(self.simulation.step, self.pace.real_time_factor)
+        lag = self.watch.measure(self.simulation.step, self.pace.real_time_factor)
         if lag is not None:
             self._report_lag(lag)
 

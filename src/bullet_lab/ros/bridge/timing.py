@@ -148,7 +148,7 @@ class LoopWatch:
         """Whether the measurement is long enough."""
         return self._clock() - self._start >= WINDOW
 
-    def look(self, step: int, wanted: float) -> Optional[Lag]:
+    def measure(self, step: int, wanted: float) -> Optional[Lag]:
         """End the measurement at a step; return a report if simulated time was too slow.
 
         None if it was not, or if that was reported a short while ago. `wanted` is the real-time

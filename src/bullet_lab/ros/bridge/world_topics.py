@@ -37,7 +37,29 @@ TOUCH_RATE = 100.0
 TOUCHED_RATE = 10.0
 
 
-class WorldMarkers(rospy.SubscribeListener):
+class PresentState(rospy.SubscribeListener):
+    """Sends the present state of the world to each new subscriber of a topic.
+
+    Args:
+        world: the running world.
+        message: makes the message with the state.
+    """
+
+    def __init__(self, world: RunningWorld, message: Callable[[], Any]):
+        super().__init__()
+        self._world, self._message = world, message
+
+    def peer_subscribe(
+        self, _topic: str, _publish: Callable[[Any], None], peer_publish: Callable[[Any], None]
+    ) -> None:
+        """Send the message; called by rospy."""
+        # In the thread of the simulation, which writes all other messages to this subscriber.
+        # While the bridge shuts down, nothing is sent.
+        with contextlib.suppress(StepperError, rospy.ROSException):
+            self._world.do(lambda: peer_publish(self._message()))
+
+
+class WorldMarkers:
     """Publishes the shapes of the world as markers on /bullet_lab/world.
 
     A new subscriber receives all markers, and then those that change: models that are added,
@@ -46,7 +68,6 @@ class WorldMarkers(rospy.SubscribeListener):
     """
 
     def __init__(self, world: RunningWorld, frame: str, hidden: str = ""):
-        super().__init__()
         self._world = world
         self._frame = frame
         self._hidden = hidden
@@ -55,15 +76,10 @@ class WorldMarkers(rospy.SubscribeListener):
         self._checked = 0.0
         world.changed.append(self._changed)
         world.simulation.every(MARKERS_RATE, self._check)
-        self._publisher = Publisher(MARKERS, MarkerArray, queue_size=100, subscriber_listener=self)
-
-    def peer_subscribe(
-        self, _topic: str, _publish: Callable[[Any], None], peer_publish: Callable[[Any], None]
-    ) -> None:
-        """Send all markers to a new subscriber."""
-        # While the bridge shuts down, nothing is sent.
-        with contextlib.suppress(StepperError, rospy.ROSException):
-            self._world.do(lambda: peer_publish(self._all()))
+        listener = PresentState(world, self._all)
+        self._publisher = Publisher(
+            MARKERS, MarkerArray, queue_size=100, subscriber_listener=listener
+        )
 
     def _all(self) -> MarkerArray:
         array = MarkerArray()

@@ -6,7 +6,6 @@ The latter are /bullet_lab/save_world, /bullet_lab/describe_models, /gazebo/mode
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import threading
 import time
@@ -22,8 +21,7 @@ from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription, PluginDescription
 from bullet_lab.ros.bridge.running_world import RunningWorld
-from bullet_lab.ros.bridge.stepper import StepperError
-from bullet_lab.ros.bridge.world_topics import WorldMarkers
+from bullet_lab.ros.bridge.world_topics import PresentState, WorldMarkers
 from bullet_lab.ros.gazebo.cameras import SensorServices
 from bullet_lab.ros.gazebo.properties import GazeboPhysics, GazeboProperties
 from bullet_lab.ros.gazebo.services import Answer, GazeboServices, offer
@@ -105,7 +103,7 @@ class WorldSaver:
         }
 
 
-class _States(rospy.SubscribeListener):
+class _States:
     """Publishes the poses and twists of entities, `rate` times per simulated second.
 
     A new subscriber receives the present states at once, and all subscribers do when a model was
@@ -120,23 +118,13 @@ class _States(rospy.SubscribeListener):
         entities: Callable[[ModelInstance], Dict[str, Entity]],
         rate: float,
     ):
-        super().__init__()
         self._world = world
         self._kind = kind
         self._entities = entities
         self._publisher = world.topics.publisher(topic, kind)
-        self._publisher.impl.add_subscriber_listener(self)
+        self._publisher.impl.add_subscriber_listener(PresentState(world, self._message))
         world.changed.append(self._changed)
         world.simulation.every(rate, self._publish)
-
-    def peer_subscribe(
-        self, _topic: str, _publish: Callable[[Any], None], peer_publish: Callable[[Any], None]
-    ) -> None:
-        """Send the present states to a new subscriber."""
-        # In the thread of the simulation, which writes all other messages to this subscriber.
-        # While the bridge shuts down, nothing is sent.
-        with contextlib.suppress(StepperError, rospy.ROSException):
-            self._world.do(lambda: peer_publish(self._message()))
 
     def _publish(self, _step: int = 0) -> None:
         if self._publisher.has_connections():

@@ -162,7 +162,7 @@ class _Manager:
     def _load(self, request: Any) -> None:
         where = f"{self._plugin.namespace}{request.name}"
         if not request.name or not rosgraph.names.is_legal_name(where):
-            raise ControlError(f"no controller can be called '{request.name}'")
+            raise ControlError(f"invalid controller name '{request.name}'")
         parameters = ControlParameters(_parameters(where), where)
         refused = self._plugin.refused
         if request.name not in self._manager().controllers:
