@@ -145,7 +145,7 @@ class CommandCounter:
         return all(self._arrived[arrival] >= count for arrival, count in due.items())
 
     def _note_loss(self, connection: _Connection) -> None:
-        """Give up the messages that are due, and stop to wait for a relay."""
+        """Give up the messages that are due, and stop waiting for a relay."""
         connection.due = self._counts(connection.due)
         if not connection.is_direct:
             connection.losses += 1

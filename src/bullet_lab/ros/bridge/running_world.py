@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import xmlrpc.client
+from collections import Counter
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set, Union
 
 import rosgraph
@@ -59,7 +60,7 @@ class DeviceTopics:
         self._stepper = stepper
         self._refusals = Refusals()
         self._publishers: Dict[str, BatchPublisher] = {}
-        self._users: Dict[str, int] = {}
+        self._users: Counter = Counter()
         self._inputs: Dict[str, List[Input]] = {}
         self._subscribers: Dict[str, rospy.Subscriber] = {}
         self._timeouts: Dict[Arrival, threading.Timer] = {}
@@ -76,7 +77,7 @@ class DeviceTopics:
             size = None if self._stepper.pace.free else QUEUE_SIZE
             publisher = BatchPublisher(topic, kind, queue_size=size, tcp_nodelay=True)
             self._publishers[topic] = publisher
-        self._users[topic] = self._users.get(topic, 0) + 1
+        self._users[topic] += 1
         return publisher
 
     def flush(self) -> None:
@@ -118,7 +119,6 @@ class DeviceTopics:
         """Release the publisher on a topic; it is closed when all its users have released it."""
         self._users[topic] -= 1
         if not self._users[topic]:
-            del self._users[topic]
             publisher = self._publishers.pop(topic)
             publisher.flush()
             publisher.unregister()

@@ -150,8 +150,9 @@ class GazeboServices:
         model = read_spawned(request.model_xml, f"model_xml of '{name}'")
         if isinstance(model, Light):
             self._world.do(lambda: self._add_light(replace(model, name=name or model.name)))
+        else:
             prefixes = tf_prefixes(model, request.robot_namespace, name)
-        self._world.do(lambda: self._add(model, pose, request, prefixes))
+            self._world.do(lambda: self._add(model, pose, request, prefixes))
 
     def _add(self, model: Model, pose: Pose, request: Any, prefixes: Callable[[str], str]) -> None:
         name = request.model_name or model.name

@@ -79,8 +79,13 @@ class Member:
         deadline = time.monotonic() + WAIT_FOR_ROUTE_SECONDS
         while True:
             heard = self._ask(0, rospy.Time(0)).heard
-            commands = [p for p in self.publishers if p.data_class is Twist and p.impl is not None]
-            unheard = [p for p in commands if p.resolved_name not in heard]
+            unheard = [
+                publisher
+                for publisher in self.publishers
+                if publisher.data_class is Twist
+                and publisher.impl is not None
+                and publisher.resolved_name not in heard
+            ]
             if not unheard:
                 return self._now
             if time.monotonic() > deadline:
@@ -111,7 +116,7 @@ class Member:
                 return answer.now
 
     def leave(self) -> None:
-        """Stop to hold simulated time back."""
+        """Stop holding simulated time back."""
         self.advance(END_OF_TIME)
 
     def _ask(self, epoch: int, until: rospy.Time) -> AdvanceResponse:

@@ -223,7 +223,8 @@ class MessageQueue(Generic[T]):
         self._kind, self._read, self._rate = kind, read, rate
         self._new = threading.Condition()
         self._waiting: Deque[Tuple[int, T]] = deque(maxlen=MOST_WAITING)
-        self._newest: Optional[int] = None
+        # ns
+        self._newest = 0
         self._patience = LATEST
         self._refusals = Refusals()
         self._subscriber: Optional[rospy.Subscriber] = None
@@ -249,7 +250,7 @@ class MessageQueue(Generic[T]):
         with self._new:
             self.trouble = ""
             self._waiting.clear()
-            self._newest = None
+            self._newest = 0
             self._patience = LATEST
 
     def is_connected(self) -> bool:
@@ -283,15 +284,14 @@ class MessageQueue(Generic[T]):
 
     def _next_due(self) -> int:
         """Return the stamp in ns of the message after the newest: the first step at k / rate."""
-        newest = 0 if self._newest is None else self._newest
-        number = math.floor(newest * self._rate * 1e-9 + 1e-6) + 1
+        number = math.floor(self._newest * self._rate * 1e-9 + 1e-6) + 1
         return math.ceil(1000.0 * number / self._rate - 1e-6) * _MILLISECOND
 
     def _receive(self, message: Any) -> None:
         stamp = message.header.stamp.to_nsec()
         items: List[T] = []
         try:
-            if self._newest is not None and stamp < self._newest:
+            if stamp < self._newest:
                 raise InputError(f"out-of-order stamp {1e-9 * stamp:.9f} s")
             items.append(self._read(message))
             self.trouble = ""
@@ -300,6 +300,6 @@ class MessageQueue(Generic[T]):
             self._refusals.refuse(self.topic, self.trouble)
         with self._new:
             self._waiting.extend((stamp, item) for item in items)
-            self._newest = max(stamp, self._newest or 0)
+            self._newest = max(stamp, self._newest)
             self._patience = LATEST
             self._new.notify_all()
