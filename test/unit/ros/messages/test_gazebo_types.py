@@ -1,4 +1,4 @@
-"""A service client checks the md5 sum of a definition: these are those of Gazebo and ros_control."""
+"""A service client checks the md5 sums of definitions: those of Gazebo and ros_control."""
 
 import re
 
