@@ -22,9 +22,10 @@ from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription, PluginDescription
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.world_topics import PresentState, WorldMarkers
+from bullet_lab.ros.gazebo import properties, services
 from bullet_lab.ros.gazebo.cameras import SensorServices
-from bullet_lab.ros.gazebo.properties import GazeboPhysics, GazeboProperties
-from bullet_lab.ros.gazebo.services import Answer, GazeboServices, offer
+from bullet_lab.ros.gazebo.properties import GazeboPhysics
+from bullet_lab.ros.gazebo.services import Answer, offer
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import pose_message, set_time, time_of, twist_message
 from bullet_lab.simulation.models import (
@@ -216,12 +217,13 @@ class Gazebo:
             _States(world, "/gazebo/model_states", msg.ModelStates, _model, states_rate),
             _States(world, "/gazebo/link_states", msg.LinkStates, _links, states_rate),
             _Performance(world),
-            GazeboServices(world),
-            GazeboProperties(world),
+            services.offer_services(world),
+            properties.offer_services(world),
             GazeboPhysics(world),
             WorldSaver(world, folder),
             SensorServices(world),
         ]
+        services.subscribe_to_states(world)
 
     def everything_moved(self) -> None:
         """Publish the new poses of all models after a reset."""

@@ -35,94 +35,81 @@ UNUSED = ("erp", "cfm", "stop_erp", "stop_cfm", "fudge_factor")
 SET = "properties set"
 
 
-class GazeboProperties:
-    """Offers the services on joints, links and lights."""
+def _joint(world: RunningWorld, request: Any) -> Answer:
+    instance, name = find_joint(world.models, request.joint_name)
+    state = instance.body_of_joint(name).joint_state(name)
+    joint = next(j for j in instance.model.joints if j.name == name)
+    return {
+        "type": JOINT_TYPES[joint.kind],
+        "damping": [joint.damping],
+        "position": [state.position],
+        "rate": [state.velocity],
+    }
 
-    def __init__(self, world: RunningWorld):
-        self._world = world
-        self._services = [
-            offer_between_steps(world, name, kind, answer, done)
-            for name, kind, answer, done in (
-                ("get_joint_properties", srv.GetJointProperties, self._joint, GOT),
-                ("set_joint_properties", srv.SetJointProperties, self._set_joint, SET),
-                ("get_link_properties", srv.GetLinkProperties, self._link, GOT),
-                ("set_link_properties", srv.SetLinkProperties, self._set_link, SET),
-                # As in Gazebo, these two have no status message after a success.
-                ("get_light_properties", srv.GetLightProperties, self._light, ""),
-                ("set_light_properties", srv.SetLightProperties, self._set_light, ""),
-                ("delete_light", srv.DeleteLight, self._delete_light, ""),
-            )
-        ]
 
-    def _joint(self, request: Any) -> Answer:
-        instance, name = find_joint(self._world.models, request.joint_name)
-        state = instance.body_of_joint(name).joint_state(name)
-        joint = next(j for j in instance.model.joints if j.name == name)
-        return {
-            "type": JOINT_TYPES[joint.kind],
-            "damping": [joint.damping],
-            "position": [state.position],
-            "rate": [state.velocity],
-        }
+def _set_joint(world: RunningWorld, request: Any) -> Answer:
+    instance, name = find_joint(world.models, request.joint_name)
+    config = request.ode_joint_config
+    damping = _first(config.damping, "damping")
+    lower, upper = _first(config.loStop, "loStop"), _first(config.hiStop, "hiStop")
+    speed, effort = _first(config.vel, "vel"), _first(config.fmax, "fmax")
+    if damping is not None and damping < 0.0:
+        raise InputError(f"a damping of {damping:g} is negative")
+    change_joint(instance, name, damping, lower, upper)
+    if speed is not None or effort is not None:
+        # ODE's motor: it aims at the speed `vel` with an effort of `fmax` at most.
+        instance.body_of_joint(name).drive_joint(name, speed or 0.0, abs(effort or 0.0))
+    done = f"SetJointProperties: {SET}"
+    unused = [key for key in UNUSED if len(getattr(config, key))]
+    if unused:
+        done += f"; {', '.join(unused)} do nothing here"
+    return {"status_message": done}
 
-    def _set_joint(self, request: Any) -> Answer:
-        instance, name = find_joint(self._world.models, request.joint_name)
-        config = request.ode_joint_config
-        damping = _first(config.damping, "damping")
-        lower, upper = _first(config.loStop, "loStop"), _first(config.hiStop, "hiStop")
-        speed, effort = _first(config.vel, "vel"), _first(config.fmax, "fmax")
-        if damping is not None and damping < 0.0:
-            raise InputError(f"a damping of {damping:g} is negative")
-        change_joint(instance, name, damping, lower, upper)
-        if speed is not None or effort is not None:
-            # ODE's motor: it aims at the speed `vel` with an effort of `fmax` at most.
-            instance.body_of_joint(name).drive_joint(name, speed or 0.0, abs(effort or 0.0))
-        done = f"SetJointProperties: {SET}"
-        unused = [key for key in UNUSED if len(getattr(config, key))]
-        if unused:
-            done += f"; {', '.join(unused)} do nothing here"
-        return {"status_message": done}
 
-    def _link(self, request: Any) -> Answer:
-        link = find_link(self._world.models, request.link_name)
-        model = link.instance.model
-        description = model.links_by_name()[link.link]
-        inertia = description.inertia
-        if inertia is None:
-            return {"com": pose_message(Pose())}
-        return {
-            "com": pose_message(Pose(inertia.centre)),
-            "gravity_mode": description.gravity and not model.static,
-            "mass": inertia.mass,
-            **inertia.elements(),
-        }
+def _link(world: RunningWorld, request: Any) -> Answer:
+    link = find_link(world.models, request.link_name)
+    model = link.instance.model
+    description = model.links_by_name()[link.link]
+    inertia = description.inertia
+    if inertia is None:
+        return {"com": pose_message(Pose())}
+    return {
+        "com": pose_message(Pose(inertia.centre)),
+        "gravity_mode": description.gravity and not model.static,
+        "mass": inertia.mass,
+        **inertia.elements(),
+    }
 
-    def _set_link(self, request: Any) -> None:
-        link = find_link(self._world.models, request.link_name)
-        elements: Dict[str, float] = {key: getattr(request, key) for key in INERTIA_KEYS}
-        if not all(map(math.isfinite, (request.mass, *elements.values()))):
-            raise InputError("mass or inertia is not finite")
-        centre = vector_of(request.com.position, "the centre of mass")
-        inertia = Inertia(request.mass, centre, matrix_from_elements(**elements))
-        change_link(link, inertia, request.gravity_mode)
 
-    def _light(self, request: Any) -> Answer:
-        light = self._world.simulation.light(request.light_name)
-        fade = light.attenuation
-        return {
-            "diffuse": ColorRGBA(*light.diffuse),
-            "attenuation_constant": fade.constant,
-            "attenuation_linear": fade.linear,
-            "attenuation_quadratic": fade.quadratic,
-        }
+def _set_link(world: RunningWorld, request: Any) -> None:
+    link = find_link(world.models, request.link_name)
+    elements: Dict[str, float] = {key: getattr(request, key) for key in INERTIA_KEYS}
+    if not all(map(math.isfinite, (request.mass, *elements.values()))):
+        raise InputError("mass or inertia is not finite")
+    centre = vector_of(request.com.position, "the centre of mass")
+    inertia = Inertia(request.mass, centre, matrix_from_elements(**elements))
+    change_link(link, inertia, request.gravity_mode)
 
-    def _set_light(self, request: Any) -> None:
-        simulation = self._world.simulation
-        simulation.set_light(_changed(simulation.light(request.light_name), request))
 
-    def _delete_light(self, request: Any) -> Answer:
-        self._world.simulation.remove_light(request.light_name)
-        return {"status_message": f"DeleteLight: {request.light_name} successfully deleted"}
+def _light(world: RunningWorld, request: Any) -> Answer:
+    light = world.simulation.light(request.light_name)
+    fade = light.attenuation
+    return {
+        "diffuse": ColorRGBA(*light.diffuse),
+        "attenuation_constant": fade.constant,
+        "attenuation_linear": fade.linear,
+        "attenuation_quadratic": fade.quadratic,
+    }
+
+
+def _set_light(world: RunningWorld, request: Any) -> None:
+    simulation = world.simulation
+    simulation.set_light(_changed(simulation.light(request.light_name), request))
+
+
+def _delete_light(world: RunningWorld, request: Any) -> Answer:
+    world.simulation.remove_light(request.light_name)
+    return {"status_message": f"DeleteLight: {request.light_name} successfully deleted"}
 
 
 def _first(values: Sequence[float], name: str) -> Optional[float]:
@@ -151,6 +138,24 @@ def _changed(light: Light, request: Any) -> Light:
         casts_shadows=request.cast_shadows,
         attenuation=replace(light.attenuation, **fading),
     )
+
+
+# Name, type, function and status message of the services that are answered between two steps.
+SERVICES = (
+    ("get_joint_properties", srv.GetJointProperties, _joint, GOT),
+    ("set_joint_properties", srv.SetJointProperties, _set_joint, SET),
+    ("get_link_properties", srv.GetLinkProperties, _link, GOT),
+    ("set_link_properties", srv.SetLinkProperties, _set_link, SET),
+    # As in Gazebo, these two have no status message after a success.
+    ("get_light_properties", srv.GetLightProperties, _light, ""),
+    ("set_light_properties", srv.SetLightProperties, _set_light, ""),
+    ("delete_light", srv.DeleteLight, _delete_light, ""),
+)
+
+
+def offer_services(world: RunningWorld) -> List[rospy.Service]:
+    """Offer the services on the properties of joints, links and lights."""
+    return [offer_between_steps(world, *row) for row in SERVICES]
 
 
 # Node name under which dynamic_reconfigure finds the engine's settings.
