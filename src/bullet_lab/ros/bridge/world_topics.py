@@ -6,7 +6,7 @@ import contextlib
 import time
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, FrozenSet, Mapping, Optional, Set
+from typing import Any, Callable, Dict, FrozenSet, Optional, Set
 
 import numpy as np
 import rospy
@@ -156,16 +156,16 @@ class OdometryFrames:
             else:
                 self._poses.pop(model, None)
         if self._poses != before:
-            self._warn(before)
+            self._warn()
             self._publish()
 
-    def _warn(self, before: Mapping[str, Any]) -> None:
-        """Warn about frames that a new robot shares with another one."""
+    def _warn(self) -> None:
+        """Warn about frames that two robots share, once for each frame."""
         owners: Dict[str, str] = {}
         for model, poses in self._poses.items():
             for frame in poses:
                 first = owners.setdefault(frame, model)
-                if first != model and model not in before and frame not in self._shared:
+                if first != model and frame not in self._shared:
                     self._shared.add(frame)
                     rospy.logwarn(
                         "the frame '%s' belongs to '%s' and '%s': give each robot a tf_prefix in "

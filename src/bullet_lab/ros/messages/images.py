@@ -119,9 +119,7 @@ def _region(info: CameraInfo, width: int, height: int) -> Tuple[int, int]:
         binning = f"{info.binning_x} x {info.binning_y}"
         raise CameraGeometryError(f"camera_info has {binning} binning, which is not supported")
     region = info.roi
-    size = (info.width, info.height)
-    if region.width or region.height:
-        size = (region.width or info.width, region.height or info.height)
+    size = (region.width or info.width, region.height or info.height)
     if size != (width, height):
         described = f"{size[0]} x {size[1]}"
         raise CameraGeometryError(f"camera_info is about {described} px, not {width} x {height}")
