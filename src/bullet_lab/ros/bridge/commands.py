@@ -83,9 +83,7 @@ class CommandCounter:
         changed: condition that is notified of arrivals.
     """
 
-    def __init__(
-        self, find_arrivals: FindArrivals, changed: Optional[threading.Condition] = None
-    ):
+    def __init__(self, find_arrivals: FindArrivals, changed: Optional[threading.Condition] = None):
         self._find_arrivals = find_arrivals
         self._changed = changed or threading.Condition()
         self._arrived: Counter = Counter()

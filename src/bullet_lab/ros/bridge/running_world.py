@@ -237,9 +237,7 @@ class RunningWorld:
         for listener in self.changed:
             listener(name)
 
-    def follow(
-        self, begin: Callable[[ModelInstance], None], end: Callable[[str], None]
-    ) -> None:
+    def follow(self, begin: Callable[[ModelInstance], None], end: Callable[[str], None]) -> None:
         """Call `begin` with each model, now and when it is added, and `end` when it is removed."""
         known: Set[str] = set()
 

@@ -103,9 +103,7 @@ class SensorServices:
             self._world.topics.release(topic)
         self._registrar.submit(_shut_down, self._services.pop(model))
 
-    def _camera_services(
-        self, camera: Camera, images: CompressedImages
-    ) -> List[Callable[[], Any]]:
+    def _camera_services(self, camera: Camera, images: CompressedImages) -> List[Callable[[], Any]]:
         name = rospy.resolve_name(camera.topic("set_camera_info"))
         topic = rospy.resolve_name(images.topic)
         offers: List[Callable[[], Any]] = [
