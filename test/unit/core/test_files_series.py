@@ -42,7 +42,7 @@ def test_time_does_not_go_back(tmp_path, kind, stamp):
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_poses_are_finite(tmp_path, bad):
     series = PathSeries(tmp_path / "a")
-    with pytest.raises(SeriesError, match="^a pose that is not finite"):
+    with pytest.raises(SeriesError, match="^the pose is not finite"):
         series.add(STEP, (0.0, bad, 0.0))
     assert series.last is None
     assert (tmp_path / "a").read_text() == ""

@@ -14,8 +14,7 @@ from typing import Any, Callable, Dict
 
 import rospy
 
-from bullet_lab.core.confined import ConfinedFolder
-from bullet_lab.core.files import FileError
+from bullet_lab.core.files import ConfinedFolder, FileError
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError

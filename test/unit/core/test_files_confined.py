@@ -2,8 +2,7 @@ import os
 
 import pytest
 
-from bullet_lab.core.confined import ConfinedFolder
-from bullet_lab.core.files import FileError
+from bullet_lab.core.files import ConfinedFolder, FileError
 
 
 @pytest.fixture
