@@ -128,20 +128,17 @@ def number(
 
 def integer(default: int, doc: str, minimum: int = -(2**31), maximum: int = 2**31 - 1) -> Any:
     """Declare a whole number within [minimum, maximum]."""
-
-    def accept(value: Any) -> int:
-        value = _integer(value)
-        return _require(minimum <= value <= maximum, value)
-
+    accept = _whole_within(minimum, maximum)
     return _declare(default, doc, f"a whole number from {minimum} to {maximum}", accept)
 
 
 def odd(default: int, doc: str, minimum: int, maximum: int) -> Any:
     """Declare an odd whole number within [minimum, maximum]."""
+    accept_whole = _whole_within(minimum, maximum)
 
     def accept(value: Any) -> int:
-        value = _integer(value)
-        return _require(value % 2 == 1 and minimum <= value <= maximum, value)
+        value = accept_whole(value)
+        return _require(value % 2 == 1, value)
 
     return _declare(default, doc, f"an odd number from {minimum} to {maximum}", accept)
 
@@ -163,12 +160,8 @@ def choice(default: str, doc: str, options: Sequence[str]) -> Any:
 
 def choices(default: Sequence[str], doc: str, options: Sequence[str]) -> Any:
     """Declare one or more different words of several."""
-
-    def accept(value: Any) -> Tuple[str, ...]:
-        return _distinct(tuple(_require(word in options, word) for word in _words(value)))
-
-    allowed = "different words of " + ", ".join(options)
-    return _declare(tuple(default), doc, allowed, accept)
+    accept = _different(lambda word: _require(word in options, word))
+    return _declare(tuple(default), doc, "different words of " + ", ".join(options), accept)
 
 
 def text(default: str, doc: str) -> Any:
@@ -208,11 +201,7 @@ def numbers(
 ) -> Any:
     """Declare one or more different finite numbers within limits as of `number`."""
     accept, limits = _within(minimum, above, maximum)
-
-    def accept_all(value: Any) -> Tuple[float, ...]:
-        return _distinct(tuple(map(accept, _words(value))))
-
-    return _declare(tuple(default), doc, f"different numbers{limits}", accept_all)
+    return _declare(tuple(default), doc, f"different numbers{limits}", _different(accept))
 
 
 def mapping(doc: str, *kinds: type) -> Any:
@@ -378,8 +367,24 @@ def _words(value: Any) -> Iterable[Any]:
     return value.split() if isinstance(value, str) else list(value)
 
 
-def _distinct(values: Tuple[Any, ...]) -> Tuple[Any, ...]:
-    return _require(bool(values) and len(set(values)) == len(values), values)
+def _different(accept: Callable[[Any], Any]) -> Callable[[Any], Tuple[Any, ...]]:
+    """Return a function that accepts one or more different values."""
+
+    def accept_all(value: Any) -> Tuple[Any, ...]:
+        values = tuple(map(accept, _words(value)))
+        return _require(bool(values) and len(set(values)) == len(values), values)
+
+    return accept_all
+
+
+def _whole_within(minimum: int, maximum: int) -> Callable[[Any], int]:
+    """Return a function that accepts a whole number within limits."""
+
+    def accept(value: Any) -> int:
+        value = _integer(value)
+        return _require(minimum <= value <= maximum, value)
+
+    return accept
 
 
 def _within(minimum: float, above: float, maximum: float) -> Tuple[Callable[[Any], float], str]:

@@ -73,7 +73,7 @@ class GoalLimits:
             raise GoalDriverError(f"limits {numbers}; all must be finite and > 0")
         least = min(self.tolerance, self.yaw_tolerance)
         if least < LEAST_TOLERANCE:
-            raise GoalDriverError(f"tolerance {least:g}; it must be >= {LEAST_TOLERANCE:g} m or rad")
+            raise GoalDriverError(f"tolerance {least:g}; at least {LEAST_TOLERANCE:g} is needed")
 
 
 class GoalDriver:

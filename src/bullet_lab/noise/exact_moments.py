@@ -121,18 +121,18 @@ def exact_moments(steps: NoisySteps) -> Moments:
     """
     d, s2, unit = steps.trans, steps.variance_trans, steps.direction
     turned, v = steps.variance1 + steps.variance2, _acting_variances(steps)
-    way, faded = d * unit, np.exp(-0.5 * v)
+    step, faded = d * unit, np.exp(-0.5 * v)
     lost = np.expm1(-v)
 
-    earlier = _fading_sum(-way.conj() * lost, np.exp(-0.5 * np.diff(v)))
-    c = s2 - d * d * lost + 2.0 * (way * earlier).real
-    earlier = _from_zero(np.cumsum(way * faded * lost))[:-1]
+    earlier = _fading_sum(-step.conj() * lost, np.exp(-0.5 * np.diff(v)))
+    c = s2 - d * d * lost + 2.0 * (step * earlier).real
+    earlier = _from_zero(np.cumsum(step * faded * lost))[:-1]
     g = unit * unit * (s2 * np.exp(-2.0 * v) + d * d * np.exp(-v) * lost)
-    g += 2.0 * way * faded * earlier
-    heading = 1j * v * way * faded
+    g += 2.0 * step * faded * earlier
+    heading = 1j * v * step * faded
 
     # The mean of P minus the perfect P, without subtracting numbers that are nearly equal.
-    shift = way * np.expm1(-0.5 * v)
+    shift = step * np.expm1(-0.5 * v)
     mean = _from_zero(np.cumsum(shift))
     return Moments(
         np.column_stack([mean.real, mean.imag, np.zeros(len(mean))]),
@@ -192,11 +192,11 @@ def quadratic_covariances(steps: NoisySteps) -> np.ndarray:
     """
     s2, unit = steps.variance_trans, steps.direction
     v = _acting_variances(steps)
-    way = steps.trans * unit
-    bent = way * v * v
+    step = steps.trans * unit
+    bent = step * v * v
     before = _from_zero(np.cumsum(bent))[:-1]
-    c = s2 * v + 0.5 * (bent * way.conj()).real + (way * before.conj()).real
-    g = -s2 * v * unit * unit + 0.5 * bent * way + way * before
+    c = s2 * v + 0.5 * (bent * step.conj()).real + (step * before.conj()).real
+    g = -s2 * v * unit * unit + 0.5 * bent * step + step * before
     c, g = (_from_zero(np.cumsum(terms)) for terms in (c, g))
     return _covariance(c, g, 0.0 * g, 0.0)
 
@@ -276,19 +276,19 @@ def _harmonics(steps: NoisySteps, at: np.ndarray, c: np.ndarray):
     turned = np.concatenate([[0.0], steps.variance2[:-1]]) + steps.variance1
     columns = (turned, steps.trans * steps.direction, steps.variance_trans, steps.direction**2)
     poses = np.arange(1, len(steps) + 1)
-    for pose, turn, way, s2, twice in zip(poses, *(column.tolist() for column in columns)):
+    for pose, turn, step, s2, twice in zip(poses, *(column.tolist() for column in columns)):
         if turn:
             decay = np.exp(turn * rates)
             phi *= decay
             m *= decay[:3]
             s *= decay[1]
             g *= decay[1]
-        if way or s2:
-            s += 2.0 * (way.conjugate() * (m[0] - m[1])).real
-            s += abs(way) ** 2 * (2.0 * phi[1] - phi[0] - phi[2]) + s2 * phi[1]
-            g += 2.0 * way * (m[2] - m[1]) + s2 * twice * phi[3]
-            g += way * way * (phi[3] - 2.0 * phi[2] + phi[1])
-            m += way * (phi[1:] - phi[:3])
+        if step or s2:
+            s += 2.0 * (step.conjugate() * (m[0] - m[1])).real
+            s += abs(step) ** 2 * (2.0 * phi[1] - phi[0] - phi[2]) + s2 * phi[1]
+            g += 2.0 * step * (m[2] - m[1]) + s2 * twice * phi[3]
+            g += step * step * (phi[3] - 2.0 * phi[2] + phi[1])
+            m += step * (phi[1:] - phi[:3])
         for row in np.flatnonzero(at == pose):
             found[:, row] = np.stack([m[1, row], s[row], g[row]])
     last = np.exp(steps.variance2[at - 1][:, None] * rates[1])

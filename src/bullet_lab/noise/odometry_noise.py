@@ -238,11 +238,11 @@ class ProbabilisticRule(NoiseRule):
         return cls(square, 0.1 * square, square, 0.1 * square)
 
     def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
-        turn1, way, turn2 = rot1 * rot1, trans * trans, rot2 * rot2
+        turn1, moved, turn2 = rot1 * rot1, trans * trans, rot2 * rot2
         return (
-            self.alpha1 * turn1 + self.alpha2 * way,
-            self.alpha3 * way + self.alpha4 * (turn1 + turn2),
-            self.alpha1 * turn2 + self.alpha2 * way,
+            self.alpha1 * turn1 + self.alpha2 * moved,
+            self.alpha3 * moved + self.alpha4 * (turn1 + turn2),
+            self.alpha1 * turn2 + self.alpha2 * moved,
         )
 
 

@@ -42,17 +42,17 @@ class RunningMoments:
         variance1, variance_trans, variance2 = variances
         v = self._turned + variance1
         unit = complex(math.cos(direction), math.sin(direction))
-        way, square = trans * unit, trans * trans
+        step, square = trans * unit, trans * trans
         faded, lost = math.exp(-0.5 * v), math.expm1(-v)
 
         self._shared *= math.exp(-0.5 * (v - self._acted))
-        self._spread += variance_trans - square * lost + 2.0 * (way * self._shared).real
+        self._spread += variance_trans - square * lost + 2.0 * (step * self._shared).real
         own = variance_trans * faded**4 + square * faded**2 * lost
-        self._pseudo += unit * unit * own + 2.0 * way * faded * self._mirrored
-        self._with_heading += 1j * v * faded * way
-        self._mean += way * math.expm1(-0.5 * v)
-        self._shared -= way.conjugate() * lost
-        self._mirrored += way * faded * lost
+        self._pseudo += unit * unit * own + 2.0 * step * faded * self._mirrored
+        self._with_heading += 1j * v * faded * step
+        self._mean += step * math.expm1(-0.5 * v)
+        self._shared -= step.conjugate() * lost
+        self._mirrored += step * faded * lost
         self._acted, self._turned = v, v + variance2
 
     def second_moments(self) -> np.ndarray:

@@ -121,12 +121,12 @@ class SystematicErrors:
         Returns:
             The reported ones, shape (..., 3), |dyaw| not wrapped.
         """
-        way, across, turn = np.moveaxis(arcs(steps), -1, 0)
+        ahead, across, turn = np.moveaxis(arcs(steps), -1, 0)
         matrix = self.matrix()
-        drift = self.gyro_bias_per_metre * np.abs(way)
-        new_way = matrix[0, 0] * way + matrix[0, 1] * turn
-        new_turn = matrix[1, 0] * way + matrix[1, 1] * turn + drift
-        return chords(np.stack((new_way, matrix[0, 0] * across, new_turn), axis=-1))
+        drift = self.gyro_bias_per_metre * np.abs(ahead)
+        new_ahead = matrix[0, 0] * ahead + matrix[0, 1] * turn
+        new_turn = matrix[1, 0] * ahead + matrix[1, 1] * turn + drift
+        return chords(np.stack((new_ahead, matrix[0, 0] * across, new_turn), axis=-1))
 
     def path(self, poses) -> np.ndarray:
         """Return the reported path for a true path, bit for bit that of `SystematicPath`.
@@ -139,7 +139,7 @@ class SystematicErrors:
 
 
 def arcs(steps) -> np.ndarray:
-    """Return the arcs from pose to pose: distance, distance across (m) and turn (rad).
+    """Return the arcs from pose to pose: distance ahead, distance across (m) and turn (rad).
 
     Each is the motion at a constant velocity that leads to (dx, dy, dyaw); a robot with two wheels
     does not move across.
@@ -162,11 +162,11 @@ def chords(arcs_) -> np.ndarray:
     >>> chords([np.pi, 0.0, np.pi / 2.0]).round(6)
     array([2.      , 2.      , 1.570796])
     """
-    way, across, turn = np.moveaxis(np.asarray(arcs_, dtype=float), -1, 0)
+    ahead, across, turn = np.moveaxis(np.asarray(arcs_, dtype=float), -1, 0)
     half = 0.5 * turn
     cos, sin, chord = np.cos(half), np.sin(half), np.sinc(half / np.pi)
     return np.stack(
-        (chord * (cos * way - sin * across), chord * (sin * way + cos * across), turn), axis=-1
+        (chord * (cos * ahead - sin * across), chord * (sin * ahead + cos * across), turn), axis=-1
     )
 
 
@@ -230,13 +230,13 @@ class SystematicPath:
         """Return what `SystematicErrors.steps` returns, for floats, and many times as fast."""
         half = 0.5 * dyaw
         cos, sin, chord = math.cos(half), math.sin(half), _sinc(half)
-        way, across = (cos * dx + sin * dy) / chord, (cos * dy - sin * dx) / chord
-        (way_way, way_turn), (turn_way, turn_turn) = self._matrix
-        turn = turn_way * way + turn_turn * dyaw + self._errors.gyro_bias_per_metre * abs(way)
-        way, across = way_way * way + way_turn * dyaw, way_way * across
+        ahead, across = (cos * dx + sin * dy) / chord, (cos * dy - sin * dx) / chord
+        (ahead_ahead, ahead_turn), (turn_ahead, turn_turn) = self._matrix
+        turn = turn_ahead * ahead + turn_turn * dyaw + self._errors.gyro_bias_per_metre * abs(ahead)
+        ahead, across = ahead_ahead * ahead + ahead_turn * dyaw, ahead_ahead * across
         half = 0.5 * turn
         cos, sin, chord = math.cos(half), math.sin(half), _sinc(half)
-        return chord * (cos * way - sin * across), chord * (sin * way + cos * across), turn
+        return chord * (cos * ahead - sin * across), chord * (sin * ahead + cos * across), turn
 
 
 def _sinc(angle: float) -> float:

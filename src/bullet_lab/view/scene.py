@@ -13,10 +13,10 @@ from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tupl
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector
-from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
 from bullet_lab.simulation.rendering.textures import read_pixels
 from bullet_lab.simulation.world.description import Texture, Visual
+from bullet_lab.simulation.world.report import leaving_out
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Sphere
 
 LOG = logging.getLogger(__name__)
@@ -185,6 +185,10 @@ class Polyline:
             node.remove()
         del self._nodes[len(starts) :]
 
+    def remove(self) -> None:
+        """Remove the line."""
+        self.set(np.zeros((0, 3)))
+
     def _set_piece(self, number: int, points: np.ndarray) -> None:
         if number == len(self._nodes):
             name = f"{self._name}/{number}"
@@ -310,12 +314,10 @@ def glb_of(visuals: Sequence[Visual], report: Callable[[str], None] = LOG.warnin
 def _surfaces(visual: Visual, report: Callable[[str], None]) -> Sequence[Surface]:
     if visual.colour[3] <= 0.0:
         return []
-    try:
+    with leaving_out(report):
         found = surfaces_of(visual.geometry, report)
-    except LabError as error:
-        report(str(error))
-        return []
-    return [surface.shown(visual, NO_LIGHT, report) for surface in found]
+        return [surface.shown(visual, NO_LIGHT, report) for surface in found]
+    return []
 
 
 def _mesh(surface: Surface, report: Callable[[str], None]) -> Any:
@@ -348,10 +350,7 @@ def _mesh(surface: Surface, report: Callable[[str], None]) -> Any:
 def _picture(texture: Texture, report: Callable[[str], None]) -> Any:
     import PIL.Image
 
-    try:
+    with leaving_out(report):
         image = PIL.Image.fromarray(read_pixels(texture))
-    except LabError as error:
-        report(str(error))
-        return None
-    image.thumbnail((MAX_TEXTURE_SIDE, MAX_TEXTURE_SIDE))
-    return image
+        image.thumbnail((MAX_TEXTURE_SIDE, MAX_TEXTURE_SIDE))
+        return image

@@ -103,14 +103,12 @@ class PointsDisplay(Display):
     def __init__(self, context: DisplayContext, topic: str):
         super().__init__(context, topic, reader_of(PointCloud2), large=True)
         self._cloud = PointsNode(self._make)
+        self._parts = [self._cloud]
 
     def show(self, message: PointCloud2) -> None:  # noqa: D102 - inherited
         points, colours = points_of(message)
         points = placed(self.context.pose_of(message.header.frame_id), points)
         self._cloud.set(points, colors=colours)
-
-    def hide(self) -> None:  # noqa: D102 - inherited
-        self._cloud.set(())
 
     def _make(self, points: np.ndarray, colors: np.ndarray) -> Any:
         return self.context.scene.add_point_cloud(

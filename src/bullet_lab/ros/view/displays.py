@@ -68,6 +68,8 @@ class Display(ABC):
         self.context = context
         self.node = f"/topics{topic}"
         self._subscription = Subscription(topic, read, large=large)
+        # All that it shows, which `set` of no points hides.
+        self._parts: List[Any] = []
 
     def tick(self) -> None:
         """Show the newest message; raises LabError if it cannot be shown."""
@@ -79,14 +81,11 @@ class Display(ABC):
     def show(self, message: Any) -> None:
         """Show a message as `read` returns it."""
 
-    @abstractmethod
-    def hide(self) -> None:
-        """Show nothing."""
-
     def close(self) -> None:
         """Unsubscribe, and show nothing."""
         self._subscription.close()
-        self.hide()
+        for part in self._parts:
+            part.set(NO_POINTS)
 
 
 def is_noisy(topic: str) -> bool:
@@ -106,16 +105,13 @@ class PathDisplay(Display):
         self._height = PLAN_HEIGHT if self._is_plan else height_of(topic)
         self._line = Polyline(context.scene, self.node, colour)
         self._waypoints = _cloud(context, f"{self.node}/points", colour, 2.0 * POINT_SIZE)
+        self._parts = [self._line, self._waypoints]
 
     def show(self, message: Tuple[str, np.ndarray]) -> None:  # noqa: D102 - inherited
         frame, positions = message
         points = placed(self.context.pose_of(frame), positions) + (0.0, 0.0, self._height)
         self._line.set(points)
         self._waypoints.set(points if self._is_plan else NO_POINTS)
-
-    def hide(self) -> None:  # noqa: D102 - inherited
-        self._line.set(NO_POINTS)
-        self._waypoints.set(NO_POINTS)
 
 
 def read_path(data: bytes) -> Tuple[str, np.ndarray]:
@@ -161,6 +157,7 @@ class OdometryDisplay(Display):
         self._height = height_of(topic)
         self._line = Polyline(context.scene, f"{self.node}/trail", colour)
         self._ellipse = _segments(context, f"{self.node}/ellipse", colour)
+        self._parts = [self._line, self._ellipse]
         self._trail = np.zeros((MAX_TRAIL, 3), np.float32)
         self._count = 0
         self._last: Any = None
@@ -178,11 +175,6 @@ class OdometryDisplay(Display):
         self._extend_trail(position)
         ellipse = _ellipse(covariance[0], covariance[1], covariance[7])
         self._ellipse.set(segments(placed(Pose(position, frame_pose.quaternion), ellipse)))
-
-    def hide(self) -> None:  # noqa: D102 - inherited
-        self._count = 0
-        self._line.set(NO_POINTS)
-        self._ellipse.set(NO_POINTS)
 
     def _extend_trail(self, point: Vector) -> None:
         if self._count and math.dist(self._trail[self._count - 1].tolist(), point) < TRAIL_STEP:
@@ -210,6 +202,7 @@ class ScanDisplay(Display):
     def __init__(self, context: DisplayContext, topic: str):
         super().__init__(context, topic, reader_of(LaserScan))
         self._points = _cloud(context, self.node, LASER, POINT_SIZE)
+        self._parts = [self._points]
 
     def show(self, message: LaserScan) -> None:  # noqa: D102 - inherited
         start, step = message.angle_min, message.angle_increment
@@ -220,9 +213,6 @@ class ScanDisplay(Display):
         hits = (ranges >= message.range_min) & (ranges < message.range_max)
         points = _rays(start, step, count, every)[hits] * ranges[hits, None]
         self._points.set(placed(self.context.pose_of(message.header.frame_id), points))
-
-    def hide(self) -> None:  # noqa: D102 - inherited
-        self._points.set(NO_POINTS)
 
 
 @functools.lru_cache(maxsize=64)
@@ -241,12 +231,13 @@ class RangeDisplay(Display):
     def __init__(self, context: DisplayContext, topic: str):
         super().__init__(context, topic, reader_of(Range))
         self._lines = _segments(context, self.node, SONAR)
+        self._parts = [self._lines]
 
     def show(self, message: Range) -> None:  # noqa: D102 - inherited
         reach = min(message.range, message.max_range)
         # A sensor that measures in all directions has no cone.
         if not (math.isfinite(reach) and reach > 0.0 and message.field_of_view > 0.0):
-            self.hide()
+            self._lines.set(NO_POINTS)
             return
         half = 0.5 * min(message.field_of_view, math.pi)
         level = _directions(np.linspace(-half, half, ARC_POINTS))
@@ -255,9 +246,6 @@ class RangeDisplay(Display):
         pose = self.context.pose_of(message.header.frame_id)
         outlines = [np.concatenate((tip, arc * reach, tip)) for arc in (level, upright)]
         self._lines.set(np.concatenate([segments(placed(pose, line)) for line in outlines]))
-
-    def hide(self) -> None:  # noqa: D102 - inherited
-        self._lines.set(NO_POINTS)
 
 
 class PoseDisplay(Display):
@@ -279,10 +267,10 @@ class PoseDisplay(Display):
         self._axes.position = pose.position
         self._axes.wxyz = wxyz(pose)
 
-    def hide(self) -> None:  # noqa: D102 - inherited
+    def close(self) -> None:  # noqa: D102 - inherited
+        super().close()
         if self._axes is not None:
             self._axes.remove()
-            self._axes = None
 
 
 def _cloud(context: DisplayContext, name: str, colour: Vector, size: float) -> PointsNode:

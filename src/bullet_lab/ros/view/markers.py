@@ -133,7 +133,6 @@ class MarkersDisplay:
         )
         self._labels = Labels(context.scene, f"{self._node}/labels")
         self._nodes: Dict[Key, Any] = {}
-        self._lines: Dict[Key, Polyline] = {}
         # Number of the solids of each marker that is a list of them.
         self._listed: Dict[Key, int] = {}
 
@@ -200,8 +199,6 @@ class MarkersDisplay:
         self._meshes.drop(key)
         if key in self._nodes:
             self._nodes.pop(key).remove()
-        if key in self._lines:
-            self._lines.pop(key).set(np.zeros((0, 3)))
 
     def _show(self, key: Key, marker: Marker) -> None:
         if self.is_hidden(marker):
@@ -236,9 +233,9 @@ class MarkersDisplay:
         self._labels.put(key, marker.text, pose.position)
 
     def _show_strip(self, key: Key, marker: Marker, pose: Pose) -> None:
-        if key not in self._lines:
-            self._lines[key] = Polyline(self._context.scene, self._name(key), marker.colour)
-        self._lines[key].set(placed(pose, marker.points))
+        if key not in self._nodes:
+            self._nodes[key] = Polyline(self._context.scene, self._name(key), marker.colour)
+        self._nodes[key].set(placed(pose, marker.points))
 
     def _show_segments(self, key: Key, marker: Marker, pose: Pose) -> None:
         ends = placed(pose, _whole(marker.points, 2)).reshape(-1, 2, 3)

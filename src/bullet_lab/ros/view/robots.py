@@ -8,11 +8,10 @@ from typing import Any, Dict, FrozenSet, List, Optional, Set, Tuple
 import rospy
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.errors import LabError
 from bullet_lab.ros.node.node import MASTER_ERRORS, TF_PREFIX, NodeError, search_parameter
 from bullet_lab.ros.view.frames import DisplayContext
 from bullet_lab.simulation.world.description import Model, Visual
-from bullet_lab.simulation.world.report import ReportOnce
+from bullet_lab.simulation.world.report import ReportOnce, leaving_out
 from bullet_lab.simulation.world.urdf import read_urdf
 from bullet_lab.srv import DescribeModels
 from bullet_lab.view.scene import Copies, CopyGroups, visual_copies
@@ -137,12 +136,9 @@ class Robots:
 
     def _take(self, name: str, text: str) -> None:
         namespace = name.rpartition("/")[0].strip("/")
-        try:
+        with leaving_out(self._report):
             model = read_urdf(text, name)
-        except LabError as error:
-            self._report(str(error))
-            return
-        self._robots[name] = Description(namespace, tf_prefix(namespace), model)
+            self._robots[name] = Description(namespace, tf_prefix(namespace), model)
 
     def _forget(self, name: str) -> None:
         self._texts.pop(name, None)
