@@ -1,6 +1,7 @@
 """What displays make of the bytes of messages."""
 
 from io import BytesIO
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,10 +17,10 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.view import displays
+from bullet_lab.ros.view import displays, markers
 from bullet_lab.ros.view.displays import OdometryDisplay, ScanDisplay, read_path
 from bullet_lab.ros.view.frames import DisplayContext, read_transforms
-from bullet_lab.ros.view.markers import read_marker, read_markers
+from bullet_lab.ros.view.markers import MarkersDisplay, read_marker, read_markers
 from bullet_lab.ros.view.subscription import MessageError, reader_of
 
 TURN = Quaternion(0.0, 0.0, 0.6, 0.8)
@@ -144,6 +145,19 @@ def test_markers():
     assert (second.mesh, second.scale) == ("package://a/b.dae", (1.0, 2.0, 3.0))
     assert second.colour == (0.5, 0.25, 0.0, 1.0)
     assert read_marker(mesh).pose.position == (1.0, 2.0, 3.0)
+
+
+def test_a_list_with_too_few_colours_has_the_colour_of_the_marker(monkeypatch):
+    marker = Marker(type=Marker.CUBE_LIST, points=[Point()] * 3, colors=[ColorRGBA()])
+    marker.color, marker.scale = ColorRGBA(1.0, 0.5, 0.0, 1.0), Vector3(1.0, 1.0, 1.0)
+    subscription = SimpleNamespace(take=lambda: [[read_marker(marker)]])
+    monkeypatch.setattr(markers, "Subscription", lambda *arguments, **options: subscription)
+    shown = {}
+    scene = SimpleNamespace(
+        add_batched_meshes_simple=lambda name, *_, **arrays: shown.update(arrays)
+    )
+    MarkersDisplay(DisplayContext(scene), "/boxes").tick()
+    assert shown["batched_colors"].tolist() == [[255, 128, 0]] * 3
 
 
 @pytest.mark.parametrize(
