@@ -198,9 +198,11 @@ class DeviceTopics:
             timeout.start()
 
     def _command(self, topic: str, inputs: Sequence[Input], command: Any) -> None:
-        for entry in inputs:
+        # Without a subscriber, the model was deleted just now.
+        subscriber = self._subscribers.get(topic)
+        for entry in inputs if subscriber is not None else ():
             try:
-                if entry.alone and self._subscribers[topic].get_num_connections() > 1:
+                if entry.alone and subscriber.get_num_connections() > 1:
                     raise PluginError("several nodes publish; only one may")
                 entry.handle(command)
             except PluginError as error:

@@ -15,8 +15,7 @@ from typing import Any, Callable, Dict, Iterator, List, Tuple
 import rospy
 from geometry_msgs.msg import Point
 
-from bullet_lab.core.confined import ConfinedFolder
-from bullet_lab.core.files import FileError
+from bullet_lab.core.files import ConfinedFolder, FileError
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription, PluginDescription
