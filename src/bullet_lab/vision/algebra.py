@@ -6,7 +6,6 @@ itself when the cores are busy. OpenCV does not, so its solvers are used here.
 
 from __future__ import annotations
 
-import math
 from typing import Tuple
 
 import cv2
@@ -66,25 +65,15 @@ def homography(corners: np.ndarray) -> np.ndarray:
     >>> homography(corners) @ [0.5, 0.5, 1.0]
     array([3., 2., 1.])
     """
-    # A single quadrilateral goes through plain floats, which are much faster.
-    single = np.ndim(corners) == 2
-    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = (
-        np.asarray(corners).tolist() if single else np.moveaxis(corners, (-2, -1), (0, 1))
-    )
+    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = np.moveaxis(corners, (-2, -1), (0, 1))
     sum_x, sum_y = x0 - x1 + x2 - x3, y0 - y1 + y2 - y3
     dx1, dx2, dy1, dy2 = x1 - x2, x3 - x2, y1 - y2, y3 - y2
     determinant = dx1 * dy2 - dx2 * dy1
-    if single and determinant == 0.0:
-        determinant = math.nan
     g = (sum_x * dy2 - dx2 * sum_y) / determinant
     h = (dx1 * sum_y - sum_x * dy1) / determinant
     numbers = (x1 - x0 + g * x1, x3 - x0 + h * x3, x0, y1 - y0 + g * y1, y3 - y0 + h * y3, y0)
-    if single:
-        return np.array((*numbers, g, h, 1.0)).reshape(3, 3)
-    found = np.empty((*np.shape(x0), 9))
-    for index, number in enumerate((*numbers, g, h, 1.0)):
-        found[..., index] = number
-    return found.reshape(*np.shape(x0), 3, 3)
+    rows = np.array((*numbers, g, h, np.ones_like(g)))
+    return np.ascontiguousarray(rows.T).reshape(*np.shape(g), 3, 3)
 
 
 def mapped(places: np.ndarray, to_image: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Dict, Iterator, List, NamedTuple, Tuple
+from typing import Iterator, NamedTuple, Tuple
 
 import cv2
 import numpy as np
@@ -18,9 +18,6 @@ _RAGGED = 2.2
 _OPEN_RAGGED = 8.0
 # Most labels of 16 bits: OpenCV writes out of bounds with one more.
 _MOST_LABELS = 65534
-# Pieces smaller than this each way are traced together, px.
-_TILE = 24
-_OUTER = cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
 # A contour (n, 1, 2), and the offset of its u and v.
 Placed = Tuple[np.ndarray, Tuple[int, int]]
 
@@ -93,46 +90,10 @@ def contours_of(pieces: DarkPieces, min_side: float, is_open: bool = False) -> I
     fits &= np.minimum(u, v) > 0
     fits &= (u + width < labels.shape[1]) & (v + height < labels.shape[0])
     ragged = _OPEN_RAGGED if is_open else _RAGGED
-    large, most = large[fits], (ragged * extent[fits]).tolist()
-    for placed, longest in zip(_contours(labels, large, stats[large, :4]), most):
-        if len(placed[0]) <= longest:
-            yield placed
-
-
-def _contours(labels: np.ndarray, labelled: np.ndarray, boxes: np.ndarray) -> List[Placed]:
-    """Return the outer contours of pieces that do not reach the edge of the image, in order.
-
-    Args:
-        labels: (h, w) label of each pixel.
-        labelled: (n,) labels of the pieces.
-        boxes: (n, 4) u, v, width, height of each.
-    """
-    contours: Dict[int, Placed] = {}
-    is_small = boxes[:, 2:].max(axis=1, initial=0) < _TILE
-    small, large = np.flatnonzero(is_small), np.flatnonzero(~is_small)
-    if len(small):
-        traced = _small_contours(labels, labelled[small], boxes[small, :2])
-        contours.update(zip(small.tolist(), traced))
-    for k, label, box in zip(large.tolist(), labelled[large].tolist(), boxes[large].tolist()):
-        u, v, width, height = box
+    longest = (ragged * extent[fits]).tolist()
+    for label, most in zip(large[fits].tolist(), longest):
+        u, v, width, height, _ = stats[label].tolist()
         piece = (labels[v : v + height, u : u + width] == label).view(np.uint8)
-        contours[k] = cv2.findContours(piece, *_OUTER)[0][0], (u, v)
-    return [contours[k] for k in range(len(labelled))]
-
-
-def _small_contours(labels: np.ndarray, labelled: np.ndarray, corners: np.ndarray) -> List[Placed]:
-    """Return the contours of pieces smaller than a tile; `corners` (n, 2) are u, v of their boxes.
-
-    All are traced in one image, one below the other: calling OpenCV for each takes longer than
-    tracing it.
-    """
-    height, width = labels.shape
-    rows, columns = min(_TILE, height), min(_TILE, width)
-    # The last row of a tile is empty, as no piece reaches the last row of the image.
-    corners = np.minimum(corners, (width - columns, height - rows))
-    shape = (height - rows + 1, width - columns + 1, rows, columns)
-    windows = np.ndarray(shape, labels.dtype, labels, strides=labels.strides * 2)
-    tiles = windows[corners[:, 1], corners[:, 0]] == labelled.astype(labels.dtype)[:, None, None]
-    below = cv2.findContours(tiles.reshape(-1, columns).view(np.uint8), *_OUTER)[0]
-    contours = {int(contour[0, 0, 1]) // rows: contour for contour in below}
-    return [(contours[k], (u, v - rows * k)) for k, (u, v) in enumerate(corners.tolist())]
+        contours, _ = cv2.findContours(piece, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        if len(contours[0]) <= most:
+            yield contours[0], (u, v)

@@ -139,7 +139,7 @@ def _moves(
 ) -> np.ndarray:
     """Return the moves (n, 8) of edges along their normals, by the coefficients of `moves_of`."""
     third = (places @ to_image[2, :2] + to_image[2, 2])[:, None]
-    along = (across @ to_image[:2, :2] - (across * points).sum(axis=1)[:, None] * to_image[2, :2])
+    along = across @ to_image[:2, :2] - (across * points).sum(axis=1)[:, None] * to_image[2, :2]
     along /= third
     x, y = (places - 0.5).T
     planes = np.stack((np.ones(len(x)), x, y), axis=1)
