@@ -39,13 +39,19 @@ def grey(pixels: np.ndarray, encoding: str = "") -> np.ndarray:
     """
     pixels = np.asarray(pixels)
     if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or min(pixels.shape[:2]) < LEAST_EDGE:
-        raise VisionError(f"no image: an array of shape {pixels.shape} and type {pixels.dtype}")
+        raise VisionError(
+            f"no image: an array of shape {pixels.shape} and type {pixels.dtype}; it must be uint8, "
+            f"(h, w), (h, w, 3) or (h, w, 4), and {LEAST_EDGE} px or more each way"
+        )
     if pixels.ndim == 2 or pixels.shape[2] == 1:
         return np.ascontiguousarray(pixels.reshape(pixels.shape[:2]))
     known = {3: ("bgr8", "rgb8"), 4: ("bgra8", "rgba8")}.get(pixels.shape[2], ())
     encoding = encoding or next(iter(known), "")
     if encoding not in known:
-        raise VisionError(f"an image of {pixels.shape[2]} channels is not {encoding or 'known'}")
+        raise VisionError(
+            f"encoding '{encoding}' does not fit an image of {pixels.shape[2]} channels; "
+            "rgb8 and bgr8 have 3, rgba8 and bgra8 have 4"
+        )
     return cv2.cvtColor(pixels, _TO_GREY[encoding])
 
 

@@ -85,11 +85,11 @@ class DetectorSettings:
         for name, (low, high) in _ALLOWED.items():
             value = getattr(self, name)
             if not math.isfinite(value) or not low <= value <= high:
-                raise VisionError(f"{name} is {value}: it must be from {low:g} to {high:g}")
+                raise VisionError(f"{name} is {value}; it must be from {low:g} to {high:g}")
         count = len(dictionary_named(self.dictionary).codes)
         wrong = [marker for marker in self.ids if not 0 <= marker < count]
         if wrong:
-            raise VisionError(f"{self.dictionary} has no marker {wrong[0]}, only 0 to {count - 1}")
+            raise VisionError(f"{self.dictionary} has no marker {wrong[0]}; its ids are 0 to {count - 1}")
 
 
 @dataclass(frozen=True)
