@@ -28,7 +28,6 @@ from bullet_lab.docking.geometry import MarkerVisibility, clearance, wall_boxes
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.odometry import MotionStep, OdometryBuffer, motion_step
 from bullet_lab.docking.types import CameraMount, DockingSettings, Observation, Odometry, Sighting
-from bullet_lab.vision.dictionaries import simple_name
 
 PARTICLES = 600
 # Of those that no miss rules out, and their share of what is thinkable where the robot drives: ways
@@ -355,14 +354,12 @@ class DockBelief:
         self._estimated = None
 
     def _shows_marker(self, sighting: Sighting) -> bool:
-        marker, camera = self._dock.marker, self._camera
-        names = simple_name(sighting.dictionary), simple_name(marker.dictionary)
-        if sighting.id != marker.id or names[0] != names[1]:
+        if not self._dock.marker.is_shown_by(sighting):
             return False
         corners = np.asarray(sighting.corners, dtype=float)
         if corners.shape != (4, 2) or not np.isfinite(corners).all():
             return False
-        return _inside(corners, camera) >= _BORDER and extent_of(corners) >= _SMALLEST
+        return _inside(corners, self._camera) >= _BORDER and extent_of(corners) >= _SMALLEST
 
     def _associate(self, sightings: List[Sighting], view: Viewpoint, stamp: float) -> None:
         """Give each sighting to the track that it fits best, or begin a new one with it."""

@@ -14,7 +14,9 @@ import yaml
 from bullet_lab.core import parameters
 from bullet_lab.core.parameters import ParameterError, declarations
 from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.docking.types import Sighting
 from bullet_lab.errors import LabError
+from bullet_lab.vision.dictionaries import simple_name
 
 _FILE_LIMIT = 1_000_000
 # Which of the streams that a seed spawns the error of a pose comes from.
@@ -65,6 +67,12 @@ class DockMarker:
     id: int = parameters.integer(MISSING, "of the marker in it", 0)
     size: float = _number("edge of its black square, m", 0.01, 5.0)
     height: float = _number("of its middle, m", 0.0, 5.0)
+
+
+    def is_shown_by(self, sighting: Sighting) -> bool:
+        """Return whether a sighting has this marker's id and dictionary."""
+        same = simple_name(sighting.dictionary) == simple_name(self.dictionary)
+        return same and sighting.id == self.id
 
 
 @dataclass(frozen=True)

@@ -386,22 +386,31 @@ def extent_of(corners: np.ndarray) -> float:
     return float(np.mean(diagonals)) / math.sqrt(2.0)
 
 
-def innovations(start, x, p, sizes, corners, view: Viewpoint, noise: CornerNoise):
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """The corners of a marker in one image."""
+
+    corners: np.ndarray  #: (4, 2) px
+    view: Viewpoint  #: the camera
+    noise: CornerNoise  #: of the corners
+
+
+def innovations(start, x, p, sizes, measured: Measurement):
     """Compare corners with states `start` of covariance `p`, linearised at states `x`.
 
     Returns:
-        What is left to explain (n, 8) px, its derivatives by the state (n, 8, 20), its covariance
-        (n, 8, 8), and where the corners are seen (n, 8) px, as `predict` says.
+        Innovations (n, 8) px, their derivatives by the state (n, 8, 20), their covariance
+        (n, 8, 8), and the corners (n, 8) px that `predict` returns.
     """
-    predicted, by_state, tilts = predict(x, sizes, view)
+    predicted, by_state, tilts = predict(x, sizes, measured.view)
     seen, bad = predicted, ~np.isfinite(predicted).all(axis=1)
     if bad.any():
         seen = predicted.copy()
         seen[bad], by_state[bad], tilts[bad] = 1e4, 0.0, 0.0
     off = start - x
     off[:, 2] = wrap(off[:, 2])
-    rest = corners.reshape(8) - seen - applied(by_state, off)
-    covariance = noise.covariance(extent_of(corners), tilts)
+    rest = measured.corners.reshape(8) - seen - applied(by_state, off)
+    covariance = measured.noise.covariance(extent_of(measured.corners), tilts)
     covariance = covariance + by_state @ p @ by_state.transpose(0, 2, 1)
     return rest, by_state, covariance, predicted
 
@@ -423,29 +432,24 @@ def applied(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return (matrices @ vectors[..., None])[..., 0]
 
 
-def iterated_update(
-    start, p, sizes, corners, view: Viewpoint, noise: CornerNoise, rounds: int = 3, hidden=()
-):
-    """Take corners (4, 2) px into account (Bell and Cathey 1993: Gauss and Newton's steps).
+def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hidden=()):
+    """Update states by corners in an image (Bell and Cathey 1993: Gauss-Newton steps).
 
     Args:
         start: (n, 20) states.
         p: (n, 20, 20) their covariances.
         sizes: (n,) m.
-        corners: as seen by the camera of `view`, with `noise`.
-        view: that camera.
-        noise: theirs.
-        rounds: linearisations, at most.
-        hidden: numbers of corners that say nothing.
+        measured: the corners.
+        rounds: most linearisations.
+        hidden: indices of corners that do not count.
 
     Returns:
         States (n, 20), covariances (n, 20, 20), squared Mahalanobis distances of the corners (n,)
         and logarithms of the determinants of their covariances (n,).
     """
-    corners = np.asarray(corners, dtype=float)
     x = start
     for number in range(rounds):
-        rest, by_state, covariance, _ = innovations(start, x, p, sizes, corners, view, noise)
+        rest, by_state, covariance, _ = innovations(start, x, p, sizes, measured)
         for corner in hidden:
             covariance[:, 2 * corner, 2 * corner] += _HIDDEN**2
             covariance[:, 2 * corner + 1, 2 * corner + 1] += _HIDDEN**2
@@ -461,28 +465,21 @@ def iterated_update(
     return x, left, squared_distances(rest, covariance), np.linalg.slogdet(covariance)[1]
 
 
-def robust_update(
-    start,
-    p,
-    sizes,
-    corners,
-    view: Viewpoint,
-    noise: CornerNoise,
-    rounds: int = 3,
-    judges=slice(None),
-):
-    """Do as `iterated_update`, and without one of the corners where that alone explains the image.
+def robust_update(start, p, sizes, measured: Measurement, rounds: int = 3, judges=slice(None)):
+    """Do as `iterated_update`, but leave out a corner if that alone explains the image.
 
-    Something before a corner moves it by pixels, and leaves the others where they are. Only what
-    the `judges` among the states say of it counts: what is hardly thinkable may explain anything.
+    Something before a corner moves it by pixels, and leaves the others where they are. Only the
+    `judges` among the states decide: very unlikely ones may explain anything.
     """
-    given = start, p, sizes, corners, view, noise, rounds
+    given = start, p, sizes, measured, rounds
     best = whole = iterated_update(*given)
-    if np.min(whole[2][judges]) < _SUSPICIOUS:
+    least = np.min(whole[2][judges])
+    if least < _SUSPICIOUS:
         return whole
+    limit = _EXPLAINED * least
     for corner in range(4):
         without = iterated_update(*given, hidden=(corner,))
-        least = np.min(without[2][judges])
-        if least < min(np.min(best[2][judges]), _EXPLAINED * np.min(whole[2][judges])):
-            best = without
-    return best if np.min(best[2][judges]) < _SUSPICIOUS else whole
+        found = np.min(without[2][judges])
+        if found < min(least, limit):
+            best, least = without, found
+    return best if least < _SUSPICIOUS else whole

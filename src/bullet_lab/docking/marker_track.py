@@ -26,6 +26,7 @@ from bullet_lab.docking.filter import (
     UNKNOWN_ODOMETRY,
     CornerNoise,
     GaussianPose,
+    Measurement,
     Viewpoint,
     applied,
     as_known,
@@ -160,7 +161,8 @@ class MarkerTrack:
         # Of which states, and what became of the real ones: asked for many times at each tick.
         self._known: Tuple = (None, ())
         self._extent = extent_of(corners)
-        self._start(np.asarray(corners, dtype=float), view, prior, CornerNoise(noise, deviations))
+        corners = np.asarray(corners, dtype=float)
+        self._start(Measurement(corners, view, CornerNoise(noise, deviations)), prior)
 
     def estimate(self) -> Optional[GaussianPose]:
         """Return the pose if it is real; None if that is out of the question."""
@@ -258,10 +260,8 @@ class MarkerTrack:
 
         And the (4, 2) corners as that one predicts them; NaN if behind the camera.
         """
-        noise = CornerNoise(self._noise, deviations)
-        rest, _, covariance, seen = innovations(
-            self._x, self._x, self._p, self._sizes, corners, view, noise
-        )
+        measured = Measurement(corners, view, CornerNoise(self._noise, deviations))
+        rest, _, covariance, seen = innovations(self._x, self._x, self._p, self._sizes, measured)
         squares = squared_distances(rest, covariance)
         best = int(np.argmin(squares))
         return float(squares[best]), seen[best].reshape(4, 2)
@@ -286,7 +286,7 @@ class MarkerTrack:
         corners = np.asarray(corners, dtype=float)
         self._extent = extent_of(corners)
         noise = CornerNoise(self._noise, deviations, self._repeated_here(self._extent))
-        seen = corners, view, noise, 3, self._likely()
+        seen = Measurement(corners, view, noise), 3, self._likely()
         x, p, squares, logs = robust_update(self._x, self._p, self._sizes, *seen)
         if np.min(squares) > _OUTLIER:
             self._outliers += 1
@@ -362,7 +362,8 @@ class MarkerTrack:
         self._weights = self._within * shares[self._scale] / np.sum(shares)
         self.real = float(np.sum(self._weights[self._scale == 0]))
 
-    def _start(self, corners, view: Viewpoint, prior: GaussianPose, noise: CornerNoise) -> None:
+    def _start(self, measured: Measurement, prior: GaussianPose) -> None:
+        corners, view = measured.corners, measured.view
         ray, reach = view.line_of_sight(corners, self._size)
         count = len(_SLANTS)
         scale = np.repeat(np.arange(len(SCALES)), count)
@@ -383,7 +384,7 @@ class MarkerTrack:
         covariance[:, CORNERS, CORNERS] = OFF_CORNER**2 * np.eye(8)
         covariance[:, ODOMETRY, ODOMETRY] = np.diag(UNKNOWN_ODOMETRY**2)
         self._scale, self._sizes = scale, sizes
-        fitted = robust_update(states, covariance, sizes, corners, view, noise, rounds=6)
+        fitted = robust_update(states, covariance, sizes, measured, rounds=6)
         self._x, self._p, squares, _ = fitted
         unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
         self._fuse(prior)

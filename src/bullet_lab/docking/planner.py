@@ -15,15 +15,9 @@ from bullet_lab.docking.control import AxisTracker, Lane
 from bullet_lab.docking.costmap import Costmap, along
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose
-from bullet_lab.docking.geometry import (
-    QUIET_ZONE,
-    MarkerVisibility,
-    clearance,
-    misfit,
-    wall_boxes,
-)
+from bullet_lab.docking.geometry import QUIET_ZONE, clearance, misfit, wall_boxes
 from bullet_lab.docking.marker_track import MarkerTrack
-from bullet_lab.docking.next_best_view import NextView, next_best_view
+from bullet_lab.docking.search import MarkerSearch, NextView
 from bullet_lab.docking.types import (
     STANDSTILL,
     CameraMount,
@@ -36,12 +30,15 @@ from bullet_lab.docking.types import (
 )
 from bullet_lab.errors import LabError
 
+# Poses of the dock that a costmap is made of.
 _SAMPLES = 120
 _RISKY = 0.03
 _PROBE = 0.6
 # m; a way that comes nearer to a wall than the robot stands by so much is looked at from its start.
 _NEARER_WALL = 0.01
 _MOST_PROBES = 6
+# After so many doubts whether a track is real, a small probability is enough.
+_MOST_DOUBTS = 3
 # Between the walls' front edges and the circle in which the robot turns, at the least, in m.
 _ROOM_TO_TURN = 0.17
 # Standard deviation of the yaw, as a share of the tolerance, above which it drives in once more,
@@ -54,13 +51,6 @@ _ASIDE, _FARTHEST_ASIDE = 0.85, math.radians(35.0)
 _AS_FAR = 0.95
 # How far apart, in m along the dock's axis, two prints on one wall may seem.
 _SAME_PLANE = 0.2
-# Looks for a larger print, where the marker itself is too small to be found from outside: how
-# many, from how far (m), how wide that may be (half, by the opening), and the share of such looks
-# that miss it.
-_MOST_FAR_LOOKS = 14
-_FAR, _NEARER, _NEAREST = 4.5, 0.87, 2.6
-_WIDEST_PRINT = 0.42
-_FAR_MISSED = 0.3
 
 
 class DockingFailureError(LabError):
@@ -81,6 +71,7 @@ class DockingPlanner:
         retries: how often it retreated to try again.
         stagings: how often it went for a better start.
         unclear: how often a way in was given up as the axis was not known well enough.
+        doubts: how often a track was not certain enough to follow it between the walls.
         lost_at_the_end: whether the marker was not found any more where the way ends.
         ahead: m, of the camera before the robot's middle.
     """
@@ -99,6 +90,7 @@ class DockingPlanner:
         self.shape, self.search, self.max_retries = shape, search, max_retries
         self.lane = Lane(dock, shape, settings.wall_margin, mount.x)
         self.tracker = AxisTracker(settings, mount.x)
+        self.lookout = MarkerSearch(dock, belief, settings, mount.x)
         self.ahead, self._mount = mount.x, mount
         self.now = 0.0
         self._at_rest_since: Optional[float] = None
@@ -106,11 +98,8 @@ class DockingPlanner:
         self.lost_at_the_end = False
         self._boxes = wall_boxes(dock)
         self._camera = np.array([mount.x, 0.0, 0.0])
-        self._doubts = self._far_looks = self._probes = 0
-        self._far_range = _FAR
-        self._far_visibility: Optional[MarkerVisibility] = None
-        self._cue: Tuple[Optional[MarkerTrack], int] = (None, 0)
-        self._asked: Tuple[Optional[MarkerTrack], int] = (None, 0)
+        self.doubts = self._probes = 0
+        self._noted: Tuple[Optional[MarkerTrack], int] = (None, 0)
 
     def commanded(self, command: Command) -> None:
         """Take note of the command (m/s, rad/s) that is in force now."""
@@ -166,24 +155,25 @@ class DockingPlanner:
         """Return the dock's pose in the robot's frame; None before the marker was seen."""
         return None if self.belief.odometry.last is None else self.belief.estimate()
 
-    def sure(self, track: MarkerTrack) -> bool:
-        """Say whether a track may be driven at between the walls; asked for, it counts."""
-        if track.real >= self.settings.sure or (self._doubts >= 3 and track.real > 0.2):
+    def is_sure(self, track: MarkerTrack) -> bool:
+        """Return whether a track is certain enough to follow it between the walls.
+
+        After a few doubts, less certainty is asked for.
+        """
+        if track.real >= self.settings.sure or (self.doubts >= _MOST_DOUBTS and track.real > 0.2):
             return True
         copy, walls = self.belief.copy_on_the_wall(), self.dock.walls
         if track.real > 0.5 and copy is not None and walls is not None:
             # Is it, if real, where a larger copy says that the dock's back wall is?
             off = np.abs(se2.between(copy.likeliest().mean, track.likeliest().mean))
-            if off[0] < _SAME_PLANE and off[1] < 0.5 * walls.opening:
-                return True
-        self._doubts += 1
+            return off[0] < _SAME_PLANE and off[1] < 0.5 * walls.opening
         return False
 
-    def has_learnt(self) -> bool:
-        """Say whether the track to go for was seen since this was last asked of it."""
+    def note_progress(self) -> bool:
+        """Note how often the best track was seen; return whether it was since the last note."""
         track = self.belief.best()
-        known, frames = self._asked
-        self._asked = track, track.frames
+        known, frames = self._noted
+        self._noted = track, track.frames
         return track is not known or track.frames - frames >= self.settings.measure_frames
 
     def unsure_of_yaw(self) -> bool:
@@ -316,70 +306,6 @@ class DockingPlanner:
                 return way
         return 0.0
 
-    def chance_to_see(self) -> float:
-        """Return the probability that an image taken now would show the marker, or its copy."""
-        particles = self.belief.particles
-        visibility = self._far_visibility or self.belief.visibility
-        visible = visibility.visible(se2.between(particles.poses, self._camera))
-        return float(particles.weights @ visible)
-
-    def add_miss(self) -> None:
-        """Learn from a look that found nothing."""
-        looks = [(self.belief.visibility, self.settings.missed, True)]
-        if self._far_visibility is not None and not self.belief.copies_seen():
-            looks.append((self._far_visibility, _FAR_MISSED, False))
-        particles = self.belief.particles
-        for visibility, missed, counts in looks:
-            cameras = se2.between(particles.poses, self._camera)
-            particles.add_miss(visibility.found(cameras, particles.reach), missed, counts)
-
-    def use_cue(self) -> bool:
-        """Narrow the belief by a copy that can only be on the dock's back wall; say if there is.
-
-        A copy within the thinkable docks cannot be elsewhere: the dock fills that place.
-        """
-        found = self.belief.copy_on_the_wall()
-        if found is None:
-            return False
-        used, frames = self._cue
-        if used is not found or found.frames > 1.3 * frames:
-            self._cue = found, found.frames
-            walls = self.dock.walls
-            play = 0.1 if walls is None else 0.5 * (walls.opening - found.likeliest_size())
-            self.belief.concentrate(found.likeliest(), max(play, 0.03))
-        return True
-
     def next_view(self) -> Optional[NextView]:
-        """Return where to look next; None if nothing can be seen from a safe place.
-
-        Where the marker cannot, from too far for it: for what else may tell where the dock is. A
-        larger print on the back wall is hidden by the walls sooner than the marker. Once
-        something was seen, each look is nearer than the one before: its size shows on the way.
-        """
-        view = self._next_view(self.belief.visibility)
-        walls = self.dock.walls
-        half = 0.0 if walls is None else _WIDEST_PRINT * walls.opening
-        while view is None and self._far_looks < _MOST_FAR_LOOKS:
-            self._far_looks += 1
-            if self.belief.copies_seen():
-                self._far_range = max(_NEARER * self._far_range, _NEAREST)
-            self._far_visibility = self.belief.visibility.up_to(self._far_range, half)
-            view = self._next_view(self._far_visibility)
-            if view is None:
-                self._far_range = _FAR
-        return view
-
-    def _next_view(self, visibility: MarkerVisibility) -> Optional[NextView]:
-        costmap = self.costmap()
-        docks, reach = self.belief.particles.looks(_SAMPLES)
-        return next_best_view(
-            self.belief.pose,
-            costmap,
-            se2.compose(self.belief.pose, docks),
-            reach,
-            visibility,
-            self.ahead,
-            self.settings.drive_speed,
-            self.settings.turn_speed,
-            self.still_safe,
-        )
+        """Return where to look next; None if nothing can be seen from a safe place."""
+        return self.lookout.next_view(self.costmap, self.still_safe)

@@ -81,13 +81,13 @@ class Look(State):
         return self._elsewhere(planner) if enough and planner.settled() else STANDSTILL
 
     def _elsewhere(self, planner: DockingPlanner) -> Outcome:
-        planner.add_miss()
+        planner.lookout.add_miss()
         if not planner.search:
             raise DockingFailureError(DockingError.NOT_DETECTED, "the marker is not in sight")
         if planner.belief.particles.mass < planner.settings.give_up_mass:
             message = "the marker is not where the dock may be"
             raise DockingFailureError(DockingError.NOT_DETECTED, message)
-        if planner.belief.copies_seen() and not planner.use_cue():
+        if planner.belief.copies_seen() and not planner.lookout.use_cue():
             way = planner.probing_way()
             if way:
                 return Outcome("size unknown", (way,))
@@ -127,7 +127,7 @@ class Travel(Drive):
         self._heading = heading
 
     def wants_images(self, planner: DockingPlanner) -> bool:  # noqa: D102 - inherited
-        return planner.chance_to_see() > 0.05
+        return planner.lookout.chance_to_see() > 0.05
 
     def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         if planner.belief.best() is not None:
@@ -224,7 +224,7 @@ def decide(planner: DockingPlanner) -> Outcome:
     robot = estimate.robot
     within = planner.lane.within_walls(robot)
     left = planner.left(robot)
-    if within and not planner.sure(track):
+    if within and _is_doubtful(planner, track):
         return _back_out(planner, left, 0.35)
     if planner.lane.holds(robot, left, estimate.lateral_deviation):
         return Outcome("in the lane")
@@ -234,7 +234,7 @@ def decide(planner: DockingPlanner) -> Outcome:
     way = planner.way_to_staging(estimate)
     if way is not None:
         return Outcome("off the lane", (PathFollower(way, planner.settings),))
-    if not planner.has_learnt():
+    if not planner.note_progress():
         # It was not seen on the last such drive: from where is it seen?
         planner.belief.forget(track)
         return Outcome("lost")
@@ -247,13 +247,21 @@ def decide(planner: DockingPlanner) -> Outcome:
     return Outcome("size unknown", (probe, False))
 
 
+def _is_doubtful(planner: DockingPlanner, track: MarkerTrack) -> bool:
+    """Return whether a track may not be followed between the walls, and count the doubt."""
+    if planner.is_sure(track):
+        return False
+    planner.doubts += 1
+    return True
+
+
 def _back_out(planner: DockingPlanner, left: float, further: float) -> Outcome:
     """Return the way back on the axis for a better start; it costs one drive to the staging point.
 
     It goes out of sight of a small marker where it must: what a larger copy tells needs the way.
     """
     _count_staging(planner, "no way into the dock is found")
-    if not planner.has_learnt():
+    if not planner.note_progress():
         # The same again would end the same: where is a better place to see it from?
         planner.belief.forget(planner.belief.best())
         return Outcome("lost")
@@ -329,7 +337,7 @@ class Approach(State):
             return _look_aside(planner, estimate) or _back_out(planner, left, 0.5)
         if planner.lane.within_walls(robot) and not self._entered:
             self._entered = True
-            if not planner.sure(track):
+            if _is_doubtful(planner, track):
                 return _back_out(planner, left, 0.35)
         return planner.tracker.forwards(robot, left)
 

@@ -40,8 +40,8 @@ def grey(pixels: np.ndarray, encoding: str = "") -> np.ndarray:
     pixels = np.asarray(pixels)
     if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or min(pixels.shape[:2]) < LEAST_EDGE:
         raise VisionError(
-            f"no image: an array of shape {pixels.shape} and type {pixels.dtype}; it must be uint8, "
-            f"(h, w), (h, w, 3) or (h, w, 4), and {LEAST_EDGE} px or more each way"
+            f"no image: an array of shape {pixels.shape} and type {pixels.dtype}; it must be "
+            f"uint8, (h, w), (h, w, 3) or (h, w, 4), and {LEAST_EDGE} px or more each way"
         )
     if pixels.ndim == 2 or pixels.shape[2] == 1:
         return np.ascontiguousarray(pixels.reshape(pixels.shape[:2]))

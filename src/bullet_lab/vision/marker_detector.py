@@ -89,7 +89,8 @@ class DetectorSettings:
         count = len(dictionary_named(self.dictionary).codes)
         wrong = [marker for marker in self.ids if not 0 <= marker < count]
         if wrong:
-            raise VisionError(f"{self.dictionary} has no marker {wrong[0]}; its ids are 0 to {count - 1}")
+            known = f"its ids are 0 to {count - 1}"
+            raise VisionError(f"{self.dictionary} has no marker {wrong[0]}; {known}")
 
 
 @dataclass(frozen=True)
