@@ -124,7 +124,7 @@ def graceful_command(target, settings: GracefulSettings, backwards: bool = False
     v = fastest / (1.0 + settings.beta * abs(curvature) ** settings.lambda_)
     v = max(min(v, fastest * r / settings.slowdown_radius), settings.v_linear_min)
     w = clip(curvature * v, settings.v_angular_max)
-    # What is too fast to turn is driven more slowly, on the same arc.
+    # If the turn is too fast, drive the same arc more slowly.
     v = w / curvature if curvature else v
     return (-v if backwards else v), w + 0.0
 
@@ -162,7 +162,7 @@ class GracefulTask(WatchedTask):
         seed: int = 0,
     ):
         robot = DockingSettings()
-        # It is never shown an image: what it knows of the dock is the database's.
+        # The belief gets no images: it knows the database only.
         self._belief = DockBelief(dock, dock_pose, mount, robot, np.random.default_rng(seed))
         super().__init__("docked", self._belief.odometry, robot, time_limit)
         self._planner = DockingPlanner(dock, self._belief, mount, RobotShape(), robot, False, 0)
@@ -175,27 +175,27 @@ class GracefulTask(WatchedTask):
         self._detected: Optional[np.ndarray] = None
         self._detected_at = -math.inf
         self._way: Optional[PathFollower] = None
-        self._stage: Callable[[float], Optional[Command]] = self._navigate
+        self._phase: Callable[[float], Optional[Command]] = self._navigate
         self._since = 0.0
         self._retries = 0
 
     @property
     def wants_images(self) -> bool:
         """Whether an image would be used now."""
-        return self.result is None and self._stage != self._navigate
+        return self.result is None and self._phase != self._navigate
 
     def add_odometry(self, odometry: Odometry) -> None:
-        """Take the next message of odometry; what cannot be ends the docking."""
+        """Take the next message of odometry; an impossible one ends the docking."""
         if self.result is not None or not self._accept(odometry):
             return
-        if self._stage == self._navigate:
+        if self._phase == self._navigate:
             self._belief.add_odometry(odometry)
             self._belief.stands_free(self._planner.shape.half_width)
         else:
             self._odometry.add(odometry)
 
     def add_observation(self, observation: Observation) -> None:
-        """Take what was seen in an image: of what shows the marker, what fits best is the dock."""
+        """Take the sightings in an image: the one that fits best is the dock."""
         then = None if self.result is not None else self._odometry.pose_at(observation.stamp)
         if then is None:
             return
@@ -214,7 +214,7 @@ class GracefulTask(WatchedTask):
                     best, self._detected, self._detected_at = away, found, observation.stamp
 
     def _advance(self, stamp: float) -> Optional[Command]:
-        return None if self._odometry.last is None else self._stage(stamp)
+        return None if self._odometry.last is None else self._phase(stamp)
 
     def _navigate(self, stamp: float) -> Command:
         """Drive to the staging pose."""
@@ -274,12 +274,12 @@ class GracefulTask(WatchedTask):
             raise DockingFailureError(DockingError.CONTROL_FAILED, message)
         return graceful_command(target, law, backwards=True)
 
-    def _go_on(self, stage: Callable[[float], Optional[Command]], stamp: float) -> Command:
-        self._stage, self._since = stage, stamp
+    def _go_on(self, phase: Callable[[float], Optional[Command]], stamp: float) -> Command:
+        self._phase, self._since = phase, stamp
         return STANDSTILL
 
     def _refine(self, stamp: float) -> bool:
-        """Filter the newest detection into the dock's pose; say whether there is one."""
+        """Filter the newest detection into the dock's pose; return whether there is one."""
         if stamp - self._detected_at > self._law.external_detection_timeout:
             return False
         self._filter.update(self._detected, self._detected_at)

@@ -1,4 +1,4 @@
-"""Planner of a docking: where the robot is, what it may do there, and which ways are safe."""
+"""Planner of a docking: estimates for the states to decide by, and safe paths."""
 
 from __future__ import annotations
 
@@ -32,29 +32,35 @@ from bullet_lab.errors import LabError
 
 # Poses of the dock that a costmap is made of.
 _SAMPLES = 120
+# Share of the possible docks that a robot may touch.
 _RISKY = 0.03
+# Length of a drive that shows the size of a print, m.
 _PROBE = 0.6
-# m; a way that comes nearer to a wall than the robot stands by so much is looked at from its start.
+# A path is unsafe from its start if it leads nearer to a wall than the robot is, by so much, m.
 _NEARER_WALL = 0.01
 _MOST_PROBES = 6
 # After so many doubts whether a track is real, a small probability is enough.
 _MOST_DOUBTS = 3
-# Between the walls' front edges and the circle in which the robot turns, at the least, in m.
+# Least distance of the circle in which the robot turns from the walls' front edges, m.
 _ROOM_TO_TURN = 0.17
-# Standard deviation of the yaw, as a share of the tolerance, above which it drives in once more,
-# and how often; and the last bit of the way (m) that it goes without seeing the marker.
-_UNSURE, _MOST_ROUNDS = 0.4, 2
+# Standard deviation of the yaw, as a share of the tolerance, above which the robot drives in once
+# more, and how often at most.
+_UNSURE = 0.4
+_MOST_ROUNDS = 2
+# Last part of the approach that may be driven without seeing the marker, m.
 _BLIND = 0.12
-# To look at a marker from beside its axis: as a part of how far the walls let it be seen, and rad.
-_ASIDE, _FARTHEST_ASIDE = 0.85, math.radians(35.0)
-# From this part of the way from which the marker was found it is found again.
+# Angle from the axis at which the marker is viewed from aside: share of the angle at which the
+# walls begin to hide it, and most, rad.
+_ASIDE = 0.85
+_FARTHEST_ASIDE = math.radians(35.0)
+# Share of the distance at which the marker was found from which it is found again.
 _AS_FAR = 0.95
-# How far apart, in m along the dock's axis, two prints on one wall may seem.
+# Most distance of two prints on one wall along the dock's axis, m.
 _SAME_PLANE = 0.2
 
 
 class DockingFailureError(LabError):
-    """The docking ends here, for a reason with a name."""
+    """The docking has failed; `error` is the reason."""
 
     def __init__(self, error: DockingError, message: str):
         super().__init__(message)
@@ -62,7 +68,7 @@ class DockingFailureError(LabError):
 
 
 class DockingPlanner:
-    """Knows the dock as far as it is known, and which ways are safe; the states share it.
+    """Estimates, counters and safe paths of a docking, which its states share.
 
     Attributes:
         search: whether to look for the marker where it is not seen at once.
@@ -70,9 +76,9 @@ class DockingPlanner:
         now: stamp of the tick, s.
         retries: how often it retreated to try again.
         stagings: how often it went for a better start.
-        unclear: how often a way in was given up as the axis was not known well enough.
+        unclear: how often an approach was given up as the axis was not known well enough.
         doubts: how often a track was not certain enough to follow it between the walls.
-        lost_at_the_end: whether the marker was not found any more where the way ends.
+        lost_at_the_end: whether the marker was lost at the end of the approach.
         ahead: m, of the camera before the robot's middle.
     """
 
@@ -102,19 +108,19 @@ class DockingPlanner:
         self._noted: Tuple[Optional[MarkerTrack], int] = (None, 0)
 
     def commanded(self, command: Command) -> None:
-        """Take note of the command (m/s, rad/s) that is in force now."""
+        """Note the command (m/s, rad/s) that is in force now."""
         if command != STANDSTILL:
             self._at_rest_since = None
         elif self._at_rest_since is None:
             self._at_rest_since = self.now
 
     def settled(self) -> bool:
-        """Say whether the robot was told to stand for so long that images count."""
+        """Return whether the robot has stood for so long that images count."""
         resting = 0.0 if self._at_rest_since is None else self.now - self._at_rest_since
         return resting >= self.settings.settle_time
 
     def unseen(self, track: MarkerTrack) -> float:
-        """Return for how long what a track follows was not seen, in s."""
+        """Return for how long a track was not seen, s."""
         return self.now - track.last_seen
 
     def left(self, robot: np.ndarray) -> float:
@@ -122,16 +128,16 @@ class DockingPlanner:
         return -float(robot[0]) - self.dock.docked_distance - self.ahead
 
     def marker_in_view(self, estimate: GaussianPose) -> bool:
-        """Say whether the marker should be found in an image taken now."""
+        """Return whether the marker should be found in an image taken now."""
         seen = self.belief.visibility
         return seen is None or bool(seen.visible(se2.between(estimate.mean, self._camera)))
 
     def misfit(self, camera: PinholeCamera) -> str:
-        """Say why a camera cannot see the marker from the dock; empty where it can."""
+        """Return why a camera cannot see the marker from the dock; empty where it can."""
         return misfit(self.dock, camera, self._mount, self.belief.farthest(camera))
 
     def in_reach(self, robot: np.ndarray) -> bool:
-        """Say whether the marker is near enough to be found, as it was from as far before."""
+        """Return whether the marker is near enough to be found, as it was from as far before."""
         visibility, track = self.belief.visibility, self.belief.best()
         if visibility is None:
             return True
@@ -146,7 +152,7 @@ class DockingPlanner:
             return DockingResult(success, error, message, self.retries)
         robot, learned = estimate.robot, self.belief.best().learned()
         remarks = learned.remarks()
-        message += f" (found otherwise than known: {remarks})" if message and remarks else ""
+        message += f" (differs from nominal: {remarks})" if message and remarks else ""
         distance = self.left(robot) + self.dock.docked_distance
         pose = distance, float(robot[1]), wrap(float(robot[2]))
         return DockingResult(success, error, message, self.retries, *pose, learned)
@@ -164,7 +170,7 @@ class DockingPlanner:
             return True
         copy, walls = self.belief.copy_on_the_wall(), self.dock.walls
         if track.real > 0.5 and copy is not None and walls is not None:
-            # Is it, if real, where a larger copy says that the dock's back wall is?
+            # If real, it is on the back wall, where a larger copy is.
             off = np.abs(se2.between(copy.likeliest().mean, track.likeliest().mean))
             return off[0] < _SAME_PLANE and off[1] < 0.5 * walls.opening
         return False
@@ -177,19 +183,19 @@ class DockingPlanner:
         return track is not known or track.frames - frames >= self.settings.measure_frames
 
     def unsure_of_yaw(self) -> bool:
-        """Say whether to drive at the dock once more, because that would tell more of its yaw.
+        """Return whether to drive in once more to measure the yaw better.
 
-        By how much the camera may be turned only a way tells on which the marker is seen.
+        Only driving with the marker in sight shows how far the camera is turned.
         """
         deviation = self.belief.best().learned().yaw.deviation
         rounds = min(self.max_retries, _MOST_ROUNDS)
         return deviation > _UNSURE * self.dock.tolerance.yaw and self.retries < rounds
 
     def blind(self, track: MarkerTrack, left: float) -> bool:
-        """Say whether the marker is not to be found on the last bit of the way (m).
+        """Return whether to drive the last part of the approach (m) without seeing the marker.
 
-        Before a camera that looks up or down more than is known it leaves the image; or it was
-        lost there once before. Odometry is good enough for what is left.
+        It leaves the image of a camera that is pitched, or was lost there before. Odometry is good
+        enough for what is left.
         """
         estimate, tolerance = self.estimate(), self.dock.tolerance
         along, across = float(estimate.deviations[0]), estimate.lateral_deviation
@@ -198,7 +204,7 @@ class DockingPlanner:
         return certain and self.near(left) and gone
 
     def near(self, left: float) -> bool:
-        """Say whether so much left to go (m) is the last bit of the way."""
+        """Return whether so much left to go (m) is the last part of the approach."""
         return abs(left) < _BLIND
 
     def in_sight(self, left: float) -> float:
@@ -217,14 +223,14 @@ class DockingPlanner:
         )
 
     def still_safe(self, way: Sequence[Point]) -> bool:
-        """Say whether the next metre and a half of a way is safe by what is known now."""
+        """Return whether the next 1.5 m of a path are safe by the present belief."""
         points = self._ahead_of_robot([self.belief.pose[:2], *way], 0.0)
         if not len(points):
             return True
         docks, radius = self.belief.samples(_SAMPLES), self.shape.turning_radius
         flat = np.column_stack([points, np.zeros(len(points))])
         away = clearance(se2.between(docks[:, None], flat[None])[..., :2], self._boxes)
-        # Where it stands it is free, whatever the circle says; nearer to a wall it may not be.
+        # The robot's place is free even if its circle touches; nearer to a wall may not be.
         here = clearance(
             se2.between(docks, np.array([*self.belief.pose[:2], 0.0]))[..., :2], self._boxes
         )
@@ -237,7 +243,7 @@ class DockingPlanner:
         )
 
     def _obstacles(self) -> np.ndarray:
-        """Return (n, 4) what bears copies, without what cannot be: where the robot stands is free.
+        """Return the obstacles (n, 4) of `DockBelief.obstacles` that are not where the robot is.
 
         A print of unknown size could otherwise be a tiny one right before the camera.
         """
@@ -246,16 +252,16 @@ class DockingPlanner:
         return rows[away > self.shape.turning_radius + self.settings.wall_margin]
 
     def _ahead_of_robot(self, way, begin: float = 0.15) -> np.ndarray:
-        """Return points of a way from `begin` (m) on: at first the robot stands there anyway."""
+        """Return points of a path from `begin` (m) on; the robot occupies what is before."""
         pieces = [along(first, second, 0.05) for first, second in zip(way, way[1:])]
         points = np.concatenate(pieces or [np.asarray(way, dtype=float)])
         travelled = np.cumsum(np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)]))
         return points[(travelled > begin) & (travelled < 1.6)]
 
     def way_to_staging(self, estimate: GaussianPose) -> Optional[List[Point]]:
-        """Return a safe way to a point on the axis before the dock; None if there is none.
+        """Return a safe path to a point on the axis before the dock; None if there is none.
 
-        That is where the marker is found, if need be nearer than the database says, or else there.
+        The point is near enough to find the marker, or else at the database's distance.
         """
         staging, visibility = self.dock.staging_distance, self.belief.visibility
         distances = [staging]
@@ -266,10 +272,10 @@ class DockingPlanner:
         return next((way for way in ways if way is not None), None)
 
     def way_aside(self, estimate: GaussianPose) -> Optional[List[Point]]:
-        """Return a safe way to as far from the marker, but beside its axis; None if there is none.
+        """Return a safe path to the same distance, but beside the axis; None if there is none.
 
-        How much narrower a flat marker looks goes with the square of the angle that it is seen at:
-        from its axis that tells little of its yaw. Once on the left, once on the right.
+        A flat marker looks narrower with the square of the viewing angle: on its axis, that shows
+        little of its yaw. Left and right side take turns.
         """
         walls, before = self.dock.walls, float(np.hypot(*estimate.robot[:2]))
         angle = _FARTHEST_ASIDE
@@ -283,7 +289,7 @@ class DockingPlanner:
         return None
 
     def _safe_way(self, estimate: GaussianPose, there: PlanarPose) -> Optional[List[Point]]:
-        """Return a safe way to a pose in the dock's frame; None if there is none."""
+        """Return a safe path to a pose in the dock's frame; None if there is none."""
         costmap = self.costmap()
         goal = se2.compose(self.belief.pose, se2.compose(estimate.mean, there))
         way = costmap.path(goal.tolist())

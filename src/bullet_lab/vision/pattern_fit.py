@@ -100,9 +100,7 @@ class PatternFit:
     hidden: float
 
 
-def fit_pattern(
-    picture: Picture, corners: np.ndarray, pattern: np.ndarray
-) -> Optional[PatternFit]:
+def fit_pattern(picture: Picture, corners: np.ndarray, pattern: np.ndarray) -> Optional[PatternFit]:
     """Fit corners, light and blur to the grey levels by weighted least squares.
 
     A pixel is modelled as a + d · B, with a (of second order) and d (of first) its light over the
@@ -202,9 +200,7 @@ def _fit(pixels: Pixels, picture: Picture, corners: np.ndarray, pattern: np.ndar
     return _Fitted(fit, blur, pixels, judged.odd_sides())
 
 
-def _next_spread(
-    spread: np.ndarray, step: np.ndarray, grouped: bool, is_late: bool
-) -> np.ndarray:
+def _next_spread(spread: np.ndarray, step: np.ndarray, grouped: bool, is_late: bool) -> np.ndarray:
     """Return the blur's numbers after a step, within their limits."""
     least = np.full(2, _LEAST_VARIANCE)
     gain = 1.0

@@ -15,8 +15,8 @@ from bullet_lab.docking.state_machine import (
     TRANSITIONS,
     Confirm,
     Docked,
-    Look,
     Outcome,
+    Search,
     State,
     StateMachine,
 )
@@ -40,7 +40,7 @@ def test_every_state_is_in_the_table_and_reached():
         subclasses |= {state for state in below if state.step is not state_machine.Drive.step}
         waiting += below
     subclasses.discard(state_machine.Drive)
-    assert set(TRANSITIONS) == subclasses == reached(Look)
+    assert set(TRANSITIONS) == subclasses == reached(Search)
 
 
 @pytest.mark.parametrize("state", [state for state in TRANSITIONS if state is not Docked])
@@ -79,7 +79,7 @@ def test_dockings_end_by_names_of_the_table(monkeypatch):
     for seed in (100, 103):
         assert standin.run(standin.random_stand(seed)).result.success
     assert {name for state, name in seen if name not in TRANSITIONS[state]} == set()
-    assert {state for state, _ in seen} >= {Look, state_machine.Measure, state_machine.Confirm}
+    assert {state for state, _ in seen} >= {Search, state_machine.Measure, state_machine.Confirm}
 
 
 def recorded(step, seen):
