@@ -190,7 +190,7 @@ def _root(covariance: np.ndarray) -> np.ndarray:
 
 
 class DockBelief:
-    """What is known of the dock's pose, by the robot's odometry and the camera's images.
+    """Belief about the dock's pose, by the robot's odometry and the camera's images.
 
     Attributes:
         odometry: the last messages.
@@ -391,15 +391,14 @@ class DockBelief:
             if track.frames < owner.frames:
                 self.tracks.remove(track)
         for number, track in owners.items():
-            track.see(sightings[number].corners, view, sightings[number].deviations)
+            track.see(sightings[number], view)
             track.last_seen = stamp
         marker, noise = self._dock.marker, self._settings.noise
         for number, sighting in enumerate(sightings):
             if number in owners:
                 continue
-            seen, known = (sighting.corners, view), (marker.size, marker.height)
             prior = self._believed.pose(_PRIOR)
-            track = MarkerTrack(*seen, *known, prior, noise, sighting.deviations)
+            track = MarkerTrack(sighting, view, marker, prior, noise)
             track.last_seen = stamp
             self.tracks.append(track)
             if len(self.tracks) > _MOST_TRACKS:
@@ -423,7 +422,7 @@ def _association_cost(track: MarkerTrack, sighting: Sighting, view: Viewpoint) -
     A track that was seen often is preferred to a new one, which fits anything.
     """
     corners = np.asarray(sighting.corners, dtype=float)
-    misfit, predicted = track.nearest(corners, view, sighting.deviations)
+    misfit, predicted = track.nearest(sighting, view)
     if misfit < _FIT:
         return misfit - min(track.frames, _FAMILIAR)
     if not np.isfinite(predicted).all():

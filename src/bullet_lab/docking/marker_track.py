@@ -16,6 +16,7 @@ from typing import Optional, Tuple
 import numpy as np
 
 from bullet_lab.core.se2 import wrap
+from bullet_lab.docking.database import DockMarker
 from bullet_lab.docking.filter import (
     CAMERA,
     CORNERS,
@@ -38,7 +39,7 @@ from bullet_lab.docking.filter import (
     squared_distances,
 )
 from bullet_lab.docking.odometry import MotionStep
-from bullet_lab.docking.types import Calibration, Learned, PixelNoise
+from bullet_lab.docking.types import Calibration, Learned, PixelNoise, Sighting
 
 SCALES = np.array([1.0, 0.35, 0.45, 0.6, 0.8, 1.25, 1.6, 2.1, 2.8, 3.7, 5.0, 6.5, 8.5, 11.0])
 """Sizes that are thought possible, as multiples of the marker's; the first is the real one."""
@@ -127,13 +128,11 @@ class MarkerTrack:
     """A print of the marker, followed from image to image.
 
     Args:
-        corners: (4, 2) px, where it was seen first.
+        sighting: the first one.
         view: by which camera.
-        size: of the real marker, m.
-        height: of the real marker, m.
+        marker: the real one.
         prior: of the dock's pose in the robot's frame.
         noise: of the corners in any image.
-        deviations: (4, 2) px, of the corners by the image; None: unknown.
 
     Attributes:
         frames: images that were taken into account.
@@ -144,15 +143,13 @@ class MarkerTrack:
 
     def __init__(
         self,
-        corners: np.ndarray,
+        sighting: Sighting,
         view: Viewpoint,
-        size: float,
-        height: float,
+        marker: DockMarker,
         prior: GaussianPose,
         noise: PixelNoise,
-        deviations: Optional[np.ndarray] = None,
     ):
-        self._size, self._height, self._noise = size, height, noise
+        self._size, self._height, self._noise = marker.size, marker.height, noise
         self.frames, self.last_seen, self.found_from = 0, -math.inf, 0.0
         self._eye = np.array([view.mount.x, view.mount.y])
         self._spot: Optional[np.ndarray] = None
@@ -160,9 +157,9 @@ class MarkerTrack:
         self._outliers = 0
         # States, and `as_known` of the real ones: needed many times at each tick.
         self._known: Tuple = (None, ())
-        self._extent = extent_of(corners)
-        corners = np.asarray(corners, dtype=float)
-        self._start(Measurement(corners, view, CornerNoise(noise, deviations)), prior)
+        measured = self._measured(sighting, view)
+        self._extent = extent_of(measured.corners)
+        self._start(measured, prior)
 
     def estimate(self) -> Optional[GaussianPose]:
         """Return the pose if it is real; None if it cannot be."""
@@ -253,14 +250,16 @@ class MarkerTrack:
         if self._spot is not None:
             self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
 
-    def nearest(
-        self, corners: np.ndarray, view: Viewpoint, deviations: Optional[np.ndarray] = None
-    ) -> Tuple[float, np.ndarray]:
+    def _measured(self, sighting: Sighting, view: Viewpoint, repeated: float = 1.0) -> Measurement:
+        corners = np.asarray(sighting.corners, dtype=float)
+        return Measurement(corners, view, CornerNoise(self._noise, sighting.deviations, repeated))
+
+    def nearest(self, sighting: Sighting, view: Viewpoint) -> Tuple[float, np.ndarray]:
         """Return the least squared Mahalanobis distance (of 8 values) to one of its Gaussians.
 
         And the (4, 2) corners as that one predicts them; NaN if behind the camera.
         """
-        measured = Measurement(corners, view, CornerNoise(self._noise, deviations))
+        measured = self._measured(sighting, view)
         rest, _, covariance, seen = innovations(self._x, self._x, self._p, self._sizes, measured)
         squares = squared_distances(rest, covariance)
         best = int(np.argmin(squares))
@@ -271,22 +270,14 @@ class MarkerTrack:
         best = np.argmax(np.where(self._scale == 0, self._within, -1.0))
         return predict(self._x[best, None], self._sizes[best, None], view)[0].reshape(4, 2)
 
-    def see(
-        self, corners: np.ndarray, view: Viewpoint, deviations: Optional[np.ndarray] = None
-    ) -> None:
-        """Take the corners of one more image into account.
+    def see(self, sighting: Sighting, view: Viewpoint) -> None:
+        """Update the track by one more image.
 
-        Images from one spot share their errors; after some of them, more say little.
-
-        Args:
-            corners: (4, 2) px.
-            view: by which camera.
-            deviations: as for the first ones.
+        Images from one spot share their errors; after some of them, more count little.
         """
-        corners = np.asarray(corners, dtype=float)
-        self._extent = extent_of(corners)
-        noise = CornerNoise(self._noise, deviations, self._repeated_here(self._extent))
-        seen = Measurement(corners, view, noise), 3, self._likely()
+        self._extent = extent_of(np.asarray(sighting.corners, dtype=float))
+        measured = self._measured(sighting, view, self._repeated_here(self._extent))
+        seen = measured, 3, self._likely()
         x, p, squares, logs = robust_update(self._x, self._p, self._sizes, *seen)
         if np.min(squares) > _OUTLIER:
             self._outliers += 1
@@ -307,7 +298,7 @@ class MarkerTrack:
         away = float(np.hypot(*ray))
         self.found_from = max(self.found_from, away)
         since = -float(ray @ moved) / max(away, 1e-6)
-        self._sizing.see(*self._reach(corners, view), since)
+        self._sizing.see(*self._reach(measured.corners, view), since)
         self._reduce()
 
     def adopt_yaw(self, yaw: float, variance: float) -> None:

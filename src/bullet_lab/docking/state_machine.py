@@ -409,7 +409,7 @@ class Confirm(State):
         robot, settings = estimate.robot, planner.settings
         left, turned = planner.left(robot), wrap(float(robot[2]))
         if self._correction is not None:
-            # Turn or creep until the estimate says that it is done.
+            # Turn or creep until the estimate is there.
             v, w = self._correction
             done = turned * w >= -1e-4 if w else left * v <= 0.0
             if not done and planner.now - self._since <= 6.0:

@@ -147,7 +147,7 @@ class DockingSettings:
     settle_time: float = 0.3  #: from standstill to the first image that counts
     look_frames: int = 3  #: images of a look
     measure_frames: int = 4  #: images at rest before a decision
-    final_frames: int = 5  #: images at rest that say "docked"
+    final_frames: int = 5  #: images at rest for the confirmation
     max_retries: int = 5  #: retreats from the last metre before it gives up
     max_stagings: int = 10  #: drives to the staging point
     time_limit: float = 300.0  #: of all

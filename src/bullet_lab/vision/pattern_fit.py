@@ -1,7 +1,8 @@
 """Corners of a marker, and their covariance, by the fit of its whole pattern to the grey levels.
 
 The position follows from all edges between black and white cells, not only from the outline. The
-fit finds what is not as the pattern says, a hand before it or a highlight, and leaves it out.
+fit finds pixels that do not match the pattern, a hand before it or a highlight, and leaves them
+out.
 """
 
 from __future__ import annotations
@@ -92,7 +93,7 @@ class PatternFit:
     Attributes:
         corners: (4, 2) u, v in ideal px.
         covariance: (8, 8) of the corners' u0, v0, u1 ... in px².
-        hidden: share of the pixels that are not as the pattern says.
+        hidden: share of the pixels that do not match the pattern.
     """
 
     corners: np.ndarray
@@ -222,7 +223,7 @@ def _is_same_blur(before: np.ndarray, after: np.ndarray) -> bool:
 
 
 class _Linearised:
-    """The model of a set of pixels about an estimate, and what the pixels say of it.
+    """The model of a set of pixels, linearised about an estimate, and the residuals.
 
     Args:
         pixels: those of the fit.

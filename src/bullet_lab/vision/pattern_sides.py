@@ -1,6 +1,6 @@
 """Corrects a marker's corners where something hides one of its sides.
 
-What stands before a marker has an edge that looks like the marker's own side. But then the edges
+An object before a marker has an edge that looks like the marker's own side. But then the edges
 between the marker's cells are not where such an outline puts them.
 """
 
