@@ -1,4 +1,4 @@
-"""Belief about the dock: particles before its marker was seen, tracks of what shows it since.
+"""Belief about the dock: particles until its marker is seen, then tracks of what shows it.
 
 The particles live in the robot's frame, so that errors of the odometry spread them as the robot
 moves. They start from the database, and learn from what was free to stand on and from looks
@@ -28,28 +28,34 @@ from bullet_lab.docking.geometry import MarkerVisibility, clearance, wall_boxes
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.odometry import MotionStep, OdometryBuffer, motion_step
 from bullet_lab.docking.types import CameraMount, DockingSettings, Observation, Odometry, Sighting
-from bullet_lab.vision.dictionaries import simple_name
 
 PARTICLES = 600
-# Of those that no miss rules out, and their share of what is thinkable where the robot drives: ways
-# around them are found, but where there is no other way they alone close none.
-_WALL_PARTICLES, _WALL_SHARE = 200, 0.05
-# The database may lie somewhat more than it says.
+# Number of the particles that no failed look makes less likely, and their share of the possible
+# docks for path planning: paths lead around them, but they alone close no path.
+_WALL_PARTICLES = 200
+_WALL_SHARE = 0.05
+# The database may be wrong by somewhat more than its uncertainty.
 _MARGIN = 1.1
+# Relative standard deviation of the size of a copy.
 _SIZE_PLAY = 0.05
-# Of what is taken for a marker: px, size in the image and distance from the edge at the least.
-_SMALLEST, _BORDER = 6.0, 3.0
-# White beside a marker, as a share of its size, without which it may not be found.
+# Least size of a sighting and least distance from the edge of the image, px.
+_SMALLEST = 6.0
+_BORDER = 3.0
+# White beside a marker that it needs to be found, as a share of its size.
 _CUT = 0.06
 _MOST_TRACKS = 8
-# A squared distance up to which corners fit a track; and by so much may the fit to an old track
-# be worse than that to a new one, at most.
-_FIT, _FAMILIAR = 45.0, 20
-_SURE_OF_SIZE, _HARDLY_REAL = 0.8, 0.01
-# How the reach of the light is distributed, poor light among it, and what spreads it evenly.
+# Squared distance up to which corners fit a track, and most by which the fit to an old track may
+# be worse than that to a new one.
+_FIT = 45.0
+_FAMILIAR = 20
+# Probability of a size that is certain, and of a track that is hardly the real marker.
+_SURE_OF_SIZE = 0.8
+_HARDLY_REAL = 0.01
+# Distribution function of the light's reach, poor light included, and the golden ratio that spreads
+# its quantiles evenly.
 _REACHES = (0.0, 0.15, 1.0), (0.35, 0.7, 1.15)
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-# How far, in rad, two prints on one wall may differ in yaw (a standard deviation).
+# Standard deviation of the difference in yaw of two prints on one wall, rad.
 _SAME_WALL = 0.015
 _PRIOR, _DATABASE = 0, 1
 
@@ -57,8 +63,9 @@ _PRIOR, _DATABASE = 0, 1
 class DockParticles:
     """Weighted poses of a dock in the robot's frame, drawn about the rough pose given there.
 
-    Each has its own errors of the odometry, and its own reach of the light: from where it was
-    missed once it will be missed again, be it that the marker is not there or that it is too dark.
+    Each has its own odometry errors, and its own reach of the light: a look that found nothing
+    finds nothing again from the same place, be it that the marker is not there or that it is too
+    dark.
 
     Attributes:
         poses: (n, 3).
@@ -85,7 +92,7 @@ class DockParticles:
         self.poses[:, 2] = wrap(self.poses[:, 2])
         self.weights = np.full(count, 1.0 / count)
         self.mass = 1.0
-        # What is wrong with the odometry.
+        # Errors of the odometry.
         self._errors = rng.standard_normal((count, len(UNKNOWN_ODOMETRY))) * UNKNOWN_ODOMETRY
         # Evenly spread, and in no order.
         self.reach = np.interp(_GOLDEN * np.arange(count) % 1.0, *_REACHES)
@@ -98,7 +105,7 @@ class DockParticles:
         self.poses = se2.between(steps, self.poses)
 
     def stands_free(self, radius: float) -> bool:
-        """Drop what would have the robot touch a wall (it fills a circle); say if any is left."""
+        """Drop poses at which the robot, a circle, touches a wall; return whether any is left."""
         if np.square(self.poses[:, :2]).sum(axis=1).min() > (self._reach + radius) ** 2:
             return True
         free = clearance(se2.inverse(self.poses)[:, :2], self._boxes) > radius
@@ -107,17 +114,19 @@ class DockParticles:
         return bool(np.any(free))
 
     def add_miss(self, expected: np.ndarray, missed: float, counts: bool = True) -> None:
-        """Learn from a look that found nothing, but misses what it should find with `missed`.
+        """Learn from a look that found nothing.
 
-        `expected` (n,) says for each pose whether the marker should be found. What `counts`
-        lessens `mass`, the share of the prior that is left.
+        Args:
+            expected: (n,) whether the marker should be found if the dock has the pose.
+            missed: probability that a look misses a marker that it should find.
+            counts: the look lessens `mass`, the share of the prior that is left.
         """
         self._learn(1.0 - (1.0 - missed) * expected, counts)
 
     def concentrate(self, estimate: GaussianPose, play: float) -> None:
-        """Move the particles to a pose, with so much more play to either side in m."""
+        """Move the particles to a pose, with so much more uncertainty to either side, m."""
         count = len(self.poses)
-        # How large the copy is, and so how far, is known to some per cent only.
+        # The size of the copy, and so its distance, is known to some per cent only.
         covariance = estimate.covariance + np.diag([0.02, 0.01, 0.012]) ** 2
         covariance[:2, :2] += np.outer(estimate.mean[:2], estimate.mean[:2]) * _SIZE_PLAY**2
         drawn = estimate.mean + self._rng.standard_normal((count, 3)) @ _root(covariance).T
@@ -181,13 +190,13 @@ def _root(covariance: np.ndarray) -> np.ndarray:
 
 
 class DockBelief:
-    """Follows the robot's odometry and takes in what the camera sees.
+    """Belief about the dock's pose, by the robot's odometry and the camera's images.
 
     Attributes:
         odometry: the last messages.
         particles: of the dock's pose before its marker was seen; None before the first odometry.
-        walls: likewise, but of no look that found nothing: a marker that is hidden, or that the
-            detector does not find, is no less hard to drive against.
+        walls: likewise, but without learning from looks that found nothing: the walls are there
+            too if the marker is hidden or the detector misses it.
         visibility: from where the marker is visible; None before the first image.
         tracks: of what shows the marker.
         last_image: stamp of the newest image, s.
@@ -207,14 +216,14 @@ class DockBelief:
         self.odometry = OdometryBuffer()
         self.particles: Optional[DockParticles] = None
         self.walls: Optional[DockParticles] = None
-        # What was believed before the marker was seen, and what the database says.
+        # The belief before the marker was seen, and the database's pose.
         self._believed: Optional[DriftingPoses] = None
         self.visibility: Optional[MarkerVisibility] = None
         self._camera: Optional[PinholeCamera] = None
         self.tracks: List[MarkerTrack] = []
         self.last_image = -math.inf
         self.images = 0
-        # What `estimate` has found of the present tracks: it is asked many times at each tick.
+        # Result of `estimate` for the present tracks: it is called many times at each tick.
         self._estimated: Optional[Tuple[Optional[GaussianPose]]] = None
 
     @property
@@ -230,7 +239,7 @@ class DockBelief:
     def estimate(self) -> Optional[GaussianPose]:
         """Return the dock's pose in the robot's frame; None before the marker was seen.
 
-        A small marker tells little of its yaw; a larger copy on the same wall tells more.
+        A small marker shows little of its yaw; a larger copy on the same wall shows more.
         """
         if self._estimated is None:
             best, copy = self.best(), self.copy_on_the_wall()
@@ -241,34 +250,34 @@ class DockBelief:
         return self._estimated[0]
 
     def pending(self) -> bool:
-        """Say whether something may turn out to be the marker with some more images."""
+        """Return whether some more images may show that a track is the marker."""
         return any(t.frames < 3 and t.real > _HARDLY_REAL for t in self.tracks)
 
     def samples(self, count: int) -> np.ndarray:
         """Draw (count, 3) poses of the dock in the odometry frame."""
         best = self.best()
         if best is None:
-            drawn = self._thinkable(count)
+            drawn = self._possible(count)
         else:
             doubtful = int(round(count * min(1.0 - best.real, 0.5))) if best.real < 0.9 else 0
             drawn = best.samples(self._rng, count - doubtful)
             if doubtful:
-                drawn = np.concatenate([drawn, self._thinkable(doubtful)])
+                drawn = np.concatenate([drawn, self._possible(doubtful)])
         return se2.compose(self.pose, drawn)
 
-    def _thinkable(self, count: int) -> np.ndarray:
+    def _possible(self, count: int) -> np.ndarray:
         """Draw (count, 3) poses of a dock whose marker is not seen, in the robot's frame."""
         of_walls = int(_WALL_SHARE * count)
         drawn = self.particles.samples(count - of_walls), self.walls.samples(of_walls)
         return np.concatenate(drawn)
 
     def stands_free(self, radius: float) -> bool:
-        """Drop what would have the robot touch a wall (it fills a circle); say if any is left."""
+        """Drop poses at which the robot, a circle, touches a wall; return whether any is left."""
         self.walls.stands_free(radius)
         return self.particles.stands_free(radius)
 
     def obstacles(self) -> np.ndarray:
-        """Return what bears copies of the marker: (n, 4) of x, y, radius (m, odometry), weight."""
+        """Return copies of the marker as obstacles (n, 4): x, y, radius (m, odometry), weight."""
         rows = [np.empty((0, 4))]
         for track in self.tracks:
             if track.real > 0.5 or track.frames < 3:
@@ -279,11 +288,11 @@ class DockBelief:
         return np.concatenate(rows)
 
     def copies_seen(self) -> bool:
-        """Say whether something else that shows the marker is in sight."""
+        """Return whether a print of the marker was in sight lately."""
         return any(t.frames >= 3 and self.last_image - t.last_seen < 2.0 for t in self.tracks)
 
     def copy_on_the_wall(self) -> Optional[MarkerTrack]:
-        """Return a copy of the marker that stands where only the dock's back wall can be."""
+        """Return a copy of the marker where only the dock's back wall can be, or None."""
         for track in self.tracks:
             if track.real > _HARDLY_REAL or track.frames < 5 or track.sized < _SURE_OF_SIZE:
                 continue
@@ -292,7 +301,7 @@ class DockBelief:
         return None
 
     def cut_off(self, track: MarkerTrack) -> bool:
-        """Say whether an edge of an image taken now would cut off a marker's white border."""
+        """Return whether an edge of an image taken now would cut off a marker's white border."""
         corners, camera = track.foreseen(Viewpoint(self._camera, self._mount)), self._camera
         return not _inside(corners, camera) >= _CUT * extent_of(corners)
 
@@ -339,13 +348,13 @@ class DockBelief:
         return camera.fy * self._dock.marker.size / self._settings.smallest_marker
 
     def concentrate(self, estimate: GaussianPose, play: float) -> None:
-        """Believe that the dock is at a pose, with so much more play to either side in m."""
+        """Concentrate the belief at a pose, with so much more uncertainty to either side, m."""
         self.particles.concentrate(estimate, play)
         self.walls.concentrate(estimate, play)
         self._believed.put(_PRIOR, self.particles.gaussian())
 
     def forget(self, track: MarkerTrack) -> None:
-        """Drop a track of what is not where it should be; the particles keep a trace of it."""
+        """Drop a track that is not where it should be; some particles stay there."""
         if track.real > 0.3:
             drawn = track.samples(self._rng, 200)
             drawn = drawn + self._rng.standard_normal(drawn.shape) * (0.1, 0.1, 0.06)
@@ -355,14 +364,12 @@ class DockBelief:
         self._estimated = None
 
     def _shows_marker(self, sighting: Sighting) -> bool:
-        marker, camera = self._dock.marker, self._camera
-        names = simple_name(sighting.dictionary), simple_name(marker.dictionary)
-        if sighting.id != marker.id or names[0] != names[1]:
+        if not self._dock.marker.is_shown_by(sighting):
             return False
         corners = np.asarray(sighting.corners, dtype=float)
         if corners.shape != (4, 2) or not np.isfinite(corners).all():
             return False
-        return _inside(corners, camera) >= _BORDER and extent_of(corners) >= _SMALLEST
+        return _inside(corners, self._camera) >= _BORDER and extent_of(corners) >= _SMALLEST
 
     def _associate(self, sightings: List[Sighting], view: Viewpoint, stamp: float) -> None:
         """Give each sighting to the track that it fits best, or begin a new one with it."""
@@ -376,7 +383,7 @@ class DockBelief:
         for _, number, track in sorted(pairs, key=lambda pair: pair[0]):
             if number not in owners and track not in owners.values():
                 owners[number] = track
-        # Younger tracks of what belongs to an older one go: it is one thing.
+        # Drop a younger track of a sighting that an older track owns: both are one print.
         for _, number, track in pairs:
             owner = owners.get(number)
             if owner is None or track in owners.values() or track not in self.tracks:
@@ -384,15 +391,14 @@ class DockBelief:
             if track.frames < owner.frames:
                 self.tracks.remove(track)
         for number, track in owners.items():
-            track.see(sightings[number].corners, view, sightings[number].deviations)
+            track.see(sightings[number], view)
             track.last_seen = stamp
         marker, noise = self._dock.marker, self._settings.noise
         for number, sighting in enumerate(sightings):
             if number in owners:
                 continue
-            seen, known = (sighting.corners, view), (marker.size, marker.height)
             prior = self._believed.pose(_PRIOR)
-            track = MarkerTrack(*seen, *known, prior, noise, sighting.deviations)
+            track = MarkerTrack(sighting, view, marker, prior, noise)
             track.last_seen = stamp
             self.tracks.append(track)
             if len(self.tracks) > _MOST_TRACKS:
@@ -400,12 +406,12 @@ class DockBelief:
 
 
 def _inside(corners: np.ndarray, camera: PinholeCamera) -> float:
-    """Return how far within the image (4, 2) corners are, px; NaN where they are nowhere."""
+    """Return how far within the image (4, 2) corners are, px; NaN if a corner is NaN."""
     return float(np.minimum(corners, (camera.width - 1, camera.height - 1) - corners).min())
 
 
 def _wall_yaw(copy: MarkerTrack) -> Tuple[float, float]:
-    """Return the yaw of the wall that bears a copy, in rad, and its variance."""
+    """Return the yaw of the wall with a copy, rad, and its variance."""
     likeliest = copy.likeliest()
     return float(likeliest.mean[2]), float(likeliest.covariance[2, 2]) + _SAME_WALL**2
 
@@ -413,10 +419,10 @@ def _wall_yaw(copy: MarkerTrack) -> Tuple[float, float]:
 def _association_cost(track: MarkerTrack, sighting: Sighting, view: Viewpoint) -> Optional[float]:
     """Return how badly corners fit a track, None if they are not of it.
 
-    What was seen often is preferred to what is new and fits anything.
+    A track that was seen often is preferred to a new one, which fits anything.
     """
     corners = np.asarray(sighting.corners, dtype=float)
-    misfit, predicted = track.nearest(corners, view, sighting.deviations)
+    misfit, predicted = track.nearest(sighting, view)
     if misfit < _FIT:
         return misfit - min(track.frames, _FAMILIAR)
     if not np.isfinite(predicted).all():

@@ -21,13 +21,20 @@ _TURNED = math.radians(1.0)
 _ARRIVED = 0.05
 _LOOKAHEAD = 0.35
 _MARKER_ANGLE = math.radians(24.0)
-# The walls count so far, in m, before their front edges; there, going at an edge is noticed.
-_ENTRANCE, _BEFORE_ENTRANCE = 0.35, 0.55
+# Distance before the walls' front edges, m, from which on the robot counts as between them, and
+# from which on a course towards an edge is noticed, with so much tolerance.
+_ENTRANCE = 0.35
+_BEFORE_ENTRANCE = 0.55
 _EDGE_PLAY = 0.08
-# Half of the lane where the robot has stopped, how it widens from where on, and where it ends: m.
-_NARROWEST, _WIDENING, _STRAIGHT, _LONGEST = 0.006, 0.22, 0.25, 4.5
+# Half width of the lane where the robot stops, m; from so much left to go on, it widens by so much
+# for each metre, and more outside of the walls.
+_NARROWEST = 0.006
+_STRAIGHT = 0.25
+_WIDENING = 0.22
 _WIDENING_OUTSIDE = 0.3
+# Least and most way left to go at which an approach begins, m.
 _LEAST_LEFT = 0.05
+_LONGEST = 4.5
 
 
 def clip(value: float, limit: float) -> float:
@@ -172,7 +179,7 @@ class Lane:
         return max(free - self.shape.turning_radius, 0.02)
 
     def within_walls(self, robot: np.ndarray) -> bool:
-        """Say whether a pose is between the walls or just before them."""
+        """Return whether a pose is between the walls or just before them."""
         walls = self.dock.walls
         if walls is None:
             return False
@@ -187,7 +194,7 @@ class Lane:
         return min(lane, self.corridor + _WIDENING_OUTSIDE * max(left - entrance, 0.0))
 
     def leads_at_an_edge(self, robot: np.ndarray, deviation: float) -> bool:
-        """Say whether going on from a pose (3,) would lead at a wall's front edge.
+        """Return whether going on from a pose (3,) would lead to a wall's front edge.
 
         `deviation` is the standard deviation of its distance from the axis, m.
         """
@@ -198,8 +205,8 @@ class Lane:
         return beside > self.corridor + _EDGE_PLAY + 0.4 * (before - walls.depth)
 
     def holds(self, robot: np.ndarray, left: float, deviation: float) -> bool:
-        """Say whether the robot can approach from where it is, with so much left to go in m."""
+        """Return whether the robot can approach from where it is, with so much left to go in m."""
         lane = self.half_width(left)
-        # What is not known yet will be, on the way; the gate is there for what is not.
+        # The estimate improves during the approach; the gate aborts it if it does not.
         beside = abs(float(robot[1])) + min(2.0 * deviation, 0.4 * lane)
         return _LEAST_LEFT < left < _LONGEST and beside < lane

@@ -1,7 +1,7 @@
-"""Costmap: which floor is safe when the dock is not known well, and ways over it.
+"""Costmap: which floor is safe when the dock is not known well, and paths over it.
 
-A grid in the odometry frame says for each place what share of the thinkable docks would be
-touched there. Dijkstra's algorithm finds the cheapest ways; they are straightened afterwards.
+A grid in the odometry frame holds the share of the possible docks that a robot at each place would
+touch. Dijkstra's algorithm finds the cheapest paths, which are straightened afterwards.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _MOST_CELLS = 40_000
 _TOUCH_COST, _NEAR_COST = 300.0, 3.0
 _NEAR = 0.22
 _DIAGONAL = math.sqrt(2.0)
-# Half of a cell's neighbours: rows and columns to them, and their distance in cells.
+# Half of a cell's neighbours: offset in rows and columns, and distance in cells.
 _NEIGHBOURS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, _DIAGONAL), (1, -1, _DIAGONAL))
 
 
@@ -31,7 +31,7 @@ class Costmap:
 
     Args:
         robot: (x, y) in the odometry frame; where it stands is free.
-        docks: (n, 3) thinkable poses of the dock in the odometry frame.
+        docks: (n, 3) possible poses of the dock in the odometry frame.
         boxes: walls in the dock's frame, see `wall_boxes`.
         obstacles: (m, 4) x, y, radius and probability of other things.
         radius: of the circle that the robot is to have for itself, m.
@@ -111,7 +111,7 @@ class Costmap:
                     other = cell + i * columns + j
                     if costs[other] + self._edge_cost(other, cell, length) == costs[cell]:
                         found.append((costs[other], other))
-        # Ties are frequent on free floor; cost and index make no two ways of one.
+        # Ties are frequent on free floor; cost and index decide.
         return min(found, default=(0.0, -1))[1]
 
     def _index(self, points) -> np.ndarray:

@@ -14,15 +14,17 @@ import yaml
 from bullet_lab.core import parameters
 from bullet_lab.core.parameters import ParameterError, declarations
 from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.docking.types import Sighting
 from bullet_lab.errors import LabError
+from bullet_lab.vision.dictionaries import simple_name
 
 _FILE_LIMIT = 1_000_000
-# Which of the streams that a seed spawns the error of a pose comes from.
+# Index of the stream, of those that a seed spawns, that draws the error of a pose.
 _ERROR_STREAM = 1
 
 
 class DatabaseError(LabError):
-    """The dock database makes no sense."""
+    """The dock database is invalid."""
 
 
 class UnknownDockError(DatabaseError):
@@ -66,6 +68,11 @@ class DockMarker:
     size: float = _number("edge of its black square, m", 0.01, 5.0)
     height: float = _number("of its middle, m", 0.0, 5.0)
 
+    def is_shown_by(self, sighting: Sighting) -> bool:
+        """Return whether a sighting has this marker's id and dictionary."""
+        same = simple_name(sighting.dictionary) == simple_name(self.dictionary)
+        return same and sighting.id == self.id
+
 
 @dataclass(frozen=True)
 class DockWalls:
@@ -87,7 +94,7 @@ class DockTolerance:
 
 @dataclass(frozen=True)
 class DockUncertainty:
-    """How wrong the pose may be."""
+    """Largest error of the pose."""
 
     position: float = _number("in each of x and y, m", 0.0, 5.0)
     yaw: float = _number("rad; degrees in the file", 0.0, 180.0, math.radians)
@@ -113,14 +120,14 @@ class Dock:
 def drawn_error(uncertainty: DockUncertainty, share: float, seed: int) -> PlanarPose:
     """Draw an error (m, m, rad), uniform within a share of an uncertainty, from a seed.
 
-    The stream is its own: it has nothing in common with default_rng(seed).
+    Its random stream is independent of default_rng(seed).
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ERROR_STREAM,)))
     most = share * np.array([uncertainty.position, uncertainty.position, uncertainty.yaw])
     return tuple((rng.uniform(-1.0, 1.0, 3) * most).tolist())
 
 
-# Sections of a dock, and what they are called in the file that is not called as its field.
+# Sections of a dock, and the keys of the file that differ from the field's name.
 _SECTIONS = {
     "marker": DockMarker,
     "walls": DockWalls,

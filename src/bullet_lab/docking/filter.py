@@ -1,14 +1,17 @@
 """Iterated extended Kalman filter on the corners of a marker, for many Gaussians at once.
 
-A marker state is (x m, y m, yaw rad, height m, growth, roll, pitch, yaw rad, u and v px of each
-corner, way, turn, two drifts rad/m): pose of the dock in the robot's frame, height of the marker's
-centre above the floor, and logarithm of its size over the size that it is taken for; then what is
-not as it is known, how the camera is turned against its known place, by how much each corner is
-seen aside in all images alike, and the odometry: logarithm of the true way over the told one, the
-true turn over the told one less 1, and what is turned and not told on each metre ahead, and on each
-back. Wheels that differ turn the robot the other way when it backs out, a gyro that drifts the same
-way: so one says nothing of the other. The motion model moves the first three with the odometry; the
-measurement model says where the corners are seen.
+A state of a marker has 20 numbers:
+
+- x, y (m) and yaw (rad) of the dock in the robot's frame;
+- height of the marker's centre above the floor (m);
+- growth: logarithm of its size over its assumed size;
+- roll, pitch and yaw (rad) of the camera against its nominal pose;
+- u, v (px) by which each of the four corners is seen aside in all images alike;
+- errors of the odometry: logarithm of true over reported distance; true over reported turn, less 1;
+  unreported turn (rad/m) on each metre ahead, and on each metre back. Unequal wheels turn the robot
+  the other way when it drives back, a drifting gyro does not: so these two are independent.
+
+The motion model moves the first three by the odometry; the measurement model predicts the corners.
 """
 
 from __future__ import annotations
@@ -29,28 +32,27 @@ STATES = 20
 _OF_MARKER = 5
 _EYE = np.eye(STATES)
 CAMERA, CORNERS, ODOMETRY = slice(5, 8), slice(8, 16), slice(16, STATES)
-"""Where a state says how the camera is turned, by how much corners are seen beside where they are,
-and what is wrong with the odometry."""
+"""Where a state has the camera's rotation, the offsets of the corners and the odometry errors."""
 
 OFF_CORNER = 0.15
-"""Standard deviation of u and v of a corner, px, by which it is off in all images alike."""
+"""Standard deviation of the offset of a corner in all images alike, px."""
 
 UNKNOWN_CAMERA = np.radians([1.2, 1.2, 1.2])
 UNKNOWN_ODOMETRY = np.array([0.035, 0.05, 0.02, 0.02])
-"""Standard deviations of both, where they are not as known; else they are within these."""
+"""Standard deviations of both where they are not nominal."""
 
-# The same where corners are seen where they are, px, and where the others are as known.
+# Standard deviations where the corners, the camera and the odometry are nominal.
 _SEEN_RIGHT = 0.02
 _KNOWN_CAMERA = np.radians([0.05, 0.05, 0.05])
 _KNOWN_ODOMETRY = np.array([0.003, 0.003, 0.001, 0.001])
 _OF_POSE, _OF_ODOMETRY = 3, len(UNKNOWN_ODOMETRY)
-# Probability that a camera, or an odometry, is as it is known.
+# Probability that a camera, or an odometry, is nominal.
 _AS_KNOWN = 0.7
-# How much states are moved, at first not, to find out what the pixels do, and disturbances too.
+# Steps of the numerical derivatives: no step first, then one of each state; and of a tilt, rad.
 _NUDGES = 1e-4 * np.eye(_OF_MARKER + 1, _OF_MARKER, -1)
 _TILT = 1e-4
-# What is seen turns by roll, pitch and yaw of the camera about the optical -z, x and y axes: what
-# optical points are multiplied by from the right, for small turns of 1 rad.
+# Generators of roll, pitch and yaw of the camera, about the optical -z, x and y axes, by which
+# optical points are multiplied from the right.
 _TURNS = np.array(
     [
         [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
@@ -58,10 +60,10 @@ _TURNS = np.array(
         [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
     ]
 )
-# Pixels off below which the first linearisation will do.
+# Innovation, px, below which one linearisation is enough.
 _LINEAR = 4.0
-# Standard deviation of a corner that is hidden, px. Corners whose squared distance (of 8 values) is
-# greater are looked at without each of them, and that is believed if it lessens it so far.
+# Standard deviation of a hidden corner, px. If the squared distance of the corners (8 values) is
+# suspicious, each corner is left out in turn; one is hidden if the distance falls to such a part.
 _HIDDEN = 1e3
 _SUSPICIOUS, _EXPLAINED = 26.0, 0.4
 
@@ -98,9 +100,9 @@ class GaussianPose:
         return np.maximum(squares - 11.0, 0.0)
 
     def turned_to(self, yaw: float, variance: float) -> GaussianPose:
-        """Return it with a yaw (rad, rad²) taken into account that something else tells.
+        """Return the pose updated by a yaw (rad, rad²) from another source.
 
-        If the two contradict each other, the more certain of them is right: few pixels are off
+        If the two contradict each other, the more certain one is right: few pixels are off
         together, and then in all images alike.
         """
         off = wrap(yaw - float(self.mean[2]))
@@ -117,7 +119,7 @@ class GaussianPose:
 
 
 class DriftingPoses:
-    """Poses that were believed once, moved along by odometry of which is not known how good."""
+    """Earlier estimates of the dock's pose, moved along by odometry with unknown errors."""
 
     def __init__(self, poses: Sequence[GaussianPose]):
         states = _OF_POSE + _OF_ODOMETRY
@@ -127,14 +129,14 @@ class DriftingPoses:
             self.put(number, pose)
 
     def put(self, number: int, pose: GaussianPose) -> None:
-        """Believe another pose from now on in the place of one."""
+        """Replace a pose."""
         self._x[number, :3], self._x[number, 3:] = pose.mean, 0.0
         self._p[number] = 0.0
         self._p[number, :3, :3] = pose.covariance
         self._p[number, 3:, 3:] = np.diag(UNKNOWN_ODOMETRY**2)
 
     def pose(self, number: int) -> GaussianPose:
-        """Return one as seen by the robot now, by odometry that may well be as known."""
+        """Return a pose in the robot's present frame; the odometry may well be nominal."""
         only = slice(number, number + 1)
         x, p = _part_as_known(self._x[only], self._p[only], _DRIFTING_ODOMETRY)
         return GaussianPose(x[0, :3].copy(), p[0, :3, :3].copy())
@@ -145,7 +147,7 @@ class DriftingPoses:
 
 
 def true_steps(step, errors: np.ndarray) -> np.ndarray:
-    """Return the steps (..., 3) that odometry tells as one step, if it errs as (..., 4) say.
+    """Return the true steps (..., 3) of one reported step, given odometry errors (..., 4).
 
     >>> true_steps((0.5, 0.0, 1.0), np.array([0.0, 0.1, 0.2, 0.0]))
     array([0.5, 0. , 1.2])
@@ -162,9 +164,9 @@ def true_steps(step, errors: np.ndarray) -> np.ndarray:
 
 
 def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> Tuple[np.ndarray, np.ndarray]:
-    """Return states (n, i) and covariances (n, i, i) as seen by the robot after a step.
+    """Return states (n, i) and covariances (n, i, i) in the robot's frame after a step.
 
-    Of each the first three are a pose, and the last four what is wrong with the odometry.
+    The first three numbers are a pose, the last four the odometry errors.
     """
     steps = true_steps(motion.step, x[:, -_OF_ODOMETRY:])
     turned = steps[:, 2].copy()  # see corner_points
@@ -192,35 +194,33 @@ def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> Tuple[np.ndarra
 
 
 def as_known(x: np.ndarray, p: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return states (n, 20) and covariances as known, where they may be.
+    """Return states (n, 20) and covariances, given that much is probably nominal.
 
-    That is a camera and an odometry as they are known, and corners that are seen where they are.
-
-    They are right more often than not. By Bayes' rule, with the ratio of Savage and Dickey (J. M.
-    Dickey, Annals of Mathematical Statistics 42, 1971) for what the images say, each is right with
-    some probability; of both cases mean and covariance are given.
+    A camera, an odometry and corners are nominal more often than not. By Bayes' rule, with the
+    density ratio of Savage and Dickey (J. M. Dickey, Annals of Mathematical Statistics 42, 1971)
+    for the images, each is nominal with some probability; mean and covariance are of both cases.
     """
     for part in (_CORNER_PART, _CAMERA_PART, _ODOMETRY_PART):
         x, p = _part_as_known(x, p, part)
     return x, p
 
 
-class _Part:
-    """A part of the states, by its standard deviations where it is as known and where it is not."""
+class _Prior:
+    """A part of the states, with its standard deviations if nominal and if not."""
 
     def __init__(self, where: slice, known: np.ndarray, unknown: np.ndarray):
         self.where, self.known = where, np.diag(known**2)
         self.log_unknown = np.sum(np.log(unknown))
 
 
-_CORNER_PART = _Part(CORNERS, np.full(8, _SEEN_RIGHT), np.full(8, OFF_CORNER))
-_CAMERA_PART = _Part(CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA)
-_ODOMETRY_PART = _Part(ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
+_CORNER_PART = _Prior(CORNERS, np.full(8, _SEEN_RIGHT), np.full(8, OFF_CORNER))
+_CAMERA_PART = _Prior(CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA)
+_ODOMETRY_PART = _Prior(ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
 _AFTER_POSE = slice(_OF_POSE, _OF_POSE + _OF_ODOMETRY)
-_DRIFTING_ODOMETRY = _Part(_AFTER_POSE, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
+_DRIFTING_ODOMETRY = _Prior(_AFTER_POSE, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
 
 
-def _part_as_known(x: np.ndarray, p: np.ndarray, of: _Part) -> Tuple[np.ndarray, np.ndarray]:
+def _part_as_known(x: np.ndarray, p: np.ndarray, of: _Prior) -> Tuple[np.ndarray, np.ndarray]:
     """Do what `as_known` does for one part of the states."""
     part = of.where
     wide = p[:, part, part] + of.known
@@ -354,8 +354,8 @@ class CornerNoise:
 
     Attributes:
         usual: of any image.
-        deviations: (4, 2) px, what the image itself tells; None where it does not.
-        repeated: factor of all standard deviations, where images tell the same again.
+        deviations: (4, 2) px, by the image itself; None: unknown.
+        repeated: factor of all standard deviations for images that repeat each other.
     """
 
     usual: PixelNoise
@@ -386,22 +386,31 @@ def extent_of(corners: np.ndarray) -> float:
     return float(np.mean(diagonals)) / math.sqrt(2.0)
 
 
-def innovations(start, x, p, sizes, corners, view: Viewpoint, noise: CornerNoise):
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """The corners of a marker in one image."""
+
+    corners: np.ndarray  #: (4, 2) px
+    view: Viewpoint  #: the camera
+    noise: CornerNoise  #: of the corners
+
+
+def innovations(start, x, p, sizes, measured: Measurement):
     """Compare corners with states `start` of covariance `p`, linearised at states `x`.
 
     Returns:
-        What is left to explain (n, 8) px, its derivatives by the state (n, 8, 20), its covariance
-        (n, 8, 8), and where the corners are seen (n, 8) px, as `predict` says.
+        Innovations (n, 8) px, their derivatives by the state (n, 8, 20), their covariance
+        (n, 8, 8), and the corners (n, 8) px that `predict` returns.
     """
-    predicted, by_state, tilts = predict(x, sizes, view)
+    predicted, by_state, tilts = predict(x, sizes, measured.view)
     seen, bad = predicted, ~np.isfinite(predicted).all(axis=1)
     if bad.any():
         seen = predicted.copy()
         seen[bad], by_state[bad], tilts[bad] = 1e4, 0.0, 0.0
     off = start - x
     off[:, 2] = wrap(off[:, 2])
-    rest = corners.reshape(8) - seen - applied(by_state, off)
-    covariance = noise.covariance(extent_of(corners), tilts)
+    rest = measured.corners.reshape(8) - seen - applied(by_state, off)
+    covariance = measured.noise.covariance(extent_of(measured.corners), tilts)
     covariance = covariance + by_state @ p @ by_state.transpose(0, 2, 1)
     return rest, by_state, covariance, predicted
 
@@ -423,29 +432,24 @@ def applied(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return (matrices @ vectors[..., None])[..., 0]
 
 
-def iterated_update(
-    start, p, sizes, corners, view: Viewpoint, noise: CornerNoise, rounds: int = 3, hidden=()
-):
-    """Take corners (4, 2) px into account (Bell and Cathey 1993: Gauss and Newton's steps).
+def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hidden=()):
+    """Update states by corners in an image (Bell and Cathey 1993: Gauss-Newton steps).
 
     Args:
         start: (n, 20) states.
         p: (n, 20, 20) their covariances.
         sizes: (n,) m.
-        corners: as seen by the camera of `view`, with `noise`.
-        view: that camera.
-        noise: theirs.
-        rounds: linearisations, at most.
-        hidden: numbers of corners that say nothing.
+        measured: the corners.
+        rounds: most linearisations.
+        hidden: indices of corners that do not count.
 
     Returns:
         States (n, 20), covariances (n, 20, 20), squared Mahalanobis distances of the corners (n,)
         and logarithms of the determinants of their covariances (n,).
     """
-    corners = np.asarray(corners, dtype=float)
     x = start
     for number in range(rounds):
-        rest, by_state, covariance, _ = innovations(start, x, p, sizes, corners, view, noise)
+        rest, by_state, covariance, _ = innovations(start, x, p, sizes, measured)
         for corner in hidden:
             covariance[:, 2 * corner, 2 * corner] += _HIDDEN**2
             covariance[:, 2 * corner + 1, 2 * corner + 1] += _HIDDEN**2
@@ -461,28 +465,21 @@ def iterated_update(
     return x, left, squared_distances(rest, covariance), np.linalg.slogdet(covariance)[1]
 
 
-def robust_update(
-    start,
-    p,
-    sizes,
-    corners,
-    view: Viewpoint,
-    noise: CornerNoise,
-    rounds: int = 3,
-    judges=slice(None),
-):
-    """Do as `iterated_update`, and without one of the corners where that alone explains the image.
+def robust_update(start, p, sizes, measured: Measurement, rounds: int = 3, judges=slice(None)):
+    """Do as `iterated_update`, but leave out a corner if that alone explains the image.
 
-    Something before a corner moves it by pixels, and leaves the others where they are. Only what
-    the `judges` among the states say of it counts: what is hardly thinkable may explain anything.
+    Something before a corner moves it by pixels, and leaves the others where they are. Only the
+    `judges` among the states decide: very unlikely ones may explain anything.
     """
-    given = start, p, sizes, corners, view, noise, rounds
+    given = start, p, sizes, measured, rounds
     best = whole = iterated_update(*given)
-    if np.min(whole[2][judges]) < _SUSPICIOUS:
+    least = np.min(whole[2][judges])
+    if least < _SUSPICIOUS:
         return whole
+    limit = _EXPLAINED * least
     for corner in range(4):
         without = iterated_update(*given, hidden=(corner,))
-        least = np.min(without[2][judges])
-        if least < min(np.min(best[2][judges]), _EXPLAINED * np.min(whole[2][judges])):
-            best = without
-    return best if np.min(best[2][judges]) < _SUSPICIOUS else whole
+        found = np.min(without[2][judges])
+        if found < min(least, limit):
+            best, least = without, found
+    return best if least < _SUSPICIOUS else whole

@@ -1,4 +1,4 @@
-"""Geometry of a dock: its walls as boxes on the floor, and from where its marker is visible.
+"""Geometry of a dock: walls as boxes on the floor, and the places that see its marker.
 
 In the dock's frame the marker's face is at x = 0, and a robot before it has x < 0 and yaw 0.
 """
@@ -60,7 +60,7 @@ def clearance(points, boxes: np.ndarray) -> np.ndarray:
 def whole_in_image(
     dock: Dock, camera: PinholeCamera, mount: CameraMount, distances: np.ndarray
 ) -> np.ndarray:
-    """Say at which distances (n,) m from the marker a camera has the whole of it in the image.
+    """Return at which distances (n,), m, the whole marker is in a camera's image.
 
     That is for a robot in the dock, wherever the dock's tolerances let it stand.
     """
@@ -77,7 +77,7 @@ def whole_in_image(
 
 
 def misfit(dock: Dock, camera: PinholeCamera, mount: CameraMount, farthest: float) -> str:
-    """Say why a camera, which finds the marker up to `farthest` m, cannot see it from the dock.
+    """Return why a camera, which finds the marker up to `farthest` m, cannot see it from the dock.
 
     Empty where it can.
     """
@@ -94,7 +94,7 @@ def misfit(dock: Dock, camera: PinholeCamera, mount: CameraMount, farthest: floa
 
 
 class MarkerVisibility:
-    """From where a camera, at a height above the floor, should be able to find a dock's marker.
+    """Visibility of a dock's marker for a camera at a height above the floor.
 
     `height` and the range, `farthest`, are in m.
     """
@@ -116,9 +116,9 @@ class MarkerVisibility:
         return other
 
     def unobstructed(self, x, y) -> np.ndarray:
-        """Say whether nothing is between cameras at (x, y) m in the dock's frame and the marker.
+        """Return whether nothing is between cameras at (x, y) m in the dock's frame and the marker.
 
-        Range and slant are looked at as well, the camera's heading is not. Shapes broadcast.
+        Range and slant count as well, the camera's heading does not. Shapes broadcast.
         """
         x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
         before = -x
@@ -133,21 +133,21 @@ class MarkerVisibility:
         return good & (at_opening < inner)
 
     def visible(self, cameras: np.ndarray) -> np.ndarray:
-        """Say for (..., 3) camera poses in the dock's frame whether the marker should be found."""
+        """Return whether (..., 3) cameras in the dock's frame should find the marker."""
         x, y, heading = cameras[..., 0], cameras[..., 1], cameras[..., 2]
         off = np.arctan2(-y, -x) - heading
         off = np.abs(np.arctan2(np.sin(off), np.cos(off)))
         return self.unobstructed(x, y) & (off < self.half_angle(np.hypot(x, y)))
 
     def in_reach(self, distance, reach) -> np.ndarray:
-        """Say whether a marker is found at distances (m) in light that has `reach`.
+        """Return whether a marker is found at distances (m) in light that has `reach`.
 
         That is the share of the range of good light up to which it is. Shapes broadcast.
         """
         return np.asarray(distance) < np.asarray(reach) * self.farthest
 
     def found(self, cameras: np.ndarray, reach) -> np.ndarray:
-        """Say whether (..., 3) cameras in the dock's frame should find the marker in such light."""
+        """Return whether (..., 3) cameras in the dock's frame should find the marker in a light."""
         distance = np.hypot(cameras[..., 0], cameras[..., 1])
         return self.visible(cameras) & self.in_reach(distance, reach)
 

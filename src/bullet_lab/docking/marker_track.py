@@ -1,4 +1,4 @@
-"""Track of one thing that shows the marker: where it is, and whether it is the real one.
+"""Track of one print of the marker: where it is, and whether it is the real one.
 
 A flat marker has two poses that look alike, and a larger print far away looks like the real one
 close by. So a track is a sum of Gaussians: several yaws, and several sizes of which only one
@@ -16,6 +16,7 @@ from typing import Optional, Tuple
 import numpy as np
 
 from bullet_lab.core.se2 import wrap
+from bullet_lab.docking.database import DockMarker
 from bullet_lab.docking.filter import (
     CAMERA,
     CORNERS,
@@ -26,6 +27,7 @@ from bullet_lab.docking.filter import (
     UNKNOWN_ODOMETRY,
     CornerNoise,
     GaussianPose,
+    Measurement,
     Viewpoint,
     applied,
     as_known,
@@ -37,37 +39,37 @@ from bullet_lab.docking.filter import (
     squared_distances,
 )
 from bullet_lab.docking.odometry import MotionStep
-from bullet_lab.docking.types import Calibration, Learned, PixelNoise
+from bullet_lab.docking.types import Calibration, Learned, PixelNoise, Sighting
 
 SCALES = np.array([1.0, 0.35, 0.45, 0.6, 0.8, 1.25, 1.6, 2.1, 2.8, 3.7, 5.0, 6.5, 8.5, 11.0])
 """Sizes that are thought possible, as multiples of the marker's; the first is the real one."""
 
 _WINDOW = 0.22
-# The sizes stand for all that lie between them; the real one is known well.
+# Relative standard deviation of each size; the real one is known well.
 _PLAY = np.where(SCALES == 1.0, 0.02, 0.08)
 _ODOMETRY_SCALE = 0.04
-# Noise of the height in the image that tells the range, px: far markers are off together.
+# Noise of the height in the image, which shows the range, px.
 _EDGE = 0.35
 _BEARING = 0.03
 
-# Of the height in m and the logarithm of the size: what is known of the real one, and of others.
+# Standard deviations of height, m, and of the logarithm of the size: of the real one, and others.
 _HEIGHT_KNOWN, _HEIGHT_FREE = 0.008, 0.4
 _GROWTH_KNOWN, _GROWTH_FREE = 1e-4, 0.12
-# Yaws at the start, against the line of sight, and their deviations, in rad.
+# Yaws at the start, against the line of sight, and their deviations, rad.
 _SLANTS = np.radians(np.arange(-70.0, 71.0, 7.0))
 _START_DEVIATION = math.radians(5.0)
-# Gaussians that are kept: so many of a size, of no less weight within it, of no less likely sizes.
+# Gaussians that are kept: most of a size, least weight within it, least probability of a size.
 _PER_SCALE = 3
 _LEAST_WEIGHT = 1e-6
 _LEAST_SHARE = 1e-5
-# Images from one spot that count in full; of a marker narrower than so many px.
+# Images from one spot that count in full, and of a marker narrower than so many px.
 _FRAMES_AT_A_SPOT, _OF_A_SMALL_ONE, _SMALL = 8, 3, 40.0
-# Gaussians of this part of the likeliest one's weight say whether a corner is hidden.
+# Gaussians of at least this part of the greatest weight decide whether a corner is hidden.
 _LIKELY = 0.1
-# A squared distance from which on an image fits nothing; after so many of them it is believed.
+# Squared distance above which an image is an outlier; so many in a row are believed.
 _OUTLIER = 40.0
 _STUBBORN = 4
-# Wider than this, in px, a marker tells its yaw itself; more deviations, squared, contradict it.
+# A wider marker shows its yaw itself, px; squared deviations that contradict a yaw.
 _CLEAR, _CONTRADICTION = 60.0, 9.0
 
 
@@ -86,13 +88,13 @@ class SizeTest:
         self._unseen = 0.0
 
     def travel(self, away: float, beside: float, variance: float) -> None:
-        """Take note of a step: m away from the marker, m across, and the variance of the first."""
+        """Note a step: m away from the marker, m across, and the variance of the first."""
         self._away += away
         self._variance += variance + (_BEARING * beside) ** 2
         self._unseen += math.hypot(away, beside)
 
     def see(self, reach: float, deviation: float, since: float = 0.0) -> None:
-        """Take note of a seeming range (m) and its standard deviation.
+        """Note a seeming range (m) and its standard deviation.
 
         `since` is what was travelled away from the marker since then, m: images may be late.
         """
@@ -123,16 +125,14 @@ class SizeTest:
 
 
 class MarkerTrack:
-    """One thing that shows the marker, followed from image to image.
+    """A print of the marker, followed from image to image.
 
     Args:
-        corners: (4, 2) px, where it was seen first.
+        sighting: the first one.
         view: by which camera.
-        size: of the real marker, m.
-        height: of the real marker, m.
+        marker: the real one.
         prior: of the dock's pose in the robot's frame.
         noise: of the corners in any image.
-        deviations: (4, 2) px, how far off these may be as far as the image tells; None: not known.
 
     Attributes:
         frames: images that were taken into account.
@@ -143,27 +143,26 @@ class MarkerTrack:
 
     def __init__(
         self,
-        corners: np.ndarray,
+        sighting: Sighting,
         view: Viewpoint,
-        size: float,
-        height: float,
+        marker: DockMarker,
         prior: GaussianPose,
         noise: PixelNoise,
-        deviations: Optional[np.ndarray] = None,
     ):
-        self._size, self._height, self._noise = size, height, noise
+        self._size, self._height, self._noise = marker.size, marker.height, noise
         self.frames, self.last_seen, self.found_from = 0, -math.inf, 0.0
         self._eye = np.array([view.mount.x, view.mount.y])
         self._spot: Optional[np.ndarray] = None
         self._spot_frames = 0
         self._outliers = 0
-        # Of which states, and what became of the real ones: asked for many times at each tick.
+        # States, and `as_known` of the real ones: needed many times at each tick.
         self._known: Tuple = (None, ())
-        self._extent = extent_of(corners)
-        self._start(np.asarray(corners, dtype=float), view, prior, CornerNoise(noise, deviations))
+        measured = self._measured(sighting, view)
+        self._extent = extent_of(measured.corners)
+        self._start(measured, prior)
 
     def estimate(self) -> Optional[GaussianPose]:
-        """Return the pose if it is real; None if that is out of the question."""
+        """Return the pose if it is real; None if it cannot be."""
         poses, covariances, weights = self.components()
         if not len(weights):
             return None
@@ -217,7 +216,7 @@ class MarkerTrack:
         return GaussianPose(x[0, :3].copy(), p[0, :3, :3].copy())
 
     def learned(self) -> Calibration:
-        """Return what the likeliest Gaussian says of camera and odometry, if it is real."""
+        """Return camera and odometry errors of the likeliest Gaussian, if it is real."""
         best = np.argmax(np.where(self._scale == 0, self._within, -1.0))
         (x,), (p,) = as_known(self._x[best, None], self._p[best, None])
         values = [Learned(*pair) for pair in zip(x.tolist(), np.sqrt(np.diag(p)).tolist())]
@@ -238,7 +237,7 @@ class MarkerTrack:
     def move(self, motion: MotionStep) -> None:
         """Follow a step of the robot."""
         dx, dy, turn = motion.step
-        # The test of sizes is told how the camera moves, as seen from the marker.
+        # Motion of the camera, for the test of sizes.
         cos, sin = math.cos(turn), math.sin(turn)
         ex, ey = self._eye
         moved = np.array([dx + cos * ex - sin * ey - ex, dy + sin * ex + cos * ey - ey])
@@ -251,17 +250,17 @@ class MarkerTrack:
         if self._spot is not None:
             self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
 
-    def nearest(
-        self, corners: np.ndarray, view: Viewpoint, deviations: Optional[np.ndarray] = None
-    ) -> Tuple[float, np.ndarray]:
+    def _measured(self, sighting: Sighting, view: Viewpoint, repeated: float = 1.0) -> Measurement:
+        corners = np.asarray(sighting.corners, dtype=float)
+        return Measurement(corners, view, CornerNoise(self._noise, sighting.deviations, repeated))
+
+    def nearest(self, sighting: Sighting, view: Viewpoint) -> Tuple[float, np.ndarray]:
         """Return the least squared Mahalanobis distance (of 8 values) to one of its Gaussians.
 
         And the (4, 2) corners as that one predicts them; NaN if behind the camera.
         """
-        noise = CornerNoise(self._noise, deviations)
-        rest, _, covariance, seen = innovations(
-            self._x, self._x, self._p, self._sizes, corners, view, noise
-        )
+        measured = self._measured(sighting, view)
+        rest, _, covariance, seen = innovations(self._x, self._x, self._p, self._sizes, measured)
         squares = squared_distances(rest, covariance)
         best = int(np.argmin(squares))
         return float(squares[best]), seen[best].reshape(4, 2)
@@ -271,22 +270,14 @@ class MarkerTrack:
         best = np.argmax(np.where(self._scale == 0, self._within, -1.0))
         return predict(self._x[best, None], self._sizes[best, None], view)[0].reshape(4, 2)
 
-    def see(
-        self, corners: np.ndarray, view: Viewpoint, deviations: Optional[np.ndarray] = None
-    ) -> None:
-        """Take the corners of one more image into account.
+    def see(self, sighting: Sighting, view: Viewpoint) -> None:
+        """Update the track by one more image.
 
-        Images from one spot share their errors; after some of them, more say little.
-
-        Args:
-            corners: (4, 2) px.
-            view: by which camera.
-            deviations: as for the first ones.
+        Images from one spot share their errors; after some of them, more count little.
         """
-        corners = np.asarray(corners, dtype=float)
-        self._extent = extent_of(corners)
-        noise = CornerNoise(self._noise, deviations, self._repeated_here(self._extent))
-        seen = corners, view, noise, 3, self._likely()
+        self._extent = extent_of(np.asarray(sighting.corners, dtype=float))
+        measured = self._measured(sighting, view, self._repeated_here(self._extent))
+        seen = measured, 3, self._likely()
         x, p, squares, logs = robust_update(self._x, self._p, self._sizes, *seen)
         if np.min(squares) > _OUTLIER:
             self._outliers += 1
@@ -307,13 +298,13 @@ class MarkerTrack:
         away = float(np.hypot(*ray))
         self.found_from = max(self.found_from, away)
         since = -float(ray @ moved) / max(away, 1e-6)
-        self._sizing.see(*self._reach(corners, view), since)
+        self._sizing.see(*self._reach(measured.corners, view), since)
         self._reduce()
 
     def adopt_yaw(self, yaw: float, variance: float) -> None:
-        """Take over a yaw (rad, rad²) that something larger tells, where all of its own differ.
+        """Take over the yaw (rad, rad²) of a larger print if all of its own differ.
 
-        A few pixels that face the camera look alike over 20 degrees, and in all images alike.
+        A marker of few pixels that faces the camera looks the same over 20 degrees.
         """
         real = np.flatnonzero(self._scale == 0)
         if not len(real) or self._extent > _CLEAR:
@@ -362,7 +353,8 @@ class MarkerTrack:
         self._weights = self._within * shares[self._scale] / np.sum(shares)
         self.real = float(np.sum(self._weights[self._scale == 0]))
 
-    def _start(self, corners, view: Viewpoint, prior: GaussianPose, noise: CornerNoise) -> None:
+    def _start(self, measured: Measurement, prior: GaussianPose) -> None:
+        corners, view = measured.corners, measured.view
         ray, reach = view.line_of_sight(corners, self._size)
         count = len(_SLANTS)
         scale = np.repeat(np.arange(len(SCALES)), count)
@@ -383,7 +375,7 @@ class MarkerTrack:
         covariance[:, CORNERS, CORNERS] = OFF_CORNER**2 * np.eye(8)
         covariance[:, ODOMETRY, ODOMETRY] = np.diag(UNKNOWN_ODOMETRY**2)
         self._scale, self._sizes = scale, sizes
-        fitted = robust_update(states, covariance, sizes, corners, view, noise, rounds=6)
+        fitted = robust_update(states, covariance, sizes, measured, rounds=6)
         self._x, self._p, squares, _ = fitted
         unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
         self._fuse(prior)
@@ -399,7 +391,7 @@ class MarkerTrack:
         self._reduce()
 
     def _fuse(self, prior: GaussianPose) -> None:
-        """Fuse what was believed before the marker was seen with what it is if it is real."""
+        """Fuse the belief before the marker was seen with the Gaussians of the real size."""
         real = self._scale == 0
         x, p = self._x[real], self._p[real]
         off = prior.mean - x[:, :3]

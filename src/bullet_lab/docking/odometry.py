@@ -1,4 +1,4 @@
-"""Odometry as docking uses it: steps with their covariance, recent poses, and what is wrong."""
+"""Odometry for docking: steps with their covariance, recent poses, jumps and stuck wheels."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.types import STANDSTILL, Command, Odometry
 
-# Of odometry that does not say how good it is: m²/m, rad²/m, rad²/rad; m²/m, m²/rad across. Wheels
-# on a floor slip.
-# Across they do so where the robot turns.
-_ALONG, _TURN_BY_WAY, _TURN_BY_TURN = 0.004**2, 0.004**2, 0.006**2
-_ACROSS_BY_WAY, _ACROSS_BY_TURN = 0.0015**2, 0.002**2
-# Of the watch: seconds; m and rad commanded in them, at the least; share of that to be done.
+# Variances by distance and turn of wheels that slip, added to those of the message.
+_ALONG = 0.004**2  # m²/m
+_TURN_BY_WAY = 0.004**2  # rad²/m
+_TURN_BY_TURN = 0.006**2  # rad²/rad
+_ACROSS_BY_WAY = 0.0015**2  # m²/m
+_ACROSS_BY_TURN = 0.002**2  # m²/rad
+# A robot is stuck if in so many seconds it was commanded to move by so much, m or rad, and did less
+# than this share of it.
 _SECONDS = 2.0
-_LEAST_WAY, _LEAST_TURN = 0.08, 0.25
+_LEAST_WAY = 0.08
+_LEAST_TURN = 0.25
 _DONE = 0.3
 
 
@@ -51,9 +54,9 @@ def motion_step(before: Odometry, after: Odometry) -> MotionStep:
 
 
 def jump(step: MotionStep, seconds: float, speed: float, turn_speed: float) -> Optional[str]:
-    """Say what no robot of these speeds (m/s, rad/s) does in a step of so many seconds, or None.
+    """Return a message if a step is too large for these speeds (m/s, rad/s) and seconds, or None.
 
-    Six standard deviations are allowed for.
+    Six standard deviations are tolerated.
     """
     way, turn = math.hypot(step.step[0], step.step[1]), abs(step.step[2])
     spread = 6.0 * np.sqrt(np.maximum(np.diag(step.covariance), 0.0))
@@ -101,18 +104,18 @@ class OdometryBuffer:
 
 
 class StuckWatch:
-    """Compares what was commanded in the last seconds with what the odometry says."""
+    """Compares the commands of the last seconds with the odometry."""
 
     def __init__(self):
         self._command: Command = STANDSTILL
         self._past: Deque[Tuple[float, float, float, float, float]] = deque()
 
     def commanded(self, command: Command) -> None:
-        """Take note of a command (m/s, rad/s), in force until the next one."""
+        """Note a command (m/s, rad/s), in force until the next one."""
         self._command = command
 
     def moved(self, step: Tuple[float, float, float], seconds: float) -> None:
-        """Take note of a step of the odometry (m, m, rad) in so many seconds."""
+        """Note a step of the odometry (m, m, rad) in so many seconds."""
         v, w = (abs(part) * seconds for part in self._command)
         self._past.append((seconds, v, w, abs(step[0]), abs(step[2])))
         while sum(entry[0] for entry in self._past) > _SECONDS:
@@ -120,7 +123,7 @@ class StuckWatch:
 
     @property
     def stuck(self) -> bool:
-        """Whether it was told to move, and did not."""
+        """Whether the robot was commanded to move, and did not."""
         _, way, turn, went, turned = map(sum, zip(*self._past or [(0.0,) * 5]))
         if way > _LEAST_WAY and went < _DONE * way:
             return True

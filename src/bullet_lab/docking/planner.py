@@ -1,4 +1,4 @@
-"""Planner of a docking: where the robot is, what it may do there, and which ways are safe."""
+"""Planner of a docking: estimates for the states to decide by, and safe paths."""
 
 from __future__ import annotations
 
@@ -15,15 +15,9 @@ from bullet_lab.docking.control import AxisTracker, Lane
 from bullet_lab.docking.costmap import Costmap, along
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose
-from bullet_lab.docking.geometry import (
-    QUIET_ZONE,
-    MarkerVisibility,
-    clearance,
-    misfit,
-    wall_boxes,
-)
+from bullet_lab.docking.geometry import QUIET_ZONE, clearance, misfit, wall_boxes
 from bullet_lab.docking.marker_track import MarkerTrack
-from bullet_lab.docking.next_best_view import NextView, next_best_view
+from bullet_lab.docking.search import MarkerSearch, NextView
 from bullet_lab.docking.types import (
     STANDSTILL,
     CameraMount,
@@ -36,35 +30,37 @@ from bullet_lab.docking.types import (
 )
 from bullet_lab.errors import LabError
 
+# Poses of the dock that a costmap is made of.
 _SAMPLES = 120
+# Share of the possible docks that a robot may touch.
 _RISKY = 0.03
+# Length of a drive that shows the size of a print, m.
 _PROBE = 0.6
-# m; a way that comes nearer to a wall than the robot stands by so much is looked at from its start.
+# A path is unsafe from its start if it leads nearer to a wall than the robot is, by so much, m.
 _NEARER_WALL = 0.01
 _MOST_PROBES = 6
-# Between the walls' front edges and the circle in which the robot turns, at the least, in m.
+# After so many doubts whether a track is real, a small probability is enough.
+_MOST_DOUBTS = 3
+# Least distance of the circle in which the robot turns from the walls' front edges, m.
 _ROOM_TO_TURN = 0.17
-# Standard deviation of the yaw, as a share of the tolerance, above which it drives in once more,
-# and how often; and the last bit of the way (m) that it goes without seeing the marker.
-_UNSURE, _MOST_ROUNDS = 0.4, 2
+# Standard deviation of the yaw, as a share of the tolerance, above which the robot drives in once
+# more, and how often at most.
+_UNSURE = 0.4
+_MOST_ROUNDS = 2
+# Last part of the approach that may be driven without seeing the marker, m.
 _BLIND = 0.12
-# To look at a marker from beside its axis: as a part of how far the walls let it be seen, and rad.
-_ASIDE, _FARTHEST_ASIDE = 0.85, math.radians(35.0)
-# From this part of the way from which the marker was found it is found again.
+# Angle from the axis at which the marker is viewed from aside: share of the angle at which the
+# walls begin to hide it, and most, rad.
+_ASIDE = 0.85
+_FARTHEST_ASIDE = math.radians(35.0)
+# Share of the distance at which the marker was found from which it is found again.
 _AS_FAR = 0.95
-# How far apart, in m along the dock's axis, two prints on one wall may seem.
+# Most distance of two prints on one wall along the dock's axis, m.
 _SAME_PLANE = 0.2
-# Looks for a larger print, where the marker itself is too small to be found from outside: how
-# many, from how far (m), how wide that may be (half, by the opening), and the share of such looks
-# that miss it.
-_MOST_FAR_LOOKS = 14
-_FAR, _NEARER, _NEAREST = 4.5, 0.87, 2.6
-_WIDEST_PRINT = 0.42
-_FAR_MISSED = 0.3
 
 
 class DockingFailureError(LabError):
-    """The docking ends here, for a reason with a name."""
+    """The docking has failed; `error` is the reason."""
 
     def __init__(self, error: DockingError, message: str):
         super().__init__(message)
@@ -72,7 +68,7 @@ class DockingFailureError(LabError):
 
 
 class DockingPlanner:
-    """Knows the dock as far as it is known, and which ways are safe; the states share it.
+    """Estimates, counters and safe paths of a docking, which its states share.
 
     Attributes:
         search: whether to look for the marker where it is not seen at once.
@@ -80,8 +76,9 @@ class DockingPlanner:
         now: stamp of the tick, s.
         retries: how often it retreated to try again.
         stagings: how often it went for a better start.
-        unclear: how often a way in was given up as the axis was not known well enough.
-        lost_at_the_end: whether the marker was not found any more where the way ends.
+        unclear: how often an approach was given up as the axis was not known well enough.
+        doubts: how often a track was not certain enough to follow it between the walls.
+        lost_at_the_end: whether the marker was lost at the end of the approach.
         ahead: m, of the camera before the robot's middle.
     """
 
@@ -99,6 +96,7 @@ class DockingPlanner:
         self.shape, self.search, self.max_retries = shape, search, max_retries
         self.lane = Lane(dock, shape, settings.wall_margin, mount.x)
         self.tracker = AxisTracker(settings, mount.x)
+        self.lookout = MarkerSearch(dock, belief, settings, mount.x)
         self.ahead, self._mount = mount.x, mount
         self.now = 0.0
         self._at_rest_since: Optional[float] = None
@@ -106,26 +104,23 @@ class DockingPlanner:
         self.lost_at_the_end = False
         self._boxes = wall_boxes(dock)
         self._camera = np.array([mount.x, 0.0, 0.0])
-        self._doubts = self._far_looks = self._probes = 0
-        self._far_range = _FAR
-        self._far_visibility: Optional[MarkerVisibility] = None
-        self._cue: Tuple[Optional[MarkerTrack], int] = (None, 0)
-        self._asked: Tuple[Optional[MarkerTrack], int] = (None, 0)
+        self.doubts = self._probes = 0
+        self._noted: Tuple[Optional[MarkerTrack], int] = (None, 0)
 
     def commanded(self, command: Command) -> None:
-        """Take note of the command (m/s, rad/s) that is in force now."""
+        """Note the command (m/s, rad/s) that is in force now."""
         if command != STANDSTILL:
             self._at_rest_since = None
         elif self._at_rest_since is None:
             self._at_rest_since = self.now
 
     def settled(self) -> bool:
-        """Say whether the robot was told to stand for so long that images count."""
+        """Return whether the robot has stood for so long that images count."""
         resting = 0.0 if self._at_rest_since is None else self.now - self._at_rest_since
         return resting >= self.settings.settle_time
 
     def unseen(self, track: MarkerTrack) -> float:
-        """Return for how long what a track follows was not seen, in s."""
+        """Return for how long a track was not seen, s."""
         return self.now - track.last_seen
 
     def left(self, robot: np.ndarray) -> float:
@@ -133,16 +128,16 @@ class DockingPlanner:
         return -float(robot[0]) - self.dock.docked_distance - self.ahead
 
     def marker_in_view(self, estimate: GaussianPose) -> bool:
-        """Say whether the marker should be found in an image taken now."""
+        """Return whether the marker should be found in an image taken now."""
         seen = self.belief.visibility
         return seen is None or bool(seen.visible(se2.between(estimate.mean, self._camera)))
 
     def misfit(self, camera: PinholeCamera) -> str:
-        """Say why a camera cannot see the marker from the dock; empty where it can."""
+        """Return why a camera cannot see the marker from the dock; empty where it can."""
         return misfit(self.dock, camera, self._mount, self.belief.farthest(camera))
 
     def in_reach(self, robot: np.ndarray) -> bool:
-        """Say whether the marker is near enough to be found, as it was from as far before."""
+        """Return whether the marker is near enough to be found, as it was from as far before."""
         visibility, track = self.belief.visibility, self.belief.best()
         if visibility is None:
             return True
@@ -157,7 +152,7 @@ class DockingPlanner:
             return DockingResult(success, error, message, self.retries)
         robot, learned = estimate.robot, self.belief.best().learned()
         remarks = learned.remarks()
-        message += f" (found otherwise than known: {remarks})" if message and remarks else ""
+        message += f" (differs from nominal: {remarks})" if message and remarks else ""
         distance = self.left(robot) + self.dock.docked_distance
         pose = distance, float(robot[1]), wrap(float(robot[2]))
         return DockingResult(success, error, message, self.retries, *pose, learned)
@@ -166,40 +161,41 @@ class DockingPlanner:
         """Return the dock's pose in the robot's frame; None before the marker was seen."""
         return None if self.belief.odometry.last is None else self.belief.estimate()
 
-    def sure(self, track: MarkerTrack) -> bool:
-        """Say whether a track may be driven at between the walls; asked for, it counts."""
-        if track.real >= self.settings.sure or (self._doubts >= 3 and track.real > 0.2):
+    def is_sure(self, track: MarkerTrack) -> bool:
+        """Return whether a track is certain enough to follow it between the walls.
+
+        After a few doubts, less certainty is asked for.
+        """
+        if track.real >= self.settings.sure or (self.doubts >= _MOST_DOUBTS and track.real > 0.2):
             return True
         copy, walls = self.belief.copy_on_the_wall(), self.dock.walls
         if track.real > 0.5 and copy is not None and walls is not None:
-            # Is it, if real, where a larger copy says that the dock's back wall is?
+            # If real, it is on the back wall, where a larger copy is.
             off = np.abs(se2.between(copy.likeliest().mean, track.likeliest().mean))
-            if off[0] < _SAME_PLANE and off[1] < 0.5 * walls.opening:
-                return True
-        self._doubts += 1
+            return off[0] < _SAME_PLANE and off[1] < 0.5 * walls.opening
         return False
 
-    def has_learnt(self) -> bool:
-        """Say whether the track to go for was seen since this was last asked of it."""
+    def note_progress(self) -> bool:
+        """Note how often the best track was seen; return whether it was since the last note."""
         track = self.belief.best()
-        known, frames = self._asked
-        self._asked = track, track.frames
+        known, frames = self._noted
+        self._noted = track, track.frames
         return track is not known or track.frames - frames >= self.settings.measure_frames
 
     def unsure_of_yaw(self) -> bool:
-        """Say whether to drive at the dock once more, because that would tell more of its yaw.
+        """Return whether to drive in once more to measure the yaw better.
 
-        By how much the camera may be turned only a way tells on which the marker is seen.
+        Only driving with the marker in sight shows how far the camera is turned.
         """
         deviation = self.belief.best().learned().yaw.deviation
         rounds = min(self.max_retries, _MOST_ROUNDS)
         return deviation > _UNSURE * self.dock.tolerance.yaw and self.retries < rounds
 
     def blind(self, track: MarkerTrack, left: float) -> bool:
-        """Say whether the marker is not to be found on the last bit of the way (m).
+        """Return whether to drive the last part of the approach (m) without seeing the marker.
 
-        Before a camera that looks up or down more than is known it leaves the image; or it was
-        lost there once before. Odometry is good enough for what is left.
+        It leaves the image of a camera that is pitched, or was lost there before. Odometry is good
+        enough for what is left.
         """
         estimate, tolerance = self.estimate(), self.dock.tolerance
         along, across = float(estimate.deviations[0]), estimate.lateral_deviation
@@ -208,7 +204,7 @@ class DockingPlanner:
         return certain and self.near(left) and gone
 
     def near(self, left: float) -> bool:
-        """Say whether so much left to go (m) is the last bit of the way."""
+        """Return whether so much left to go (m) is the last part of the approach."""
         return abs(left) < _BLIND
 
     def in_sight(self, left: float) -> float:
@@ -227,14 +223,14 @@ class DockingPlanner:
         )
 
     def still_safe(self, way: Sequence[Point]) -> bool:
-        """Say whether the next metre and a half of a way is safe by what is known now."""
+        """Return whether the next 1.5 m of a path are safe by the present belief."""
         points = self._ahead_of_robot([self.belief.pose[:2], *way], 0.0)
         if not len(points):
             return True
         docks, radius = self.belief.samples(_SAMPLES), self.shape.turning_radius
         flat = np.column_stack([points, np.zeros(len(points))])
         away = clearance(se2.between(docks[:, None], flat[None])[..., :2], self._boxes)
-        # Where it stands it is free, whatever the circle says; nearer to a wall it may not be.
+        # The robot's place is free even if its circle touches; nearer to a wall may not be.
         here = clearance(
             se2.between(docks, np.array([*self.belief.pose[:2], 0.0]))[..., :2], self._boxes
         )
@@ -247,7 +243,7 @@ class DockingPlanner:
         )
 
     def _obstacles(self) -> np.ndarray:
-        """Return (n, 4) what bears copies, without what cannot be: where the robot stands is free.
+        """Return the obstacles (n, 4) of `DockBelief.obstacles` that are not where the robot is.
 
         A print of unknown size could otherwise be a tiny one right before the camera.
         """
@@ -256,16 +252,16 @@ class DockingPlanner:
         return rows[away > self.shape.turning_radius + self.settings.wall_margin]
 
     def _ahead_of_robot(self, way, begin: float = 0.15) -> np.ndarray:
-        """Return points of a way from `begin` (m) on: at first the robot stands there anyway."""
+        """Return points of a path from `begin` (m) on; the robot occupies what is before."""
         pieces = [along(first, second, 0.05) for first, second in zip(way, way[1:])]
         points = np.concatenate(pieces or [np.asarray(way, dtype=float)])
         travelled = np.cumsum(np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)]))
         return points[(travelled > begin) & (travelled < 1.6)]
 
     def way_to_staging(self, estimate: GaussianPose) -> Optional[List[Point]]:
-        """Return a safe way to a point on the axis before the dock; None if there is none.
+        """Return a safe path to a point on the axis before the dock; None if there is none.
 
-        That is where the marker is found, if need be nearer than the database says, or else there.
+        The point is near enough to find the marker, or else at the database's distance.
         """
         staging, visibility = self.dock.staging_distance, self.belief.visibility
         distances = [staging]
@@ -276,10 +272,10 @@ class DockingPlanner:
         return next((way for way in ways if way is not None), None)
 
     def way_aside(self, estimate: GaussianPose) -> Optional[List[Point]]:
-        """Return a safe way to as far from the marker, but beside its axis; None if there is none.
+        """Return a safe path to the same distance, but beside the axis; None if there is none.
 
-        How much narrower a flat marker looks goes with the square of the angle that it is seen at:
-        from its axis that tells little of its yaw. Once on the left, once on the right.
+        A flat marker looks narrower with the square of the viewing angle: on its axis, that shows
+        little of its yaw. Left and right side take turns.
         """
         walls, before = self.dock.walls, float(np.hypot(*estimate.robot[:2]))
         angle = _FARTHEST_ASIDE
@@ -293,7 +289,7 @@ class DockingPlanner:
         return None
 
     def _safe_way(self, estimate: GaussianPose, there: PlanarPose) -> Optional[List[Point]]:
-        """Return a safe way to a pose in the dock's frame; None if there is none."""
+        """Return a safe path to a pose in the dock's frame; None if there is none."""
         costmap = self.costmap()
         goal = se2.compose(self.belief.pose, se2.compose(estimate.mean, there))
         way = costmap.path(goal.tolist())
@@ -316,70 +312,6 @@ class DockingPlanner:
                 return way
         return 0.0
 
-    def chance_to_see(self) -> float:
-        """Return the probability that an image taken now would show the marker, or its copy."""
-        particles = self.belief.particles
-        visibility = self._far_visibility or self.belief.visibility
-        visible = visibility.visible(se2.between(particles.poses, self._camera))
-        return float(particles.weights @ visible)
-
-    def add_miss(self) -> None:
-        """Learn from a look that found nothing."""
-        looks = [(self.belief.visibility, self.settings.missed, True)]
-        if self._far_visibility is not None and not self.belief.copies_seen():
-            looks.append((self._far_visibility, _FAR_MISSED, False))
-        particles = self.belief.particles
-        for visibility, missed, counts in looks:
-            cameras = se2.between(particles.poses, self._camera)
-            particles.add_miss(visibility.found(cameras, particles.reach), missed, counts)
-
-    def use_cue(self) -> bool:
-        """Narrow the belief by a copy that can only be on the dock's back wall; say if there is.
-
-        A copy within the thinkable docks cannot be elsewhere: the dock fills that place.
-        """
-        found = self.belief.copy_on_the_wall()
-        if found is None:
-            return False
-        used, frames = self._cue
-        if used is not found or found.frames > 1.3 * frames:
-            self._cue = found, found.frames
-            walls = self.dock.walls
-            play = 0.1 if walls is None else 0.5 * (walls.opening - found.likeliest_size())
-            self.belief.concentrate(found.likeliest(), max(play, 0.03))
-        return True
-
     def next_view(self) -> Optional[NextView]:
-        """Return where to look next; None if nothing can be seen from a safe place.
-
-        Where the marker cannot, from too far for it: for what else may tell where the dock is. A
-        larger print on the back wall is hidden by the walls sooner than the marker. Once
-        something was seen, each look is nearer than the one before: its size shows on the way.
-        """
-        view = self._next_view(self.belief.visibility)
-        walls = self.dock.walls
-        half = 0.0 if walls is None else _WIDEST_PRINT * walls.opening
-        while view is None and self._far_looks < _MOST_FAR_LOOKS:
-            self._far_looks += 1
-            if self.belief.copies_seen():
-                self._far_range = max(_NEARER * self._far_range, _NEAREST)
-            self._far_visibility = self.belief.visibility.up_to(self._far_range, half)
-            view = self._next_view(self._far_visibility)
-            if view is None:
-                self._far_range = _FAR
-        return view
-
-    def _next_view(self, visibility: MarkerVisibility) -> Optional[NextView]:
-        costmap = self.costmap()
-        docks, reach = self.belief.particles.looks(_SAMPLES)
-        return next_best_view(
-            self.belief.pose,
-            costmap,
-            se2.compose(self.belief.pose, docks),
-            reach,
-            visibility,
-            self.ahead,
-            self.settings.drive_speed,
-            self.settings.turn_speed,
-            self.still_safe,
-        )
+        """Return where to look next; None if nothing can be seen from a safe place."""
+        return self.lookout.next_view(self.costmap, self.still_safe)

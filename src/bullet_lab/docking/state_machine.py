@@ -1,6 +1,6 @@
-"""State machine of a docking: what is done in turn, from the first look to the dock.
+"""State machine of a docking, from the search for the marker to the dock.
 
-A state is asked at each tick for a command, or for how it ended; `TRANSITIONS` says what follows.
+At each tick the state returns a command, or an outcome; `TRANSITIONS` has the state that follows.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _MOST_TRANSITIONS = 3
 
 
 class Outcome(NamedTuple):
-    """How a state ended: a name of `TRANSITIONS`, and what the next state is made of."""
+    """How a state ended: a name of `TRANSITIONS`, and the arguments of the next state."""
 
     name: str
     arguments: Tuple = ()
@@ -42,9 +42,9 @@ Step = Union[Command, Outcome]
 
 
 class State(ABC):
-    """One thing that is done."""
+    """One phase of a docking."""
 
-    state = DockingState.SEARCHING  #: what it is called to the outside
+    state = DockingState.SEARCHING  #: as it is reported
     detail = ""  #: one line for humans
 
     @abstractmethod
@@ -52,7 +52,7 @@ class State(ABC):
         """Return the command for now, or how it ended; raises DockingFailureError."""
 
     def wants_images(self, planner: DockingPlanner) -> bool:
-        """Say whether an image would be used now."""
+        """Return whether an image would be used now."""
         return True
 
     def plan(self) -> Tuple[Point, ...]:
@@ -60,8 +60,8 @@ class State(ABC):
         return ()
 
 
-class Look(State):
-    """Stands and looks, and decides where to look next."""
+class Search(State):
+    """Looks for the marker at rest, and decides where to look next."""
 
     detail = "looking for the marker"
 
@@ -81,13 +81,13 @@ class Look(State):
         return self._elsewhere(planner) if enough and planner.settled() else STANDSTILL
 
     def _elsewhere(self, planner: DockingPlanner) -> Outcome:
-        planner.add_miss()
+        planner.lookout.add_miss()
         if not planner.search:
             raise DockingFailureError(DockingError.NOT_DETECTED, "the marker is not in sight")
         if planner.belief.particles.mass < planner.settings.give_up_mass:
-            message = "the marker is not where the dock may be"
+            message = "the marker is not found in the search region"
             raise DockingFailureError(DockingError.NOT_DETECTED, message)
-        if planner.belief.copies_seen() and not planner.use_cue():
+        if planner.belief.copies_seen() and not planner.lookout.use_cue():
             way = planner.probing_way()
             if way:
                 return Outcome("size unknown", (way,))
@@ -99,7 +99,7 @@ class Look(State):
 
 
 class Drive(State):
-    """Drives along a way as long as that is safe."""
+    """Drives along a path as long as it is safe."""
 
     def __init__(self, way: PathFollower):
         self._way = way
@@ -117,7 +117,7 @@ class Drive(State):
         return Outcome("arrived") if command == STANDSTILL else command
 
 
-class Travel(Drive):
+class DriveToView(Drive):
     """Drives to a place, turns to a heading (rad) and looks."""
 
     detail = "going to where the marker may be seen"
@@ -127,7 +127,7 @@ class Travel(Drive):
         self._heading = heading
 
     def wants_images(self, planner: DockingPlanner) -> bool:  # noqa: D102 - inherited
-        return planner.chance_to_see() > 0.05
+        return planner.lookout.chance_to_see() > 0.05
 
     def step(self, planner: DockingPlanner) -> Step:  # noqa: D102 - inherited
         if planner.belief.best() is not None:
@@ -140,7 +140,7 @@ class Travel(Drive):
         return Outcome("arrived") if command == STANDSTILL else command
 
 
-class Stage(Drive):
+class DriveToStaging(Drive):
     """Drives to the point before the dock."""
 
     state = DockingState.STAGING
@@ -155,12 +155,12 @@ class Stage(Drive):
 
 
 class Probe(State):
-    """Drives a little way (m; negative: back), to see how the size of what is seen changes.
+    """Drives a little (m; negative: back), to see how the size of a print changes.
 
     While `searching`, it ends as soon as the marker is found.
     """
 
-    detail = "finding out how large it is what shows the marker"
+    detail = "measuring the size of a print"
 
     def __init__(self, way: float, searching: bool = True):
         self._way, self._searching = way, searching
@@ -224,7 +224,7 @@ def decide(planner: DockingPlanner) -> Outcome:
     robot = estimate.robot
     within = planner.lane.within_walls(robot)
     left = planner.left(robot)
-    if within and not planner.sure(track):
+    if within and _is_doubtful(planner, track):
         return _back_out(planner, left, 0.35)
     if planner.lane.holds(robot, left, estimate.lateral_deviation):
         return Outcome("in the lane")
@@ -234,12 +234,12 @@ def decide(planner: DockingPlanner) -> Outcome:
     way = planner.way_to_staging(estimate)
     if way is not None:
         return Outcome("off the lane", (PathFollower(way, planner.settings),))
-    if not planner.has_learnt():
-        # It was not seen on the last such drive: from where is it seen?
+    if not planner.note_progress():
+        # It was not seen on the last such drive: search for a place that sees it.
         planner.belief.forget(track)
         return Outcome("lost")
-    # What shows the marker and is of unknown size may be anywhere on the line of sight, and so in
-    # the way; a little drive tells where it is.
+    # A print of unknown size may be anywhere on the line of sight, and so an obstacle; a little
+    # drive shows where it is.
     probe = planner.probing_way()
     if not probe:
         message = "no safe way to the point before the dock"
@@ -247,14 +247,22 @@ def decide(planner: DockingPlanner) -> Outcome:
     return Outcome("size unknown", (probe, False))
 
 
+def _is_doubtful(planner: DockingPlanner, track: MarkerTrack) -> bool:
+    """Return whether a track may not be followed between the walls, and count the doubt."""
+    if planner.is_sure(track):
+        return False
+    planner.doubts += 1
+    return True
+
+
 def _back_out(planner: DockingPlanner, left: float, further: float) -> Outcome:
     """Return the way back on the axis for a better start; it costs one drive to the staging point.
 
-    It goes out of sight of a small marker where it must: what a larger copy tells needs the way.
+    It leaves the range of a small marker if it must: a larger copy needs the distance.
     """
     _count_staging(planner, "no way into the dock is found")
-    if not planner.has_learnt():
-        # The same again would end the same: where is a better place to see it from?
+    if not planner.note_progress():
+        # The same again would end the same: search for a better place.
         planner.belief.forget(planner.belief.best())
         return Outcome("lost")
     target = left + further
@@ -262,9 +270,9 @@ def _back_out(planner: DockingPlanner, left: float, further: float) -> Outcome:
 
 
 def _look_aside(planner: DockingPlanner, estimate: GaussianPose) -> Optional[Outcome]:
-    """Return the way to where a flat marker shows its yaw; None where the same way in may do.
+    """Return the drive to a place beside the axis; None if another approach may do.
 
-    That is where a way in has shown already that from before the marker its yaw is not to be told.
+    An approach has shown before that the yaw is not visible from the axis.
     """
     if planner.lane.leads_at_an_edge(estimate.robot, 0.0):
         return None
@@ -309,13 +317,13 @@ class Approach(State):
         patience = planner.settings.unseen_timeout
         missing = planner.unseen(track) > patience and planner.in_reach(robot)
         if missing and not planner.blind(track, left):
-            # Wait at rest for it to be seen again, then look at what is the matter.
+            # Wait at rest for it to be seen again.
             self._held = planner.now if self._held is None else self._held
             if planner.now - self._held <= patience:
                 return STANDSTILL
             if not planner.near(left):
                 return Outcome("lost")
-            # Something has come before it, or only from here it is not found.
+            # Something hides it, or it is not found from here only.
             planner.lost_at_the_end = True
             if not planner.blind(track, left):
                 return _retry(planner, left, "the marker is lost before the dock")
@@ -329,13 +337,13 @@ class Approach(State):
             return _look_aside(planner, estimate) or _back_out(planner, left, 0.5)
         if planner.lane.within_walls(robot) and not self._entered:
             self._entered = True
-            if not planner.sure(track):
+            if _is_doubtful(planner, track):
                 return _back_out(planner, left, 0.35)
         return planner.tracker.forwards(robot, left)
 
 
 def gate(planner: DockingPlanner, robot: np.ndarray, left: float) -> str:
-    """Say why an approach has to be given up with m left to go; empty if it goes well."""
+    """Return why an approach has to be given up with m left to go; empty if it goes well."""
     settings = planner.settings
     beside, turned = abs(float(robot[1])), abs(wrap(float(robot[2])))
     if left < settings.gate_distance and beside > settings.gate_lateral:
@@ -367,7 +375,7 @@ class Retreat(State):
         target = planner.in_sight(self._target) if self._in_sight else self._target
         left = target - planner.left(estimate.robot)
         self._since = planner.now if self._since is None else self._since
-        # It may be just that place from which it is not found.
+        # It may not be found from the place of the start only.
         unseen = min(planner.unseen(planner.belief.best()), planner.now - self._since)
         if left <= 0.0:
             return Outcome("arrived")
@@ -401,7 +409,7 @@ class Confirm(State):
         robot, settings = estimate.robot, planner.settings
         left, turned = planner.left(robot), wrap(float(robot[2]))
         if self._correction is not None:
-            # Turn or creep until the estimate says that it is done.
+            # Turn or creep until the estimate is there.
             v, w = self._correction
             done = turned * w >= -1e-4 if w else left * v <= 0.0
             if not done and planner.now - self._since <= 6.0:
@@ -416,7 +424,7 @@ class Confirm(State):
         waited, seen = planner.now - self._since, track.frames - self._frames
         if min(waited, planner.unseen(track)) > patience and planner.blind(track, left):
             return self._judge(planner, robot)
-        # Where the light is poor or images get lost, it does not wait for ever for all of them.
+        # In poor light, or when images get lost, it does not wait for all of them.
         late = waited > 5.0 * patience
         if seen >= settings.final_frames * (3 if uncertain and not late else 1):
             return self._judge(planner, robot)
@@ -428,8 +436,8 @@ class Confirm(State):
     def _judge(self, planner: DockingPlanner, robot: np.ndarray) -> Step:
         tolerance = planner.dock.tolerance
         left, beside, turned = planner.left(robot), float(robot[1]), wrap(float(robot[2]))
-        # What is true may be farther off than what is seen: in glaring light all images from one
-        # place are off together. The last try takes the risk.
+        # The true error may be larger than the measured one: in glare all images from one place
+        # are off together. The last try takes the risk.
         share = 1.0 if planner.retries >= planner.max_retries else _SURELY_WITHIN
         if abs(beside) > share * tolerance.lateral:
             return _retry(planner, left, f"{1e3 * abs(beside):.1f} mm beside the axis")
@@ -459,22 +467,22 @@ class Docked(State):
 
 
 TRANSITIONS: Dict[Type[State], Dict[str, Type[State]]] = {
-    Look: {"seen": Measure, "not seen": Travel, "size unknown": Probe},
-    Travel: {"seen": Measure, "arrived": Look, "not safe": Look},
-    Probe: {"done": Look},
+    Search: {"seen": Measure, "not seen": DriveToView, "size unknown": Probe},
+    DriveToView: {"seen": Measure, "arrived": Search, "not safe": Search},
+    Probe: {"done": Search},
     Measure: {
         "in the lane": Approach,
-        "off the lane": Stage,
+        "off the lane": DriveToStaging,
         "bad start": BackOut,
         "size unknown": Probe,
-        "lost": Look,
+        "lost": Search,
     },
-    Stage: {"arrived": Measure, "not safe": Measure, "lost": Look},
+    DriveToStaging: {"arrived": Measure, "not safe": Measure, "lost": Search},
     Approach: {
         "arrived": Confirm,
         "failed": Retreat,
         "bad start": BackOut,
-        "unclear": Stage,
+        "unclear": DriveToStaging,
         "lost": Measure,
     },
     BackOut: {"arrived": Measure, "lost": Measure},
@@ -482,7 +490,7 @@ TRANSITIONS: Dict[Type[State], Dict[str, Type[State]]] = {
     Confirm: {"within tolerance": Docked, "failed": Retreat, "lost": Measure},
     Docked: {},
 }
-"""The state that follows each one, by how it ended. It begins with `Look`."""
+"""The state that follows each one, by its outcome. The first is `Search`."""
 
 
 class StateMachine:
@@ -490,7 +498,7 @@ class StateMachine:
 
     def __init__(self, planner: DockingPlanner):
         self._planner = planner
-        self.state: State = Look()
+        self.state: State = Search()
 
     def step(self) -> Command:
         """Ask the state, and those that follow at once, for a command (m/s, rad/s)."""

@@ -1,4 +1,4 @@
-"""Docking and undocking as tasks that are fed with odometry and images and give commands."""
+"""Docking and undocking as tasks: they take odometry and images, and return commands."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ _UNDOCKED = 0.003
 
 
 class DockingTaskError(LabError):
-    """A docking that makes no sense."""
+    """Invalid arguments of a docking."""
 
 
 class UndockingTaskError(LabError):
-    """An undocking that makes no sense."""
+    """Invalid arguments of an undocking."""
 
 
 class WatchedTask(ABC):
-    """The part that all tasks share: the watch over time, odometry and wheels, and the ramp."""
+    """Base of all tasks: limits of time, odometry and acceleration, and stuck wheels."""
 
     def __init__(
         self, done: str, odometry: OdometryBuffer, settings: DockingSettings, time_limit: float
@@ -59,10 +59,6 @@ class WatchedTask(ABC):
         self._started: Optional[float] = None
         self._last_tick: Optional[float] = None
         self.result: Optional[DockingResult] = None
-
-    def preempt(self) -> None:
-        """Stop at once."""
-        self._end(DockingError.PREEMPTED, "stopped on request")
 
     def tick(self, stamp: float) -> Command:
         """Return the command (m/s, rad/s) for now."""
@@ -88,7 +84,7 @@ class WatchedTask(ABC):
         """Return the command to go for, None to stop at once; may end the task."""
 
     def _accept(self, odometry: Odometry) -> bool:
-        """Say whether a message of odometry is of use; what cannot be ends the task."""
+        """Return whether a message of odometry is usable; an impossible one ends the task."""
         before = self._odometry.last
         if not all(map(math.isfinite, odometry.pose)):
             self._end(DockingError.ODOMETRY_LOST, "odometry is not finite")
@@ -109,7 +105,7 @@ class WatchedTask(ABC):
         return True
 
     def _check(self, stamp: float) -> None:
-        """Raise DockingFailureError where it cannot go on."""
+        """Raise DockingFailureError if the task cannot go on."""
         if stamp - self._started > self._time_limit:
             message = f"not {self._done} after {self._time_limit:g} s"
             raise DockingFailureError(DockingError.TIMED_OUT, message)
@@ -118,7 +114,7 @@ class WatchedTask(ABC):
         if quiet > self._settings.odometry_timeout:
             raise DockingFailureError(DockingError.ODOMETRY_LOST, f"no odometry for {quiet:.1f} s")
         if self._stuck.stuck:
-            message = "the robot does not move as it is told to"
+            message = "the robot does not move as commanded"
             raise DockingFailureError(DockingError.BLOCKED, message)
 
     def _end(self, error: DockingError, message: str) -> None:
@@ -133,8 +129,8 @@ class WatchedTask(ABC):
 class DockingTask(WatchedTask):
     """Drives a robot into a dock.
 
-    Give it all odometry and one observation for each image, and ask it for a command at a steady
-    rate (20 Hz). Everything is stamped in seconds of one clock.
+    Pass it all odometry and one observation for each image, and call `tick` at a steady rate
+    (20 Hz). All stamps are in seconds of one clock.
 
     Args:
         dock: what is known of the dock.
@@ -142,10 +138,10 @@ class DockingTask(WatchedTask):
         mount: where the camera is on the robot.
         settings: speeds and patience.
         shape: of the robot.
-        search: look for the marker where it is not seen at once.
+        search: search for the marker if it is not seen at once.
         max_retries: retreats before it gives up; None or less than 0: as in the settings.
         time_limit: s; None: as in the settings.
-        seed: of the particles of thinkable docks.
+        seed: of the particles of possible docks.
 
     Attributes:
         result: how it ended; None before.
@@ -171,7 +167,7 @@ class DockingTask(WatchedTask):
             raise DockingTaskError(f"the pose {dock_pose} of dock '{dock.name}' is not finite")
         settings = settings or DockingSettings()
         shape = shape or RobotShape()
-        # A stream of its own: whoever makes noise of the same seed shares nothing with it.
+        # Independent of noise that is drawn from the same seed.
         rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
         self._belief = DockBelief(dock, dock_pose, mount, settings, rng)
         limit = settings.time_limit if time_limit is None else time_limit
@@ -184,7 +180,7 @@ class DockingTask(WatchedTask):
         self._camera: Optional[PinholeCamera] = None
 
     def add_odometry(self, odometry: Odometry) -> None:
-        """Take the next message of odometry; what cannot be ends the docking."""
+        """Take the next message of odometry; an impossible one ends the docking."""
         first = self._odometry.last is None
         if self.result is not None or not self._accept(odometry):
             return
@@ -199,7 +195,7 @@ class DockingTask(WatchedTask):
             self._belief.observe(self._waiting.popleft())
 
     def add_observation(self, observation: Observation) -> None:
-        """Take what was seen in an image; it is used once odometry has come that far.
+        """Take the sightings in an image; they are used once odometry has come that far.
 
         The first one of a camera that cannot see the marker from the dock ends the docking.
         """
@@ -219,7 +215,7 @@ class DockingTask(WatchedTask):
 
     @property
     def status(self) -> DockingStatus:
-        """How it goes."""
+        """The present status."""
         planner, state = self._planner, self._machine.state
         rough = planner.result(False, DockingError.NONE, "")
         estimate = planner.estimate()
@@ -233,7 +229,7 @@ class DockingTask(WatchedTask):
 
     @property
     def state(self) -> DockingState:
-        """What is being done."""
+        """The present state."""
         return self._machine.state.state
 
     @property
@@ -330,7 +326,7 @@ class UndockingTask(WatchedTask):
         return self.result is None and self._belief is not None
 
     def add_odometry(self, odometry: Odometry) -> None:
-        """Take the next message of odometry; what cannot be ends the undocking."""
+        """Take the next message of odometry; an impossible one ends the undocking."""
         last = self._odometry.last
         if self.result is not None or (last is not None and odometry.stamp <= last.stamp):
             return
@@ -340,7 +336,7 @@ class UndockingTask(WatchedTask):
                 self._belief.add_odometry(odometry)
 
     def add_observation(self, observation: Observation) -> None:
-        """Take what was seen in an image."""
+        """Take the sightings in an image."""
         if self.wants_images and self._odometry.last is not None:
             self._belief.observe(observation)
 

@@ -39,7 +39,7 @@ class DockingState(IntEnum):
 
 
 class DockingError(IntEnum):
-    """Why it ended, numbered as in action/Dock.action."""
+    """Reason of a failure, numbered as in action/Dock.action."""
 
     NONE = 0
     NOT_IN_DATABASE = 901
@@ -60,7 +60,7 @@ class Odometry:
     """One message of odometry: stamp in s, pose in the odometry frame, m/s ahead and rad/s.
 
     `twist_covariance` is (3, 3) of (vx, vy, wz) over the time since the message before; zeros or
-    None where nobody knows.
+    None: unknown.
     """
 
     stamp: float
@@ -103,8 +103,8 @@ def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
 class Sighting:
     """A marker in an image: its id, its dictionary as OpenCV names it, and its corners.
 
-    These are (4, 2) px of the raw image: top left, top right, bottom right, bottom left. How far
-    off u and v of each may be as far as the image tells, `deviations` (4, 2) px, nobody may know.
+    These are (4, 2) px of the raw image: top left, top right, bottom right, bottom left. The
+    `deviations` (4, 2) px of u and v of each, by the image itself, may be unknown.
     """
 
     id: int
@@ -145,23 +145,23 @@ class DockingSettings:
     acceleration: float = 0.5  #: of the wheels' mean, m/s²
     turn_acceleration: float = 2.0  #: rad/s²
     settle_time: float = 0.3  #: from standstill to the first image that counts
-    look_frames: int = 3  #: images that a look takes
+    look_frames: int = 3  #: images of a look
     measure_frames: int = 4  #: images at rest before a decision
-    final_frames: int = 5  #: images at rest that say "docked"
+    final_frames: int = 5  #: images at rest for the confirmation
     max_retries: int = 5  #: retreats from the last metre before it gives up
     max_stagings: int = 10  #: drives to the staging point
     time_limit: float = 300.0  #: of all
     image_timeout: float = 3.0  #: without any image while they are wanted
     unseen_timeout: float = 1.2  #: without the marker while driving at it
     odometry_timeout: float = 1.0  #: without odometry
-    gate_distance: float = 0.40  #: way left from which on the gate counts
+    gate_distance: float = 0.40  #: left to go, below which the gate counts
     gate_lateral: float = 0.025  #: beside the axis, aborts
     gate_yaw: float = math.radians(6.0)  #: against the axis, aborts
     wall_margin: float = 0.04  #: kept between robot and walls
     smallest_marker: float = 18.0  #: px in the image at which the marker should be found
     missed: float = 0.25  #: probability that a look misses a marker that it should find
     give_up_mass: float = 0.004  #: share of the prior below which the marker is held to be missing
-    sure: float = 0.9  #: probability of being the real marker, asked for before driving in
+    sure: float = 0.9  #: probability of being the real marker that is needed to drive in
     noise: PixelNoise = field(default_factory=PixelNoise)  #: of the marker's corners in the image
 
 
@@ -188,19 +188,19 @@ class Learned(NamedTuple):
 
 @dataclass(frozen=True)
 class Calibration:
-    """What was learned on the way of camera and odometry, each against what is known."""
+    """Estimated errors of camera and odometry, each against its nominal value."""
 
     roll: Learned  #: rad, of the camera about the direction it looks in
     pitch: Learned  #: rad, of the camera, down
     yaw: Learned  #: rad, of the camera, to the left
     height: Learned  #: m, of the marker above the camera
-    way: Learned  #: true way / told one - 1, which a printed size that is wrong looks like
-    turn: Learned  #: true turn / told one - 1
-    drift: Learned  #: rad/m, turned to the left on the way ahead and not told
+    way: Learned  #: true / reported distance - 1; a wrong printed size looks the same
+    turn: Learned  #: true / reported turn - 1
+    drift: Learned  #: rad/m, unreported turn to the left when driving ahead
 
     def remarks(self) -> str:
-        """Say what is likely not as it is known: four standard deviations, and worth a word."""
-        said = []
+        """Return the errors that are large and certain (four standard deviations) as text."""
+        remarks = []
         for name, unit, scale, least in (
             ("roll", "° roll", 180.0 / math.pi, 0.3),
             ("pitch", "° pitch", 180.0 / math.pi, 0.3),
@@ -212,13 +212,13 @@ class Calibration:
         ):
             value, deviation = getattr(self, name)
             if abs(value) > 4.0 * deviation and abs(scale * value) > least:
-                said.append(f"{scale * value:+.2g}{unit}")
-        return ", ".join(said)
+                remarks.append(f"{scale * value:+.2g}{unit}")
+        return ", ".join(remarks)
 
 
 @dataclass(frozen=True)
 class DockingResult:
-    """How it ended, with the estimates at the end; NaN if they are not known."""
+    """Result of a docking, with the estimates at the end; NaN: unknown."""
 
     success: bool
     error: DockingError  #: NONE after a success
@@ -232,7 +232,7 @@ class DockingResult:
 
 @dataclass(frozen=True)
 class DockingStatus:
-    """How it goes; distance, lateral and yaw as in DockingResult."""
+    """Progress of a docking; distance, lateral and yaw as in DockingResult."""
 
     state: DockingState
     distance: float

@@ -1,4 +1,4 @@
-"""What a docking came to by the truth: docked is who stands within the dock's own tolerance."""
+"""Verdict on a docking by the truth: docked means within the dock's own tolerance."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bullet_lab.docking.types import DockingError
 ERRORS = ("distance_error_m", "lateral_error_m", "yaw_error_deg")
 
 DOCKED, WALL_CONTACT, INACCURATE = "docked", "wall_contact", "inaccurate"
-"""What a docking comes to, beside the names of docking's errors in small letters."""
+"""Verdicts, besides the names of docking's errors in small letters."""
 
 
 def docking_errors(
@@ -43,11 +43,11 @@ def largest_errors(tolerance: DockTolerance) -> Dict[str, float]:
 
 
 def judge(
-    said: DockingError, errors: Mapping[str, float], tolerance: DockTolerance, contacts: int
+    reported: DockingError, errors: Mapping[str, float], tolerance: DockTolerance, contacts: int
 ) -> str:
-    """Return DOCKED, or in a word what went wrong.
+    """Return DOCKED, or what went wrong in one word.
 
-    A docking is a success if the robot says so (NONE), is right, and has touched nothing.
+    A docking is a success if the robot reports it (NONE), is right, and has touched nothing.
 
     >>> tolerance = DockTolerance(0.005, 0.003, 0.007)
     >>> judge(DockingError.NONE, dict(zip(ERRORS, (0.0, -0.0031, 0.0))), tolerance, 0)
@@ -55,7 +55,7 @@ def judge(
     """
     if contacts:
         return WALL_CONTACT
-    if said != DockingError.NONE:
-        return said.name.lower()
+    if reported != DockingError.NONE:
+        return reported.name.lower()
     most = largest_errors(tolerance)
     return DOCKED if all(abs(errors[name]) <= most[name] for name in ERRORS) else INACCURATE

@@ -255,7 +255,7 @@ def _paste_middle(canvas: np.ndarray, marker: Print) -> None:
 def _pixels(marker: Print) -> int:
     """Return how many of the wall's pixels a cell is wide."""
     # It must be a whole number, and the marker's middle on a corner of pixels, or the marker
-    # would not be quite where and as large as it is said to be.
+    # would not have exactly the place and size that were asked for.
     count = len(marker.cells())
     step = count * (1 + count % 2) * WALL_SIZE / WALL_PIXELS
     steps = int(round(marker.size / step))

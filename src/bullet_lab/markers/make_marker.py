@@ -33,38 +33,38 @@ NAME = re.compile(r"[A-Za-z0-9_.-]+")
 
 
 def make(values: argparse.Namespace) -> str:
-    """Make what the command line asks for and return a sentence that says what it is.
+    """Make what the command line asks for, and return a sentence that describes it.
 
     Raises:
-        LabError: it cannot be made; the message says why.
+        LabError: it cannot be made.
     """
     folder = values.out
     if not NAME.fullmatch(folder.absolute().name):
         raise MarkerError(f"'{folder.name}' is no name of a model: letters, digits, _ - and .")
     marker = Print(values.dictionary, values.id, values.size, values.quiet)
-    said = f"Marker {marker.identifier} of {marker.dictionary}, {marker.size:g} m"
+    made = f"Marker {marker.identifier} of {marker.dictionary}, {marker.size:g} m"
     if values.on != "dock":
         if values.dots or values.around is not None:
             raise MarkerError("--dots and --around are for the back wall: add --on dock")
         if values.on == "panel":
-            write_panel(plate_face(marker), values.height, folder, f"{said}, on a panel.")
+            write_panel(plate_face(marker), values.height, folder, f"{made}, on a panel.")
         else:
             write_plate(plate_face(marker), PLATE_THICKNESS, folder, folder.absolute().name)
-        return said
+        return made
     if values.dots and values.around is not None:
         raise MarkerError("a back wall has either --dots or a marker --around, not both")
     face = wall_face(marker)
     if values.dots:
         face = dots_face(marker, values.seed)
-        said += f", among dots (seed {values.seed})"
+        made += f", among dots (seed {values.seed})"
     elif values.around is not None:
         identifier = values.id if values.around_id is None else values.around_id
         around = Print(values.dictionary, identifier, values.around, values.quiet)
         face = nested_face(marker, around)
-        said += f", as a white cell of marker {identifier}, {values.around:g} m"
-    said += ", on a docking station's back wall"
-    write_dock(face, folder, f"{said}.")
-    return said
+        made += f", as a white cell of marker {identifier}, {values.around:g} m"
+    made += ", on a docking station's back wall"
+    write_dock(face, folder, f"{made}.")
+    return made
 
 
 def parser() -> ArgumentParser:
@@ -103,13 +103,13 @@ def main(arguments: Optional[Sequence[str]] = None) -> NoReturn:
     # roslaunch adds its own: __name:=… and __log:=…
     words = [word for word in words if not re.match(r"__\w+:=", word)]
     try:
-        said = make(parser().parse_args(words))
+        made = make(parser().parse_args(words))
     except LabError as error:
         print(f"make_marker: {error}", file=sys.stderr, flush=True)
         sys.exit(STATUS_BAD_INPUT)
     except KeyboardInterrupt:
         sys.exit(STATUS_INTERRUPTED)
-    print(f"make_marker: {said}", flush=True)
+    print(f"make_marker: {made}", flush=True)
     sys.exit(0)
 
 

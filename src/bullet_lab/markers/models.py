@@ -1,7 +1,7 @@
-"""Models that bear a marker, in Gazebo's layout: model.config, model.sdf and meshes.
+"""Models with a marker, in Gazebo's layout: model.config, model.sdf and meshes.
 
 The frame of each model is the dock's: the origin on the floor below the marker's face, x into
-the face. A robot that is docked looks along x.
+the face. A docked robot looks along x.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ _CONFIG = """<?xml version="1.0"?>
 
 
 @dataclass(frozen=True)
-class _Part:
-    """A box of a model; with a `mesh_origin`, the mesh of its name is drawn there instead of it."""
+class _Piece:
+    """A box of a model. With a `mesh_origin`, the mesh of its name is drawn there instead."""
 
     name: str
     size: Vector
@@ -103,10 +103,10 @@ def write_panel(face: Face, height: float, folder: Path, about: str) -> None:
         raise MarkerError(f"a plate of {face.size:g} m at a height of {height:g} m is in the floor")
     middle = 0.5 * PLATE_THICKNESS
     plate = (PLATE_THICKNESS, face.size, face.size)
-    parts = [_Part("plate", plate, (middle, 0.0, height), (0.0, 0.0, height))]
+    parts = [_Piece("plate", plate, (middle, 0.0, height), (0.0, 0.0, height))]
     if below > 0.0:
         post = (PLATE_THICKNESS, POST_WIDTH, below)
-        parts.append(_Part("post", post, (middle, 0.0, 0.5 * below)))
+        parts.append(_Piece("post", post, (middle, 0.0, 0.5 * below)))
     write_plate(face, PLATE_THICKNESS, folder / "meshes", "plate")
     _write_model(folder, parts, about)
 
@@ -122,9 +122,9 @@ def write_dock(face: Face, folder: Path, about: str) -> None:
     x = 0.5 * (WALL_THICKNESS - DOCK_DEPTH)
     y = half + 0.5 * WALL_THICKNESS
     parts = (
-        _Part("back_wall", back, (0.5 * WALL_THICKNESS, 0.0, half), (0.0, 0.0, half)),
-        _Part("left_wall", side, (x, y, half)),
-        _Part("right_wall", side, (x, -y, half)),
+        _Piece("back_wall", back, (0.5 * WALL_THICKNESS, 0.0, half), (0.0, 0.0, half)),
+        _Piece("left_wall", side, (x, y, half)),
+        _Piece("right_wall", side, (x, -y, half)),
     )
     write_plate(face, WALL_THICKNESS, folder / "meshes", "back_wall")
     _write_model(folder, parts, about)
@@ -174,7 +174,7 @@ def _quad(first: int, texture: Tuple[int, int, int, int], normal: int) -> List[s
     return [f"f {corners[0]} {corners[b]} {corners[c]}" for b, c in ((1, 2), (2, 3))]
 
 
-def _write_model(folder: Path, parts: Sequence[_Part], about: str) -> None:
+def _write_model(folder: Path, parts: Sequence[_Piece], about: str) -> None:
     make_folder(folder)
     name = folder.absolute().name
     sdf = _SDF.format(name=name, shapes="".join(_shapes(part, name) for part in parts))
@@ -183,7 +183,7 @@ def _write_model(folder: Path, parts: Sequence[_Part], about: str) -> None:
     replace_file(folder / "model.config", lambda path: path.write_text(config))
 
 
-def _shapes(part: _Part, model: str) -> str:
+def _shapes(part: _Piece, model: str) -> str:
     """Return a part's collision and visual."""
     box = _BOX.format(place=_numbers(part.centre), size=_numbers(part.size))
     if part.mesh_origin is None:

@@ -1,15 +1,23 @@
-"""Algebra of quadrilaterals and of a few rows.
+"""Algebra of small symmetric matrices and of quadrilaterals.
 
-numpy's goes to a BLAS that may wake threads for a 6 × 6 system, which on busy cores takes a
-thousand times as long as the sum itself; OpenCV's does not.
+numpy's BLAS may wake threads for a 6 × 6 system, which takes a thousand times as long as the sum
+itself when the cores are busy. OpenCV does not, so its solvers are used here.
 """
 
 from __future__ import annotations
 
-import math
+from typing import Tuple
 
 import cv2
 import numpy as np
+
+NEXT = [1, 2, 3, 0]
+"""Index of the corner, or of the side, after each of a quadrilateral's four."""
+
+PREVIOUS = [3, 0, 1, 2]
+"""Index of the one before each."""
+
+UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 def solve_symmetric(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -29,7 +37,7 @@ def invert_symmetric(matrix: np.ndarray) -> np.ndarray:
 
 
 def largest_singular_value(matrix: np.ndarray) -> float:
-    """Return it for a (2, 2) matrix.
+    """Return the largest singular value of a (2, 2) matrix.
 
     >>> largest_singular_value(np.diag([-3.0, 2.0]))
     3.0
@@ -40,6 +48,16 @@ def largest_singular_value(matrix: np.ndarray) -> float:
     return float(np.sqrt(0.5 * (square + np.sqrt(rest))))
 
 
+def mean_side(quad: np.ndarray) -> float:
+    """Return the mean length of the sides of (4, 2) corners.
+
+    >>> mean_side(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [0.0, 1.0]]))
+    2.0
+    """
+    sides = quad[NEXT] - quad
+    return float(np.hypot(sides[:, 0], sides[:, 1]).mean())
+
+
 def homography(corners: np.ndarray) -> np.ndarray:
     """Return the (..., 3, 3) map from the unit square, clockwise from (0, 0), to (..., 4, 2).
 
@@ -47,25 +65,34 @@ def homography(corners: np.ndarray) -> np.ndarray:
     >>> homography(corners) @ [0.5, 0.5, 1.0]
     array([3., 2., 1.])
     """
-    # A single quadrilateral goes through plain floats, which are much faster.
-    single = np.ndim(corners) == 2
-    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = (
-        np.asarray(corners).tolist() if single else np.moveaxis(corners, (-2, -1), (0, 1))
-    )
+    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = np.moveaxis(corners, (-2, -1), (0, 1))
     sum_x, sum_y = x0 - x1 + x2 - x3, y0 - y1 + y2 - y3
     dx1, dx2, dy1, dy2 = x1 - x2, x3 - x2, y1 - y2, y3 - y2
     determinant = dx1 * dy2 - dx2 * dy1
-    if single and determinant == 0.0:
-        determinant = math.nan
     g = (sum_x * dy2 - dx2 * sum_y) / determinant
     h = (dx1 * sum_y - sum_x * dy1) / determinant
     numbers = (x1 - x0 + g * x1, x3 - x0 + h * x3, x0, y1 - y0 + g * y1, y3 - y0 + h * y3, y0)
-    if single:
-        return np.array((*numbers, g, h, 1.0)).reshape(3, 3)
-    found = np.empty((*np.shape(x0), 9))
-    for index, number in enumerate((*numbers, g, h, 1.0)):
-        found[..., index] = number
-    return found.reshape(*np.shape(x0), 3, 3)
+    rows = np.array((*numbers, g, h, np.ones_like(g)))
+    return np.ascontiguousarray(rows.T).reshape(*np.shape(g), 3, 3)
+
+
+def mapped(places: np.ndarray, to_image: np.ndarray) -> np.ndarray:
+    """Return the points (n, 2) to which a homography (3, 3) maps (n, 2) places."""
+    there = places @ to_image[:, :2].T + to_image[:, 2]
+    return there[:, :2] / there[:, 2:]
+
+
+def unmapped(points: np.ndarray, to_image: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the places (2, n) that a homography maps to points (2, n), and derivatives (2, 2, n).
+
+    >>> corners = np.array([[2.0, 1.0], [4.0, 1.0], [4.0, 3.0], [2.0, 3.0]])
+    >>> unmapped(np.array([[3.0], [2.0]]), homography(corners))[0].ravel().tolist()
+    [0.5, 0.5]
+    """
+    back = cv2.invert(to_image)[1]
+    one = 1.0 / (back[2, 0] * points[0] + back[2, 1] * points[1] + back[2, 2])
+    places = (back[:2, :1] * points[0] + back[:2, 1:2] * points[1] + back[:2, 2:]) * one
+    return places, (back[:2, :2, None] - places[:, None] * back[2, :2, None]) * one
 
 
 def intersections(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -73,19 +100,16 @@ def intersections(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
     Args:
         points: (..., 4, 2), one on each line.
-        normals: (..., 4, 2), that of each line.
+        normals: (..., 4, 2), one of each line.
 
     >>> points = np.array([[1.0, 1.0], [3.0, 1.0], [1.0, 2.0], [1.0, 1.0]])
     >>> intersections(points, np.array([[0.0, 1.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])).tolist()
     [[1.0, 1.0], [3.0, 1.0], [3.0, 2.0], [1.0, 2.0]]
     """
     offsets = (points * normals).sum(axis=-1)
-    before, offsets_before = normals[..., _BEFORE, :], offsets[..., _BEFORE]
+    before, offsets_before = normals[..., PREVIOUS, :], offsets[..., PREVIOUS]
     determinant = before[..., 0] * normals[..., 1] - before[..., 1] * normals[..., 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         u = (offsets_before * normals[..., 1] - before[..., 1] * offsets) / determinant
         v = (before[..., 0] * offsets - offsets_before * normals[..., 0]) / determinant
     return np.stack((u, v), axis=-1)
-
-
-_BEFORE = [3, 0, 1, 2]

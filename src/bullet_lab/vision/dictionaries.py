@@ -1,4 +1,4 @@
-"""Dictionaries of markers, OpenCV's by name, and the decoding of a quadrilateral with them."""
+"""OpenCV's dictionaries of markers by name, and decoding a quadrilateral with them."""
 
 from __future__ import annotations
 
@@ -10,53 +10,61 @@ import cv2
 import numpy as np
 
 from bullet_lab.vision.algebra import homography
-from bullet_lab.vision.images import Lens, VisionError, sample
+from bullet_lab.vision.images import Picture, VisionError
 
 _PREFIX = "DICT_"
 # Number of ones in a byte.
 _ONES = np.array([bin(byte).count("1") for byte in range(256)], dtype=np.uint8)
-# Where a cell is sampled, from its middle, in cells.
-_SPREAD = np.array([-0.24, -0.08, 0.08, 0.24])
-# How far each cell is pushed away from its neighbours, against blur.
+# Offsets from a cell's middle, in cells, at which it is sampled.
+_OFFSETS = np.array([-0.24, -0.08, 0.08, 0.24])
+# Weight of a cell's difference from its neighbours that is added to it, against blur.
 _SHARPENING = 0.25
-# A glance: places along each side of the border, and what part of them has to be darker than
-# the place outside of it, of the border to be dark, of the surroundings to be bright, of the
-# data cells to be bright. A hand or a highlight may be on the marker.
+# A quick test samples as many places along each side of the border, in the border and just
+# outside of it, and each data cell once.
 _GLANCES = 7
-_FRAMED, _DARK, _BRIGHT, _FILLED = 0.8, 0.6, 0.75, 0.1
-# Grey levels from black to white.
+_RING = 4 * _GLANCES
+_OUTSIDE = slice(0, _RING)
+_BORDER = slice(_RING, 2 * _RING)
+_INSIDE = slice(2 * _RING, None)
+# Least shares of the places that must pass: a hand or a highlight may be on the marker.
+_FRAMED = 0.8  # the border is darker than the place outside of it
+_DARK = 0.6  # the border is nearer to black
+_BRIGHT = 0.75  # the surroundings are nearer to white
+_FILLED = 0.1  # the data cells are nearer to white
+# Least difference of white and black, grey levels.
 _LEAST_RISE = 4.0
+# A plane is fitted to at least as many levels; fewer are replaced by their mean.
+_LEAST_OF_PLANE = 8
 
 
 @dataclass(frozen=True, eq=False)
 class MarkerDictionary:
     """A set of markers.
 
-    `codes` are (number of ids, 4, cells²) of ±1, white +1, row by row. The second axis counts
-    quarter turns: the pattern as read from the corner that is k-th of the real ones, clockwise
-    from the top left.
+    `codes` are (number of ids, 4, cells²) of ±1, white +1, row by row. The second axis is the
+    corner from which the pattern is read, clockwise from the top left.
     """
 
-    name: str  #: as OpenCV has it, such as DICT_APRILTAG_36h10
+    name: str  #: OpenCV's, such as DICT_APRILTAG_36h10
     cells: int  #: data cells along an edge; the black border is one cell more each way
     codes: np.ndarray
-    packed: np.ndarray  #: (bytes, number of ids · 4): the same as bits, eight in a byte
-    distance: int  #: least number of bits in which two markers differ, or one and itself turned
+    packed: np.ndarray  #: (bytes, number of ids · 4): the codes as bits, eight in a byte
+    distance: int  #: least number of different bits of two markers, or of one and itself turned
 
     def nearest(self, bits: np.ndarray) -> Tuple[int, int, int]:
-        """Return the marker that differs least from (cells²,) bits, its turns, the difference."""
-        # In bytes, as a product of matrices would start threads.
+        """Return the marker nearest to (cells²,) bits, its turns and the number of wrong bits."""
+        # On bytes: a product of matrices would start threads.
         different = _ONES[self.packed ^ np.packbits(bits > 0)[:, None]].sum(axis=0, dtype=np.uint8)
         best = int(different.argmin())
         return best // 4, best % 4, int(different[best])
 
     @property
     def max_correction(self) -> int:
-        """How many wrong bits can be corrected without doubt."""
+        """Number of wrong bits that can be corrected unambiguously."""
         return max(0, (self.distance - 1) // 2)
 
     def pattern(self, marker: int) -> np.ndarray:
-        """Return the (cells + 2, cells + 2) cells of a marker with its border, 1 for white.
+        """Return the (cells + 2, cells + 2) cells of a marker and its border, 1 for white.
 
         Raises:
             VisionError: there is no such marker.
@@ -75,7 +83,7 @@ def _pattern(dictionary: MarkerDictionary, marker: int) -> np.ndarray:
 
 
 def simple_name(name: str) -> str:
-    """Return a dictionary's name in capitals and without DICT_.
+    """Return a dictionary's name in capitals, without DICT_.
 
     >>> simple_name("DICT_4x4_50")
     '4X4_50'
@@ -84,18 +92,18 @@ def simple_name(name: str) -> str:
     return simple[len(_PREFIX) :] if simple.startswith(_PREFIX) else simple
 
 
-# From OpenCV 4.7 on AprilTags are there twice, as 36H11 and as 36h11; the latter counts.
+# OpenCV from 4.7 on has each AprilTag dictionary twice, as 36H11 and 36h11; the latter is used.
 _NAMES = {simple_name(name): name for name in sorted(dir(cv2.aruco)) if name.startswith(_PREFIX)}
 DICTIONARY_NAMES: Tuple[str, ...] = tuple(sorted(_NAMES.values()))
 
 
 def dictionary_named(name: str) -> MarkerDictionary:
-    """Return a dictionary by OpenCV's name, with or without DICT_, in any case of letters.
+    """Return a dictionary by OpenCV's name; DICT_ may be left out, and letters have any case.
 
-    `apriltag_36h10`, as the course code says it, is DICT_APRILTAG_36h10.
+    `apriltag_36h10`, as in the course code, is DICT_APRILTAG_36h10.
 
     Raises:
-        VisionError: there is none of that name.
+        VisionError: there is no dictionary of that name.
     """
     found = _NAMES.get(simple_name(name))
     if found is None:
@@ -114,7 +122,8 @@ def _load(name: str) -> MarkerDictionary:
         for turns in range(4):
             codes[marker, turns] = np.rot90(signs, turns).ravel()
     packed = np.ascontiguousarray(np.packbits(codes.reshape(-1, cells * cells) > 0, axis=1).T)
-    # Of ±1: equal bits less different ones. A marker as it is equals itself.
+    # A product of ±1 is the number of equal bits less that of different ones. Leave out the
+    # product of each marker with itself.
     bits, each = cells * cells, np.arange(len(codes))
     products = codes[:, 0] @ codes.reshape(-1, bits).T
     products[each, 4 * each] = -bits
@@ -124,7 +133,7 @@ def _load(name: str) -> MarkerDictionary:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """The cells of a quadrilateral, as a marker's."""
+    """The cells of a quadrilateral, read as those of a marker."""
 
     bits: np.ndarray  #: (cells²,) ±1, white +1, row by row from the first corner
     border_errors: int  #: cells of the border that are not black
@@ -133,47 +142,47 @@ class Reading:
 
 @dataclass(frozen=True)
 class Match:
-    """The marker that a reading is."""
+    """The marker that a reading shows."""
 
     marker: int  #: its id
-    turns: int  #: the reading's first corner is this one of its, clockwise from its top left
+    turns: int  #: index of the marker's corner that the reading begins with, clockwise
     errors: int  #: bits that were read wrongly
     likeness: float  #: correlation of the grey levels with its pattern, at most 1
 
 
-def may_be_markers(image: np.ndarray, quads: np.ndarray, cells: int, lens: Lens) -> np.ndarray:
-    """Return which (n, 4, 2) rough corners, px, in (h, w) grey levels are worth a closer look.
+def may_be_markers(picture: Picture, quads: np.ndarray, cells: int) -> np.ndarray:
+    """Return which (n,) of (n, 4, 2) rough corners, px of the image, may be of a marker.
 
-    That is where it is dark just inside, bright outside and, in the data `cells`, not empty.
+    Those are dark just inside, bright just outside and not empty in the data `cells`.
     """
     # Sums of products, as a product of matrices would start threads.
-    places = np.einsum("pk,nik->npi", _glance(cells), homography(lens.ideal(quads)))
-    # On the horizon of a quadrilateral there is nothing, and so no marker.
+    places = np.einsum("pk,nik->npi", _glance(cells), homography(picture.ideal(quads)))
+    # Places on the horizon of a quadrilateral are infinite, so it is no marker.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        values = sample(image, lens.seen(places[..., :2] / places[..., 2:]))
-    ring = slice(0, 4 * _GLANCES), slice(4 * _GLANCES, 8 * _GLANCES), slice(8 * _GLANCES, None)
-    outside, border, inside = (values[:, part] for part in ring)
+        values = picture.at(places[..., :2] / places[..., 2:])
+    parts = (_OUTSIDE, _BORDER, _INSIDE)
+    outside, border, inside = (values[:, part] for part in parts)
     # Light may change evenly across a marker.
-    middle = np.einsum("pk,nk->np", _half_planes(cells), values[:, : 8 * _GLANCES])
-    around, along, within = (middle[:, part] for part in ring)
-    # Of an even number of levels, the median is the mean of the two in the middle.
-    half = 2 * _GLANCES
-    sorted_levels = np.sort(values[:, : 4 * half].reshape(-1, 2, 2 * half), axis=2)
-    typical = 0.5 * (sorted_levels[..., half - 1] + sorted_levels[..., half])
+    grey = np.einsum("pk,nk->np", _half_planes(cells), values[:, : 2 * _RING])
+    around, along, within = (grey[:, part] for part in parts)
+    # The median, which is slower to call, of an even number of levels.
+    half = _RING // 2
+    ordered = np.sort(values[:, : 2 * _RING].reshape(-1, 2, _RING), axis=2)
+    typical = 0.5 * (ordered[..., half - 1] + ordered[..., half])
     likely = typical[:, 0] - typical[:, 1] > _LEAST_RISE
-    for truth, part in (
+    for is_right, share in (
         (outside > border, _FRAMED),
         (border < along, _DARK),
         (outside > around, _BRIGHT),
         (inside > within, _FILLED),
     ):
-        likely &= truth.sum(axis=1) >= part * truth.shape[1]
+        likely &= is_right.sum(axis=1) >= share * is_right.shape[1]
     return likely
 
 
 @lru_cache(maxsize=None)
 def _glance(cells: int) -> np.ndarray:
-    """Return (n, 3) places of the unit square: outside the border, in it, in the data cells."""
+    """Return (p, 3) places of the unit square: outside the border, in it, in the data cells."""
     cell = 1.0 / (cells + 2)
     along = np.linspace(cell, 1.0 - cell, _GLANCES)
     places = []
@@ -182,50 +191,56 @@ def _glance(cells: int) -> np.ndarray:
         for pair in ((along, low), (along, high), (low, along), (high, along)):
             places.append(np.column_stack(pair))
     middles = (np.arange(cells) + 1.5) * cell
-    places.append(np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2))
-    points = np.vstack(places)
+    places.append(_grid(middles))
+    return _homogeneous(np.vstack(places))
+
+
+def _grid(line: np.ndarray) -> np.ndarray:
+    """Return the (n², 2) points whose x and y are each of (n,) values, row by row."""
+    return np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+
+
+def _homogeneous(points: np.ndarray) -> np.ndarray:
     return np.column_stack((points, np.ones(len(points))))
 
 
 @lru_cache(maxsize=None)
 def _half_planes(cells: int) -> np.ndarray:
-    """Return (p, k): from levels outside and in the border, what is half way from black to white.
+    """Return (p, k): from levels outside and in the border to the grey half way between them.
 
-    Both are planes (least squares) over all of the glance's p places.
+    The grey is the mean of two planes (least squares) at all p places of the quick test.
     """
     places = _glance(cells)
-    parts = places[: 4 * _GLANCES], places[4 * _GLANCES : 8 * _GLANCES]
-    return 0.5 * np.concatenate([places @ np.linalg.pinv(part) for part in parts], axis=1)
+    rings = places[_OUTSIDE], places[_BORDER]
+    return 0.5 * np.concatenate([places @ np.linalg.pinv(ring) for ring in rings], axis=1)
 
 
-def read_cells(image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens) -> np.ndarray:
+def read_cells(picture: Picture, corners: np.ndarray, cells: int) -> np.ndarray:
     """Return (n, cells + 4, cells + 4) mean grey levels: data cells, border and one ring around.
 
     Args:
-        image: (h, w) grey levels.
+        picture: the image.
         corners: (n, 4, 2) of the black squares, ideal px.
         cells: data cells along an edge.
-        lens: where ideal pixels are seen.
     """
-    side, each = cells + 4, len(_SPREAD)
+    side, each = cells + 4, len(_OFFSETS)
     places = np.einsum("pk,nik->npi", _cell_places(cells), homography(corners))
-    values = sample(image, lens.seen(places[..., :2] / places[..., 2:]))
+    values = picture.at(places[..., :2] / places[..., 2:])
     return values.reshape(-1, side, each, side, each).mean(axis=(2, 4))
 
 
 @lru_cache(maxsize=None)
 def _cell_places(cells: int) -> np.ndarray:
-    """Return (n, 3) places of the unit square: some in each cell, the border and a ring around."""
-    line = ((np.arange(cells + 4) - 0.5)[:, None] + _SPREAD).ravel() / (cells + 2)
-    x, y = np.meshgrid(line, line)
-    return np.column_stack((x.ravel(), y.ravel(), np.ones(x.size)))
+    """Return (p, 3) places of the unit square: some in each cell, the border and a ring around."""
+    middles = np.arange(cells + 4) - 0.5
+    return _homogeneous(_grid((middles[:, None] + _OFFSETS).ravel() / (cells + 2)))
 
 
 def interpret(levels: np.ndarray) -> List[Optional[Reading]]:
-    """Tell black from white in the grey levels that `read_cells` returns; None if they are even.
+    """Return the readings of the grey levels of `read_cells`; None where they are uniform.
 
-    Light may change evenly across a marker: black and white levels are planes, black's through
-    the border, white's through all that is brighter than the middle.
+    Light may change evenly across a marker: black and white levels are planes. That of black goes
+    through the border, that of white through all that is brighter than the middle.
     """
     count, side = levels.shape[:2]
     inner = levels[:, 1:-1, 1:-1]
@@ -239,21 +254,26 @@ def interpret(levels: np.ndarray) -> List[Optional[Reading]]:
     half = 0.5 * (bright_plane - dark_plane)
     half = np.maximum(half, np.maximum(0.1 * (white - black), 1e-3)[:, None, None])
     soft = np.clip((levels - 0.5 * (bright_plane + dark_plane)) / half, -1.5, 1.5)
-    sharp = soft[:, 1:-1, 1:-1]
-    neighbours = soft[:, :-2, 1:-1] + soft[:, 2:, 1:-1] + soft[:, 1:-1, :-2] + soft[:, 1:-1, 2:]
-    sharp = sharp + _SHARPENING * (4.0 * sharp - neighbours)
+    sharp = _sharpened(soft)
     bits = np.where(sharp[:, 1:-1, 1:-1] > 0.0, 1.0, -1.0).astype(np.float32)
     border_errors = (sharp > 0.0)[:, border[1:-1, 1:-1]].sum(axis=1)
-    return [
-        Reading(bits[k].ravel(), int(border_errors[k]), inner[k])
-        if white[k] - black[k] >= 1.0
-        else None
-        for k in range(count)
-    ]
+    readings: List[Optional[Reading]] = []
+    for k in range(count):
+        is_uniform = not white[k] - black[k] >= 1.0
+        reading = Reading(bits[k].ravel(), int(border_errors[k]), inner[k])
+        readings.append(None if is_uniform else reading)
+    return readings
+
+
+def _sharpened(soft: np.ndarray) -> np.ndarray:
+    """Return cells (n, k, k) without the outer ring, less a part of their neighbours."""
+    own = soft[:, 1:-1, 1:-1]
+    neighbours = soft[:, :-2, 1:-1] + soft[:, 2:, 1:-1] + soft[:, 1:-1, :-2] + soft[:, 1:-1, 2:]
+    return own + _SHARPENING * (4.0 * own - neighbours)
 
 
 def match(reading: Reading, dictionary: MarkerDictionary, correction: int) -> Optional[Match]:
-    """Return the marker of a dictionary that differs in at most `correction` bits, or None."""
+    """Return the marker that differs from a reading in at most `correction` bits, or None."""
     marker, turns, errors = dictionary.nearest(reading.bits)
     if errors > correction:
         return None
@@ -273,12 +293,8 @@ def _border(side: int) -> np.ndarray:
     return border
 
 
-# Fewer levels than this make a mean, no plane.
-_LEAST_OF_PLANE = 8
-
-
 def _planes(levels: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Return the plane (n, k, k) through the chosen levels of each; their mean if they are few."""
+    """Return the plane (n, k, k) fitted to the chosen levels of each; their mean if few."""
     count, side = levels.shape[:2]
     terms, products = _plane_terms(side)
     flat = levels.reshape(count, side * side)

@@ -1,4 +1,4 @@
-"""Draws what was found into images."""
+"""Drawing of detections into images."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ import cv2
 import numpy as np
 
 from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.vision.algebra import mean_side
 from bullet_lab.vision.marker_detector import DetectedMarker
 from bullet_lab.vision.marker_pose import MarkerPose
-from bullet_lab.vision.outlines import mean_side
 
-# As OpenCV has colours: blue, green, red.
-BLUE, OUTLINE, FIRST_CORNER = (255, 0, 0), (60, 200, 60), (40, 40, 230)
+# Colours as in OpenCV: blue, green, red.
+BLUE = (255, 0, 0)
+OUTLINE = (60, 200, 60)
+FIRST_CORNER = (40, 40, 230)
 AXES = ((40, 40, 230), (60, 200, 60), (255, 80, 0))
-_WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
+_WHITE = (255, 255, 255)
+_BLACK = (0, 0, 0)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 # Positions are drawn to 1/16 px.
 _SHIFT = 4
@@ -44,7 +47,7 @@ def draw_marker(image: np.ndarray, marker: DetectedMarker, label: str) -> None:
 def draw_outline(image: np.ndarray, corners: np.ndarray) -> None:
     """Draw (4, 2) corners as a quadrilateral, the first of them marked."""
     side = mean_side(corners)
-    # Small markers shall be seen still.
+    # A broad line would hide a small marker.
     width = 2 if side > _LARGE else 1
     outline = np.rint(corners * 2**_SHIFT).astype(np.int32)
     cv2.polylines(image, [outline[:, None]], True, OUTLINE, width, cv2.LINE_AA, _SHIFT)
@@ -54,14 +57,14 @@ def draw_outline(image: np.ndarray, corners: np.ndarray) -> None:
 
 
 def enlarged(image: np.ndarray, corners: np.ndarray, size: int) -> np.ndarray:
-    """Return what is around a marker (4, 2) of a BGR image, its outline drawn: (size, size, 3)."""
+    """Return the part (size, size, 3) of a BGR image around a marker (4, 2), with its outline."""
     half = int(np.ceil(0.8 * mean_side(corners)))
     u, v = (int(round(value)) for value in corners.mean(axis=0))
     padded = cv2.copyMakeBorder(image, half, half, half, half, cv2.BORDER_REPLICATE)
     part = padded[v : v + 2 * half + 1, u : u + 2 * half + 1]
     large = cv2.resize(part, (size, size), interpolation=cv2.INTER_NEAREST)
     scale = size / part.shape[0]
-    # Pixels are numbered at their centres.
+    # The centre of a pixel is a whole number.
     draw_outline(large, (corners - (u - half, v - half) + 0.5) * scale - 0.5)
     return large
 
@@ -79,7 +82,7 @@ def draw_axes(image: np.ndarray, pose: MarkerPose, size: float, camera: PinholeC
 
 
 def draw_text(image: np.ndarray, text: str, place: Sequence[int], scale: float = 0.5) -> None:
-    """Write white on black, within the image; `place` is the left end of the base line."""
+    """Write white text on black inside the image; `place` is the left end of the base line."""
     (width, height), base = cv2.getTextSize(text, _FONT, scale, 1)
     u = int(np.clip(place[0], 2, max(2, image.shape[1] - width - 2)))
     v = int(np.clip(place[1], height + 4, image.shape[0] - base - 2))

@@ -1,4 +1,4 @@
-"""Images as the detectors take them: grey levels, between pixels too, and lenses."""
+"""Images for the detectors: conversion to grey levels, and pictures taken through a lens."""
 
 from __future__ import annotations
 
@@ -39,20 +39,26 @@ def grey(pixels: np.ndarray, encoding: str = "") -> np.ndarray:
     """
     pixels = np.asarray(pixels)
     if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or min(pixels.shape[:2]) < LEAST_EDGE:
-        raise VisionError(f"no image: an array of shape {pixels.shape} and type {pixels.dtype}")
+        raise VisionError(
+            f"no image: an array of shape {pixels.shape} and type {pixels.dtype}; it must be "
+            f"uint8, (h, w), (h, w, 3) or (h, w, 4), and {LEAST_EDGE} px or more each way"
+        )
     if pixels.ndim == 2 or pixels.shape[2] == 1:
         return np.ascontiguousarray(pixels.reshape(pixels.shape[:2]))
     known = {3: ("bgr8", "rgb8"), 4: ("bgra8", "rgba8")}.get(pixels.shape[2], ())
     encoding = encoding or next(iter(known), "")
     if encoding not in known:
-        raise VisionError(f"an image of {pixels.shape[2]} channels is not {encoding or 'known'}")
+        raise VisionError(
+            f"encoding '{encoding}' does not fit an image of {pixels.shape[2]} channels; "
+            "rgb8 and bgr8 have 3, rgba8 and bgra8 have 4"
+        )
     return cv2.cvtColor(pixels, _TO_GREY[encoding])
 
 
 def sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the bilinear values of a (h, w) image at points (..., 2) of u, v in px.
 
-    Points outside get the value at the border; what is no number is 0. (OpenCV's `remap` rounds
+    Points outside get the value at the border; at NaN it is 0. (OpenCV's `remap` rounds
     positions to 1/32 px.)
 
     >>> sample(np.array([[0.0, 10.0], [20.0, 30.0]]), np.array([[0.5, 0.5], [0.0, 0.25]]))
@@ -71,20 +77,27 @@ def sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:
     return upper + down * (lower - upper)
 
 
-class Lens:
-    """Maps pixels to where a camera without distortion would see them, and back.
+class Picture:
+    """Grey levels of an image, addressed by ideal pixels.
 
-    Straight edges are straight in ideal pixels only.
+    Ideal pixels are those that a camera without distortion would see: straight edges are straight
+    only there.
 
     Args:
-        camera: the camera; None, or one without distortion, leaves pixels as they are.
+        levels: (h, w) grey levels.
+        camera: the camera; None, or one without distortion: ideal pixels are those of the image.
     """
 
-    def __init__(self, camera: Optional[PinholeCamera] = None):
+    def __init__(self, levels: np.ndarray, camera: Optional[PinholeCamera] = None):
+        self.levels = levels
         self._camera = camera if camera is not None and any(camera.distortion) else None
 
+    def at(self, points: np.ndarray) -> np.ndarray:
+        """Return the bilinear grey levels at ideal pixels (..., 2)."""
+        return sample(self.levels, self.seen(points))
+
     def ideal(self, points: np.ndarray) -> np.ndarray:
-        """Return ideal pixels (..., 2) of those of the image."""
+        """Return the ideal pixels (..., 2) of pixels of the image."""
         if self._camera is None:
             return points
         flat = np.asarray(points, dtype=float).reshape(-1, 1, 2)
@@ -95,16 +108,16 @@ class Lens:
         return undistorted.reshape(np.shape(points))
 
     def seen(self, points: np.ndarray) -> np.ndarray:
-        """Return pixels (..., 2) of the image of ideal ones."""
-        if self._camera is None:
+        """Return the pixels (..., 2) of the image at ideal ones."""
+        camera = self._camera
+        if camera is None:
             return points
         flat = np.asarray(points, dtype=float).reshape(-1, 2)
-        camera = self._camera
         rays = (flat - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
         return camera.project(np.column_stack((rays, np.ones(len(rays))))).reshape(points.shape)
 
     def derivatives(self, points: np.ndarray) -> np.ndarray:
-        """Return how the image's pixels of (n, 2) ideal ones move with them: (2 n, 2 n)."""
+        """Return the derivatives (2 n, 2 n) of `seen` at (n, 2) ideal pixels."""
         count = len(points)
         moves = np.eye(2 * count)
         if self._camera is None:

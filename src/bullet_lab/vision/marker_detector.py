@@ -1,4 +1,4 @@
-"""Detector of the markers of a dictionary in an image, nested and double ones too."""
+"""Detector of a dictionary's markers in an image, including markers inside markers."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import numpy as np
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision import images
+from bullet_lab.vision.algebra import mean_side
+from bullet_lab.vision.candidates import CandidateSearch, mean_sides, same_quads
 from bullet_lab.vision.dictionaries import (
     Match,
     dictionary_named,
@@ -19,35 +21,35 @@ from bullet_lab.vision.dictionaries import (
     may_be_markers,
     read_cells,
 )
-from bullet_lab.vision.images import Lens, VisionError
-from bullet_lab.vision.outlines import OutlineSearch, mean_side, mean_sides, same_quads
+from bullet_lab.vision.images import Picture, VisionError
 from bullet_lab.vision.pattern_fit import PatternFit, fit_pattern
 from bullet_lab.vision.pattern_sides import without_hidden_side
 from bullet_lab.vision.quads import quads_in_cells, refine_corners
 
-# A quadrilateral that was found with several windows is tried in so many of its versions.
+# Of a quadrilateral that was found several times, at most so many versions are tried.
 _TRIES = 3
-# Standard deviation of noise, in grey levels, from which on the image is smoothed.
+# Standard deviation of noise, grey levels, above which the image is smoothed, and the factor by
+# which smoothing lessens it.
 _CLEAN = 0.6
-# Grey levels that an image should use, and by how much they may be spread for it.
+_SMOOTHED = 0.37
+# Grey levels that an image should use, and the largest factor by which they are spread for it.
 _RANGE = 160.0
 _LARGEST_GAIN = 8.0
-# What smoothing leaves of it.
-_SMOOTHED = 0.37
-# Standard deviations of noise, and grey levels, by which white is brighter than black.
+# Least contrast: standard deviations of noise, and grey levels.
 _CONFIDENCE = 9.0
 _LEAST_CONTRAST = 6.0
 # Outlines of one id are of one marker if their sizes are within this factor, and their middles
 # within this part of the smaller one's side.
-_ONE_MARKER, _BESIDE = 1.5, 0.25
-
-# Grey levels: an image with less between its darkest and brightest pixel shows nothing, and
-# one whose mean is nearer than this to black or white shows little.
+_ONE_MARKER = 1.5
+_BESIDE = 0.25
+# An image with less between its darkest and its brightest pixel is uniform, grey levels; one with
+# a mean below or above these is dark or over-exposed.
 _FLAT = 12.0
 _DARK = 12.0
 _BRIGHT = 243.0
-# Standard deviation of corners that only the outline tells of: px, and part of a side.
-_UNSURE, _UNSURE_PART = 0.3, 0.05
+# Standard deviation of corners that follow from the outline alone: px, and part of a side.
+_UNSURE = 0.3
+_UNSURE_PART = 0.05
 # Limits of the settings.
 _ALLOWED = {
     "border": (0.0, 1000.0),
@@ -64,45 +66,46 @@ Decoded = Tuple[Match, np.ndarray]
 
 @dataclass(frozen=True)
 class DetectorSettings:
-    """Settings of a detector: what to look for, and how."""
+    """Settings of a detector."""
 
     dictionary: str = "apriltag_36h10"  #: as `dictionary_named` takes it
     ids: Tuple[int, ...] = ()  #: markers to report; empty: all of the dictionary
-    border: float = 3.0  #: px; what has a corner nearer to the edge of the image is dropped
-    min_side: float = 8.0  #: px; mean side of the smallest marker that is looked for
+    border: float = 3.0  #: px; markers with a corner nearer to the edge of the image are dropped
+    min_side: float = 8.0  #: px; mean side of the smallest marker
     contrast: float = 7.0  #: grey levels by which black is darker than white
-    correction: float = 0.5  #: part of the bits that could be corrected which is corrected
-    border_rate: float = 0.1  #: part of the border's cells that may be misread
+    correction: float = 0.5  #: share of the correctable bits that is corrected
+    border_rate: float = 0.1  #: share of the border's cells that may be misread
     likeness: float = 0.6  #: least correlation of grey levels and pattern
-    max_quads: int = 60  #: at most so many quadrilaterals are tried, the largest first
+    max_quads: int = 60  #: most quadrilaterals that are tried, the largest first
     inverted: bool = False  #: find white markers on black as well
-    second_pass: bool = True  #: look again, with other thresholds, where nothing was found
+    second_pass: bool = True  #: search again with other thresholds if nothing was found
 
     def __post_init__(self) -> None:
-        """Raise VisionError where a setting is not allowed."""
+        """Raise VisionError if a setting is not allowed."""
         for name, (low, high) in _ALLOWED.items():
             value = getattr(self, name)
             if not math.isfinite(value) or not low <= value <= high:
-                raise VisionError(f"{name} is {value}: it must be from {low:g} to {high:g}")
+                raise VisionError(f"{name} is {value}; it must be from {low:g} to {high:g}")
         count = len(dictionary_named(self.dictionary).codes)
         wrong = [marker for marker in self.ids if not 0 <= marker < count]
         if wrong:
-            raise VisionError(f"{self.dictionary} has no marker {wrong[0]}, only 0 to {count - 1}")
+            known = f"its ids are 0 to {count - 1}"
+            raise VisionError(f"{self.dictionary} has no marker {wrong[0]}; {known}")
 
 
 @dataclass(frozen=True)
 class DetectedMarker:
     """A marker in an image.
 
-    Its corners are (4, 2) u, v in px of the image as it is, with its distortion: top left, top
-    right, bottom right, bottom left of the black square, as one looks at the marker.
+    Its corners are (4, 2) u, v in px of the image, with its distortion: top left, top right,
+    bottom right, bottom left of the black square, as one looks at the marker.
     """
 
-    id: int  #: which of the dictionary
+    id: int  #: its number in the dictionary
     corners: np.ndarray
     bit_errors: int  #: bits that were corrected
     likeness: float  #: correlation of the grey levels with its pattern
-    covariance: np.ndarray  #: (8, 8) of the corners' u0, v0, u1 ... as the image tells it, px²
+    covariance: np.ndarray  #: (8, 8) of the corners' u0, v0, u1 ... by this image, px²
 
     @property
     def deviations(self) -> np.ndarray:
@@ -117,21 +120,21 @@ class DetectedMarker:
 
 @dataclass
 class DetectionReport:
-    """What happened on the way, to say why nothing was found."""
+    """Statistics of a detection, to explain why nothing was found."""
 
     quads: int = 0  #: dark quadrilaterals that were tried
-    undecoded: int = 0  #: of them, those that are no marker
+    undecoded: int = 0  #: number of them that are no marker
     cropped: List[int] = field(default_factory=list)  #: ids dropped at the edge of the image
     other_ids: List[int] = field(default_factory=list)  #: ids seen and not asked for
     mean: float = 0.0  #: of the grey levels
     contrast: float = 0.0  #: grey levels between its darkest and its brightest pixel
     noise: float = 0.0  #: standard deviation of the grey levels' noise
-    second_pass: bool = False  #: whether the image was looked at twice
+    second_pass: bool = False  #: whether the image was searched twice
 
 
 @dataclass(frozen=True)
 class Detections:
-    """All markers of an image, the largest first, and what happened on the way."""
+    """All markers of an image, the largest first, and the report."""
 
     markers: Sequence[DetectedMarker]
     report: DetectionReport
@@ -150,81 +153,79 @@ class MarkerDetector:
         """Return the markers in an image, (h, w) grey levels or (h, w, 3) BGR, uint8.
 
         Of the camera only the distortion is used, to have straight edges straight. Raises
-        VisionError for what is no such image.
+        VisionError if it is no such image.
         """
         grey = images.grey(image)
-        lens = Lens(camera)
-        detections = self._detect(grey, lens)
+        detections = self._detect(Picture(grey, camera))
         if not self.settings.inverted:
             return detections
-        negative = self._detect(255 - grey, lens)
+        negative = self._detect(Picture(255 - grey, camera))
         both = sorted((*detections.markers, *negative.markers), key=lambda one: -one.side)
         return Detections(both, (detections if detections.markers else negative).report)
 
-    def _detect(self, grey: np.ndarray, lens: Lens) -> Detections:
-        report = DetectionReport()
+    def _detect(self, picture: Picture) -> Detections:
+        grey, report = picture.levels, DetectionReport()
         low, high = float(grey.min()), float(grey.max())
         report.mean, report.contrast = float(cv2.mean(grey)[0]), high - low
         report.noise = noise_level(grey)
         smooth, least = _prepare(grey, low, high, report.noise)
-        search = OutlineSearch(smooth, self.settings.min_side)
-        quads = search.first_look(max(least, self.settings.contrast))
-        markers = self._look(grey, quads, lens, report)
+        search = CandidateSearch(smooth, self.settings.min_side)
+        quads = search.first_pass(max(least, self.settings.contrast))
+        markers = self._markers(picture, quads, report)
         if not markers and self.settings.second_pass:
             report.second_pass = True
-            markers = self._look(grey, search.second_look(least), lens, report)
+            markers = self._markers(picture, search.second_pass(least), report)
             if report.undecoded == report.quads:
-                # Hulls of anything are no quadrilaterals to report.
                 last = replace(report)
-                markers = self._look(grey, search.last_look(least), lens, last)
+                markers = self._markers(picture, search.open_pass(least), last)
+                # Hulls that are no marker are not worth reporting.
                 report = last if last.undecoded < last.quads else report
         return Detections(markers, report)
 
-    def _look(
-        self, image: np.ndarray, quads: np.ndarray, lens: Lens, report: DetectionReport
+    def _markers(
+        self, picture: Picture, quads: np.ndarray, report: DetectionReport
     ) -> List[DetectedMarker]:
-        quads, versions = self._likely(image, quads, lens, report)
+        """Return the markers among quadrilaterals (n, 4, 2), and fill in the report."""
+        quads, versions = self._likely(picture, quads, report)
         found: List[Decoded] = []
         report.cropped, report.other_ids = [], []
-        for one in self._first_decoded(image, quads, versions, lens):
+        for one in self._first_decoded(picture, quads, versions):
             if one is None:
                 report.undecoded += 1
             else:
                 add_decoded(one, found)
-        # Other markers may be in their white cells.
+        # There may be other markers in their white cells.
         for read, corners in found[:]:
             pattern = self.dictionary.pattern(read.marker)
             size = mean_side(corners)
-            others = [other for _, other in found if mean_side(other) < size]
-            least = self.settings.min_side
-            inner = quads_in_cells(image, corners, pattern, lens, least, others)
-            for one in self._decode(image, inner, lens):
+            smaller = [other for _, other in found if mean_side(other) < size]
+            inner = quads_in_cells(picture, corners, pattern, self.settings.min_side, smaller)
+            for one in self._decode(picture, inner):
                 if one is not None:
                     add_decoded(one, found)
-        return self._choose(found, image, lens, report)
+        return self._choose(found, picture, report)
 
     def _likely(
-        self, image: np.ndarray, quads: np.ndarray, lens: Lens, report: DetectionReport
+        self, picture: Picture, quads: np.ndarray, report: DetectionReport
     ) -> Tuple[np.ndarray, List[range]]:
-        """Return those (n, 4, 2) that may be markers, and which are one and the same.
+        """Return those (n, 4, 2) that may be markers, and the index ranges of versions of one.
 
-        The largest come first. In the report, those that cannot be markers are counted.
+        The largest come first. The others are counted in the report.
         """
-        settings = self.settings
         report.quads = report.undecoded = 0
         if not len(quads):
             return quads, []
         sides = mean_sides(quads)
         order = np.argsort(-sides, kind="stable")
         quads, sides = quads[order], sides[order]
-        likely = may_be_markers(image, quads, self.dictionary.cells, lens)
+        likely = may_be_markers(picture, quads, self.dictionary.cells)
         same = same_quads(quads, sides)
         versions, done = [], np.zeros(len(quads), dtype=bool)
         chosen: List[int] = []
         for index in range(len(quads)):
             if done[index]:
                 continue
-            if report.quads == settings.max_quads:
+            if report.quads == self.settings.max_quads:
                 break
             alike = same[index] & ~done
             done |= alike
@@ -238,26 +239,26 @@ class MarkerDetector:
         return quads[chosen], versions
 
     def _first_decoded(
-        self, image: np.ndarray, quads: np.ndarray, versions: Sequence[range], lens: Lens
+        self, picture: Picture, quads: np.ndarray, versions: Sequence[range]
     ) -> List[Optional[Decoded]]:
-        """Return the marker that the first of each one's versions that is any tells, or None."""
+        """Return the marker of the first version of each one that is a marker, or None."""
         found: List[Optional[Decoded]] = [None] * len(versions)
         for attempt in range(_TRIES):
             left = [k for k, same in enumerate(versions) if not found[k] and attempt < len(same)]
             tried = quads[[versions[k][attempt] for k in left]] if left else quads[:0]
-            for k, one in zip(left, self._decode(image, tried, lens)):
+            for k, one in zip(left, self._decode(picture, tried)):
                 found[k] = one
         return found
 
-    def _decode(self, image: np.ndarray, quads: np.ndarray, lens: Lens) -> List[Optional[Decoded]]:
-        """Return the marker that each of (n, 4, 2) quadrilaterals, px, is, or None."""
+    def _decode(self, picture: Picture, quads: np.ndarray) -> List[Optional[Decoded]]:
+        """Return the marker at each of (n, 4, 2) quadrilaterals, px of the image, or None."""
         cells = self.dictionary.cells
         if not len(quads):
             return []
-        corners = refine_corners(image, quads, cells + 2, lens)
+        corners = refine_corners(picture, quads, cells + 2)
         sound = np.flatnonzero(np.isfinite(corners).all(axis=(1, 2)))
         decoded: List[Optional[Decoded]] = [None] * len(quads)
-        readings = interpret(read_cells(image, corners[sound], cells, lens))
+        readings = interpret(read_cells(picture, corners[sound], cells))
         for index, reading in zip(sound.tolist(), readings):
             if reading is None or reading.border_errors > self._border_errors:
                 continue
@@ -267,46 +268,39 @@ class MarkerDetector:
         return decoded
 
     def _choose(
-        self,
-        found: List[Decoded],
-        image: np.ndarray,
-        lens: Lens,
-        report: DetectionReport,
+        self, found: List[Decoded], picture: Picture, report: DetectionReport
     ) -> List[DetectedMarker]:
-        """Return what was asked for and is whole, measured as well as can be."""
+        """Return the markers that were asked for and are whole, with their corners fitted."""
         border, chosen = self.settings.border, []
-        largest = np.array(image.shape[::-1]) - 1 - border
+        largest = np.array(picture.levels.shape[::-1]) - 1 - border
         for read, ideal in found:
-            corners = lens.seen(ideal)
+            corners = picture.seen(ideal)
             if self.settings.ids and read.marker not in self.settings.ids:
                 report.other_ids.append(read.marker)
             elif not ((corners >= border) & (corners <= largest)).all():
                 report.cropped.append(read.marker)
             else:
-                chosen.append(self._measured(read, ideal, image, lens))
+                chosen.append(self._measured(read, ideal, picture))
         return chosen
 
-    def _measured(
-        self, read: Match, corners: np.ndarray, image: np.ndarray, lens: Lens
-    ) -> DetectedMarker:
+    def _measured(self, read: Match, corners: np.ndarray, picture: Picture) -> DetectedMarker:
         pattern = self.dictionary.pattern(read.marker)
-        corners = without_hidden_side(image, corners, pattern, lens)
-        fit = fit_pattern(image, corners, pattern, lens)
+        corners = without_hidden_side(picture, corners, pattern)
+        fit = fit_pattern(picture, corners, pattern)
         if fit is None:
-            # What is there is not as the pattern says: its outline alone is not to be relied on.
+            # The pattern does not explain the image, so the outline is not reliable either.
             spread = max(_UNSURE, _UNSURE_PART * mean_side(corners))
             fit = PatternFit(corners, spread**2 * np.eye(8), 1.0)
-        turn = lens.derivatives(fit.corners)
-        covariance = turn @ fit.covariance @ turn.T
-        return DetectedMarker(
-            read.marker, lens.seen(fit.corners), read.errors, read.likeness, covariance
-        )
+        by_ideal = picture.derivatives(fit.corners)
+        covariance = by_ideal @ fit.covariance @ by_ideal.T
+        seen = picture.seen(fit.corners)
+        return DetectedMarker(read.marker, seen, read.errors, read.likeness, covariance)
 
 
 def add_decoded(decoded: Decoded, found: List[Decoded]) -> None:
-    """Add a marker; of two outlines of one marker, the one that looks more like it stays.
+    """Add a marker; of two outlines of one marker, keep the one that looks more like it.
 
-    A panel before a bright sky has an outline of its own, about as large as its marker's.
+    A panel before a bright sky has an outline too, about as large as its marker's.
     """
     for index, other in enumerate(found):
         if _same_marker(decoded, other):
@@ -325,7 +319,7 @@ def _same_marker(first: Decoded, second: Decoded) -> bool:
 
 
 def _prepare(grey: np.ndarray, low: float, high: float, noise: float) -> Tuple[np.ndarray, float]:
-    """Return the image with its full range used and less noise, and the least contrast there."""
+    """Return the image with more contrast and less noise, and the least contrast to look for."""
     gain = float(np.clip(_RANGE / max(1.0, high - low), 1.0, _LARGEST_GAIN))
     if gain > 1.0:
         middle = 0.5 * (low + high)
@@ -339,8 +333,8 @@ def _prepare(grey: np.ndarray, low: float, high: float, noise: float) -> Tuple[n
 def noise_level(grey: np.ndarray) -> float:
     """Return the standard deviation of an image's noise, in grey levels.
 
-    From the median of second differences both ways, which are zero on even ground and on
-    straight edges (Immerkaer 1996, with the median in place of the mean).
+    It follows from the median of second differences both ways, which are zero in uniform areas and
+    on straight edges (Immerkaer 1996, with the median in place of the mean).
     """
     last = len(grey) - 2
     up, row, down = (grey[k : last + k : 12].astype(np.int16) for k in (0, 1, 2))
@@ -348,16 +342,16 @@ def noise_level(grey: np.ndarray) -> float:
     both = np.abs(vertical[:, :-2] - 2 * vertical[:, 1:-1] + vertical[:, 2:]).ravel()
     counts = np.cumsum(np.bincount(both, minlength=2))
     middle = int(np.searchsorted(counts, 0.5 * both.size))
-    # Interpolated, as levels are whole numbers: |d| < middle + 0.5 has the share reached there.
-    below = counts[middle - 1] if middle else 0
     if middle == 0:
         return 0.0
+    # Interpolated, as levels are whole numbers: counts are of |d| < middle + 0.5.
+    below = counts[middle - 1]
     median = middle - 0.5 + (0.5 * both.size - below) / (counts[middle] - below)
     return float(median) / (0.6745 * 6.0)
 
 
 def why_nothing(report: DetectionReport, dictionary: str) -> str:
-    """Return one line on why an image has none of the markers that were asked for."""
+    """Return one line on why the markers that were asked for are not in an image."""
     if report.cropped:
         return f"{_markers(report.cropped)} cut off by the edge of the image"
     if report.other_ids:

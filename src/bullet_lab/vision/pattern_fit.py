@@ -1,71 +1,89 @@
-"""Corners of a marker by the fit of its whole pattern to the grey levels, with their covariance.
+"""Corners of a marker, and their covariance, by the fit of its whole pattern to the grey levels.
 
-All edges between black and white cells tell where the marker is, not only its outline, and what
-is not as the pattern says, a hand before it or a highlight, is told from it and left out.
+The position follows from all edges between black and white cells, not only from the outline. The
+fit finds pixels that do not match the pattern, a hand before it or a highlight, and leaves them
+out.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Optional, Tuple, Union
+from typing import List, NamedTuple, Optional, Tuple
 
 import cv2
 import numpy as np
 
-from bullet_lab.vision.images import Lens
+from bullet_lab.vision.algebra import NEXT, mean_side
+from bullet_lab.vision.images import Picture
 from bullet_lab.vision.pattern_model import PatternModel, moves_of
 from bullet_lab.vision.pattern_pixels import (
     LEAST_AROUND,
     LEAST_SHARE,
     Pixels,
     all_pixels,
-    mean_cell,
     pixels_of,
 )
 
-# px within the quiet zone's outer edge that what lies beyond it is seen at most, beside the blur.
-_BLURRED_IN = 0.8
-# Variance of the blur beside a pixel's own extent, px²: at first, and its limits.
-_FIRST_VARIANCE, _LEAST_VARIANCE, _MOST_VARIANCE = 0.1, 0.005, 40.0
-# Part of a neighbour that a pixel has in it: at first, limits (below 0 where an image has been
-# sharpened), and how near it is known where the fit is there.
-_FIRST_SHARED, _LEAST_SHARED, _MOST_SHARED, _SHARED_TO = 0.05, -0.1, 0.25, 0.01
+# The blur's numbers: variances along u and v and their covariance beside a pixel's own extent, px²,
+# and the part of each neighbour that a pixel has in it. They are the last ones of a fit.
+_FIRST_SPREAD = (0.1, 0.1, 0.0, 0.05)
+_SPREAD = len(_FIRST_SPREAD)
+# Before them are the coefficients of `moves_of`.
+_SHAPE = slice(-8 - _SPREAD, -_SPREAD)
+# The contrast's numbers, the last ones of the light.
+_OF_CONTRAST = 3
+# Limits of the variances, px², and of what is shared: negative where an image was sharpened.
+_LEAST_VARIANCE = 0.005
+_MOST_VARIANCE = 40.0
+_LEAST_SHARED = -0.1
+_MOST_SHARED = 0.25
+# Least certainty of the blur's numbers beforehand: variances to a px² or so.
+_BLUR_PRIOR = 1.0
+
 _MOST_ROUNDS = 12
-# Where edges are all there is, the blur's equations are far from linear, and went to and fro: a
-# variance falls to no less than this part of itself in a round, and after so many makes half steps.
-_FALL, _FULL_STEPS = 1.0 / 3.0, 4
-# px; when no corner moves by more, what is left to go is the square of that: the fit is there.
+# Pixels in groups show only edges, for which the blur's equations are far from linear and may
+# oscillate: a variance falls to no less than this part in a round, and after so many full steps
+# only half steps are made.
+_FALL = 1.0 / 3.0
+_FULL_STEPS = 4
+# The fit has converged when no corner moved by more, px (what is left is the square of that), and
+# the blur changed by no more than the sum of a constant, px², and a part of itself.
 _STILL = 0.05
-# px²; where the blur is what it was taken for, and nothing moved, once is enough.
-_AS_SHARP, _ABOUT = 0.11, 0.1
-# px²; in an image with more blur than that all pixels of a large marker are looked at as well.
+_SAME_BLUR = 0.11
+_SAME_PART = 0.1
+# The same for the part that is shared.
+_SAME_SHARED = 0.01
+# The corners may move by so many cells.
+_MOST_MOVED = 1.0
+# Variance of the blur, px², above which all pixels of a large marker are used.
 _SOFT = 1.0
+
+# px within the quiet zone's outer edge that are influenced by what lies beyond, beside the blur.
+_BLURRED_IN = 0.8
+# Tukey's constant, in standard deviations: of Gaussian noise hardly anything is left out.
+_TUKEY = 6.0
 # Residuals beyond so many standard deviations are not the marker's.
 _OUTLYING = 3.5
-# Contrast is shown that is so many standard deviations of its noise.
+# A contrast of so many standard deviations of its noise is seen.
 _SHOWN = 2.0
 # Standard deviation of grey levels that were rounded to whole ones.
 _LEAST_NOISE = 0.3
-# px²; where white was cut off and there is more blur than that, how white it would have been cannot
-# be told from the blur: the fit is to what was cut off.
-_MOST_CUT = 0.1
-# Variance of such corners, px²: edges of which the bright side was cut off come out steeper than
-# the lens drew them, and by where pixels are up to a quarter of one aside; more of it where only a
-# part of the marker is so bright, whose white is wider than in the other part.
-_CUT_VARIANCE, _PARTLY_CUT_VARIANCE = 0.01, 0.03
-# A side is not the marker's if an end of it is so many px from where all other edges have it, and
-# so many standard deviations of that.
-_ODD, _ODD_BY = 0.07, 3.0
-# So many pixels must be the marker's, beside their share of all.
+# Least number of pixels that must be the marker's, beside their share of all.
 _LEAST_PIXELS = 40
-# The corners may be moved by so many cells.
-_MOST_MOVED = 1.0
-# So many numbers are the blur's, the last ones of a fit; before them are those of `moves_of`.
-_SPREAD = 4
-_SHAPE = slice(-8 - _SPREAD, -_SPREAD)
-# So many are the contrast's, the last ones of the light.
-_OF_CONTRAST = 3
+
+# Variance of the blur, px², above which the true level of over-exposed white cannot be separated
+# from the blur: the fit uses the levels that were cut off.
+_MOST_CUT = 0.1
+# Variance, px², that is added to such corners: an edge whose bright side is cut off looks steeper,
+# and pixels are up to a quarter of one aside. More of it where only a part of the marker is so
+# bright: its white is wider than in the other part.
+_CUT_VARIANCE = 0.01
+_PARTLY_CUT_VARIANCE = 0.03
+# A side is inconsistent if an end of it is so many px from where all other edges have it, and so
+# many standard deviations of that.
+_ODD = 0.07
+_ODD_DEVIATIONS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +93,7 @@ class PatternFit:
     Attributes:
         corners: (4, 2) u, v in ideal px.
         covariance: (8, 8) of the corners' u0, v0, u1 ... in px².
-        hidden: share of the pixels that are not as the pattern says.
+        hidden: share of the pixels that do not match the pattern.
     """
 
     corners: np.ndarray
@@ -83,154 +101,318 @@ class PatternFit:
     hidden: float
 
 
-def fit_pattern(
-    image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens
-) -> Optional[PatternFit]:
+def fit_pattern(picture: Picture, corners: np.ndarray, pattern: np.ndarray) -> Optional[PatternFit]:
     """Fit corners, light and blur to the grey levels by weighted least squares.
 
     A pixel is modelled as a + d · B, with a (of second order) and d (of first) its light over the
     marker, and B the pattern, 0 or 1, blurred by the lens and by motion, whose covariance in the
-    image is fitted too. Of a small marker so is the part that each pixel has of its neighbours:
-    what filters a picture after it was taken is no Gaussian, and moved corners by 0.01 px. Of a
-    large marker the pixels across each place of an edge have an a of their own, so that highlights
-    and shadows do not matter. Robust weights are Tukey's, of each pixel and, of a large marker, of
-    the contrast that each place of an edge shows; the covariance is that of least squares with the
-    noise that the residuals show. A side that is not where all other edges have it is not the
-    marker's, but of what stands before it: it is left out.
+    image is fitted too. Of a small marker, so is the part that each pixel has of its neighbours:
+    a filter applied after the exposure is no Gaussian, and moved corners by 0.01 px. Of a large
+    marker, the pixels across each place of an edge have an a of their own, so that highlights and
+    shadows do not matter.
 
-    Over-exposed pixels do not count, unless what is left does not tell the light from the blur:
-    then the picture is fitted as it was cut off, with white that is wider than in the pattern, by
-    as much as the fit says. Where the sun shines on a part of a large marker, the pixels across
-    each place have a d of their own too, and white that was cut off there is wider than elsewhere.
+    Weights are Tukey's, of each pixel and, of a large marker, of the contrast that each place of an
+    edge shows. The covariance is that of least squares with the noise of the residuals. A side
+    that is not where all other edges have it belongs to something before the marker and is left
+    out.
+
+    Over-exposed pixels do not count, unless the others do not separate the light from the blur:
+    then the levels are fitted as they were cut off, with white that is wider than in the pattern by
+    a number of the fit. Where the sun shines on a part of a large marker, the pixels across each
+    place have a d of their own too, and white that was cut off there is wider than elsewhere.
 
     Args:
-        image: (h, w) grey levels.
+        picture: the image.
         corners: (4, 2) ideal px, clockwise from the marker's top left, to a fraction of a cell.
         pattern: (n, n) cells with the border, 1 for white.
-        lens: where ideal pixels are seen.
 
     Returns:
-        None where the pattern does not explain what is there.
+        None where the pattern does not explain the image.
     """
-    pixels = pixels_of(image, corners, pattern, lens)
+    pixels = pixels_of(picture, corners, pattern)
     if len(pixels.levels) < _LEAST_PIXELS:
         return None
-    first = _fit(pixels, image, corners, pattern, lens)
+    first = _fit(pixels, picture, corners, pattern)
     fit, blur = first.fit, first.blur
     if pixels.over_exposed and not pixels.cut_off and (fit is None or blur > _MOST_CUT):
-        pixels = pixels_of(image, corners, pattern, lens, cut_off=True)
-        fit = _fit(pixels, image, corners, pattern, lens).fit or fit
+        pixels = pixels_of(picture, corners, pattern, cut_off=True)
+        fit = _fit(pixels, picture, corners, pattern).fit or fit
     elif fit is not None and first.odd:
-        fit = _without_odd_side(first, image, pattern, lens)
+        fit = _without_odd_side(first, picture, pattern)
     more = _CUT_VARIANCE if pixels.cut_off else 0.0
-    if pixels.parted and pixels.flooded.any():
+    if pixels.any_flooded:
         more = _PARTLY_CUT_VARIANCE
     if fit is not None and more:
         fit = replace(fit, covariance=fit.covariance + more * np.eye(8))
     return fit
 
 
+# A side that is not where the other edges have it: by how many standard deviations, and which
+# pixels (n,) are at it.
+_OddSide = Tuple[float, np.ndarray]
+
+
 class _Fitted(NamedTuple):
-    """A fit to some pixels.
+    """The fit to a set of pixels.
 
     Attributes:
         fit: as of `fit_pattern`.
         blur: the greatest variance of its blur, px².
         pixels: those of the fit.
-        odd: of sides that are not where the others have them, the farthest first: by how many
-            standard deviations, and which pixels (n,) are theirs.
+        odd: inconsistent sides, the worst first.
     """
 
     fit: Optional[PatternFit]
     blur: float
     pixels: Optional[Pixels] = None
-    odd: Tuple[Tuple[float, np.ndarray], ...] = ()
+    odd: Tuple[_OddSide, ...] = ()
 
     @property
     def disagreement(self) -> float:
-        """By how many standard deviations the farthest side is off; 0 if none is."""
+        """Standard deviations by which the worst side is off; 0 if none is."""
         return self.odd[0][0] if self.odd else 0.0
 
 
-def _fit(
-    pixels: Pixels, image: np.ndarray, corners: np.ndarray, pattern: np.ndarray, lens: Lens
-) -> _Fitted:
-    """Return the fit to some pixels, from corners on; arguments as of `fit_pattern`."""
-    cells = len(pattern)
-    spread = np.array([_FIRST_VARIANCE, _FIRST_VARIANCE, 0.0, _FIRST_SHARED])
-    start, cell, light = corners, mean_cell(corners, cells), None
+def _fit(pixels: Pixels, picture: Picture, corners: np.ndarray, pattern: np.ndarray) -> _Fitted:
+    """Return the fit to a set of pixels, starting at corners."""
+    start = corners
+    most_moved = _MOST_MOVED * (mean_side(corners) / len(pattern))
+    spread, light = np.array(_FIRST_SPREAD), None
     for left in reversed(range(_MOST_ROUNDS)):
-        model = PatternModel(pixels.points, corners, spread, pattern)
-        if pixels.parted:
-            of_light = model.light(True, False, pixels.flooded)[:-_OF_CONTRAST]
-        else:
-            of_light = model.light(pixels.grouped, not pixels.whole, pixels.cut_off)
+        linear = _Linearised(pixels, corners, spread, light, pattern)
+        step = linear.step()
+        light = linear.light + step[: len(linear.light)]
+        moved = linear.to_corners @ step[_SHAPE]
+        corners = corners + moved.reshape(4, 2)
+        is_late = left < _MOST_ROUNDS - _FULL_STEPS
+        before, spread = spread, _next_spread(spread, step[-_SPREAD:], pixels.grouped, is_late)
+        blur = float(spread[:2].max())
+        if not np.abs(corners - start).max() <= most_moved:
+            return _Fitted(None, blur)
+        if np.abs(moved).max() < _STILL and _is_same_blur(before, spread):
+            break
+        if left and pixels.grouped and spread.max() > _SOFT:
+            # In so much blur the few pixels across each edge see little of it.
+            pixels, light = all_pixels(picture, corners, len(pattern), pixels.cut_off), None
+    judged = _Judged(linear, step, corners)
+    fit = judged.fit()
+    if fit is None or pixels.cut_off or pixels.any_flooded:
+        return _Fitted(fit, blur)
+    return _Fitted(fit, blur, pixels, judged.odd_sides())
+
+
+def _next_spread(spread: np.ndarray, step: np.ndarray, grouped: bool, is_late: bool) -> np.ndarray:
+    """Return the blur's numbers after a step, within their limits."""
+    least = np.full(2, _LEAST_VARIANCE)
+    gain = 1.0
+    if grouped:
+        least = np.maximum(least, _FALL * spread[:2])
+        gain = 0.5 if is_late else 1.0
+    spread = spread + gain * step
+    low, high = np.clip(spread[:2], least, _MOST_VARIANCE).tolist()
+    # The variance in any direction is no less than the least.
+    most = math.sqrt((low - 0.99 * _LEAST_VARIANCE) * (high - 0.99 * _LEAST_VARIANCE))
+    shared = min(max(spread[3], _LEAST_SHARED), _MOST_SHARED)
+    return np.array([low, high, min(max(spread[2], -most), most), shared])
+
+
+def _is_same_blur(before: np.ndarray, after: np.ndarray) -> bool:
+    changed = np.abs(after - before)
+    is_same = changed.max() - _SAME_PART * after.max() < _SAME_BLUR
+    return is_same and changed[3] < _SAME_SHARED
+
+
+class _Linearised:
+    """The model of a set of pixels, linearised about an estimate, and the residuals.
+
+    Args:
+        pixels: those of the fit.
+        corners: (4, 2) ideal px.
+        spread: the blur's numbers.
+        light: its coefficients; None: those of least squares.
+        pattern: (n, n) cells with the border, 1 for white.
+
+    Attributes:
+        light: as given, or as found.
+        columns: (m, n) derivatives of the pixels by light, shape and blur.
+        residuals: (n,) grey levels less the model's.
+        weights: (n,) of the residuals; 0: not the marker's.
+        own: (n,) which pixels belong to the marker and count.
+        to_corners: (8, 8) of `moves_of`.
+    """
+
+    def __init__(
+        self,
+        pixels: Pixels,
+        corners: np.ndarray,
+        spread: np.ndarray,
+        light: Optional[np.ndarray],
+        pattern: np.ndarray,
+    ):
+        self.pixels = pixels
+        self.model = model = PatternModel(pixels.points, corners, spread, pattern)
+        self.to_corners = moves_of(corners, model.to_image)
         shared, value = spread[3], model.value
+        of_light = self._columns_of_light()
         columns, levels = pixels.seen(of_light, shared, value), pixels.seen_levels(value)
         if light is None:
             light = _Equations(columns, levels, np.ones(columns.shape[1])).solution()
-        residuals = levels - light @ columns
-        contrast = pixels.own_contrast(value)[0] if pixels.parted else model.contrast(light)
-        steepness = pixels.own(model.steepness(contrast))
-        beyond = pixels.own(model.beyond(contrast))
-        noise = _noise(residuals, steepness, beyond, pixels.told)
+        self.light = light
+        self.residuals = levels - light @ columns
+        if pixels.sunlit:
+            contrast, _ = pixels.own_contrast(value)
+        else:
+            contrast = model.contrast(light)
+        self._weigh(contrast, spread)
+        shape = np.concatenate((model.shape(contrast), model.blur(contrast)))
+        shape = pixels.seen(shape, shared, value)
+        by_shared = pixels.by_shared(light @ of_light, shared)
+        self.columns = np.concatenate((columns, shape, by_shared))
+
+    def _columns_of_light(self) -> np.ndarray:
+        pixels, model = self.pixels, self.model
+        if pixels.sunlit:
+            # Each group has a contrast of its own.
+            return model.light(True, False, pixels.flooded)[:-_OF_CONTRAST]
+        bowed = not (pixels.grouped and pixels.valid.all())
+        return model.light(pixels.grouped, bowed, pixels.cut_off)
+
+    def _weigh(self, contrast: np.ndarray, spread: np.ndarray) -> None:
+        """Find the pixels that are the marker's, and the residuals' weights."""
+        pixels, model = self.pixels, self.model
+        self._steepness = pixels.own(model.steepness(contrast))
+        self._beyond = pixels.own(model.beyond(contrast))
+        noise = self.noise(self.residuals)
         # Blur brings in what lies beyond the quiet zone.
         reach = 2.0 * math.sqrt(max(spread[:2])) + _BLURRED_IN
         own = pixels.own((model.margin() > reach) | (model.outside() < LEAST_AROUND))
-        own &= pixels.told
-        shown = _shown(pixels, value, contrast, noise)
-        weights = np.where(own, shown * _tukey(residuals / noise) / (noise * noise), 0.0)
-        shape = np.concatenate((model.shape(contrast), model.blur(contrast)))
-        shape = pixels.seen(shape, shared, value)
-        columns = np.concatenate((columns, shape, pixels.by_shared(light @ of_light, shared)))
-        step = _Equations(columns, residuals, weights, _BLUR_PRIOR).solution()
-        light = light + step[: len(light)]
-        to_corners = moves_of(corners, model.to_image)
-        moved = to_corners @ step[len(light) : -_SPREAD]
-        corners = corners + moved.reshape(4, 2)
-        least, gain = 0.0, 1.0
+        self.own = own & pixels.valid
+        shown = _shown(pixels, model.value, contrast, noise)
+        weights = shown * _tukey(self.residuals / noise) / (noise * noise)
+        self.weights = np.where(self.own, weights, 0.0)
+
+    def noise(self, residuals: np.ndarray) -> np.ndarray:
+        """Return the standard deviation (n,) of each residual.
+
+        Besides the image's noise, residuals are larger where the image is steep, because of what
+        the model does not know, such as an edge that was drawn from few samples; and where blur
+        brings in what is beyond the quiet zone.
+        """
+        sizes, valid = np.abs(residuals), self.pixels.valid
+        steep = self._steepness > _median(self._steepness)
+        even = _scale(sizes[valid & ~steep])
+        more = max(0.0, _scale(sizes[valid & steep]) ** 2 - even * even)
+        slope = _median(self._steepness[steep]) if steep.any() else 1.0
+        steeper = self._steepness / max(slope, 1e-9)
+        return np.sqrt(even * even + more * steeper * steeper + self._beyond * self._beyond)
+
+    def step(self) -> np.ndarray:
+        """Return the step (m,) of least squares."""
+        return _Equations(self.columns, self.residuals, self.weights, _BLUR_PRIOR).solution()
+
+
+def _shown(
+    pixels: Pixels, value: np.ndarray, contrast: np.ndarray, noise: np.ndarray
+) -> np.ndarray:
+    """Return weights (n,) by how much of the contrast the pixels across each place of an edge show.
+
+    Where something hides an edge there is none. In a noisy image no pixel shows that by itself. If
+    each place has a contrast of its own, all that can be tested is whether there is any.
+    """
+    if not pixels.grouped:
+        return np.ones(len(noise))
+    own, squares = pixels.own_contrast(value)
+    deviation = noise / np.sqrt(squares)
+    if pixels.sunlit:
+        return np.where(own > _SHOWN * deviation, 1.0, 0.0)
+    deviation = np.maximum(deviation, contrast / _TUKEY)
+    return _tukey((own - contrast) / np.maximum(deviation, 1e-9))
+
+
+class _Judged:
+    """The residuals after the last step, and how certain they make the corners.
+
+    Residuals and columns are in standard deviations of the noise.
+    """
+
+    def __init__(self, linear: _Linearised, step: np.ndarray, corners: np.ndarray):
+        residuals = linear.residuals - step @ linear.columns
+        noise = linear.noise(residuals)
+        used = linear.own & (linear.weights > 0.0)
+        self._residuals = np.where(used, residuals / noise, _TUKEY)
+        self._columns = linear.columns / noise
+        self._own = np.abs(self._residuals) < _OUTLYING
+        self._linear, self._corners = linear, corners
+
+    def fit(self) -> Optional[PatternFit]:
+        """Return the fit with its covariance, or None if the pattern explains too few pixels."""
+        pixels, to_corners = self._linear.pixels, self._linear.to_corners
+        valid, count = int(pixels.valid.sum()), int(self._own.sum())
+        if count < max(_LEAST_PIXELS, LEAST_SHARE * valid):
+            return None
+        inverse = self._equations(self._own).inverse()
         if pixels.grouped:
-            least = _FALL * spread[:2]
-            gain = 1.0 if left >= _MOST_ROUNDS - _FULL_STEPS else 0.5
-        before, spread = spread, _allowed(spread + gain * step[-_SPREAD:], least)
-        if not np.abs(corners - start).max() <= _MOST_MOVED * cell:
-            return _Fitted(None, float(spread[:2].max()))
-        changed = np.abs(spread - before)
-        sharpened = changed.max() - _ABOUT * spread.max() < _AS_SHARP and changed[3] < _SHARED_TO
-        if np.abs(moved).max() < _STILL and sharpened:
-            break
-        if left and pixels.grouped and spread.max() > _SOFT:
-            # Few pixels across each edge see little of so much blur.
-            pixels, light = all_pixels(image, corners, cells, lens, pixels.cut_off), None
-    residuals = residuals - step @ columns
-    noise = _noise(residuals, steepness, beyond, pixels.told)
-    residuals = np.where(own & (weights > 0.0), residuals / noise, _TUKEY)
-    told = int(pixels.told.sum())
-    judged = _judged(corners, residuals, told, columns / noise, pixels.group, to_corners)
-    blur = float(spread[:2].max())
-    if judged is None:
-        return _Fitted(None, blur)
-    fit, squares = judged
-    if pixels.cut_off or (pixels.parted and pixels.flooded.any()):
-        return _Fitted(fit, blur)
-    sides = np.stack([pixels.own(side) for side in model.sides()])
-    odd = _odd_sides(corners, residuals, columns / noise, squares, to_corners, sides)
-    return _Fitted(fit, blur, pixels, odd)
+            self._square = self._square_of_groups(inverse)
+        else:
+            squares = float(np.square(self._residuals[self._own]).sum())
+            self._square = squares / max(1.0, count - len(self._columns))
+        covariance = self._square * (to_corners @ inverse[_SHAPE, _SHAPE] @ to_corners.T)
+        return PatternFit(self._corners, 0.5 * (covariance + covariance.T), 1.0 - count / valid)
+
+    def odd_sides(self) -> Tuple[_OddSide, ...]:
+        """Return the sides that are not where all other edges have them, after `fit`."""
+        odd: List[_OddSide] = []
+        to_corners = self._linear.to_corners.reshape(4, 2, 8)
+        along = self._corners[NEXT] - self._corners
+        for side, points in enumerate(self._linear.model.sides()):
+            at_side = self._linear.pixels.own(points)
+            others = self._equations(self._own & ~at_side)
+            across = np.array([-along[side, 1], along[side, 0]]) / np.hypot(*along[side])
+            to_ends = np.einsum("k,ekm->em", across, to_corners[[side, NEXT[side]]])
+            off = np.abs(to_ends @ others.solution()[_SHAPE])
+            by_shape = others.inverse()[_SHAPE, _SHAPE]
+            variances = self._square * np.einsum("ek,kl,el->e", to_ends, by_shape, to_ends)
+            deviations = off / np.sqrt(np.maximum(variances, 1e-12))
+            if ((off > _ODD) & (deviations > _ODD_DEVIATIONS)).any():
+                odd.append((float(deviations.max()), at_side))
+        return tuple(sorted(odd, key=lambda one: -one[0]))
+
+    def _equations(self, used: np.ndarray) -> _Equations:
+        return _Equations(self._columns, self._residuals, used.astype(float), _BLUR_PRIOR)
+
+    def _square_of_groups(self, inverse: np.ndarray) -> float:
+        """Return the mean square of what the residuals of each group together move the corners by.
+
+        What the model does not know, a blur that is no Gaussian, is alike on both sides of an edge:
+        it makes the residuals of a group large, and hardly moves the edge. The sum of squares is
+        divided by its expectation for independent residuals of 1, less what the fit took.
+
+        Args:
+            inverse: (m, m) of the fit's normal equations.
+        """
+        group, columns = self._linear.pixels.group, self._columns * self._own
+        residuals = self._residuals * self._own
+        _, values, vectors = cv2.eigen(np.ascontiguousarray(inverse[_SHAPE, _SHAPE]))
+        scales = np.sqrt(np.maximum(values, 1e-12 * values.max()))
+        pulls = (vectors / scales) @ inverse[_SHAPE] @ columns
+        of_groups = pulls.reshape(len(pulls), group, -1)
+        found = np.square((pulls * residuals).reshape(of_groups.shape).sum(axis=1)).sum()
+        taken = np.einsum("qgk,mgk->kqm", of_groups, columns.reshape(len(columns), group, -1))
+        expected = np.square(pulls).sum() - ((taken @ inverse) * taken).sum()
+        return float(found / max(expected, 1.0))
 
 
-def _without_odd_side(
-    first: _Fitted, image: np.ndarray, pattern: np.ndarray, lens: Lens
-) -> PatternFit:
+def _without_odd_side(first: _Fitted, picture: Picture, pattern: np.ndarray) -> PatternFit:
     """Return the fit without the side without which all others agree best.
 
-    As uncertain as they still disagree.
+    Its covariance is scaled by the disagreement that is left.
     """
     best = first
     for _, side in first.odd:
         fewer = first.pixels.without(side)
         if len(fewer.levels) < _LEAST_PIXELS:
             continue
-        fitted = _fit(fewer, image, first.fit.corners, pattern, lens)
+        fitted = _fit(fewer, picture, first.fit.corners, pattern)
         if fitted.fit is not None and fitted.disagreement < best.disagreement:
             best = fitted
         if not best.odd:
@@ -239,33 +421,19 @@ def _without_odd_side(
     return replace(best.fit, covariance=by * by * best.fit.covariance)
 
 
-def _allowed(spread: np.ndarray, least: Union[float, np.ndarray]) -> np.ndarray:
-    """Return the nearest blur that there can be, with variances of `least` at least."""
-    least = np.maximum(_LEAST_VARIANCE, least)
-    low, high = np.clip(spread[:2], least, _MOST_VARIANCE).tolist()
-    # What it is across is no less than the least.
-    most = math.sqrt((low - 0.99 * _LEAST_VARIANCE) * (high - 0.99 * _LEAST_VARIANCE))
-    shared = min(max(spread[3], _LEAST_SHARED), _MOST_SHARED)
-    return np.array([low, high, min(max(spread[2], -most), most), shared])
-
-
-# Least certainty of the blur's numbers before anything is seen: variances to a px² or so.
-_BLUR_PRIOR = 1.0
-
-
 class _Equations:
     """Normal equations of weighted least squares of columns (m, n) to levels (n,)."""
 
     def __init__(
         self, columns: np.ndarray, levels: np.ndarray, weights: np.ndarray, prior: float = 0.0
     ):
-        both = np.concatenate((columns, levels[None]))
-        both *= np.sqrt(weights)
-        squares = cv2.mulTransposed(both, False)
+        rows = np.concatenate((columns, levels[None]))
+        rows *= np.sqrt(weights)
+        squares = cv2.mulTransposed(rows, False)
         self._normal, self._right = squares[:-1, :-1].copy(), squares[:-1, -1]
         diagonal = np.einsum("ii->i", self._normal)
         diagonal[-_SPREAD:] += prior
-        # The numbers are of unlike size, and some of the light's may not be told at all.
+        # Scaled, as the numbers are of unlike size, and some of the light's may be undetermined.
         self._size = 1.0 / np.sqrt(np.maximum(diagonal, 1e-9))
         self._normal *= self._size[:, None] * self._size
         diagonal += 1e-9
@@ -280,28 +448,6 @@ class _Equations:
         return cv2.invert(self._normal)[1] * (self._size[:, None] * self._size)
 
 
-# Tukey's constant, in standard deviations: of Gaussian noise hardly anything is passed over.
-_TUKEY = 6.0
-
-
-def _noise(
-    residuals: np.ndarray, steepness: np.ndarray, beyond: np.ndarray, told: np.ndarray
-) -> np.ndarray:
-    """Return the standard deviation (n,) of each residual: of noise, and of edges out of place.
-
-    And of what is `beyond` the quiet zone, of which the model knows nothing.
-
-    Where the picture is steep, what the model knows nothing of, such as an edge that was drawn
-    from few samples, makes larger residuals than where it is even.
-    """
-    sizes, steep = np.abs(residuals), steepness > _median(steepness)
-    even = _scale(sizes[told & ~steep])
-    more = max(0.0, _scale(sizes[told & steep]) ** 2 - even * even)
-    slope = _median(steepness[steep]) if steep.any() else 1.0
-    steeper = steepness / max(slope, 1e-9)
-    return np.sqrt(even * even + more * steeper * steeper + beyond * beyond)
-
-
 def _median(values: np.ndarray) -> float:
     middle = len(values) // 2
     return float(np.partition(values, middle)[middle])
@@ -312,105 +458,7 @@ def _scale(sizes: np.ndarray) -> float:
     return max(_LEAST_NOISE, 1.4826 * _median(sizes)) if len(sizes) else _LEAST_NOISE
 
 
-def _shown(
-    pixels: Pixels, value: np.ndarray, contrast: np.ndarray, noise: np.ndarray
-) -> np.ndarray:
-    """Return weights (n,) by how much of the contrast the pixels across each place of an edge show.
-
-    What hides an edge has none there. In a noisy picture no pixel tells that by itself. Where each
-    place has a light of its own, all that is told is whether there is any.
-    """
-    if not pixels.grouped:
-        return np.ones(len(noise))
-    own, squares = pixels.own_contrast(value)
-    deviation = noise / np.sqrt(squares)
-    if pixels.parted:
-        return np.where(own > _SHOWN * deviation, 1.0, 0.0)
-    deviation = np.maximum(deviation, contrast / _TUKEY)
-    return _tukey((own - contrast) / np.maximum(deviation, 1e-9))
-
-
 def _tukey(ratios: np.ndarray) -> np.ndarray:
     """Return Tukey's biweights (n,) of residuals in standard deviations."""
     rest = np.maximum(1.0 - np.square(ratios / _TUKEY), 0.0)
     return rest * rest
-
-
-def _judged(
-    corners: np.ndarray,
-    residuals: np.ndarray,
-    told: int,
-    columns: np.ndarray,
-    group: int,
-    to_corners: np.ndarray,
-) -> Optional[Tuple[PatternFit, float]]:
-    """Return the fit with its covariance, if the pattern explains most of what is seen.
-
-    And the mean square of its residuals, of which 1 was expected.
-
-    Residuals (n,) and columns (m, n) are in standard deviations; `told` of them are of pixels that
-    tell how bright it is, and `to_corners` is of `moves_of`.
-    """
-    own = np.abs(residuals) < _OUTLYING
-    count = int(own.sum())
-    if count < max(_LEAST_PIXELS, LEAST_SHARE * told):
-        return None
-    inverse = _Equations(columns, residuals, own.astype(float), _BLUR_PRIOR).inverse()
-    if group > 1:
-        squares = _squares(residuals * own, columns * own, inverse, group)
-    else:
-        squares = float(np.square(residuals[own]).sum()) / max(1.0, count - len(columns))
-    covariance = squares * (to_corners @ inverse[_SHAPE, _SHAPE] @ to_corners.T)
-    return PatternFit(corners, 0.5 * (covariance + covariance.T), 1.0 - count / told), squares
-
-
-def _odd_sides(
-    corners: np.ndarray,
-    residuals: np.ndarray,
-    columns: np.ndarray,
-    squares: float,
-    to_corners: np.ndarray,
-    sides: np.ndarray,
-) -> Tuple[Tuple[float, np.ndarray], ...]:
-    """Return the sides that are not where all others have them, as `_Fitted.odd`.
-
-    Arguments as of `_judged`, with the mean square that it found, and which pixels are on each
-    side, (4, n).
-    """
-    own, odd = np.abs(residuals) < _OUTLYING, []
-    along = corners[[1, 2, 3, 0]] - corners
-    for side, pixels in enumerate(sides):
-        others = _Equations(columns, residuals, (own & ~pixels).astype(float), _BLUR_PRIOR)
-        ends = [side, (side + 1) % 4]
-        across = np.array([-along[side, 1], along[side, 0]]) / np.hypot(*along[side])
-        to_ends = np.einsum("k,ekm->em", across, to_corners.reshape(4, 2, 8)[ends])
-        off = np.abs(to_ends @ others.solution()[_SHAPE])
-        by_shape = others.inverse()[_SHAPE, _SHAPE]
-        variances = squares * np.einsum("ek,kl,el->e", to_ends, by_shape, to_ends)
-        by = off / np.sqrt(np.maximum(variances, 1e-12))
-        if ((off > _ODD) & (by > _ODD_BY)).any():
-            odd.append((float(by.max()), pixels))
-    return tuple(sorted(odd, key=lambda one: -one[0]))
-
-
-def _squares(residuals: np.ndarray, columns: np.ndarray, inverse: np.ndarray, group: int) -> float:
-    """Return the mean square of residuals (n,) by what those of a group together move the corners.
-
-    What the model knows nothing of, a blur that is no Gaussian, is alike on both sides of an edge:
-    it makes the residuals of a group large, and hardly moves the edge. The sum of squares is
-    divided by its expectation for independent residuals of 1, less what the fit took from them.
-
-    Args:
-        residuals: in standard deviations; 0 where they do not count.
-        columns: (m, n) of the fit.
-        inverse: (m, m) of the fit's normal equations.
-        group: of so many pixels.
-    """
-    _, values, vectors = cv2.eigen(np.ascontiguousarray(inverse[_SHAPE, _SHAPE]))
-    scales = np.sqrt(np.maximum(values, 1e-12 * values.max()))
-    pulls = (vectors / scales) @ inverse[_SHAPE] @ columns
-    of_groups = pulls.reshape(len(pulls), group, -1)
-    found = np.square((pulls * residuals).reshape(of_groups.shape).sum(axis=1)).sum()
-    taken = np.einsum("qgk,mgk->kqm", of_groups, columns.reshape(len(columns), group, -1))
-    expected = np.square(pulls).sum() - ((taken @ inverse) * taken).sum()
-    return float(found / max(expected, 1.0))

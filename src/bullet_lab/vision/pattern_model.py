@@ -1,4 +1,4 @@
-"""What a marker looks like: its pattern in light, blurred by a lens, by pixels and by motion."""
+"""Model of a marker's image: its pattern in light, blurred by lens, pixels and motion."""
 
 from __future__ import annotations
 
@@ -10,20 +10,37 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
-from bullet_lab.vision.algebra import homography
+from bullet_lab.vision.algebra import UNIT_SQUARE, homography, unmapped
+
+# A shorter motion is modelled as a Gaussian, px.
+_LEAST_MOTION = 1.5
+# Most positions along a motion, and px between them.
+_MOST_POSITIONS = 10
+_POSITION_STEP = 1.5
+# Variance of a pixel's own extent, a box of 1 px, px².
+_BOX = 1.0 / 12.0
+# Standard deviations of the blur beyond which a cell has no influence.
+_SEEN = 3.0
+# Table of the normal distribution: up to so many standard deviations, so many values for each.
+_FAR = 5
+_FINE = 512
+_TABLE = np.linspace(-_FAR, _FAR, 2 * _FAR * _FINE + 1)
+_BELOW = ndtr(_TABLE)
+_DENSITY = np.exp(-0.5 * _TABLE**2) / np.sqrt(2.0 * np.pi)
 
 
 class PatternModel:
-    """What pixels of a marker with these corners and this blur look like, and its derivatives.
+    """Grey levels of the pixels of a marker with given corners and blur, and their derivatives.
 
     Args:
         points: (2, n) ideal px.
         corners: (4, 2) ideal px.
-        spread: of the blur, variances along u and v and their covariance, px².
+        spread: variances of the blur along u and v and their covariance, px².
         pattern: (cells, cells), 1 for white.
 
     Attributes:
         value: (n,) of the blurred pattern, B.
+        to_image: (3, 3), from the unit square to ideal px.
     """
 
     def __init__(
@@ -31,12 +48,12 @@ class PatternModel:
     ):
         self._cells = cells = len(pattern)
         self.to_image = homography(corners)
-        unit, by_pixel = unit_square(points, self.to_image)
+        unit, by_pixel = unmapped(points, self.to_image)
         self._away = unit - 0.5
         self._planes = np.concatenate((np.ones((1, len(unit[0]))), self._away))
         self._by_pixel = cells * by_pixel
         self._finest = np.hypot(self._by_pixel[:, 0], self._by_pixel[:, 1])
-        self._deviation = math.sqrt(max(spread[:2]) + 1.0 / 12.0)
+        self._deviation = math.sqrt(max(spread[:2]) + _BOX)
         motion = _motion_of(spread)
         if motion is None:
             parts = _blurred(cells * unit, self._by_pixel, spread, pattern)
@@ -49,18 +66,18 @@ class PatternModel:
     def _moved(
         self, places: np.ndarray, spread: np.ndarray, motion: _Motion, pattern: np.ndarray
     ) -> Tuple[np.ndarray, np.ndarray]:
-        """Return value (n,) and slopes (2, n) by cells as means over a way; set the derivatives."""
-        ways, rest = motion.ways, motion.rest
-        count = (len(ways), places.shape[1])
-        shifts = np.einsum("m,k,akn->amn", ways, motion.along, self._by_pixel)
+        """Return value (n,) and slopes (2, n) as means over a motion, and set the derivatives."""
+        positions, rest = motion.positions, motion.rest
+        count = (len(positions), places.shape[1])
+        shifts = np.einsum("m,k,akn->amn", positions, motion.along, self._by_pixel)
         by_pixel = np.broadcast_to(self._by_pixel[:, :, None], (2, 2, *count)).reshape(2, 2, -1)
         shifted = (places[:, None] + shifts).reshape(2, -1)
         parts = _blurred(shifted, by_pixel, np.array([rest, rest, 0.0]), pattern)
         parts = parts.reshape(6, *count)
         value, *means = np.einsum("m,kmn->kn", motion.weights, parts)
         slopes, bends = np.stack(means[:2]), np.stack(means[2:])
-        # How a longer way, a way that is turned, and more of a Gaussian change the value.
-        pulls = np.einsum("m,amn->an", motion.weights * ways, parts[1:3])
+        # Derivatives by the motion's length and direction, and by the Gaussian blur beside it.
+        pulls = np.einsum("m,amn->an", motion.weights * positions, parts[1:3])
         pulls = np.einsum("an,akn->kn", pulls, self._by_pixel)
         variance = spread[0] + spread[1] - 2.0 * rest
         by_length = 0.5 / variance * (motion.along @ pulls)
@@ -82,78 +99,80 @@ class PatternModel:
         bowed: bool = True,
         blooming: Union[bool, np.ndarray] = False,
     ) -> np.ndarray:
-        """Return what the numbers of the light are multiplied with, (k, n); the last 3 with B.
+        """Return the columns (k, n) of the light's coefficients; the last 3 are the contrast's.
 
         Args:
-            evenly: without an offset, and what is beyond the quiet zone.
-            bowed: with what is of second order.
-            blooming: with white that is wider than it is in the pattern; (n,): where it is.
+            evenly: leave out the offset, and the light from beyond the quiet zone.
+            bowed: include terms of second order.
+            blooming: include white that is wider than in the pattern; (n,): where it is.
         """
-        contrast = self._planes * self.value
-        bowls = self._away**2, (self._away[0] * self._away[1])[None]
-        bloom = () if blooming is False else ((blooming * self._steep())[None],)
-        if evenly:
-            return np.concatenate((*bloom, self._away, *(bowls if bowed else ()), contrast))
-        return np.concatenate((*bloom, self._tails(), self._planes, *bowls, contrast))
+        columns = []
+        if blooming is not False:
+            columns.append((blooming * self._steep())[None])
+        columns += [self._away] if evenly else [self._tails(), self._planes]
+        if bowed:
+            columns += [self._away**2, (self._away[0] * self._away[1])[None]]
+        return np.concatenate((*columns, self._planes * self.value))
 
     def _tails(self) -> np.ndarray:
-        """Return what blur brings in from beyond the quiet zone on each side, (4, n)."""
+        """Return the share of light from beyond the quiet zone on each side, (4, n)."""
         away = self._cells * np.concatenate((self._away, -self._away))
         within = (0.5 * self._cells + 1.0) - away
         tails, _ = _normal_at(within / (-self._deviation * np.tile(self._finest, (2, 1))))
         return tails
 
     def contrast(self, light: np.ndarray) -> np.ndarray:
-        """Return white less black (n,) by the numbers of the light."""
+        """Return white less black (n,) by the light's coefficients."""
         return light[-3:] @ self._planes
 
     def outside(self) -> np.ndarray:
-        """Return how far outside of the outline pixels are, (n,) in cells; within it below 0."""
+        """Return the distance of pixels outside of the outline, (n,) in cells; negative within."""
         return self._cells * (np.abs(self._away).max(axis=0) - 0.5)
 
     def sides(self) -> np.ndarray:
-        """Return which pixels are at each side, (4, n): the one above, then clockwise."""
+        """Return which pixels are at each side, (4, n): the upper one, then clockwise."""
         right, below = self._away
         inner = 0.5 - 0.75 / self._cells
         return np.stack((below < -inner, right > inner, below > inner, right < -inner))
 
     def margin(self) -> np.ndarray:
-        """Return by how many px pixels are within the quiet zone's outer edge, (n,)."""
+        """Return how far pixels are within the quiet zone's outer edge, (n,) px."""
         within = self._cells * (0.5 - np.abs(self._away)) + 1.0
         return (within / self._finest).min(axis=0)
 
     def beyond(self, contrast: np.ndarray) -> np.ndarray:
-        """Return how many grey levels (n,) blur may bring in from beyond the quiet zone."""
+        """Return the grey levels (n,) that blur may add from beyond the quiet zone."""
         tail, _ = _normal_at(self.margin() / -self._deviation)
         return np.abs(contrast) * tail
 
     def steepness(self, contrast: np.ndarray) -> np.ndarray:
-        """Return by how many grey levels a pixel changes with the image moved by 1 px, (n,)."""
+        """Return the change of the grey levels (n,) when the image moves by 1 px."""
         return np.abs(contrast) * self._steep()
 
     def _steep(self) -> np.ndarray:
-        """Return by how much the pattern changes with 1 px across its edges, (n,)."""
+        """Return the change of the pattern (n,) for 1 px across its edges."""
         x, y = self._slopes / self._cells
         slopes = x * self._by_pixel[0] + y * self._by_pixel[1]
         return np.hypot(slopes[0], slopes[1])
 
     def shape(self, contrast: np.ndarray) -> np.ndarray:
-        """Return derivatives (8, n) of the grey levels by the moves that `moves_of` tells."""
+        """Return the derivatives (8, n) of the grey levels by the coefficients of `moves_of`."""
         steep = -contrast * self._slopes
-        both = (steep * self._away).sum(axis=0)
-        return np.concatenate((steep[0] * self._planes, steep[1] * self._planes, both * self._away))
+        outward = (steep * self._away).sum(axis=0)
+        by_affine = steep[0] * self._planes, steep[1] * self._planes
+        return np.concatenate((*by_affine, outward * self._away))
 
     def blur(self, contrast: np.ndarray) -> np.ndarray:
-        """Return derivatives (3, n) by the blur's variances and covariance."""
+        """Return derivatives (3, n) of the grey levels by the blur's variances and covariance."""
         return contrast * self._by_blur
 
 
 def moves_of(corners: np.ndarray, to_image: np.ndarray) -> np.ndarray:
-    """Return by how many px the corners u0, v0, u1 ... move with each number of a map, (8, 8).
+    """Return the derivatives (8, 8) of the corners u0, v0, u1 ... by the coefficients of a map.
 
-    The map moves places of the unit square, of which x and y are counted from its middle, by
-    (a + b x + c y + g x x + h x y, d + e x + f y + g x y + h y y), before they are seen where
-    the homography (3, 3) has them.
+    The map moves places of the unit square, with x and y from its middle, by
+    (a + b x + c y + g x x + h x y, d + e x + f y + g x y + h y y), before the homography (3, 3)
+    maps them to the image.
     """
     third = (UNIT_SQUARE @ to_image[2, :2] + to_image[2, 2])[:, None, None]
     by_place = (to_image[:2, :2] - corners[:, :, None] * to_image[2, :2]) / third
@@ -168,29 +187,30 @@ def _corner_moves() -> np.ndarray:
     return moves
 
 
-UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 _CORNER_MOVES = _corner_moves()
 
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """A way in which the image moved while it was taken.
+    """Motion of the image during the exposure.
 
     Attributes:
-        along, across: (2,) of length 1.
-        ways: (m,) px along it, and what they count for, `weights` (m,).
+        along: (2,) direction, of length 1.
+        across: (2,) direction across it.
+        positions: (m,) px along it.
+        weights: (m,) of the positions; their sum is 1.
         rest: variance of the Gaussian blur beside it, px².
     """
 
     along: np.ndarray
     across: np.ndarray
-    ways: np.ndarray
+    positions: np.ndarray
     weights: np.ndarray
     rest: float
 
 
 def _motion_of(spread: np.ndarray) -> Optional[_Motion]:
-    """Return the motion that a blur is, by as much as it is longer than wide; None if by little."""
+    """Return the motion that makes a blur longer than wide; None if it is short."""
     mean, half = 0.5 * (spread[0] + spread[1]), 0.5 * (spread[0] - spread[1])
     longer = math.hypot(half, spread[2])
     length = math.sqrt(24.0 * longer)
@@ -198,21 +218,18 @@ def _motion_of(spread: np.ndarray) -> Optional[_Motion]:
         return None
     angle = 0.5 * math.atan2(spread[2], half)
     along = np.array([math.cos(angle), math.sin(angle)])
-    ways, weights = np.polynomial.legendre.leggauss(min(_MOST_WAYS, 1 + math.ceil(length / 1.5)))
     across = np.array([-along[1], along[0]])
-    return _Motion(along, across, 0.5 * length * ways, 0.5 * weights, mean - longer)
-
-
-# px; a shorter motion is as good as a Gaussian. So many places on its way are looked at at most.
-_LEAST_MOTION, _MOST_WAYS = 1.5, 10
+    count = min(_MOST_POSITIONS, 1 + math.ceil(length / _POSITION_STEP))
+    positions, weights = np.polynomial.legendre.leggauss(count)
+    return _Motion(along, across, 0.5 * length * positions, 0.5 * weights, mean - longer)
 
 
 def _blurred(
     places: np.ndarray, by_pixel: np.ndarray, spread: np.ndarray, pattern: np.ndarray
 ) -> np.ndarray:
-    """Return the blurred pattern (6, n) with derivatives: by x, y, variances and covariance.
+    """Return the blurred pattern and its derivatives by x, y, variances and covariance, (6, n).
 
-    Places (2, n) are in cells, their derivatives by pixels (2, 2, n).
+    Places (2, n) are in cells; `by_pixel` (2, 2, n) are their derivatives by pixels.
     """
     first, edges = _edge_profiles(places, by_pixel, spread, len(pattern))
     shares = edges[:, :, :-1] - edges[:, :, 1:]
@@ -222,18 +239,17 @@ def _blurred(
     value, slope_x, bend_x = np.einsum("cn,kcn->kn", rows[0], along)
     slope_y, bend_y = np.einsum("kcn,cn->kn", rows[1:], along[0])
     twist = np.einsum("cn,cn->n", rows[1], along[1])
-    # Seen aslant, rows and columns are not blurred independently of each other.
+    # Seen aslant, the blurs of rows and columns are correlated.
     (xu, xv), (yu, yv) = by_pixel
-    box = 1.0 / 12.0
-    together = (spread[0] + box) * xu * yu + (spread[1] + box) * xv * yv
-    together += spread[2] * (xu * yv + xv * yu)
-    return np.stack((value + together * twist, slope_x, slope_y, bend_x, bend_y, twist))
+    covariance = (spread[0] + _BOX) * xu * yu + (spread[1] + _BOX) * xv * yv
+    covariance += spread[2] * (xu * yv + xv * yu)
+    return np.stack((value + covariance * twist, slope_x, slope_y, bend_x, bend_y, twist))
 
 
 def _by_blur(bends: np.ndarray, by_pixel: np.ndarray) -> np.ndarray:
     """Return derivatives (3, n) by the blur's variances and covariance along u and v.
 
-    Of those by variances along x and y and by their covariance, (3, n).
+    `bends` (3, n) are those by the variances and covariance along x and y.
     """
     (xu, xv), (yu, yv) = by_pixel
     bend_x, bend_y, twist = bends
@@ -249,28 +265,27 @@ def _by_blur(bends: np.ndarray, by_pixel: np.ndarray) -> np.ndarray:
 def _edge_profiles(
     places: np.ndarray, by_pixel: np.ndarray, spread: np.ndarray, cells: int
 ) -> Tuple[np.ndarray, np.ndarray]:
-    """Return how much of each blurred pixel is beyond the edges of cells next to it.
+    """Return the share of each blurred pixel that is beyond the edges of the cells around it.
 
-    Across an edge a pixel is a box, its own extent, blurred by a Gaussian.
+    Across an edge, a pixel is a box of its own extent, blurred by a Gaussian.
 
     Args:
         places: (2, n) along either axis, in cells.
         by_pixel: (2, 2, n) cells along either axis for each px along u and v.
-        spread: of the blur, variances along u and v and their covariance, px².
-        cells: so many along an edge.
+        spread: variances of the blur along u and v and their covariance, px².
+        cells: number of cells along an edge.
 
     Returns:
-        The first of the cells looked at (2, n), and (3, 2, k + 1, n): what is beyond the first
-        edge of each of k cells and the last edge, with its derivatives by place and by variance.
+        Index of the first of k cells (2, n), and (3, 2, k + 1, n): shares beyond the first edge of
+        each cell and beyond the last edge, with their derivatives by place and by variance.
     """
     squares = np.square(by_pixel)
     steep, flat = squares.max(axis=1), squares.min(axis=1)
     variances = spread[0] * squares[:, 0] + spread[1] * squares[:, 1]
     variances += 2.0 * spread[2] * by_pixel[:, 0] * by_pixel[:, 1]
-    # A pixel that lies aslant has slanting flanks, which are as good as blurred.
+    # A pixel that lies aslant has slanting flanks, which act like blur.
     deviations = np.sqrt(variances + flat / 12.0)
     widths = np.sqrt(np.maximum(steep, 1e-12))
-    # So far a pixel sees.
     reach = max(1, math.ceil(min(float(cells), (0.5 * widths + _SEEN * deviations).max())))
     first = np.clip(np.floor(places), -1.0, float(cells))
     away = (places - first + (reach - 1))[:, None] - np.arange(2.0 * reach)[:, None]
@@ -284,17 +299,13 @@ def _edge_profiles(
     edges[0, :, 0] = 1.0
     edges[0, :, 1:-1] = deviations / widths * (ends[0] - ends[1])
     edges[1, :, 1:-1] = (below[0] - below[1]) / widths
-    # A Gaussian spreads as heat does: by its variance the value changes with half its bend.
+    # As for heat, the derivative by the variance is half the second derivative by the place.
     edges[2, :, 1:-1] = (0.5 * (density[0] - density[1])) / (widths * deviations)
     return first.astype(np.intp) - reach, edges
 
 
-# Standard deviations of the blur beyond which nothing is seen.
-_SEEN = 3.0
-
-
 def _cells_around(pattern: np.ndarray, first: np.ndarray, count: int) -> np.ndarray:
-    """Return `count` rows and columns of cells from the first on, (2, n): (count, count, n)."""
+    """Return `count` rows and columns of cells from the first (2, n) on: (count, count, n)."""
     pad = count // 2 + 1
     white = cv2.copyMakeBorder(pattern, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=1)
     side = len(white)
@@ -304,26 +315,7 @@ def _cells_around(pattern: np.ndarray, first: np.ndarray, count: int) -> np.ndar
     return white.astype(float).ravel().take(index)
 
 
-# The normal distribution by table, up to so many standard deviations, so many values for each.
-_FAR, _FINE = 5, 512
-_TABLE = np.linspace(-_FAR, _FAR, 2 * _FAR * _FINE + 1)
-_BELOW, _DENSITY = ndtr(_TABLE), np.exp(-0.5 * _TABLE**2) / np.sqrt(2.0 * np.pi)
-
-
 def _normal_at(places: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the normal distribution's share below places, and its density there."""
+    """Return the normal distribution function and density at places."""
     index = np.clip(_FINE * places + (_FAR * _FINE + 0.5), 0.0, 2.0 * _FAR * _FINE).astype(np.intp)
     return _BELOW.take(index), _DENSITY.take(index)
-
-
-def unit_square(points: np.ndarray, to_image: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return what of the unit square a homography maps to points (2, n), and derivatives (2, 2, n).
-
-    >>> corners = np.array([[2.0, 1.0], [4.0, 1.0], [4.0, 3.0], [2.0, 3.0]])
-    >>> unit_square(np.array([[3.0], [2.0]]), homography(corners))[0].ravel().tolist()
-    [0.5, 0.5]
-    """
-    back = cv2.invert(to_image)[1]
-    one = 1.0 / (back[2, 0] * points[0] + back[2, 1] * points[1] + back[2, 2])
-    places = (back[:2, :1] * points[0] + back[:2, 1:2] * points[1] + back[:2, 2:]) * one
-    return places, (back[:2, :2, None] - places[:, None] * back[2, :2, None]) * one

@@ -1,4 +1,4 @@
-"""Quadrilaterals to sub-pixels, and those within the cells of a marker."""
+"""Quadrilaterals: corners to sub-pixels, and the search for markers in the cells of a marker."""
 
 from __future__ import annotations
 
@@ -8,92 +8,101 @@ from typing import Sequence, Tuple
 import cv2
 import numpy as np
 
-from bullet_lab.vision.algebra import homography, intersections
-from bullet_lab.vision.images import Lens, sample
-from bullet_lab.vision.outlines import outlines_within
+from bullet_lab.vision.algebra import (
+    NEXT,
+    PREVIOUS,
+    UNIT_SQUARE,
+    homography,
+    intersections,
+    mapped,
+)
+from bullet_lab.vision.candidates import outlines_within
+from bullet_lab.vision.images import Picture
 
-# How far from the line to look for the edge and how close to sample, px; first roughly, then
-# centred on what was found.
-_LOOKS = ((2.5, 0.5), (1.5, 0.25))
-# Places at which a side is crossed.
-_CROSSINGS = 16
+# Reach to either side of a line within which its edge is looked for, and sampling step, px: first
+# coarsely, then centred on the line found.
+_ROUNDS = ((2.5, 0.5), (1.5, 0.25))
 _LEAST_REACH = 1.25
-# The border is black one cell deep, and white outside as deep.
+# Most reach, as a share of a cell: the border is black one cell deep, and white outside as deep.
 _BORDER_PART = 0.9
-# Sides are looked at without so much of them at either end.
-_CROSS_TRIM = 0.08
-_PLACED = np.linspace(_CROSS_TRIM, 1.0 - _CROSS_TRIM, _CROSSINGS)
-# An edge that is seen at fewer of its places is none.
+# Shortest side that is refined, px.
+_LEAST_SIDE = 3.0
+# Places at which a side is crossed, and share of the side at either end that is left out.
+_CROSSINGS = 16
+_TRIM = 0.08
+_PLACES = np.linspace(_TRIM, 1.0 - _TRIM, _CROSSINGS)
+# Least share of the places at which an edge must be seen.
 _LEAST_SEEN = 0.5
-# Grey levels by which an edge has to rise.
+# Grey levels by which an edge must rise, and the same as a share of the mean rise.
 _LEAST_RISE = 4.0
+_LEAST_OF_MEAN = 0.25
 
 
-def refine_corners(image: np.ndarray, quads: np.ndarray, cells: int, lens: Lens) -> np.ndarray:
+def refine_corners(picture: Picture, quads: np.ndarray, cells: int) -> np.ndarray:
     """Return the corners of dark quadrilaterals where the lines along their sides meet.
 
-    Each side is crossed at many places; where the grey level rises, on average, the edge is.
-    The second look is centred on the line found before, and so is not biased by what lies on
-    either side of it.
+    Each side is crossed at many places; the edge is where the grey level rises, on average. The
+    second round is centred on the line found in the first, so that what lies on either side of the
+    line does not bias it.
 
     Args:
-        image: (h, w) grey levels.
-        quads: (n, 4, 2) corners in px, clockwise, to about two pixels.
+        picture: the image.
+        quads: (n, 4, 2) corners in px of the image, clockwise, to about two pixels.
         cells: number of cells of the marker along an edge, with its border.
-        lens: straightens edges.
 
     Returns:
         (n, 4, 2) corners u, v in ideal px; NaN where there are no four edges.
     """
-    corners = lens.ideal(quads)
-    for reach, step in _LOOKS:
-        corners = _refine_once(image, corners, cells, lens, reach, step)
+    corners = picture.ideal(quads)
+    for reach, step in _ROUNDS:
+        corners = _refine_once(picture, corners, cells, reach, step)
     return corners
 
 
 def _refine_once(
-    image: np.ndarray, corners: np.ndarray, cells: int, lens: Lens, reach: float, step: float
+    picture: Picture, corners: np.ndarray, cells: int, reach: float, step: float
 ) -> np.ndarray:
     refined = np.full(corners.shape, np.nan)
-    edges = _following(corners) - corners
+    edges = corners[:, NEXT] - corners
     lengths = np.hypot(edges[..., 0], edges[..., 1])
-    usable = np.isfinite(lengths).all(axis=1) & (lengths.min(axis=1) >= 3.0)
+    usable = np.isfinite(lengths).all(axis=1) & (lengths.min(axis=1) >= _LEAST_SIDE)
     corners, edges, lengths = corners[usable], edges[usable], lengths[usable]
     along = edges / lengths[..., None]
     outward = np.stack((along[..., 1], -along[..., 0]), axis=-1)
-    across = 0.5 * (lengths[:, _BEFORE] + lengths[:, _AFTER]) / cells
-    reaches = np.minimum(reach, np.maximum(_LEAST_REACH, _BORDER_PART * across))
+    cell = 0.5 * (lengths[:, PREVIOUS] + lengths[:, NEXT]) / cells
+    reaches = np.minimum(reach, np.maximum(_LEAST_REACH, _BORDER_PART * cell))
     steps = int(np.ceil(reach / step))
     offsets = np.arange(-steps, steps + 1) / steps * reaches[..., None]
-    places = _PLACED
-    base = corners[:, :, None] + edges[:, :, None] * places[:, None]
+    base = corners[:, :, None] + edges[:, :, None] * _PLACES[:, None]
     points = base[:, :, :, None] + outward[:, :, None, None] * offsets[:, :, None, :, None]
-    values = sample(image, lens.seen(points))
-    rises = np.maximum(values[..., 1:] - values[..., :-1], 0.0)
-    weights = rises.sum(axis=-1)
-    middles = 0.5 * (offsets[..., 1:] + offsets[..., :-1])
+    heights, weights = _edge_heights(picture.at(points), offsets)
     with np.errstate(invalid="ignore", divide="ignore"):
-        heights = (rises * middles[:, :, None]).sum(axis=-1) / weights
-        seen = weights > np.maximum(_LEAST_RISE, 0.25 * weights.mean(axis=-1, keepdims=True))
-        heights, weights = np.where(seen, heights, 0.0), np.where(seen, weights, 0.0)
-        level, slope = _robust_lines(places, heights, weights)
-    # The lines at the old corners, and the new ones where they meet.
+        level, slope = _robust_lines(_PLACES, heights, weights)
+    # Two points of each line: beside the old corners.
     first = corners + outward * level[..., None]
     second = corners + edges + outward * (level + slope)[..., None]
     direction = second - first
     normals = np.stack((direction[..., 1], -direction[..., 0]), axis=-1)
     met = intersections(first, normals)
-    met[seen.sum(axis=-1).min(axis=1) < _LEAST_SEEN * _CROSSINGS] = np.nan
+    seen = (weights > 0.0).sum(axis=-1)
+    met[seen.min(axis=1) < _LEAST_SEEN * _CROSSINGS] = np.nan
     refined[usable] = met
     return refined
 
 
-# The sides before and after each, and the corners after each.
-_BEFORE, _AFTER = [3, 0, 1, 2], [1, 2, 3, 0]
+def _edge_heights(values: np.ndarray, offsets: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the mean offset of the rises at each crossing, and its weight; 0 without an edge.
 
-
-def _following(corners: np.ndarray) -> np.ndarray:
-    return corners[:, _AFTER]
+    Values are (n, 4, places, offsets) grey levels, offsets (n, 4, offsets) px.
+    """
+    rises = np.maximum(values[..., 1:] - values[..., :-1], 0.0)
+    weights = rises.sum(axis=-1)
+    middles = 0.5 * (offsets[..., 1:] + offsets[..., :-1])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        heights = (rises * middles[:, :, None]).sum(axis=-1) / weights
+    mean = weights.mean(axis=-1, keepdims=True)
+    seen = weights > np.maximum(_LEAST_RISE, _LEAST_OF_MEAN * mean)
+    return np.where(seen, heights, 0.0), np.where(seen, weights, 0.0)
 
 
 def _robust_lines(places: np.ndarray, heights: np.ndarray, weights: np.ndarray):
@@ -112,72 +121,73 @@ def _robust_lines(places: np.ndarray, heights: np.ndarray, weights: np.ndarray):
     return level, slope
 
 
-# Places at which a cell is looked at, along each edge, and the part of the edge that they cover.
-_PLACES = 7
+# Samples of a cell along each edge, and the part of the edge that they cover.
+_SAMPLES = 7
 _COVERED = 0.8
-# A cell is not empty if this part of it is darker than white by this part of the contrast.
-_DARK_PART = 0.2
+# A cell is not empty if this share of its samples is darker than white by this part of the
+# contrast.
+_DARK_SHARE = 0.2
 _DARKER = 0.25
-# So many cells are searched, those with most in them first.
+# At most so many cells are searched, the darkest first.
 _MOST_CELLS = 3
-# A cell is enlarged to about so many px, at most so many times.
-_ENLARGED, _LARGEST_SCALE = 160.0, 6
-# Parts of the contrast up to which a pixel is dark.
-_LEVELS = (0.4, 0.55, 0.7, 0.82)
+# A cell is enlarged to about so many px, at most by this factor.
+_ENLARGED = 160.0
+_LARGEST_SCALE = 6
+# Thresholds, as parts of the contrast, and the grey levels of black and of the contrast then.
+_THRESHOLDS = (0.4, 0.55, 0.7, 0.82)
+_BLACK_LEVEL = 25.0
+_CONTRAST = 200.0
+# Standard deviation of the smoothing before, px.
 _SMOOTHING = 0.8
-_UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+_NONE = np.empty((0, 4, 2))
 
 
 def quads_in_cells(
-    image: np.ndarray,
+    picture: Picture,
     corners: np.ndarray,
     pattern: np.ndarray,
-    lens: Lens,
     min_side: float,
     known: Sequence[np.ndarray] = (),
 ) -> np.ndarray:
-    """Return the outlines of what is dark and has four corners in the white cells of a marker.
+    """Return the dark quadrilaterals in the white cells of a marker, where a smaller one may be.
 
-    A smaller marker may be in one. Where it is small or the light is poor, thresholds made for
-    the whole image miss it. Those of a single cell are told by the marker around it: its black
-    and its white are known.
+    Where it is small or the light is poor, thresholds of the whole image miss it. The marker around
+    a cell shows how bright black and white are there.
 
     Args:
-        image: (h, w) grey levels.
+        picture: the image.
         corners: (4, 2) of the marker, ideal px, clockwise from its top left.
         pattern: (n, n) its cells with the border, 1 for white.
-        lens: where ideal pixels are seen.
         min_side: px, least mean length of the sides that are looked for.
-        known: (4, 2) corners of other markers, ideal px; a cell with one in it has no second.
+        known: (4, 2) corners of other markers, ideal px; a cell with one in it is left out.
 
     Returns:
         (m, 4, 2) corners u, v in px of the image, clockwise.
     """
     cells = len(pattern)
-    sides = corners[_AFTER] - corners
+    sides = corners[NEXT] - corners
     if float(np.hypot(sides[:, 0], sides[:, 1]).min()) < cells * min_side:
-        return np.empty((0, 4, 2))
+        return _NONE
     to_image = homography(corners)
-    levels = sample(image, lens.seen(_mapped(_cell_samples(cells), to_image)))
-    levels = levels.reshape(cells * cells, -1)
+    levels = picture.at(mapped(_cell_samples(cells), to_image)).reshape(cells * cells, -1)
     white = (pattern > 0).ravel()
     black_level, white_level = _quantile(levels[~white], 0.5), _quantile(levels[white], 0.75)
     contrast = white_level - black_level
     if contrast < 1.0:
-        return np.empty((0, 4, 2))
-    dark = int(_DARK_PART * levels.shape[1])
-    low = (white_level - np.partition(levels, dark, axis=1)[:, dark]) / contrast
-    low[~white] = 0.0
+        return _NONE
+    dark = int(_DARK_SHARE * levels.shape[1])
+    darkness = (white_level - np.partition(levels, dark, axis=1)[:, dark]) / contrast
+    darkness[~white] = 0.0
     for other in known:
-        column, row = (cells * _mapped(other.mean(axis=0)[None], cv2.invert(to_image)[1]))[0]
+        column, row = (cells * mapped(other.mean(axis=0)[None], cv2.invert(to_image)[1]))[0]
         if 0.0 <= column < cells and 0.0 <= row < cells:
-            low[cells * int(row) + int(column)] = 0.0
-    fullest = np.argsort(-low, kind="stable")[:_MOST_CELLS]
-    found = [np.empty((0, 4, 2))]
-    for index in fullest[low[fullest] > _DARKER].tolist():
+            darkness[cells * int(row) + int(column)] = 0.0
+    darkest = np.argsort(-darkness, kind="stable")[:_MOST_CELLS]
+    found = [_NONE]
+    for index in darkest[darkness[darkest] > _DARKER].tolist():
         row, column = divmod(index, cells)
-        outline = lens.seen(_mapped((_UNIT_SQUARE + (column, row)) / cells, to_image))
-        found.append(_quads_within(image, outline, (black_level, white_level), min_side))
+        outline = picture.seen(mapped((UNIT_SQUARE + (column, row)) / cells, to_image))
+        found.append(_quads_within(picture.levels, outline, black_level, contrast, min_side))
     return np.concatenate(found)
 
 
@@ -187,42 +197,37 @@ def _quantile(levels: np.ndarray, part: float) -> float:
 
 
 def _quads_within(
-    image: np.ndarray, outline: np.ndarray, ends: Tuple[float, float], min_side: float
+    image: np.ndarray, outline: np.ndarray, black: float, contrast: float, min_side: float
 ) -> np.ndarray:
-    """Return quadrilaterals within an outline (4, 2), by thresholds between black and white."""
+    """Return the dark quadrilaterals within an outline (4, 2)."""
     height, width = image.shape
     left, top = np.maximum(np.floor(outline.min(axis=0)).astype(int), 0)
     right, bottom = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 1, (width, height))
     if right - left < min_side or bottom - top < min_side:
-        return np.empty((0, 4, 2))
+        return _NONE
     part = image[top:bottom, left:right]
     scale = int(np.clip(_ENLARGED / max(part.shape), 1, _LARGEST_SCALE))
     size = (scale * part.shape[1], scale * part.shape[0])
     part = cv2.GaussianBlur(part.astype(np.float32), (0, 0), _SMOOTHING)
     part = cv2.resize(part, size, interpolation=cv2.INTER_CUBIC)
-    # What is beyond the cell, its black neighbours, is not to run together with what is in it.
+    # Beyond the cell all is white, so that black neighbours do not join what is in it.
     inside = np.zeros(part.shape, dtype=np.uint8)
     polygon = scale * (outline - (left, top) + 0.5) - 0.5
     cv2.fillConvexPoly(inside, np.rint(polygon).astype(np.int32), 255)
-    black, white = ends
-    spread = np.clip((part - black) * (200.0 / (white - black)) + 25.0, 0.0, 255.0)
+    spread = np.clip((part - black) * (_CONTRAST / contrast) + _BLACK_LEVEL, 0.0, 255.0)
     grey = np.where(inside > 0, np.rint(spread), 255.0).astype(np.uint8)
-    limits = (25.0 + 200.0 * level for level in _LEVELS)
-    masks = (cv2.threshold(grey, limit, 255, cv2.THRESH_BINARY_INV)[1] for limit in limits)
-    found = [outlines_within(dark, scale * min_side) for dark in masks]
+    found = []
+    for threshold in _THRESHOLDS:
+        limit = _BLACK_LEVEL + _CONTRAST * threshold
+        _, dark = cv2.threshold(grey, limit, 255, cv2.THRESH_BINARY_INV)
+        found.append(outlines_within(dark, scale * min_side))
     return (np.concatenate(found) + 0.5) / scale - 0.5 + (left, top)
-
-
-def _mapped(points: np.ndarray, to_image: np.ndarray) -> np.ndarray:
-    """Return where (n, 2) points of the unit square are, in ideal px."""
-    there = points @ to_image[:, :2].T + to_image[:, 2]
-    return there[:, :2] / there[:, 2:]
 
 
 @lru_cache(maxsize=None)
 def _cell_samples(cells: int) -> np.ndarray:
     """Return (n, 2) points of the unit square, cell by cell, row by row."""
-    within = 0.5 + _COVERED * (np.arange(_PLACES) / (_PLACES - 1.0) - 0.5)
+    within = 0.5 + _COVERED * (np.arange(_SAMPLES) / (_SAMPLES - 1.0) - 0.5)
     row, column, v, u = np.meshgrid(
         np.arange(cells), np.arange(cells), within, within, indexing="ij"
     )

@@ -178,13 +178,6 @@ def test_images_may_be_late():
     assert abs(yaw) < math.radians(0.6)
 
 
-def test_preempting_stops_at_once():
-    feed = approaching()
-    feed.task.preempt()
-    assert feed.task.tick(feed.now) == (0.0, 0.0)
-    check_ended(feed, DockingError.PREEMPTED)
-
-
 def test_a_camera_that_stops_is_noticed():
     feed = approaching()
     feed.images = False

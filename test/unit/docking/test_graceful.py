@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
-from bullet_lab.docking.filter import Viewpoint, corner_points
-from bullet_lab.docking.graceful import (
+from bullet_lab.docking.controllers import (
     GracefulSettings,
     GracefulTask,
     PoseFilter,
     graceful_command,
     marker_poses,
 )
+from bullet_lab.docking.filter import Viewpoint, corner_points
 from bullet_lab.docking.types import CameraMount, DockingError, Observation, Odometry, Sighting
 
 NAV2 = GracefulSettings()

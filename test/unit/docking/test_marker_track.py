@@ -12,13 +12,17 @@ from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.filter import CAMERA, STATES, GaussianPose, Viewpoint, predict
 from bullet_lab.docking.marker_track import MarkerTrack, SizeTest
 from bullet_lab.docking.odometry import motion_step
-from bullet_lab.docking.types import Odometry, PixelNoise
+from bullet_lab.docking.types import Odometry, PixelNoise, Sighting
 
 DOCK = np.array([4.0, 0.0, 0.0])
 MARKER = standin.Print()
 VIEW = Viewpoint(standin.CAMERA, standin.MOUNT)
 QUIET = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.15, dropout=0.0, tilt=0.0, walls=False)
 WIDE = np.diag([0.3, 0.3, 0.2]) ** 2
+
+
+def shown_at(corners, deviations=None):
+    return Sighting(0, standin.DICTIONARY, corners, deviations)
 
 
 def look(pose, rng, shown=MARKER, stand=QUIET):
@@ -48,13 +52,14 @@ def drive(
     pose = np.array(start, dtype=float)
     believed = se2.between(pose, DOCK) if prior is None else prior
     first = change(look(pose, rng, shown, stand))
-    track = MarkerTrack(first, view, 0.2, 0.5, GaussianPose(believed, WIDE), PixelNoise())
+    marker, prior = QUIET.marker, GaussianPose(believed, WIDE)
+    track = MarkerTrack(shown_at(first), view, marker, prior, PixelNoise())
     for step, said in zip(steps, told or steps):
         pose = se2.compose(pose, step)
         track.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), Odometry(0.2, tuple(said))))
         corners = look(pose, rng, shown, stand)
         if corners is not None:
-            track.see(change(corners), view)
+            track.see(shown_at(change(corners)), view)
     return track, pose
 
 
@@ -159,7 +164,7 @@ def test_an_image_that_is_told_to_be_poor_moves_little():
     before, wrong = track.estimate().mean, look(pose, np.random.default_rng(3))
     wrong[1] += (4.0, -3.0)
     wrong[2] += (-3.0, 0.0)
-    track.see(wrong, VIEW, np.full((4, 2), 1.75))
+    track.see(shown_at(wrong, np.full((4, 2), 1.75)), VIEW)
     assert track.estimate().mean == pytest.approx(before, abs=math.radians(1.0))
 
 
@@ -224,10 +229,10 @@ def test_an_odd_image_is_passed_over_and_a_new_place_believed_in_the_end():
     before = track.estimate().mean
     rng = np.random.default_rng(3)
     odd = look(se2.compose(pose, (0.0, 0.03, 0.1)), rng)
-    track.see(odd, VIEW)
+    track.see(shown_at(odd), VIEW)
     assert track.estimate().mean == pytest.approx(before)
     for _ in range(30):
-        track.see(look(se2.compose(pose, (0.0, 0.03, 0.1)), rng), VIEW)
+        track.see(shown_at(look(se2.compose(pose, (0.0, 0.03, 0.1)), rng)), VIEW)
     assert abs(track.estimate().mean[2] - before[2] + 0.1) < 0.05
 
 
@@ -236,7 +241,9 @@ def test_a_small_marker_takes_over_the_yaw_of_a_larger_one():
     rng = np.random.default_rng(5)
     believed = GaussianPose(np.array([1.5, 0.0, 0.0]), WIDE)
     pose = np.array([2.5, 0.0, 0.0])
-    track = MarkerTrack(look(pose, rng, small), VIEW, 0.075, 0.5, believed, PixelNoise())
+    marker = replace(QUIET.marker, size=0.075)
+    first = shown_at(look(pose, rng, small))
+    track = MarkerTrack(first, VIEW, marker, believed, PixelNoise())
     yaw = track.estimate().mean[2]
     track.adopt_yaw(yaw, 0.015**2)
     assert track.estimate().mean[2] == pytest.approx(yaw)

@@ -15,8 +15,8 @@ from bullet_lab.docking.state_machine import (
     TRANSITIONS,
     Confirm,
     Docked,
-    Look,
     Outcome,
+    Search,
     State,
     StateMachine,
 )
@@ -40,7 +40,7 @@ def test_every_state_is_in_the_table_and_reached():
         subclasses |= {state for state in below if state.step is not state_machine.Drive.step}
         waiting += below
     subclasses.discard(state_machine.Drive)
-    assert set(TRANSITIONS) == subclasses == reached(Look)
+    assert set(TRANSITIONS) == subclasses == reached(Search)
 
 
 @pytest.mark.parametrize("state", [state for state in TRANSITIONS if state is not Docked])
@@ -79,7 +79,7 @@ def test_dockings_end_by_names_of_the_table(monkeypatch):
     for seed in (100, 103):
         assert standin.run(standin.random_stand(seed)).result.success
     assert {name for state, name in seen if name not in TRANSITIONS[state]} == set()
-    assert {state for state, _ in seen} >= {Look, state_machine.Measure, state_machine.Confirm}
+    assert {state for state, _ in seen} >= {Search, state_machine.Measure, state_machine.Confirm}
 
 
 def recorded(step, seen):
@@ -127,7 +127,7 @@ def test_a_way_in_that_brings_nothing_new_is_not_tried_again():
     planner = DockingPlanner.__new__(DockingPlanner)
     planner.belief = SimpleNamespace(best=lambda: track, forget=forgotten.append, visibility=None)
     planner.settings = DockingSettings()
-    planner.stagings, planner._asked = 0, (None, 0)
+    planner.stagings, planner._noted = 0, (None, 0)
     assert state_machine._back_out(planner, 2.0, 0.5).name == "bad start"
     track.frames += 10
     assert state_machine._back_out(planner, 2.0, 0.5).name == "bad start"
@@ -175,11 +175,11 @@ def test_a_little_drive_on_which_the_marker_is_not_seen_is_not_driven_again():
         settings=DockingSettings(),
         way_to_staging=lambda estimate: None,
         probing_way=lambda: -0.6,
-        has_learnt=lambda: True,
+        note_progress=lambda: True,
     )
     assert state_machine.decide(planner).name == "size unknown"
     assert forgotten == []
-    planner.has_learnt = lambda: False
+    planner.note_progress = lambda: False
     assert state_machine.decide(planner).name == "lost"
     assert forgotten == [track]
 

@@ -6,7 +6,7 @@ import pytest
 
 from bullet_lab.vision import dictionaries
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
-from bullet_lab.vision.images import Lens, VisionError
+from bullet_lab.vision.images import Picture, VisionError
 
 
 def test_every_dictionary_of_opencv_is_there_once():
@@ -62,4 +62,4 @@ def test_the_nearest_marker_however_turned_and_with_wrong_bits(turns):
 def test_what_lies_on_the_horizon_of_a_quadrilateral_is_no_marker(monkeypatch):
     monkeypatch.setattr(dictionaries, "homography", lambda quads: np.zeros((len(quads), 3, 3)))
     image = np.full((48, 64), 100, np.uint8)
-    assert not dictionaries.may_be_markers(image, np.zeros((1, 4, 2)), 6, Lens()).any()
+    assert not dictionaries.may_be_markers(Picture(image), np.zeros((1, 4, 2)), 6).any()

@@ -16,6 +16,7 @@ from marker_images import (
     true_corners,
 )
 
+from bullet_lab.vision.candidates import CandidateSearch, sound_quads
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, Match, dictionary_named
 from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_detector import (
@@ -25,7 +26,6 @@ from bullet_lab.vision.marker_detector import (
     noise_level,
     why_nothing,
 )
-from bullet_lab.vision.outlines import OutlineSearch, sound_quads
 
 TAGS = "apriltag_36h10"
 BENT = dataclasses.replace(CAMERA, distortion=(-0.3, 0.1, 0.001, -0.002, 0.02))
@@ -320,7 +320,7 @@ def test_a_square_among_more_dots_than_16_bits_can_number():
     assert (image == 20).sum() > 2**16
     image[600:650, 700:750] = 220
     image[610:640, 710:740] = 20
-    quads = OutlineSearch(image, min_side=8.0).first_look(contrast=7.0)
+    quads = CandidateSearch(image, min_side=8.0).first_pass(contrast=7.0)
     low, high = quads.min(axis=1), quads.max(axis=1)
     off = np.abs(low - (709.5, 609.5)) + np.abs(high - (739.5, 639.5))
     assert off.sum(axis=1).min() < 0.1

@@ -9,7 +9,7 @@ from marker_images import CAMERA, TAGS, Layer, View, image_of, marker, true_corn
 from scipy.stats import chi2
 
 from bullet_lab.vision.dictionaries import dictionary_named
-from bullet_lab.vision.images import Lens
+from bullet_lab.vision.images import Picture
 from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
 from bullet_lab.vision.marker_pose import estimate_pose
 from bullet_lab.vision.pattern_fit import fit_pattern
@@ -22,7 +22,7 @@ VIEW = View(2.0, yaw=25.0, pitch=4.0, roll=10.0, shift=(0.1, 0.05))
 
 def fit(image, view, off=0.3):
     start = true_corners(view) + off * np.array([[1, -1], [0, 1], [-1, 0], [1, 1]])
-    return fit_pattern(image.astype(np.float32), start, PATTERN, Lens())
+    return fit_pattern(Picture(image.astype(np.float32)), start, PATTERN)
 
 
 @pytest.mark.parametrize("spread", [(0.3, 0.3, 0.0), (1.5, 0.4, 0.3), (2.5, 1.0, 1.5)])
@@ -210,12 +210,12 @@ def test_edges_that_are_nowhere_lead_corners_nowhere():
         image[:, 320 - cover : 320 + cover] = 120.0
         image += chance.normal(0.0, chance.uniform(1.0, 80.0), image.shape)
         image = np.clip(image, 0, 255).astype(np.uint8)
-        corners = without_hidden_side(image, start, PATTERN, Lens())
+        corners = without_hidden_side(Picture(image), start, PATTERN)
         assert np.abs(corners - start).max() < 17.0
     column = np.zeros((8, 8), np.uint8)
     column[1:7, 4] = 1
     stripes = np.tile(np.where(np.arange(640) // 9 % 2, 200, 20).astype(np.uint8), (480, 1))
-    assert np.isfinite(without_hidden_side(stripes, start, column, Lens())).all()
+    assert np.isfinite(without_hidden_side(Picture(stripes), start, column)).all()
 
 
 def test_what_hides_edges_is_told_also_where_a_part_is_in_the_sun():

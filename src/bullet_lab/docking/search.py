@@ -1,0 +1,214 @@
+"""Search for a marker that was not seen yet: where to look next (next best view)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Callable, List, Optional, Tuple
+
+import numpy as np
+
+from bullet_lab.core import se2
+from bullet_lab.core.se2 import wrap
+from bullet_lab.docking.belief import DockBelief
+from bullet_lab.docking.costmap import Costmap
+from bullet_lab.docking.database import Dock
+from bullet_lab.docking.geometry import MarkerVisibility
+from bullet_lab.docking.marker_track import MarkerTrack
+from bullet_lab.docking.types import DockingSettings, Point
+
+_HEADINGS = np.arange(36) * (math.tau / 36.0)
+# Strides over the costmap's cells. The finer one is used if the coarse one finds no view, as
+# between walls, and only this near to the dock, m.
+_STRIDES = (3, 1)
+_NEAR_DOCK = 2.6
+# Views with a smaller probability are not considered.
+_LEAST_PROBABILITY = 0.02
+# Most share of the possible docks that a robot at a view may touch.
+_SAFE = 0.012
+# Duration of a look, s: it makes a view of high probability worth a longer way.
+_LOOK_SECONDS = 3.0
+# Seconds that starting a drive takes.
+_START_SECONDS = 2.0
+# Most places that are tried, the best first.
+_MOST_PLACES = 40
+# Distance from the edge of the image, rad, so that the whole marker is in it after a turn.
+_EDGE = math.radians(2.0)
+# Poses of the dock that views are rated with.
+_SAMPLES = 120
+# Looks for a larger print of the marker, where the marker itself is too small to be found from
+# outside of the walls: how many, and the range of the first one, m.
+_MOST_FAR_LOOKS = 14
+_FAR = 4.5
+# Once something was seen, each range is this part of the one before, but not less, m.
+_NEARER = 0.87
+_NEAREST = 2.6
+# Half the width of the largest print, as a share of the walls' opening, and the probability that a
+# look misses it.
+_WIDEST_PRINT = 0.42
+_FAR_MISSED = 0.3
+
+
+@dataclass(frozen=True)
+class NextView:
+    """A place to look from, in the odometry frame."""
+
+    way: List[Point]  #: points (m, m) to drive along; a single one for a turn on the spot
+    heading: float  #: rad, to look at
+    probability: float  #: that the marker is found from there
+
+
+class MarkerSearch:
+    """Searches for a dock's marker: rates views, and learns from those that found nothing.
+
+    Args:
+        dock: what is known of the dock.
+        belief: of the dock's pose; looks that find nothing change it.
+        settings: of the docking.
+        ahead: m, of the camera before the robot's middle.
+    """
+
+    def __init__(self, dock: Dock, belief: DockBelief, settings: DockingSettings, ahead: float):
+        self._dock, self._belief, self._settings = dock, belief, settings
+        self._ahead = ahead
+        self._camera = np.array([ahead, 0.0, 0.0])
+        self._far_looks, self._far_range = 0, _FAR
+        self._far_visibility: Optional[MarkerVisibility] = None
+        # The copy that narrowed the belief last, and in how many images it was then.
+        self._cue: Tuple[Optional[MarkerTrack], int] = (None, 0)
+
+    def chance_to_see(self) -> float:
+        """Return the probability that an image taken now would show the marker, or its copy."""
+        particles = self._belief.particles
+        visibility = self._far_visibility or self._belief.visibility
+        visible = visibility.visible(se2.between(particles.poses, self._camera))
+        return float(particles.weights @ visible)
+
+    def add_miss(self) -> None:
+        """Learn from a look that found nothing."""
+        looks = [(self._belief.visibility, self._settings.missed, True)]
+        if self._far_visibility is not None and not self._belief.copies_seen():
+            looks.append((self._far_visibility, _FAR_MISSED, False))
+        particles = self._belief.particles
+        for visibility, missed, counts in looks:
+            cameras = se2.between(particles.poses, self._camera)
+            particles.add_miss(visibility.found(cameras, particles.reach), missed, counts)
+
+    def use_cue(self) -> bool:
+        """Narrow the belief by a copy on the dock's back wall, and return whether there is one.
+
+        A copy where only the dock can be is on its wall: the dock fills that place.
+        """
+        found = self._belief.copy_on_the_wall()
+        if found is None:
+            return False
+        used, frames = self._cue
+        if used is not found or found.frames > 1.3 * frames:
+            self._cue = found, found.frames
+            walls = self._dock.walls
+            play = 0.1 if walls is None else 0.5 * (walls.opening - found.likeliest_size())
+            self._belief.concentrate(found.likeliest(), max(play, 0.03))
+        return True
+
+    def next_view(
+        self, costmap: Callable[[], Costmap], is_safe: Callable[[List[Point]], bool]
+    ) -> Optional[NextView]:
+        """Return where to look next; None if nothing can be seen from a safe place.
+
+        If the marker is too far to be found, look for a larger print, whose size shows on the way.
+        The walls hide a larger print on the back wall sooner than the marker. Once something was
+        seen, each look is from nearer than the one before.
+
+        Args:
+            costmap: makes a costmap of the floor.
+            is_safe: returns whether the robot may drive along a way.
+        """
+        view = self._next_view(self._belief.visibility, costmap(), is_safe)
+        walls = self._dock.walls
+        half = 0.0 if walls is None else _WIDEST_PRINT * walls.opening
+        while view is None and self._far_looks < _MOST_FAR_LOOKS:
+            self._far_looks += 1
+            if self._belief.copies_seen():
+                self._far_range = max(_NEARER * self._far_range, _NEAREST)
+            self._far_visibility = self._belief.visibility.up_to(self._far_range, half)
+            view = self._next_view(self._far_visibility, costmap(), is_safe)
+            if view is None:
+                self._far_range = _FAR
+        return view
+
+    def _next_view(
+        self,
+        visibility: MarkerVisibility,
+        costmap: Costmap,
+        is_safe: Callable[[List[Point]], bool],
+    ) -> Optional[NextView]:
+        """Return the view that finds most for the time it takes, or None; see `next_view`."""
+        robot, settings = self._belief.pose, self._settings
+        docks, reach = self._belief.particles.looks(_SAMPLES)
+        docks = se2.compose(robot, docks)
+        for stride in _STRIDES:
+            points = costmap.points[::stride, ::stride].reshape(-1, 2)
+            costs = costmap.costs[::stride, ::stride].ravel()
+            safe = costmap.touch[::stride, ::stride].ravel() < _SAFE
+            if stride == 1:
+                safe &= np.hypot(*(points - docks[:, :2].mean(axis=0)).T) < _NEAR_DOCK
+            points = np.concatenate([[robot[:2]], points[safe]])
+            costs = np.concatenate([[0.0], costs[safe]])[:, None]
+            turning = np.abs(wrap(_HEADINGS - robot[2])) / settings.turn_speed
+            seconds = costs / settings.drive_speed
+            seconds = seconds + np.where(costs > 0.0, _START_SECONDS, turning[None])
+            found = self._probabilities(points, docks, reach, visibility)
+            view = _best_view(points, costmap, found, seconds, is_safe)
+            if view is not None:
+                return view
+        return None
+
+    def _probabilities(
+        self,
+        points: np.ndarray,
+        docks: np.ndarray,
+        reach: np.ndarray,
+        visibility: MarkerVisibility,
+    ) -> np.ndarray:
+        """Return the probability of finding the marker, (n, 36) for each point and heading.
+
+        The robot is at `points` (n, 2); `docks` are (m, 3), in light that has `reach` (m,).
+        """
+        to_dock = docks[None, :, :2] - points[:, None]
+        distance = np.hypot(to_dock[..., 0], to_dock[..., 1])
+        ahead = self._ahead / np.maximum(distance, self._ahead)
+        eyes = points[:, None] + to_dock * ahead[..., None]
+        flat = np.pad(eyes, ((0, 0), (0, 0), (0, 1)))
+        x, y, _ = np.moveaxis(se2.between(docks[None], flat), -1, 0)
+        found = visibility.unobstructed(x, y) & visibility.in_reach(np.hypot(x, y), reach)
+        bearing = np.arctan2(to_dock[..., 1], to_dock[..., 0])
+        aside = visibility.half_angle(distance) - _EDGE
+        shares = [
+            np.mean(found * (np.abs(wrap(bearing - heading)) < aside), axis=1)
+            for heading in _HEADINGS
+        ]
+        return np.stack(shares, axis=1)
+
+
+def _best_view(
+    points: np.ndarray,
+    costmap: Costmap,
+    found: np.ndarray,
+    seconds: np.ndarray,
+    is_safe: Callable[[List[Point]], bool],
+) -> Optional[NextView]:
+    """Return the view of most probability per time; the robot is at the first point."""
+    # Of headings with the same probability, the one with the likely place in the middle is best.
+    smooth = (np.roll(found, 1, axis=1) + found + np.roll(found, -1, axis=1)) / 3.0
+    worth = (found + 0.05 * smooth) / (_LOOK_SECONDS + seconds)
+    worth[found < _LEAST_PROBABILITY] = 0.0
+    headings = np.argmax(worth, axis=1)
+    # Each place once: the next best headings there are refused for the same path.
+    for place in np.argsort(-worth.max(axis=1))[:_MOST_PLACES]:
+        heading = headings[place]
+        if worth[place, heading] <= 0.0:
+            return None
+        way = costmap.path(points[place]) if place else [tuple(points[0].tolist())]
+        if way is not None and is_safe(way):
+            return NextView(way, float(_HEADINGS[heading]), float(found[place, heading]))
+    return None
