@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from pathlib import Path
-from typing import List
+from typing import List, Mapping, Sequence, Tuple
 
 import numpy as np
 
@@ -74,25 +74,41 @@ def check_path(trajectory: Trajectory) -> None:
         raise PathFileError("the path leads nowhere")
 
 
-def _read_csv(path: Path, prefix: str) -> Trajectory:
-    rows: List[List[float]] = []
-    columns = ("stamp", *(prefix + name for name in CSV_COLUMNS[1:]))
+def read_table(
+    path: Path, *choices: Sequence[str]
+) -> Tuple[Sequence[str], List[Tuple[str, Mapping[str, str]]]]:
+    """Read a CSV file whose first line names its columns.
+
+    Args:
+        path: the file.
+        choices: sets of columns; the file has one of them, among other columns.
+
+    Returns:
+        The first of the sets that the file has; and each row by column, with its place in words.
+
+    Raises:
+        PathFileError: the file cannot be read, or lacks columns.
+    """
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file)
-            missing = set(columns) - set(reader.fieldnames or ())
-            if missing:
-                raise PathFileError(
-                    f"{path}: the first line has to name the columns {', '.join(columns)}"
-                )
-            for row in reader:
-                values = [row[name] for name in columns]
-                rows.append(finite_numbers(values, f"{path}, line {reader.line_num}"))
+            names = set(reader.fieldnames or ())
+            rows = [(f"{path}, line {reader.line_num}", row) for row in reader]
     except OSError as error:
         raise PathFileError(f"cannot read {path}: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error):
         raise PathFileError(f"cannot read {path}: it is not a table") from None
-    return trajectory_of(rows, path)
+    for columns in choices:
+        if names >= set(columns):
+            return columns, rows
+    wanted = " or ".join(", ".join(columns) for columns in choices)
+    raise PathFileError(f"{path}: the first line has to name the columns {wanted}")
+
+
+def _read_csv(path: Path, prefix: str) -> Trajectory:
+    columns, rows = read_table(path, ("stamp", *(prefix + name for name in CSV_COLUMNS[1:])))
+    poses = [finite_numbers([row[name] for name in columns], where) for where, row in rows]
+    return trajectory_of(poses, path)
 
 
 def _read_bag(path: Path, topic: str) -> Trajectory:

@@ -1,4 +1,4 @@
-"""The picture of both clusters of return errors, before a correction and after it."""
+"""Figures of UMBmark: return errors before and after a correction, and errors of a campaign."""
 
 from __future__ import annotations
 
@@ -15,28 +15,30 @@ from bullet_lab.core.figures import (
     GREY,
     ORANGE,
     VERMILION,
-    new_figure,
     plan_axes,
 )
 from bullet_lab.core.se2 import ellipse_points
+from bullet_lab.studies.results import labelled, legend_below, panels
 from bullet_lab.studies.umbmark.estimate import PARAMETERS, centre_ellipse
 from bullet_lab.studies.umbmark.runs import CLOCKWISE, COUNTER_CLOCKWISE, return_errors
 
-WAYS = ((CLOCKWISE, "clockwise", BLUE, "o"), (COUNTER_CLOCKWISE, "counter-clockwise", ORANGE, "s"))
+STYLES = (
+    (CLOCKWISE, "clockwise", BLUE, "o"),
+    (COUNTER_CLOCKWISE, "counter-clockwise", ORANGE, "s"),
+)
 
 
 def clusters_figure(before: Any, after: Optional[Any]) -> Figure:
-    """Draw the return errors of `Benchmark`s: all to one scale, and after the correction close by.
+    """Draw the return errors of `Benchmark`s, to one scale, and those after the correction larger.
 
-    A filled ellipse holds a centre of gravity with 95 % confidence, an open one 95 % of runs.
+    A filled ellipse holds a centre of gravity with 95 % confidence, an open one 95 % of the runs.
     """
-    panels = [("before the correction", before)]
+    shown = [("before the correction", before)]
     if after is not None:
-        panels += [("after it, to the same scale", after), ("after it", after)]
-    figure = new_figure(0.6 + 4.6 * len(panels), 5.0)
-    figure.suptitle("Return errors: where the robot really was, seen from where odometry had it")
-    every = figure.subplots(1, len(panels), squeeze=False)[0]
-    for axes, (title, benchmark) in zip(every, panels):
+        shown += [("after it, to the same scale", after), ("after it", after)]
+    title = "Return errors: where the robot really was, seen from where odometry had it"
+    figure, (every,) = panels((1, len(shown)), (0.6 + 4.6 * len(shown), 5.0), title)
+    for axes, (title, benchmark) in zip(every, shown):
         plan_axes(axes, title=title, xlabel="x (mm), ahead at the start", ylabel="y (mm)")
         _draw(axes, benchmark)
     if after is not None:
@@ -45,10 +47,8 @@ def clusters_figure(before: Any, after: Optional[Any]) -> Figure:
         for axes in every[:2]:
             axes.set_adjustable("box")
             axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
-    handles, labels = every[0].get_legend_handles_labels()
-    columns = 2 if after is None else len(labels)
-    figure.legend(handles, labels, loc="lower center", ncol=columns, fontsize=9)
-    below = 0.15 if after is None else 0.06
+    columns, below = (2, 0.15) if after is None else (0, 0.06)
+    legend_below(figure, labelled(every[0]), columns, frameon=None, fontsize=9)
     figure.tight_layout(rect=(0.0, below, 1.0, 1.0))
     return figure
 
@@ -56,44 +56,44 @@ def clusters_figure(before: Any, after: Optional[Any]) -> Figure:
 def _draw(axes: Axes, benchmark: Any) -> None:
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     axes.axvline(0.0, color=GREY, linewidth=0.8)
-    for direction, title, colour, marker in WAYS:
+    for direction, title, colour, marker in STYLES:
+        # Both directions share an entry of the legend.
+        once = "_" if direction == CLOCKWISE else ""
         errors = 1000.0 * return_errors(benchmark.runs, direction)
         centre = errors[:, :2].mean(axis=0)
         axes.plot(*errors[:, :2].T, marker, color=colour, markersize=5, alpha=0.7, label=title)
-        label = "centres of gravity" if direction == COUNTER_CLOCKWISE else None
-        axes.plot(*centre, "+", color=BLACK, markersize=11, label=label)
+        axes.plot(*centre, "+", color=BLACK, markersize=11, label=f"{once}centres of gravity")
         shape = centre_ellipse(errors)
         if shape is not None:
-            last = direction == COUNTER_CLOCKWISE
             border = centre + ellipse_points(shape)
-            label = "95 % ellipses of the centres" if last else None
+            label = f"{once}95 % ellipses of the centres"
             axes.fill(*border.T, color=colour, alpha=0.25, linewidth=0, label=label)
             border = centre + ellipse_points(np.cov(errors[:, :2].T))
-            label = "95 % ellipses of the runs" if last else None
+            label = f"{once}95 % ellipses of the runs"
             axes.plot(*border.T, color=colour, linewidth=0.9, label=label)
 
 
 def campaign_figure(records: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw what was found of injected errors, less these: closed forms, the fit, with noise."""
-    figure = new_figure(11.0, 4.6)
-    for axes, name in zip(figure.subplots(1, len(PARAMETERS)), PARAMETERS):
+    """Draw estimated minus injected errors, by the closed forms and by the fit."""
+    figure, (every,) = panels((1, len(PARAMETERS)), (11.0, 4.6))
+    for axes, name in zip(every, PARAMETERS):
         injected = np.array([record[name] for record in records])
 
-        def less(kind: str, name: str = name, injected: np.ndarray = injected) -> np.ndarray:
-            values = [record[f"{name}_{kind}"] for record in records]
-            return np.array([np.nan if v is None else v for v in values], float) - injected
-
-        noisy, low, high = (less(kind) for kind in ("with_noise", "low", "high"))
+        # None becomes NaN, which is not drawn.
+        closed, found, noisy, low, high = (
+            np.array([record[f"{name}_{kind}"] for record in records], float) - injected
+            for kind in ("closed_form", "found", "with_noise", "low", "high")
+        )
         axes.axhline(0.0, color=GREY, linewidth=0.8)
-        axes.plot(injected, less("closed_form"), "x", color=VERMILION, label="closed forms")
+        axes.plot(injected, closed, "x", color=VERMILION, label="closed forms")
         reach = np.abs(np.stack((noisy - low, high - noisy)))
         style = {"fmt": ".", "color": BLUE, "elinewidth": 1.0}
         axes.errorbar(injected, noisy, reach, label="fit, with noise: 95 % intervals", **style)
-        axes.plot(injected, less("found"), "o", color=GREEN, markersize=4, label="fit, no noise")
+        axes.plot(injected, found, "o", color=GREEN, markersize=4, label="fit, no noise")
         axes.set(xlabel=f"injected {name} (%)", ylabel="found less injected")
         axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:g}")
         axes.set_yscale("symlog", linthresh=1e-4)
         axes.grid(alpha=0.3)
-    figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncol=3, fontsize=9)
+    legend_below(figure, labelled(axes), frameon=None, fontsize=9)
     figure.tight_layout(rect=(0.0, 0.06, 1.0, 1.0))
     return figure

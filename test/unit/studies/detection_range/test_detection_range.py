@@ -276,7 +276,7 @@ def test_the_order_of_the_work_makes_no_difference(results, tmp_path):
 
 def test_a_lost_task_ends_the_job_with_nothing_written(tmp_path):
     def lose(task, numbers):
-        yield 0, TaskLostError("every worker that tried it has died")
+        yield 0, TaskLostError("each worker process that ran the task has died")
 
     with pytest.raises(TaskLostError, match="task 0: every worker"):
         run_detection_range(tmp_path, SMALL, lose)

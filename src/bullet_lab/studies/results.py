@@ -1,0 +1,84 @@
+"""Results of a study: tables, figures, texts and summary.json; and what its figures share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Dict, Iterable, List, Mapping, Sequence, Tuple
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bullet_lab.core.figures import new_figure, save
+from bullet_lab.core.files import write_json
+from bullet_lab.studies.study import SUMMARY, whole_results, write_table
+
+Record = Mapping[str, Any]
+"""A row of a table by the names of its columns."""
+
+
+def write_results(
+    folder: Path,
+    summary: Dict[str, Any],
+    tables: Mapping[str, Iterable[Iterable[Any]]],
+    figures: Mapping[str, Figure],
+    texts: Mapping[str, str],
+    name: str = SUMMARY,
+) -> Dict[str, Any]:
+    """Write all results of a study, or none of them, and return the summary.
+
+    Args:
+        folder: for the files.
+        summary: content of a JSON file.
+        tables: rows of CSV files, the header first, by the names of the files.
+        figures: by the names of PNG files.
+        texts: content of other files by their names, which may begin with a folder.
+        name: of the file with the summary.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+    with whole_results(folder) as part:
+        for file, rows in tables.items():
+            write_table(part / file, rows)
+        for file, figure in figures.items():
+            save(figure, part / file)
+        for file, text in texts.items():
+            (part / file).parent.mkdir(exist_ok=True)
+            (part / file).write_text(text)
+        write_json(part / name, summary)
+    return summary
+
+
+def rows_of(records: Sequence[Record]) -> List[Iterable[Any]]:
+    """Return a header and a row for each of the records, which have the same names."""
+    return [records[0], *(record.values() for record in records)]
+
+
+def panels(
+    shape: Tuple[int, int], size: Tuple[float, float], title: str = "", **more: Any
+) -> Tuple[Figure, np.ndarray]:
+    """Return a figure and its axes, an array of a shape.
+
+    Args:
+        shape: numbers of rows and columns.
+        size: width and height in inches.
+        title: of the figure.
+        more: as in `Figure.subplots`.
+    """
+    figure = new_figure(*size)
+    if title:
+        figure.suptitle(title)
+    return figure, figure.subplots(*shape, squeeze=False, **more)
+
+
+def legend_below(figure: Figure, handles: Sequence[Artist], columns: int = 0, **more: Any) -> None:
+    """Add a legend without a frame below a figure, in one row or with a number of columns."""
+    more = {"loc": "lower center", "ncol": columns or len(handles), "frameon": False, **more}
+    figure.legend(handles=handles, **more)
+
+
+def labelled(axes: Axes) -> List[Artist]:
+    """Return what is drawn on axes with a label."""
+    return axes.get_legend_handles_labels()[0]
