@@ -254,7 +254,7 @@ class DockLog:
         except ValueError:
             values = None
         if not isinstance(values, dict):
-            raise DockLogError(f"{self._path}, line {number}: this is not a line of a campaign's log")
+            raise DockLogError(f"{self._path}, line {number}: this is not a line of a log")
         return values
 
     def _write(self, line: bytes) -> None:
