@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from bullet_lab.core.figures import new_figure, save
 from bullet_lab.core.files import write_json
@@ -77,6 +78,11 @@ def legend_below(figure: Figure, handles: Sequence[Artist], columns: int = 0, **
     """Add a legend without a frame below a figure, in one row or with a number of columns."""
     more = {"loc": "lower center", "ncol": columns or len(handles), "frameon": False, **more}
     figure.legend(handles=handles, **more)
+
+
+def legend_entry(label: str, **style: Any) -> Line2D:
+    """Return an entry for a legend: a line or marker in a style, with a label."""
+    return Line2D([], [], label=label, **style)
 
 
 def labelled(axes: Axes) -> List[Artist]:
