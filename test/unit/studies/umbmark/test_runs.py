@@ -10,7 +10,7 @@ from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
 from bullet_lab.drive.square import Square
 from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.studies.noise_study.paths import write_tum
+from bullet_lab.studies.noise_study.paths import tum_text
 from bullet_lab.studies.umbmark.estimate import fit
 from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels, drive_square
 from bullet_lab.studies.umbmark.runs import RunError, perfect_square, read_runs
@@ -37,8 +37,8 @@ def recorded(turn):
 
 
 def write_pair(folder, name, true, reported):
-    write_tum(folder / f"{name}_truth.tum", true)
-    write_tum(folder / f"{name}_odom.tum", reported)
+    (folder / f"{name}_truth.tum").write_text(tum_text(true))
+    (folder / f"{name}_odom.tum").write_text(tum_text(reported))
 
 
 def write_table(folder, name, true, reported):
