@@ -11,8 +11,12 @@ from bullet_lab.core.trajectory import CSV_HEADER
 from bullet_lab.noise.calibration import SYSTEMATIC
 from bullet_lab.noise.odometry_noise import ProbabilisticRule, rule_of
 from bullet_lab.studies.calibrate import study
-from bullet_lab.studies.calibrate.coverage import coverage
-from bullet_lab.studies.calibrate.drive import DriveSettings, calibration_drive, made_up
+from bullet_lab.studies.calibrate.drive import (
+    DriveSettings,
+    calibration_drive,
+    coverage,
+    made_up,
+)
 from bullet_lab.studies.calibrate.steps import StepsError, StepSettings, take_steps
 from bullet_lab.studies.calibrate.study import (
     CalibrateSettings,
