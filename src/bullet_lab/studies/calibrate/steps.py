@@ -35,7 +35,8 @@ _TIMES = 100.0  # shortest step as a multiple of the truth's noise
 # m and rad: equal except for rounding.
 SAME = 1e-9
 # m and rad in all, for a check of the scale.
-LEAST_WAY, LEAST_TURN = 0.5, 1.0
+LEAST_DISTANCE = 0.5
+LEAST_TURN = 1.0
 # Errors of real odometry are at most 20 %; mm and degrees are a factor of 57 and more.
 LARGEST_SCALE = 2.0
 
@@ -106,7 +107,7 @@ class Steps:
         """
         if np.abs(self.true - self.odometry).max(initial=0.0) <= SAME:
             raise StepsError("the odometry equals the truth: are both from one topic or column?")
-        kinds = ((0, "way", "m", LEAST_WAY), (2, "turn", "rad", LEAST_TURN))
+        kinds = ((0, "distance", "m", LEAST_DISTANCE), (2, "turn", "rad", LEAST_TURN))
         for column, what, unit, least in kinds:
             true, odometry = self.true[:, column], self.odometry[:, column]
             if np.abs(true).sum() < least:
@@ -208,8 +209,8 @@ def interpolated(path: Trajectory, stamps: np.ndarray) -> np.ndarray:
     after = np.minimum(before + 1, len(path) - 1)
     seconds = np.where(after > before, path.stamps[after] - path.stamps[before], 1.0)
     share = (stamps - path.stamps[before]) / seconds
-    way = arcs(se2.between(path.poses[before], path.poses[after]))
-    return se2.compose(path.poses[before], chords(share[:, np.newaxis] * way))
+    whole = arcs(se2.between(path.poses[before], path.poses[after]))
+    return se2.compose(path.poses[before], chords(share[:, np.newaxis] * whole))
 
 
 def resolution(path: Trajectory) -> float:
