@@ -18,7 +18,7 @@ import yaml
 
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import number, text
-from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.noise import systematic
 from bullet_lab.studies.results import write_results
 from bullet_lab.studies.study import Settings, Tell, run_from
 from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings, drive_run
@@ -29,7 +29,8 @@ from bullet_lab.studies.umbmark.robots import multipliers
 from bullet_lab.studies.umbmark.runs import DIRECTIONS, read_runs, return_errors
 from bullet_lab.studies.workers import Run, WorkerSettings, run_tasks, workers
 
-NO_ERRORS = SystematicErrors()
+# The class is not imported by name: the job's help describes the dataclasses of this module.
+NO_ERRORS = systematic.SystematicErrors()
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def run_umbmark(
     before: Benchmark,
     after: Optional[Benchmark],
     about: Dict[str, Any],
-    floor: SystematicErrors = NO_ERRORS,
+    floor: systematic.SystematicErrors = NO_ERRORS,
 ) -> Dict[str, Any]:
     """Write tables, figure, corrected parameters and summary.json; return the summary.
 
@@ -100,7 +101,7 @@ def run_umbmark(
     return summary
 
 
-def _by_name(errors: SystematicErrors) -> Dict[str, float]:
+def _by_name(errors: systematic.SystematicErrors) -> Dict[str, float]:
     return {name: getattr(errors, name) for name in PARAMETERS}
 
 
@@ -112,7 +113,7 @@ def _return_rows(before: Benchmark, after: Optional[Benchmark]) -> Iterator[Tupl
 
 
 def describe(
-    before: Benchmark, after: Optional[Benchmark], floor: SystematicErrors = NO_ERRORS
+    before: Benchmark, after: Optional[Benchmark], floor: systematic.SystematicErrors = NO_ERRORS
 ) -> List[str]:
     """Return the results as lines for the user."""
     lines = [f"NOT TO BE TRUSTED: {doubt}" for doubt in before.doubts()]
@@ -193,7 +194,7 @@ def _run(
 
 def _drive(
     settings: DriveSettings,
-    correction: SystematicErrors,
+    correction: systematic.SystematicErrors,
     laps: int,
     run: Run,
     title: str,
@@ -206,7 +207,7 @@ def _drive(
     return Benchmark.of_drives(drives, settings.side)
 
 
-def _effective(errors: SystematicErrors) -> str:
+def _effective(errors: systematic.SystematicErrors) -> str:
     return (
         "these wheels roll on this floor as if D_right/D_left were "
         f"{1.0 + errors.diameter_error:.6f} and the base {1.0 + errors.base_error:.6f} of the "
