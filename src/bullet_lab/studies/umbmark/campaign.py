@@ -8,14 +8,22 @@ from pathlib import Path
 from typing import Any, Dict, List, Mapping, Sequence, Tuple
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from bullet_lab.core.figures import BLUE, GREEN, GREY, VERMILION
 from bullet_lab.core.parameters import boolean, integer
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.studies.results import Record, rows_of, write_results
+from bullet_lab.studies.results import (
+    Record,
+    labelled,
+    legend_below,
+    panels,
+    rows_of,
+    write_results,
+)
 from bullet_lab.studies.study import Settings, Tell
 from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings, drive_run
 from bullet_lab.studies.umbmark.estimate import PARAMETERS
-from bullet_lab.studies.umbmark.figures import campaign_figure
 from bullet_lab.studies.umbmark.runs import DIRECTIONS
 from bullet_lab.studies.workers import Run, run_tasks
 
@@ -155,3 +163,29 @@ def describe_campaign(records: int, summary: Mapping[str, Any]) -> List[str]:
     fall = summary["least_fall"]
     falls = "to nothing" if fall is None else f"{fall:.0f} times or more"
     return [*lines, f"the largest systematic return error falls {falls} with the correction"]
+
+
+def campaign_figure(records: Sequence[Record]) -> Figure:
+    """Draw estimated minus injected errors, by the closed forms and by the fit."""
+    figure, (every,) = panels((1, len(PARAMETERS)), (11.0, 4.6))
+    for axes, name in zip(every, PARAMETERS):
+        injected = np.array([record[name] for record in records])
+
+        # None becomes NaN, which is not drawn.
+        closed, found, noisy, low, high = (
+            np.array([record[f"{name}_{kind}"] for record in records], float) - injected
+            for kind in ("closed_form", "found", "with_noise", "low", "high")
+        )
+        axes.axhline(0.0, color=GREY, linewidth=0.8)
+        axes.plot(injected, closed, "x", color=VERMILION, label="closed forms")
+        reach = np.abs(np.stack((noisy - low, high - noisy)))
+        style = {"fmt": ".", "color": BLUE, "elinewidth": 1.0}
+        axes.errorbar(injected, noisy, reach, label="fit, with noise: 95 % intervals", **style)
+        axes.plot(injected, found, "o", color=GREEN, markersize=4, label="fit, no noise")
+        axes.set(xlabel=f"injected {name} (%)", ylabel="found less injected")
+        axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:g}")
+        axes.set_yscale("symlog", linthresh=1e-4)
+        axes.grid(alpha=0.3)
+    legend_below(figure, labelled(axes), frameon=None, fontsize=9)
+    figure.tight_layout(rect=(0.0, 0.06, 1.0, 1.0))
+    return figure

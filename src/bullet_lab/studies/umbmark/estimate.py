@@ -133,10 +133,19 @@ def fit(runs: Sequence[Run], base: float) -> Estimate:
         runs: in both directions.
         base: the assumed one, m.
     """
-    data = _Data.of(runs)
+    every = [run.steps() for run in runs]
+    # Shorter runs are filled with zeros.
+    reported = np.zeros((len(runs), max(map(len, every)), 3))
+    for row, steps in zip(reported, every):
+        row[: len(steps)] = arcs(steps)
+    moved = np.array([run.moved() for run in runs])
+    covariances = np.array([end_covariance(steps) for steps in every])
+    roots = np.linalg.inv(np.linalg.cholesky(covariances))
 
     def left(parameters: np.ndarray) -> np.ndarray:
-        return data.weighted(data.left(_errors(parameters, base))).ravel()
+        """Return the differences of the ends in units of their standard deviations."""
+        difference = _end_errors(reported, moved, _errors(parameters, base))
+        return np.einsum("rij,rj->ri", roots, difference).ravel()
 
     bounds = (-LARGEST, LARGEST)
     found = optimize.least_squares(left, (0.0, 0.0), bounds=bounds, x_scale=1e-2, xtol=1e-13)
@@ -148,7 +157,7 @@ def fit(runs: Sequence[Run], base: float) -> Estimate:
     shares = np.linalg.pinv(np.stack(slopes, axis=-1)).reshape(len(PARAMETERS), len(runs), 3)
     shares = -np.einsum("prk,rk->rp", shares, left(found.x).reshape(len(runs), 3))
     directions = np.array([run.direction for run in runs])
-    ends = data.left(errors)[:, :2]
+    ends = _end_errors(reported, moved, errors)[:, :2]
     centres = [ends[directions == direction].mean(axis=0) for direction in DIRECTIONS]
     return Estimate(
         errors,
@@ -162,44 +171,21 @@ def _errors(parameters: Sequence[float], base: float) -> SystematicErrors:
     return SystematicErrors(**named, wheel_base=base)
 
 
-@dataclass(frozen=True, eq=False)
-class _Data:
-    """Input of the fit.
+def _end_errors(reported: np.ndarray, moved: np.ndarray, errors: SystematicErrors) -> np.ndarray:
+    """Return true ends minus those predicted with errors: (m, m, rad), (runs, 3).
 
-    Attributes:
-        arcs: reported distance ahead, aside (m) and turn (rad) of each step, (runs, n, 3); shorter
-            runs are filled with zeros.
+    Args:
+        reported: distance ahead, aside (m) and turn (rad) of each step, (runs, n, 3).
         moved: true ends in the frames of the true starts (m, m, rad), (runs, 3).
-        roots: of the weights of the ends, (runs, 3, 3).
+        errors: of the wheels.
     """
-
-    arcs: np.ndarray
-    moved: np.ndarray
-    roots: np.ndarray
-
-    @classmethod
-    def of(cls, runs: Sequence[Run]) -> _Data:
-        every = [run.steps() for run in runs]
-        padded = np.zeros((len(runs), max(map(len, every)), 3))
-        for row, steps in zip(padded, every):
-            row[: len(steps)] = arcs(steps)
-        covariances = np.array([end_covariance(steps) for steps in every])
-        roots = np.linalg.inv(np.linalg.cholesky(covariances))
-        return cls(padded, np.array([run.moved() for run in runs]), roots)
-
-    def left(self, errors: SystematicErrors) -> np.ndarray:
-        """Return true ends minus those predicted with errors: (m, m, rad), (runs, 3)."""
-        undo = np.linalg.inv(errors.matrix())
-        way, across, turn = np.moveaxis(self.arcs, -1, 0)
-        new_way = undo[0, 0] * way + undo[0, 1] * turn
-        new_turn = undo[1, 0] * way + undo[1, 1] * turn
-        difference = self.moved - end_of(chords(np.stack((new_way, across, new_turn), axis=-1)))
-        difference[:, 2] = wrap(difference[:, 2])
-        return difference
-
-    def weighted(self, left: np.ndarray) -> np.ndarray:
-        """Return differences in units of their standard deviations, (runs, 3)."""
-        return np.einsum("rij,rj->ri", self.roots, left)
+    undo = np.linalg.inv(errors.matrix())
+    ahead, aside, turn = np.moveaxis(reported, -1, 0)
+    new_ahead = undo[0, 0] * ahead + undo[0, 1] * turn
+    new_turn = undo[1, 0] * ahead + undo[1, 1] * turn
+    difference = moved - end_of(chords(np.stack((new_ahead, aside, new_turn), axis=-1)))
+    difference[:, 2] = wrap(difference[:, 2])
+    return difference
 
 
 def end_covariance(steps: np.ndarray) -> np.ndarray:

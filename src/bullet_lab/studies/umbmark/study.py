@@ -14,23 +14,38 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
+import numpy as np
 import yaml
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, plan_axes
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import number, text
+from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.noise import systematic
-from bullet_lab.studies.results import write_results
+from bullet_lab.studies.results import labelled, legend_below, panels, write_results
 from bullet_lab.studies.study import Settings, Tell, run_from
 from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings, drive_run
 from bullet_lab.studies.umbmark.campaign import CampaignSettings, describe_campaign, run_campaign
-from bullet_lab.studies.umbmark.estimate import PARAMETERS
-from bullet_lab.studies.umbmark.figures import clusters_figure
+from bullet_lab.studies.umbmark.estimate import PARAMETERS, centre_ellipse
 from bullet_lab.studies.umbmark.robots import multipliers
-from bullet_lab.studies.umbmark.runs import DIRECTIONS, read_runs, return_errors
+from bullet_lab.studies.umbmark.runs import (
+    CLOCKWISE,
+    COUNTER_CLOCKWISE,
+    DIRECTIONS,
+    read_runs,
+    return_errors,
+)
 from bullet_lab.studies.workers import Run, WorkerSettings, run_tasks, workers
 
 # The class is not imported by name: the job's help describes the dataclasses of this module.
 NO_ERRORS = systematic.SystematicErrors()
+
+STYLES = (
+    (CLOCKWISE, "clockwise", BLUE, "o"),
+    (COUNTER_CLOCKWISE, "counter-clockwise", ORANGE, "s"),
+)
 
 
 @dataclass(frozen=True)
@@ -110,6 +125,51 @@ def _return_rows(before: Benchmark, after: Optional[Benchmark]) -> Iterator[Tupl
     for name, benchmark in (("before", before), ("after", after)):
         for run in benchmark.runs if benchmark is not None else ():
             yield (name, run.name, run.direction, *run.return_error().tolist())
+
+
+def clusters_figure(before: Benchmark, after: Optional[Benchmark]) -> Figure:
+    """Draw the return errors of `Benchmark`s, to one scale, and those after the correction larger.
+
+    A filled ellipse holds a centre of gravity with 95 % confidence, an open one 95 % of the runs.
+    """
+    shown = [("before the correction", before)]
+    if after is not None:
+        shown += [("after it, to the same scale", after), ("after it", after)]
+    title = "Return errors: where the robot really was, seen from where odometry had it"
+    figure, (every,) = panels((1, len(shown)), (0.6 + 4.6 * len(shown), 5.0), title)
+    for axes, (title, benchmark) in zip(every, shown):
+        plan_axes(axes, title=title, xlabel="x (mm), ahead at the start", ylabel="y (mm)")
+        _draw_clusters(axes, benchmark)
+    if after is not None:
+        errors = [return_errors(before.runs, way)[:, :2] for way in DIRECTIONS]
+        reach = 1150.0 * np.abs(np.concatenate(errors)).max()
+        for axes in every[:2]:
+            axes.set_adjustable("box")
+            axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+    columns, below = (2, 0.15) if after is None else (0, 0.06)
+    legend_below(figure, labelled(every[0]), columns, frameon=None, fontsize=9)
+    figure.tight_layout(rect=(0.0, below, 1.0, 1.0))
+    return figure
+
+
+def _draw_clusters(axes: Axes, benchmark: Benchmark) -> None:
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    for direction, title, colour, marker in STYLES:
+        # Both directions share an entry of the legend.
+        once = "_" if direction == CLOCKWISE else ""
+        errors = 1000.0 * return_errors(benchmark.runs, direction)
+        centre = errors[:, :2].mean(axis=0)
+        axes.plot(*errors[:, :2].T, marker, color=colour, markersize=5, alpha=0.7, label=title)
+        axes.plot(*centre, "+", color=BLACK, markersize=11, label=f"{once}centres of gravity")
+        shape = centre_ellipse(errors)
+        if shape is not None:
+            border = centre + ellipse_points(shape)
+            label = f"{once}95 % ellipses of the centres"
+            axes.fill(*border.T, color=colour, alpha=0.25, linewidth=0, label=label)
+            border = centre + ellipse_points(np.cov(errors[:, :2].T))
+            label = f"{once}95 % ellipses of the runs"
+            axes.plot(*border.T, color=colour, linewidth=0.9, label=label)
 
 
 def describe(
