@@ -74,10 +74,23 @@ def panels(
     return figure, figure.subplots(*shape, squeeze=False, **more)
 
 
-def legend_below(figure: Figure, handles: Sequence[Artist], columns: int = 0, **more: Any) -> None:
-    """Add a legend without a frame below a figure, in one row or with a number of columns."""
+def legend_below(
+    figure: Figure, handles: Sequence[Artist], columns: int = 0, bottom: float = 0.0, **more: Any
+) -> None:
+    """Add a legend below the panels of a figure.
+
+    Args:
+        figure: to draw on.
+        handles: with labels.
+        columns: of the legend; 0 for a single row.
+        bottom: share of the height for the legend; the panels are laid out above it. 0 keeps them.
+        more: as in `Figure.legend`.
+    """
     more = {"loc": "lower center", "ncol": columns or len(handles), "frameon": False, **more}
-    figure.legend(handles=handles, **more)
+    if handles:
+        figure.legend(handles=handles, **more)
+    if bottom:
+        figure.tight_layout(rect=(0.0, bottom, 1.0, 1.0))
 
 
 def legend_entry(label: str, **style: Any) -> Line2D:
@@ -85,6 +98,10 @@ def legend_entry(label: str, **style: Any) -> Line2D:
     return Line2D([], [], label=label, **style)
 
 
-def labelled(axes: Axes) -> List[Artist]:
-    """Return what is drawn on axes with a label."""
-    return axes.get_legend_handles_labels()[0]
+def labelled(*every: Axes) -> List[Artist]:
+    """Return the artists of some axes that have a label, one for each label."""
+    handles: Dict[str, Artist] = {}
+    for axes in every:
+        for handle, label in zip(*axes.get_legend_handles_labels()):
+            handles.setdefault(label, handle)
+    return list(handles.values())

@@ -122,8 +122,7 @@ def paths_figure(recordings: Sequence[Recording], one: Calibration) -> Figure:
             axes.plot(poses[:, 0], poses[:, 1], style, color=colour, linewidth=1.4, label=label)
         axes.plot(0.0, 0.0, "o", color=GREEN, markeredgecolor=BLACK, label="start")
         axes.set_title(recording.name.rsplit("/", 2)[-1], fontsize=10)
-    legend_below(figure, labelled(row[0]), 4, fontsize=8)
-    figure.tight_layout(rect=(0.0, 0.05, 1.0, 1.0))
+    legend_below(figure, labelled(row[0]), 4, 0.05, fontsize=8)
     return figure
 
 

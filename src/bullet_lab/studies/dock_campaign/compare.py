@@ -17,7 +17,7 @@ from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION
 from bullet_lab.core.files import FileError
 from bullet_lab.docking.verdict import DOCKED, ERRORS
 from bullet_lab.errors import LabError
-from bullet_lab.studies.dock_campaign.results import LOG, QUANTITIES, standing
+from bullet_lab.studies.dock_campaign.results import LOG, QUANTITIES, reported_docked
 from bullet_lab.studies.dock_campaign.trial import TOLERANCES
 from bullet_lab.studies.results import Record, panels, write_results
 
@@ -131,7 +131,7 @@ QUANTILES = (("median", 0.5), ("99 %", 0.99))
 
 def figures_of(records: Sequence[Record]) -> Dict[str, Any]:
     """Return the figures of one controller by name, each with its interval."""
-    count, at_dock = len(records), standing(records)
+    count, at_dock = len(records), reported_docked(records)
     figures: Dict[str, Any] = {
         "docked within the dock's tolerance (%)": share(
             sum(record["result"] == DOCKED for record in records), count
@@ -159,7 +159,7 @@ def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> Dict[st
     docked = Counter((a["result"] == DOCKED, b["result"] == DOCKED) for a, b in zip(first, second))
     alone = docked[True, False], docked[False, True]
     p_value = stats.binomtest(alone[0], sum(alone)).pvalue if sum(alone) else 1.0
-    both = [pair for pair in zip(first, second) if len(standing(pair)) == 2]
+    both = [pair for pair in zip(first, second) if len(reported_docked(pair)) == 2]
     return {
         "both_docked": docked[True, True],
         "only_first_docked": alone[0],
@@ -237,7 +237,7 @@ def comparison_figure(
         for most in sorted({factor * record[TOLERANCES[column]] for record in pairs[0]}):
             axes.axvline(most, color=GREY, linestyle="--")
         for label, records, colour in zip(names, pairs, COLOURS):
-            values = np.sort([factor * abs(r[column]) for r in standing(records)])
+            values = np.sort([factor * abs(r[column]) for r in reported_docked(records)])
             # Smaller values are drawn at the end of the scale.
             steps = np.arange(1, len(values) + 1) / max(len(values), 1)
             axes.step(np.maximum(values, 1e-3), steps, where="post", color=colour, label=label)
@@ -278,7 +278,7 @@ def _draw_results(axes: Axes, columns: Sequence[Mapping[str, Any]]) -> None:
 
 def _draw_times(axes: Axes, names: Sequence[str], pairs: Sequence[Sequence[Record]]) -> None:
     axes.set(xlabel=f"s, {names[0]}", ylabel=f"s, {names[1]}", title="time until docked")
-    both = [pair for pair in zip(*pairs) if len(standing(pair)) == 2]
+    both = [pair for pair in zip(*pairs) if len(reported_docked(pair)) == 2]
     times = np.array([(a["sim_time_s"], b["sim_time_s"]) for a, b in both]).reshape(-1, 2)
     if len(times):
         most = float(times.max())

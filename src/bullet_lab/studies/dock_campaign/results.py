@@ -71,7 +71,7 @@ def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
         "success_rate_lower_95": lower_bound(len(docked), len(records)),
         "failures": dict(sorted(failures.items())),
         "failed_indices": [r["index"] for r in records if r["result"] != DOCKED],
-        **{name: error_figures([r[name] for r in standing(records)]) for name in ERRORS},
+        **{name: error_figures([r[name] for r in reported_docked(records)]) for name in ERRORS},
         "tolerances": {
             record["world"]: {name: record[column] for name, column in TOLERANCES.items()}
             for record in sorted(records, key=lambda r: r["world"])
@@ -137,7 +137,7 @@ def stress_lines(rows: Sequence[Mapping[str, Any]]) -> List[str]:
     return lines
 
 
-def standing(records: Sequence[Record]) -> List[Record]:
+def reported_docked(records: Sequence[Record]) -> List[Record]:
     """Return the dockings after which the robot reports that it has docked."""
     return [record for record in records if record["result"] in (DOCKED, INACCURATE)]
 
@@ -307,7 +307,7 @@ def campaign_figure(
     _draw_robots(plan, failed, "failed", (VERMILION, 5.0), (VERMILION, 7.0, "X"))
     plan.legend(loc="lower right", fontsize="small")
     rows = right.subgridspec(4, 1, height_ratios=(2.1, 1.0, 1.0, 1.0), hspace=0.5)
-    at_dock = standing(records)
+    at_dock = reported_docked(records)
     _draw_ends(figure.add_subplot(rows[0]), at_dock)
     for row, column in zip(list(rows)[1:], ERRORS):
         name, unit, factor = QUANTITIES[column]

@@ -45,7 +45,7 @@ NEAREST, FARTHEST = 0.7, 5.0
 WIDEST = math.radians(60.0)
 DATABASE_ERROR = (0.3, 0.3, math.radians(10.0))
 DOCK_MODEL = "docking_station"
-UNTOLD_ROOM = 1.0
+UNKNOWN_CLEARANCE = 1.0
 LARGEST_ODOMETRY_STD = 0.1
 LARGEST_IMAGE_NOISE = 0.02
 LARGEST_BLUR = 1.0
@@ -88,9 +88,9 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
     The start's distance from the plane of the back wall is uniform within `NEAREST` to
     `FARTHEST`. Its direction from the marker, within `WIDEST` of the dock's axis, and its heading
     are uniform too. They are drawn again until the robot is `TURNING_RADIUS` away from the dock,
-    and `UNTOLD_ROOM` away from other obstacles, as it does not know of them and has no laser. The
-    error of the dock's rough pose is uniform within `DATABASE_ERROR`, and so are the standard
-    deviations of noise and blur up to their largest values.
+    and `UNKNOWN_CLEARANCE` away from other obstacles, as it does not know of them and has no
+    laser. The error of the dock's rough pose is uniform within `DATABASE_ERROR`, and so are the
+    standard deviations of noise and blur up to their largest values.
     """
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(index,)))
     world = str(rng.choice(settings.worlds))
@@ -139,7 +139,7 @@ def _draw_start(rng: np.random.Generator, walls: Tuple[Footprint, ...]) -> Plana
 
 
 def _clearance(wall: Footprint) -> float:
-    return TURNING_RADIUS if wall.name == DOCK_MODEL else UNTOLD_ROOM
+    return TURNING_RADIUS if wall.name == DOCK_MODEL else UNKNOWN_CLEARANCE
 
 
 CRASHED = "crashed"

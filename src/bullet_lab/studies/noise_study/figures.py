@@ -6,7 +6,7 @@ first-order ones vermilion and dashed.
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -70,7 +70,6 @@ def levels_figure(cases: Sequence[Case]) -> Figure:
     for axes in grid[:, 0]:
         axes.set_ylabel("y (m)")
     _add_sheet_legend(figure)
-    figure.tight_layout(rect=(0.01, 0.35 / figure.get_figheight(), 1.0, 1.0), pad=0.8)
     return figure
 
 
@@ -98,8 +97,7 @@ def distance_figure(cases: Sequence[Case]) -> Figure:
         legend_entry("closed form, exact", linestyle="--", color=BLACK, linewidth=1.0),
         legend_entry("first order", linestyle=":", color=VERMILION, linewidth=1.6),
     ]
-    legend_below(figure, handles)
-    figure.tight_layout(rect=(0.0, 0.07, 1.0, 1.0))
+    legend_below(figure, handles, bottom=0.07)
     return figure
 
 
@@ -134,7 +132,6 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
     for axes in grid[:, -1]:
         axes.set_ylim(min(low for low, _ in shared), 1.3 * max(high for _, high in shared))
     _add_sheet_legend(figure)
-    figure.tight_layout(rect=(0.01, 0.35 / figure.get_figheight(), 1.0, 1.0), pad=0.8)
     return figure
 
 
@@ -159,8 +156,7 @@ def coverage_figure(cases: Sequence[Case]) -> Figure:
         plain_numbers(column[1].yaxis)
     grid[0, 0].set_ylabel("in the 95 % ellipse (%)")
     grid[1, 0].set_ylabel("ratio; grey: Gaussian enough")
-    add_legend(figure, [*grid[0], *grid[1]])
-    figure.tight_layout(rect=(0.0, 0.05, 1.0, 1.0))
+    legend_below(figure, labelled(*grid.flat), bottom=0.05, fontsize=9)
     return figure
 
 
@@ -210,6 +206,7 @@ def _add_sheet_legend(figure: Figure) -> None:
         legend_entry(f"{ellipse}, first order", **first_order),
     ]
     legend_below(figure, handles)
+    figure.tight_layout(rect=(0.01, 0.35 / figure.get_figheight(), 1.0, 1.0), pad=0.8)
 
 
 def _window(cases: Sequence[Case]) -> Window:
@@ -275,16 +272,6 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
         plain_numbers(axis)
     axes.tick_params(labelsize=8)
     axes.grid(alpha=0.3)
-
-
-def add_legend(figure: Figure, every: Iterable[Axes]) -> None:
-    """Add a legend below a figure, with each label of its panels once; none without labels."""
-    handles: Dict[str, Any] = {}
-    for axes in every:
-        for handle in labelled(axes):
-            handles.setdefault(handle.get_label(), handle)
-    if handles:
-        legend_below(figure, list(handles.values()), fontsize=9)
 
 
 def plain_numbers(axis: Axis) -> None:

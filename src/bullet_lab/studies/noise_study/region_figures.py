@@ -18,7 +18,6 @@ from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_genera
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.figures import (
     STYLES,
-    add_legend,
     by_model_of,
     plain_numbers,
     shown_levels,
@@ -36,7 +35,7 @@ from bullet_lab.studies.noise_study.regions import (
     theory,
 )
 from bullet_lab.studies.noise_study.statistics import Case
-from bullet_lab.studies.results import legend_below, legend_entry, panels
+from bullet_lab.studies.results import labelled, legend_below, legend_entry, panels
 
 PANELS = 3
 
@@ -71,8 +70,8 @@ def regions_figure(cases: Sequence[Case]) -> Figure:
     for level, axes in zip(LEVELS, grid[:, 0]):
         axes.set_ylabel(f"in the {100 * level:g} % region (%)")
     grid[-1, 0].set_ylabel("mean NEES; 3 is right")
-    add_legend(figure, grid.flat)
-    figure.tight_layout(rect=(0.0, 0.3 / figure.get_figheight(), 1.0, 1.0))
+    bottom = 0.3 / figure.get_figheight()
+    legend_below(figure, labelled(*grid.flat), bottom=bottom, fontsize=9)
     return figure
 
 
@@ -95,8 +94,8 @@ def distances_figure(cases: Sequence[Case]) -> Figure:
         column[-1].set_xlabel("distance travelled (m)")
     for axes in grid[:, 0]:
         axes.set_ylabel("in the 95 % region (%)")
-    add_legend(figure, grid.flat)
-    figure.tight_layout(rect=(0.0, 0.3 / figure.get_figheight(), 1.0, 1.0))
+    bottom = 0.3 / figure.get_figheight()
+    legend_below(figure, labelled(*grid.flat), bottom=bottom, fontsize=9)
     return figure
 
 
@@ -134,8 +133,7 @@ def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
         legend_entry(METHODS["exact"], color=BLACK),
         legend_entry(METHODS["exponential"], color=GREEN, linewidth=2.0),
     ]
-    legend_below(figure, handles)
-    figure.tight_layout(rect=(0.0, 0.45 / figure.get_figheight(), 1.0, 1.0))
+    legend_below(figure, handles, bottom=0.45 / figure.get_figheight())
     return figure
 
 

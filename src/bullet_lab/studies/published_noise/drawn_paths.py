@@ -78,15 +78,15 @@ def find_corners(vertices) -> np.ndarray:
     vertices = np.asarray(vertices, dtype=float)
     count = min(len(vertices), _MOST_CANDIDATES)
     candidates = np.linspace(0, len(vertices) - 1, count).astype(int)
-    beside = _distances_beside_lines(vertices[candidates])
-    least, choices = beside[0], []
+    distances = _distances_beside_lines(vertices[candidates])
+    least, choices = distances[0], []
     for _ in range(SIDES - 1):
-        sums = least[:, np.newaxis] + beside
+        sums = least[:, np.newaxis] + distances
         choices.append(sums.argmin(axis=0))
         least = sums.min(axis=0)
     if not np.isfinite(least[-1]):
         raise DrawnPathError("the path has no four sides")
-    corners = [len(beside) - 1]
+    corners = [len(distances) - 1]
     for choice in reversed(choices):
         corners.append(int(choice[corners[-1]]))
     return candidates[[0, *reversed(corners)]]

@@ -147,7 +147,7 @@ class Benchmark:
         """
         return cls.of([run for run, _ in drives], drives[0][1], side)
 
-    def doubts(self) -> List[str]:
+    def warnings(self) -> List[str]:
         """Return the reasons to distrust the result, with likely causes; empty without any."""
         largest, left = self.figures.e_max_syst, self.estimate.residual
         side = float(np.mean([run.side() for run in self.runs]))

@@ -91,8 +91,8 @@ def calibrate_robot(drive: DriveSettings, floor: bool, index: int) -> Record:
         right = benchmark(perfect, no_errors).estimate.errors
     before = benchmark(quiet, no_errors)
     after = benchmark(quiet, before.estimate.errors)
-    noisy = benchmark(drawn, no_errors).estimate.beside(right)
-    found_quiet = before.estimate.beside(right).errors
+    noisy = benchmark(drawn, no_errors).estimate.relative_to(right)
+    found_quiet = before.estimate.relative_to(right).errors
     record: Dict[str, Any] = {"robot": index, "side_m": quiet.side, "base_m": before.base}
     for name, closed in zip(PARAMETERS, (before.figures.e_d, before.figures.e_b)):
         injected = getattr(quiet, name)
@@ -186,6 +186,5 @@ def campaign_figure(records: Sequence[Record]) -> Figure:
         axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:g}")
         axes.set_yscale("symlog", linthresh=1e-4)
         axes.grid(alpha=0.3)
-    legend_below(figure, labelled(axes), frameon=None, fontsize=9)
-    figure.tight_layout(rect=(0.0, 0.06, 1.0, 1.0))
+    legend_below(figure, labelled(axes), bottom=0.06, frameon=None, fontsize=9)
     return figure

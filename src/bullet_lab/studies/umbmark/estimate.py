@@ -103,7 +103,7 @@ class Estimate:
         """Return the names of the parameters that lie on the bounds of the fit."""
         return [name for name in PARAMETERS if abs(getattr(self.errors, name)) > 0.999 * LARGEST]
 
-    def beside(self, floor: SystematicErrors) -> Estimate:
+    def relative_to(self, floor: SystematicErrors) -> Estimate:
         """Return this estimate relative to the errors that perfect wheels have on the floor."""
 
         def relative(name: str, value: float) -> float:

@@ -76,14 +76,14 @@ def run_umbmark(
         floor: errors found for perfect wheels; `recovered` is relative to them.
     """
     found = before.estimate
-    recovered = found.beside(floor)
-    doubts = before.doubts()
+    recovered = found.relative_to(floor)
+    warnings = before.warnings()
     summary: Dict[str, Any] = {
         "job": "umbmark",
         **about,
         "finished": True,
-        "trusted": not doubts,
-        "not_trusted_because": doubts,
+        "trusted": not warnings,
+        "not_trusted_because": warnings,
         **before.summary(),
         "recovered": {
             **_by_name(recovered.errors),
@@ -108,9 +108,9 @@ def run_umbmark(
         summary,
         {"returns.csv": _return_rows(before, after)},
         {"clusters.png": clusters_figure(before, after)},
-        {} if doubts else {"corrected.yaml": corrected},
+        {} if warnings else {"corrected.yaml": corrected},
     )
-    if doubts:
+    if warnings:
         # An earlier run may have left one.
         (folder / "corrected.yaml").unlink(missing_ok=True)
     return summary
@@ -146,9 +146,8 @@ def clusters_figure(before: Benchmark, after: Optional[Benchmark]) -> Figure:
         for axes in every[:2]:
             axes.set_adjustable("box")
             axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
-    columns, below = (2, 0.15) if after is None else (0, 0.06)
-    legend_below(figure, labelled(every[0]), columns, frameon=None, fontsize=9)
-    figure.tight_layout(rect=(0.0, below, 1.0, 1.0))
+    columns, bottom = (2, 0.15) if after is None else (0, 0.06)
+    legend_below(figure, labelled(every[0]), columns, bottom, frameon=None, fontsize=9)
     return figure
 
 
@@ -176,7 +175,7 @@ def describe(
     before: Benchmark, after: Optional[Benchmark], floor: systematic.SystematicErrors = NO_ERRORS
 ) -> List[str]:
     """Return the results as lines for the user."""
-    lines = [f"NOT TO BE TRUSTED: {doubt}" for doubt in before.doubts()]
+    lines = [f"NOT TO BE TRUSTED: {warning}" for warning in before.warnings()]
     lines += _figures(before)
     found, figures = before.estimate, before.figures
     lines.append(
@@ -190,7 +189,7 @@ def describe(
             between = f", 95 % within {1.0 + low:.6f} to {1.0 + high:.6f}"
         lines.append(f"fit of the full model: {title} {1.0 + value:.6f}{between}")
     if not floor.none:
-        recovered = _joined(_by_name(found.beside(floor).errors))
+        recovered = _joined(_by_name(found.relative_to(floor).errors))
         lines.append(f"of that, beyond the effect of this floor on perfect wheels: {recovered}")
     base = before.base * (1.0 + found.errors.base_error)
     lines.append(f"corrected: base {base:.6f} m; {_joined(multipliers(found.errors))}")

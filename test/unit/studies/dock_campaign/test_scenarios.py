@@ -12,7 +12,7 @@ from bullet_lab.studies.dock_campaign.trial import (
     LARGEST_IMAGE_NOISE,
     LARGEST_ODOMETRY_STD,
     NEAREST,
-    UNTOLD_ROOM,
+    UNKNOWN_CLEARANCE,
     WIDEST,
     WORLDS,
     DrawSettings,
@@ -69,7 +69,7 @@ def test_a_start_leaves_room_to_get_away_from_what_docking_is_not_told_of():
     settings = DrawSettings(seed=2026, worlds=("docking_decoy",))
     for index in range(300):
         x, y, _ = draw_scenario(settings, index).start
-        assert min(wall.distance((x, y)) for wall in decoy) > UNTOLD_ROOM
+        assert min(wall.distance((x, y)) for wall in decoy) > UNKNOWN_CLEARANCE
 
 
 def test_the_walls_are_those_of_the_issue():

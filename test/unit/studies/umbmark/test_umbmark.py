@@ -275,12 +275,12 @@ def returns_of(runs):
 
 
 def told(rows, side=4.0, base=BELIEVED.base):
-    """Return the doubts of returns (direction, m, m, rad) that were measured with a rule."""
+    """Return the warnings of returns (direction, m, m, rad) that were measured with a rule."""
     runs = [
         Run(f"{n}", perfect_square(side, way), (0.0, 0.0, 0.0), (x, y, yaw))
         for n, (way, x, y, yaw) in enumerate(rows)
     ]
-    return Benchmark.of(runs, base).doubts()
+    return Benchmark.of(runs, base).warnings()
 
 
 def plausible_returns(seed=5):
@@ -317,12 +317,12 @@ def test_a_fit_on_its_bound_has_no_interval():
     ]
     found = Benchmark.of(runs, BELIEVED.base)
     assert found.estimate.intervals is None or not found.estimate.on_bounds()
-    assert found.doubts()
+    assert found.warnings()
 
 
 def test_odometry_that_equals_the_truth_is_not_trusted():
-    (doubt,) = told([("cw", 0.0, 0.0, 0.0), ("ccw", 0.0, 0.0, 0.0)])
-    assert "equals the truth" in doubt
+    (warning,) = told([("cw", 0.0, 0.0, 0.0), ("ccw", 0.0, 0.0, 0.0)])
+    assert "equals the truth" in warning
 
 
 @pytest.mark.parametrize("value", [1e308, -1e7])
