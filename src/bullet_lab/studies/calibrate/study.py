@@ -39,7 +39,13 @@ from bullet_lab.studies.calibrate.recordings import (
     find_recordings,
     read_pair,
 )
-from bullet_lab.studies.calibrate.results import calibrate, calibration_summary, lines, noise_yaml
+from bullet_lab.studies.calibrate.results import (
+    Calibration,
+    calibrate,
+    calibration_summary,
+    lines,
+    noise_yaml,
+)
 from bullet_lab.studies.calibrate.steps import Steps, StepSettings, joined, take_steps
 from bullet_lab.studies.results import write_results
 from bullet_lab.studies.study import MOST_SEED, Settings, Tell, progress, run_from, silent
@@ -143,14 +149,12 @@ def run_calibration(
         taken.true, taken.odometry[np.newaxis], taken.truth_std_m, taken.truth_std_rad
     )
 
-    def calibrate_model(number: int) -> Any:
+    def calibrate_model(number: int) -> Calibration:
         problem = Problem(pairs, settings.models[number], fitted, drive.wheel_base)
         return calibrate(problem, taken.follows, settings.seed)
 
     count = len(settings.models)
-    found = run_tasks(
-        calibrate_model, count, this_process, tell, "calibrate", "model", " models"
-    )
+    found = run_tasks(calibrate_model, count, this_process, tell, "calibrate", "model", " models")
     for line in lines(found, true):
         tell(line)
     summary = {
@@ -160,18 +164,25 @@ def run_calibration(
         "steps": about,
         **calibration_summary(found),
     }
-    source = recordings[0].name
-    if len(recordings) > 1:
-        source += f" and {len(recordings) - 1} more"
     best = min(found, key=lambda one: one.aic)
     figures = {
         "residuals.png": residuals_figure(found),
         "profiles.png": profiles_figure(best, true.get(best.model, {})),
         "paths.png": paths_figure(recordings, best),
     }
-    texts = {f"noise_{one.model}.yaml": noise_yaml(one, source, about["median_s"]) for one in found}
-    texts["noise.yaml"] = noise_yaml(best, source, about["median_s"])
-    return write_results(folder, summary, {}, figures, texts)
+    return write_results(folder, summary, {}, figures, _noise_files(found, best, summary))
+
+
+def _noise_files(
+    found: Sequence[Calibration], best: Calibration, summary: Dict[str, Any]
+) -> Dict[str, str]:
+    """Return the YAML files for noisy_odom by name."""
+    source, *others = summary["recordings"]
+    if others:
+        source += f" and {len(others)} more"
+    seconds = summary["steps"]["median_s"]
+    texts = {f"noise_{one.model}.yaml": noise_yaml(one, source, seconds) for one in found}
+    return {**texts, "noise.yaml": noise_yaml(best, source, seconds)}
 
 
 def _separable(taken: Steps) -> bool:
