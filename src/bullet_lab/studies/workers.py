@@ -283,7 +283,7 @@ def _threads(client: Any) -> int:
     try:
         return sum(client.nthreads().values())
     except (OSError, TimeoutError, CancelledError):
-        raise WorkersError("the Dask scheduler is gone") from None
+        raise WorkersError("the connection to the Dask scheduler is lost") from None
 
 
 def _future_result(future: Any) -> Any:
@@ -294,7 +294,7 @@ def _future_result(future: Any) -> Any:
     except KilledWorker:
         return TaskLostError(_LOST)
     except CancelledError:
-        raise WorkersError("the Dask scheduler is gone") from None
+        raise WorkersError("the connection to the Dask scheduler is lost") from None
     except Exception as error:  # of the task, or of a worker without the right libraries
         kind = type(error).__name__
         raise WorkersError(f"a worker process failed: {kind}: {error}") from error

@@ -12,13 +12,9 @@ from bullet_lab.simulation.world.sdf import read_world_file
 ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
 
 DEFAULT_LIGHT = "default"
-LIGHTS = {
-    DEFAULT_LIGHT: "",
-    "dark": "docking_dark",
-    "bright": "docking_bright",
-    "backlit": "docking_backlit",
-}
-"""Worlds whose light replaces that of another world; empty: the world keeps its own light."""
+LIGHTS = (DEFAULT_LIGHT, "dark", "bright", "backlit")
+"""Names of lights. A world keeps its own light by default; the others are those of the worlds
+`docking_dark` and so on."""
 
 
 @functools.lru_cache(maxsize=None)
@@ -33,5 +29,5 @@ def lit_world(name: str, light: str) -> World:
     world = read_world(name)
     if light == DEFAULT_LIGHT:
         return world
-    other = read_world(LIGHTS[light])
+    other = read_world(f"docking_{light}")
     return replace(world, lights=other.lights, ambient=other.ambient, background=other.background)

@@ -115,7 +115,7 @@ class Steps:
             share = float(true @ odometry / (true @ true))
             if share < 0.0:
                 raise StepsError(
-                    f"the odometry's {what} runs against the truth's: "
+                    f"the odometry's {what} has the opposite sign of the truth's: "
                     f"is the sign of the {what}, or an axis, of one of them reversed?"
                 )
             if not 1.0 / LARGEST_SCALE <= share <= LARGEST_SCALE:
@@ -362,7 +362,7 @@ def _common_stamps(truth: Trajectory, odometry: Trajectory, name: str) -> np.nda
     slower = int(len(inside[1]) <= len(inside[0]))
     stamps = inside[slower]
     if len(stamps) < 2:
-        raise StepsError(f"{name}: truth and odometry have less than two poses in common")
+        raise StepsError(f"{name}: truth and odometry have fewer than two poses in common")
     return snapped(stamps, (truth, odometry)[1 - slower].stamps)
 
 

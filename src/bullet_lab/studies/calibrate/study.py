@@ -96,7 +96,7 @@ class DataSettings:
         """Read the recordings; none if no file is given. Raises LabError."""
         topics = Topics(self.truth_topic, self.odometry_topic)
         if bool(self.truth) != bool(self.odometry):
-            raise RecordingError("truth and odometry are two files of one recording: name both")
+            raise RecordingError("truth and odometry are one recording: both files are needed")
         found: List[Recording] = []
         if self.truth:
             found.append(read_pair(self._path(self.truth), self._path(self.odometry), topics))

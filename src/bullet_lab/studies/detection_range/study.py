@@ -40,7 +40,7 @@ class RangeSettings(Settings):
 
     worlds: Tuple[str, ...] = choices(tuple(WORLDS), "worlds to try", WORLDS)
     lights: Tuple[str, ...] = choices(
-        tuple(LIGHTS), "lights to try; default is the world's own", LIGHTS
+        LIGHTS, "lights to try; default is the world's own", LIGHTS
     )
     distances: Tuple[float, ...] = numbers(
         (

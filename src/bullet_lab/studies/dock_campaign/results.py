@@ -214,7 +214,9 @@ class DockLog:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise DockLogError(f"another campaign is writing to {self._path}") from None
+            raise DockLogError(
+                f"another campaign is writing to {self._path}; choose another folder, or wait"
+            ) from None
         self._file.seek(0)
         data = self._file.readall()
         whole = data[: data.rfind(b"\n") + 1]

@@ -64,7 +64,7 @@ class DrawSettings(Settings):
     seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
     worlds: Tuple[str, ...] = choices(WORLDS, "worlds to draw from", WORLDS)
     lights: Tuple[str, ...] = choices(
-        tuple(LIGHTS), "lights to draw from; default is the world's own", LIGHTS
+        LIGHTS, "lights to draw from; default is the world's own", LIGHTS
     )
     odometry: Tuple[str, ...] = choices(ODOMETRY, "odometry to draw from", ODOMETRY)
     controller: str = choice(
@@ -135,7 +135,7 @@ def _draw_start(rng: np.random.Generator, walls: Tuple[Footprint, ...]) -> Plana
         x, y = dock_x - distance, dock_y + distance * math.tan(bearing)
         if all(wall.distance((x, y)) > _clearance(wall) for wall in walls):
             return x, y, heading
-    raise ScenarioError("there is no room for a robot")
+    raise ScenarioError(f"{_MOST_ATTEMPTS} draws found no start with enough room for a robot")
 
 
 def _clearance(wall: Footprint) -> float:

@@ -22,6 +22,9 @@ from bullet_lab.core.trajectory import (
 LONGEST_PATH = 1e7
 """m; longer paths are errors of units or of a file."""
 
+SHORTEST_PATH = 1e-3
+"""m; shorter paths are those of a robot at rest."""
+
 ODOMETRY = "nav_msgs/Odometry"
 
 _POSES = {
@@ -70,9 +73,9 @@ def check_path(trajectory: Trajectory) -> None:
     if len(trajectory) < 2:
         raise PathFileError("the path has only one pose")
     if np.abs(trajectory.poses[:, :2]).max() > LONGEST_PATH or trajectory.length() > LONGEST_PATH:
-        raise PathFileError(f"the path leads farther than {LONGEST_PATH:g} m")
-    if trajectory.length() < 1e-3:
-        raise PathFileError("the path leads nowhere")
+        raise PathFileError(f"the path is longer than {LONGEST_PATH:g} m: are positions in m?")
+    if trajectory.length() < SHORTEST_PATH:
+        raise PathFileError(f"the path is shorter than {SHORTEST_PATH:g} m: did the robot move?")
 
 
 def read_table(

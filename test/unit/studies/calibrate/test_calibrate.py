@@ -137,7 +137,7 @@ def test_a_path_one_way_cannot_tell_the_gyro_from_the_wheels(tmp_path, capsys):
     "words, line",
     [
         (("--models", "nix"), "--models is 'nix': it must be different words of"),
-        (("--truth", "a.tum"), "truth and odometry are two files of one recording: name both"),
+        (("--truth", "a.tum"), "truth and odometry are one recording: both files are needed"),
         (("--data", "nix"), "nix: there is no such file or folder"),
         (("--max-gap", "1"), "--max-gap is '1': it must be a number > 1"),
     ],
@@ -196,8 +196,8 @@ REVERSED, LEFT_HANDED = (-1.0, -1.0, 1.0), (1.0, -1.0, -1.0)
 @pytest.mark.parametrize(
     ("scale", "line"),
     [
-        (REVERSED, "runs against the truth's"),
-        (LEFT_HANDED, "runs against the truth's"),
+        (REVERSED, "has the opposite sign"),
+        (LEFT_HANDED, "has the opposite sign"),
         ((1000.0, 1000.0, 1.0), "are both in m"),
         ((1.0, 1.0, 57.3), "are both in rad"),
         ((0.0, 0.0, 0.0), "are both in m"),
