@@ -210,7 +210,7 @@ def test_a_cluster_that_goes_away_is_an_error(monkeypatch):
         results = workers(scheduler=cluster.scheduler_address)(square, range(100))
         next(results)
         cluster.close()
-        with pytest.raises(WorkersError, match="is gone"):
+        with pytest.raises(WorkersError, match="connection to the Dask scheduler is lost"):
             list(results)
 
 
