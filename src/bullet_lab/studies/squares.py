@@ -1,4 +1,4 @@
-"""The squares, without ROS: world, robot, driver, noise and files in one process.
+"""The squares without ROS: world, robot, driver, noise and files in one process.
 
 Example:
     python3 -m bullet_lab.studies.squares results/plain --std 0.1 --seed 1
@@ -6,9 +6,10 @@ Example:
 
 from __future__ import annotations
 
+import functools
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, List, NoReturn, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 import numpy as np
 
@@ -41,9 +42,9 @@ class SquareDrive:
     Attributes:
         steps: ms, shape (n,).
         poses: x (m), y (m), yaw (rad), shape (n, 3).
-        sides: from 0, the turn after each included; `NO_SIDE` before the first; (n,).
-        corners: where the sides start and the last one ends (m), shape (sides + 1, 2).
-        seconds: how long it took, in s of simulated time.
+        sides: from 0, each with the turn after it; `NO_SIDE` before the first; (n,).
+        corners: start of each side, and end of the last one (m), shape (sides + 1, 2).
+        seconds: simulated time at the end, s.
     """
 
     steps: np.ndarray
@@ -94,29 +95,29 @@ def drive_square(square: Square, mode: str = OPEN_LOOP, rest: float = 0.5) -> Sq
 
 
 def _planar(pose: Pose) -> PlanarPose:
-    """Return x, y (m) and yaw (rad), to the bit as nodes read them from a message."""
+    """Return x, y (m) and yaw (rad), bit for bit as nodes read them from a message."""
     x, y, _ = pose.position
     return x, y, yaw_from_quaternion(*pose.quaternion)
 
 
 @dataclass(frozen=True)
 class SquaresSettings(SystematicErrors):
-    """Settings of a run; the names are those of the job's arguments."""
+    """Settings of a run, with the names of the job's arguments."""
 
     std: float = number(0.1, "parameter of the noise", 0.0)
     seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
     model: str = choice("report", "rule of the noise", MODELS)
-    mode: str = choice(OPEN_LOOP, "what ends a side", MODES)
-    as_published: bool = boolean(False, "put on the report's noise, defects and all")
+    mode: str = choice(OPEN_LOOP, "condition that ends a side", MODES)
+    as_published: bool = boolean(False, "apply the report's noise with all its defects")
 
 
 def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
-    """Drive the square, leave paths.csv, paths.png, the TUM files and summary.json; return that.
+    """Drive the square; write paths.csv, paths.png, TUM files and summary.json; return that.
 
     The same settings give the same files, byte for byte.
 
     Raises:
-        LabError: a setting that makes no sense, or a folder that cannot be written to.
+        LabError: a setting is invalid, or the folder cannot be written to.
     """
     noisy = _noise(settings)
     recording = PathsRecording(folder)
@@ -124,9 +125,9 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
     for step, pose in zip(drive.steps.tolist(), drive.poses.tolist()):
         recording.add(PathsRecording.PERFECT, step * NANOSECONDS_PER_STEP, pose)
         for x, y, yaw in noisy(step, pose):
-            # Through the quaternion of a message.
-            there = x, y, yaw_from_quaternion(*quaternion_from_yaw(yaw))
-            recording.add(PathsRecording.NOISY, step * NANOSECONDS_PER_STEP, there)
+            # As read from the quaternion of a message.
+            noisy_pose = x, y, yaw_from_quaternion(*quaternion_from_yaw(yaw))
+            recording.add(PathsRecording.NOISY, step * NANOSECONDS_PER_STEP, noisy_pose)
     recording.finish()
     perfect, pairs = recording.perfect(), recording.pairs()
     summary = {
@@ -142,7 +143,7 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
 
 
 def _noise(settings: SquaresSettings) -> Callable[[int, Sequence[float]], List[PlanarPose]]:
-    """Return what gives the noisy poses that noisy_odom publishes for a perfect one: 0 or 1."""
+    """Return a function that returns the noisy poses (0 or 1) for a perfect one, as noisy_odom."""
     rule = rule_of(settings.model, {"std": settings.std})
     errors = SystematicPath(SystematicErrors.of(settings))
     if not settings.as_published:
@@ -162,9 +163,7 @@ def _run(folder: Path, settings: SquaresSettings, _tell: Tell) -> None:
     run_squares(folder, settings)
 
 
-def main(words: Optional[Sequence[str]] = None) -> NoReturn:
-    """Run the experiment from the command line; see `run_from`."""
-    run_from("squares", __doc__, (SquaresSettings,), _run, words)
+main = functools.partial(run_from, "squares", __doc__, (SquaresSettings,), _run)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""One way for all studies: command line, exit status, progress and results that are whole.
+"""The program around a study: command line, exit status, progress and complete results.
 
-A study has settings, frozen dataclasses whose parameters `core.parameters` declares, and a
-function that takes them. `run_from` makes a program of the two.
+A study consists of settings (frozen dataclasses, with parameters declared by `core.parameters`)
+and a function that takes them. `run_from` makes a program of the two. `studies.workers` runs the
+tasks of a study; `studies.results` writes its tables, figures and summary.
 """
 
 from __future__ import annotations
@@ -28,47 +29,56 @@ STATUS_UNFINISHED = 1
 STATUS_BAD_INPUT = 2
 MOST_SEED = 2**63 - 1
 LINES = 10
-"""So many lines tell of the progress where there is no terminal."""
+"""Number of lines that report the progress if there is no terminal."""
 
 Tell = Callable[[str], None]
+"""Prints a line for the user."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Parameters of a study; those made in Python are checked as well, with ParameterError."""
+    """Parameters of a study.
+
+    Raises:
+        ParameterError: a value is invalid, also if it was given in Python.
+    """
 
     def __post_init__(self) -> None:  # noqa: D105 - see the class
         check_parameters(self)
 
 
 class UnfinishedError(LabError):
-    """What was asked for makes sense, but has not been done."""
+    """The request is valid, but was not completed."""
 
 
 def silent(line: str) -> None:
-    """Tell nobody."""
+    """Print nothing."""
 
 
 def run_from(
     name: str,
     about: Optional[str],
     settings: Sequence[Type],
-    run: Callable[..., None],
+    run: Callable[..., Optional[Iterable[str]]],
     words: Optional[Sequence[str]] = None,
     short: Sequence[Tuple[str, str]] = (),
 ) -> NoReturn:
     """Run a study from the command line, and exit: 0 done, 1 unfinished, 2 bad input, 130 stopped.
 
     Args:
-        name: of the program, in front of all that it says.
-        about: its first line tells what it does.
-        settings: dataclasses with the parameters; an option of the command line for each.
-        run: gets the folder for the results, the settings, one for each of the classes, and
-            what tells a line of text; raises LabError.
+        name: of the program; each line that it prints begins with it.
+        about: description of the program; the help prints its first line.
+        settings: dataclasses with the parameters; each parameter becomes an option.
+        run: gets the folder for the results, an instance of each of `settings`, and a function
+            that prints a line; may return lines to print; raises LabError.
         words: of the command line; those of this process by default.
-        short: other options, such as -n, and the parameters that they give.
+        short: short options, such as -n, each with the name of its parameter.
     """
     words = sys.argv[1:] if words is None else words
+
+    def tell(line: str) -> None:
+        print(f"{name}: {line}", flush=True)
+
     status = 0
     try:
         interrupt_once()
@@ -78,16 +88,17 @@ def run_from(
             add_options(parser, kind)
         for option, parameter in short:
             parser.add_argument(option, dest=parameter, metavar=parameter.upper())
-        # roslaunch adds its own: __name:=… and __log:=…
+        # roslaunch adds __name:=… and __log:=…
         values = vars(parser.parse_args([w for w in words if not re.match(r"__\w+:=", w)]))
         read = [read_options(kind, values) for kind in settings]
-        run(values["out"], *read, lambda line: print(f"{name}: {line}", flush=True))
+        for line in run(values["out"], *read, tell) or ():
+            tell(line)
     except LabError as error:
         print(f"{name}: {error}", file=sys.stderr, flush=True)
         status = STATUS_UNFINISHED if isinstance(error, UnfinishedError) else STATUS_BAD_INPUT
     except KeyboardInterrupt:
         status = STATUS_INTERRUPTED
-    # Python takes handlers away before it is at its end: what comes after that would kill it.
+    # Python removes signal handlers before it exits: a signal after that would change the status.
     _ignore_interrupts()
     sys.exit(status)
 
@@ -95,8 +106,8 @@ def run_from(
 def interrupt_once() -> None:
     """Have the first SIGINT or SIGTERM raise KeyboardInterrupt, and ignore those that follow.
 
-    What is cleared away then shall not be interrupted in its turn; whoever stops a job may send
-    both, one right after the other.
+    A job may get both signals, one right after the other: the second must not interrupt the
+    clean-up.
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
@@ -122,16 +133,18 @@ def progress(
     things: str = "",
     counts: Callable[[], str] = str,
 ) -> Iterator[Callable[[], None]]:
-    """Show how far work is: a bar on a terminal, some lines elsewhere. Call what it provides.
+    """Show the progress of work: a bar on a terminal, at most `LINES` lines elsewhere.
+
+    Yields a function to call after each unit of work.
 
     Args:
         title: of the bar.
-        total: how much there is to do.
-        tell: gets the lines.
-        done: how much of it has been done before.
-        unit: of the work, for the bar.
-        things: their name in the lines, with a space before it; may be empty.
-        counts: says what came of those that are done.
+        total: number of units.
+        tell: prints a line.
+        done: number of units that were done before.
+        unit: name of a unit, for the bar.
+        things: name of the units in the lines, with a space before it; may be empty.
+        counts: returns a summary of the units that are done.
     """
     with tqdm(total=total, initial=done, unit=unit, desc=title, disable=None) as bar:
 
@@ -151,9 +164,9 @@ def progress(
 
 @contextlib.contextmanager
 def whole_results(folder: Path) -> Iterator[Path]:
-    """Yield a folder for results, which are put into their place only when all are there.
+    """Yield a temporary folder; move the files from it into `folder` when all are written.
 
-    If anything fails meanwhile, the results that were there before still are.
+    If anything fails before that, `folder` keeps its earlier results.
 
     Raises:
         FileError: a file cannot be written.
@@ -164,7 +177,7 @@ def whole_results(folder: Path) -> Iterator[Path]:
             part = Path(name)
             yield part
             files = [path.relative_to(part) for path in sorted(part.rglob("*")) if path.is_file()]
-            # The summary says that all is there.
+            # The summary comes last: it shows that the results are complete.
             for file in sorted(files, key=lambda path: path.name == SUMMARY):
                 (folder / file).parent.mkdir(parents=True, exist_ok=True)
                 (part / file).replace(folder / file)
@@ -173,6 +186,6 @@ def whole_results(folder: Path) -> Iterator[Path]:
 
 
 def write_table(path: Path, rows: Iterable[Iterable[Any]]) -> None:
-    """Write rows, the header among them, as CSV; an entry that is None is left empty."""
+    """Write rows, the header first, as CSV; None becomes an empty entry."""
     with path.open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(rows)

@@ -1,4 +1,4 @@
-"""Tasks of a study on the processes of this machine, or on whatever a Dask scheduler has."""
+"""Tasks of a study on processes of this machine, or on the workers of a Dask scheduler."""
 
 from __future__ import annotations
 
@@ -14,47 +14,47 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from multiprocessing import connection, get_context, parent_process, resource_tracker
-from typing import Any, Callable, Dict, Iterable, Iterator, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, Iterator, List, Sequence, Tuple
 
 import cv2
 
 from bullet_lab.core.parameters import checked, choice, integer
 from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
-from bullet_lab.studies.study import Settings, UnfinishedError
+from bullet_lab.studies.study import Settings, Tell, UnfinishedError, progress
 
 SECONDS_FOR_SCHEDULER = 10.0
 SECONDS_FOR_WORKERS = 30.0
 LIVES = 2
-"""How many processes a task may cost before it is suspected."""
+"""Number of processes that may die on a task before it is tried alone."""
 
 MOST_WORKERS = 1024
 
 _SPAWN = get_context("spawn")
-_LOST = "every worker that tried it has died"
+_LOST = "each worker process that ran the task has died"
 
 Task = Callable[[int], Any]
 Results = Iterator[Tuple[int, Any]]
 Run = Callable[[Task, Sequence[int]], Iterable[Tuple[int, Any]]]
-"""Has a task done for each of some numbers; yields numbers and results as they come.
+"""Runs a task for each of some numbers; yields numbers and results in the order of completion.
 
-The result of one that was given up is a TaskLostError, not raised.
+If every process that ran the task has died, the result is a TaskLostError, which is not raised.
 """
 
 
 class WorkersError(UnfinishedError):
-    """There is nobody to do the work."""
+    """The tasks cannot be run, or no worker is left."""
 
 
 class TaskLostError(UnfinishedError):
-    """A task has cost every process that tried it its life."""
+    """Every process that ran a task has died."""
 
 
 @dataclass(frozen=True)
 class WorkerSettings(Settings):
-    """Who does the work."""
+    """Number of processes on this machine."""
 
     workers: int = integer(0, "processes; 0: one for each core", 0, MOST_WORKERS)
-    renderer: str = choice(AUTO, "passed over: Panda3D draws all pictures", CHOICES)
+    renderer: str = choice(AUTO, "ignored: Panda3D draws all pictures", CHOICES)
 
     def __post_init__(self) -> None:  # noqa: D105 - inherited
         super().__post_init__()
@@ -62,7 +62,7 @@ class WorkerSettings(Settings):
 
 
 def _address(value: Any) -> str:
-    # Of other words, Dask makes host names, and much noise.
+    # Dask would take other text for a host name, and log much about it.
     if value and not re.fullmatch(r"\w+://\S+:\d+", value, re.ASCII):
         raise ValueError
     return value
@@ -70,7 +70,7 @@ def _address(value: Any) -> str:
 
 @dataclass(frozen=True)
 class ClusterSettings(WorkerSettings):
-    """Who does the work, here or elsewhere."""
+    """Number of processes on this machine, or a scheduler of others."""
 
     scheduler: str = checked(
         "", "Dask scheduler to use instead", "an address such as tcp://host:8786", _address
@@ -78,21 +78,48 @@ class ClusterSettings(WorkerSettings):
 
 
 def this_process(task: Task, numbers: Sequence[int]) -> Results:
-    """Do the tasks here, one after the other: the simplest `Run`."""
+    """Run the tasks here, one after the other: the simplest `Run`."""
     return ((number, task(number)) for number in numbers)
 
 
-def workers(count: int = 0, scheduler: str = "") -> Run:
-    """Return what runs tasks.
+def run_tasks(
+    task: Task, count: int, run: Run, tell: Tell, title: str, unit: str, things: str
+) -> List[Any]:
+    """Run a task for the numbers from 0 on and return the results in this order.
 
-    A task whose process dies is tried again by another one, and at last alone, since it may have
-    been another's fault. What is returned raises WorkersError where the tasks cannot be run at
-    all, or nobody is left to run them.
+    Args:
+        task: to run; its argument is a number.
+        count: how many numbers.
+        run: runs the tasks.
+        tell: prints a line.
+        title: for `progress`, as are the next two.
+        unit: name of a task.
+        things: name of the tasks.
+
+    Raises:
+        TaskLostError: every process that ran one of the tasks has died.
+    """
+    results: Dict[int, Any] = {}
+    with progress(title, count, tell, unit=unit, things=things) as note:
+        for number, result in run(task, range(count)):
+            if isinstance(result, TaskLostError):
+                raise TaskLostError(f"{unit} {number}: {result}")
+            results[number] = result
+            note()
+    return [results[number] for number in range(count)]
+
+
+def workers(count: int = 0, scheduler: str = "") -> Run:
+    """Return a function that runs tasks.
+
+    If a process dies, another one runs its task again. At last the task runs alone, since another
+    task may have been the cause. The function raises WorkersError if the tasks cannot be run or no
+    worker is left.
 
     Args:
         count: processes of this machine; 0 for one per core. They share nothing, and end with
-            this one, however it ends.
-        scheduler: address such as tcp://host:8786 of a Dask cluster that does it instead.
+            this process, however it ends.
+        scheduler: address, such as tcp://host:8786, of a Dask cluster to use instead.
     """
     run_round = partial(_on_dask, scheduler) if scheduler else partial(_on_processes, count)
 
@@ -110,7 +137,7 @@ def workers(count: int = 0, scheduler: str = "") -> Run:
 
 
 def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
-    # A process has one core: no library in it shall start a thread for each.
+    # Each process uses one core: its libraries must not start a thread per core.
     for library in ("MKL", "OMP", "OPENBLAS"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     most = count or len(os.sched_getaffinity(0))
@@ -136,7 +163,7 @@ def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
                     found = True, TaskLostError(_LOST)
                 done, value = found
                 if not done:
-                    raise WorkersError(f"the workers cannot do it: {value}")
+                    raise WorkersError(f"a worker process failed: {value}")
                 yield number, value
     finally:
         for worker in busy.values():
@@ -144,13 +171,13 @@ def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
 
 
 class _Worker:
-    """A process that does tasks, one at a time."""
+    """A process that runs tasks, one at a time."""
 
     def __init__(self, task: Task):
         self.pipe, theirs = _SPAWN.Pipe()
         self._process = _SPAWN.Process(target=_work, args=(task, theirs), daemon=True)
-        # It passes over Ctrl-C from the first moment on: this process ends it. The tracker, which
-        # is started with the first process, would let it through again.
+        # It ignores Ctrl-C from its start on: this process ends it. The resource tracker, which
+        # starts with the first process, would unblock the signal.
         resource_tracker.ensure_running()
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         self._process.start()
@@ -158,28 +185,28 @@ class _Worker:
         theirs.close()
 
     def give(self, number: int) -> None:
-        """Have a task done."""
+        """Send the number of a task."""
         self.number = number
-        # Where the process has died, `result` says so.
+        # If the process has died, `result` returns None.
         with contextlib.suppress(OSError):
             self.pipe.send(number)
 
     def result(self) -> Any:
-        """Return what `_work` sends of the task, or None where the process has died."""
+        """Return what `_work` sends, or None if the process has died."""
         try:
             return self.pipe.recv()
         except (EOFError, OSError):
             return None
 
     def end(self) -> None:
-        """End the process, in the middle of a task or not."""
+        """Kill the process, even while it runs a task."""
         self._process.kill()
         self._process.join()
         self.pipe.close()
 
 
 def _work(task: Task, pipe: connection.Connection) -> None:
-    """Do tasks as their numbers come: send each result with True, or False and what is wrong."""
+    """Run the tasks of the numbers that arrive; send (True, result) or (False, error)."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
@@ -188,7 +215,7 @@ def _work(task: Task, pipe: connection.Connection) -> None:
             number = pipe.recv()
             try:
                 pipe.send((True, task(number)))
-            except Exception as error:  # whatever a task raises, or a result that does not travel
+            except Exception as error:  # of the task, or of a result that cannot be pickled
                 pipe.send((False, f"{type(error).__name__}: {error}"))
 
 
@@ -202,14 +229,14 @@ _TURN = threading.Lock()
 
 
 def _in_turn(task: Task, number: int) -> Any:
-    """Do a task while this process does no other: neither simulation nor pictures share one."""
+    """Run a task while no other runs in this process: simulation and rendering need that."""
     with _TURN:
         cv2.setNumThreads(1)
         return task(number)
 
 
 def _on_dask(scheduler: str, task: Task, numbers: Sequence[int]) -> Results:
-    """Keep each thread of a cluster busy with one task, until all are done."""
+    """Keep each thread of a cluster busy with one task until all are done."""
     from distributed import as_completed
 
     left = iter(numbers)
@@ -219,7 +246,7 @@ def _on_dask(scheduler: str, task: Task, numbers: Sequence[int]) -> Results:
         while True:
             free = _threads(client) - len(number_of)
             for number in islice(left, max(free, 0 if number_of else 1)):
-                # Not pure: what the scheduler knows of another study is of no use to this one.
+                # Not pure: the scheduler must not reuse the results of another study.
                 future = client.submit(_in_turn, task, number, pure=False)
                 number_of[future.key] = number
                 waiting.add(future)
@@ -234,7 +261,7 @@ def _on_dask(scheduler: str, task: Task, numbers: Sequence[int]) -> Results:
 def _dask_client(scheduler: str) -> Iterator[Any]:
     from distributed import Client, TimeoutError
 
-    # What matters is raised.
+    # Errors are raised, so that its logs are not needed.
     for name in ("distributed", *logging.root.manager.loggerDict):
         if name.split(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -256,7 +283,7 @@ def _threads(client: Any) -> int:
     try:
         return sum(client.nthreads().values())
     except (OSError, TimeoutError, CancelledError):
-        raise WorkersError("the Dask scheduler is gone") from None
+        raise WorkersError("the connection to the Dask scheduler is lost") from None
 
 
 def _future_result(future: Any) -> Any:
@@ -267,7 +294,7 @@ def _future_result(future: Any) -> Any:
     except KilledWorker:
         return TaskLostError(_LOST)
     except CancelledError:
-        raise WorkersError("the Dask scheduler is gone") from None
-    except Exception as error:  # whatever a worker without the right libraries raises
+        raise WorkersError("the connection to the Dask scheduler is lost") from None
+    except Exception as error:  # of the task, or of a worker without the right libraries
         kind = type(error).__name__
-        raise WorkersError(f"the workers cannot do it: {kind}: {error}") from error
+        raise WorkersError(f"a worker process failed: {kind}: {error}") from error

@@ -23,10 +23,9 @@ from bullet_lab.noise.exact_moments import (
 )
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import MODELS, ProbabilisticRule, RateInvariantRule
-from bullet_lab.studies.noise_study.regions import BOUNDS, MEANT, METHODS
+from bullet_lab.studies.noise_study.regions import BOUNDS, MEANT, METHODS, level_rule, theory
 from bullet_lab.studies.noise_study.statistics import study_case
 from bullet_lab.studies.noise_study.study import StudySettings
-from bullet_lab.studies.noise_study.theory import level_rule, theory
 
 LEVELS = StudySettings().levels
 PATHS = 10_000

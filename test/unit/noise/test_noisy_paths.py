@@ -22,8 +22,8 @@ from bullet_lab.noise.odometry_noise import (
 )
 from bullet_lab.studies.noise_study import statistics as study_statistics
 from bullet_lab.studies.noise_study.paths import ResamplingError, find_corners, resample
+from bullet_lab.studies.noise_study.regions import level_rule
 from bullet_lab.studies.noise_study.statistics import study_case
-from bullet_lab.studies.noise_study.theory import level_rule
 
 RULES = [ReportRule(0.3), RateInvariantRule(0.2), ProbabilisticRule(0.1, 0.02, 0.1, 0.03)]
 

@@ -1,4 +1,4 @@
-"""The pictures of a calibration: residuals, profile likelihoods, paths, and coverage."""
+"""Figures of a calibration: residuals, profile likelihoods, paths, and coverage."""
 
 from __future__ import annotations
 
@@ -11,22 +11,14 @@ from matplotlib.figure import Figure
 from scipy.special import ndtri
 
 from bullet_lab.core import se2
-from bullet_lab.core.figures import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    VERMILION,
-    new_figure,
-    plan_axes,
-)
+from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, plan_axes
 from bullet_lab.noise.calibration import profile
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.studies.calibrate.coverage import Coverage
+from bullet_lab.studies.calibrate.drive import Coverage
 from bullet_lab.studies.calibrate.recordings import Recording
-from bullet_lab.studies.calibrate.results import Calibration, symbol
+from bullet_lab.studies.calibrate.results import Calibration, label_of
+from bullet_lab.studies.results import labelled, legend_below, panels
 
 MOST_PATHS = 4
 _PARTS = ("turn before the way", "way", "turn after the way")
@@ -37,10 +29,11 @@ _LIMIT = 3.841
 
 
 def residuals_figure(found: Sequence[Calibration]) -> Figure:
-    """Draw the whitened residuals of each model against the normal numbers that they should be."""
-    figure = new_figure(4.2 * len(found), 4.6)
-    panels = figure.subplots(1, len(found), squeeze=False, sharex=True, sharey=True)[0]
-    for axes, one in zip(panels, found):
+    """Draw the whitened residuals of each model against quantiles of the normal distribution."""
+    title = "Errors of the steps: on the line, the model is right"
+    size = 4.2 * len(found), 4.6
+    figure, (row,) = panels((1, len(found)), size, title, sharex=True, sharey=True)
+    for axes, one in zip(row, found):
         axes.plot([-4.0, 4.0], [-4.0, 4.0], color=BLACK, linewidth=0.8)
         for values, part, colour in zip(one.goodness.whitened.T, _PARTS, _COLOURS):
             seen = np.sort(values[np.isfinite(values)])
@@ -53,9 +46,8 @@ def residuals_figure(found: Sequence[Calibration]) -> Figure:
         axes.set_title(f"{MODELS[one.model].title}: {verdict}", fontsize=10)
         axes.set(xlabel="standard normal", xlim=(-4.0, 4.0), ylim=(-_WIDEST, _WIDEST))
         axes.grid(alpha=0.3)
-    panels[0].set_ylabel("error / standard deviation by the model")
-    panels[0].legend(loc="upper left", fontsize=8)
-    figure.suptitle("Errors of the steps: on the line, the model is right")
+    row[0].set_ylabel("error / standard deviation by the model")
+    row[0].legend(loc="upper left", fontsize=8)
     figure.tight_layout()
     return figure
 
@@ -65,15 +57,15 @@ def profiles_figure(one: Calibration, true: Mapping[str, float]) -> Figure:
     parameters = one.parameters()
     columns = min(4, len(parameters))
     rows = -(-len(parameters) // columns)
-    figure = new_figure(3.1 * columns + 0.4, 2.7 * rows + 0.5)
-    figure.suptitle(f"{MODELS[one.model].title}: profile likelihoods and 95 % intervals")
-    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for axes, (name, (value, low, high)) in zip(grid.flat, parameters.items()):
-        _draw_profile(axes, one, name, (value, low, high))
+    title = f"{MODELS[one.model].title}: profile likelihoods and 95 % intervals"
+    size = 3.1 * columns + 0.4, 2.7 * rows + 0.5
+    figure, grid = panels((rows, columns), size, title, sharey=True)
+    for axes, (name, found) in zip(grid.flat, parameters.items()):
+        _draw_profile(axes, one, name, found)
         if name in true:
             axes.axvline(true[name], color=ORANGE, linewidth=2.0, label="true")
             axes.legend(fontsize=8, loc="upper center")
-        axes.set_xlabel(name if symbol(name) == name else f"{name} ({symbol(name)})")
+        axes.set_xlabel(label_of(name))
         axes.ticklabel_format(axis="x", style="sci", scilimits=(-3, 3))
         axes.locator_params(axis="x", nbins=4)
     for axes in grid.flat[len(parameters) :]:
@@ -103,21 +95,20 @@ def _draw_profile(axes: Axes, one: Calibration, name: str, found) -> None:
     for side in sides:
         points += zip(side, profile(one.problem, one.fit, name, side))
     x, fall = np.array(sorted(points)).T
-    # The signed root of the fall is nearly straight.
+    # The signed root of the fall is nearly linear, and is interpolated.
     root = np.sign(x - value) * np.sqrt(fall)
     fine = np.linspace(x[0], x[-1], 120)
     axes.plot(fine, np.interp(fine, x, root) ** 2, color=BLUE)
 
 
 def paths_figure(recordings: Sequence[Recording], one: Calibration) -> Figure:
-    """Draw truth and odometry from one start, and what the systematic errors alone make of it."""
+    """Draw truth and odometry from one start, and the truth with the systematic errors found."""
     shown = recordings[:MOST_PATHS]
-    figure = new_figure(max(6.4, 5.4 * len(shown)), 5.8)
-    panels = figure.subplots(1, len(shown), squeeze=False)[0]
+    figure, (row,) = panels((1, len(shown)), (max(6.4, 5.4 * len(shown)), 5.8))
     values = one.fit.values()
     wrong = {name: values[name] for name in one.problem.systematic}
     errors = SystematicErrors(wheel_base=one.problem.wheel_base, **wrong)
-    for axes, recording in zip(panels, shown):
+    for axes, recording in zip(row, shown):
         plan_axes(axes)
         first = int(np.searchsorted(recording.truth.stamps, recording.odometry.stamps[0]))
         truth = recording.truth.poses[min(first, len(recording.truth) - 1) :]
@@ -131,16 +122,13 @@ def paths_figure(recordings: Sequence[Recording], one: Calibration) -> Figure:
             axes.plot(poses[:, 0], poses[:, 1], style, color=colour, linewidth=1.4, label=label)
         axes.plot(0.0, 0.0, "o", color=GREEN, markeredgecolor=BLACK, label="start")
         axes.set_title(recording.name.rsplit("/", 2)[-1], fontsize=10)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncol=4, fontsize=8, frameon=False)
-    figure.tight_layout(rect=(0.0, 0.05, 1.0, 1.0))
+    legend_below(figure, labelled(row[0]), 4, 0.05, fontsize=8)
     return figure
 
 
 def coverage_figure(found: Sequence[Coverage]) -> Figure:
-    """Draw how often the intervals of each parameter hold the truth, with bands."""
-    figure = new_figure(8.0, 1.6 + 0.28 * len(found))
-    axes = figure.subplots()
+    """Draw the share of intervals of each parameter that hold the truth, with bands."""
+    figure, ((axes,),) = panels((1, 1), (8.0, 1.6 + 0.28 * len(found)))
     axes.axvspan(93.0, 97.0, color=GREY, alpha=0.25, linewidth=0.0)
     axes.axvline(95.0, color=BLACK, linewidth=0.8)
     models = list(dict.fromkeys(one.model for one in found))

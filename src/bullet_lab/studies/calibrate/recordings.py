@@ -1,4 +1,4 @@
-"""Paths with truth, from bags, tables and TUM files, one by one or as they lie in folders."""
+"""Paths with truth, from bags, tables, TUM files and folders of them."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ NAMES = (
     ("ground_truth", "odom"),
     ("ground_truth", "odometry"),
 )
-"""How the names of two files of a recording end, truth first; what is before it is the same."""
+"""Ends of the names of the two files of a recording, truth first; the rest is the same."""
 
 TRUTH_PREFIXES = ("truth_", "ground_truth_", "")
 ODOMETRY_PREFIXES = ("noisy_", "odom_", "odometry_", "")
-"""Of the columns x, y and yaw of a table with both paths; the first of them that are there."""
+"""Prefixes of the columns x, y and yaw of a table with both paths; the first match counts."""
 
 _SUFFIXES = (".tum", ".txt", ".csv")
 
 
 class RecordingError(TrajectoryError):
-    """There is no path with truth where one was looked for."""
+    """A file or folder has no path with truth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A path as it really was and as the odometry has it, each in a frame of its own.
+    """The true path and its odometry, each in its own frame.
 
     Attributes:
-        name: where it is from.
-        truth: as it was.
-        odometry: as the odometry has it.
+        name: of the file.
+        truth: the true path.
+        odometry: the reported path.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Topics:
-    """Where in a bag the paths are."""
+    """Topics of the paths in a bag."""
 
     truth: str
     odometry: str
@@ -66,9 +66,9 @@ def read_pair(truth: Path, odometry: Path, topics: Topics) -> Recording:
 def find_recordings(paths: Sequence[Path], topics: Topics) -> List[Recording]:
     """Read all recordings in files and folders.
 
-    A bag is one, with two topics; so is a table with both paths, such as paths.csv of the
-    squares. In a folder and those below it, two files whose names differ as `NAMES` has it are
-    one as well, where there is no table with both paths beside them.
+    A recording is a bag with two topics, a table with both paths such as paths.csv of the squares,
+    or two files in a folder whose names differ as in `NAMES`. Such pairs are ignored in folders
+    with tables. Folders include those below them.
 
     Raises:
         LabError: a file cannot be read, or there is no recording.
@@ -115,7 +115,7 @@ def _read_file(path: Path, topics: Topics) -> Recording:
 
 
 def _prefixes(path: Path) -> Optional[Tuple[str, str]]:
-    """Return how the columns of both paths begin, None where a file has not both."""
+    """Return the prefixes of the columns of both paths, None if a file lacks one of them."""
     if path.suffix != ".csv":
         return None
     try:
@@ -137,9 +137,8 @@ def _pairs(files: Sequence[Path]) -> Iterator[Tuple[Path, Path]]:
     taken = set()
     for truth, odometry in NAMES:
         for stem in sorted(by_stem):
-            start, ends_so = stem[: -len(truth)], stem.endswith(truth)
-            partner = start + odometry
-            # noisy_odom ends with odom, and is not the truth.
-            if ends_so and partner in by_stem and not {stem, partner} & taken:
+            partner = stem[: -len(truth)] + odometry
+            # noisy_odom ends with odom, but is not the truth.
+            if stem.endswith(truth) and partner in by_stem and not {stem, partner} & taken:
                 taken |= {stem, partner}
                 yield by_stem[stem], by_stem[partner]

@@ -1,4 +1,4 @@
-"""What calibration finds: of each model, as figures, as lines, and as a file for noisy_odom."""
+"""The result of a calibration by each model: figures, lines, and a file for noisy_odom."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from bullet_lab.noise.likelihood import PARTS
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.noise.systematic import SystematicErrors
 
-_ALIKE = 0.99  # correlation of two estimates that the steps cannot tell apart
+_INSEPARABLE = 0.99  # correlation of two estimates that the steps cannot separate
 
 
 class UndeterminedError(LabError):
-    """Steps do not tell what the parameters of a model are."""
+    """The steps do not determine the parameters of a model."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a noise model, with systematic errors, has to say of the steps.
+    """A noise model, with systematic errors, that is fitted to steps.
 
     Attributes:
-        problem: which parameters were asked of which steps.
-        fit: the values that are most likely.
+        problem: the parameters and the steps.
+        fit: the most likely values.
         intervals: of the parameters, 95 %, shape (k, 2).
         goodness: of the fit.
     """
@@ -50,18 +50,18 @@ class Calibration:
         return float(self.fit.aic()[0])
 
     def parameters(self) -> Dict[str, Tuple[float, float, float]]:
-        """Return estimate and interval of each parameter by name."""
+        """Return estimate, and low and high end of the interval, of each parameter by name."""
         return {
             name: (value, *map(float, ends))
             for (name, value), ends in zip(self.fit.values().items(), self.intervals)
         }
 
     def inseparable(self) -> List[Tuple[str, str]]:
-        """Return parameters that the steps cannot tell apart, two and two."""
+        """Return pairs of parameters that the steps cannot separate."""
         inverse = covariance(self.fit.information)[0][0]
         spread = np.sqrt(np.diagonal(inverse))
-        alike = np.abs(inverse / np.outer(spread, spread)) > _ALIKE
-        pairs = np.argwhere(np.triu(alike, 1)).tolist()
+        correlated = np.abs(inverse / np.outer(spread, spread)) > _INSEPARABLE
+        pairs = np.argwhere(np.triu(correlated, 1)).tolist()
         return [(self.fit.names[i], self.fit.names[j]) for i, j in pairs]
 
 
@@ -83,7 +83,7 @@ def calibrate(problem: Problem, follows: np.ndarray, seed: int) -> Calibration:
 
 
 def symbol(name: str) -> str:
-    """Return how a parameter is written, its Greek letter where it has one.
+    """Return the symbol of a parameter: its Greek letter, or else its name.
 
     >>> symbol("alpha1"), symbol("std"), symbol("base_error")
     ('α1', 'σ', 'base_error')
@@ -91,8 +91,13 @@ def symbol(name: str) -> str:
     return name.replace("alpha", "α") if name.startswith("alpha") else {"std": "σ"}.get(name, name)
 
 
+def label_of(name: str) -> str:
+    """Return the name of a parameter, with its Greek letter if it has one."""
+    return name if symbol(name) == name else f"{name} ({symbol(name)})"
+
+
 def meaning(model: str, name: str) -> str:
-    """Return what a parameter is, as it is declared."""
+    """Return the description of a parameter from its declaration."""
     known = {**declarations(SystematicErrors), **declarations(MODELS[model])}
     doc = known[name].check.doc
     return doc[len(model) + 2 :] if doc.startswith(f"{model}: ") else doc
@@ -145,34 +150,33 @@ def _finite(value: float) -> Optional[float]:
 
 
 def lines(found: Sequence[Calibration], true: Mapping[str, Mapping[str, float]]) -> List[str]:
-    """Return what people read: all models, the best first.
+    """Return the results of all models as lines for the user, the best model first.
 
     Args:
-        found: of each model.
-        true: values by model and name, where they are known.
+        found: calibration of each model.
+        true: true values by model and name, if they are known.
     """
     ranked = sorted(found, key=lambda one: one.aic)
-    said: List[str] = []
+    text: List[str] = []
     for one in ranked:
         known = true.get(one.model, {})
         above = one.aic - ranked[0].aic
         rank = "the likeliest model" if one is ranked[0] else f"AIC {above:.1f} above the best"
-        said.append(f"{one.model}: {rank}; {_verdict(one.goodness)}")
+        text.append(f"{one.model}: {rank}; {_verdict(one.goodness)}")
         for name, (value, low, high) in one.parameters().items():
             truth = f", true {known[name]:g}" if name in known else ""
-            label = name if symbol(name) == name else f"{name} ({symbol(name)})"
-            said.append(
-                f"  {label:20} {value:11.5g}   95 % {low:.4g} to {high:.4g}{truth}"
+            text.append(
+                f"  {label_of(name):20} {value:11.5g}   95 % {low:.4g} to {high:.4g}{truth}"
                 f"   {meaning(one.model, name)}"
             )
-        said += [f"  does not fit: {reason}" for reason in one.goodness.words()]
-        said += [
-            f"  {first} and {second} can hardly be told apart on this path; leave one of them out "
-            "by systematic:=, or drive backwards as well"
-            for first, second in one.inseparable()
-            if one is ranked[0]
-        ]
-    return said
+        text += [f"  does not fit: {reason}" for reason in one.goodness.words()]
+        if one is ranked[0]:
+            text += [
+                f"  {first} and {second} can hardly be separated on this path; leave one of them "
+                "out by systematic:=, or drive backwards as well"
+                for first, second in one.inseparable()
+            ]
+    return text
 
 
 def _verdict(judged: Goodness) -> str:
@@ -182,12 +186,12 @@ def _verdict(judged: Goodness) -> str:
 
 
 def noise_yaml(one: Calibration, source: str, seconds: float) -> str:
-    """Return parameters as noisy_odom loads them, with what they are in comments.
+    """Return a YAML file with the parameters for noisy_odom, described in comments.
 
     Args:
-        one: what was found.
+        one: calibration of a model.
         source: of the steps.
-        seconds: the usual time of a step.
+        seconds: median time of a step.
     """
     verdict = _verdict(one.goodness)
     rows = [
@@ -198,14 +202,14 @@ def noise_yaml(one: Calibration, source: str, seconds: float) -> str:
     ]
     for name, (value, low, high) in one.parameters().items():
         label = "" if symbol(name) == name else f"{symbol(name)}, "
-        said = f"{label}{meaning(one.model, name)}: {low:.4g} to {high:.4g} (95 %)"
-        rows.append(f"{name}: {_plain(value)}  # {said}")
+        comment = f"{label}{meaning(one.model, name)}: {low:.4g} to {high:.4g} (95 %)"
+        rows.append(f"{name}: {_plain(value)}  # {comment}")
     if one.problem.systematic:
         rows.append(f"wheel_base: {_plain(one.problem.wheel_base)}  # m, as it was taken to be")
     return "\n".join(rows) + "\n"
 
 
 def _plain(value: float) -> str:
-    """Return a number as YAML's readers take it, which know 1.0e-05 but not 1e-05."""
+    """Return a number for YAML readers, which read 1.0e-05 as a number but not 1e-05."""
     text = repr(float(f"{value:.9g}"))
     return text if "." in text or "e" not in text else text.replace("e", ".0e")

@@ -1,8 +1,8 @@
-"""Steps of recordings: what truth and odometry say of the same moments.
+"""Steps of recordings: motions between the same stamps, by truth and by odometry.
 
-Only steps are compared, each in the body frame before it, so neither where a path starts in its
-frame nor a yaw beyond a turn matters. Steps go from stamp to stamp of the slower of the two; the
-faster one is interpolated, at a constant velocity between two of its poses.
+A step is in the body frame at its begin, so that frames and full turns do not matter. Steps go
+from stamp to stamp of the slower of the two paths; the faster one is interpolated, with a constant
+velocity between two of its poses.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ from bullet_lab.studies.calibrate.recordings import Recording
 from bullet_lab.studies.noise_study.paths import snapped
 
 FEWEST_STEPS = 30
-"""Of fewer, no more could be said than that they are few."""
+"""Smallest number of steps for a calibration."""
 
-_STILL = 1e-6  # m and rad; who moves less stands
-_SLIP = 0.01  # m; more than this in a step that odometry saw nothing of
-_WIDEST_OFFSET = 1.0
+_STILL = 1e-6  # m and rad, motion of a robot at rest
+_SLIP = 0.01  # m, true motion at which a step without odometry is counted
+_WIDEST_OFFSET = 1.0  # s
 _MOST_DECIMALS = 8
-_MEDIAN = 0.6745  # of the size of a standard normal number
+_MEDIAN = 0.6745  # of the magnitude of a standard normal number
 _NOTEWORTHY = 1e-5  # m and rad, of the truth's noise
-_TIMES = 100.0  # so many times the truth's noise is a step at least
+_TIMES = 100.0  # shortest step as a multiple of the truth's noise
 
-
-# m and rad: equal but for rounding.
+# m and rad: equal except for rounding.
 SAME = 1e-9
-# m and rad in all: of less, a scale says nothing.
-LEAST_WAY, LEAST_TURN = 0.5, 1.0
-# Odometry of real robots is off by 20 % at most; mm and degrees by a factor of 57 and more.
+# m and rad in all, for a check of the scale.
+LEAST_DISTANCE = 0.5
+LEAST_TURN = 1.0
+# Errors of real odometry are at most 20 %; mm and degrees are a factor of 57 and more.
 LARGEST_SCALE = 2.0
 
 
 class StepsError(LabError):
-    """Two paths have no steps in common, or too few."""
+    """Truth and odometry do not match, or have too few steps in common."""
 
 
 @dataclass(frozen=True)
 class StepSettings:
-    """How steps are taken from truth and odometry."""
+    """Noise of the truth, length of steps, and offset of the clocks."""
 
     truth_std_m: float = number(
         0.0, "standard deviation of the truth's position, m; 0: by its jitter and digits", 0.0
@@ -56,15 +56,15 @@ class StepSettings:
         0.0, "standard deviation of the truth's heading, rad; 0: by its jitter and digits", 0.0
     )
     min_distance: float = number(
-        0.0, "m to go before a step ends; 0: a message, or as the truth's jitter asks for", 0.0
+        0.0, "m to go before a step ends; 0: a message, or by the truth's jitter", 0.0
     )
     min_angle: float = number(
-        0.0, "rad to turn before a step ends; 0: a message, or as the jitter asks for", 0.0
+        0.0, "rad to turn before a step ends; 0: a message, or by the jitter", 0.0
     )
     time_offset: float = number(0.0, "s that the odometry's clock is behind the truth's")
-    find_offset: bool = boolean(False, "find time_offset, within a second of what is said")
+    find_offset: bool = boolean(False, "find time_offset, within a second of the given one")
     max_gap: float = number(
-        5.0, "times the usual time between poses after which some are missing", above=1.0
+        5.0, "times the median time between poses after which some are missing", above=1.0
     )
 
 
@@ -75,14 +75,14 @@ class Steps:
     Attributes:
         true: (dx m, dy m, dyaw rad) in the body frame before each, shape (n, 3).
         odometry: the same by the odometry, shape (n, 3).
-        follows: whether each begins where the one before it ended, shape (n,).
-        seconds: how long each takes, shape (n,).
-        resting: how many more there were in which the robot stood still.
-        gaps: how many went over a gap.
-        unseen: in how many of the resting ones the truth moved all the same.
+        follows: whether each begins at the end of the one before, shape (n,).
+        seconds: duration of each, shape (n,).
+        resting: number of other steps, in which the robot was at rest.
+        gaps: number of steps over a gap.
+        unseen: number of the resting steps in which the truth moved.
         truth_std_m: standard deviation of the truth's position.
         truth_std_rad: standard deviation of the truth's heading.
-        remarks: what should be said of them.
+        remarks: lines for the user.
     """
 
     true: np.ndarray
@@ -100,14 +100,14 @@ class Steps:
         return len(self.true)
 
     def check(self) -> None:
-        """Raise StepsError where odometry and truth cannot be of one robot, with the likely cause.
+        """Raise StepsError, with the likely cause, if odometry and truth do not match.
 
-        The odometry's way and turn are compared with the truth's by their regression, which noise
-        on the odometry does not bias.
+        Distance ahead and turn of the odometry are compared with the truth's by their regression,
+        which noise of the odometry does not bias.
         """
         if np.abs(self.true - self.odometry).max(initial=0.0) <= SAME:
             raise StepsError("the odometry equals the truth: are both from one topic or column?")
-        kinds = ((0, "way", "m", LEAST_WAY), (2, "turn", "rad", LEAST_TURN))
+        kinds = ((0, "distance", "m", LEAST_DISTANCE), (2, "turn", "rad", LEAST_TURN))
         for column, what, unit, least in kinds:
             true, odometry = self.true[:, column], self.odometry[:, column]
             if np.abs(true).sum() < least:
@@ -115,7 +115,7 @@ class Steps:
             share = float(true @ odometry / (true @ true))
             if share < 0.0:
                 raise StepsError(
-                    f"the odometry's {what} runs against the truth's: "
+                    f"the odometry's {what} has the opposite sign of the truth's: "
                     f"is the sign of the {what}, or an axis, of one of them reversed?"
                 )
             if not 1.0 / LARGEST_SCALE <= share <= LARGEST_SCALE:
@@ -147,35 +147,35 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
             f"the odometry's clock seems to be {whole:.3f} s behind the truth's "
             f"(standard error {error:.3f} s): time_offset:={whole:.3f}, or find_offset:=true"
         )
-    there, seen = (interpolated(path, stamps) for path in (truth, odometry))
+    true_poses, poses = (interpolated(path, stamps) for path in (truth, odometry))
     broken = _over_gap(stamps, (truth, odometry), settings.max_gap)
-    noise, jitters = _truth_noise(truth, odometry, settings)
-    settings = replace(settings, truth_std_m=noise[0], truth_std_rad=noise[1])
-    if jitters:
-        settings = _long_enough(settings, there)
+    settings = _with_truth_noise(truth, odometry, settings)
+    if max(settings.truth_std_m, settings.truth_std_rad) > _NOTEWORTHY:
+        settings = _long_enough(settings, true_poses)
         remarks.append(_about_jitter(settings))
-    first, last = _ends(there, broken, settings)
-    true, said = se2.between(there[first], there[last]), se2.between(seen[first], seen[last])
-    still = _still(true) | _still(said)
+    first, last = _ends(true_poses, broken, settings)
+    true = se2.between(true_poses[first], true_poses[last])
+    reported = se2.between(poses[first], poses[last])
+    still = _still(true) | _still(reported)
     moving = np.flatnonzero(~still)
     follows = np.zeros(len(moving), dtype=bool)
     follows[1:] = first[moving[1:]] == last[moving[:-1]]
     return Steps(
         true=true[moving],
-        odometry=said[moving],
+        odometry=reported[moving],
         follows=follows,
         seconds=(stamps[last] - stamps[first])[moving],
         resting=int(still.sum()),
         gaps=int(broken.sum()),
         unseen=int((still & (np.hypot(true[:, 0], true[:, 1]) > _SLIP)).sum()),
-        truth_std_m=noise[0],
-        truth_std_rad=noise[1],
+        truth_std_m=settings.truth_std_m,
+        truth_std_rad=settings.truth_std_rad,
         remarks=tuple(f"{recording.name}: {remark}" for remark in remarks),
     )
 
 
 def joined(found: Sequence[Steps]) -> Steps:
-    """Return the steps of all; raises StepsError where they are too few."""
+    """Return the steps of all recordings; raises StepsError if there are too few."""
     steps = Steps(
         *(
             np.concatenate([getattr(one, name) for one in found])
@@ -197,8 +197,8 @@ def joined(found: Sequence[Steps]) -> Steps:
 def interpolated(path: Trajectory, stamps: np.ndarray) -> np.ndarray:
     """Return the poses (m, m, rad) at stamps within a path, shape (n, 3).
 
-    Between two poses the robot goes on the arc that a constant velocity makes; at the stamp of a
-    pose it is that pose, bit for bit.
+    Between two poses the robot drives the arc of a constant velocity; at the stamp of a pose the
+    result is that pose, bit for bit.
 
     >>> path = Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0), (2.0, 2.0, np.pi / 2.0)])
     >>> interpolated(path, np.array([0.0, 0.5])).round(3)
@@ -209,12 +209,12 @@ def interpolated(path: Trajectory, stamps: np.ndarray) -> np.ndarray:
     after = np.minimum(before + 1, len(path) - 1)
     seconds = np.where(after > before, path.stamps[after] - path.stamps[before], 1.0)
     share = (stamps - path.stamps[before]) / seconds
-    way = arcs(se2.between(path.poses[before], path.poses[after]))
-    return se2.compose(path.poses[before], chords(share[:, np.newaxis] * way))
+    whole = arcs(se2.between(path.poses[before], path.poses[after]))
+    return se2.compose(path.poses[before], chords(share[:, np.newaxis] * whole))
 
 
 def resolution(path: Trajectory) -> float:
-    """Return the standard deviation that the digits of a file give to its poses, m or rad.
+    """Return the standard deviation (m or rad) of the rounding of a file's poses.
 
     >>> resolution(Trajectory([0.0, 1.0], [(0.0, 0.5, 0.0), (0.25, 1.0, 0.0)]))
     0.005773502691896258
@@ -222,17 +222,17 @@ def resolution(path: Trajectory) -> float:
     places = path.poses[:, :2]
     for decimals in range(1, _MOST_DECIMALS + 1):
         if np.abs(places - places.round(decimals)).max() < 1e-3 * 10.0**-decimals:
-            # A quaternion's digits give twice as much to the heading.
+            # The rounding of a quaternion has twice the effect on the heading.
             return 2.0 * 10.0**-decimals / np.sqrt(12.0)
     return RESOLUTION
 
 
 def jitter(path: Trajectory) -> Tuple[float, float]:
-    """Return the standard deviation of white noise on a path, m and rad; 0 where none is seen.
+    """Return the standard deviation of white noise on a path, m and rad; 0 without noise.
 
-    Differences of the third and of the fourth order of a smooth path are small, and ever smaller;
-    those of white noise have sqrt(20) and sqrt(70) times its standard deviation. Their medians
-    pass over where the robot starts and stops.
+    Differences of the third and the fourth order of a smooth path are small, the latter smaller.
+    Those of white noise have sqrt(20) and sqrt(70) times its standard deviation. Their medians are
+    not affected by starts and stops of the robot.
 
     >>> jitter(Trajectory(np.arange(9.0), np.tile([0.5, 0.0, 0.0], (9, 1)) * np.arange(9)[:, None]))
     (0.0, 0.0)
@@ -252,18 +252,23 @@ def _white(values: np.ndarray) -> float:
     return fourth if fourth > 0.7 * third else 0.0
 
 
-def _truth_noise(truth: Trajectory, odometry: Trajectory, settings: StepSettings):
-    """Return the standard deviations of the truth, m and rad, and whether they are to be seen."""
-    # A drive that was made up may be round; where the other path is not, digits were not cut.
+def _with_truth_noise(
+    truth: Trajectory, odometry: Trajectory, settings: StepSettings
+) -> StepSettings:
+    """Return the settings with the standard deviations of the truth, estimated if not given."""
+    # The numbers of a made-up drive may be round without rounding: then the odometry's are not.
     least = min(map(resolution, (truth, odometry)))
     seen_m, seen_rad = jitter(truth)
     std_m = settings.truth_std_m or max(seen_m, least)
     std_rad = settings.truth_std_rad or max(seen_rad, least)
-    return (std_m, std_rad), max(std_m, std_rad) > _NOTEWORTHY
+    return replace(settings, truth_std_m=std_m, truth_std_rad=std_rad)
 
 
 def _long_enough(settings: StepSettings, poses: np.ndarray) -> StepSettings:
-    """Have steps so long that the truth's noise is small beside them, where nobody says else."""
+    """Return the settings with steps that are long compared with the truth's noise.
+
+    Given lengths of steps are kept.
+    """
     if settings.min_distance or settings.min_angle:
         return settings
     steps = np.abs(se2.steps(poses))
@@ -274,26 +279,26 @@ def _long_enough(settings: StepSettings, poses: np.ndarray) -> StepSettings:
 
 
 def _about_jitter(settings: StepSettings) -> str:
-    said = (
+    noise = (
         f"the truth has noise of {1e3 * settings.truth_std_m:.2g} mm and "
         f"{1e3 * settings.truth_std_rad:.2g} mrad"
     )
     if not (settings.min_distance or settings.min_angle):
-        return said
+        return noise
     return (
-        f"{said}; steps end after {settings.min_distance:.3g} m or {settings.min_angle:.3g} rad "
+        f"{noise}; steps end after {settings.min_distance:.3g} m or {settings.min_angle:.3g} rad "
         "(min_distance, min_angle)"
     )
 
 
 def clock_offset(truth: Trajectory, odometry: Trajectory, stamps: np.ndarray):
-    """Return by how many s the odometry's clock is behind the truth's, and the standard error.
+    """Return the delay (s) of the odometry's clock behind the truth's, and its standard error.
 
-    It is where ways and turns of both are most alike, within a second. Infinite is the error
-    where too little happens to tell.
+    It is the offset, within a second, for which distances and turns of both are most similar. The
+    standard error is infinite if the motion does not determine it.
     """
     period = float(np.median(np.diff(stamps)))
-    # Long enough for the noise of single messages to matter little.
+    # Long enough to average the noise of single messages.
     window = max(4.0 * period, 0.5)
     inside = (stamps > stamps[0] + _WIDEST_OFFSET) & (
         stamps < stamps[-1] - window - _WIDEST_OFFSET
@@ -301,18 +306,18 @@ def clock_offset(truth: Trajectory, odometry: Trajectory, stamps: np.ndarray):
     begins = stamps[inside]
     if len(begins) < FEWEST_STEPS:
         return 0.0, np.inf
-    said = _motion(odometry, begins, window)
-    scale = np.std(said, axis=0) + 1e-3
+    reported = _motion(odometry, begins, window)
+    scale = np.std(reported, axis=0) + 1e-3
 
-    def unlike(offset: float) -> float:
-        difference = (_motion(truth, begins + offset, window) - said) / scale
-        # What is usually off, by noise and by scales, shall not drown when.
+    def dissimilarity(offset: float) -> float:
+        difference = (_motion(truth, begins + offset, window) - reported) / scale
+        # Without the mean difference, which comes from errors of scale.
         return float(np.sum(np.square(difference - difference.mean(axis=0))))
 
     spacing = 0.5 * period
     count = int(_WIDEST_OFFSET / spacing)
     offsets = spacing * np.arange(-count, count + 1)
-    sums = np.array([unlike(offset) for offset in offsets])
+    sums = np.array([dissimilarity(offset) for offset in offsets])
     best = int(np.argmin(sums))
     if best in (0, len(offsets) - 1):
         return 0.0, np.inf
@@ -321,13 +326,13 @@ def clock_offset(truth: Trajectory, odometry: Trajectory, stamps: np.ndarray):
     if curvature <= 0.0:
         return 0.0, np.inf
     offset = offsets[best] + 0.5 * spacing * (low - high) / (low - 2.0 * middle + high)
-    # Windows overlap: so many stand for one.
+    # Windows overlap, so that fewer are independent.
     independent = 2.0 * len(begins) * period / window
     return float(offset), float(np.sqrt(2.0 * middle / max(independent, 1.0) / curvature))
 
 
 def _motion(path: Trajectory, begins: np.ndarray, window: float) -> np.ndarray:
-    """Return how far a robot goes and turns within a time, (n, 2); any frame will do."""
+    """Return the distances and turns of a robot within windows of time, (n, 2), in any frame."""
     x, y = (np.interp(begins, path.stamps, column) for column in path.poses[:, :2].T)
     x_end, y_end = (np.interp(begins + window, path.stamps, c) for c in path.poses[:, :2].T)
     heading = np.unwrap(path.poses[:, 2])
@@ -342,7 +347,7 @@ def _shifted(path: Trajectory, seconds: float) -> Trajectory:
 
 
 def _common_stamps(truth: Trajectory, odometry: Trajectory, name: str) -> np.ndarray:
-    """Return the stamps of the slower path at which there are both."""
+    """Return the stamps of the slower path within the times of both."""
     start = max(truth.stamps[0], odometry.stamps[0])
     end = min(truth.stamps[-1], odometry.stamps[-1])
     if end <= start:
@@ -357,12 +362,12 @@ def _common_stamps(truth: Trajectory, odometry: Trajectory, name: str) -> np.nda
     slower = int(len(inside[1]) <= len(inside[0]))
     stamps = inside[slower]
     if len(stamps) < 2:
-        raise StepsError(f"{name}: truth and odometry have less than two poses in common")
+        raise StepsError(f"{name}: truth and odometry have fewer than two poses in common")
     return snapped(stamps, (truth, odometry)[1 - slower].stamps)
 
 
 def _over_gap(stamps: np.ndarray, paths: Sequence[Trajectory], most: float) -> np.ndarray:
-    """Return which steps between neighbouring stamps go over a gap of a path, (n-1,)."""
+    """Return whether each step between neighbouring stamps is over a gap of a path, (n-1,)."""
     broken = np.zeros(len(stamps) - 1, dtype=bool)
     for path in paths:
         waits = np.diff(path.stamps)
@@ -375,7 +380,7 @@ def _over_gap(stamps: np.ndarray, paths: Sequence[Trajectory], most: float) -> n
 
 
 def _ends(poses: np.ndarray, broken: np.ndarray, settings: StepSettings):
-    """Return the indices of the poses at which steps begin and end, (n,) and (n,)."""
+    """Return the indices of the poses at the begin and the end of each step, (n,) and (n,)."""
     if settings.min_distance == 0.0 and settings.min_angle == 0.0:
         whole = np.flatnonzero(~broken)
         return whole, whole + 1

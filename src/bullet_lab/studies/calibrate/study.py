@@ -1,4 +1,4 @@
-"""The parameters of noise models and of systematic errors from paths with truth, without ROS.
+"""Calibration of noise models and systematic errors by paths with truth, without ROS.
 
 Example:
     python3 -m bullet_lab.studies.calibrate.study results/mine --data results/squares
@@ -7,20 +7,25 @@ Example:
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, NoReturn, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.core.figures import save
-from bullet_lab.core.files import make_folder, write_json
+from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import choices, integer, name_list, text
 from bullet_lab.noise.calibration import SYSTEMATIC, Problem
 from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.odometry_noise import MODELS
-from bullet_lab.studies.calibrate.coverage import Coverage, coverage, coverage_rows
-from bullet_lab.studies.calibrate.drive import DriveSettings, made_up
+from bullet_lab.studies.calibrate.drive import (
+    Coverage,
+    DriveSettings,
+    coverage,
+    coverage_rows,
+    made_up,
+)
 from bullet_lab.studies.calibrate.figures import (
     coverage_figure,
     paths_figure,
@@ -42,27 +47,19 @@ from bullet_lab.studies.calibrate.results import (
     noise_yaml,
 )
 from bullet_lab.studies.calibrate.steps import Steps, StepSettings, joined, take_steps
-from bullet_lab.studies.study import (
-    MOST_SEED,
-    SUMMARY,
-    Settings,
-    Tell,
-    progress,
-    run_from,
-    silent,
-    whole_results,
-    write_table,
-)
+from bullet_lab.studies.results import write_results
+from bullet_lab.studies.study import MOST_SEED, Settings, Tell, progress, run_from, silent
+from bullet_lab.studies.workers import run_tasks, this_process
 
 NO_ERRORS = "none"
 WHEELS, GYRO = SYSTEMATIC[2:]
-_BOTH_WAYS = 0.05  # of the way at least are driven forwards, and backwards
+_LEAST_SHARE = 0.05  # of the distance, forwards and backwards, to fit both of these
 MOST_COVERAGE_PATHS = 100_000
 
 
 @dataclass(frozen=True)
 class CalibrateSettings(Settings):
-    """What is asked."""
+    """Models and errors to fit."""
 
     models: Tuple[str, ...] = choices(tuple(MODELS), "noise models to fit and compare", MODELS)
     systematic: Tuple[str, ...] = choices(
@@ -71,7 +68,7 @@ class CalibrateSettings(Settings):
     seed: int = integer(1, "seed of the bootstrap and of what is made up", 0, MOST_SEED)
     coverage: int = integer(
         0,
-        "count on so many made-up paths of one lap how often intervals hold the truth, instead",
+        "number of made-up paths of one lap; count how often intervals hold the truth, instead",
         0,
         MOST_COVERAGE_PATHS,
     )
@@ -84,10 +81,10 @@ class CalibrateSettings(Settings):
 
 @dataclass(frozen=True)
 class DataSettings:
-    """Where the paths are."""
+    """Files of the paths."""
 
     data: Tuple[str, ...] = name_list(
-        "bags, tables with both paths, or folders of recordings; none: a drive that is made up"
+        "bags, tables with both paths, or folders of recordings; none: a made-up drive"
     )
     truth: str = text("", "file of the truth, instead of data")
     odometry: str = text("", "file of the odometry that belongs to it")
@@ -96,10 +93,10 @@ class DataSettings:
     base: str = text("", "folder that relative paths start from")
 
     def recordings(self) -> List[Recording]:
-        """Read them; raises LabError. There are none where nothing is named."""
+        """Read the recordings; none if no file is given. Raises LabError."""
         topics = Topics(self.truth_topic, self.odometry_topic)
         if bool(self.truth) != bool(self.odometry):
-            raise RecordingError("truth and odometry are two files of one recording: name both")
+            raise RecordingError("truth and odometry are one recording: both files are needed")
         found: List[Recording] = []
         if self.truth:
             found.append(read_pair(self._path(self.truth), self._path(self.odometry), topics))
@@ -119,86 +116,102 @@ def run_calibration(
     recordings: Sequence[Recording] = (),
     tell: Tell = silent,
 ) -> Dict[str, Any]:
-    """Calibrate, leave noise.yaml, pictures and summary.json, and return what that says.
+    """Calibrate; write noise.yaml, figures and summary.json; return the summary.
 
     Args:
         folder: for the results.
-        settings: what is asked.
-        steps: how steps are taken.
-        drive: that is made up where there are no recordings.
+        settings: models and errors to fit.
+        steps: settings of the steps.
+        drive: made up if there are no recordings.
         recordings: to calibrate by.
-        tell: gets lines of text.
+        tell: prints a line.
 
     Raises:
-        LabError: recordings that cannot be used, or a folder that cannot be written to.
+        LabError: recordings that are not usable, or a folder that cannot be written to.
     """
-    invented = not recordings
-    recordings = recordings or [made_up(drive, settings.seed)]
+    true: Dict[str, Dict[str, float]] = {}
+    if not recordings:
+        recordings = [made_up(drive, settings.seed)]
+        errors = {name: getattr(drive, name) for name in settings.errors}
+        true = {drive.model: {**drive.noise(), **errors}}
     taken = joined([take_steps(recording, steps) for recording in recordings])
     taken.check()
-    errors, left_out = _separable(taken, settings.errors)
-    for remark in (*_remarks(taken), *left_out):
-        tell(remark)
-    found = []
-    with progress("calibrate", len(settings.models), tell, unit="model", things=" models") as note:
-        for model in settings.models:
-            problem = Problem(_pairs(taken), model, errors, drive.wheel_base)
-            found.append(calibrate(problem, taken.follows, settings.seed))
-            note()
-    true = _true_values(drive, settings) if invented else {}
+    about = _about_steps(taken)
+    fitted = settings.errors if _separable(taken) else _without_gyro(settings.errors)
+    for line in _remarks(about):
+        tell(line)
+    if fitted != settings.errors:
+        tell(
+            f"{GYRO} is not fitted: on a path that goes one way only, it is a {WHEELS} of "
+            "-wheel_base times as much"
+        )
+    pairs = StepPairs(
+        taken.true, taken.odometry[np.newaxis], taken.truth_std_m, taken.truth_std_rad
+    )
+
+    def calibrate_model(number: int) -> Calibration:
+        problem = Problem(pairs, settings.models[number], fitted, drive.wheel_base)
+        return calibrate(problem, taken.follows, settings.seed)
+
+    count = len(settings.models)
+    found = run_tasks(calibrate_model, count, this_process, tell, "calibrate", "model", " models")
     for line in lines(found, true):
         tell(line)
     summary = {
         "job": "calibrate",
         "seed": settings.seed,
         "recordings": [recording.name for recording in recordings],
-        "steps": _about_steps(taken),
+        "steps": about,
         **calibration_summary(found),
     }
-    _write(folder, found, taken, recordings, summary, true)
-    return summary
+    best = min(found, key=lambda one: one.aic)
+    figures = {
+        "residuals.png": residuals_figure(found),
+        "profiles.png": profiles_figure(best, true.get(best.model, {})),
+        "paths.png": paths_figure(recordings, best),
+    }
+    return write_results(folder, summary, {}, figures, _noise_files(found, best, summary))
 
 
-def _pairs(taken: Steps) -> StepPairs:
-    return StepPairs(
-        taken.true,
-        taken.odometry[np.newaxis],
-        taken.truth_std_m,
-        taken.truth_std_rad,
-    )
+def _noise_files(
+    found: Sequence[Calibration], best: Calibration, summary: Dict[str, Any]
+) -> Dict[str, str]:
+    """Return the YAML files for noisy_odom by name."""
+    source, *others = summary["recordings"]
+    if others:
+        source += f" and {len(others)} more"
+    seconds = summary["steps"]["median_s"]
+    texts = {f"noise_{one.model}.yaml": noise_yaml(one, source, seconds) for one in found}
+    return {**texts, "noise.yaml": noise_yaml(best, source, seconds)}
 
 
-def _separable(taken: Steps, errors: Sequence[str]) -> Tuple[Tuple[str, ...], List[str]]:
-    """Leave out the gyro's bias where it cannot be told from unequal wheels, and say so."""
-    way = taken.true[:, 0]
-    less = min(way[way > 0.0].sum(), -way[way < 0.0].sum())
-    if {GYRO, WHEELS} <= set(errors) and less < _BOTH_WAYS * np.abs(way).sum():
-        kept = tuple(name for name in errors if name != GYRO)
-        return kept, [
-            f"{GYRO} is not fitted: on a path that goes one way only, it is a {WHEELS} of "
-            "-wheel_base times as much"
-        ]
-    return tuple(errors), []
+def _separable(taken: Steps) -> bool:
+    """Return whether the robot drives both forwards and backwards.
+
+    Otherwise the gyro's bias has the same effect as unequal wheels.
+    """
+    ahead = taken.true[:, 0]
+    less = min(ahead[ahead > 0.0].sum(), -ahead[ahead < 0.0].sum())
+    return less >= _LEAST_SHARE * np.abs(ahead).sum()
 
 
-def _true_values(drive: DriveSettings, settings: CalibrateSettings) -> Dict[str, Dict[str, float]]:
-    errors = {name: getattr(drive, name) for name in settings.errors}
-    return {drive.model: {**drive.noise(), **errors}}
+def _without_gyro(errors: Tuple[str, ...]) -> Tuple[str, ...]:
+    """Return the errors without the gyro's bias if unequal wheels are among them."""
+    return tuple(name for name in errors if name != GYRO or WHEELS not in errors)
 
 
-def _remarks(taken: Steps) -> List[str]:
-    length = float(np.hypot(taken.true[:, 0], taken.true[:, 1]).sum())
-    said = [
-        f"{len(taken)} steps of {np.median(taken.seconds):.3g} s, {length:.1f} m and "
-        f"{np.abs(taken.true[:, 2]).sum():.1f} rad in all; {taken.resting} more stood still, "
-        f"{taken.gaps} went over a gap"
+def _remarks(about: Dict[str, Any]) -> List[str]:
+    remarks = [
+        f"{about['count']} steps of {about['median_s']:.3g} s, {about['length_m']:.1f} m and "
+        f"{about['turned_rad']:.1f} rad in all; {about['resting']} more stood still, "
+        f"{about['over_gaps']} went over a gap"
     ]
-    if taken.unseen:
-        said.append(
-            f"in {taken.unseen} steps the truth moved and the odometry saw nothing of it: "
+    if about["moved_unseen"]:
+        remarks.append(
+            f"in {about['moved_unseen']} steps the truth moved and the odometry did not: "
             "they are left out"
         )
-    return [*said, *taken.remarks]
+    return [*remarks, *about["remarks"]]
 
 
 def _about_steps(taken: Steps) -> Dict[str, Any]:
@@ -216,38 +229,16 @@ def _about_steps(taken: Steps) -> Dict[str, Any]:
     }
 
 
-def _write(
-    folder: Path,
-    found: Sequence[Calibration],
-    taken: Steps,
-    recordings: Sequence[Recording],
-    summary: Mapping[str, Any],
-    true: Mapping[str, Mapping[str, float]],
-) -> None:
-    source = recordings[0].name
-    if len(recordings) > 1:
-        source += f" and {len(recordings) - 1} more"
-    seconds = float(np.median(taken.seconds))
-    best = min(found, key=lambda one: one.aic)
-    with whole_results(folder) as part:
-        for one in found:
-            (part / f"noise_{one.model}.yaml").write_text(noise_yaml(one, source, seconds))
-        (part / "noise.yaml").write_text(noise_yaml(best, source, seconds))
-        save(residuals_figure(found), part / "residuals.png")
-        save(profiles_figure(best, true.get(best.model, {})), part / "profiles.png")
-        save(paths_figure(recordings, best), part / "paths.png")
-        write_json(part / SUMMARY, summary)
-
 
 def run_coverage(
     folder: Path, settings: CalibrateSettings, drive: DriveSettings, tell: Tell = silent
 ) -> Dict[str, Any]:
-    """Count how often intervals hold the truth, leave coverage.csv and .png, and summary.json.
+    """Count how often intervals hold the truth; write coverage.csv and .png, and summary.json.
 
-    Random and systematic errors, all of them, are fitted together.
+    All random and systematic errors are fitted together.
 
     Raises:
-        LabError: a folder that cannot be written to.
+        LabError: the folder cannot be written to.
     """
     found: List[Coverage] = []
     lap = replace(drive, laps=1)
@@ -267,11 +258,8 @@ def run_coverage(
         "seed": settings.seed,
         "coverage": [one.summary() for one in found],
     }
-    with whole_results(folder) as part:
-        write_table(part / "coverage.csv", coverage_rows(found))
-        save(coverage_figure(found), part / "coverage.png")
-        write_json(part / SUMMARY, summary)
-    return summary
+    tables = {"coverage.csv": coverage_rows(found)}
+    return write_results(folder, summary, tables, {"coverage.png": coverage_figure(found)}, {})
 
 
 def _run(
@@ -282,7 +270,7 @@ def _run(
     drive: DriveSettings,
     tell: Tell,
 ) -> None:
-    # Better known now than after the work.
+    # A folder that cannot be written to shows here, instead of after the work.
     make_folder(folder)
     if settings.coverage:
         run_coverage(folder, settings, drive, tell)
@@ -290,10 +278,8 @@ def _run(
         run_calibration(folder, settings, steps, drive, data.recordings(), tell)
 
 
-def main(words: Optional[Sequence[str]] = None) -> NoReturn:
-    """Calibrate from the command line; see `run_from`."""
-    kinds = (CalibrateSettings, DataSettings, StepSettings, DriveSettings)
-    run_from("calibrate", __doc__, kinds, _run, words)
+SETTINGS = (CalibrateSettings, DataSettings, StepSettings, DriveSettings)
+main = functools.partial(run_from, "calibrate", __doc__, SETTINGS, _run)
 
 
 if __name__ == "__main__":

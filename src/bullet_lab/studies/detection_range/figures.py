@@ -1,9 +1,9 @@
-"""The pictures of a detection range: heat maps, and one that says from where to where."""
+"""Figures of the detection range: heat maps, and one of the limits."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Dict, Mapping, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -15,21 +15,24 @@ from matplotlib.patches import Circle, Polygon, Wedge
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.studies.detection_range.trial import Snapshot
+from bullet_lab.studies.results import Record, panels
+from bullet_lab.studies.worlds import DEFAULT_LIGHT
 
-Row = Mapping[str, Any]
+Ends = Tuple[Optional[float], Optional[float]]
+"""Closest and farthest distance (m) of a range, None without one."""
 
-# Of the share of pictures: never, hardly, half, mostly, nearly always (95 %), always.
+# Shares of images with the marker found: none, few, half, most, nearly all (95 %), all.
 BOUNDS = (0.0, 0.001, 0.25, 0.5, 0.75, 0.95, 0.9999, 1.0001)
 COLOURS = ("#4d4d4d", "#b2182b", "#d6604d", "#f4a582", "#fddbc7", "#92c5de", "#2166ac")
 HIDDEN = "#e8e8e8"
 ROBOT_RADIUS = 0.2
 CAMERA_AHEAD = 0.16
 PICTURE_SPAN = 5.0
-"""A picture is cut out to so many sides of the marker in it."""
+"""Height of the part of an image that is shown, in sides of the marker."""
 
 
-def heat_map(world: str, rows: Sequence[Row]) -> Figure:
-    """Draw how often the marker is found in a world: a map for each light.
+def heat_map(world: str, rows: Sequence[Record]) -> Figure:
+    """Draw the share of images with the marker found in a world: a map for each light.
 
     Args:
         world: its name.
@@ -38,22 +41,22 @@ def heat_map(world: str, rows: Sequence[Row]) -> Figure:
     lights = list(dict.fromkeys(row["light"] for row in rows))
     bearings = sorted({row["bearing_deg"] for row in rows})
     distances = sorted({row["distance_m"] for row in rows})
-    size = (1.6 + 0.52 * len(distances), 1.3 + len(lights) * (0.75 + 0.34 * len(bearings)))
-    figure = new_figure(max(size[0], 6.0), size[1])
-    figure.suptitle(f"{world}: pictures in which the marker is found, in %")
-    grid = figure.subplots(len(lights), 1, squeeze=False)[:, 0]
-    for axes, light in zip(grid, lights):
+    width = max(1.6 + 0.52 * len(distances), 6.0)
+    height = 1.3 + len(lights) * (0.75 + 0.34 * len(bearings))
+    title = f"{world}: pictures in which the marker is found, in %"
+    figure, grid = panels((len(lights), 1), (width, height), title)
+    for axes, light in zip(grid.flat, lights):
         of_light = [row for row in rows if row["light"] == light]
         _draw_map(axes, of_light, distances, bearings)
         axes.set_title(f"{light} light", fontsize=10, loc="left")
         axes.set_ylabel("bearing (°)")
-    grid[-1].set_xlabel("distance from camera to marker (m); grey: behind a wall; white: no room")
-    figure.tight_layout(rect=(0.0, 0.0, 1.0, 1.0 - 0.05 / size[1]))
+    axes.set_xlabel("distance from camera to marker (m); grey: behind a wall; white: no room")
+    figure.tight_layout(rect=(0.0, 0.0, 1.0, 1.0 - 0.05 / height))
     return figure
 
 
 def _draw_map(
-    axes: Axes, rows: Sequence[Row], distances: Sequence[float], bearings: Sequence[float]
+    axes: Axes, rows: Sequence[Record], distances: Sequence[float], bearings: Sequence[float]
 ) -> None:
     axes.set_xlim(-0.5, len(distances) - 0.5)
     axes.set_ylim(-0.5, len(bearings) - 0.5)
@@ -69,25 +72,25 @@ def _draw_map(
             axes.text(x, y, text, ha="center", va="center", fontsize=7.5, color=shade)
 
 
-def _colour(row: Row) -> str:
+def _colour(row: Record) -> str:
     if not row["visible"] and not row["found"]:
         return HIDDEN
     return COLOURS[int(np.searchsorted(BOUNDS, row["rate"], side="right")) - 1]
 
 
 def range_figure(
-    rows: Sequence[Row],
+    rows: Sequence[Record],
     summary: Mapping[str, Any],
     pictures: Mapping[Tuple[str, float], Snapshot],
 ) -> Figure:
     """Draw the answer to the report's question: how close, how far.
 
-    Left the floor before the marker, with the rate of detection; right the range in each world
-    and light; below what the camera sees from the ends of the first world's range.
+    Left: the floor in front of the marker, with the rate of detection. Right: the range in each
+    world and light. Below: images from the ends of the first world's range.
 
     Args:
         rows: of all cells, as in the table.
-        summary: what `detection_summary` says of them.
+        summary: their `detection_summary`.
         pictures: by world and distance, straight ahead in the world's own light.
     """
     figure = new_figure(13.0, 8.8)
@@ -103,23 +106,21 @@ def range_figure(
     floor.set_title(f"{world}, {rows[0]['light']} light: where the marker is found")
     _add_scale(figure, floor)
     _draw_bars(figure.add_subplot(grid[0, 9:12]), summary)
-    chosen = _chosen_pictures(world, ends, pictures)
-    for index, (distance, snapshot) in enumerate(chosen):
+    of_world = {distance: pictures[name, distance] for name, distance in pictures if name == world}
+    for index, distance in enumerate(_chosen(sorted(of_world), ends)):
         axes = figure.add_subplot(grid[1, 3 * index : 3 * index + 3])
-        _show_picture(axes, snapshot)
+        _show_picture(axes, of_world[distance])
         axes.set_title(f"{distance:g} m", fontsize=10)
     figure.suptitle(_headline(world, ends, own), fontsize=15)
     return figure
 
 
-def _ends(entry: Mapping[str, Any], light: str) -> Tuple[Optional[float], Optional[float]]:
-    figures = entry if "closest_m" in entry else entry["lights"][light]
+def _ends(entry: Mapping[str, Any], light: str) -> Ends:
+    figures = entry if light == DEFAULT_LIGHT else entry["lights"][light]
     return figures["closest_m"], figures["farthest_frontal_m"]
 
 
-def _headline(
-    world: str, ends: Tuple[Optional[float], Optional[float]], rows: Sequence[Row]
-) -> str:
+def _headline(world: str, ends: Ends, rows: Sequence[Record]) -> str:
     if ends[0] is None:
         return f"{world}: the marker is found from nowhere"
     limit = ", the farthest tried" if ends[1] == max(row["distance_m"] for row in rows) else ""
@@ -127,10 +128,8 @@ def _headline(
     return f"Straight ahead the marker is found {where} ({world})"
 
 
-def _draw_floor(
-    axes: Axes, rows: Sequence[Row], ends: Tuple[Optional[float], Optional[float]]
-) -> None:
-    """Draw sectors of rings about the marker, seen from above; it is on top and looks down."""
+def _draw_floor(axes: Axes, rows: Sequence[Record], ends: Ends) -> None:
+    """Draw sectors of rings around the marker from above; it is on top and faces down."""
     rings = _edges(sorted({row["distance_m"] for row in rows}))
     sectors = _edges(sorted({row["bearing_deg"] for row in rows}))
     for row in rows:
@@ -168,7 +167,7 @@ def _draw_robot(axes: Axes, distance: float, colour: str) -> None:
 
 
 def _edges(values: Sequence[float]) -> Dict[float, Tuple[float, float]]:
-    """Return, for each of the sorted values, the middles to its neighbours."""
+    """Return, for each of the sorted values, the midpoints to its neighbours."""
     middles = [0.5 * (a + b) for a, b in zip(values, values[1:])]
     first = max(0.0, values[0] - (middles[0] - values[0] if middles else 0.1))
     last = values[-1] + (values[-1] - middles[-1] if middles else 0.1)
@@ -213,19 +212,13 @@ def _draw_bars(axes: Axes, summary: Mapping[str, Any]) -> None:
     axes.set_axisbelow(True)
 
 
-def _chosen_pictures(
-    world: str,
-    ends: Tuple[Optional[float], Optional[float]],
-    pictures: Mapping[Tuple[str, float], Snapshot],
-) -> List[Tuple[float, Snapshot]]:
-    """Return up to four pictures: from the range's ends, from in between, and from beyond."""
-    known = sorted(distance for name, distance in pictures if name == world)
-    if not known or ends[0] is None:
-        return [(distance, pictures[world, distance]) for distance in known[:4]]
-    inside = [d for d in known if ends[0] <= d <= ends[1]]
-    beyond = [d for d in known if d > ends[1]][:1]
-    picked = dict.fromkeys([inside[0], inside[len(inside) // 2], inside[-1], *beyond])
-    return [(distance, pictures[world, distance]) for distance in picked]
+def _chosen(distances: Sequence[float], ends: Ends) -> Sequence[float]:
+    """Return up to four distances: the range's ends, one between them, and one beyond."""
+    if not distances or ends[0] is None:
+        return distances[:4]
+    inside = [d for d in distances if ends[0] <= d <= ends[1]]
+    beyond = [d for d in distances if d > ends[1]][:1]
+    return list(dict.fromkeys([inside[0], inside[len(inside) // 2], inside[-1], *beyond]))
 
 
 def _show_picture(axes: Axes, snapshot: Snapshot) -> None:
@@ -243,7 +236,7 @@ def _show_picture(axes: Axes, snapshot: Snapshot) -> None:
 
 
 def _zoom(axes: Axes, corners: np.ndarray, shape: Tuple[int, ...]) -> None:
-    """Show a marker and what is around it, within the picture."""
+    """Limit the axes to a marker and its surroundings, within the image."""
     side = float(np.linalg.norm(corners[0] - corners[1]))
     middle = corners.mean(axis=0)
     height = min(PICTURE_SPAN * side, shape[0])

@@ -1,4 +1,4 @@
-"""Trial of one cell: its pictures, and what the detector finds in them, judged by the truth."""
+"""The trial of a cell: its images, and their detections compared with the truth."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from bullet_lab.studies.detection_range.scenes import (
     cell_shots,
     in_optical_frame,
     is_visible,
-    lit_world,
     strewn_shots,
 )
+from bullet_lab.studies.worlds import DEFAULT_LIGHT, lit_world
 from bullet_lab.vision.marker_detector import DetectorSettings
 from bullet_lab.vision.marker_pose import MarkerObserver, ObservedMarker
 
 LARGEST_OFFSET = 0.15
-"""Share of a marker's side by which the corners of a detection may be off, beside a pixel."""
+"""Tolerance of a detection's corners as a share of the marker's side, plus one pixel."""
 
 CELLS_PER_SIDE = 8
 HIDDEN_SHARE = 0.2
@@ -38,14 +38,14 @@ HIDDEN_SHARE = 0.2
 
 @dataclass(frozen=True)
 class Frame:
-    """What was found in one picture.
+    """The detections in one image.
 
     Attributes:
-        found: whether the wanted marker was.
-        others: detections of markers that are there, with the same id, and not meant.
+        found: whether the wanted marker was detected.
+        others: detections of the other markers with its id.
         doubles: further detections of the wanted marker.
-        false: detections of markers that are not there.
-        distance_error: m, of the marker's middle; measured less true; NaN where not found.
+        false: detections where there is no marker.
+        distance_error: m, of the marker's centre; measured minus true; NaN if it was not found.
         lateral_error: m, likewise, across the line of sight.
         rotation_error: rad, angle between measured and true attitude.
         flipped: whether the other of the two possible attitudes was nearer to the truth.
@@ -63,7 +63,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A picture as PNG, and the (n, 4, 2) corners of the markers found in it, in pixels."""
+    """An image as PNG, and the (n, 4, 2) corners of the markers found in it, in pixels."""
 
     png: bytes
     corners: np.ndarray
@@ -71,14 +71,14 @@ class Snapshot:
 
 @dataclass(frozen=True)
 class CellResult:
-    """What was found in a cell of the grid.
+    """The detections in a cell of the grid.
 
     Attributes:
-        cell: where.
-        visible: whether nothing stands between camera and marker.
-        frames: what was found in each picture.
-        pixels_per_cell: how large a cell of the marker is in them.
-        snapshot: one of the pictures, if it was to be kept.
+        cell: of the grid.
+        visible: whether the marker is not hidden.
+        frames: detections in each image.
+        pixels_per_cell: mean size of a cell of the marker.
+        snapshot: one of the images, if it is kept.
     """
 
     cell: Cell
@@ -92,7 +92,7 @@ class CellResult:
         return sum(frame.found for frame in self.frames) / len(self.frames)
 
     def row(self) -> Dict[str, Any]:
-        """Return the figures of the cell by name; None where there is nothing to measure."""
+        """Return the row of the table; without finds, the errors are None."""
         found = [frame for frame in self.frames if frame.found]
         return {
             "world": self.cell.world,
@@ -123,10 +123,10 @@ def _spread(name: str, values: List[float]) -> Dict[str, Optional[float]]:
 
 
 def try_cell(cell: Cell, frames: int, seed: int, keep: bool = False) -> CellResult:
-    """Take pictures of a cell and judge what the detector finds in them; raises LabError.
+    """Take images of a cell and compare the detections with the truth; raises LabError.
 
-    Where the marker is hidden fewer are taken: `HIDDEN_SHARE` of them. The first one is returned
-    if it is to be kept.
+    If the marker is hidden, only `HIDDEN_SHARE` of the frames are taken. With `keep`, the first
+    image is returned.
     """
     visible = is_visible(cell)
     count = frames if visible else math.ceil(HIDDEN_SHARE * frames)
@@ -139,12 +139,12 @@ def try_cell(cell: Cell, frames: int, seed: int, keep: bool = False) -> CellResu
 
 
 def count_false(world: str, block: int, frames: int, seed: int) -> Tuple[int, int]:
-    """Take pictures from all over a world, in its own light, and count what is not there.
+    """Take images all over a world, in its own light, and count false detections.
 
     Returns:
-        How many false detections there were, and in how many pictures the marker was found.
+        The numbers of false detections, and of images with the marker found.
     """
-    inspection = _inspection(world, "default", seed)
+    inspection = _inspection(world, DEFAULT_LIGHT, seed)
     judged = [inspection.judge(shot) for shot in strewn_shots(world, frames, seed, block)]
     return sum(frame.false for frame in judged), sum(frame.found for frame in judged)
 
@@ -164,22 +164,22 @@ class Inspection:
         self._observer = MarkerObserver(DetectorSettings(DICTIONARY), self._known.wanted.size)
 
     def snapshot(self, shot: Shot) -> Snapshot:
-        """Take a picture and keep it, with the corners of what is found."""
-        picture, markers = self._look(shot)
+        """Take an image and return it with the corners of the markers found."""
+        picture, markers = self._observe(shot)
         png = cv2.imencode(".png", picture)[1].tobytes()
         return Snapshot(png, np.array([m.corners for m in markers]).reshape(-1, 4, 2))
 
     def judge(self, shot: Shot) -> Frame:
-        """Take a picture and compare what is found in it with the truth."""
-        _, markers = self._look(shot)
+        """Take an image and compare the detections with the truth."""
+        _, markers = self._observe(shot)
         return judge(markers, shot.pose, self._known.wanted, self._known.others, self._geometry)
 
-    def _look(self, shot: Shot) -> Tuple[np.ndarray, List[ObservedMarker]]:
+    def _observe(self, shot: Shot) -> Tuple[np.ndarray, List[ObservedMarker]]:
         picture = self._camera.take(shot.pose, shot.number)
         return picture, self._observer.observe(picture, self._geometry).markers
 
     def side(self, pose: Pose) -> float:
-        """Return the mean side of the wanted marker in the picture, in pixels."""
+        """Return the mean side of the wanted marker in the image, in pixels."""
         corners = in_optical_frame(pose, self._known.wanted.corners())
         return _side(self._geometry.project(corners))
 
@@ -191,14 +191,14 @@ def judge(
     others: Tuple[PrintedMarker, ...],
     camera: PinholeCamera,
 ) -> Frame:
-    """Compare what was found in a picture with the truth.
+    """Compare the detections in an image with the truth.
 
     Args:
-        markers: what was found.
+        markers: detections.
         pose: of the camera in the world.
-        wanted: the marker that should be found.
-        others: markers with the same id that are there, too.
-        camera: geometry of the picture.
+        wanted: the marker to find.
+        others: other markers with the same id.
+        camera: geometry of the image.
     """
     hits = [m for m in markers if _is_seen_at(m, wanted, pose, camera)]
     rest = [m for m in markers if not _is_seen_at(m, wanted, pose, camera)]

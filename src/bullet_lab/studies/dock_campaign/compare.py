@@ -1,95 +1,89 @@
-"""Two campaigns of the same dockings side by side: what each controller made of each scenario."""
+"""A comparison of two controllers by their campaigns of the same dockings."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Sequence
+from typing import Any, Dict, List, Mapping, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import stats
 
-from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure, save
-from bullet_lab.core.files import FileError, write_json
-from bullet_lab.docking.verdict import DOCKED
+from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION
+from bullet_lab.core.files import FileError
+from bullet_lab.docking.verdict import DOCKED, ERRORS
 from bullet_lab.errors import LabError
-from bullet_lab.studies.dock_campaign.results import LOG, standing
-from bullet_lab.studies.dock_campaign.trial import TOLERANCES, Record
-from bullet_lab.studies.study import whole_results, write_table
+from bullet_lab.studies.dock_campaign.results import LOG, QUANTITIES, reported_docked
+from bullet_lab.studies.dock_campaign.trial import TOLERANCES
+from bullet_lab.studies.results import Record, panels, write_results
 
-TABLE, PICTURE, NUMBERS = "comparison.csv", "comparison.png", "comparison.json"
 CONFIDENCE = 0.95
 NAV2_THRESHOLD = 0.05
-"""nav2's `docking_threshold`, m: a robot so near to the dock's pose, turned as it may be, is in."""
+"""nav2's `docking_threshold`, m: within it a robot counts as docked, with any heading."""
 
 
 class ComparisonError(LabError):
-    """Two campaigns that cannot be laid side by side."""
+    """Two campaigns cannot be compared."""
 
 
-@dataclass(frozen=True)
-class Campaign:
-    """The dockings of one controller, by their indices, and all else that they were drawn from."""
+def read_campaign(path: Path) -> Tuple[str, Dict[str, Any], Dict[int, Record]]:
+    """Read the log of a campaign; raises FileError or ComparisonError.
 
-    controller: str
-    drawn_from: Mapping[str, Any]
-    records: Mapping[int, Record]
-
-
-def read_campaign(path: Path) -> Campaign:
-    """Read the log of a campaign; raises FileError or ComparisonError."""
+    Returns:
+        Its controller, its other parameters, and the records by index.
+    """
     try:
         first, *lines = [json.loads(line) for line in path.read_text().splitlines()]
-        drawn_from = dict(first["campaign"])
-        records = {line["index"]: line for line in lines}
-        return Campaign(drawn_from.pop("controller"), drawn_from, records)
+        parameters = dict(first["campaign"])
+        return parameters.pop("controller"), parameters, {line["index"]: line for line in lines}
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError):
-        raise ComparisonError(f"{path} is no log of a whole campaign") from None
+        raise ComparisonError(f"{path} is not the log of a finished campaign") from None
 
 
 def compare(folder: Path, beside: Path, dockings: int) -> List[str]:
-    """Lay the campaign of a folder beside another one's; leave table, picture and numbers in it.
+    """Compare the campaign of a folder with another one; write table, figure and numbers.
 
     Args:
         folder: of a finished campaign.
-        beside: log of another one of the same draws, with as many dockings at least.
-        dockings: how many of them, from index 0 on.
+        beside: log of another one of the same draws, with at least as many dockings.
+        dockings: number of dockings, from index 0 on.
 
     Returns:
-        Lines for people.
+        Lines for the user.
 
     Raises:
-        LabError: the other campaign is not of the same dockings, or lacks some of them.
+        LabError: the other campaign has other dockings, or lacks some of them.
     """
-    both = read_campaign(beside), read_campaign(folder / LOG)
-    if both[0].drawn_from != both[1].drawn_from:
-        raise ComparisonError(f"{beside} is of other dockings than {folder}")
-    missing = [index for index in range(dockings) if index not in both[0].records]
+    first, drawn_from, first_records = read_campaign(beside)
+    second, own_drawn_from, second_records = read_campaign(folder / LOG)
+    if drawn_from != own_drawn_from:
+        raise ComparisonError(f"{beside} has other dockings than {folder}")
+    indices = range(dockings)
+    missing = [index for index in indices if index not in first_records]
     if missing:
         raise ComparisonError(f"{beside} lacks {len(missing)} of {dockings} dockings")
-    names = [campaign.controller for campaign in both]
-    if names[0] == names[1]:
-        names = [f"{name} ({place.name})" for name, place in zip(names, (beside.parent, folder))]
-    pairs = [[c.records[index] for index in range(dockings)] for c in both]
+    names = [first, second]
+    if first == second:
+        names = [f"{first} ({beside.parent.name})", f"{second} ({folder.name})"]
+    pairs = [[records[index] for index in indices] for records in (first_records, second_records)]
     columns = [figures_of(records) for records in pairs]
+    paired = paired_figures(*pairs)
     numbers = {
         "dockings": dockings,
-        **both[0].drawn_from,
+        **drawn_from,
         "controllers": dict(zip(names, columns)),
-        "paired": paired_figures(*pairs),
+        "paired": paired,
     }
-    with whole_results(folder) as part:
-        write_table(part / TABLE, table_rows(names, columns))
-        save(comparison_figure(names, pairs, columns), part / PICTURE)
-        write_json(part / NUMBERS, numbers)
-    return describe(names, columns, numbers["paired"])
+    tables = {"comparison.csv": table_rows(names, columns)}
+    figures = {"comparison.png": comparison_figure(names, pairs, columns)}
+    write_results(folder, numbers, tables, figures, {}, "comparison.json")
+    return describe(names, columns, paired)
 
 
 def share(hits: int, trials: int) -> Dict[str, Any]:
@@ -107,9 +101,9 @@ def share(hits: int, trials: int) -> Dict[str, Any]:
 
 
 def quantile(values: Sequence[float], part: float) -> Dict[str, Any]:
-    """Return a quantile with the interval that two order statistics give, whatever the law.
+    """Return a quantile with an interval from two order statistics, for any distribution.
 
-    An end that so few values do not give is None, and all are if there are no values.
+    An end for which there are too few values is None; without values, all are None.
     (H. A. David and H. N. Nagaraja, Order Statistics, 2003, section 7.1.)
 
     >>> quantile(range(1, 101), 0.5)
@@ -132,33 +126,25 @@ def _off(record: Record) -> float:
     return math.hypot(record["distance_error_m"], record["lateral_error_m"])
 
 
-QUANTITIES = (
-    ("time", "s", "sim_time_s", 1.0),
-    ("distance error", "mm", "distance_error_m", 1000.0),
-    ("lateral error", "mm", "lateral_error_m", 1000.0),
-    ("yaw error", "°", "yaw_error_deg", 1.0),
-)
-"""Of the dockings that were said to be, without a contact: name, unit, column and factor."""
-
 QUANTILES = (("median", 0.5), ("99 %", 0.99))
 
 
 def figures_of(records: Sequence[Record]) -> Dict[str, Any]:
     """Return the figures of one controller by name, each with its interval."""
-    count, said = len(records), standing(records)
+    count, at_dock = len(records), reported_docked(records)
     figures: Dict[str, Any] = {
         "docked within the dock's tolerance (%)": share(
             sum(record["result"] == DOCKED for record in records), count
         ),
         "docked within nav2's 50 mm (%)": share(
-            sum(_off(record) <= NAV2_THRESHOLD for record in said), count
+            sum(_off(record) <= NAV2_THRESHOLD for record in at_dock), count
         ),
-        "said to be docked (%)": share(len(said), count),
+        "said to be docked (%)": share(len(at_dock), count),
         "with a contact (%)": share(sum(bool(r["wall_contacts"]) for r in records), count),
         "with a retry (%)": share(sum(bool(r["retries"]) for r in records), count),
     }
-    for name, unit, column, factor in QUANTITIES:
-        values = [factor * abs(record[column]) for record in said]
+    for column, (name, unit, factor) in QUANTITIES.items():
+        values = [factor * abs(record[column]) for record in at_dock]
         for label, part in QUANTILES:
             figures[f"{name}, {label} ({unit})"] = quantile(values, part)
     figures["failures"] = dict(sorted(Counter(r["result"] for r in records).items()))
@@ -166,14 +152,14 @@ def figures_of(records: Sequence[Record]) -> Dict[str, Any]:
 
 
 def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> Dict[str, Any]:
-    """Return what the same scenarios tell of both: who docked, and differences where both did.
+    """Return who docked in the same scenarios, and the differences where both did.
 
-    The p-value is that of McNemar's exact test; differences are the second less the first.
+    The p-value is that of McNemar's exact test; differences are the second minus the first.
     """
     docked = Counter((a["result"] == DOCKED, b["result"] == DOCKED) for a, b in zip(first, second))
     alone = docked[True, False], docked[False, True]
     p_value = stats.binomtest(alone[0], sum(alone)).pvalue if sum(alone) else 1.0
-    both = [pair for pair in zip(first, second) if len(standing(pair)) == 2]
+    both = [pair for pair in zip(first, second) if len(reported_docked(pair)) == 2]
     return {
         "both_docked": docked[True, True],
         "only_first_docked": alone[0],
@@ -184,7 +170,7 @@ def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> Dict[st
             f"{name}, median difference ({unit})": quantile(
                 [factor * (abs(b[column]) - abs(a[column])) for a, b in both], 0.5
             )
-            for name, unit, column, factor in QUANTITIES
+            for column, (name, unit, factor) in QUANTITIES.items()
         },
     }
 
@@ -209,7 +195,7 @@ def _shown(figure: Mapping[str, Any]) -> str:
 def describe(
     names: Sequence[str], columns: Sequence[Mapping[str, Any]], paired: Mapping[str, Any]
 ) -> List[str]:
-    """Return the comparison as lines, with intervals of 95 %."""
+    """Return the comparison as lines for the user, with intervals of 95 %."""
     lines = [f"{'':40}{names[0]:>24}{names[1]:>24}"]
     for figure in columns[0]:
         if figure != "failures":
@@ -224,11 +210,11 @@ def describe(
         f"(McNemar's p = {paired['mcnemar_p']:.2g})"
     )
     differences = (f"{n} {_shown(figure)}" for n, figure in paired.items() if "difference" in n)
-    lines.append(f"{names[1]} less {names[0]}, where both say so: " + "; ".join(differences))
+    lines.append(f"{names[1]} minus {names[0]}, where both docked: " + "; ".join(differences))
     return lines
 
 
-LOOKS = (BLUE, ORANGE)
+COLOURS = (BLUE, ORANGE)
 
 
 def comparison_figure(
@@ -236,33 +222,33 @@ def comparison_figure(
     pairs: Sequence[Sequence[Record]],
     columns: Sequence[Mapping[str, Any]],
 ) -> Figure:
-    """Draw shares with their intervals, times pair by pair, and how the errors are distributed."""
-    figure = new_figure(11.0, 7.0)
-    axes = figure.subplots(2, 3)
+    """Draw shares with their intervals, times pair by pair, and the distributions of the errors."""
+    title = f"{len(pairs[0])} dockings, the same for both (95 %; dashed: tolerances)"
+    figure, (above, below) = panels((2, 3), (11.0, 7.0), title)
     figure.subplots_adjust(0.07, 0.08, 0.98, 0.92, wspace=0.28, hspace=0.38)
-    figure.suptitle(f"{len(pairs[0])} dockings, the same for both (95 %; dashed: tolerances)")
-    _draw_shares(axes[0, 0], names, columns)
-    _draw_results(axes[0, 1], columns)
-    _draw_times(axes[0, 2], names, pairs)
-    for place, (name, unit, column, factor) in zip(axes[1], QUANTITIES[1:]):
-        place.set(xlabel=f"{name} ({unit})", ylabel="share of those said to be docked", ylim=(0, 1))
-        place.set_xscale("log")
-        place.grid(alpha=0.3)
+    _draw_shares(above[0], names, columns)
+    _draw_results(above[1], columns)
+    _draw_times(above[2], names, pairs)
+    for axes, column in zip(below, ERRORS):
+        name, unit, factor = QUANTITIES[column]
+        axes.set(xlabel=f"{name} ({unit})", ylabel="share of those said to be docked", ylim=(0, 1))
+        axes.set_xscale("log")
+        axes.grid(alpha=0.3)
         for most in sorted({factor * record[TOLERANCES[column]] for record in pairs[0]}):
-            place.axvline(most, color=GREY, linestyle="--")
-        for label, records, colour in zip(names, pairs, LOOKS):
-            values = np.sort([factor * abs(r[column]) for r in standing(records)])
-            # Where it is nearer than the scale goes, it is drawn at its end.
+            axes.axvline(most, color=GREY, linestyle="--")
+        for label, records, colour in zip(names, pairs, COLOURS):
+            values = np.sort([factor * abs(r[column]) for r in reported_docked(records)])
+            # Smaller values are drawn at the end of the scale.
             steps = np.arange(1, len(values) + 1) / max(len(values), 1)
-            place.step(np.maximum(values, 1e-3), steps, where="post", color=colour, label=label)
-        place.legend(fontsize="small", loc="upper left")
+            axes.step(np.maximum(values, 1e-3), steps, where="post", color=colour, label=label)
+        axes.legend(fontsize="small", loc="upper left")
     return figure
 
 
 def _draw_shares(axes: Axes, names: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> None:
     shares = [figure for figure in columns[0] if figure.endswith("(%)")]
     rows = np.arange(len(shares))[::-1]
-    for number, (name, column, colour) in enumerate(zip(names, columns, LOOKS)):
+    for number, (name, column, colour) in enumerate(zip(names, columns, COLOURS)):
         values, low, high = (
             np.array([column[figure][end] for figure in shares]) for end in ("value", "low", "high")
         )
@@ -270,7 +256,7 @@ def _draw_shares(axes: Axes, names: Sequence[str], columns: Sequence[Mapping[str
             rows + 0.15 - 0.3 * number, values, 0.28, color=colour, label=name,
             xerr=(values - low, high - values), error_kw={"ecolor": BLACK, "capsize": 2},
         )  # fmt: skip
-    # The words lie on the bars, which begin where the picture does.
+    # The names are above the bars, as these begin at the left edge.
     for row, figure in zip(rows, shares):
         axes.text(1.0, row + 0.42, figure[:-4], fontsize="small", va="center")
     axes.set(xlim=(0, 100), ylim=(-0.5, len(shares) - 0.3), xlabel="% of all", yticks=[])
@@ -281,7 +267,7 @@ def _draw_results(axes: Axes, columns: Sequence[Mapping[str, Any]]) -> None:
     axes.set(yticks=[], xlabel="dockings that failed")
     results = sorted({r for column in columns for r in column["failures"]} - {DOCKED})
     rows = np.arange(len(results))[::-1]
-    for number, (column, colour) in enumerate(zip(columns, LOOKS)):
+    for number, (column, colour) in enumerate(zip(columns, COLOURS)):
         counts = [column["failures"].get(result, 0) for result in results]
         axes.barh(rows + 0.15 - 0.3 * number, counts, 0.28, color=colour)
     for row, result in zip(rows, results):
@@ -292,7 +278,7 @@ def _draw_results(axes: Axes, columns: Sequence[Mapping[str, Any]]) -> None:
 
 def _draw_times(axes: Axes, names: Sequence[str], pairs: Sequence[Sequence[Record]]) -> None:
     axes.set(xlabel=f"s, {names[0]}", ylabel=f"s, {names[1]}", title="time until docked")
-    both = [pair for pair in zip(*pairs) if len(standing(pair)) == 2]
+    both = [pair for pair in zip(*pairs) if len(reported_docked(pair)) == 2]
     times = np.array([(a["sim_time_s"], b["sim_time_s"]) for a, b in both]).reshape(-1, 2)
     if len(times):
         most = float(times.max())

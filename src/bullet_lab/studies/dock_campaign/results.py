@@ -1,4 +1,4 @@
-"""A campaign's log, from which a stopped one goes on, and what it comes down to; the picture."""
+"""Results of a campaign: its log, from which a stopped campaign continues, totals and figure."""
 
 from __future__ import annotations
 
@@ -16,63 +16,50 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.special import betaincinv
 
-from bullet_lab.core.figures import (
-    BLACK,
-    BLUE,
-    GREY,
-    ORANGE,
-    VERMILION,
-    Outline,
-    draw_plan,
-    new_figure,
-)
+from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, draw_plan, new_figure
 from bullet_lab.core.files import FileError, replace_file
 from bullet_lab.docking.verdict import DOCKED, ERRORS, INACCURATE, WALL_CONTACT
 from bullet_lab.errors import LabError
-from bullet_lab.studies.dock_campaign.trial import CRASHED, TOLERANCES, Record
+from bullet_lab.simulation.world.floor_plan import Footprint
+from bullet_lab.studies.dock_campaign.trial import CRASHED, TOLERANCES
+from bullet_lab.studies.results import Record
 
 LOG = "dockings.jsonl"
 
-
-class BinomialError(LabError):
-    """Counts that cannot be."""
+QUANTITIES = {
+    "sim_time_s": ("time", "s", 1.0),
+    "distance_error_m": ("distance error", "mm", 1000.0),
+    "lateral_error_m": ("lateral error", "mm", 1000.0),
+    "yaw_error_deg": ("yaw error", "°", 1.0),
+}
+"""Name, unit and factor, for the user, of columns of the table."""
 
 
 def lower_bound(successes: int, trials: int, confidence: float = 0.95) -> float:
     """Return Clopper and Pearson's one-sided lower bound of a probability of success.
 
-    It is the p for which so many successes or more have the probability 1 - confidence, a
-    quantile of the beta distribution; the true probability lies above it in at least that share
-    of all experiments, whatever it is.
+    It is the p for which at least so many successes have the probability 1 - confidence, a
+    quantile of the beta distribution. The true probability, whatever its value, lies above it in
+    at least that share of all experiments.
     (C. J. Clopper and E. S. Pearson, Biometrika 26, 1934. Without a failure it is
     (1 - confidence)^(1 / trials), some 1 - 3 / trials at 95 %.)
-
-    Raises:
-        BinomialError: not 0 <= successes <= trials, no trials, or a confidence beyond (0, 1).
 
     >>> round(lower_bound(200, 200), 4)
     0.9851
     """
-    if not 0 <= successes <= trials or trials < 1:
-        raise BinomialError(f"{successes} successes of {trials}")
-    if not 0.0 < confidence < 1.0:
-        raise BinomialError(f"a confidence of {confidence:g} is not between 0 and 1")
     if successes == 0:
         return 0.0
     return float(betaincinv(successes, trials - successes + 1, 1.0 - confidence))
 
 
-CONFIDENCE = 0.95
-
-
 def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
-    """Return the figures of a campaign for summary.json.
+    """Return the figures of a campaign for summary.json: rates, errors and contacts.
 
-    Rates, errors and contacts; the errors are magnitudes, of all robots that stand where they say
-    that they have docked, within the dock's tolerances or not.
+    The errors are magnitudes, of all robots that report that they have docked, within the dock's
+    tolerances or not.
 
     Args:
-        records: of at least one docking each, in the order of their indices.
+        records: at least one, in the order of their indices.
     """
     docked = [record for record in records if record["result"] == DOCKED]
     failures = Counter(r["result"] for r in records if r["result"] != DOCKED)
@@ -81,10 +68,10 @@ def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
         "dockings": len(records),
         "docked": len(docked),
         "success_rate": len(docked) / len(records),
-        "success_rate_lower_95": lower_bound(len(docked), len(records), CONFIDENCE),
+        "success_rate_lower_95": lower_bound(len(docked), len(records)),
         "failures": dict(sorted(failures.items())),
         "failed_indices": [r["index"] for r in records if r["result"] != DOCKED],
-        **{name: error_figures([r[name] for r in standing(records)]) for name in ERRORS},
+        **{name: error_figures([r[name] for r in reported_docked(records)]) for name in ERRORS},
         "tolerances": {
             record["world"]: {name: record[column] for name, column in TOLERANCES.items()}
             for record in sorted(records, key=lambda r: r["world"])
@@ -102,7 +89,7 @@ def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
 
 
 def error_figures(values: Sequence[float]) -> Dict[str, Any]:
-    """Return median, 95 and 99 % quantiles and maximum of the magnitudes; null without any."""
+    """Return median, 95 and 99 % quantiles and maximum of magnitudes; None if there are none."""
     if not values:
         return dict.fromkeys(("median", "p95", "p99", "max"))
     sizes = np.abs(values)
@@ -115,7 +102,7 @@ def error_figures(values: Sequence[float]) -> Dict[str, Any]:
 
 
 def stress_row(name: str, summary: Mapping[str, Any]) -> Dict[str, Any]:
-    """Return a row of the table of stresses from the summary of a campaign under one of them."""
+    """Return the row of a stress from the summary of its campaign."""
     counts = Counter(summary["failures"])
     wrong = counts[WALL_CONTACT] + counts[INACCURATE] + counts[CRASHED]
     figures = {
@@ -135,13 +122,14 @@ def stress_row(name: str, summary: Mapping[str, Any]) -> Dict[str, Any]:
 
 
 def stress_lines(rows: Sequence[Mapping[str, Any]]) -> List[str]:
-    """Return the table of stresses as lines for people."""
+    """Return the table of stresses as lines for the user."""
     lines = [f"{'stress':9s} docked      contacts  median / max: distance, lateral mm; yaw deg"]
     for row in rows:
         errors = []
-        for error, scale in zip(ERRORS, (1e3, 1e3, 1.0)):
+        for error in ERRORS:
+            _, _, factor = QUANTITIES[error]
             parts = [row[f"{error}_{part}"] for part in ("median", "max")]
-            errors.append(" / ".join("–" if v is None else f"{scale * v:.2f}" for v in parts))
+            errors.append(" / ".join("–" if v is None else f"{factor * v:.2f}" for v in parts))
         docked = f"{row['docked']} of {row['dockings']}"
         why = f"  ({row['failures']})" if row["failures"] else ""
         head = f"{row['stress']:9s} {docked:11s} {row['with_contact']:8d}  "
@@ -149,24 +137,24 @@ def stress_lines(rows: Sequence[Mapping[str, Any]]) -> List[str]:
     return lines
 
 
-def standing(records: Sequence[Record]) -> List[Record]:
-    """Return the dockings after which the robot says that it has docked."""
+def reported_docked(records: Sequence[Record]) -> List[Record]:
+    """Return the dockings after which the robot reports that it has docked."""
     return [record for record in records if record["result"] in (DOCKED, INACCURATE)]
 
 
 def _shares(records: Sequence[Record], name: str) -> Dict[str, Any]:
-    """Return how many docked of how many, for each value that a column has."""
+    """Return "docked of all" for each value of a column."""
     total = Counter(record[name] for record in records)
     docked = Counter(record[name] for record in records if record["result"] == DOCKED)
     return {value: f"{docked[value]} of {total[value]}" for value in sorted(total)}
 
 
 class DockLogError(LabError):
-    """A log that this campaign cannot go on with."""
+    """The campaign cannot continue from a log."""
 
 
 def _finite(text: str) -> float:
-    """Return a number that is written out; raises ValueError for NaN and what is too large."""
+    """Return a number; raises ValueError for NaN and infinite ones."""
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(text)
@@ -174,18 +162,21 @@ def _finite(text: str) -> float:
 
 
 class DockLog:
-    """Lines of JSON: the campaign's parameters, then a docking each, in the order they came.
+    """Lines of JSON: the campaign's parameters, then one line per docking, in order of completion.
 
-    A line is written at once and whole. The last one may still be a part, if the machine or the
-    disk has failed: it is cut off, and its docking is missing.
+    Each line is written at once. If the machine or the disk fails, the last line may be
+    incomplete: it is removed, and its docking runs again.
 
     Args:
-        path: of the file; made if need be.
-        parameters: what decides the outcome of each docking.
+        path: of the file, which is created if necessary.
+        parameters: those that determine the outcome of each docking.
+
+    Attributes:
+        records: of the dockings, by index.
 
     Raises:
-        DockLogError: the file is that of a campaign with other parameters, is no log, or
-            another campaign is writing to it.
+        DockLogError: the file is the log of a campaign with other parameters, is not a log, or
+            another campaign writes to it.
         FileError: it cannot be read or written.
     """
 
@@ -194,39 +185,38 @@ class DockLog:
         self._header = _line({"campaign": parameters})
         self.records: Dict[int, Record] = {}
         try:
-            # Unbuffered, so that what is written is in the file whatever becomes of this process.
+            # Unbuffered, so that a line is in the file even if this process is killed.
             self._file = path.open("a+b", buffering=0)
         except OSError as error:
             raise FileError(f"cannot write {path}: {error.strerror}") from error
         try:
-            self._lock()
             self._read()
         except LabError:
-            self._file.close()
+            self.close()
             raise
 
     def append(self, record: Record) -> None:
-        """Add the record of a docking, which has its "index"; raises FileError."""
+        """Add the record of a docking, with its "index"; raises FileError."""
         self._write(_line(record))
         self.records[record["index"]] = record
 
     def sort(self) -> None:
-        """Put the lines in the order of their indices and close the file; raises FileError."""
+        """Sort the lines by index and close the file; raises FileError."""
         lines = [self._header, *(_line(self.records[index]) for index in sorted(self.records))]
         replace_file(self._path, lambda part: part.write_bytes(b"".join(lines)))
         self.close()
 
     def close(self) -> None:
-        """Close the file as it is."""
+        """Close the file."""
         self._file.close()
 
-    def _lock(self) -> None:
+    def _read(self) -> None:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise DockLogError(f"another campaign is writing to {self._path}") from None
-
-    def _read(self) -> None:
+            raise DockLogError(
+                f"another campaign is writing to {self._path}; choose another folder, or wait"
+            ) from None
         self._file.seek(0)
         data = self._file.readall()
         whole = data[: data.rfind(b"\n") + 1]
@@ -240,7 +230,7 @@ class DockLog:
         for number, line in enumerate(lines[1:], start=2):
             record = self._parse(line, number)
             if not isinstance(record.get("index"), int):
-                raise DockLogError(f"{self._path}, line {number}: this is no docking")
+                raise DockLogError(f"{self._path}, line {number}: this is not a docking")
             self.records[record["index"]] = record
 
     def _check_header(self, line: bytes) -> None:
@@ -248,11 +238,16 @@ class DockLog:
             return
         found = self._parse(line, 1).get("campaign")
         if not isinstance(found, dict):
-            raise DockLogError(f"{self._path} is no log of a campaign")
+            raise DockLogError(f"{self._path} is not the log of a campaign")
         given = json.loads(self._header)["campaign"]
+        differences = [
+            f"{name} {_shown(found.get(name))}, not {_shown(given.get(name))}"
+            for name in {**given, **found}
+            if found.get(name) != given.get(name)
+        ]
         raise DockLogError(
             f"{self._path} is the log of a campaign with other parameters "
-            f"({', '.join(_differences(found, given))}): choose another folder, or remove it"
+            f"({', '.join(differences)}): choose another folder, or remove it"
         )
 
     def _parse(self, line: bytes, number: int) -> Dict[str, Any]:
@@ -261,7 +256,7 @@ class DockLog:
         except ValueError:
             values = None
         if not isinstance(values, dict):
-            raise DockLogError(f"{self._path}, line {number}: this is no line of a campaign")
+            raise DockLogError(f"{self._path}, line {number}: this is not a line of a log")
         return values
 
     def _write(self, line: bytes) -> None:
@@ -277,81 +272,74 @@ def _line(values: Mapping[str, Any]) -> bytes:
     return (json.dumps(values, allow_nan=False) + "\n").encode()
 
 
-def _differences(found: Mapping[str, Any], given: Mapping[str, Any]) -> List[str]:
-    names = [name for name in {**given, **found} if found.get(name) != given.get(name)]
-    return [f"{name} {_shown(found.get(name))}, not {_shown(given.get(name))}" for name in names]
-
-
 def _shown(value: Any) -> str:
-    return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 TICK = 0.18
 LIMIT = {"color": ORANGE, "linestyle": "--", "linewidth": 1.0}
 BINS = 24
-HISTOGRAMS = (
-    ("distance_error_m", 1000.0, "distance error (mm)"),
-    ("lateral_error_m", 1000.0, "lateral error (mm)"),
-    ("yaw_error_deg", 1.0, "yaw error (°)"),
-)
 
 
 def campaign_figure(
-    records: Sequence[Record], outlines: Iterable[Outline], dock: Sequence[float], title: str
+    records: Sequence[Record], obstacles: Iterable[Footprint], dock: Sequence[float], title: str
 ) -> Figure:
-    """Draw starts and ends over the dock's plan, the ends close up, and the errors.
+    """Draw starts and ends over the dock's plan, the ends enlarged, and the errors.
 
-    Blue is docked and vermilion is not; those that are not are crossed as well. The docks' own
+    Docked robots are blue; failed ones are vermilion, and their ends are crosses. The docks' own
     tolerances are dashed.
 
     Args:
         records: of at least one docking.
-        outlines: of all that stands in the worlds, in m.
+        obstacles: in the worlds.
         dock: x, y (m) and yaw (rad) of the floor below the marker's face.
-        title: above all.
+        title: of the figure.
     """
     figure = new_figure(11.0, 8.8)
     figure.suptitle(title)
     left, right = figure.add_gridspec(
         1, 2, width_ratios=(0.75, 1.0), wspace=0.2, left=0.07, right=0.98, top=0.93, bottom=0.07
     )
+    plan = figure.add_subplot(left)
+    # Each outline once, as the worlds share obstacles.
+    draw_plan(plan, {box.corners(): None for box in obstacles}, dock)
     docked = [record for record in records if record["result"] == DOCKED]
     failed = [record for record in records if record["result"] != DOCKED]
-    _draw_all(figure.add_subplot(left), (docked, failed), outlines, dock)
+    _draw_robots(plan, docked, "docked", (BLUE, 3.0), (ORANGE, 5.0, "s"))
+    _draw_robots(plan, failed, "failed", (VERMILION, 5.0), (VERMILION, 7.0, "X"))
+    plan.legend(loc="lower right", fontsize="small")
     rows = right.subgridspec(4, 1, height_ratios=(2.1, 1.0, 1.0, 1.0), hspace=0.5)
-    told = standing(records)
-    _draw_close_up(figure.add_subplot(rows[0]), told)
-    for row, (name, scale, label) in zip(list(rows)[1:], HISTOGRAMS):
+    at_dock = reported_docked(records)
+    _draw_ends(figure.add_subplot(rows[0]), at_dock)
+    for row, column in zip(list(rows)[1:], ERRORS):
+        name, unit, factor = QUANTITIES[column]
         axes = figure.add_subplot(row)
-        _draw_histogram(axes, [scale * record[name] for record in told], label)
-        for most in sorted({scale * record[TOLERANCES[name]] for record in records}):
+        _draw_histogram(axes, [factor * record[column] for record in at_dock], f"{name} ({unit})")
+        for most in sorted({factor * record[TOLERANCES[column]] for record in records}):
             axes.axvline(-most, **LIMIT)
             axes.axvline(most, **LIMIT)
     return figure
 
 
-def _draw_all(
+def _draw_robots(
     axes: Axes,
-    groups: Tuple[Sequence[Record], Sequence[Record]],
-    outlines: Iterable[Outline],
-    dock: Sequence[float],
+    records: Sequence[Record],
+    name: str,
+    start_style: Tuple[str, float],
+    end_style: Tuple[str, float, str],
 ) -> None:
-    draw_plan(axes, outlines, dock)
-    looks = (
-        ("docked", {"color": BLUE, "markersize": 3.0}, "s", {"color": ORANGE, "markersize": 5.0}),
-        ("failed", {"color": VERMILION, "markersize": 5.0}, "X",
-         {"color": VERMILION, "markersize": 7.0}),
-    )  # fmt: skip
-    edge = {"markeredgecolor": BLACK, "markeredgewidth": 0.5}
-    for records, (name, start_look, mark, end_look) in zip(groups, looks):
-        if not records:
-            continue
-        starts = _poses(records, "start")
-        axes.plot(*_ticks(starts), color=start_look["color"], linewidth=0.8)
-        axes.plot(*starts[:, :2].T, "o", label=f"start, {name} ({len(records)})", **start_look)
-        ends = _poses([r for r in records if r["end_x_m"] is not None], "end")
-        axes.plot(*ends[:, :2].T, mark, label=f"end, {name}", **end_look, **edge)
-    axes.legend(loc="lower right", fontsize="small")
+    """Draw the starts and ends of dockings; styles are colour, size and marker."""
+    if not records:
+        return
+    starts = _poses(records, "start")
+    ends = _poses([r for r in records if r["end_x_m"] is not None], "end")
+    colour, size = start_style
+    axes.plot(*_ticks(starts), color=colour, linewidth=0.8)
+    label = f"start, {name} ({len(records)})"
+    axes.plot(*starts[:, :2].T, "o", label=label, color=colour, markersize=size)
+    colour, size, marker = end_style
+    style = {"color": colour, "markersize": size, "markeredgecolor": BLACK, "markeredgewidth": 0.5}
+    axes.plot(*ends[:, :2].T, marker, label=f"end, {name}", **style)
 
 
 def _poses(records: Sequence[Record], which: str) -> np.ndarray:
@@ -369,7 +357,7 @@ def _ticks(poses: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
     return ahead, np.stack([y, y + TICK * np.sin(yaw), gap], axis=1).ravel()
 
 
-def _draw_close_up(axes: Axes, standing: Sequence[Record]) -> None:
+def _draw_ends(axes: Axes, records: Sequence[Record]) -> None:
     axes.set(xlabel="distance error (mm)", ylabel="lateral error (mm)")
     axes.set_title("where robots stand that say they have docked", fontsize="medium")
     axes.axhline(0.0, color=GREY, linewidth=0.8)
@@ -377,10 +365,10 @@ def _draw_close_up(axes: Axes, standing: Sequence[Record]) -> None:
     axes.grid(alpha=0.3)
     names = ("distance_error_m", "lateral_error_m")
     for result, colour, mark in ((DOCKED, BLUE, "."), (INACCURATE, VERMILION, "X")):
-        errors = [[1000.0 * r[name] for name in names] for r in standing if r["result"] == result]
+        errors = [[1000.0 * r[name] for name in names] for r in records if r["result"] == result]
         if errors:
             axes.plot(*zip(*errors), mark, color=colour, markersize=5.0)
-    for x, y in sorted({tuple(1000.0 * r[TOLERANCES[n]] for n in names) for r in standing}):
+    for x, y in sorted({tuple(1000.0 * r[TOLERANCES[n]] for n in names) for r in records}):
         axes.plot((-x, x, x, -x, -x), (-y, -y, y, y, -y), **LIMIT)
     axes.set_aspect("equal", adjustable="datalim")
 

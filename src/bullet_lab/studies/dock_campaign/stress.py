@@ -1,4 +1,4 @@
-"""What may be otherwise than docking knows: each stress by itself, or several together."""
+"""Stresses: perturbations that docking does not know of, one at a time or several together."""
 
 from __future__ import annotations
 
@@ -25,23 +25,24 @@ LATEST_IMAGE, DROPPED = 0.2, 0.3
 BIAS = math.radians(2.0)
 COVER = (0.10, 0.25)
 _IN_FRONT = 0.002
-_ON_THE_WAY = 1000  # the stream of what is drawn on the way
+_RUN_STREAM = 1000  # random stream of the draws during a docking
 _COVER_THICKNESS = 0.001
 
-# Slips: on the mean one in so many metres; how long, m; how much more way is told, as a share,
-# and what turn is told besides, rad/m.
-SLIP_EVERY, SLIP_LENGTH, SLIP_WAY, SLIP_TURN = 2.0, (0.05, 0.2), 0.3, 0.1
+SLIP_EVERY = 2.0  # m, mean distance between slips
+SLIP_LENGTH = (0.05, 0.2)  # m
+SLIP_WAY = 0.3  # largest share by which the reported distance is too long in a slip
+SLIP_TURN = 0.1  # rad/m, largest turn that a slip adds
 
 
 @dataclass(frozen=True)
 class Stress:
-    """What is really there against what docking knows; the default is no difference.
+    """Differences between the truth and what docking knows; by default there are none.
 
     Attributes:
-        dock_x_m: along the room, of the dock; the start is where it was, seen from the dock.
+        dock_x_m: of the dock in the room; the start keeps its pose relative to the dock.
         dock_y_m: likewise.
         dock_yaw_deg: likewise.
-        mount_x_m: of the camera from its known place, in its known frame.
+        mount_x_m: of the camera from its known pose, in its known frame.
         mount_y_m: likewise.
         mount_z_m: likewise.
         mount_roll_deg: likewise.
@@ -49,16 +50,16 @@ class Stress:
         mount_yaw_deg: likewise.
         focal_error: focal length / the known one - 1.
         size_error: of the print / the known one - 1.
-        latest_image_s: each image is late by a time between 0 and this.
-        dropped: probability that an image gets lost.
-        scale_error: as in SystematicErrors, and so are the next two.
-        base_error: .
-        bias_rad_per_m: its gyro_bias_per_metre.
-        slips_per_m: how often the wheels slip.
-        hidden_corner: number of the marker's corner that something hides; -1: none.
-        cover: edge of what hides it, as a share of the marker's.
-        cover_grey: how light that is.
-        seed: of what is drawn on the way: delays, losses and slips.
+        latest_image_s: largest delay of an image; it is uniform.
+        dropped: probability that an image is lost.
+        scale_error: as in SystematicErrors.
+        base_error: as in SystematicErrors.
+        bias_rad_per_m: gyro_bias_per_metre of SystematicErrors.
+        slips_per_m: mean number of slips per metre.
+        hidden_corner: number of the marker's corner that a cover hides; -1: none.
+        cover: edge of the cover, as a share of the marker's.
+        cover_grey: brightness of the cover, 0 to 1.
+        seed: of the draws during a docking: delays, losses and slips.
     """
 
     dock_x_m: float = 4.0
@@ -85,7 +86,7 @@ class Stress:
 
     @property
     def mount(self) -> Pose:
-        """The camera's place in its known frame."""
+        """The camera's pose in its known frame."""
         turn = (self.mount_roll_deg, self.mount_pitch_deg, self.mount_yaw_deg)
         place = (self.mount_x_m, self.mount_y_m, self.mount_z_m)
         return Pose.from_rpy(place, tuple(map(math.radians, turn)))
@@ -96,21 +97,20 @@ class Stress:
         return self.dock_x_m, self.dock_y_m, math.radians(self.dock_yaw_deg)
 
     def known_camera(self, camera: PinholeCamera) -> PinholeCamera:
-        """Return what is known of a camera."""
+        """Return a camera as docking knows it."""
         known = 1.0 / (1.0 + self.focal_error)
         return replace(camera, fx=known * camera.fx, fy=known * camera.fy)
 
     def known_dock(self, dock: Dock) -> Dock:
-        """Return what is known of a dock."""
+        """Return a dock as docking knows it."""
         size = dock.marker.size / (1.0 + self.size_error)
         return replace(dock, marker=replace(dock.marker, size=size))
 
     def costs(self, docked_distance: float) -> Tuple[float, float, float]:
-        """Return by how much it sets a docked robot aside what nothing that it sees can tell.
+        """Return the errors of a docked robot that it cannot observe: m, m and degrees.
 
-        That is m along the axis, m across it and degrees. A print, or a focal length, that is
-        wrong by a share makes the distance (m) wrong by as much; a camera that is set aside looks
-        as an axis that is.
+        They are along the axis, across it, and in yaw. A relative error of the print or of the
+        focal length is one of the distance; a shifted camera looks like a shifted axis.
 
         >>> Stress(size_error=0.03, mount_y_m=-0.01).costs(0.4)
         (0.012, 0.01, 0.0)
@@ -119,7 +119,7 @@ class Stress:
         return round(docked_distance * share, 12) + abs(self.mount_x_m), abs(self.mount_y_m), 0.0
 
     def allowed(self, tolerance: DockTolerance, docked_distance: float) -> DockTolerance:
-        """Return a dock's tolerance with these costs."""
+        """Return a dock's tolerance plus these costs."""
         along, across, yaw = self.costs(docked_distance)
         turned = tolerance.yaw + math.radians(yaw)
         return DockTolerance(tolerance.distance + along, tolerance.lateral + across, turned)
@@ -128,8 +128,8 @@ class Stress:
 Draw = Callable[[np.random.Generator], Dict[str, Any]]
 
 
-def _even(*limits: Tuple[str, float]) -> Draw:
-    """Return what draws fields evenly within ± a limit each."""
+def _uniform(*limits: Tuple[str, float]) -> Draw:
+    """Return a function that draws fields, each uniformly within ± a limit."""
 
     def draw(rng: np.random.Generator) -> Dict[str, Any]:
         return {name: limit * rng.uniform(-1.0, 1.0) for name, limit in limits}
@@ -155,39 +155,41 @@ _TURNS = tuple(
 )
 
 STRESSES: Dict[str, Draw] = {
-    "pose": _even(*((f"dock_{axis}_m", FARTHEST_DOCK) for axis in "xy"), ("dock_yaw_deg", 180.0)),
-    "mount": _even(*_SHIFTS, *_TURNS),
-    "focal": _even(("focal_error", FOCAL_ERROR)),
-    "size": _even(("size_error", SIZE_ERROR)),
+    "pose": _uniform(
+        ("dock_x_m", FARTHEST_DOCK), ("dock_y_m", FARTHEST_DOCK), ("dock_yaw_deg", 180.0)
+    ),
+    "mount": _uniform(*_SHIFTS, *_TURNS),
+    "focal": _uniform(("focal_error", FOCAL_ERROR)),
+    "size": _uniform(("size_error", SIZE_ERROR)),
     "latency": _fixed(latest_image_s=LATEST_IMAGE),
     "drops": _fixed(dropped=DROPPED),
-    "odometry": _even(("scale_error", ODOMETRY_ERROR), ("base_error", ODOMETRY_ERROR)),
-    "bias": _even(("bias_rad_per_m", BIAS)),
+    "odometry": _uniform(("scale_error", ODOMETRY_ERROR), ("base_error", ODOMETRY_ERROR)),
+    "bias": _uniform(("bias_rad_per_m", BIAS)),
     "slip": _fixed(slips_per_m=1.0 / SLIP_EVERY),
     "corner": _corner,
 }
-"""What draws the fields of each stress. The random stream of each is its place here: new ones
-come last."""
+"""Functions that draw the fields of each stress. The number of its random stream is its place
+here, so that new ones must come last."""
 
 
 def draw_stress(names: Sequence[str], seed: int, index: int) -> Stress:
-    """Return the stress of an index; none of those named changes what the others draw."""
+    """Return the stress of an index; the draws of a name do not depend on the other names."""
     values: Dict[str, Any] = {}
     for number, (name, draw) in enumerate(STRESSES.items()):
         sequence = np.random.SeedSequence(seed, spawn_key=(index, number))
         if name in names:
             values.update(draw(np.random.default_rng(sequence)))
-    sequence = np.random.SeedSequence(seed, spawn_key=(index, _ON_THE_WAY))
+    sequence = np.random.SeedSequence(seed, spawn_key=(index, _RUN_STREAM))
     return Stress(**values, seed=int(sequence.generate_state(1)[0])) if values else Stress()
 
 
 def stress_columns(stress: Stress) -> Dict[str, Any]:
-    """Return the columns of a record that say what was drawn."""
+    """Return the columns of a record with the values that were drawn."""
     return {name: value for name, value in asdict(stress).items() if name != "seed"}
 
 
 def found_columns(calibration: Optional[Calibration]) -> Dict[str, Any]:
-    """Return the columns of a record that say what docking found out; empty for None."""
+    """Return the columns of a record with the errors that docking estimated; empty for None."""
     columns = {}
     for name, unit, scale in (
         *((axis, "_deg", 180.0 / math.pi) for axis in ("roll", "pitch", "yaw")),
@@ -201,13 +203,13 @@ def found_columns(calibration: Optional[Calibration]) -> Dict[str, Any]:
 
 
 def world_under(stress: Stress, world: World, known_dock: PlanarPose, dock: Dock) -> World:
-    """Return a world with its dock where it is, and what stands about it, and a corner hidden.
+    """Return a world with its models moved along with the dock, and the cover of a corner.
 
     Args:
-        stress: what is otherwise.
-        world: as its file says.
-        known_dock: pose of the dock there.
-        dock: what is true of it.
+        stress: to apply.
+        world: as in its file.
+        known_dock: pose of the dock in the file.
+        dock: the true one.
     """
     models = world.models
     if stress.dock != known_dock:
@@ -220,12 +222,12 @@ def world_under(stress: Stress, world: World, known_dock: PlanarPose, dock: Dock
 
 
 def _moved(model: Model, moved: Pose) -> Model:
-    # A plane looks the same from everywhere, and the floor's picture has its middle at the origin.
+    # A plane looks the same from everywhere, and the floor's texture is centred at the origin.
     return model if model.name == "ground_plane" else replace(model, pose=moved * model.pose)
 
 
 def _cover(stress: Stress, dock: Dock) -> Model:
-    """Return what hides a corner: a little square before the marker that nothing touches."""
+    """Return a small square in front of a corner of the marker, without collisions."""
     half, grey = 0.5 * dock.marker.size, stress.cover_grey
     edge = stress.cover * dock.marker.size
     left = 1.0 if stress.hidden_corner in (0, 3) else -1.0
@@ -240,17 +242,15 @@ def _cover(stress: Stress, dock: Dock) -> Model:
 
 
 def robot_under(stress: Stress, robot: Model, camera_frame: str) -> Model:
-    """Return a robot with its camera where it really is; the frame is one of `robot.frames`."""
-    keeper, pose = robot.frames[camera_frame]
-    return replace(
-        robot, frames={**robot.frames, camera_frame: (keeper, pose * stress.mount)}
-    )
+    """Return a robot with its camera at the true pose; the frame is one of `robot.frames`."""
+    link, pose = robot.frames[camera_frame]
+    return replace(robot, frames={**robot.frames, camera_frame: (link, pose * stress.mount)})
 
 
 class StressedOdometry:
-    """What odometry tells of true poses: with systematic errors, and with slips.
+    """Odometry of true poses, with systematic errors and slips.
 
-    While wheels slip they turn more than the robot moves.
+    While wheels slip, they turn more than the robot moves.
     """
 
     def __init__(self, stress: Stress, rng: np.random.Generator):
@@ -263,32 +263,32 @@ class StressedOdometry:
         )
         self._rate, self._rng = stress.slips_per_m, rng
         self._before: Optional[PlanarPose] = None
-        self._told: PlanarPose = (0.0, 0.0, 0.0)
+        self._reported: PlanarPose = (0.0, 0.0, 0.0)
         self._until_slip, self._slip_left = self._next_slip(), 0.0
         self._slip = (0.0, 0.0)
 
     def update(self, pose: PlanarPose) -> PlanarPose:
-        """Return what is told of a true pose (m, m, rad)."""
+        """Return the reported pose for a true pose (m, m, rad)."""
         pose = self._path.update(*pose).pose
         if self._rate == 0.0:
             return pose
         before, self._before = self._before, pose
         if before is None:
-            self._told = pose
+            self._reported = pose
             return pose
         step = se2.between(before, pose)
-        way = math.hypot(step[0], step[1])
-        more, turn = self._slipping(way)
-        step = step * (1.0 + more, 1.0 + more, 1.0) + (0.0, 0.0, turn * way)
-        self._told = tuple(se2.compose(self._told, step).tolist())
-        return self._told
+        distance = math.hypot(step[0], step[1])
+        more, turn = self._slip_of(distance)
+        step = step * (1.0 + more, 1.0 + more, 1.0) + (0.0, 0.0, turn * distance)
+        self._reported = tuple(se2.compose(self._reported, step).tolist())
+        return self._reported
 
-    def _slipping(self, way: float) -> Tuple[float, float]:
-        """Return how much more way is told on these metres, and what turn on each."""
+    def _slip_of(self, distance: float) -> Tuple[float, float]:
+        """Return the share of distance and the turn (rad/m) that a slip adds to some metres."""
         if self._slip_left > 0.0:
-            self._slip_left -= way
+            self._slip_left -= distance
             return self._slip
-        self._until_slip -= way
+        self._until_slip -= distance
         if self._until_slip <= 0.0:
             self._until_slip = self._next_slip()
             self._slip_left = self._rng.uniform(*SLIP_LENGTH)

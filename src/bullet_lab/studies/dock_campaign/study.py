@@ -13,16 +13,16 @@ import time
 from collections import Counter
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, List, NoReturn, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Tuple
 
-from bullet_lab.core.figures import save
-from bullet_lab.core.files import make_folder, write_json
+from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import ParameterError, integer, text
-from bullet_lab.docking.verdict import DOCKED
+from bullet_lab.docking.verdict import DOCKED, ERRORS
 from bullet_lab.studies.dock_campaign.compare import compare, read_campaign
 from bullet_lab.studies.dock_campaign.docking import MARKER_POSE
 from bullet_lab.studies.dock_campaign.results import (
     LOG,
+    QUANTITIES,
     DockLog,
     campaign_figure,
     campaign_summary,
@@ -35,26 +35,15 @@ from bullet_lab.studies.dock_campaign.trial import (
     EACH,
     NONE,
     DrawSettings,
-    Record,
     crashed_record,
     draw_scenario,
     obstacles,
     run_trial,
 )
-from bullet_lab.studies.study import (
-    SUMMARY,
-    Settings,
-    Tell,
-    progress,
-    run_from,
-    silent,
-    whole_results,
-    write_table,
-)
+from bullet_lab.studies.results import Record, rows_of, write_results
+from bullet_lab.studies.study import Settings, Tell, progress, run_from, silent
 from bullet_lab.studies.workers import ClusterSettings, Run, TaskLostError, workers
 
-TABLE, PICTURE = "campaign.csv", "campaign.png"
-STRESS_TABLE = "stresses.csv"
 MOST_DOCKINGS = 1_000_000
 
 Trial = Callable[[DrawSettings, int], Record]
@@ -62,18 +51,18 @@ Trial = Callable[[DrawSettings, int], Record]
 
 @dataclass(frozen=True)
 class CampaignSettings(DrawSettings):
-    """What is run: the dockings of the indices from 0 on."""
+    """Dockings of the indices from 0 on."""
 
     dockings: int = integer(200, "number of dockings", 1, MOST_DOCKINGS)
 
     def drawn_from(self) -> Dict[str, Any]:
-        """Return what decides the outcome of each docking, by name."""
+        """Return the parameters that determine the outcome of each docking, by name."""
         return {entry.name: getattr(self, entry.name) for entry in fields(DrawSettings)}
 
 
 @dataclass(frozen=True)
 class ComparisonSettings(Settings):
-    """What the campaign is laid beside."""
+    """Another campaign to compare with."""
 
     beside: str = text("", f"{LOG} of the same dockings by another controller; empty: none")
 
@@ -85,13 +74,13 @@ def run_campaign(
     trial: Trial = run_trial,
     tell: Tell = silent,
 ) -> Dict[str, Any]:
-    """Run a campaign, or what is missing of it: leave log, table, picture and summary.json.
+    """Run the dockings that a campaign's log lacks; write log, table, figure and summary.json.
 
-    The same settings give the same files, whatever the workers and interruptions; only "run" in
-    summary.json, which is returned, says how this run went.
+    The same settings give the same files, with any workers and after any interruptions, except
+    for "run" in summary.json, which is returned: it describes this run.
 
     Raises:
-        LabError: the folder holds another campaign or cannot be written to, or nobody works.
+        LabError: the folder holds another campaign or cannot be written to, or no worker is left.
     """
     log = DockLog(make_folder(folder) / LOG, settings.drawn_from())
     try:
@@ -102,26 +91,39 @@ def run_campaign(
     records = [log.records[index] for index in range(settings.dockings)]
     log.sort()
     simulated = sum(record["sim_time_s"] or 0.0 for record in new)
-    figures_of_run = {
-        "dockings": len(new),
-        "sim_time_s": simulated,
-        "wall_time_s": seconds,
-        "real_time_factor": simulated / seconds if new and seconds > 0.0 else None,
+    summary = {
+        "job": "dock_campaign",
+        **settings.drawn_from(),
+        **campaign_summary(records),
+        "run": {
+            "dockings": len(new),
+            "sim_time_s": simulated,
+            "wall_time_s": seconds,
+            "real_time_factor": simulated / seconds if new and seconds > 0.0 else None,
+        },
     }
-    return _write_results(folder, settings, records, figures_of_run)
+    title = (
+        f"{summary['docked']} of {len(records)} dockings succeeded "
+        f"(seed {settings.seed}; success rate over "
+        f"{100.0 * summary['success_rate_lower_95']:.2f} % at 95 % confidence)"
+    )
+    boxes = [box for world in settings.worlds for box in obstacles(world)]
+    figure = campaign_figure(records, boxes, MARKER_POSE, title)
+    tables = {"campaign.csv": rows_of(records)}
+    return write_results(folder, summary, tables, {"campaign.png": figure}, {})
 
 
 def _run_missing(
     log: DockLog, settings: CampaignSettings, run: Run, trial: Trial, tell: Tell
 ) -> Tuple[float, List[Record]]:
-    """Run what the log has not; return the wall seconds it took, and the new records."""
+    """Run the dockings that the log lacks; return the seconds it took, and the new records."""
     known = [log.records[i] for i in range(settings.dockings) if i in log.records]
     missing = [index for index in range(settings.dockings) if index not in log.records]
     new: List[Record] = []
     if not missing:
         return 0.0, new
     if known:
-        tell(f"going on after {len(known)} of {settings.dockings} dockings")
+        tell(f"continuing after {len(known)} of {settings.dockings} dockings")
     results = Counter(record["result"] == DOCKED for record in known)
 
     def counts() -> str:
@@ -139,36 +141,12 @@ def _run_missing(
     return time.monotonic() - start, new
 
 
-def _write_results(
-    folder: Path,
-    settings: CampaignSettings,
-    records: Sequence[Record],
-    figures_of_run: Dict[str, Any],
-) -> Dict[str, Any]:
-    summary = {
-        "job": "dock_campaign",
-        **settings.drawn_from(),
-        **campaign_summary(records),
-        "run": figures_of_run,
-    }
-    standing = {box.corners(): None for world in settings.worlds for box in obstacles(world)}
-    title = (
-        f"{summary['docked']} of {len(records)} dockings succeeded "
-        f"(seed {settings.seed}; success rate over "
-        f"{100.0 * summary['success_rate_lower_95']:.2f} % at 95 % confidence)"
-    )
-    with whole_results(folder) as part:
-        write_table(part / TABLE, [records[0], *(r.values() for r in records)])
-        save(campaign_figure(records, standing, MARKER_POSE, title), part / PICTURE)
-        write_json(part / SUMMARY, summary)
-    return summary
-
 
 def describe(summary: Dict[str, Any]) -> List[str]:
-    """Return the main figures of a campaign as lines for people."""
+    """Return the main figures of a campaign as lines for the user."""
     lines = [
         f"{summary['docked']} of {summary['dockings']} docked within their dock's tolerance"
-        f"{'' if summary['stress'] == (NONE,) else ' and what the stress costs'} "
+        f"{'' if summary['stress'] == (NONE,) else ' plus the cost of the stress'} "
         f"(success rate over {100.0 * summary['success_rate_lower_95']:.2f} % at 95 % confidence), "
         f"{summary['dockings_with_contact']} with wall contact"
     ]
@@ -176,16 +154,13 @@ def describe(summary: Dict[str, Any]) -> List[str]:
         reasons = ", ".join(f"{name} {count}" for name, count in summary["failures"].items())
         lines.append(f"failures: {reasons} (indices {summary['failed_indices']})")
     errors = []
-    for name, title, scale, unit in (
-        ("distance_error_m", "distance", 1000.0, "mm"),
-        ("lateral_error_m", "lateral", 1000.0, "mm"),
-        ("yaw_error_deg", "yaw", 1.0, "deg"),
-    ):
-        if summary[name]["max"] is not None:
-            values = (f"{scale * summary[name][part]:.2f}" for part in ("median", "p99", "max"))
-            errors.append(f"{title} {' / '.join(values)} {unit}")
+    for column in ERRORS:
+        name, unit, factor = QUANTITIES[column]
+        if summary[column]["max"] is not None:
+            values = (f"{factor * summary[column][part]:.2f}" for part in ("median", "p99", "max"))
+            errors.append(f"{name} {' / '.join(values)} {unit}")
     if errors:
-        lines.append("error, median / 99 % / max: " + "; ".join(errors))
+        lines.append("median / 99 % / max: " + "; ".join(errors))
     factor = summary["run"]["real_time_factor"]
     if factor is not None:
         lines.append(
@@ -202,10 +177,10 @@ def run_each(
     trial: Trial = run_trial,
     tell: Tell = silent,
 ) -> List[str]:
-    """Run a campaign for each stress by itself, none and all, each in its own folder below.
+    """Run a campaign without stress, under each stress, and under all, each in its own folder.
 
-    The indices are the same starts in all of them. Leaves a table and summary.json of all; returns
-    lines for people.
+    An index has the same start in all of them. Writes a table and summary.json of all; returns
+    lines for the user.
 
     Raises:
         LabError: as `run_campaign`.
@@ -216,10 +191,8 @@ def run_each(
         one = replace(settings, stress=(name,))
         summaries[name] = run_campaign(folder / name, one, run, trial, tell)
     rows = [stress_row(name, summary) for name, summary in summaries.items()]
-    with whole_results(folder) as part:
-        write_table(part / STRESS_TABLE, [rows[0], *(row.values() for row in rows)])
-        drawn = settings.drawn_from()
-        write_json(part / SUMMARY, {"job": "dock_campaign", **drawn, "by_stress": summaries})
+    summary = {"job": "dock_campaign", **settings.drawn_from(), "by_stress": summaries}
+    write_results(folder, summary, {"stresses.csv": rows_of(rows)}, {}, {})
     return stress_lines(rows)
 
 
@@ -229,28 +202,26 @@ def _run(
     cluster: ClusterSettings,
     comparison: ComparisonSettings,
     tell: Tell,
-) -> None:
-    # What is missing is better known now than from each worker, or after all.
+) -> List[str]:
+    # A missing file shows here, instead of in each worker or after the campaign.
     draw_scenario(settings, 0)
-    if comparison.beside and EACH in settings.stress:
-        raise ParameterError("beside: it takes the campaign under one stress, not under each")
     if comparison.beside:
+        if EACH in settings.stress:
+            raise ParameterError("beside: it takes the campaign under one stress, not under each")
         read_campaign(Path(comparison.beside))
     run = workers(cluster.workers, cluster.scheduler)
     if EACH in settings.stress:
-        lines = run_each(folder, settings, run, tell=tell)
-    else:
-        lines = describe(run_campaign(folder, settings, run, tell=tell))
+        return run_each(folder, settings, run, tell=tell)
+    lines = describe(run_campaign(folder, settings, run, tell=tell))
     if comparison.beside:
         lines += compare(folder, Path(comparison.beside), settings.dockings)
-    for line in lines:
-        tell(line)
+    return lines
 
 
-def main(words: Optional[Sequence[str]] = None) -> NoReturn:
-    """Run the campaign from the command line; see `run_from`."""
-    settings = (CampaignSettings, ClusterSettings, ComparisonSettings)
-    run_from("dock_campaign", __doc__, settings, _run, words, short=[("-n", "dockings")])
+SETTINGS = (CampaignSettings, ClusterSettings, ComparisonSettings)
+main = functools.partial(
+    run_from, "dock_campaign", __doc__, SETTINGS, _run, short=[("-n", "dockings")]
+)
 
 
 if __name__ == "__main__":

@@ -1,22 +1,21 @@
-"""A docking of a campaign: drawn at random, run where a worker is, returned as a plain record."""
+"""A docking of a campaign: a random scenario, run by a worker, and its record."""
 
 from __future__ import annotations
 
 import functools
 import math
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Mapping, Tuple
+from typing import Any, Callable, Dict, Tuple
 
 import numpy as np
 
 from bullet_lab.core.parameters import choice, choices, integer
+from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.controllers import CONTROLLERS
 from bullet_lab.docking.types import DockingError
 from bullet_lab.docking.verdict import ERRORS, judge, largest_errors
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.floor_plan import Footprint, footprints
-from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.sdf import read_world_file
 from bullet_lab.studies.dock_campaign.docking import (
     MARKER_POSE,
     TURNING_RADIUS,
@@ -31,13 +30,14 @@ from bullet_lab.studies.dock_campaign.stress import (
     found_columns,
     stress_columns,
 )
+from bullet_lab.studies.results import Record
 from bullet_lab.studies.study import MOST_SEED, Settings
+from bullet_lab.studies.worlds import LIGHTS, read_world
 
 WORLDS = ("docking", "docking_dots", "docking_nested", "docking_decoy")
 DOCKS = {"docking_nested": "nested_dock"}
-"""Names of docks in the database by worlds; of others it is "dock"."""
+"""Names of docks in the database by world; in other worlds it is "dock"."""
 
-LIGHTS = ("default", "dark", "bright", "backlit")
 ODOMETRY = ("odom", "noisy_odom")
 NONE, ALL, EACH = "none", "all", "each"
 ROBOT_HEIGHT = 0.55
@@ -45,7 +45,7 @@ NEAREST, FARTHEST = 0.7, 5.0
 WIDEST = math.radians(60.0)
 DATABASE_ERROR = (0.3, 0.3, math.radians(10.0))
 DOCK_MODEL = "docking_station"
-UNTOLD_ROOM = 1.0
+UNKNOWN_CLEARANCE = 1.0
 LARGEST_ODOMETRY_STD = 0.1
 LARGEST_IMAGE_NOISE = 0.02
 LARGEST_BLUR = 1.0
@@ -54,12 +54,12 @@ _MOST_ATTEMPTS = 10_000
 
 
 class ScenarioError(LabError):
-    """Nothing can be drawn."""
+    """No scenario can be drawn."""
 
 
 @dataclass(frozen=True)
 class DrawSettings(Settings):
-    """What scenarios are drawn from, each name as likely as the others."""
+    """Values that scenarios are drawn from, each with equal probability."""
 
     seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
     worlds: Tuple[str, ...] = choices(WORLDS, "worlds to draw from", WORLDS)
@@ -68,11 +68,11 @@ class DrawSettings(Settings):
     )
     odometry: Tuple[str, ...] = choices(ODOMETRY, "odometry to draw from", ODOMETRY)
     controller: str = choice(
-        "ours", "what drives; nothing that is drawn depends on it", [*CONTROLLERS]
+        "ours", "the controller under test; it does not change the random draws", [*CONTROLLERS]
     )
     stress: Tuple[str, ...] = choices(
         (NONE,),
-        "what is otherwise than docking knows, together; each: each by itself, then all",
+        "perturbations to apply together; each: one campaign for each of them, and for all",
         (NONE, ALL, EACH, *STRESSES),
     )
 
@@ -83,14 +83,14 @@ class DrawSettings(Settings):
 
 
 def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
-    """Return the scenario of an index, which depends on nothing but these two.
+    """Return the scenario of an index, which depends on the settings and the index only.
 
     The start's distance from the plane of the back wall is uniform within `NEAREST` to
-    `FARTHEST`; its direction as seen from the marker, within `WIDEST` of the dock's axis, and
-    its heading are uniform too, drawn again until `TURNING_RADIUS` around it is free of the dock,
-    and `UNTOLD_ROOM` of what stands about it, of which nobody tells a robot that has no laser. The
-    error of the dock's rough pose is uniform within `DATABASE_ERROR`, and so are the standard
-    deviations of noise and blur up to their largest.
+    `FARTHEST`. Its direction from the marker, within `WIDEST` of the dock's axis, and its heading
+    are uniform too. They are drawn again until the robot is `TURNING_RADIUS` away from the dock,
+    and `UNKNOWN_CLEARANCE` away from other obstacles, as it does not know of them and has no
+    laser. The error of the dock's rough pose is uniform within `DATABASE_ERROR`, and so are the
+    standard deviations of noise and blur up to their largest values.
     """
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(index,)))
     world = str(rng.choice(settings.worlds))
@@ -101,11 +101,11 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
     image_noise = rng.uniform(0.0, LARGEST_IMAGE_NOISE)
     image_blur = rng.uniform(0.0, LARGEST_BLUR)
     odometry_seed, image_seed = rng.integers(2**31, size=2)
-    # Last, because it takes as many draws as it takes.
+    # Last, because its number of draws varies.
     start = _draw_start(rng, obstacles(world))
     return DockingScenario(
-        world=world_uri(world),
-        lighting="" if light == "default" else world_uri(f"docking_{light}"),
+        world=world,
+        light=light,
         start=start,
         dock=DOCKS.get(world, "dock"),
         dock_error=tuple(error.tolist()),
@@ -120,64 +120,57 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
     )
 
 
-def world_uri(name: str) -> str:
-    """Return the URI of a world of the package."""
-    return f"package://bullet_lab/worlds/{name}.world"
-
-
 @functools.lru_cache(maxsize=None)
 def obstacles(world: str) -> Tuple[Footprint, ...]:
-    """Return what the robot could run into in a world of the package, by its name."""
-    found = ResourceFinder.anywhere().find(world_uri(world))
-    return footprints(read_world_file(found), below=ROBOT_HEIGHT)
+    """Return the obstacles of the robot in a world of the package, by its name."""
+    return footprints(read_world(world), below=ROBOT_HEIGHT)
 
 
-def _draw_start(
-    rng: np.random.Generator, walls: Tuple[Footprint, ...]
-) -> Tuple[float, float, float]:
+def _draw_start(rng: np.random.Generator, walls: Tuple[Footprint, ...]) -> PlanarPose:
     dock_x, dock_y, _ = MARKER_POSE
     distance = rng.uniform(NEAREST, FARTHEST)
     for _ in range(_MOST_ATTEMPTS):
         bearing = rng.uniform(-WIDEST, WIDEST)
         heading = rng.uniform(-math.pi, math.pi)
         x, y = dock_x - distance, dock_y + distance * math.tan(bearing)
-        if all(wall.distance((x, y)) > _room(wall) for wall in walls):
+        if all(wall.distance((x, y)) > _clearance(wall) for wall in walls):
             return x, y, heading
-    raise ScenarioError("there is no room for a robot")
+    raise ScenarioError(f"{_MOST_ATTEMPTS} draws found no start with enough room for a robot")
 
 
-def _room(wall: Footprint) -> float:
-    return TURNING_RADIUS if wall.name == DOCK_MODEL else UNTOLD_ROOM
+def _clearance(wall: Footprint) -> float:
+    return TURNING_RADIUS if wall.name == DOCK_MODEL else UNKNOWN_CLEARANCE
 
-
-Record = Mapping[str, Any]
-Dock = Callable[[DockingScenario], DockingOutcome]
 
 CRASHED = "crashed"
-"""What a docking comes to that came to no end, beside the words of `judge`."""
+"""Result of a docking that did not end, beside those of `judge`."""
 
 TOLERANCES = {name: name.replace("error", "tolerance") for name in ERRORS}
 """Names of the columns with the dock's own tolerances, by those of the errors."""
 
 COSTS = {name: name.replace("error", "cost") for name in ERRORS}
-"""Names of the columns with what the stress costs, which is added to the tolerance."""
+"""Names of the columns with the cost of the stress, which is added to the tolerance."""
 
 
-def run_trial(settings: DrawSettings, index: int, dock: Dock = run_docking) -> Record:
-    """Run the docking of an index and return its record; never raises what the docking raises."""
+def run_trial(
+    settings: DrawSettings,
+    index: int,
+    dock: Callable[[DockingScenario], DockingOutcome] = run_docking,
+) -> Record:
+    """Run the docking of an index and return its record; an error becomes a crashed record."""
     scenario = draw_scenario(settings, index)
     try:
         outcome = dock(scenario)
-    except Exception as error:  # what broke this docking shall not end the campaign
+    except Exception as error:  # one docking must not end the campaign
         return crashed_record(settings, index, f"{type(error).__name__}: {error}")
     x, y, yaw = (float(value) for value in outcome.end)
     errors = {name: float(getattr(outcome, name)) for name in ERRORS}
-    said = DockingError[outcome.error_name]
-    dock_ = dock_of(scenario)
-    tolerance = scenario.stress.allowed(dock_.tolerance, dock_.docked_distance)
+    known = dock_of(scenario)
+    tolerance = scenario.stress.allowed(known.tolerance, known.docked_distance)
+    reported = DockingError[outcome.error_name]
     return {
         **_drawn(index, scenario),
-        "result": judge(said, errors, tolerance, outcome.wall_contacts),
+        "result": judge(reported, errors, tolerance, outcome.wall_contacts),
         "message": outcome.message,
         **errors,
         "wall_contacts": int(outcome.wall_contacts),
@@ -191,7 +184,7 @@ def run_trial(settings: DrawSettings, index: int, dock: Dock = run_docking) -> R
     }
 
 
-_NUMBERS = (
+_MEASURED = (
     *(*ERRORS, "wall_contacts", "retries"),
     *("sim_time_s", "end_x_m", "end_y_m", "end_yaw_deg", "renderer"),
     *found_columns(None),
@@ -199,20 +192,19 @@ _NUMBERS = (
 
 
 def crashed_record(settings: DrawSettings, index: int, why: str) -> Record:
-    """Return the record of a docking that came to no end."""
+    """Return the record of a docking that did not end."""
     drawn, message = _drawn(index, draw_scenario(settings, index)), " ".join(why.split())
-    return {**drawn, "result": CRASHED, "message": message, **dict.fromkeys(_NUMBERS)}
+    return {**drawn, "result": CRASHED, "message": message, **dict.fromkeys(_MEASURED)}
 
 
 def _drawn(index: int, scenario: DockingScenario) -> Dict[str, Any]:
     x, y, yaw = scenario.start
     error_x, error_y, error_yaw = scenario.dock_error
     dock = dock_of(scenario)
-    most = largest_errors(dock.tolerance)
     return {
         "index": index,
-        "world": _name_of(scenario.world),
-        "light": _name_of(scenario.lighting).replace("docking_", "") or "default",
+        "world": scenario.world,
+        "light": scenario.light,
         "start_x_m": x,
         "start_y_m": y,
         "start_yaw_deg": math.degrees(yaw),
@@ -223,11 +215,7 @@ def _drawn(index: int, scenario: DockingScenario) -> Dict[str, Any]:
         "odometry_std": scenario.odometry_std,
         "image_noise": scenario.image_noise,
         "image_blur_px": scenario.image_blur,
-        **{TOLERANCES[name]: value for name, value in most.items()},
+        **{TOLERANCES[name]: value for name, value in largest_errors(dock.tolerance).items()},
         **stress_columns(scenario.stress),
         **dict(zip(COSTS.values(), scenario.stress.costs(dock.docked_distance))),
     }
-
-
-def _name_of(world: str) -> str:
-    return world.rsplit("/", 1)[-1].replace(".world", "")

@@ -1,12 +1,12 @@
-"""The pictures of a noise study.
+"""Figures of a noise study.
 
-Noisy paths are blue and the perfect one orange, as in all figures; what is computed exactly is
-black, what is computed to first order vermilion and dashed.
+Noisy paths are blue and the perfect one is orange, as in all figures; exact moments are black,
+first-order ones vermilion and dashed.
 """
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,16 +17,16 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogFormatter, NullLocator
 
-from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, new_figure
+from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 from bullet_lab.core.se2 import LEVEL, ellipse_points
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import Moments
 from bullet_lab.noise.noisy_paths import noisy_steps
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.paths import find_corners, resample
-from bullet_lab.studies.noise_study.regions import METHODS
+from bullet_lab.studies.noise_study.regions import GAUSSIAN_SHARE, METHODS, level_rule, theory
 from bullet_lab.studies.noise_study.statistics import Case
-from bullet_lab.studies.noise_study.theory import GAUSSIAN_SHARE, level_rule, theory
+from bullet_lab.studies.results import labelled, legend_below, legend_entry, panels
 
 COLUMNS = 5
 CURVES = 5
@@ -41,7 +41,7 @@ STYLES = {
 }
 """Lines and colours of the methods."""
 
-_LARGEST_MARGIN = 0.6  # of the size of the path; what goes beyond is cut off
+_LARGEST_MARGIN = 0.6  # of the size of the path; the rest is cut off
 _RATES_ON_CURVE = 24
 
 Window = Tuple[float, float, float, float]
@@ -53,13 +53,13 @@ def levels_figure(cases: Sequence[Case]) -> Figure:
     columns = min(COLUMNS, len(cases))
     window = _window(cases)
     height = 2.6 * (window[3] - window[2]) / (window[1] - window[0])
-    figure = new_figure(0.8 + 2.6 * columns, 1.3 + rows * (min(height, 5.0) + 0.35))
+    size = 0.8 + 2.6 * columns, 1.3 + rows * (min(height, 5.0) + 0.35)
     first = cases[0]
-    figure.suptitle(
+    title = (
         f"{MODELS[first.model].title} noise at {first.rate:g} Hz: "
         f"{len(first.sample.kept)} of {first.sample.paths} paths at each level"
     )
-    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    figure, grid = panels((rows, columns), size, title, sharex=True, sharey=True)
     for axes, case in zip(grid.flat, cases):
         _draw_sheet(axes, case, window)
         axes.set_title(f"std {case.std:g}", fontsize=10)
@@ -70,7 +70,6 @@ def levels_figure(cases: Sequence[Case]) -> Figure:
     for axes in grid[:, 0]:
         axes.set_ylabel("y (m)")
     _add_sheet_legend(figure)
-    figure.tight_layout(rect=(0.01, 0.35 / figure.get_figheight(), 1.0, 1.0), pad=0.8)
     return figure
 
 
@@ -80,10 +79,10 @@ def distance_figure(cases: Sequence[Case]) -> Figure:
     The cases are of one rate; each model has a panel.
     """
     by_model = by_model_of(cases)
-    figure = new_figure(4.3 * len(by_model) + 0.6, 4.6)
-    figure.suptitle(f"Error against distance, at {cases[0].rate:g} Hz")
-    panels = figure.subplots(1, len(by_model), squeeze=False, sharey=True)[0]
-    for axes, (model, of_model) in zip(panels, by_model.items()):
+    title = f"Error against distance, at {cases[0].rate:g} Hz"
+    size = 4.3 * len(by_model) + 0.6, 4.6
+    figure, (row,) = panels((1, len(by_model)), size, title, sharey=True)
+    for axes, (model, of_model) in zip(row, by_model.items()):
         shown = shown_levels(of_model)
         for case, colour in zip(shown, _colours(len(shown))):
             _draw_error(axes, case, colour)
@@ -92,32 +91,31 @@ def distance_figure(cases: Sequence[Case]) -> Figure:
         axes.grid(alpha=0.3)
         axes.margins(x=0.0)
         axes.set_xlim(right=1.2 * cases[0].trajectory.length())
-    panels[0].set_ylabel("rms distance from the perfect path (m)")
+    row[0].set_ylabel("rms distance from the perfect path (m)")
     handles = [
-        *panels[0].plot([], [], color=GREY, linewidth=3.2, label="sample (colour: std)"),
-        *panels[0].plot([], [], "--", color=BLACK, linewidth=1.0, label="closed form, exact"),
-        *panels[0].plot([], [], ":", color=VERMILION, linewidth=1.6, label="first order"),
+        legend_entry("sample (colour: std)", color=GREY, linewidth=3.2),
+        legend_entry("closed form, exact", linestyle="--", color=BLACK, linewidth=1.0),
+        legend_entry("first order", linestyle=":", color=VERMILION, linewidth=1.6),
     ]
-    figure.legend(handles=handles, loc="lower center", ncol=3, frameon=False)
-    figure.tight_layout(rect=(0.0, 0.07, 1.0, 1.0))
+    legend_below(figure, handles, bottom=0.07)
     return figure
 
 
 def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
-    """Draw what the message rate does to each model: paths, and the error at the end.
+    """Draw the effect of the message rate on each model: paths, and the error at the end.
 
-    The cases are of all models, rates and levels; the trajectory is the path as it was given.
+    The cases are of all models, rates and levels; the trajectory is the given path.
     """
     by_model = by_model_of(cases)
     rates = _spread(sorted({case.rate for case in cases}), SHOWN_RATES)
     level = min({case.std for case in cases}, key=lambda std: abs(std - TYPICAL_LEVEL))
     sheets = [case for case in cases if case.std == level and case.rate in rates]
     window = _window(sheets)
-    figure = new_figure(2.5 * len(rates) + 4.4, 0.9 + 2.75 * len(by_model))
-    figure.suptitle(f"Dependence on the message rate; paths at std {level:g}")
-    widths = [1.0] * len(rates) + [1.35]
-    grid = figure.subplots(
-        len(by_model), len(rates) + 1, squeeze=False, gridspec_kw={"width_ratios": widths}
+    figure, grid = panels(
+        (len(by_model), len(rates) + 1),
+        (2.5 * len(rates) + 4.4, 0.9 + 2.75 * len(by_model)),
+        f"Dependence on the message rate; paths at std {level:g}",
+        gridspec_kw={"width_ratios": [1.0] * len(rates) + [1.35]},
     )
     for row, (model, of_model) in zip(grid, by_model.items()):
         for axes, rate in zip(row, rates):
@@ -134,17 +132,15 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
     for axes in grid[:, -1]:
         axes.set_ylim(min(low for low, _ in shared), 1.3 * max(high for _, high in shared))
     _add_sheet_legend(figure)
-    figure.tight_layout(rect=(0.01, 0.35 / figure.get_figheight(), 1.0, 1.0), pad=0.8)
     return figure
 
 
 def coverage_figure(cases: Sequence[Case]) -> Figure:
-    """Draw where the 95 % ellipses are right, at the highest rate of the cases, and why not."""
-    rate = max(case.rate for case in cases)
-    by_model = by_model_of([case for case in cases if case.rate == rate])
-    figure = new_figure(4.0 * len(by_model) + 0.8, 6.0)
-    figure.suptitle(f"How far to trust an ellipse: last position, at {rate:g} Hz")
-    grid = figure.subplots(2, len(by_model), squeeze=False, sharex=True, sharey="row")
+    """Draw the levels at which the 95 % ellipses are right, and why not at others; one rate."""
+    by_model = by_model_of(cases)
+    title = f"How far to trust an ellipse: last position, at {cases[0].rate:g} Hz"
+    size = 4.0 * len(by_model) + 0.8, 6.0
+    figure, grid = panels((2, len(by_model)), size, title, sharex=True, sharey="row")
     for column, (model, of_model) in zip(grid.T, by_model.items()):
         known = [case for case in of_model if case.sample.coverage["first_order"] is not None]
         _draw_coverage(column[0], known)
@@ -160,8 +156,7 @@ def coverage_figure(cases: Sequence[Case]) -> Figure:
         plain_numbers(column[1].yaxis)
     grid[0, 0].set_ylabel("in the 95 % ellipse (%)")
     grid[1, 0].set_ylabel("ratio; grey: Gaussian enough")
-    add_legend(figure, [*grid[0], *grid[1]])
-    figure.tight_layout(rect=(0.0, 0.05, 1.0, 1.0))
+    legend_below(figure, labelled(*grid.flat), bottom=0.05, fontsize=9)
     return figure
 
 
@@ -202,19 +197,20 @@ def _ellipse_at(case: Case, moments: Moments, index: int) -> np.ndarray:
 
 
 def _add_sheet_legend(figure: Figure) -> None:
-    axes = figure.axes[0]
     ellipse = f"{100 * LEVEL:g} % ellipse"
+    first_order = {"linestyle": "--", "color": VERMILION, "linewidth": 1.2}
     handles = [
-        *axes.plot([], [], color=BLUE, linewidth=1.0, label="noisy"),
-        *axes.plot([], [], color=ORANGE, linewidth=2.0, label="perfect"),
-        *axes.plot([], [], color=BLACK, linewidth=1.2, label=f"{ellipse}, exact"),
-        *axes.plot([], [], "--", color=VERMILION, linewidth=1.2, label=f"{ellipse}, first order"),
+        legend_entry("noisy", color=BLUE, linewidth=1.0),
+        legend_entry("perfect", color=ORANGE, linewidth=2.0),
+        legend_entry(f"{ellipse}, exact", color=BLACK, linewidth=1.2),
+        legend_entry(f"{ellipse}, first order", **first_order),
     ]
-    figure.legend(handles=handles, loc="lower center", ncol=4, frameon=False)
+    legend_below(figure, handles)
+    figure.tight_layout(rect=(0.01, 0.35 / figure.get_figheight(), 1.0, 1.0), pad=0.8)
 
 
 def _window(cases: Sequence[Case]) -> Window:
-    """Return limits that hold paths and ellipses as far as they are near the perfect path."""
+    """Return limits that hold paths and ellipses, within a margin around the perfect path."""
     poses = cases[0].trajectory.poses
     size = max(np.ptp(poses[:, 0]), np.ptp(poses[:, 1]))
     start = complex(*poses[0, :2])
@@ -235,7 +231,7 @@ def _window(cases: Sequence[Case]) -> Window:
 
 def _draw_error(axes: Axes, case: Case, colour) -> None:
     travelled = case.trajectory.travelled()
-    # On a logarithmic axis the start, where there is no error, is nowhere.
+    # A logarithmic axis cannot show the start, where the error is 0.
     shown = slice(int(np.searchsorted(travelled, 0.02 * travelled[-1])), None)
     far = travelled[shown]
     axes.plot(far, case.sample.rms_distance[shown], color=colour, linewidth=3.2)
@@ -265,8 +261,8 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
         axes.plot(rates, ends, "-", color=BLACK, linewidth=1.0)
         of_level = [case for case in cases if case.std == first.std]
         found = [case.sample.rms_distance[-1] for case in of_level]
-        look = {"color": colour, "markeredgecolor": BLACK, "markersize": 6}
-        axes.plot([case.rate for case in of_level], found, "o", **look)
+        style = {"color": colour, "markeredgecolor": BLACK, "markersize": 6}
+        axes.plot([case.rate for case in of_level], found, "o", **style)
         _label(axes, f"{first.std:g}", (rates[-1], ends[-1]), 4)
     axes.set(xscale="log", yscale="log")
     axes.set_xlim(0.75 * rates[0], 2.0 * rates[-1])
@@ -278,25 +274,14 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
     axes.grid(alpha=0.3)
 
 
-def add_legend(figure: Figure, panels: Iterable[Axes]) -> None:
-    """Add a legend below a figure, with each label of its panels once; none without labels."""
-    labels = {}
-    for axes in panels:
-        for handle, label in zip(*axes.get_legend_handles_labels()):
-            labels.setdefault(label, handle)
-    if labels:
-        place = {"loc": "lower center", "ncol": len(labels), "frameon": False}
-        figure.legend(labels.values(), labels, fontsize=9, **place)
-
-
 def plain_numbers(axis: Axis) -> None:
-    """Write the numbers of a logarithmic axis without powers of ten."""
+    """Format the numbers of a logarithmic axis without powers of ten."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(LogFormatter())
 
 
 def by_model_of(cases: Sequence[Case]) -> Dict[str, List[Case]]:
-    """Return the cases of each model, in their order."""
+    """Return the cases of each model, in the given order."""
     result: Dict[str, List[Case]] = {}
     for case in cases:
         result.setdefault(case.model, []).append(case)
@@ -304,12 +289,12 @@ def by_model_of(cases: Sequence[Case]) -> Dict[str, List[Case]]:
 
 
 def shown_levels(cases: Sequence[Case], count: int = CURVES) -> List[Case]:
-    """Return cases with noise, from low to high, as many as can be told apart."""
+    """Return some of the cases with noise, from low to high."""
     return _spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), count)
 
 
 def _spread(values: Sequence, count: int) -> List:
-    """Return so many of the values, first and last among them."""
+    """Return some of the values, evenly spread, with the first and the last."""
     if len(values) <= count:
         return list(values)
     indices = np.linspace(0, len(values) - 1, count).round().astype(int)
@@ -317,5 +302,5 @@ def _spread(values: Sequence, count: int) -> List:
 
 
 def _colours(count: int) -> np.ndarray:
-    """Return colours from dark to light, which print and the colour-blind tell apart."""
+    """Return colours from dark to light, which differ in print and for the colour-blind."""
     return viridis(np.linspace(0.1, 0.9, count))

@@ -1,11 +1,11 @@
-"""The perfect path of a noise study: as files have it, at another message rate, and its corners."""
+"""Paths from files, at another message rate, and their corners."""
 
 from __future__ import annotations
 
 import csv
 import math
 from pathlib import Path
-from typing import List
+from typing import Any, List, Mapping, Sequence, Tuple
 
 import numpy as np
 
@@ -20,29 +20,31 @@ from bullet_lab.core.trajectory import (
 )
 
 LONGEST_PATH = 1e7
-"""m; a path that is longer is not one of a robot on this planet."""
+"""m; longer paths are errors of units or of a file."""
 
-CSV_COLUMNS = ("stamp", "x", "y", "yaw")
-ODOMETRY_KIND = "nav_msgs/Odometry"
+SHORTEST_PATH = 1e-3
+"""m; shorter paths are those of a robot at rest."""
+
+ODOMETRY = "nav_msgs/Odometry"
 
 _POSES = {
-    ODOMETRY_KIND: lambda message: message.pose.pose,
+    ODOMETRY: lambda message: message.pose.pose,
     "geometry_msgs/PoseStamped": lambda message: message.pose,
     "geometry_msgs/PoseWithCovarianceStamped": lambda message: message.pose.pose,
     "geometry_msgs/TransformStamped": lambda message: message.transform,
 }
-"""Messages with a stamped pose, and where it is in them."""
+"""Functions that return the pose of a message, by type."""
 
 
 class PathFileError(TrajectoryError):
-    """A path cannot be read, or no noise can be studied on it."""
+    """A path cannot be read, or is not usable."""
 
 
 def read_path(path: Path, topic: str = "/odom", prefix: str = "") -> Trajectory:
-    """Read a perfect path: a bag (.bag), a table (.csv), otherwise a file in TUM format.
+    """Read a path from a bag (.bag), a table (.csv), or any other file in TUM format.
 
-    A table has a first line that names its columns, `CSV_COLUMNS` among them, in s, m and rad:
-    the paths.csv of the squares is one.
+    The first line of a table names its columns, with stamp, x, y and yaw among them, in s, m and
+    rad. An example is paths.csv of the squares.
 
     Args:
         path: the file.
@@ -50,13 +52,15 @@ def read_path(path: Path, topic: str = "/odom", prefix: str = "") -> Trajectory:
         prefix: of the names of a table's columns x, y and yaw.
 
     Raises:
-        LabError: the file cannot be read, or does not hold a path that leads anywhere.
+        LabError: the file cannot be read, or the path does not move.
     """
-    readers = {
-        ".bag": lambda name: _read_bag(name, topic),
-        ".csv": lambda name: _read_csv(name, prefix),
-    }
-    trajectory = readers.get(Path(path).suffix.lower(), read_tum)(path)
+    kind = Path(path).suffix.lower()
+    if kind == ".bag":
+        trajectory = _read_bag(path, topic)
+    elif kind == ".csv":
+        trajectory = _read_csv(path, prefix)
+    else:
+        trajectory = read_tum(path)
     try:
         check_path(trajectory)
     except PathFileError as error:
@@ -65,34 +69,50 @@ def read_path(path: Path, topic: str = "/odom", prefix: str = "") -> Trajectory:
 
 
 def check_path(trajectory: Trajectory) -> None:
-    """Raise PathFileError unless the path has two poses and a length that makes sense."""
+    """Raise PathFileError unless the path has two poses and a plausible length."""
     if len(trajectory) < 2:
         raise PathFileError("the path has only one pose")
     if np.abs(trajectory.poses[:, :2]).max() > LONGEST_PATH or trajectory.length() > LONGEST_PATH:
-        raise PathFileError(f"the path leads farther than {LONGEST_PATH:g} m")
-    if trajectory.length() < 1e-3:
-        raise PathFileError("the path leads nowhere")
+        raise PathFileError(f"the path is longer than {LONGEST_PATH:g} m: are positions in m?")
+    if trajectory.length() < SHORTEST_PATH:
+        raise PathFileError(f"the path is shorter than {SHORTEST_PATH:g} m: did the robot move?")
 
 
-def _read_csv(path: Path, prefix: str) -> Trajectory:
-    rows: List[List[float]] = []
-    columns = ("stamp", *(prefix + name for name in CSV_COLUMNS[1:]))
+def read_table(
+    path: Path, *choices: Sequence[str]
+) -> Tuple[Sequence[str], List[Tuple[str, Mapping[str, str]]]]:
+    """Read a CSV file whose first line names its columns.
+
+    Args:
+        path: the file.
+        choices: sets of columns; the file has one of them, among other columns.
+
+    Returns:
+        The first of the sets that the file has; and each row by column, with its place in words.
+
+    Raises:
+        PathFileError: the file cannot be read, or lacks columns.
+    """
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file)
-            missing = set(columns) - set(reader.fieldnames or ())
-            if missing:
-                raise PathFileError(
-                    f"{path}: the first line has to name the columns {', '.join(columns)}"
-                )
-            for row in reader:
-                values = [row[name] for name in columns]
-                rows.append(finite_numbers(values, f"{path}, line {reader.line_num}"))
+            names = set(reader.fieldnames or ())
+            rows = [(f"{path}, line {reader.line_num}", row) for row in reader]
     except OSError as error:
         raise PathFileError(f"cannot read {path}: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error):
         raise PathFileError(f"cannot read {path}: it is not a table") from None
-    return trajectory_of(rows, path)
+    for columns in choices:
+        if names >= set(columns):
+            return columns, rows
+    wanted = " or ".join(", ".join(columns) for columns in choices)
+    raise PathFileError(f"{path}: the first line has to name the columns {wanted}")
+
+
+def _read_csv(path: Path, prefix: str) -> Trajectory:
+    columns, rows = read_table(path, ("stamp", f"{prefix}x", f"{prefix}y", f"{prefix}yaw"))
+    poses = [finite_numbers([row[name] for name in columns], where) for where, row in rows]
+    return trajectory_of(poses, path)
 
 
 def _read_bag(path: Path, topic: str) -> Trajectory:
@@ -102,7 +122,7 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
     except ImportError as error:
         raise PathFileError(f"cannot read {path} without ROS's rosbag: {error}") from None
     kinds = {kind: get_message_class(kind) for kind in _POSES}
-    # rosbag would compile what a bag says of its messages' types, which can be any program.
+    # rosbag would compile the message types in a bag, which may contain any program.
     rosbag.bag._message_types.update((kind._md5sum, kind) for kind in kinds.values() if kind)
     known = {(kind._type, kind._md5sum) for kind in kinds.values() if kind}
     try:
@@ -110,26 +130,27 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
             there = list(bag._get_connections())
             wanted = [info for info in there if info.topic.strip("/") == topic.strip("/")]
             foreign = [one.datatype for one in wanted if (one.datatype, one.md5sum) not in known]
-            # Without a topic rosbag reads all of them.
-            names = [] if foreign else [info.topic for info in wanted]
-            messages = (
-                [message for _, message, _ in bag.read_messages(topics=names)] if names else []
-            )
+            messages = []
+            # Without a topic rosbag would read all of them.
+            if wanted and not foreign:
+                names = [info.topic for info in wanted]
+                messages = [message for _, message, _ in bag.read_messages(topics=names)]
     except OSError as error:
         raise PathFileError(f"cannot read {path}: {error.strerror or error}") from None
-    except Exception as error:  # rosbag raises whatever it stumbles over in a broken bag
+    except Exception as error:  # rosbag raises any kind for a broken bag
         raise PathFileError(f"cannot read {path}: {error or type(error).__name__}") from None
     if foreign:
         strange = f"another {foreign[0]}" if foreign[0] in _POSES else foreign[0]
         raise PathFileError(f"{path}: {topic} is of {strange}, not {', '.join(_POSES)}")
     if not messages:
-        paths = sorted({info.topic for info in there if info.datatype == ODOMETRY_KIND})
-        said = f"odometry is on {', '.join(paths)}" if paths else "there is no odometry"
-        raise PathFileError(f"{path}: nothing on the topic {topic}; {said}")
-    return trajectory_of([_values(one, _POSES[one._type](one)) for one in messages], path)
+        paths = sorted({info.topic for info in there if info.datatype == ODOMETRY})
+        known_paths = f"odometry is on {', '.join(paths)}" if paths else "there is no odometry"
+        raise PathFileError(f"{path}: nothing on the topic {topic}; {known_paths}")
+    return trajectory_of([_pose_row(message) for message in messages], path)
 
 
-def _values(message, pose) -> List[float]:
+def _pose_row(message: Any) -> List[float]:
+    pose = _POSES[message._type](message)
     if message._type.endswith("TransformStamped"):
         place, turn = pose.translation, pose.rotation
     else:
@@ -138,14 +159,14 @@ def _values(message, pose) -> List[float]:
     return [message.header.stamp.to_sec(), place.x, place.y, yaw]
 
 
-def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write a path in the TUM format, which evo_traj and evo_ape read."""
+def tum_text(trajectory: Trajectory) -> str:
+    """Return a path in the TUM format, which evo_traj and evo_ape read."""
     rows = [tum_row(stamp, *pose) for stamp, pose in zip(trajectory.stamps, trajectory.poses)]
-    path.write_text("".join(f"{row}\n" for row in rows))
+    return "".join(f"{row}\n" for row in rows)
 
 
 MOST_POSES = 2_000_000
-"""A path of more poses is more likely a mistake than a path."""
+"""Largest number of poses of a resampled path."""
 
 _SAME_STAMP = 1e-6  # s; closer than messages ever are
 
@@ -155,17 +176,17 @@ class ResamplingError(TrajectoryError):
 
 
 def resample(trajectory: Trajectory, rate: float) -> Trajectory:
-    """Return the poses that messages at a rate would carry: at start + k / rate, and at the end.
+    """Return the poses of messages at a rate: at start + k / rate, and at the end.
 
-    The last pose is always one of them, so that all rates end in the same place. Between two
-    poses of the path, position and heading are interpolated, the heading the short way round.
+    The last pose of the path is always included, so that all rates end at the same pose. Position
+    and heading are interpolated between two poses, the heading along the shorter turn.
 
     Args:
         trajectory: the path, two poses at least.
         rate: Hz, > 0.
 
     Raises:
-        ResamplingError: the path has one pose, or the rate makes no sense for it.
+        ResamplingError: the path has one pose, or the rate is invalid or too high for it.
     """
     if len(trajectory) < 2:
         raise ResamplingError("the path has only one pose")
@@ -186,7 +207,7 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
 
 
 def snapped(stamps: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Replace stamps by known ones that are the same but for rounding."""
+    """Replace stamps by known ones that are equal except for rounding."""
     after = np.minimum(np.searchsorted(known, stamps), len(known) - 1)
     before = np.maximum(after - 1, 0)
     nearer = np.where(stamps - known[before] < known[after] - stamps, before, after)
@@ -194,14 +215,14 @@ def snapped(stamps: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def find_corners(trajectory: Trajectory, most: int = 12) -> np.ndarray:
-    """Return the indices of the poses between which a path is nearly straight, start left out.
+    """Return the indices of the poses between which a path is nearly straight, without the start.
 
-    They are the vertices that Ramer, Douglas and Peucker's simplification keeps, the farthest
-    ones first, until what is left is within 5 % of the size of the path or there are enough.
+    They are the vertices of Ramer, Douglas and Peucker's simplification with a tolerance of 5 % of
+    the size of the path, the farthest ones first.
 
     Args:
         trajectory: the path.
-        most: how many there may be, the end included.
+        most: largest number of vertices, the end included.
     """
     x, y, _ = trajectory.poses.T
     position = x + 1j * y
@@ -218,7 +239,7 @@ def find_corners(trajectory: Trajectory, most: int = 12) -> np.ndarray:
 
 
 def _farthest(position: np.ndarray, first: int, last: int) -> tuple[float, int]:
-    """Return how far (m) a path goes from the line between two of its poses, and where."""
+    """Return the largest distance (m) from the line between two poses of a path, and its index."""
     between = position[first:last] - position[first]
     chord = position[last] - position[first]
     along = (between * np.conj(chord)).real / max(abs(chord) ** 2, 1e-12)

@@ -1,4 +1,4 @@
-"""The pictures of regions of confidence: how often they hold, and what they look like."""
+"""Figures of regions of confidence: their coverage and their shapes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_genera
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.figures import (
     STYLES,
-    add_legend,
     by_model_of,
     plain_numbers,
     shown_levels,
@@ -29,29 +28,32 @@ from bullet_lab.studies.noise_study.regions import (
     METHODS,
     TOLERANCE,
     Region,
+    Theory,
+    inverse_of,
+    level_rule,
+    theory,
 )
 from bullet_lab.studies.noise_study.statistics import Case
-from bullet_lab.studies.noise_study.theory import Theory, inverse_of, level_rule, theory
+from bullet_lab.studies.results import labelled, legend_below, legend_entry, panels
 
 PANELS = 3
 
 Gaussian = Tuple[np.ndarray, np.ndarray]
 """Its mean (3,) and covariance (3, 3), in m and rad."""
 
-Found = Sequence[Optional[Region]]
-
-_GRID, _HEADINGS, _REACH = 160, 41, 4.5
+_GRID = 160  # points per side of a grid of densities
+_HEADINGS = 41  # headings of a mean over headings
+_REACH = 4.5  # standard deviations of these headings
 
 
 def regions_figure(cases: Sequence[Case]) -> Figure:
     """Draw coverage at each level of confidence, and the NEES, at the end; one rate."""
     by_model = by_model_of(cases)
-    figure = new_figure(4.0 * len(by_model) + 0.8, 10.5)
-    figure.suptitle(
-        f"Regions of x, y and heading at the end, at {cases[0].rate:g} Hz; bands: 95 % confidence"
+    title = f"Regions of x, y and heading at the end, at {cases[0].rate:g} Hz"
+    shape, size = (len(LEVELS) + 1, len(by_model)), (4.0 * len(by_model) + 0.8, 10.5)
+    figure, grid = panels(
+        shape, size, f"{title}; bands: 95 % confidence", sharex=True, sharey="row"
     )
-    shape = (len(LEVELS) + 1, len(by_model))
-    grid = figure.subplots(*shape, squeeze=False, sharex=True, sharey="row")
     for column, (model, of_model) in zip(grid.T, by_model.items()):
         column[0].set_title(MODELS[model].title)
         std = [case.std for case in of_model]
@@ -59,14 +61,16 @@ def regions_figure(cases: Sequence[Case]) -> Figure:
             found = [case.sample.regions.found[method][-1] for case in of_model]
             for level, axes in enumerate(column[:-1]):
                 _draw_shares(axes, std, found, method, level)
-            _draw_nees(column[-1], std, found, method)
+            rows = [(x, r.nees, *r.nees_band) for x, r in zip(std, found) if r]
+            _draw_band(column[-1], rows, method)
         column[-1].axhline(3.0, color=GREY, linewidth=5.0, alpha=0.5, zorder=0.5)
         column[-1].set(yscale="log", xlabel="std")
         plain_numbers(column[-1].yaxis)
-    _name_rows(grid[:-1, 0])
+    for level, axes in zip(LEVELS, grid[:, 0]):
+        axes.set_ylabel(f"in the {100 * level:g} % region (%)")
     grid[-1, 0].set_ylabel("mean NEES; 3 is right")
-    add_legend(figure, grid.flat)
-    figure.tight_layout(rect=(0.0, 0.3 / figure.get_figheight(), 1.0, 1.0))
+    bottom = 0.3 / figure.get_figheight()
+    legend_below(figure, labelled(*grid.flat), bottom=bottom, fontsize=9)
     return figure
 
 
@@ -75,12 +79,11 @@ def distances_figure(cases: Sequence[Case]) -> Figure:
     by_model = by_model_of(cases)
     shown = {model: shown_levels(of_model, PANELS) for model, of_model in by_model.items()}
     rows = max(1, *map(len, shown.values()))
-    figure = new_figure(4.0 * len(by_model) + 0.8, 2.7 * rows + 0.8)
-    figure.suptitle(
-        f"95 % regions of x, y and heading along the path, at {cases[0].rate:g} Hz; "
-        "bands: 95 % confidence"
+    title = f"95 % regions of x, y and heading along the path, at {cases[0].rate:g} Hz"
+    shape, size = (rows, len(by_model)), (4.0 * len(by_model) + 0.8, 2.7 * rows + 0.8)
+    figure, grid = panels(
+        shape, size, f"{title}; bands: 95 % confidence", sharex=True, sharey="row"
     )
-    grid = figure.subplots(rows, len(by_model), squeeze=False, sharex=True, sharey="row")
     for column, (model, levels) in zip(grid.T, shown.items()):
         for axes, case in zip(column, levels):
             regions = case.sample.regions
@@ -90,16 +93,16 @@ def distances_figure(cases: Sequence[Case]) -> Figure:
         column[-1].set_xlabel("distance travelled (m)")
     for axes in grid[:, 0]:
         axes.set_ylabel("in the 95 % region (%)")
-    add_legend(figure, grid.flat)
-    figure.tight_layout(rect=(0.0, 0.3 / figure.get_figheight(), 1.0, 1.0))
+    bottom = 0.3 / figure.get_figheight()
+    legend_below(figure, labelled(*grid.flat), bottom=bottom, fontsize=9)
     return figure
 
 
 def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
-    """Draw clouds of noisy positions, and what is to hold 95 % of them, for some levels.
+    """Draw clouds of noisy positions and their 95 % regions, for some levels.
 
-    They are of the model that bends them most: above at the pose of the path where they are bent
-    most, below at the end of a straight line that is as long.
+    The model is the one whose clouds are most bent. Above: at the pose of the path with the most
+    bent cloud. Below: at the end of a straight line of the same length.
 
     Args:
         cases: of one rate, one of them with noise.
@@ -109,12 +112,11 @@ def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
     bent = [case for case in cases if case.model == most.model and case.std > 0.0]
     strong = [case for case in bent if not case.theory.first_order_enough()]
     levels = shown_levels(strong if len(strong) >= PANELS else bent, PANELS)
-    figure = new_figure(4.0 * max(2, len(levels)) + 0.6, 8.4)
-    figure.suptitle(
+    title = (
         f"{MODELS[most.model].title} noise: where the robot is, and 95 % regions; "
         "above the path where it is bent most, below a straight line"
     )
-    grid = figure.subplots(2, len(levels), squeeze=False)
+    figure, grid = panels((2, len(levels)), (4.0 * max(2, len(levels)) + 0.6, 8.4), title)
     for column, case in zip(grid.T, levels):
         for axes, cloud in zip(column, (_path_cloud(case), _line_cloud(case, seed))):
             _draw_cloud(axes, cloud)
@@ -122,22 +124,21 @@ def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
         column[-1].set_xlabel("error of x (m)")
     for axes in grid[:, 0]:
         axes.set_ylabel("error of y (m)")
-    axes = grid[0, 0]
+    perfect = {"linestyle": "", "color": ORANGE, "markeredgewidth": 2.5}
     handles = [
-        *axes.plot([], [], ".", color=BLUE, label="noisy"),
-        *axes.plot([], [], "+", color=ORANGE, markeredgewidth=2.5, label="perfect"),
-        *axes.plot([], [], "--", color=VERMILION, label=METHODS["first_order"]),
-        *axes.plot([], [], color=BLACK, label=METHODS["exact"]),
-        *axes.plot([], [], color=GREEN, linewidth=2.0, label=METHODS["exponential"]),
+        legend_entry("noisy", linestyle="", marker=".", color=BLUE),
+        legend_entry("perfect", marker="+", **perfect),
+        legend_entry(METHODS["first_order"], linestyle="--", color=VERMILION),
+        legend_entry(METHODS["exact"], color=BLACK),
+        legend_entry(METHODS["exponential"], color=GREEN, linewidth=2.0),
     ]
-    figure.legend(handles=handles, loc="lower center", ncol=len(handles), frameon=False)
-    figure.tight_layout(rect=(0.0, 0.45 / figure.get_figheight(), 1.0, 1.0))
+    legend_below(figure, handles, bottom=0.45 / figure.get_figheight())
     return figure
 
 
 @dataclass(frozen=True, eq=False)
 class _Cloud:
-    """Errors of positions at one pose, x + iy (m), and the mean and covariance of three methods."""
+    """Errors of positions at a pose, x + iy (m), and mean and covariance by three methods."""
 
     points: np.ndarray
     travelled: float
@@ -168,32 +169,29 @@ def _line_cloud(case: Case, seed: int) -> _Cloud:
     along = np.linspace(0.0, length, count)
     line = np.column_stack([along, np.zeros((count, 2))])
     steps = noisy_steps(line, level_rule(case.model, case.std))
-    # A rate that no case has, so that the draws are those of none.
+    # A rate that no case has selects draws that no case has.
     blocks = noisy_blocks(steps, study_generator(seed, case.model, case.std, -1.0), CLOUD)
     points = np.concatenate([block.position[:, -1] - length for block in blocks])
     exponential = exponential_moments(steps, [count - 1])
     return _cloud_at(theory(steps), exponential, -1, 0, points=points, travelled=length)
 
 
-def _name_rows(column: Sequence[Axes]) -> None:
-    for level, axes in zip(LEVELS, column):
-        axes.set_ylabel(f"in the {100 * level:g} % region (%)")
-
-
-def _draw_shares(axes: Axes, where, found: Found, method: str, level: int) -> None:
+def _draw_shares(
+    axes: Axes,
+    places: Sequence[float],
+    found: Sequence[Optional[Region]],
+    method: str,
+    level: int,
+) -> None:
     """Draw the coverage of a method's regions with its bands, where there are any."""
     goal, width = 100.0 * LEVELS[level], 100.0 * TOLERANCE
     axes.axhspan(goal - width, goal + width, color=GREY, alpha=0.12, linewidth=0.0)
-    known = [(x, r.coverage[level], *r.bands[level]) for x, r in zip(where, found) if r]
+    known = [(x, r.coverage[level], *r.bands[level]) for x, r in zip(places, found) if r]
     _draw_band(axes, [(x, *(100.0 * share for share in shares)) for x, *shares in known], method)
 
 
-def _draw_nees(axes: Axes, where, found: Found, method: str) -> None:
-    _draw_band(axes, [(x, r.nees, *r.nees_band) for x, r in zip(where, found) if r], method)
-
-
 def _draw_band(axes: Axes, rows: Sequence[Sequence[float]], method: str) -> None:
-    """Draw what a method gives, from rows of place, value, and the ends of its band."""
+    """Draw a line with its band from rows of place, value, and the ends of the band."""
     axes.grid(alpha=0.3)
     if rows:
         style, colour = STYLES[method]
@@ -220,7 +218,7 @@ def _draw_cloud(axes: Axes, cloud: _Cloud) -> None:
 
 
 def _draw_bent_region(axes: Axes, mean, covariance, around: np.ndarray) -> None:
-    """Draw what holds 95 % of the positions, if they are Gaussian in exponential coordinates."""
+    """Draw the region of 95 % of the positions, if they are Gaussian in exponential coordinates."""
     if inverse_of(covariance) is None:
         return
     x, y = (np.linspace(*_widened(side, 0.2), _GRID) for side in (around.real, around.imag))
@@ -228,7 +226,7 @@ def _draw_bent_region(axes: Axes, mean, covariance, around: np.ndarray) -> None:
     falling = np.sort(density.ravel())[::-1]
     held = np.cumsum(falling) / falling.sum()
     level = falling[np.searchsorted(held, LEVEL)]
-    # Drawn elsewhere and copied: a contour would widen the limits to its whole grid.
+    # Copied from another figure, as a contour would widen the limits to its whole grid.
     contour = new_figure(1.0, 1.0).subplots().contour(x, y, density, levels=[level])
     for curve in contour.allsegs[0]:
         axes.plot(*curve.T, color=GREEN, linewidth=2.0)

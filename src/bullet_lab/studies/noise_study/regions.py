@@ -1,25 +1,110 @@
-"""How often regions of confidence hold the pose that they are meant to hold, along a path.
+"""Moments of pose errors in closed form, and how often regions of confidence hold the pose.
 
 A region is of all three coordinates: all poses whose square Mahalanobis length, the NEES, is below
-the quantile of chi-square with 3 degrees of freedom. The heading is that of a pose, which knows of
-no full turns. The bands around shares are Clopper and Pearson's, those around the mean NEES from
-its sample deviation.
+the quantile of chi-square with 3 degrees of freedom. Headings are those of poses, without full
+turns. The bands around shares are Clopper and Pearson's, those around the mean NEES come from its
+sample deviation.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Dict, Iterator, List, Optional, Tuple
+from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 from scipy.special import betaincinv, chdtri, ndtri
 
 from bullet_lab.core.se2 import logarithm, wrap
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.noise.exact_moments import Moments, exponential_moments
+from bullet_lab.noise.exact_moments import (
+    Moments,
+    exact_moments,
+    exponential_moments,
+    first_order_moments,
+    quadratic_covariances,
+    quadratic_shares,
+)
 from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps
-from bullet_lab.studies.noise_study.theory import Theory, inverse_of
+from bullet_lab.noise.odometry_noise import NoiseRule, model_named
+
+FIRST_ORDER_SHARE = 0.05
+GAUSSIAN_SHARE = 0.1
+"""Largest share of the variance that is quadratic in the noise; see `Theory`."""
+
+_SINGULAR = 1e-12
+
+
+def level_rule(model: str, std: float) -> NoiseRule:
+    """Return the rule of a model at a level of noise; raises NoiseError."""
+    return model_named(model).at_level(std)
+
+
+@dataclass(frozen=True, eq=False)
+class Theory:
+    """Moments of the pose errors, computed without drawing a path.
+
+    `quadratic_share` decides whether an error is Gaussian enough. It is the largest share of the
+    variance in any direction of (x, y, heading) that is quadratic in the noise, in closed form. The
+    limits were measured: up to `GAUSSIAN_SHARE` the published 95 % regions, of the position and of
+    all three coordinates, hold 95 ± 1 %; up to `FIRST_ORDER_SHARE` those of first order do.
+
+    Attributes:
+        exact: the exact moments at each pose.
+        first_order: those to first order.
+        quadratic: covariance of the part that is quadratic in the noise, at each pose, (n+1, 3, 3).
+    """
+
+    exact: Moments
+    first_order: Moments
+    quadratic: np.ndarray
+
+    def shift(self) -> float:
+        """Return the error of the first-order mean at the end, in standard deviations.
+
+        This is the Mahalanobis length, in the position, of the exact bias; 0 without noise.
+        """
+        bias, inverse = self.exact.mean[-1, :2], inverse_of(position_of(self.first_order))
+        return 0.0 if inverse is None else math.sqrt(float(bias @ inverse @ bias))
+
+    def area_ratio(self) -> float:
+        """Return the area of the first-order ellipse at the end over that of the exact one."""
+        first, exact = (np.linalg.det(position_of(m)) for m in (self.first_order, self.exact))
+        return math.sqrt(max(first, 0.0) / exact) if exact > 0.0 else 1.0
+
+    def quadratic_share(self, pose: int = -1) -> float:
+        """Return the largest share of the variance at a pose that is quadratic in the noise."""
+        return float(quadratic_shares(self.quadratic[pose], self.exact.covariance[pose]))
+
+    def gaussian_enough(self, pose: int = -1) -> bool:
+        """Return whether a Gaussian in x, y and heading with the exact moments is good enough."""
+        return self.quadratic_share(pose) <= GAUSSIAN_SHARE
+
+    def first_order_enough(self, pose: int = -1) -> bool:
+        """Return whether one with the first-order covariance and no bias is good enough."""
+        return self.quadratic_share(pose) <= FIRST_ORDER_SHARE
+
+
+def theory(steps: NoisySteps) -> Theory:
+    """Return the moments of the noisy versions of a path."""
+    return Theory(exact_moments(steps), first_order_moments(steps), quadratic_covariances(steps))
+
+
+def position_of(moments: Moments) -> np.ndarray:
+    """Return the covariance (m²) of the last position."""
+    return moments.covariance[-1, :2, :2]
+
+
+def inverse_of(covariance: np.ndarray) -> Optional[np.ndarray]:
+    """Return the inverse of a covariance, None if it is singular to rounding."""
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    if (scale == 0.0).any():
+        return None
+    correlation = covariance / np.outer(scale, scale)
+    if np.linalg.eigvalsh(correlation)[0] < _SINGULAR:
+        return None
+    return np.linalg.inv(correlation) / np.outer(scale, scale)
+
 
 METHODS = {
     "first_order": "first order",
@@ -27,30 +112,31 @@ METHODS = {
     "exponential": "exponential",
     "published": "as noisy_odom sends it",
 }
-"""What they are called. The published one is that of `NoisyPath`, about what it sends."""
+"""Names of the methods for the user. The published region is that of `NoisyPath`, around the pose
+that it sends."""
 
 LEVELS = (0.5, 0.95, 0.99)
 BOUNDS = chdtri(3, 1.0 - np.array(LEVELS))
 """Quantiles of chi-square with 3 degrees of freedom."""
 
 MEANT = 1
-"""Index of the level that verdicts are about, 95 %."""
+"""Index of the level of verdicts, 95 %."""
 
 TOLERANCE = 0.01
-"""A region is right that holds its share, give or take so much."""
+"""Tolerance of the share that a region holds."""
 
 CHECKPOINTS = 8
 CLOUD = 1000
-"""So many positions are kept for pictures."""
+"""Number of positions that are kept for figures."""
 
 BAND = 0.95
 """Confidence of the bands."""
 
 
 def checkpoints(trajectory: Trajectory) -> np.ndarray:
-    """Return the indices of `CHECKPOINTS` poses at equal distances along a path, the last included.
+    """Return the indices of `CHECKPOINTS` poses at equal distances along a path, with the last.
 
-    They are fewer on a path of few poses.
+    A path of few poses has fewer.
     """
     travelled = trajectory.travelled()
     goals = travelled[-1] * np.arange(1, CHECKPOINTS) / CHECKPOINTS
@@ -71,12 +157,12 @@ def share_band(inside: int, trials: int) -> Tuple[float, float]:
 
 @dataclass(frozen=True)
 class Region:
-    """What was found of one method at one pose.
+    """Statistics of the regions of one method at one pose.
 
     Attributes:
         coverage: share of the paths in the region of each of `LEVELS`.
         bands: their 95 % intervals.
-        nees: mean, 3 where all is right.
+        nees: mean, 3 for a correct covariance.
         nees_band: its 95 % interval.
     """
 
@@ -86,9 +172,25 @@ class Region:
     nees_band: Tuple[float, float]
 
     def wrong(self) -> bool:
-        """Return whether the 95 % region certainly does not hold 95 ± 1 %."""
+        """Return whether the 95 % region does not hold 95 ± 1 %, with confidence `BAND`."""
         low, high = self.bands[MEANT]
         return high < LEVELS[MEANT] - TOLERANCE or low > LEVELS[MEANT] + TOLERANCE
+
+
+def right_up_to(
+    places: Sequence[float], regions: Sequence[Optional[Region]]
+) -> Optional[float]:
+    """Return the last of some places before the first wrong region; 0 if the first one is wrong.
+
+    Returns None if there is no region.
+    """
+    limit = None
+    for place, region in zip(places, regions):
+        if region is not None:
+            if region.wrong():
+                return limit or 0.0
+            limit = float(place)
+    return limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +198,10 @@ class Regions:
     """The regions of a case.
 
     Attributes:
-        poses: indices of the poses where they are, shape (k,).
-        travelled: m, up to there, shape (k,).
-        gaussian_enough: whether the error is, at each pose; see `Theory`.
-        found: for each method and pose, None where a region has no volume.
+        poses: indices of their poses, shape (k,).
+        travelled: m, up to these poses, shape (k,).
+        gaussian_enough: whether the error at each pose is; see `Theory`.
+        found: for each method and pose, None if the region has no volume.
         exponential: moments in exponential coordinates, at each pose.
         cloud: x + iy (m), errors of the first paths' positions at each pose, shape (b, k).
     """
@@ -112,12 +214,8 @@ class Regions:
     cloud: np.ndarray
 
     def right_until(self, method: str) -> Optional[float]:
-        """Return the distance (m) after which the 95 % region is wrong, None if there is none."""
-        known = [(m, region) for m, region in zip(self.travelled, self.found[method]) if region]
-        wrong = [number for number, (_, region) in enumerate(known) if region.wrong()]
-        if not known:
-            return None
-        return float(known[-1][0] if not wrong else known[wrong[0] - 1][0] if wrong[0] else 0.0)
+        """Return the distance (m) up to which the 95 % region is right, None without regions."""
+        return right_up_to(self.travelled, self.found[method])
 
     def rows(self) -> Iterator[List]:
         """Yield a row for each method and pose; see `HEADER`."""
@@ -138,12 +236,12 @@ HEADER = (
 
 
 class RegionCounter:
-    """Counts how many noisy paths are in the regions, in memory that does not grow with them.
+    """Counts the noisy paths in the regions, in memory that does not grow with their number.
 
     Args:
         trajectory: the perfect path.
-        steps: of it.
-        known: of its noisy versions.
+        steps: of the path.
+        known: moments of its noisy versions.
     """
 
     def __init__(self, trajectory: Trajectory, steps: NoisySteps, known: Theory):
@@ -174,7 +272,7 @@ class RegionCounter:
         self._sums = np.zeros((2, *self._known.shape))
 
     def add(self, block: NoisyBlock) -> None:
-        """Count some more paths."""
+        """Count the paths of a block."""
         off = block.position[:, self._poses] - self._perfect
         heading = wrap(block.heading_error[:, self._poses])
         if self._paths < CLOUD:
@@ -188,7 +286,7 @@ class RegionCounter:
         self._sums += nees.sum(axis=1), np.square(nees).sum(axis=1)
 
     def regions(self) -> Regions:
-        """Return what was found."""
+        """Return the statistics of all paths."""
         found = {
             name: [self._region(row, k) for k in range(len(self._poses))]
             for row, name in enumerate(self._names)
@@ -211,5 +309,5 @@ class RegionCounter:
         )
 
 
-# A product of the errors and the inverses first.
+# The product of the errors and the inverses comes first.
 _ORDER = ["einsum_path", (0, 1), (0, 1)]

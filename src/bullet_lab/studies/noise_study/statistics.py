@@ -1,8 +1,8 @@
-"""Statistics of thousands of noisy versions of one path, beside what theory says.
+"""Statistics of thousands of noisy versions of one path, with their moments in closed form.
 
-The metrics are those that people measure of an odometry, without alignment, as the noisy and the
-perfect path share their origin. Names and definitions are those of evo,
-rpg_trajectory_evaluation and the KITTI benchmark.
+The metrics are the usual ones of an odometry, without alignment, as the noisy and the perfect path
+share their origin. Names and definitions are those of evo, rpg_trajectory_evaluation and the KITTI
+benchmark.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
 from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps, noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
-from bullet_lab.studies.noise_study.regions import MEANT, RegionCounter, Regions
-from bullet_lab.studies.noise_study.theory import (
+from bullet_lab.studies.noise_study.regions import (
+    MEANT,
+    RegionCounter,
+    Regions,
     Theory,
     inverse_of,
     level_rule,
@@ -28,16 +30,16 @@ from bullet_lab.studies.noise_study.theory import (
 )
 
 DELTA_TOLERANCE = 0.25
-"""How far, as a share of it, the distance between two poses may be from the delta of the RPE."""
+"""Tolerance of the distance between two poses, as a share of the RPE's delta."""
 
 LAP_TOLERANCE = math.radians(10.0)
-"""rad; a path that ends this close to a full turn has made its lap."""
+"""rad; a last lap may lack so much of a full turn."""
 
 MOST_LAPS = 50
-"""Who turns round more often than this is not going round in laps."""
+"""Largest number of laps; the rest of the path is ignored."""
 
 QUANTILE_PATHS = 100_000
-"""Medians and 95 % quantiles are of the first so many paths; everything else is of all."""
+"""Number of paths for medians and 95 % quantiles; everything else uses all paths."""
 
 METRICS = (
     "final_error_m",
@@ -51,11 +53,11 @@ METRICS = (
     "along_track_rms_m",
     "cross_track_rms_m",
 )
-"""The columns that `PathMetrics.values` always has; a closure error for each lap follows."""
+"""Columns of `PathMetrics.values`; a closure error for each lap follows."""
 
 
 class PathMetricsError(LabError):
-    """A path on which the metrics are not defined."""
+    """The metrics are not defined for a path."""
 
 
 class Laps(NamedTuple):
@@ -66,10 +68,10 @@ class Laps(NamedTuple):
 
 
 def find_laps(trajectory: Trajectory) -> Laps:
-    """Cut a path where its heading has gone another full turn round, either way.
+    """Cut a path where its heading has completed another full turn, in either direction.
 
-    The last lap may lack `LAP_TOLERANCE`. A path without a full turn has no laps; of very many
-    the first `MOST_LAPS` count.
+    The last lap may lack `LAP_TOLERANCE`. A path without a full turn has no laps; only the first
+    `MOST_LAPS` count.
     """
     heading = np.unwrap(trajectory.poses[:, 2])
     turned = np.abs(heading - heading[0])
@@ -89,8 +91,8 @@ def find_laps(trajectory: Trajectory) -> Laps:
 def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray, np.ndarray]:
     """Pair each pose with the one whose distance along the path is nearest to delta.
 
-    Pairs that miss delta by more than `DELTA_TOLERANCE` are left out. These are the pairs of
-    evo, taken from the reference with `all_pairs`.
+    Pairs that differ from delta by more than `DELTA_TOLERANCE` are left out. These are the pairs
+    of evo, taken from the reference with `all_pairs`.
 
     Returns:
         Indices of the first and second poses, two arrays of the same length.
@@ -102,8 +104,8 @@ def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray,
         raise PathMetricsError(f"delta must be finite and > 0, not {delta!r}")
     travelled = trajectory.travelled()
     count = len(travelled)
-    # The nearest is the last at or below the wanted distance or the first above it; of those at
-    # the same distance, where the robot did not move, it is the first.
+    # The nearest is the last one at or below the wanted distance or the first one above it. Of
+    # poses at the same distance, where the robot did not move, it is the first.
     above = np.searchsorted(travelled, travelled + delta, side="left")
     below = np.searchsorted(travelled, travelled[np.maximum(above - 1, 0)], side="left")
     first = np.arange(count)
@@ -123,11 +125,11 @@ def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray,
 
 
 class PathMetrics:
-    """Measures noisy versions of one perfect path.
+    """Metrics of noisy versions of one perfect path.
 
     Args:
         trajectory: the perfect path.
-        steps: of it.
+        steps: of the path.
         delta: m, of the relative pose error and the drift.
 
     Raises:
@@ -171,7 +173,7 @@ class PathMetrics:
         return np.column_stack([*columns, laps])
 
     def perfect_closure(self) -> list[float]:
-        """Return the closure error (m) that the perfect path itself has in each lap."""
+        """Return the closure error (m) of the perfect path in each lap."""
         return np.abs(self._position[self.laps.end] - self._position[self.laps.start]).tolist()
 
     def _relative_errors(self, block: NoisyBlock) -> tuple[np.ndarray, np.ndarray]:
@@ -193,7 +195,7 @@ class PathMetrics:
 
 
 def _short_way(angle: np.ndarray) -> np.ndarray:
-    """Wrap angles (rad) into [-pi, pi], a good deal faster than `wrap` and to rounding only."""
+    """Wrap angles (rad) into [-pi, pi]; faster than `wrap`, with rounding errors."""
     return angle - math.tau * np.rint(angle / math.tau)
 
 
@@ -202,10 +204,10 @@ def _rms(values: np.ndarray) -> np.ndarray:
 
 
 def _tangents(steps: NoisySteps) -> np.ndarray:
-    """Return the line of motion at each pose as a unit number, shape (n+1,).
+    """Return the direction of motion at each pose as a complex unit number, shape (n+1,).
 
-    It is that of the step that led to the pose; at rest it is that of the last motion, and
-    before the first one that of the first. Backwards is along the same line.
+    It is that of the step to the pose, at rest that of the last motion, and before the first
+    motion that of the first. Backwards is along the same line.
     """
     moves = np.abs(steps.trans) >= MIN_TRANSLATION
     if not moves.any():
@@ -217,19 +219,19 @@ def _tangents(steps: NoisySteps) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """What was measured of many noisy versions of a path.
+    """Statistics of many noisy versions of a path.
 
     Attributes:
-        paths: how many.
+        paths: number of paths.
         mean: of the errors of the last pose: x (m), y (m), heading (rad, not wrapped), (3,).
         covariance: of the same, (3, 3).
         metrics: for each metric its mean, 50 % and 95 % quantile.
         coverage: share of the paths whose last position lies in the 95 % ellipse, by the ellipse:
             "first_order" and "exact", each around its mean, and "published", the one that
-            noisy_odom sends along, around what it sends. None for an ellipse without area.
-        regions: how often the regions of all three coordinates hold the pose, along the path.
+            noisy_odom publishes, around the published pose. None for an ellipse without area.
+        regions: coverage of the regions of all three coordinates along the path.
         rms_distance: m, root mean square distance from the perfect path at each pose, (n+1,).
-        kept: x + iy (m), the first paths themselves, seen from their start, (k, n+1).
+        kept: x + iy (m), the first paths, relative to their start, (k, n+1).
         kept_heading: rad, their heading errors, (k, n+1).
     """
 
@@ -253,8 +255,8 @@ class Case:
         model: name of the rule.
         rate: Hz.
         std: the level.
-        theory: what is known.
-        sample: what was measured.
+        theory: moments in closed form.
+        sample: statistics of the paths.
         perfect_closure: m, closure error of the perfect path in each lap.
     """
 
@@ -267,14 +269,14 @@ class Case:
     perfect_closure: List[float]
 
     def kept_path(self, number: int) -> Trajectory:
-        """Return one of the noisy paths that the case has kept."""
+        """Return one of the kept noisy paths."""
         perfect, position = self.trajectory.poses, self.sample.kept[number]
         x, y = perfect[0, 0] + position.real, perfect[0, 1] + position.imag
         yaw = perfect[:, 2] + self.sample.kept_heading[number]
         return Trajectory(self.trajectory.stamps, np.column_stack([x, y, yaw]))
 
     def summary(self) -> Dict[str, Any]:
-        """Return the figures of the case for summary.json; null where there is nothing to say."""
+        """Return the figures of the case for summary.json; None if they are not defined."""
         sample, known = self.sample, self.theory
         published = sample.regions.found["published"][-1]
         return {
@@ -325,12 +327,12 @@ def study_case(
         trajectory: the perfect path, at the rate of the case.
         case: model, level and rate.
         generator: of the normal draws.
-        paths: how many, >= 2.
+        paths: number of paths, >= 2.
         delta: m, of the relative pose error.
-        keep: how many of the paths to keep.
+        keep: number of paths to keep.
 
     Raises:
-        LabError: a level, path or delta that makes no sense.
+        LabError: the level, path or delta is invalid.
     """
     model, std, rate = case
     steps = noisy_steps(trajectory.poses, level_rule(model, std))
@@ -346,7 +348,7 @@ def study_case(
 
 
 class _Sampler:
-    """Sums up blocks of noisy paths, in memory that does not grow with their number."""
+    """Sums over blocks of noisy paths, in memory that does not grow with their number."""
 
     def __init__(
         self, steps: NoisySteps, known: Theory, metrics: PathMetrics, paths: int, keep: int
@@ -376,7 +378,7 @@ class _Sampler:
         self._distance_squares += np.einsum("ij,ij->j", error.real, error.real)
         self._distance_squares += np.einsum("ij,ij->j", error.imag, error.imag)
         last = np.column_stack([error[:, -1].real, error[:, -1].imag, block.heading_error[:, -1]])
-        # About the exact mean, so that little is lost to rounding.
+        # Relative to the exact mean, for small rounding errors.
         centred = last - self._exact_mean
         self._sum += centred.sum(axis=0)
         self._squares += centred.T @ centred

@@ -1,4 +1,4 @@
-"""Thousands of noisy versions of one path, at every level of noise, without ROS.
+"""Statistics of thousands of noisy versions of a path, at several levels of noise, without ROS.
 
 Example:
     python3 -m bullet_lab.studies.noise_study.study results/noise_study --paths 10000
@@ -7,48 +7,42 @@ Example:
 
 from __future__ import annotations
 
+import functools
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, NoReturn, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, Sequence, Tuple
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from bullet_lab.core.figures import save
-from bullet_lab.core.files import make_folder, write_json
+from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import choices, integer, number, numbers, text
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.drive.square import Square
 from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.figures import (
+    by_model_of,
     coverage_figure,
     distance_figure,
     levels_figure,
     rates_figure,
 )
-from bullet_lab.studies.noise_study.paths import check_path, read_path, resample, write_tum
+from bullet_lab.studies.noise_study.paths import check_path, read_path, resample, tum_text
 from bullet_lab.studies.noise_study.region_figures import (
     banana_figure,
     distances_figure,
     regions_figure,
 )
-from bullet_lab.studies.noise_study.regions import HEADER, MEANT, METHODS
+from bullet_lab.studies.noise_study.regions import HEADER, MEANT, METHODS, right_up_to
 from bullet_lab.studies.noise_study.statistics import Case, study_case
+from bullet_lab.studies.results import write_results
 from bullet_lab.studies.squares import drive_square
-from bullet_lab.studies.study import (
-    MOST_SEED,
-    SUMMARY,
-    Settings,
-    Tell,
-    run_from,
-    silent,
-    whole_results,
-    write_table,
-)
+from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent
 
 LARGEST_STD = 10.0
-"""At this level a robot has lost its heading after some centimetres."""
+"""At this level the heading is random after some centimetres."""
 
 MOST_PATHS = 10_000_000
 KEPT_PATHS = 60
@@ -58,7 +52,10 @@ _DISTANCES_PER_CASE = 100
 
 @dataclass(frozen=True)
 class StudySettings(Settings):
-    """What is studied; a level is std, per metre and per radian (per roots: rate_invariant)."""
+    """Noise and number of paths; a level is std, per metre and per radian.
+
+    For the rate-invariant model it is per square root of them.
+    """
 
     levels: Tuple[float, ...] = numbers(
         (0.0, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5),
@@ -86,19 +83,19 @@ class PathSettings:
 
 
 def simulated_square(laps: int = 1) -> Trajectory:
-    """Return the odometry of the square that the report drives, from the simulation, at 20 Hz."""
+    """Return the odometry of the report's square from the simulation, at 20 Hz."""
     drive = drive_square(Square(sides=SIDES_PER_LAP * laps), rest=0.0)
     return Trajectory(drive.stamps, drive.poses)
 
 
 def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = silent) -> List[Case]:
-    """Study every level, model and rate on a path; nothing is written.
+    """Study every level, model and rate on a path, without writing files.
 
     Returns:
         A case for each, by model, then rate, then level, in the order of the settings.
 
     Raises:
-        LabError: a path or a setting that makes no sense.
+        LabError: the path is not usable, or a setting does not suit it.
     """
     check_path(trajectory)
     cases: List[Case] = []
@@ -127,19 +124,15 @@ def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = silent) 
 
 
 def _verdict(cases: Sequence[Case]) -> str:
-    """Say in words up to which level each method's 95 % region is right at the end of the path."""
+    """Describe the level up to which each method's 95 % region is right at the end of the path."""
     noisy = sorted((case for case in cases if case.std > 0.0), key=lambda case: case.std)
-    said = []
+    levels = [case.std for case in noisy]
+    limits = []
     for method, title in METHODS.items():
-        regions = [(case.std, case.sample.regions.found[method][-1]) for case in noisy]
-        known = [(std, region) for std, region in regions if region is not None]
-        wrong = [number for number, (_, region) in enumerate(known) if region.wrong()]
-        if known:
-            last = known[-1 if not wrong else wrong[0] - 1][0]
-            said.append(f"{title} {'nowhere' if wrong[:1] == [0] else f'up to {last:g}'}")
-    if not said:
-        return "no regions"
-    return f"95 % regions are right at the end: {', '.join(said)}"
+        limit = right_up_to(levels, [case.sample.regions.found[method][-1] for case in noisy])
+        if limit is not None:
+            limits.append(f"{title} {f'up to {limit:g}' if limit else 'nowhere'}")
+    return f"95 % regions are right at the end: {', '.join(limits)}" if limits else "no regions"
 
 
 def run_study(
@@ -149,13 +142,13 @@ def run_study(
     source: str = "",
     tell: Tell = silent,
 ) -> Dict[str, Any]:
-    """Study a path, leave tables, pictures, TUM files and summary.json, and return what that says.
+    """Study a path; write tables, figures, TUM files and summary.json; return the summary.
 
-    The same settings and path give the same tables. Nothing is written before all is computed.
-    The source says where the path is from.
+    The same settings and path give the same tables. The source names the origin of the path.
 
     Raises:
-        LabError: a path or a setting that makes no sense, or a folder that cannot be written to.
+        LabError: the path is not usable, a setting does not suit it, or the folder cannot be
+            written to.
     """
     cases = study(trajectory, settings, tell)
     summary = {
@@ -175,19 +168,22 @@ def run_study(
         },
         "cases": [case.summary() for case in cases],
     }
-    with whole_results(folder) as part:
-        write_json(part / SUMMARY, summary)
-        write_table(part / "metrics.csv", metrics_rows(cases))
-        write_table(part / "error_by_distance.csv", distance_rows(cases))
-        write_table(part / "regions.csv", region_rows(cases))
-        write_table(part / "where_right.csv", where_right_rows(cases))
-        _write_tum_files(part / "tum", cases, max(settings.rates))
-        _draw(part, cases, trajectory, settings)
-    return summary
+    tables = {
+        "metrics.csv": metrics_rows(cases),
+        "error_by_distance.csv": distance_rows(cases),
+        "regions.csv": region_rows(cases),
+        "where_right.csv": where_right_rows(cases),
+    }
+    fastest = [case for case in cases if case.rate == max(settings.rates)]
+    # The first noisy path of each model and level, and the perfect one.
+    texts = {f"tum/{c.model}_std_{c.std:g}.tum": tum_text(c.kept_path(0)) for c in fastest}
+    texts["tum/perfect.tum"] = tum_text(fastest[0].trajectory)
+    figures = _figures(cases, fastest, trajectory, settings.seed)
+    return write_results(folder, summary, tables, figures, texts)
 
 
 def metrics_rows(cases: Sequence[Case]) -> List[List[Any]]:
-    """Return a header and a row for each case: metrics, coverage, NEES, how far off first order."""
+    """Return a header and a row for each case: metrics, coverage, NEES, errors of first order."""
     # At a low rate a lap may be missing.
     fullest = max((case.sample.metrics for case in cases), key=len)
     metrics = [(name, part) for name, parts in fullest.items() for part in parts]
@@ -205,7 +201,7 @@ def metrics_rows(cases: Sequence[Case]) -> List[List[Any]]:
             [
                 *(case.model, case.rate, case.std, sample.paths),
                 *(sample.metrics.get(name, {}).get(part) for name, part in metrics),
-                *(sample.coverage[name] for name in ("first_order", "exact", "published")),
+                *sample.coverage.values(),
                 *((published.nees, published.coverage[MEANT]) if published else (None, None)),
                 *(known.shift(), known.area_ratio(), known.quadratic_share()),
                 str(known.gaussian_enough()).lower(),
@@ -235,9 +231,10 @@ def region_rows(cases: Sequence[Case]) -> Iterator[List[Any]]:
 
 
 def where_right_rows(cases: Sequence[Case]) -> Iterator[List[Any]]:
-    """Yield a header and a row for each case: how far, in m, the 95 % region of a method is right.
+    """Yield a header and a row for each case: the distance (m) up to which 95 % regions are right.
 
-    It is right as long as the band around its share overlaps 95 ± 1 %. None: it has no volume.
+    A region is right as long as the band around its share overlaps 95 ± 1 %. None: it has no
+    volume.
     """
     yield [
         *("model", "rate_hz", "std", "length_m", "quadratic_share"),
@@ -249,29 +246,21 @@ def where_right_rows(cases: Sequence[Case]) -> Iterator[List[Any]]:
         yield [case.model, case.rate, case.std, length, share, *until]
 
 
-def _write_tum_files(folder: Path, cases: Sequence[Case], rate: float) -> None:
-    """Write the first noisy path of each model and level at a rate, and the perfect one."""
-    folder.mkdir()
-    for case in cases:
-        if case.rate == rate:
-            write_tum(folder / "perfect.tum", case.trajectory)
-            write_tum(folder / f"{case.model}_std_{case.std:g}.tum", case.kept_path(0))
-
-
-def _draw(
-    folder: Path, cases: Sequence[Case], trajectory: Trajectory, settings: StudySettings
-) -> None:
-    fastest = [case for case in cases if case.rate == max(settings.rates)]
-    for model in settings.models:
-        of_model = [case for case in fastest if case.model == model]
-        save(levels_figure(of_model), folder / f"levels_{model}.png")
-    save(distance_figure(fastest), folder / "error_by_distance.png")
-    save(rates_figure(cases, trajectory), folder / "message_rate.png")
-    save(coverage_figure(cases), folder / "coverage.png")
-    save(regions_figure(fastest), folder / "regions.png")
-    save(distances_figure(fastest), folder / "regions_by_distance.png")
+def _figures(
+    cases: Sequence[Case], fastest: Sequence[Case], trajectory: Trajectory, seed: int
+) -> Dict[str, Figure]:
+    figures = {
+        f"levels_{model}.png": levels_figure(of_model)
+        for model, of_model in by_model_of(fastest).items()
+    }
+    figures["error_by_distance.png"] = distance_figure(fastest)
+    figures["message_rate.png"] = rates_figure(cases, trajectory)
+    figures["coverage.png"] = coverage_figure(fastest)
+    figures["regions.png"] = regions_figure(fastest)
+    figures["regions_by_distance.png"] = distances_figure(fastest)
     if any(case.std > 0.0 for case in fastest):
-        save(banana_figure(fastest, settings.seed), folder / "banana.png")
+        figures["banana.png"] = banana_figure(fastest, seed)
+    return figures
 
 
 def _run(folder: Path, settings: StudySettings, perfect: PathSettings, tell: Tell) -> None:
@@ -281,14 +270,12 @@ def _run(folder: Path, settings: StudySettings, perfect: PathSettings, tell: Tel
     else:
         source = "the report's square, simulated"
         trajectory = simulated_square(perfect.laps)
-    # Better known now than after the work.
+    # A folder that cannot be written to shows here, instead of after the work.
     make_folder(folder)
     run_study(folder, settings, trajectory, source, tell)
 
 
-def main(words: Optional[Sequence[str]] = None) -> NoReturn:
-    """Run the study from the command line; see `run_from`."""
-    run_from("noise_study", __doc__, (StudySettings, PathSettings), _run, words)
+main = functools.partial(run_from, "noise_study", __doc__, (StudySettings, PathSettings), _run)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""The report's noise with each of its defects as a switch, for many noisy paths at a time.
+"""The report's noise with a switch for each of its defects, for many noisy paths at a time.
 
-With all of them on it is `published_noise.PublishedNoise`; with all of them off it is
-`odometry_noise.NoisyPath` with `ReportRule`, but for one thing: a step backwards counts as a
-half turn, a step forwards and another half turn, as in the report, and gets noise accordingly.
+With all defects it is `published_noise.PublishedNoise`. Without defects it is
+`odometry_noise.NoisyPath` with `ReportRule`, except that a step backwards counts as a half turn,
+a step forwards and another half turn, as in the report, with noise accordingly.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ import numpy as np
 from bullet_lab.core.se2 import wrap
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION, NoiseError, ReportRule
 
-_STAMP_TOLERANCE = 1e-6  # s; a double cannot tell stamps of today much closer
+_STAMP_TOLERANCE = 1e-6  # s; near the resolution of today's stamps in a double
 
 
 @dataclass(frozen=True)
 class Defects:
-    """Which of the report's defects are in; by default none of them.
+    """The report's defects that are enabled; by default none.
 
     Attributes:
-        aliasing: the message remembered as the last perfect one is the one that is overwritten
-            with the noisy pose, so that each step starts from there.
-        unwrapped: rot1 and rot2 are differences of angles that nobody wraps.
+        aliasing: the message that is kept as the last perfect one is overwritten with the noisy
+            pose, so that each step starts from the noisy pose.
+        unwrapped: rot1 and rot2 are differences of angles that are not wrapped.
         noise_at_rest: a robot at rest has rot1 = atan2(0, 0) - yaw = -yaw, and noise for it.
         sampled: only the newest message is used, 0.9 times a second.
-        unbent: a step is laid along the remembered heading, not along the noisy one.
+        unbent: a step follows the perfect heading, not the noisy one.
     """
 
     aliasing: bool = False
@@ -41,33 +41,33 @@ class Defects:
 
     @property
     def names(self) -> Tuple[str, ...]:
-        """The names of those that are in."""
-        return tuple(name for name, is_in in zip(DEFECTS, astuple(self)) if is_in)
+        """The names of the enabled defects."""
+        return tuple(name for name, enabled in zip(DEFECTS, astuple(self)) if enabled)
 
     def __str__(self) -> str:
         return " + ".join(self.names) or "none"
 
 
 DEFECTS = tuple(field.name for field in fields(Defects))
-"""The names of the defects, in the order in which the listings run into them."""
+"""The names of the defects, in the order in which the listings have them."""
 
 ALL = Defects(*[True] * len(DEFECTS))
-"""The report's algorithm as it was published."""
+"""The report's algorithm as published."""
 
 NONE = Defects()
 """The mended algorithm."""
 
 
 def combinations() -> Tuple[Defects, ...]:
-    """Return all 32 combinations: those of fewer defects first, none to all."""
+    """Return all 32 combinations, sorted by their number of defects."""
     switches = itertools.product((False, True), repeat=len(DEFECTS))
     return tuple(sorted((Defects(*s) for s in switches), key=lambda d: len(d.names)))
 
 
 def noisy_paths(poses, draws, std: float, defects: Defects, functions: Any = np) -> np.ndarray:
-    """Put noise on the poses that the algorithm sees.
+    """Return noisy versions of the poses that the algorithm sees.
 
-    `Defects.sampled` is not looked at here: it says which poses these are, see `sampled`.
+    `Defects.sampled` has no effect here: it decides which poses these are, see `sampled`.
 
     Args:
         poses: perfect x (m), y (m) and yaw (rad), shape (n, m, 3) for m different paths or
@@ -75,15 +75,15 @@ def noisy_paths(poses, draws, std: float, defects: Defects, functions: Any = np)
         draws: standard normal, for trans, rot1 and rot2 of each step, shape (n - 1, m, 3). Path
             k is that of a live algorithm whose generator draws `draws[:, k]`.
         std: standard deviation per metre and per radian, for each step, >= 0.
-        defects: which are in.
-        functions: what has sin, cos, arctan2 and hypot for arrays. Numpy's are as fast as they
-            come, and their last bit is up to the processor.
+        defects: the enabled ones.
+        functions: module with sin, cos, arctan2 and hypot for arrays. Numpy's are the fastest, and
+            their last bit depends on the processor.
 
     Returns:
         Noisy poses, shape (n, m, 3), yaw in [-pi, pi].
 
     Raises:
-        NoiseError: the shapes do not go together, a pose is not finite or std cannot be used.
+        NoiseError: the shapes do not match, a pose is not finite, or std is invalid.
     """
     poses, draws = np.asarray(poses, dtype=float), np.asarray(draws, dtype=float)
     _check(poses, draws)
@@ -117,20 +117,20 @@ def _check(poses: np.ndarray, draws: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class _Algorithm:
-    """Listings 3 to 7 of the report, with the switches in them."""
+    """Listings 3 to 7 of the report, with the switches."""
 
     std: float
     defects: Defects
     functions: Any
 
     def step(self, pose, noisy_yaw, before, now, draws):
-        """Return the summed pose (x, y and a yaw that is never wrapped) after one more step.
+        """Return the summed pose (x, y and an unwrapped yaw) after one more step.
 
         Args:
             pose: the summed pose so far.
             noisy_yaw: its yaw as published.
-            before: the perfect pose before, shape (3, m).
-            now: the perfect pose now, shape (3, m).
+            before: the last perfect pose, shape (3, m).
+            now: the new perfect pose, shape (3, m).
             draws: for trans, rot1 and rot2, shape (3, m).
         """
         x, y, summed_yaw = pose
@@ -158,32 +158,24 @@ class _Algorithm:
         )
 
     def through_message(self, yaw: np.ndarray) -> np.ndarray:
-        """Return a yaw (rad) as it is read back from the quaternion of a message."""
+        """Return a yaw (rad) after conversion to the quaternion of a message and back."""
         z, w = self.functions.sin(0.5 * yaw), self.functions.cos(0.5 * yaw)
         return self.functions.arctan2(2.0 * (w * z + 0.0), w * w - z * z)
 
 
 def sampled(stamps, rate: float, phases) -> np.ndarray:
-    """Return which messages a node sees that polls at a fixed rate.
+    """Return the messages that a node sees which polls at a fixed rate.
 
     Args:
         stamps: of the messages, s, increasing, shape (n,).
         rate: Hz, > 0.
-        phases: s, >= 0, from the first stamp to the first look, one for each path, shape (m,).
+        phases: s, >= 0, from the first stamp to the first poll, one for each path, shape (m,).
 
     Returns:
-        The index of the first message at or after each look, shape (number of looks, m). There
-        are as many looks as every path has before the messages end.
-
-    Raises:
-        NoiseError: the rate is not finite or not > 0, or a path never looks.
+        The index of the first message at or after each poll, shape (number of polls, m): the polls
+        that every path makes before the messages end.
     """
     stamps, phases = np.asarray(stamps, dtype=float), np.asarray(phases, dtype=float)
-    if not 0.0 < rate < math.inf:
-        raise NoiseError(f"rate must be finite and > 0, not {rate!r}")
-    rest = stamps[-1] - stamps[0] - phases.max() if stamps.size and phases.size else -1.0
-    if not rest >= 0.0:
-        raise NoiseError("there are no messages for some path to look at")
-    looks = math.floor(rest * rate) + 1
-    times = stamps[0] + phases + np.arange(looks)[:, np.newaxis] / rate
+    polls = math.floor((stamps[-1] - stamps[0] - phases.max()) * rate) + 1
+    times = stamps[0] + phases + np.arange(polls)[:, np.newaxis] / rate
     return np.searchsorted(stamps, times - _STAMP_TOLERANCE)

@@ -1,12 +1,11 @@
-"""What the report's plot shows of a path around a square, and the lengths read from it.
+"""Paths around a square as the report's plot draws them, and the lengths read from the plot.
 
-Figure 1b and the replays go the same way: the plot draws a path, its vertices are read, its
-corners are found among them, and lengths are measured from what is drawn and nothing else.
+Figure 1b and the replays are treated alike: the plot draws a path, its vertices are read, its
+corners are found among them, and lengths are measured from the drawing only.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,24 +13,27 @@ from pathlib import Path
 import numpy as np
 from matplotlib import path as drawing
 
+from bullet_lab.core.trajectory import finite_numbers
 from bullet_lab.errors import LabError
+from bullet_lab.studies.noise_study.paths import read_table
 
 SIDES = 4
 
 LENGTHS = (*(f"side{side}" for side in range(1, SIDES + 1)), "start", "corners")
-"""What `measure` measures, in this order."""
+"""Names of the lengths that `measure` returns, in this order."""
 
-# Points of 1/72 inch for each metre along x and y of figure 1b, by its axes. matplotlib leaves
-# out vertices that are less than 1/9 of a point beside the line: 0.7 mm in x, 0.9 mm in y.
+# Points of 1/72 inch per metre along x and y of figure 1b, by its axes. matplotlib leaves out
+# vertices that are less than 1/9 of a point beside the line: 0.7 mm in x, 0.9 mm in y.
 _POINTS_PER_METRE = (170.6, 122.9)
 _STRAIGHT = 1.0 / 9.0
 
-_MOST_LOOKED_AT = 100
+_MOST_CANDIDATES = 100
 _LEAST_STEP = 0.1  # m; shorter steps of the drawn path are at the corners
+_COLUMNS = ("series", "x_m", "y_m")
 
 
 class DrawnPathError(LabError):
-    """There is no square in a path, or the digitised figure cannot be read."""
+    """A path has no square, or the digitised figure lacks a path."""
 
 
 def drawn(points) -> np.ndarray:
@@ -41,25 +43,25 @@ def drawn(points) -> np.ndarray:
         points: x and y (m), shape (n, 2).
 
     Returns:
-        m, shape (k, 2): those that lie on a line with their neighbours are left out, as in the
-        vector graphic that the report has; some are there twice.
+        m, shape (k, 2), without those that lie on a line with their neighbours, as in the vector
+        graphic of the report; some are duplicates.
 
     >>> drawn([(0, 0), (0.5, 0.0002), (1, 0), (1, 0.5), (1, 1)]).round(3).tolist()
     [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [1.0, 1.0]]
     """
     path = drawing.Path(np.asarray(points, dtype=float) * _POINTS_PER_METRE)
     path.simplify_threshold = _STRAIGHT
-    # The last vertex of what is returned only says that the path ends.
+    # The last vertex only marks the end of the path.
     return path.cleaned(simplify=True).vertices[:-1] / _POINTS_PER_METRE
 
 
 def find_corners(vertices) -> np.ndarray:
     """Find the corners of a drawn path around a square.
 
-    They are the three vertices which, joined with the first and the last one to four sides,
-    leave the least sum of distances of all vertices from the lines of their sides. (A sum of
-    squares would let a zigzag on one side move the corners of its neighbours.) Of a path of more
-    than 100 vertices, whose sides are no lines anyway, 100 are looked at.
+    The first and the last vertex and three others make four sides. The three are those with the
+    smallest sum of distances of all vertices from the lines of their sides. (With a sum of squares,
+    a zigzag on one side would move the corners of its neighbours.) Of a path of more than 100
+    vertices, whose sides are not straight anyway, 100 are candidates.
 
     Args:
         vertices: x and y (m) in the order driven, shape (n, 2).
@@ -68,25 +70,26 @@ def find_corners(vertices) -> np.ndarray:
         Indices of the vertices, shape (5,), from the first to the last.
 
     Raises:
-        DrawnPathError: there are no four sides.
+        DrawnPathError: the path has no four sides.
 
     >>> find_corners([(0, 0), (1, 0.1), (2, 0), (2, -2), (1, -2), (0, -2), (0, 0)]).tolist()
     [0, 2, 3, 5, 6]
     """
     vertices = np.asarray(vertices, dtype=float)
-    looked_at = np.linspace(0, len(vertices) - 1, min(len(vertices), _MOST_LOOKED_AT)).astype(int)
-    beside = _distances_beside_lines(vertices[looked_at])
-    least, choices = beside[0], []
+    count = min(len(vertices), _MOST_CANDIDATES)
+    candidates = np.linspace(0, len(vertices) - 1, count).astype(int)
+    distances = _distances_beside_lines(vertices[candidates])
+    least, choices = distances[0], []
     for _ in range(SIDES - 1):
-        sums = least[:, np.newaxis] + beside
+        sums = least[:, np.newaxis] + distances
         choices.append(sums.argmin(axis=0))
         least = sums.min(axis=0)
     if not np.isfinite(least[-1]):
         raise DrawnPathError("the path has no four sides")
-    corners = [len(beside) - 1]
+    corners = [len(distances) - 1]
     for choice in reversed(choices):
         corners.append(int(choice[corners[-1]]))
-    return looked_at[[0, *reversed(corners)]]
+    return candidates[[0, *reversed(corners)]]
 
 
 def _distances_beside_lines(vertices: np.ndarray) -> np.ndarray:
@@ -106,17 +109,17 @@ def _distances_beside_lines(vertices: np.ndarray) -> np.ndarray:
 def measure(vertices, perfect_corners) -> np.ndarray:
     """Return the `LENGTHS` (m) of a noisy path, from its own corners; shape (6,).
 
-    - `side1` to `side4`: the largest distance from the line of each side, across it.
+    - `side1` to `side4`: the largest distance from the line of each side.
     - `start`: the same within the first half of the first side.
-    - `corners`: how far one of the corners 1 to 3 is from that of the perfect path in the same
-      picture; the largest of the three.
+    - `corners`: the largest distance of the corners 1 to 3 from those of the perfect path in the
+      same figure.
 
     Args:
         vertices: of the noisy path (m), shape (n, 2).
         perfect_corners: m, shape (5, 2).
 
     Raises:
-        DrawnPathError: there are no four sides.
+        DrawnPathError: the path has no four sides.
     """
     vertices = np.asarray(vertices, dtype=float)
     indices = find_corners(vertices)
@@ -133,7 +136,7 @@ def measure(vertices, perfect_corners) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class PublishedFigure:
-    """What figure 1b shows.
+    """Digitised figure 1b.
 
     Attributes:
         points: vertices of the noisy path (m), shape (n, 2).
@@ -149,13 +152,13 @@ class PublishedFigure:
 
     @property
     def third_side_steps(self) -> int:
-        """How many steps the third side is drawn in."""
+        """Number of steps of the third side."""
         third = self.points[self.corners[2] : self.corners[3] + 1]
         return int(np.count_nonzero(np.hypot(*np.diff(third, axis=0).T) > _LEAST_STEP))
 
 
 def read_published_figure(path: Path) -> PublishedFigure:
-    """Read figure 1b from a file as in the folder data.
+    """Read figure 1b from a CSV file.
 
     Raises:
         LabError: the file cannot be read or does not hold two paths around a square.
@@ -166,14 +169,12 @@ def read_published_figure(path: Path) -> PublishedFigure:
 
 
 def _read_series(path: Path, name: str) -> np.ndarray:
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = [row for row in csv.DictReader(file) if row["series"] == name]
-        points = np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows])
-    except OSError as error:
-        raise DrawnPathError(f"cannot read {path}: {error.strerror}") from error
-    except (KeyError, TypeError, ValueError, csv.Error) as error:
-        raise DrawnPathError(f"{path} is not a table of series,x_m,y_m") from error
-    if not points.size or not np.isfinite(points).all():
-        raise DrawnPathError(f"{path} has no path {name}, or one that is not finite")
-    return points
+    _, rows = read_table(path, _COLUMNS)
+    points = [
+        finite_numbers([row["x_m"], row["y_m"]], where)
+        for where, row in rows
+        if row["series"] == name
+    ]
+    if not points:
+        raise DrawnPathError(f"{path} has no path {name}")
+    return np.array(points)

@@ -1,4 +1,4 @@
-"""The report's noise, its defects, and what each of them does to the path."""
+"""Figures of the published noise: its paths, and the effect of each defect."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Mapping, Optional, Sequence, Tuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
@@ -16,6 +15,7 @@ from bullet_lab.core.se2 import wrap
 from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
 from bullet_lab.studies.published_noise.drawn_paths import LENGTHS, PublishedFigure
 from bullet_lab.studies.published_noise.results import EVIDENCE, PValue, Result, groups_of_same
+from bullet_lab.studies.results import legend_below, legend_entry, panels
 
 PLAIN_NAMES = {
     "aliasing": "aliasing",
@@ -24,16 +24,15 @@ PLAIN_NAMES = {
     "sampled": "0.9 Hz",
     "unbent": "heading bends nothing",
 }
-"""What the defects are called in figures."""
+"""Names of the defects in figures."""
 
 _WINDOW = ((-0.55, 2.35), (-2.4, 0.5))  # m, of all small paths
-# The perfect path is wide and below, so that both can be seen where they are one.
+# The perfect path is wide and below, so that both are visible where they coincide.
 _PERFECT = {"color": ORANGE, "linewidth": 3.2, "zorder": 3}
 _NOISY = {"color": BLUE, "linewidth": 1.2, "zorder": 4}
 _OTHERS = {"color": BLUE, "linewidth": 0.5, "alpha": 0.3, "zorder": 2}
 _PERFECT_MARKS = {"color": ORANGE, "marker": "s", "linestyle": "", "markersize": 4}
-_SMALLEST_DRAWN = 1e-4  # m; below, lengths are all the same on paper
-
+_SMALLEST_DRAWN = 1e-4  # m; smaller lengths are drawn here
 
 Shown = Mapping[Defects, Tuple[np.ndarray, PValue]]
 
@@ -44,31 +43,27 @@ def compare_figure(
     """Draw figure 1b, the report's algorithm replayed, and the mended one.
 
     Args:
-        figure_1b: what is digitised of it.
+        figure_1b: digitised.
         corners: of the simulated perfect path (m), shape (5, 2).
         replays: points of the two algorithms (m), shape (n, 2).
         seed: of both.
     """
-    figure = new_figure(11.0, 4.3)
-    panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    figure, (row,) = panels((1, 3), (11.0, 4.3), sharex=True, sharey=True)
     figure.subplots_adjust(left=0.06, right=0.99, top=0.91, bottom=0.2, wspace=0.06)
     contents = (
         ("Figure 1b as published", figure_1b.points, figure_1b.perfect_corners),
         (f"The report's algorithm, seed {seed}", replays[0], corners),
         (f"The mended algorithm, seed {seed}", replays[1], corners),
     )
-    for axes, (title, noisy, square) in zip(panels, contents):
+    for axes, (title, noisy, square) in zip(row, contents):
         _frame(axes)
         axes.set_title(title, fontsize=11)
         axes.set_xlabel("x (m)")
         axes.plot(*noisy.T, **_NOISY)
         axes.plot(*square.T, **_PERFECT)
-    panels[0].set_ylabel("y (m)")
-    handles = [
-        Line2D([], [], label="noisy odometry", **_NOISY),
-        Line2D([], [], label="perfect odometry", **_PERFECT),
-    ]
-    figure.legend(handles=handles, loc="lower center", ncol=2, frameon=False)
+    row[0].set_ylabel("y (m)")
+    noisy = legend_entry("noisy odometry", **_NOISY)
+    legend_below(figure, [noisy, legend_entry("perfect odometry", **_PERFECT)])
     return figure
 
 
@@ -78,20 +73,19 @@ def defects_figure(
     """Draw a sheet of small paths: figure 1b, all defects, the best one, none, each, all but each.
 
     Args:
-        figure_1b: what is digitised of it.
+        figure_1b: digitised.
         corners: of the simulated perfect path (m), shape (5, 2).
         shown: some noisy paths (m), shape (n, m, 2), and the p-value of figure 1b for each
             combination that is drawn; the first path is drawn in bold.
-        best: the combination under which figure 1b would be most usual.
+        best: the combination with the largest p-value.
         std: of the noise.
     """
-    figure = new_figure(11.5, 7.9)
-    panels = figure.subplots(3, 5, sharex=True, sharey=True)
+    figure, grid = panels((3, 5), (11.5, 7.9), sharex=True, sharey=True)
     figure.subplots_adjust(left=0.05, right=0.99, top=0.94, bottom=0.05, wspace=0.06, hspace=0.25)
-    for axes in panels.flat:
+    for axes in grid.flat:
         _frame(axes)
         axes.tick_params(labelsize=8)
-    first, alone, all_but = panels
+    first, alone, all_but = grid
     first[0].set_title("figure 1b, as published", fontsize=9, fontweight="bold")
     first[0].plot(*figure_1b.points.T, **_NOISY)
     first[0].plot(*figure_1b.perfect_corners.T, **_PERFECT)
@@ -149,9 +143,9 @@ def _in_two_lines(title: str) -> str:
 def _draw_legend(axes: Axes, std: float) -> None:
     axes.axis("off")
     handles = [
-        Line2D([], [], label="perfect path", **_PERFECT),
-        Line2D([], [], label="noisy path, first seed", **_NOISY),
-        Line2D([], [], label="other seeds", **_OTHERS),
+        legend_entry("perfect path", **_PERFECT),
+        legend_entry("noisy path, first seed", **_NOISY),
+        legend_entry("other seeds", **_OTHERS),
     ]
     axes.legend(handles=handles, loc="upper center", fontsize=9, frameon=False)
     text = f"std = {std:g}; axes in m.\n\np: how usual figure 1b\nwould be, were these\nthe defects"
@@ -161,19 +155,18 @@ def _draw_legend(axes: Axes, std: float) -> None:
 def corners_figure(
     figure_1b: PublishedFigure, corners: np.ndarray, shown: Mapping[str, np.ndarray]
 ) -> Figure:
-    """Draw the beginning of the first side and its end, close up: figure 1b and some replays.
+    """Draw the beginning and the end of the first side, enlarged: figure 1b and some replays.
 
     Args:
-        figure_1b: what is digitised of it.
+        figure_1b: digitised.
         corners: of the simulated perfect path (m), shape (5, 2).
-        shown: noisy paths (m), shape (n, m, 2), by what they are called; the first is in bold.
+        shown: noisy paths (m), shape (n, m, 2), by name; the first is in bold.
     """
-    figure = new_figure(11.0, 6.4)
-    panels = figure.subplots(2, 1 + len(shown), sharex="row", sharey="row")
+    figure, grid = panels((2, 1 + len(shown)), (11.0, 6.4), sharex="row", sharey="row")
     figure.subplots_adjust(left=0.07, right=0.99, top=0.94, bottom=0.16, wspace=0.06, hspace=0.27)
     published = figure_1b.points[:, np.newaxis], figure_1b.perfect_corners
     contents = {"figure 1b": published, **{name: (p, corners) for name, p in shown.items()}}
-    for (start, corner), (title, (paths, square)) in zip(panels.T, contents.items()):
+    for (start, corner), (title, (paths, square)) in zip(grid.T, contents.items()):
         start.set_title(title, fontsize=11)
         for axes, place in ((start, square[0]), (corner, square[1])):
             lines = np.moveaxis(1e3 * (paths - place), 2, 0)
@@ -183,14 +176,14 @@ def corners_figure(
             axes.grid(alpha=0.3)
         start.set(xlim=(-30, 900), ylim=(-8, 8), xlabel="x from the start (mm)")
         corner.set(xlim=(-80, 80), ylim=(-40, 20), xlabel="x from corner 1 (mm)")
-    for axes in panels[:, 0]:
+    for axes in grid[:, 0]:
         axes.set_ylabel("y (mm)")
     handles = [
-        Line2D([], [], label="noisy odometry", marker="o", **_NOISY),
-        Line2D([], [], label="other seeds", **_OTHERS),
-        Line2D([], [], label="perfect odometry", **_PERFECT),
+        legend_entry("noisy odometry", marker="o", **_NOISY),
+        legend_entry("other seeds", **_OTHERS),
+        legend_entry("perfect odometry", **_PERFECT),
     ]
-    figure.legend(handles=handles, loc="lower center", ncol=3, frameon=False)
+    legend_below(figure, handles)
     return figure
 
 
@@ -198,7 +191,7 @@ def lengths_figure(results: Sequence[Result], measured: np.ndarray) -> Figure:
     """Draw the lengths read from replays of all combinations, and from figure 1b.
 
     Args:
-        results: of the combinations, ranked; those that do the same share a line.
+        results: of the combinations, ranked; equal ones share a line.
         measured: the lengths in figure 1b (m), shape (6,).
     """
     rows = groups_of_same(results)
@@ -226,15 +219,15 @@ def lengths_figure(results: Sequence[Result], measured: np.ndarray) -> Figure:
         for y in range(0, len(rows), 2):
             axes.axhspan(y - 0.5, y + 0.5, color="0.94", zorder=0, linewidth=0)
     handles = [
-        Line2D([], [], label="defect: in", **_mark(True)),
-        Line2D([], [], label="mended", **_mark(False)),
-        Line2D([], [], label="in or mended: the same", **_mark(None)),
-        Line2D([], [], color=VERMILION, linewidth=1.5, label="figure 1b"),
-        Line2D([], [], color=BLUE, linewidth=1.0, label="5 to 95 % of the seeds"),
-        Line2D([], [], color=BLUE, linewidth=4.0, label="25 to 75 %"),
-        Line2D([], [], color="white", marker="o", markeredgecolor=BLACK, label="median"),
+        legend_entry("defect: in", **_mark(True)),
+        legend_entry("mended", **_mark(False)),
+        legend_entry("in or mended: the same", **_mark(None)),
+        legend_entry("figure 1b", color=VERMILION, linewidth=1.5),
+        legend_entry("5 to 95 % of the seeds", color=BLUE, linewidth=1.0),
+        legend_entry("25 to 75 %", color=BLUE, linewidth=4.0),
+        legend_entry("median", color="white", marker="o", markeredgecolor=BLACK),
     ]
-    figure.legend(handles=handles, loc="lower center", ncol=4, fontsize=8.5, frameon=False)
+    legend_below(figure, handles, 4, fontsize=8.5)
     return figure
 
 
@@ -255,16 +248,16 @@ def _draw_switches(axes: Axes, rows: Sequence[Sequence[Result]]) -> None:
 
 
 def _mark(switch: Optional[bool]) -> dict:
-    """Return the look of a switch that is on, off, or of no matter."""
+    """Return the style of a switch that is on, off, or None: without effect."""
     if switch is None:
         return {"linestyle": "", "marker": "_", "color": BLACK, "markersize": 7}
     face, edge = (BLACK, BLACK) if switch else ("white", GREY)
-    look = {"marker": "o", "markerfacecolor": face, "markeredgecolor": edge}
-    return {"linestyle": "", "markersize": 6.5, **look}
+    colours = {"markerfacecolor": face, "markeredgecolor": edge}
+    return {"linestyle": "", "marker": "o", "markersize": 6.5, **colours}
 
 
 def _draw_length(axes: Axes, quantiles: np.ndarray, measured: float) -> None:
-    """Draw quantiles (m), a row of five for each line, and what was measured."""
+    """Draw quantiles (m), a row of five for each line, and the measured length."""
     low, lower, middle, upper, high = np.maximum(quantiles, _SMALLEST_DRAWN).T
     y = np.arange(len(quantiles))
     axes.hlines(y, low, high, color=BLUE, linewidth=1.0, zorder=2)
@@ -293,7 +286,7 @@ def _draw_p_values(axes: Axes, rows: Sequence[Mapping[str, PValue]]) -> None:
 
 
 def _p_text(p_value: PValue, equals: str = "") -> str:
-    """Return a p-value, or the bound below which it is known to be."""
+    """Return a p-value, or its upper bound if that is small enough."""
     if p_value.excludes:
         return f"< {math.ceil(1e3 * p_value.high) / 1e3:g}"
     return f"{equals}{p_value.value:.2f}"
@@ -310,8 +303,7 @@ def first_turns_figure(
             algorithm sees and the noisy ones, shapes (n,), (n, 3) and (n, 3).
         third_side: when it begins and ends (s).
     """
-    figure = new_figure(9.0, 6.2)
-    rows = figure.subplots(3, len(runs), sharex=True, sharey="row", squeeze=False)
+    figure, rows = panels((3, len(runs)), (9.0, 6.2), sharex=True, sharey="row")
     figure.subplots_adjust(left=0.1, right=0.985, top=0.94, bottom=0.15, wspace=0.06, hspace=0.14)
     for column, (defects, run) in zip(rows.T, runs.items()):
         _draw_turns(column, defects.unwrapped, *run)
@@ -325,11 +317,11 @@ def first_turns_figure(
     rows[1, 0].set(ylim=(-400, 400), yticks=(-360, -180, 0, 180, 360))
     rows[2, 0].set_ylim(bottom=0.0)
     handles = [
-        Line2D([], [], label="noisy odometry", marker="o", **{**_NOISY, "markersize": 3}),
-        Line2D([], [], label="perfect odometry", **_PERFECT_MARKS),
+        legend_entry("noisy odometry", marker="o", markersize=3, **_NOISY),
+        legend_entry("perfect odometry", **_PERFECT_MARKS),
         Patch(facecolor="0.88", label="third side"),
     ]
-    figure.legend(handles=handles, loc="lower center", ncol=3, frameon=False)
+    legend_below(figure, handles)
     return figure
 
 

@@ -1,9 +1,9 @@
-"""How usual figure 1b would be under each combination of defects, and the verdict on each defect.
+"""P-values of figure 1b under each combination of defects, and the verdict on each defect.
 
-Each length read from figure 1b has a rank among those of the replays, and from that a two-sided
-p-value: twice the share of replays, the figure among them, that are at least as far out on the
-figure's side. Of several lengths the smallest counts, times their number (Bonferroni), so that
-nothing is assumed of how they hang together. No shape of any distribution is assumed either.
+Each length read from figure 1b has a rank among those of the replays. Its two-sided p-value is
+twice the share of replays, including the figure, that are at least as extreme on the figure's side.
+For several lengths it is the smallest p-value times their number (Bonferroni). This assumes neither
+their correlation nor their distributions.
 """
 
 from __future__ import annotations
@@ -14,15 +14,14 @@ from typing import Any, Dict, List, Mapping, Sequence, Tuple
 import numpy as np
 from scipy.stats import beta
 
-from bullet_lab.errors import LabError
 from bullet_lab.studies.published_noise.defects import DEFECTS, Defects
 from bullet_lab.studies.published_noise.drawn_paths import LENGTHS, SIDES
 
 SIGNIFICANCE = 0.05
-"""A combination with a smaller p-value does not explain the figure."""
+"""Smallest p-value of a combination that explains the figure."""
 
 CONFIDENCE = 0.95
-"""That the p-value of infinitely many replays is below `PValue.high`."""
+"""Confidence of the bound `PValue.high`."""
 
 EVIDENCE = {
     "sides": slice(0, SIDES),
@@ -30,19 +29,15 @@ EVIDENCE = {
     "corners": slice(SIDES + 1, SIDES + 2),
     "all": slice(0, SIDES + 2),
 }
-"""Which of the lengths are looked at: some alone, and all together."""
+"""Lengths that a p-value uses: some alone, and all together."""
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _SHARES = ("q05", "q25", "q50", "q75", "q95")
 
 NEEDED, RULED_OUT, UNKNOWN = "needed", "ruled out", "cannot be told"
 
-_NOTHING = 1e-3  # m; lengths well below are alike
+_SMALL = 1e-3  # m; much smaller lengths count as equal
 _SAME = 1e-12  # m
-
-
-class LengthsError(LabError):
-    """The lengths cannot be compared."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +46,9 @@ class PValue:
 
     Attributes:
         value: with the figure counted among the replays, 0 to 1. For a figure that is a replay
-            itself, it is below any share with at most that probability.
-        high: that of infinitely many replays is below it with `CONFIDENCE`: Clopper and
-            Pearson's bounds, all tails of all lengths at once.
+            itself, the probability that it is below any share is at most that share.
+        high: upper bound, with `CONFIDENCE`, of the p-value of infinitely many replays: Clopper
+            and Pearson's bounds, for all tails of all lengths at once.
     """
 
     value: float
@@ -61,29 +56,26 @@ class PValue:
 
     @property
     def explains(self) -> bool:
-        """Whether the figure would not be too unusual."""
+        """Whether the figure is plausible."""
         return self.value >= SIGNIFICANCE
 
     @property
     def excludes(self) -> bool:
-        """Whether it would be, and there are replays enough to say so."""
+        """Whether the figure is implausible, by enough replays."""
         return self.high < SIGNIFICANCE
 
 
 def p_value(measured, runs) -> PValue:
-    """Say how usual a measurement would be among runs; see this module.
+    """Return the p-value of a measurement among runs; see this module.
 
     Args:
         measured: k lengths (m), shape (k,).
         runs: the same of m runs, shape (m, k), m at least 2.
 
-    Raises:
-        LengthsError: the shapes do not go together or a length is not finite and >= 0.
-
     >>> p_value([0.2], [[0.1 * k] for k in range(1, 100)]).value
     0.06
     """
-    measured, runs = _checked(measured, runs)
+    runs = np.asarray(runs)
     count, tails = len(runs), 2 * len(measured)
     further_out = min((runs <= measured).sum(axis=0).min(), (runs >= measured).sum(axis=0).min())
     bound = beta.isf((1.0 - CONFIDENCE) / tails, further_out + 1, count - further_out)
@@ -92,19 +84,9 @@ def p_value(measured, runs) -> PValue:
     )
 
 
-def _checked(measured, runs) -> tuple[np.ndarray, np.ndarray]:
-    measured, runs = np.asarray(measured, dtype=float), np.asarray(runs, dtype=float)
-    if runs.ndim != 2 or measured.shape != runs.shape[1:] or len(runs) < 2:
-        raise LengthsError(f"lengths of shape {measured.shape} and {runs.shape}")
-    for lengths in (measured, runs):
-        if not (np.isfinite(lengths).all() and (lengths >= 0.0).all()):
-            raise LengthsError("a length is not finite and >= 0")
-    return measured, runs
-
-
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What came of one combination of defects.
+    """The result of a combination of defects.
 
     Attributes:
         defects: the combination.
@@ -120,7 +102,7 @@ class Result:
 
     @staticmethod
     def of(defects: Defects, lengths: np.ndarray, measured: np.ndarray) -> Result:
-        """Judge the lengths measured in figure 1b by those of noisy paths (m)."""
+        """Return the result of noisy paths with these lengths (m), and those of figure 1b."""
         p_values = {
             name: p_value(measured[part], lengths[:, part]) for name, part in EVIDENCE.items()
         }
@@ -132,47 +114,48 @@ class Result:
         return np.quantile(self.lengths, QUANTILES, axis=0)
 
     def does_the_same_as(self, other: Result) -> bool:
-        """Return whether each path is the same with these defects as with the others."""
+        """Return whether each path has the same lengths in both results."""
         return bool(np.abs(self.lengths - other.lengths).max() <= _SAME)
 
 
 def nearest(measured: np.ndarray, lengths: np.ndarray) -> int:
-    """Return which of some paths is most like the figure, by the sizes of all lengths."""
-    ratios = np.log((lengths + _NOTHING) / (measured + _NOTHING))
+    """Return the index of the path that is most like the figure, by the ratios of all lengths."""
+    ratios = np.log((lengths + _SMALL) / (measured + _SMALL))
     return int(np.abs(ratios).sum(axis=1).argmin())
 
 
 def ranked(results: Sequence[Result]) -> List[Result]:
-    """Return the results, those under which figure 1b would be most usual first."""
+    """Return the results, those with the largest p-value first."""
 
-    def unusual(result: Result) -> Tuple[float, float]:
+    def key(result: Result) -> Tuple[float, float]:
         values = [p.value for p in result.p_values.values()]
         return -result.p_values["all"].value, -sum(values)
 
-    return sorted(results, key=unusual)
+    return sorted(results, key=key)
 
 
 def groups_of_same(results: Sequence[Result]) -> List[List[Result]]:
-    """Put results together that are the same, in the order given."""
+    """Return groups of equal results, in the given order."""
     groups: List[List[Result]] = []
     for result in results:
-        home = next((group for group in groups if group[0].does_the_same_as(result)), None)
-        if home is None:
-            groups.append([result])
+        for group in groups:
+            if group[0].does_the_same_as(result):
+                group.append(result)
+                break
         else:
-            home.append(result)
+            groups.append([result])
     return groups
 
 
 def verdict(name: str, results: Sequence[Result], evidence: str) -> str:
-    """Say what the figure tells of one defect: `NEEDED`, `RULED_OUT` or `UNKNOWN`.
+    """Return the verdict on a defect: `NEEDED`, `RULED_OUT` or `UNKNOWN`.
 
     It is needed if all combinations without it are excluded, while one with it explains the
-    figure, and ruled out if it is the other way round.
+    figure, and ruled out if all with it are excluded, while one without it explains the figure.
     """
     with_it, without = (
-        [r.p_values[evidence] for r in results if getattr(r.defects, name) == is_in]
-        for is_in in (True, False)
+        [r.p_values[evidence] for r in results if getattr(r.defects, name) == enabled]
+        for enabled in (True, False)
     )
     for yes, no, word in ((with_it, without, NEEDED), (without, with_it, RULED_OUT)):
         if any(p.explains for p in yes) and all(p.excludes for p in no):
@@ -183,25 +166,25 @@ def verdict(name: str, results: Sequence[Result], evidence: str) -> str:
 def published_summary(
     about: Mapping[str, Any], figure: Mapping[str, Any], results: Sequence[Result]
 ) -> Dict[str, Any]:
-    """Return what summary.json says.
+    """Return the content of summary.json.
 
     Args:
         about: the settings.
-        figure: what is to be said of the published figure.
+        figure: values of the published figure.
         results: of all combinations, ranked.
     """
     verdicts = {
         evidence: {name: verdict(name, results, evidence) for name in DEFECTS}
         for evidence in EVIDENCE
     }
-    told = verdicts["all"]
+    overall = verdicts["all"]
     return {
         "job": "published_noise",
         **about,
         "figure_1b": dict(figure),
         "explained_by": [str(r.defects) for r in results if r.p_values["all"].explains],
-        "needed": [name for name in DEFECTS if told[name] == NEEDED],
-        "cannot_be_told": [name for name in DEFECTS if told[name] == UNKNOWN],
+        "needed": [name for name in DEFECTS if overall[name] == NEEDED],
+        "cannot_be_told": [name for name in DEFECTS if overall[name] == UNKNOWN],
         "verdicts": verdicts,
         "combinations": [
             {"rank": rank, **_describe(result, results)} for rank, result in enumerate(results, 1)
@@ -232,7 +215,7 @@ def _describe(result: Result, results: Sequence[Result]) -> Dict[str, Any]:
 
 
 def rounded(values: Sequence[float], digits: int = 5) -> List[float]:
-    """Return values for a table."""
+    """Return rounded values for a table."""
     return [round(float(value), digits) for value in values]
 
 
@@ -265,7 +248,7 @@ def length_rows(results: Sequence[Result], first_seed: int) -> List[List[Any]]:
 
 
 def verdict_lines(summary: Mapping[str, Any]) -> List[str]:
-    """Return what a summary comes down to, for the terminal."""
+    """Return the main results of a summary as lines for the user."""
     figure, best = summary["figure_1b"], summary["combinations"][0]
     shown = {name: f"{1e3 * length:.1f}" for name, length in figure["lengths_m"].items()}
     lines = [

@@ -6,14 +6,14 @@ Example:
 
 from __future__ import annotations
 
+import functools
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, NoReturn, Optional, Sequence
+from typing import Any, Dict, List, Sequence
 
 import numpy as np
 
-from bullet_lab.core.figures import save
-from bullet_lab.core.files import make_folder, write_json
+from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import integer, number
 from bullet_lab.drive.square import OPEN_LOOP_RATE, Square
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION, make_generator
@@ -54,21 +54,13 @@ from bullet_lab.studies.published_noise.results import (
     rounded,
     verdict_lines,
 )
+from bullet_lab.studies.results import write_results
 from bullet_lab.studies.squares import SquareDrive, drive_square
-from bullet_lab.studies.study import (
-    MOST_SEED,
-    SUMMARY,
-    Settings,
-    Tell,
-    progress,
-    run_from,
-    silent,
-    whole_results,
-    write_table,
-)
+from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent
+from bullet_lab.studies.workers import run_tasks, this_process
 
 FIGURE_DATA = "data/fig1_paths.csv"
-# Long enough for the sampling node to look before and after the drive, whatever its phase.
+# Long enough for the sampling node to poll before and after the drive, with any phase.
 REST_SECONDS = 2.0 / PUBLISHED_RATE + 0.1
 
 LARGEST_STD = 1.0
@@ -79,7 +71,7 @@ _EXAMPLES = 12
 
 @dataclass(frozen=True)
 class PublishedNoiseSettings(Settings):
-    """What is run; the std of figure 1b is 0.1."""
+    """Noise and number of paths; the std of figure 1b is 0.1."""
 
     std: float = number(
         0.1, "standard deviation of the noise per metre and per radian", 0.0, maximum=LARGEST_STD
@@ -103,28 +95,28 @@ class Replay:
 
     Args:
         drive: the perfect path.
-        settings: what is run.
+        settings: of the study.
 
     Attributes:
-        corners: of the perfect path, as it is drawn (m), shape (5, 2).
+        corners: of the perfect path, as drawn (m), shape (5, 2).
     """
 
     def __init__(self, drive: SquareDrive, settings: PublishedNoiseSettings):
         self.drive = drive
         self._settings = settings
-        # Nobody knows when, within its period, the node of figure 1b looked: any time will do.
+        # The phase at which the node of figure 1b polled is unknown.
         phases = np.random.default_rng([settings.seed, 1]).uniform(size=settings.seeds)
         self._messages = sampled(drive.stamps, PUBLISHED_RATE, phases / PUBLISHED_RATE)
         perfect = drawn(drive.poses[:, :2])
         self.corners = perfect[find_corners(perfect)]
 
     def lengths(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
-        """Return the `LENGTHS` (m) read from what is drawn of m paths, shape (m, 6)."""
+        """Return the `LENGTHS` (m) read from the drawings of m paths, shape (m, 6)."""
         noisy = self.noisy(defects, paths)[..., :2]
         return np.array([self._read(noisy[:, k], path) for k, path in enumerate(paths)])
 
     def _read(self, points: np.ndarray, path: int) -> np.ndarray:
-        # Whatever the defects, the corners of the perfect path are misread alike.
+        # The errors of reading the perfect path's corners do not depend on the defects.
         errors = np.random.default_rng([self._settings.seed, 2, path])
         corners, vertices = (
             true + self._settings.reading * errors.standard_normal(true.shape)
@@ -149,31 +141,29 @@ class Replay:
 def run_published_noise(
     folder: Path, settings: PublishedNoiseSettings, tell: Tell = silent
 ) -> Dict[str, Any]:
-    """Run the experiment, leave pictures, tables and summary.json, and return what that says.
+    """Run the study; write figures, tables and summary.json; return the summary.
 
-    The same settings give the same files. Nothing is written before all is known.
+    The same settings give the same files.
 
     Args:
         folder: for the results.
-        settings: what is run.
-        tell: gets lines about the progress.
+        settings: of the study.
+        tell: prints a line about the progress.
 
     Raises:
-        LabError: a folder that cannot be written to, or files of the package that are missing.
+        LabError: the folder cannot be written to, or files of the package are missing.
     """
     make_folder(folder)
     figure = read_published_figure(package_share() / FIGURE_DATA)
     replay = Replay(replay_drive(), settings)
     results = ranked(_results(replay, figure, settings, tell))
     summary = published_summary(asdict(settings), _figure_facts(figure, replay.drive), results)
-    pictures = _pictures(replay, figure, results, settings)
-    with whole_results(folder) as part:
-        for name, picture in pictures.items():
-            save(picture, part / name)
-        write_table(part / "combinations.csv", combination_rows(results))
-        write_table(part / "lengths.csv", length_rows(results, settings.seed))
-        write_json(part / SUMMARY, summary)
-    return summary
+    tables = {
+        "combinations.csv": combination_rows(results),
+        "lengths.csv": length_rows(results, settings.seed),
+    }
+    figures = _figures(replay, figure, results, settings)
+    return write_results(folder, summary, tables, figures, {})
 
 
 def _results(
@@ -181,18 +171,22 @@ def _results(
 ) -> List[Result]:
     starts = range(0, settings.seeds, _SEEDS_AT_A_TIME)
     blocks = [range(start, min(start + _SEEDS_AT_A_TIME, settings.seeds)) for start in starts]
+    # With aliasing, `unbent` changes nothing, to the last bit.
     every = [d for d in combinations() if not (d.aliasing and d.unbent)]
-    results = []
-    with progress(
-        "published_noise", len(every) * len(blocks), tell, unit="block", things=" blocks"
-    ) as note:
-        for defects in every:
-            lengths = []
-            for block in blocks:
-                lengths.append(replay.lengths(defects, block))
-                note()
-            results.append(Result.of(defects, np.concatenate(lengths), figure.lengths))
-    # With aliasing, bent or not is the same to the last bit.
+    todo = [(defects, block) for defects in every for block in blocks]
+    lengths = run_tasks(
+        lambda number: replay.lengths(*todo[number]),
+        len(todo),
+        this_process,
+        tell,
+        "published_noise",
+        "block",
+        " blocks",
+    )
+    results = [
+        Result.of(defects, np.concatenate(lengths[first : first + len(blocks)]), figure.lengths)
+        for defects, first in zip(every, range(0, len(todo), len(blocks)))
+    ]
     aliased = [result for result in results if result.defects.aliasing]
     return [*results, *(replace(r, defects=replace(r.defects, unbent=True)) for r in aliased)]
 
@@ -210,7 +204,7 @@ def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> Dict[str, Any]
     }
 
 
-def _pictures(
+def _figures(
     replay: Replay,
     figure: PublishedFigure,
     results: List[Result],
@@ -220,7 +214,6 @@ def _pictures(
     by_defects = {result.defects: result for result in results}
     example = nearest(figure.lengths, by_defects[ALL].lengths)
     best = results[0].defects
-    # All, the best, none, each alone, all but each.
     alone = [Defects(**{name: True}) for name in DEFECTS]
     all_but = {name: replace(ALL, **{name: False}) for name in DEFECTS}
     examples = range(min(_EXAMPLES, settings.seeds))
@@ -229,8 +222,8 @@ def _pictures(
         for defects in dict.fromkeys([ALL, best, NONE, *alone, *all_but.values()])
     }
     shown = {defects: (p, by_defects[defects].p_values["all"]) for defects, p in paths.items()}
-    ways = np.hypot(*np.diff(drive.poses[:, :2], axis=0, prepend=np.nan).T)
-    third = drive.stamps[(drive.sides == 2) & (ways > MIN_TRANSLATION)]
+    moved = np.hypot(*np.diff(drive.poses[:, :2], axis=0, prepend=np.nan).T)
+    third = drive.stamps[(drive.sides == 2) & (moved > MIN_TRANSLATION)]
     turns = {}
     for defects in (ALL, all_but["unwrapped"]):
         seen = replay.messages(defects, [example])[:, 0]
@@ -251,12 +244,11 @@ def _pictures(
 
 
 def _run(folder: Path, settings: PublishedNoiseSettings, tell: Tell) -> None:
+    # A table, without the program's name in front of its lines.
     print("\n".join(verdict_lines(run_published_noise(folder, settings, tell))))
 
 
-def main(words: Optional[Sequence[str]] = None) -> NoReturn:
-    """Run the experiment from the command line; see `run_from`."""
-    run_from("published_noise", __doc__, (PublishedNoiseSettings,), _run, words)
+main = functools.partial(run_from, "published_noise", __doc__, (PublishedNoiseSettings,), _run)
 
 
 if __name__ == "__main__":

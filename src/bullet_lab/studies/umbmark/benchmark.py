@@ -1,4 +1,4 @@
-"""What is driven for a benchmark, and what the runs of one say."""
+"""The squares of a benchmark: how they are driven, and their evaluation."""
 
 from __future__ import annotations
 
@@ -15,25 +15,27 @@ from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, derived_seed, mod
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.study import MOST_SEED, Settings
 from bullet_lab.studies.umbmark.estimate import LARGEST, Estimate, Umbmark, fit, umbmark
-from bullet_lab.studies.umbmark.floor import FloorPlan
-from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, Run, return_errors
+from bullet_lab.studies.umbmark.robots import FloorPlan, IdealRobot, Wheels, drive_square
+from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, Run, RunError, return_errors
 
 LARGEST_ERROR = 0.1
-# Sides: half the way round, farther than wheels that are wrong by some percent bring a robot.
+# m, of ideal wheels.
+DIAMETER = 0.2
+# Sides: half the perimeter, farther than wheels with errors of some percent bring a robot.
 MOST_OF_SIDE = 2.0
-# Of the return error: what wheels do not explain is more than what they do.
+# Of the return error: wheels explain less of it than they leave.
 MOST_LEFT = 0.5
-# Of the side: what rulers and random noise leave.
+# Of the side: the error of rulers and random noise.
 LEAST_LEFT = 0.01
-# Standard errors that chance does not reach.
+# Standard errors beyond chance.
 SURE = 3.0
-# m and rad: equal but for rounding.
+# m and rad: equal except for rounding.
 SAME = 1e-9
 
 
 @dataclass(frozen=True)
 class DriveSettings(Settings):
-    """What is driven."""
+    """The robot and its squares."""
 
     robot: str = text(
         "package://bullet_lab/urdf/camera_robot.urdf", "URDF of a robot on two wheels"
@@ -43,18 +45,18 @@ class DriveSettings(Settings):
     )
     diameter_error: float = number(
         0.0,
-        "right / left diameter of the wheels that roll, relative to what is believed, - 1",
+        "right / left diameter of the true wheels, relative to the assumed ones, - 1",
         -LARGEST_ERROR,
         maximum=LARGEST_ERROR,
     )
     base_error: float = number(
         0.0,
-        "base of the wheels that roll / the one that odometry believes in - 1",
+        "base of the true wheels / the one that odometry assumes - 1",
         -LARGEST_ERROR,
         maximum=LARGEST_ERROR,
     )
     side: float = number(4.0, "m, of the square", 0.1, maximum=100.0)
-    runs: int = integer(5, "squares each way", 1, 1000)
+    runs: int = integer(5, "squares in each direction", 1, 1000)
     speed: float = number(0.2, "m/s, on the sides", above=0.0)
     turn_speed: float = number(0.5236, "rad/s, at the corners", above=0.0)
     std: float = number(0.0005, "level of random noise on the odometry", 0.0)
@@ -63,35 +65,60 @@ class DriveSettings(Settings):
 
     @property
     def plan(self) -> FloorPlan:
-        """The robot that is driven."""
+        """The files of the robot."""
         return FloorPlan(self.robot, self.controller)
 
     @property
     def errors(self) -> SystematicErrors:
-        """What the wheels that roll are, relative to what is believed at first."""
+        """Errors of the true wheels, relative to those that odometry assumes at first."""
         return SystematicErrors(diameter_error=self.diameter_error, base_error=self.base_error)
 
     def square(self, direction: str) -> Square:
-        """Return what is driven in a direction."""
+        """Return the square in a direction."""
         turn = -self.turn_speed if direction == CLOCKWISE else self.turn_speed
         return Square(side=self.side, speed=self.speed, turn_speed=turn)
 
     def noise(self, number: int, laps: int) -> Callable[[PlanarPose], PlanarPose]:
-        """Return what makes the noisy poses of a run out of those of the odometry."""
+        """Return a function that makes the noisy pose of each odometry pose of a run."""
         if self.std == 0.0:
             return lambda pose: pose
         rule = model_named(self.model).at_level(self.std)
         path = NoisyPath(rule, derived_seed(derived_seed(self.seed, laps), number))
+        return lambda pose: path.update(*pose).pose
 
-        def noisy(pose: PlanarPose) -> PlanarPose:
-            return path.update(*pose).pose
 
-        return noisy
+def drive_run(
+    settings: DriveSettings,
+    correction: SystematicErrors,
+    laps: int,
+    ideal_base: Optional[float],
+    number: int,
+) -> Tuple[Run, float]:
+    """Drive a run, clockwise if its number is even; return it, and the base (m) assumed in it.
+
+    Args:
+        settings: of the drive.
+        correction: errors that an earlier calibration has found.
+        laps: number of rounds of runs before this one; it selects the noise.
+        ideal_base: m, of a robot whose wheels roll ideally; None for a robot on the floor.
+        number: of the run, from 0 on.
+    """
+    direction = DIRECTIONS[number % len(DIRECTIONS)]
+    if ideal_base is None:
+        robot: Any = settings.plan.build(settings.errors, correction)
+    else:
+        wheels = Wheels(DIAMETER, DIAMETER, ideal_base)
+        robot = IdealRobot(wheels.times(settings.errors), wheels.times(correction))
+    try:
+        name, noise = f"{direction} {number // len(DIRECTIONS) + 1}", settings.noise(number, laps)
+        return drive_square(robot, settings.square(direction), name, noise), robot.believed.base
+    finally:
+        robot.close()
 
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Runs, and what they say."""
+    """Runs and their evaluation."""
 
     runs: Tuple[Run, ...]
     base: float
@@ -100,18 +127,28 @@ class Benchmark:
 
     @classmethod
     def of(cls, runs: Sequence[Run], base: float, side: Optional[float] = None) -> Benchmark:
-        """Evaluate runs; raises RunError where one of the ways is missing.
+        """Evaluate runs; raises RunError unless there are runs in both directions.
 
         Args:
-            runs: both ways.
-            base: m, believed.
-            side: m; as the odometry reports where it is not said.
+            runs: in both directions.
+            base: m, as odometry assumes it.
+            side: m; the mean reported one by default.
         """
+        if {run.direction for run in runs} != set(DIRECTIONS):
+            raise RunError("squares have to be driven both ways, clockwise and counter-clockwise")
         length = float(np.mean([run.side() for run in runs])) if side is None else side
         return cls(tuple(runs), base, umbmark(runs, length, base), fit(runs, base))
 
-    def doubts(self) -> List[str]:
-        """Return why the result is not to be trusted, with likely causes; empty where it is."""
+    @classmethod
+    def of_drives(cls, drives: Sequence[Tuple[Run, float]], side: float) -> Benchmark:
+        """Evaluate runs of `drive_run`.
+
+        The fit counts turns by the base that was assumed, which includes the correction.
+        """
+        return cls.of([run for run, _ in drives], drives[0][1], side)
+
+    def warnings(self) -> List[str]:
+        """Return the reasons to distrust the result, with likely causes; empty without any."""
         largest, left = self.figures.e_max_syst, self.estimate.residual
         side = float(np.mean([run.side() for run in self.runs]))
         found = [
@@ -134,7 +171,7 @@ class Benchmark:
         return found
 
     def _standard_error(self) -> float:
-        """Return the larger standard error (m) of both centres; 0 of single runs."""
+        """Return the larger standard error (m) of both centres; 0 for single runs."""
         errors = [return_errors(self.runs, direction)[:, :2] for direction in DIRECTIONS]
         return max(
             math.sqrt(float(one.var(axis=0, ddof=1).sum()) / len(one)) if len(one) > 1 else 0.0
@@ -142,7 +179,7 @@ class Benchmark:
         )
 
     def summary(self) -> Dict[str, Any]:
-        """Return the figures as the field knows them."""
+        """Return the figures of the benchmark by their usual names."""
         figures = self.figures
         return {
             "squares": {d: sum(run.direction == d for run in self.runs) for d in DIRECTIONS},

@@ -5,23 +5,27 @@ from __future__ import annotations
 import functools
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Sequence
+from typing import Any, Dict, List, Mapping, Sequence, Tuple
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from bullet_lab.core.figures import save
-from bullet_lab.core.files import write_json
+from bullet_lab.core.figures import BLUE, GREEN, GREY, VERMILION
 from bullet_lab.core.parameters import boolean, integer
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.studies.study import SUMMARY, Settings, Tell, progress, whole_results, write_table
-from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings
-from bullet_lab.studies.umbmark.drives import Robot, drive_square
+from bullet_lab.studies.results import (
+    Record,
+    labelled,
+    legend_below,
+    panels,
+    rows_of,
+    write_results,
+)
+from bullet_lab.studies.study import Settings, Tell
+from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings, drive_run
 from bullet_lab.studies.umbmark.estimate import PARAMETERS
-from bullet_lab.studies.umbmark.figures import campaign_figure
-from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels
 from bullet_lab.studies.umbmark.runs import DIRECTIONS
-from bullet_lab.studies.workers import Run as RunTasks
-from bullet_lab.studies.workers import TaskLostError
+from bullet_lab.studies.workers import Run, run_tasks
 
 DIAMETER_ERRORS = (0.001, 0.01)
 BASE_ERRORS = (0.005, 0.03)
@@ -30,12 +34,10 @@ SIDES = (1.0, 6.0)
 FLOOR_SIDES = (1.0, 2.0)
 SPEEDS = (0.1, 0.5)
 TURN_SPEEDS = (0.3, 1.0)
-DIAMETER = 0.2
 
-SHARE, LEAST = 0.05, 2e-5
-"""An error counts as recovered within this share of itself, or within this, whichever is more."""
-
-Record = Dict[str, Any]
+SHARE = 0.05
+LEAST = 2e-5
+"""An error counts as recovered if it is found to this share of itself, or to this difference."""
 
 
 @dataclass(frozen=True)
@@ -46,20 +48,12 @@ class CampaignSettings(Settings):
     floor: bool = boolean(False, "drive them on the floor; else wheels roll ideally")
 
 
-@dataclass(frozen=True)
-class RandomRobot:
-    """A robot of a campaign: what it drives, and its base (m), as believed."""
+def draw_robot(drive: DriveSettings, floor: bool, index: int) -> Tuple[DriveSettings, float]:
+    """Return the drive of a robot, and its assumed base (m); they depend on seed and index only.
 
-    drive: DriveSettings
-    base: float
-
-
-def draw_robot(drive: DriveSettings, floor: bool, index: int) -> RandomRobot:
-    """Return the robot of an index; it depends on nothing but seed and index.
-
-    Sizes of errors are uniform within `DIAMETER_ERRORS` and `BASE_ERRORS`, their signs as likely
-    as not; base, side and speeds are uniform too. On the floor it is always the robot of the
-    settings, at its speeds.
+    Sizes of errors are uniform within `DIAMETER_ERRORS` and `BASE_ERRORS`, their signs are
+    equally likely; base, side and speeds are uniform too. On the floor, robot and speeds are those
+    of the settings.
     """
     generator = np.random.default_rng(np.random.SeedSequence(drive.seed, spawn_key=(index,)))
     sizes = [generator.uniform(*limits) for limits in (DIAMETER_ERRORS, BASE_ERRORS)]
@@ -73,29 +67,36 @@ def draw_robot(drive: DriveSettings, floor: bool, index: int) -> RandomRobot:
     drawn = replace(drive, **errors, seed=seed, side=side)
     if not floor:
         drawn = replace(drawn, speed=float(speed), turn_speed=float(turn_speed))
-    return RandomRobot(drawn, float(base))
+    return drawn, float(base)
 
 
 def calibrate_robot(drive: DriveSettings, floor: bool, index: int) -> Record:
-    """Calibrate a random robot, and return what came of it.
+    """Calibrate a random robot and return its row of the table.
 
-    Without noise a square each way is driven, as all others would be the same; once more with the
-    correction, and on the floor once without errors. With noise, the squares of the settings.
+    Without noise it drives one square in each direction, as all others would be the same; again
+    with the correction, and on the floor once without errors. With noise it drives all squares.
     """
-    robot = draw_robot(drive, floor, index)
-    still = replace(robot.drive, std=0.0, runs=1)
-    right = SystematicErrors()
+    drawn, base = draw_robot(drive, floor, index)
+
+    def benchmark(settings: DriveSettings, correction: SystematicErrors) -> Benchmark:
+        numbers = range(len(DIRECTIONS) * settings.runs)
+        ideal_base = None if floor else base
+        drives = [drive_run(settings, correction, 0, ideal_base, number) for number in numbers]
+        return Benchmark.of_drives(drives, settings.side)
+
+    no_errors = right = SystematicErrors()
+    quiet = replace(drawn, std=0.0, runs=1)
     if floor:
-        nothing = replace(still, diameter_error=0.0, base_error=0.0)
-        right = _benchmark(robot, nothing, floor, right).estimate.errors
-    before = _benchmark(robot, still, floor, SystematicErrors())
-    after = _benchmark(robot, still, floor, before.estimate.errors)
-    noisy = _benchmark(robot, robot.drive, floor, SystematicErrors()).estimate.beside(right)
-    found_still = before.estimate.beside(right).errors
-    record: Record = {"robot": index, "side_m": still.side, "base_m": before.base}
+        perfect = replace(quiet, diameter_error=0.0, base_error=0.0)
+        right = benchmark(perfect, no_errors).estimate.errors
+    before = benchmark(quiet, no_errors)
+    after = benchmark(quiet, before.estimate.errors)
+    noisy = benchmark(drawn, no_errors).estimate.relative_to(right)
+    found_quiet = before.estimate.relative_to(right).errors
+    record: Dict[str, Any] = {"robot": index, "side_m": quiet.side, "base_m": before.base}
     for name, closed in zip(PARAMETERS, (before.figures.e_d, before.figures.e_b)):
-        injected = getattr(still, name)
-        found = getattr(found_still, name)
+        injected = getattr(quiet, name)
+        found = getattr(found_quiet, name)
         low, high = (noisy.intervals or {}).get(name, (None, None))
         record.update(
             {
@@ -106,7 +107,7 @@ def calibrate_robot(drive: DriveSettings, floor: bool, index: int) -> Record:
                 f"{name}_with_noise": getattr(noisy.errors, name),
                 f"{name}_low": low,
                 f"{name}_high": high,
-                f"{name}_held": low is not None and noisy.holds(name, injected),
+                f"{name}_held": low is not None and low <= injected <= high,
             }
         )
     record["e_max_syst_m"] = before.figures.e_max_syst
@@ -114,61 +115,26 @@ def calibrate_robot(drive: DriveSettings, floor: bool, index: int) -> Record:
     return record
 
 
-def _benchmark(
-    robot: RandomRobot, drive: DriveSettings, floor: bool, correction: SystematicErrors
-) -> Benchmark:
-    runs, base = [], robot.base
-    for number in range(len(DIRECTIONS) * drive.runs):
-        direction = DIRECTIONS[number % len(DIRECTIONS)]
-        one: Any = _robot(robot.base, drive, floor, correction)
-        try:
-            square, noise = drive.square(direction), drive.noise(number, 0)
-            runs.append(drive_square(one, square, f"{direction} {number}", noise))
-            base = one.believed.base
-        finally:
-            one.close()
-    return Benchmark.of(runs, base, drive.side)
-
-
-def _robot(
-    base: float, drive: DriveSettings, floor: bool, correction: SystematicErrors
-) -> Robot:
-    if floor:
-        return drive.plan.build(drive.errors, correction)
-    believed = Wheels(DIAMETER, DIAMETER, base)
-    return IdealRobot(believed.times(drive.errors), believed.times(correction))
-
-
 def run_campaign(
-    folder: Path, drive: DriveSettings, campaign: CampaignSettings, run: RunTasks, tell: Tell
+    folder: Path, drive: DriveSettings, campaign: CampaignSettings, run: Run, tell: Tell
 ) -> Mapping[str, Any]:
-    """Calibrate random robots; leave campaign.csv, campaign.png and summary.json; return that.
+    """Calibrate random robots; write campaign.csv, campaign.png and summary.json; return that.
 
     Raises:
-        LabError: a robot cannot be driven, or the folder not be written to.
+        LabError: a robot cannot be driven, or the folder cannot be written to.
     """
     task = functools.partial(calibrate_robot, drive, campaign.floor)
-    found: Dict[int, Record] = {}
-    with progress("calibrating", campaign.robots, tell, unit="robot", things=" robots") as note:
-        for index, record in run(task, range(campaign.robots)):
-            if isinstance(record, TaskLostError):
-                raise record
-            found[index] = record
-            note()
-    records = [found[index] for index in range(campaign.robots)]
+    records = run_tasks(task, campaign.robots, run, tell, "calibrating", "robot", " robots")
     summary = {"job": "umbmark", **asdict(drive), **asdict(campaign), **campaign_summary(records)}
-    with whole_results(folder) as part:
-        write_table(part / "campaign.csv", [records[0], *(r.values() for r in records)])
-        save(campaign_figure(records), part / "campaign.png")
-        write_json(part / SUMMARY, summary)
-    return summary
+    table, figure = rows_of(records), campaign_figure(records)
+    return write_results(folder, summary, {"campaign.csv": table}, {"campaign.png": figure}, {})
 
 
-def campaign_summary(records: Sequence[Record]) -> Record:
-    """Return what the records of a campaign come down to."""
+def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
+    """Return the totals of a campaign."""
     ends = [(record["e_max_syst_m"], record["e_max_syst_after_m"]) for record in records]
     falls = [before / after for before, after in ends if after > 0.0]
-    summary: Record = {"finished": True, "least_fall": min(falls, default=None)}
+    summary: Dict[str, Any] = {"finished": True, "least_fall": min(falls, default=None)}
     for name in PARAMETERS:
         misses = [abs(r[f"{name}_found"] - r[name]) for r in records]
         closed = [abs(r[f"{name}_closed_form"] - r[name]) / abs(r[name]) for r in records]
@@ -183,7 +149,7 @@ def campaign_summary(records: Sequence[Record]) -> Record:
 
 
 def describe_campaign(records: int, summary: Mapping[str, Any]) -> List[str]:
-    """Return what a campaign comes down to as lines for people."""
+    """Return the totals of a campaign as lines for the user."""
     lines: List[str] = []
     for name in PARAMETERS:
         own = summary[name]
@@ -199,3 +165,26 @@ def describe_campaign(records: int, summary: Mapping[str, Any]) -> List[str]:
     return [*lines, f"the largest systematic return error falls {falls} with the correction"]
 
 
+def campaign_figure(records: Sequence[Record]) -> Figure:
+    """Draw estimated minus injected errors, by the closed forms and by the fit."""
+    figure, (every,) = panels((1, len(PARAMETERS)), (11.0, 4.6))
+    for axes, name in zip(every, PARAMETERS):
+        injected = np.array([record[name] for record in records])
+
+        # None becomes NaN, which is not drawn.
+        closed, found, noisy, low, high = (
+            np.array([record[f"{name}_{kind}"] for record in records], float) - injected
+            for kind in ("closed_form", "found", "with_noise", "low", "high")
+        )
+        axes.axhline(0.0, color=GREY, linewidth=0.8)
+        axes.plot(injected, closed, "x", color=VERMILION, label="closed forms")
+        reach = np.abs(np.stack((noisy - low, high - noisy)))
+        style = {"fmt": ".", "color": BLUE, "elinewidth": 1.0}
+        axes.errorbar(injected, noisy, reach, label="fit, with noise: 95 % intervals", **style)
+        axes.plot(injected, found, "o", color=GREEN, markersize=4, label="fit, no noise")
+        axes.set(xlabel=f"injected {name} (%)", ylabel="found less injected")
+        axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:g}")
+        axes.set_yscale("symlog", linthresh=1e-4)
+        axes.grid(alpha=0.3)
+    legend_below(figure, labelled(axes), bottom=0.06, frameon=None, fontsize=9)
+    return figure

@@ -1,9 +1,9 @@
-"""What squares say of the wheels: in the field's closed forms, and by a fit of the full model."""
+"""Errors of the wheels from squares: by the closed forms of UMBmark, and by a fit of the model."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -12,18 +12,15 @@ from scipy import optimize, stats
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.noise.systematic import SystematicErrors, arcs, chords, end_of
-from bullet_lab.studies.umbmark.runs import (
-    DIRECTIONS,
-    Run,
-    RunError,
-    return_errors,
-)
+from bullet_lab.studies.umbmark.runs import DIRECTIONS, Run, return_errors
 
 CONFIDENCE = 0.95
 PARAMETERS = ("diameter_error", "base_error")
-_STEP = 1e-6  # of a parameter, for derivatives
 LARGEST = 0.4
-# Of a parameter: runs that are the same differ by this much at most, by how sums are rounded.
+"""Bound of the fit for each parameter."""
+
+_STEP = 1e-6  # of a parameter, for derivatives
+# Of a parameter: the largest difference between equal runs, from rounding.
 _ROUNDING = 1e-12
 
 
@@ -34,12 +31,12 @@ class Umbmark:
     Attributes:
         centre_cw: x, y (m) of the centre of gravity of the return errors, clockwise.
         centre_ccw: likewise, counter-clockwise.
-        r_cw: m, how far that is from no error.
+        r_cw: m, distance of centre_cw from zero.
         r_ccw: likewise.
         alpha: rad, of each turn, error of type A: too little where it is > 0.
         beta: rad, of each side, error of type B: to the left where it is > 0.
-        e_b: base / the believed one.
-        e_d: right diameter / left diameter, relative to what is believed.
+        e_b: base / the assumed one.
+        e_d: right diameter / left diameter, relative to the assumed ones.
     """
 
     centre_cw: Tuple[float, float]
@@ -58,7 +55,7 @@ class Umbmark:
 
 
 def umbmark(runs: Sequence[Run], side: float, base: float) -> Umbmark:
-    """Return the benchmark's figures by its closed forms, which are for small angles.
+    """Return the benchmark's figures by its closed forms, which hold for small angles.
 
     With the start along +x, turns by 90° - alpha and sides that bend by beta, side k of the
     square to the left has in the mean the heading k (90° - alpha + beta) + beta / 2. So the sum of
@@ -66,17 +63,11 @@ def umbmark(runs: Sequence[Run], side: float, base: float) -> Umbmark:
     square, at -2 L (alpha + beta) (1, 1).
 
     Args:
-        runs: both ways.
+        runs: in both directions.
         side: L, m.
-        base: the believed one, m.
-
-    Raises:
-        RunError: one of the ways is missing.
+        base: the assumed one, m.
     """
-    clockwise, counter = (return_errors(runs, direction)[:, :2] for direction in DIRECTIONS)
-    if not (len(clockwise) and len(counter)):
-        raise RunError("squares have to be driven both ways, clockwise and counter-clockwise")
-    cw, ccw = clockwise.mean(axis=0), counter.mean(axis=0)
+    cw, ccw = (return_errors(runs, direction)[:, :2].mean(axis=0) for direction in DIRECTIONS)
     alpha = float(cw[0] + ccw[0]) / (-4.0 * side)
     beta = float(cw[0] - ccw[0]) / (-4.0 * side)
     # R = (L / 2) / sin(beta / 2) and E_d = (R + b / 2) / (R - b / 2), without dividing by 0.
@@ -95,14 +86,13 @@ def umbmark(runs: Sequence[Run], side: float, base: float) -> Umbmark:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the wheels are, by a fit of the full kinematic model to all runs.
+    """Errors of the wheels, by a fit of the full kinematic model to all runs.
 
     Attributes:
         errors: with diameter_error and base_error.
-        intervals: of 95 % confidence by their names; None where a way was driven once, or all of
-            its runs are the same.
-        residual: m, how far from no error the farther centre of gravity of the return errors is
-            once the fit has been applied to the odometry that there is.
+        intervals: of 95 % confidence, by name; None if a direction has one run, or equal runs.
+        residual: m, distance from zero of the farther centre of gravity of the return errors that
+            the odometry would have with the fit.
     """
 
     errors: SystematicErrors
@@ -113,56 +103,49 @@ class Estimate:
         """Return the names of the parameters that lie on the bounds of the fit."""
         return [name for name in PARAMETERS if abs(getattr(self.errors, name)) > 0.999 * LARGEST]
 
-    def holds(self, name: str, value: float) -> bool:
-        """Return whether an interval holds a value."""
-        assert self.intervals is not None
-        low, high = self.intervals[name]
-        return low <= value <= high
+    def relative_to(self, floor: SystematicErrors) -> Estimate:
+        """Return this estimate relative to the errors that perfect wheels have on the floor."""
 
-    def beside(self, floor: SystematicErrors) -> Estimate:
-        """Return what is wrong beyond what is found on this floor where nothing is."""
-        errors = _relative(self.errors, floor)
+        def relative(name: str, value: float) -> float:
+            return (1.0 + value) / (1.0 + getattr(floor, name)) - 1.0
+
+        errors = {name: relative(name, getattr(self.errors, name)) for name in PARAMETERS}
         intervals = self.intervals and {
-            name: tuple(_ratio(end, getattr(floor, name)) for end in ends)
-            for name, ends in self.intervals.items()
+            name: (relative(name, low), relative(name, high))
+            for name, (low, high) in self.intervals.items()
         }
-        return Estimate(errors, intervals, self.residual)
-
-
-def _ratio(one: float, other: float) -> float:
-    return (1.0 + one) / (1.0 + other) - 1.0
-
-
-def _relative(errors: SystematicErrors, floor: SystematicErrors) -> SystematicErrors:
-    found = {name: _ratio(getattr(errors, name), getattr(floor, name)) for name in PARAMETERS}
-    return SystematicErrors(**found, wheel_base=errors.wheel_base)
+        return Estimate(replace(self.errors, **errors), intervals, self.residual)
 
 
 def fit(runs: Sequence[Run], base: float) -> Estimate:
-    """Fit diameter_error and base_error to where the robot was at the end of each run.
+    """Fit diameter_error and base_error to the true pose at the end of each run.
 
-    Each reported step is an arc, whose way and turn say how far each wheel is believed to have
-    rolled; with other wheels it is another arc, and all arcs in a row end where the robot should
-    be. The squares of what is left at the ends (x, y and heading) are weighted as for a random
-    walk of distance and heading (`end_covariance`), for which this is maximum likelihood.
+    Each reported step is an arc, whose length and turn give the assumed distance of each wheel.
+    Other wheels make another arc of it; the arcs in a row end at the predicted pose. The squares of
+    its errors (x, y and heading) are weighted as for a random walk of distance and heading
+    (`end_covariance`), for which this is maximum likelihood.
 
-    The intervals do not rest on that: they follow from how the runs of each way differ, by each
-    run's own share in the estimate, and Student's t. They are exact for any Gaussian noise that
-    is small enough for the model to be linear in it.
+    The intervals do not rest on these weights: they follow from the differences between the runs
+    of each direction, by each run's influence on the estimate, and Student's t. They are exact for
+    any Gaussian noise that is small enough for the model to be linear in it.
 
     Args:
-        runs: both ways.
-        base: the believed one, m.
-
-    Raises:
-        RunError: one of the ways is missing.
+        runs: in both directions.
+        base: the assumed one, m.
     """
-    if {run.direction for run in runs} != set(DIRECTIONS):
-        raise RunError("squares have to be driven both ways, clockwise and counter-clockwise")
-    data = _Data.of(runs)
+    every = [run.steps() for run in runs]
+    # Shorter runs are filled with zeros.
+    reported = np.zeros((len(runs), max(map(len, every)), 3))
+    for row, steps in zip(reported, every):
+        row[: len(steps)] = arcs(steps)
+    moved = np.array([run.moved() for run in runs])
+    covariances = np.array([end_covariance(steps) for steps in every])
+    roots = np.linalg.inv(np.linalg.cholesky(covariances))
 
     def left(parameters: np.ndarray) -> np.ndarray:
-        return data.weighted(data.left(_errors(parameters, base))).ravel()
+        """Return the differences of the ends in units of their standard deviations."""
+        difference = _end_errors(reported, moved, _errors(parameters, base))
+        return np.einsum("rij,rj->ri", roots, difference).ravel()
 
     bounds = (-LARGEST, LARGEST)
     found = optimize.least_squares(left, (0.0, 0.0), bounds=bounds, x_scale=1e-2, xtol=1e-13)
@@ -174,7 +157,7 @@ def fit(runs: Sequence[Run], base: float) -> Estimate:
     shares = np.linalg.pinv(np.stack(slopes, axis=-1)).reshape(len(PARAMETERS), len(runs), 3)
     shares = -np.einsum("prk,rk->rp", shares, left(found.x).reshape(len(runs), 3))
     directions = np.array([run.direction for run in runs])
-    ends = data.left(errors)[:, :2]
+    ends = _end_errors(reported, moved, errors)[:, :2]
     centres = [ends[directions == direction].mean(axis=0) for direction in DIRECTIONS]
     return Estimate(
         errors,
@@ -188,51 +171,28 @@ def _errors(parameters: Sequence[float], base: float) -> SystematicErrors:
     return SystematicErrors(**named, wheel_base=base)
 
 
-@dataclass(frozen=True, eq=False)
-class _Data:
-    """Runs as the fit takes them.
+def _end_errors(reported: np.ndarray, moved: np.ndarray, errors: SystematicErrors) -> np.ndarray:
+    """Return true ends minus those predicted with errors: (m, m, rad), (runs, 3).
 
-    Attributes:
-        arcs: reported way, way across (m) and turn (rad) of each step, (runs, n, 3); a run with
-            fewer steps than others stands still at its end.
-        moved: true ends as seen from the true starts (m, m, rad), (runs, 3).
-        roots: of the weights of the ends, (runs, 3, 3).
+    Args:
+        reported: distance ahead, aside (m) and turn (rad) of each step, (runs, n, 3).
+        moved: true ends in the frames of the true starts (m, m, rad), (runs, 3).
+        errors: of the wheels.
     """
-
-    arcs: np.ndarray
-    moved: np.ndarray
-    roots: np.ndarray
-
-    @classmethod
-    def of(cls, runs: Sequence[Run]) -> _Data:
-        every = [run.steps() for run in runs]
-        padded = np.zeros((len(runs), max(map(len, every)), 3))
-        for row, steps in zip(padded, every):
-            row[: len(steps)] = arcs(steps)
-        covariances = np.array([end_covariance(steps) for steps in every])
-        roots = np.linalg.inv(np.linalg.cholesky(covariances))
-        return cls(padded, np.array([run.moved() for run in runs]), roots)
-
-    def left(self, errors: SystematicErrors) -> np.ndarray:
-        """Return true ends less those by wheels that are as said: (m, m, rad), (runs, 3)."""
-        undo = np.linalg.inv(errors.matrix())
-        way, across, turn = np.moveaxis(self.arcs, -1, 0)
-        new_way = undo[0, 0] * way + undo[0, 1] * turn
-        new_turn = undo[1, 0] * way + undo[1, 1] * turn
-        difference = self.moved - end_of(chords(np.stack((new_way, across, new_turn), axis=-1)))
-        difference[:, 2] = wrap(difference[:, 2])
-        return difference
-
-    def weighted(self, left: np.ndarray) -> np.ndarray:
-        """Return what is left in units of what is expected, (runs, 3)."""
-        return np.einsum("rij,rj->ri", self.roots, left)
+    undo = np.linalg.inv(errors.matrix())
+    ahead, aside, turn = np.moveaxis(reported, -1, 0)
+    new_ahead = undo[0, 0] * ahead + undo[0, 1] * turn
+    new_turn = undo[1, 0] * ahead + undo[1, 1] * turn
+    difference = moved - end_of(chords(np.stack((new_ahead, aside, new_turn), axis=-1)))
+    difference[:, 2] = wrap(difference[:, 2])
+    return difference
 
 
 def end_covariance(steps: np.ndarray) -> np.ndarray:
-    """Return the covariance (m², m rad, rad²) of where steps end, to first order: 3x3.
+    """Return the first-order covariance (m², m rad, rad²) of the pose after some steps, (3, 3).
 
-    Distance gains 1 m² of variance on each metre, heading 1 rad² on each metre and each radian, as
-    in the rate-invariant noise of std 1; the frame is that of the first pose.
+    Distance gains 1 m² of variance per metre, heading 1 rad² per metre and per radian, as in the
+    rate-invariant noise of std 1; the frame is that of the first pose.
 
     Args:
         steps: (dx m, dy m, dyaw rad), shape (n, 3).
@@ -241,7 +201,7 @@ def end_covariance(steps: np.ndarray) -> np.ndarray:
     moves = np.exp(1j * heading) * (steps[:, 0] + 1j * steps[:, 1])
     ends = np.cumsum(moves)
     lengths = np.abs(moves)
-    # What turns half way through a step swings all that is left of the path.
+    # A turn in the middle of a step swings the rest of the path.
     rest = ends[-1] - (ends - 0.5 * moves)
     levers = np.stack((-rest.imag, rest.real, np.ones(len(steps))), axis=-1)
     alongs = moves / np.where(lengths > 0.0, lengths, 1.0)
@@ -253,9 +213,9 @@ def end_covariance(steps: np.ndarray) -> np.ndarray:
 def _intervals(
     found: np.ndarray, shares: np.ndarray, directions: np.ndarray
 ) -> Optional[Dict[str, Tuple[float, float]]]:
-    """Return the intervals of the parameters by the shares of each run in them, (n, 2)."""
+    """Return the intervals of the parameters from the influence of each run on them, (n, 2)."""
     if np.abs(found).max() > 0.999 * LARGEST:
-        # On a bound, the squares are not least: no interval holds.
+        # On a bound the sum of squares has no minimum, so that no interval holds.
         return None
     variance, freedom = np.zeros(len(found)), 0
     for direction in DIRECTIONS:
@@ -265,7 +225,7 @@ def _intervals(
         variance += len(own) * own.var(axis=0, ddof=1)
         freedom += len(own) - 1
     if (variance <= _ROUNDING**2).any():
-        # All runs of a way are the same: nothing tells how far they might be off.
+        # The runs of each direction are equal: their spread is unknown.
         return None
     reach = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom) * np.sqrt(variance)
     ends: List[Tuple[float, float]] = list(zip((found - reach).tolist(), (found + reach).tolist()))
@@ -275,8 +235,8 @@ def _intervals(
 def centre_ellipse(errors: np.ndarray) -> Optional[np.ndarray]:
     """Return a 2x2 matrix (m²) whose 95 % ellipse is that of the centre of return errors.
 
-    `core.se2.ellipse_points` draws the ellipse of a known covariance; this is the covariance of
-    the mean, estimated from the errors, widened as Hotelling's T² has it.
+    `core.se2.ellipse_points` draws the ellipse of a known covariance. This one is estimated from
+    the errors, and scaled by Hotelling's T².
 
     Args:
         errors: x, y (m) and so on, shape (n, 2) or wider.

@@ -1,38 +1,55 @@
-"""A square that was driven by odometry, and where the robot was when the odometry was back."""
+"""Squares that a robot drove by odometry, and the files with those of a real robot."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
-from typing import List, Sequence
+from pathlib import Path
+from typing import List, Mapping, Sequence
 
 import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, finite_numbers
 from bullet_lab.errors import LabError
+from bullet_lab.studies.noise_study.paths import read_path, read_table
 
 CLOCKWISE, COUNTER_CLOCKWISE = "cw", "ccw"
 DIRECTIONS = (CLOCKWISE, COUNTER_CLOCKWISE)
-# m; no robot of wheels drives a square farther away, and sums of squares stay finite.
+# m; a robot on wheels drives no square farther away, and sums of squares stay finite.
 FARTHEST = 1e6
+
+ODOMETRY = "_odom.tum"
+TRUTH = "_truth.tum"
+"""How the names of the two TUM files of a run end."""
+
+PAIRS = tuple(CSV_HEADER.split(","))
+"""Columns of a table with the true and the reported path of a run."""
+
+RETURNS = ("direction", "x", "y", "yaw")
+"""Columns of a table with the true pose at the end of each run, measured with a ruler."""
+
+AT_REST = 0.01
+"""m from the first or last pose, within which the robot counts as at rest."""
 
 
 class RunError(LabError):
-    """What is recorded is no square that was driven by odometry."""
+    """A recording is not a square that was driven by odometry."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One square, from its start to where the odometry was back.
+    """One square, until the odometry reports the pose of its start.
 
     Attributes:
-        name: of it, for people.
-        odometry: what was reported on the way: x (m), y (m) and yaw (rad), shape (n, 3).
-        start: where the robot really was at the first of these poses, in any frame.
-        end: where it really was at the last.
+        name: of the run, for the user.
+        odometry: reported poses: x (m), y (m) and yaw (rad), shape (n, 3).
+        start: true pose at the first of these, in any frame.
+        end: true pose at the last, in the same frame.
 
     Raises:
-        RunError: the odometry does not turn once about itself.
+        RunError: the odometry does not turn by 360°, or a number is out of range.
     """
 
     name: str
@@ -41,7 +58,7 @@ class Run:
     end: PlanarPose
 
     def __post_init__(self) -> None:
-        """Refuse what is no square."""
+        """Check that it is a square."""
         if len(self.odometry) < 2 or not np.isfinite(self.odometry).all():
             raise RunError(f"{self.name}: there is no odometry of a square")
         largest = max(np.abs(self.odometry).max(), *map(abs, (*self.start, *self.end)))
@@ -58,7 +75,7 @@ class Run:
             )
 
     def turned(self) -> float:
-        """Return the heading that the odometry gains, rad, counter-clockwise > 0."""
+        """Return the total change of the reported heading, rad, counter-clockwise > 0."""
         return float(self.steps()[:, 2].sum())
 
     @property
@@ -71,11 +88,11 @@ class Run:
         return se2.steps(self.odometry)
 
     def side(self) -> float:
-        """Return the length (m) of a side as reported: a quarter of the way."""
+        """Return the reported length (m) of a side: a quarter of the path."""
         return float(np.hypot(*np.diff(self.odometry[:, :2], axis=0).T).sum() / 4.0)
 
     def moved(self) -> np.ndarray:
-        """Return the true end as seen from the true start: (m, m, rad)."""
+        """Return the true end in the frame of the true start: (m, m, rad)."""
         return se2.between(self.start, self.end)
 
     def return_error(self) -> np.ndarray:
@@ -87,5 +104,96 @@ class Run:
 
 def return_errors(runs: Sequence[Run], direction: str) -> np.ndarray:
     """Return the return errors of the runs in a direction, shape (n, 3)."""
-    errors: List[np.ndarray] = [run.return_error() for run in runs if run.direction == direction]
+    errors = [run.return_error() for run in runs if run.direction == direction]
     return np.array(errors).reshape(-1, 3)
+
+
+def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[Run]:
+    """Read a run from each bag, table of two paths, or pair of TUM files in a folder.
+
+    In a table of two paths (`PAIRS`, as paths.csv of the squares) the true pose comes first and
+    the odometry second. In a table of returns (`RETURNS`: cw or ccw, m, m, rad) each row is a run
+    whose odometry reports a perfect square: the true pose at its end, in the frame of its start.
+
+    Args:
+        path: the folder, or one file with several runs.
+        topic: of a bag's odometry.
+        truth_topic: of a bag's true poses.
+        side: of the square, m, for tables of returns.
+
+    Raises:
+        LabError: a file cannot be read, or there is none.
+    """
+    files = sorted(path.iterdir()) if os.path.isdir(path) else [path]
+    runs: List[Run] = []
+    for file in files:
+        if file.name.endswith(ODOMETRY):
+            truth = file.with_name(file.name[: -len(ODOMETRY)] + TRUTH)
+            runs.append(_run(file, read_path(file), read_path(truth)))
+        elif file.suffix == ".bag":
+            runs.append(_run(file, read_path(file, topic), read_path(file, truth_topic)))
+        elif file.suffix == ".csv":
+            runs += _read_csv(file, side)
+    if not runs:
+        raise RunError(f"{path}: there is no bag, no table and no *{ODOMETRY} of a run")
+    return runs
+
+
+def _run(file: Path, odometry: Trajectory, truth: Trajectory) -> Run:
+    """Return a run from the first to the last poses of both: the robot rests there."""
+    _check_times(file, odometry, truth)
+    first, last = truth.poses[[0, -1]].tolist()
+    turns = [se2.steps(one.poses)[:, 2].sum() for one in (odometry, truth)]
+    if turns[0] * turns[1] < 0.0:
+        raise RunError(
+            f"{file}: odometry and truth turn in opposite directions: "
+            "is the y axis or the yaw of one of them mirrored?"
+        )
+    return Run(file.stem, odometry.poses, tuple(first), tuple(last))
+
+
+def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
+    """Raise RunError unless the truth covers the time in which the robot drives."""
+    from_start, from_end = (
+        np.flatnonzero(np.hypot(*(odometry.poses - rest)[:, :2].T) > AT_REST)
+        for rest in odometry.poses[[0, -1]]
+    )
+    if not (from_start.size and from_end.size):
+        return
+    begin, end = odometry.stamps[[from_start[0], from_end[-1]]]
+    if truth.stamps[0] > begin or truth.stamps[-1] < end:
+        raise RunError(
+            f"{file}: the robot drives from {begin:.3f} to {end:.3f} s, but the truth covers "
+            f"{truth.stamps[0]:.3f} to {truth.stamps[-1]:.3f} s: are both of one run and one clock?"
+        )
+
+
+def _read_csv(path: Path, side: float) -> List[Run]:
+    columns, rows = read_table(path, PAIRS, RETURNS)
+    if columns == PAIRS:
+        return [_run(path, read_path(path, prefix="noisy_"), read_path(path))]
+    return [_measured_run(where, row, side) for where, row in rows]
+
+
+def _measured_run(where: str, row: Mapping[str, str], side: float) -> Run:
+    direction = (row["direction"] or "").strip().lower()
+    if direction not in DIRECTIONS:
+        raise RunError(f"{where}: the direction has to be one of {', '.join(DIRECTIONS)}")
+    x, y, yaw = finite_numbers([row[name] for name in RETURNS[1:]], where)
+    return Run(where, perfect_square(side, direction), (0.0, 0.0, 0.0), (x, y, yaw))
+
+
+def perfect_square(side: float, direction: str) -> np.ndarray:
+    """Return the poses of a perfect square, before and after each turn, shape (13, 3).
+
+    >>> perfect_square(2.0, "ccw")[3].round(6)
+    array([2.      , 0.      , 1.570796])
+    """
+    turn = -0.5 * np.pi if direction == CLOCKWISE else 0.5 * np.pi
+    poses = [np.zeros(3)]
+    for _ in range(4):
+        x, y, yaw = poses[-1]
+        x, y = x + side * np.cos(yaw), y + side * np.sin(yaw)
+        # Half a turn at a time, so that the direction of the turn is defined.
+        poses += [np.array((x, y, yaw + share * turn)) for share in (0.0, 0.5, 1.0)]
+    return np.array(poses)

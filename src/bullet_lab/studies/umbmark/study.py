@@ -1,4 +1,4 @@
-"""Squares driven by odometry each way, and what they say of a robot's wheels, without ROS.
+"""UMBmark: errors of a robot's wheels from squares that it drives by odometry, without ROS.
 
 Example:
     python3 -m bullet_lab.studies.umbmark.study results/umbmark --diameter-error 0.002
@@ -12,90 +12,51 @@ import functools
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, NoReturn, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, Optional, Tuple
 
+import numpy as np
 import yaml
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from bullet_lab.core.figures import save
-from bullet_lab.core.files import make_folder, write_json
+from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, plan_axes
+from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import number, text
+from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.noise import systematic
-from bullet_lab.studies.study import (
-    SUMMARY,
-    Settings,
-    Tell,
-    progress,
-    run_from,
-    silent,
-    whole_results,
-    write_table,
-)
-from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings
+from bullet_lab.studies.results import labelled, legend_below, panels, write_results
+from bullet_lab.studies.study import Settings, Tell, run_from
+from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings, drive_run
 from bullet_lab.studies.umbmark.campaign import CampaignSettings, describe_campaign, run_campaign
-from bullet_lab.studies.umbmark.drives import drive_square
-from bullet_lab.studies.umbmark.estimate import PARAMETERS
-from bullet_lab.studies.umbmark.figures import clusters_figure
-from bullet_lab.studies.umbmark.floor import multipliers
-from bullet_lab.studies.umbmark.runs import DIRECTIONS, Run, return_errors
-from bullet_lab.studies.umbmark.sources import read_runs
-from bullet_lab.studies.workers import Run as RunTasks
-from bullet_lab.studies.workers import TaskLostError, WorkerSettings, workers
+from bullet_lab.studies.umbmark.estimate import PARAMETERS, centre_ellipse
+from bullet_lab.studies.umbmark.robots import multipliers
+from bullet_lab.studies.umbmark.runs import (
+    CLOCKWISE,
+    COUNTER_CLOCKWISE,
+    DIRECTIONS,
+    read_runs,
+    return_errors,
+)
+from bullet_lab.studies.workers import Run, WorkerSettings, run_tasks, workers
 
-NONE = systematic.SystematicErrors()
+# The class is not imported by name: the job's help describes the dataclasses of this module.
+NO_ERRORS = systematic.SystematicErrors()
+
+STYLES = (
+    (CLOCKWISE, "clockwise", BLUE, "o"),
+    (COUNTER_CLOCKWISE, "counter-clockwise", ORANGE, "s"),
+)
 
 
 @dataclass(frozen=True)
 class FileSettings(Settings):
-    """Runs that were recorded, of a real robot or another simulation."""
+    """Recorded runs of a real robot or another simulation."""
 
     path: str = text("", "folder or file of recorded runs; else they are driven here")
     topic: str = text("/odom", "odometry topic of a bag")
     truth_topic: str = text("/truth", "topic of a bag's true poses, Odometry or PoseStamped")
-    wheel_base: float = number(0.38, "m, that the recorded odometry believes in", above=0.0)
+    wheel_base: float = number(0.38, "m, that the recorded odometry assumes", above=0.0)
     base: str = text("", "folder that a relative path starts from")
-
-
-def drive_run(
-    settings: DriveSettings, correction: systematic.SystematicErrors, laps: int, number: int
-) -> Tuple[Run, float]:
-    """Drive a run on the floor, of an even number clockwise; return it, and the believed base.
-
-    Args:
-        settings: of the drive.
-        correction: what an earlier calibration has found.
-        laps: how many rounds of runs there were before, for the noise.
-        number: of the run, from 0 on.
-    """
-    direction = DIRECTIONS[number % len(DIRECTIONS)]
-    robot = settings.plan.build(settings.errors, correction)
-    try:
-        name, noise = f"{direction} {number // len(DIRECTIONS) + 1}", settings.noise(number, laps)
-        return drive_square(robot, settings.square(direction), name, noise), robot.believed.base
-    finally:
-        robot.close()
-
-
-def drive_runs(
-    settings: DriveSettings,
-    correction: systematic.SystematicErrors,
-    laps: int,
-    run: RunTasks,
-    title: str,
-    tell: Tell = silent,
-) -> Benchmark:
-    """Drive all runs of both ways on the floor and evaluate them; raises LabError."""
-    numbers = range(len(DIRECTIONS) * settings.runs)
-    task = functools.partial(drive_run, settings, correction, laps)
-    found: Dict[int, Tuple[Run, float]] = {}
-    with progress(title, len(numbers), tell, unit="square", things=f" squares {title}") as note:
-        for index, result in run(task, numbers):
-            if isinstance(result, TaskLostError):
-                raise result
-            found[index] = result
-            note()
-    runs = [found[index][0] for index in numbers]
-    # The fit counts turns by the base as it was believed, whose correction the runs have had.
-    return Benchmark.of(runs, found[0][1], settings.side)
 
 
 def run_umbmark(
@@ -103,34 +64,34 @@ def run_umbmark(
     before: Benchmark,
     after: Optional[Benchmark],
     about: Dict[str, Any],
-    floor: systematic.SystematicErrors = NONE,
+    floor: systematic.SystematicErrors = NO_ERRORS,
 ) -> Dict[str, Any]:
-    """Leave tables, picture, corrected parameters and summary.json; return what that says.
+    """Write tables, figure, corrected parameters and summary.json; return the summary.
 
     Args:
         folder: for the files.
-        before: the runs by the odometry as it is.
-        after: those with the correction, if there are any.
-        about: what else summary.json says.
-        floor: what is found where nothing is wrong, which is not among what is recovered.
+        before: runs with the odometry as it is.
+        after: runs with the correction, if there are any.
+        about: other entries of summary.json.
+        floor: errors found for perfect wheels; `recovered` is relative to them.
     """
     found = before.estimate
-    recovered = found.beside(floor)
-    doubts = before.doubts()
+    recovered = found.relative_to(floor)
+    warnings = before.warnings()
     summary: Dict[str, Any] = {
         "job": "umbmark",
         **about,
         "finished": True,
-        "trusted": not doubts,
-        "not_trusted_because": doubts,
+        "trusted": not warnings,
+        "not_trusted_because": warnings,
         **before.summary(),
         "recovered": {
-            **_named(recovered.errors),
+            **_by_name(recovered.errors),
             "intervals_95": recovered.intervals
             and {name: list(ends) for name, ends in recovered.intervals.items()},
         },
-        "floor": _named(floor),
-        "effective": _named(found.errors),
+        "floor": _by_name(floor),
+        "effective": _by_name(found.errors),
         "unexplained_m": found.residual,
         "corrected": {
             "wheel_base_m": before.base * (1.0 + found.errors.base_error),
@@ -138,41 +99,83 @@ def run_umbmark(
         },
     }
     if after is not None:
-        times = _ratio(before.figures.e_max_syst, after.figures.e_max_syst)
-        summary.update(after=after.summary(), falls_by=times)
-    with whole_results(folder) as part:
-        write_table(part / "returns.csv", _return_rows(before, after))
-        if not doubts:
-            text_ = yaml.safe_dump(multipliers(found.errors), sort_keys=False)
-            (part / "corrected.yaml").write_text(text_)
-        save(clusters_figure(before, after), part / "clusters.png")
-        write_json(part / SUMMARY, summary)
-    if doubts:
-        # Of an earlier run.
+        left = after.figures.e_max_syst
+        falls_by = before.figures.e_max_syst / left if left > 0.0 else None
+        summary.update(after=after.summary(), falls_by=falls_by)
+    corrected = yaml.safe_dump(multipliers(found.errors), sort_keys=False)
+    write_results(
+        folder,
+        summary,
+        {"returns.csv": _return_rows(before, after)},
+        {"clusters.png": clusters_figure(before, after)},
+        {} if warnings else {"corrected.yaml": corrected},
+    )
+    if warnings:
+        # An earlier run may have left one.
         (folder / "corrected.yaml").unlink(missing_ok=True)
     return summary
 
 
-def _named(errors: systematic.SystematicErrors) -> Dict[str, float]:
+def _by_name(errors: systematic.SystematicErrors) -> Dict[str, float]:
     return {name: getattr(errors, name) for name in PARAMETERS}
 
 
-def _ratio(before: float, after: float) -> Optional[float]:
-    return before / after if after > 0.0 else None
-
-
-def _return_rows(before: Benchmark, after: Optional[Benchmark]):
+def _return_rows(before: Benchmark, after: Optional[Benchmark]) -> Iterator[Tuple[Any, ...]]:
     yield ("correction", "run", "direction", "x_m", "y_m", "yaw_rad")
     for name, benchmark in (("before", before), ("after", after)):
         for run in benchmark.runs if benchmark is not None else ():
             yield (name, run.name, run.direction, *run.return_error().tolist())
 
 
+def clusters_figure(before: Benchmark, after: Optional[Benchmark]) -> Figure:
+    """Draw the return errors of `Benchmark`s, to one scale, and those after the correction larger.
+
+    A filled ellipse holds a centre of gravity with 95 % confidence, an open one 95 % of the runs.
+    """
+    shown = [("before the correction", before)]
+    if after is not None:
+        shown += [("after it, to the same scale", after), ("after it", after)]
+    title = "Return errors: where the robot really was, seen from where odometry had it"
+    figure, (every,) = panels((1, len(shown)), (0.6 + 4.6 * len(shown), 5.0), title)
+    for axes, (title, benchmark) in zip(every, shown):
+        plan_axes(axes, title=title, xlabel="x (mm), ahead at the start", ylabel="y (mm)")
+        _draw_clusters(axes, benchmark)
+    if after is not None:
+        errors = [return_errors(before.runs, way)[:, :2] for way in DIRECTIONS]
+        reach = 1150.0 * np.abs(np.concatenate(errors)).max()
+        for axes in every[:2]:
+            axes.set_adjustable("box")
+            axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+    columns, bottom = (2, 0.15) if after is None else (0, 0.06)
+    legend_below(figure, labelled(every[0]), columns, bottom, frameon=None, fontsize=9)
+    return figure
+
+
+def _draw_clusters(axes: Axes, benchmark: Benchmark) -> None:
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    for direction, title, colour, marker in STYLES:
+        # Both directions share an entry of the legend.
+        once = "_" if direction == CLOCKWISE else ""
+        errors = 1000.0 * return_errors(benchmark.runs, direction)
+        centre = errors[:, :2].mean(axis=0)
+        axes.plot(*errors[:, :2].T, marker, color=colour, markersize=5, alpha=0.7, label=title)
+        axes.plot(*centre, "+", color=BLACK, markersize=11, label=f"{once}centres of gravity")
+        shape = centre_ellipse(errors)
+        if shape is not None:
+            border = centre + ellipse_points(shape)
+            label = f"{once}95 % ellipses of the centres"
+            axes.fill(*border.T, color=colour, alpha=0.25, linewidth=0, label=label)
+            border = centre + ellipse_points(np.cov(errors[:, :2].T))
+            label = f"{once}95 % ellipses of the runs"
+            axes.plot(*border.T, color=colour, linewidth=0.9, label=label)
+
+
 def describe(
-    before: Benchmark, after: Optional[Benchmark], floor: systematic.SystematicErrors = NONE
+    before: Benchmark, after: Optional[Benchmark], floor: systematic.SystematicErrors = NO_ERRORS
 ) -> List[str]:
-    """Return what came of it as lines for people."""
-    lines = [f"NOT TO BE TRUSTED: {doubt}" for doubt in before.doubts()]
+    """Return the results as lines for the user."""
+    lines = [f"NOT TO BE TRUSTED: {warning}" for warning in before.warnings()]
     lines += _figures(before)
     found, figures = before.estimate, before.figures
     lines.append(
@@ -186,25 +189,28 @@ def describe(
             between = f", 95 % within {1.0 + low:.6f} to {1.0 + high:.6f}"
         lines.append(f"fit of the full model: {title} {1.0 + value:.6f}{between}")
     if not floor.none:
-        recovered = ", ".join(f"{k} {v:.6f}" for k, v in _named(found.beside(floor).errors).items())
-        lines.append(f"of that, beyond what this floor does to wheels that are right: {recovered}")
-    parameters = ", ".join(f"{k} {v:.6f}" for k, v in multipliers(found.errors).items())
+        recovered = _joined(_by_name(found.relative_to(floor).errors))
+        lines.append(f"of that, beyond the effect of this floor on perfect wheels: {recovered}")
     base = before.base * (1.0 + found.errors.base_error)
-    lines.append(f"corrected: base {base:.6f} m; {parameters}")
+    lines.append(f"corrected: base {base:.6f} m; {_joined(multipliers(found.errors))}")
     if after is not None:
         lines += [f"driven again: {line}" for line in _figures(after)]
     return lines
 
 
+def _joined(values: Dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.6f}" for name, value in values.items())
+
+
 def _figures(benchmark: Benchmark) -> List[str]:
     figures = benchmark.figures
     lines = []
-    for way, (x, y) in zip(DIRECTIONS, (figures.centre_cw, figures.centre_ccw)):
-        errors = return_errors(benchmark.runs, way) * (1000.0, 1000.0, math.degrees(1.0))
+    for direction, (x, y) in zip(DIRECTIONS, (figures.centre_cw, figures.centre_ccw)):
+        errors = return_errors(benchmark.runs, direction) * (1000.0, 1000.0, math.degrees(1.0))
         each = ", ".join(f"({dx:.2f}, {dy:.2f}, {turn:.3f})" for dx, dy, turn in errors.tolist())
         lines += [
-            f"return errors {way} (mm, mm, °): {each}",
-            f"centre of gravity {way}: ({1000.0 * x:.2f}, {1000.0 * y:.2f}) mm",
+            f"return errors {direction} (mm, mm, °): {each}",
+            f"centre of gravity {direction}: ({1000.0 * x:.2f}, {1000.0 * y:.2f}) mm",
         ]
     return [*lines, f"E_max,syst {1000.0 * figures.e_max_syst:.2f} mm"]
 
@@ -216,51 +222,60 @@ def _run(
     campaign: CampaignSettings,
     work: WorkerSettings,
     tell: Tell,
-) -> None:
+) -> List[str]:
     make_folder(folder)
-    about = asdict(drive)
     if not files.path:
-        # Better known now than from each worker.
+        # An error or a warning appears once here, instead of in each worker.
         drive.plan.check()
     run = workers(work.workers)
     if campaign.robots:
         found = run_campaign(folder, drive, campaign, run, tell)
-        for line in describe_campaign(campaign.robots, found):
-            tell(line)
-        return
-    after: Optional[Benchmark] = None
-    floor = NONE
+        return describe_campaign(campaign.robots, found)
     if files.path:
         source = Path(files.base) / files.path
         runs = read_runs(source, files.topic, files.truth_topic, drive.side)
         before = Benchmark.of(runs, files.wheel_base)
         about = {"source": str(source), "wheel_base_m": files.wheel_base}
-    else:
-        if not drive.errors.none:
-            right = replace(drive, diameter_error=0.0, base_error=0.0, std=0.0, runs=1)
-            floor = drive_runs(right, NONE, 0, run, "without errors", tell).estimate.errors
-            tell(f"without errors, {_effective(floor)}")
-        before = drive_runs(drive, NONE, 0, run, "by the odometry as it is", tell)
-        after = drive_runs(drive, before.estimate.errors, 1, run, "with the correction", tell)
-        if drive.errors.none:
-            tell(f"no errors were injected, and {_effective(before.estimate.errors)}")
-    run_umbmark(folder, before, after, about, floor)
-    for line in describe(before, after, floor):
-        tell(line)
+        run_umbmark(folder, before, None, about)
+        return describe(before, None)
+    floor = NO_ERRORS
+    if not drive.errors.none:
+        perfect = replace(drive, diameter_error=0.0, base_error=0.0, std=0.0, runs=1)
+        floor = _drive(perfect, NO_ERRORS, 0, run, "without errors", tell).estimate.errors
+        tell(f"without errors, {_effective(floor)}")
+    before = _drive(drive, NO_ERRORS, 0, run, "by the odometry as it is", tell)
+    after = _drive(drive, before.estimate.errors, 1, run, "with the correction", tell)
+    if drive.errors.none:
+        tell(f"no errors were injected, and {_effective(before.estimate.errors)}")
+    run_umbmark(folder, before, after, asdict(drive), floor)
+    return describe(before, after, floor)
+
+
+def _drive(
+    settings: DriveSettings,
+    correction: systematic.SystematicErrors,
+    laps: int,
+    run: Run,
+    title: str,
+    tell: Tell,
+) -> Benchmark:
+    """Drive all runs on the floor and evaluate them; for the arguments see `drive_run`."""
+    count = len(DIRECTIONS) * settings.runs
+    task = functools.partial(drive_run, settings, correction, laps, None)
+    drives = run_tasks(task, count, run, tell, title, "square", f" squares {title}")
+    return Benchmark.of_drives(drives, settings.side)
 
 
 def _effective(errors: systematic.SystematicErrors) -> str:
     return (
         "these wheels roll on this floor as if D_right/D_left were "
-        f"{1.0 + errors.diameter_error:.6f} and the base {1.0 + errors.base_error:.6f} of what is "
-        "believed"
+        f"{1.0 + errors.diameter_error:.6f} and the base {1.0 + errors.base_error:.6f} of the "
+        "assumed one"
     )
 
 
-def main(words: Optional[Sequence[str]] = None) -> NoReturn:
-    """Run the study from the command line; see `run_from`."""
-    settings = (DriveSettings, FileSettings, CampaignSettings, WorkerSettings)
-    run_from("umbmark", __doc__, settings, _run, words)
+SETTINGS = (DriveSettings, FileSettings, CampaignSettings, WorkerSettings)
+main = functools.partial(run_from, "umbmark", __doc__, SETTINGS, _run)
 
 
 if __name__ == "__main__":

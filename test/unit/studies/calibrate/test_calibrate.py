@@ -11,8 +11,12 @@ from bullet_lab.core.trajectory import CSV_HEADER
 from bullet_lab.noise.calibration import SYSTEMATIC
 from bullet_lab.noise.odometry_noise import ProbabilisticRule, rule_of
 from bullet_lab.studies.calibrate import study
-from bullet_lab.studies.calibrate.coverage import coverage
-from bullet_lab.studies.calibrate.drive import DriveSettings, calibration_drive, made_up
+from bullet_lab.studies.calibrate.drive import (
+    DriveSettings,
+    calibration_drive,
+    coverage,
+    made_up,
+)
 from bullet_lab.studies.calibrate.steps import StepsError, StepSettings, take_steps
 from bullet_lab.studies.calibrate.study import (
     CalibrateSettings,
@@ -133,7 +137,7 @@ def test_a_path_one_way_cannot_tell_the_gyro_from_the_wheels(tmp_path, capsys):
     "words, line",
     [
         (("--models", "nix"), "--models is 'nix': it must be different words of"),
-        (("--truth", "a.tum"), "truth and odometry are two files of one recording: name both"),
+        (("--truth", "a.tum"), "truth and odometry are one recording: both files are needed"),
         (("--data", "nix"), "nix: there is no such file or folder"),
         (("--max-gap", "1"), "--max-gap is '1': it must be a number > 1"),
     ],
@@ -192,8 +196,8 @@ REVERSED, LEFT_HANDED = (-1.0, -1.0, 1.0), (1.0, -1.0, -1.0)
 @pytest.mark.parametrize(
     ("scale", "line"),
     [
-        (REVERSED, "runs against the truth's"),
-        (LEFT_HANDED, "runs against the truth's"),
+        (REVERSED, "has the opposite sign"),
+        (LEFT_HANDED, "has the opposite sign"),
         ((1000.0, 1000.0, 1.0), "are both in m"),
         ((1.0, 1.0, 57.3), "are both in rad"),
         ((0.0, 0.0, 0.0), "are both in m"),

@@ -5,7 +5,7 @@ import pytest
 
 from bullet_lab.core.trajectory import Trajectory, TrajectoryError
 from bullet_lab.studies.calibrate.recordings import Topics, find_recordings, read_pair
-from bullet_lab.studies.noise_study.paths import write_tum
+from bullet_lab.studies.noise_study.paths import tum_text
 
 TOPICS = Topics("/truth", "/odom")
 
@@ -17,8 +17,8 @@ def line(scale):
 
 def write_pair(folder, truth, odometry):
     folder.mkdir(parents=True, exist_ok=True)
-    write_tum(folder / f"{truth}.tum", line(1.0))
-    write_tum(folder / f"{odometry}.tum", line(2.0))
+    (folder / f"{truth}.tum").write_text(tum_text(line(1.0)))
+    (folder / f"{odometry}.tum").write_text(tum_text(line(2.0)))
 
 
 def assert_truth_first(found):

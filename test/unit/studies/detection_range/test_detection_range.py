@@ -15,7 +15,6 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.simulation.rendering.graphics import driver_name
 from bullet_lab.studies.detection_range.figures import COLOURS, HIDDEN, heat_map, range_figure
 from bullet_lab.studies.detection_range.scenes import (
-    LIGHTS,
     WORLDS,
     Cell,
     PrintedMarker,
@@ -33,6 +32,7 @@ from bullet_lab.studies.detection_range.study import (
 )
 from bullet_lab.studies.detection_range.trial import CellResult, Frame, Snapshot, judge
 from bullet_lab.studies.workers import TaskLostError
+from bullet_lab.studies.worlds import LIGHTS
 from bullet_lab.vision.marker_pose import ObservedMarker, estimate_pose
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
@@ -276,9 +276,9 @@ def test_the_order_of_the_work_makes_no_difference(results, tmp_path):
 
 def test_a_lost_task_ends_the_job_with_nothing_written(tmp_path):
     def lose(task, numbers):
-        yield 0, TaskLostError("every worker that tried it has died")
+        yield 0, TaskLostError("each worker process that ran the task has died")
 
-    with pytest.raises(TaskLostError, match="task 0: every worker"):
+    with pytest.raises(TaskLostError, match="cell 0: each worker"):
         run_detection_range(tmp_path, SMALL, lose)
     assert not list(tmp_path.iterdir())
 

@@ -134,5 +134,5 @@ def test_other_dockings_are_refused(tmp_path):
     with pytest.raises(FileError, match="cannot read"):
         compare(tmp_path / "more", tmp_path / "nowhere", 5)
     (tmp_path / "one" / LOG).write_text("{}\n")
-    with pytest.raises(ComparisonError, match="no log"):
+    with pytest.raises(ComparisonError, match="not the log"):
         compare(tmp_path / "more", tmp_path / "one" / LOG, 5)

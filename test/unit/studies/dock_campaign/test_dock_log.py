@@ -127,5 +127,5 @@ def test_numbers_that_are_none_are_refused(path, number):
     written(path, 0)
     with path.open("a") as file:
         file.write(f'{{"index": 1, "x": {number}}}\n')
-    with pytest.raises(DockLogError, match="line 3: this is no line of a campaign"):
+    with pytest.raises(DockLogError, match="line 3: this is not a line"):
         DockLog(path, PARAMETERS)

@@ -12,7 +12,7 @@ from bullet_lab.studies.dock_campaign.trial import (
     LARGEST_IMAGE_NOISE,
     LARGEST_ODOMETRY_STD,
     NEAREST,
-    UNTOLD_ROOM,
+    UNKNOWN_CLEARANCE,
     WIDEST,
     WORLDS,
     DrawSettings,
@@ -58,9 +58,8 @@ def test_starts_are_where_the_issue_wants_them(drawn):
 
 def test_a_start_leaves_room_to_turn(drawn):
     for scenario in drawn:
-        world = scenario.world.rsplit("/", 1)[-1].replace(".world", "")
         x, y, _ = scenario.start
-        assert min(wall.distance((x, y)) for wall in obstacles(world)) > TURNING_RADIUS
+        assert min(wall.distance((x, y)) for wall in obstacles(scenario.world)) > TURNING_RADIUS
 
 
 def test_a_start_leaves_room_to_get_away_from_what_docking_is_not_told_of():
@@ -70,7 +69,7 @@ def test_a_start_leaves_room_to_get_away_from_what_docking_is_not_told_of():
     settings = DrawSettings(seed=2026, worlds=("docking_decoy",))
     for index in range(300):
         x, y, _ = draw_scenario(settings, index).start
-        assert min(wall.distance((x, y)) for wall in decoy) > UNTOLD_ROOM
+        assert min(wall.distance((x, y)) for wall in decoy) > UNKNOWN_CLEARANCE
 
 
 def test_the_walls_are_those_of_the_issue():
@@ -86,10 +85,8 @@ def test_the_walls_are_those_of_the_issue():
 
 
 def test_all_that_is_to_vary_varies(drawn):
-    assert {scenario.world for scenario in drawn} == {
-        f"package://bullet_lab/worlds/{world}.world" for world in WORLDS
-    }
-    assert len({scenario.lighting for scenario in drawn}) == 4
+    assert {scenario.world for scenario in drawn} == set(WORLDS)
+    assert len({scenario.light for scenario in drawn}) == 4
     errors = np.array([scenario.dock_error for scenario in drawn])
     assert (np.abs(errors) <= DATABASE_ERROR).all()
     assert (np.abs(errors).max(axis=0) > 0.9 * np.array(DATABASE_ERROR)).all()
@@ -107,8 +104,8 @@ def test_choices_can_be_narrowed():
     settings = DrawSettings(worlds=("docking_decoy",), lights=("dark",), odometry=("odom",))
     for index in range(10):
         scenario = draw_scenario(settings, index)
-        assert scenario.world.endswith("/docking_decoy.world")
-        assert scenario.lighting.endswith("/docking_dark.world")
+        assert scenario.world == "docking_decoy"
+        assert scenario.light == "dark"
         assert scenario.odometry == "odom"
 
 
@@ -130,7 +127,7 @@ def test_what_cannot_be_drawn_is_refused(wrong):
 
 def test_the_nested_world_has_a_dock_of_its_own(drawn):
     for scenario in drawn:
-        nested = scenario.world.endswith("/docking_nested.world")
+        nested = scenario.world == "docking_nested"
         assert scenario.dock == ("nested_dock" if nested else "dock")
 
 

@@ -13,13 +13,11 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.docking.types import Calibration, Learned
 from bullet_lab.simulation.world.floor_plan import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.sdf import read_world_file
 from bullet_lab.simulation.world.urdf import read_urdf_file
 from bullet_lab.studies.dock_campaign import study
 from bullet_lab.studies.dock_campaign.docking import (
     CAMERA_FRAME,
     MARKER_POSE,
-    ROBOT,
     dock_of,
 )
 from bullet_lab.studies.dock_campaign.stress import (
@@ -33,7 +31,8 @@ from bullet_lab.studies.dock_campaign.stress import (
     world_under,
 )
 from bullet_lab.studies.dock_campaign.study import CampaignSettings, run_each
-from bullet_lab.studies.dock_campaign.trial import DrawSettings, draw_scenario, run_trial, world_uri
+from bullet_lab.studies.dock_campaign.trial import DrawSettings, draw_scenario, run_trial
+from bullet_lab.studies.worlds import ROBOT, read_world
 
 FINDER = ResourceFinder.anywhere()
 
@@ -75,7 +74,7 @@ def test_all_stay_within_what_is_said_and_come_near_it():
 
 def test_the_dock_stands_elsewhere_with_all_that_stands_about_it():
     stress = draw_stress(("pose",), 2, 1)
-    world = read_world_file(FINDER.find(world_uri("docking_decoy")))
+    world = read_world("docking_decoy")
     moved = world_under(stress, world, MARKER_POSE, dock_of(scenario_of(0, "pose")))
     before, after = (
         np.array([(*box.centre, box.yaw) for box in footprints(one)]) for one in (world, moved)
@@ -90,7 +89,7 @@ def test_the_dock_stands_elsewhere_with_all_that_stands_about_it():
 @pytest.mark.parametrize("corner", range(4))
 def test_what_hides_a_corner_is_before_it_and_touches_nothing(corner):
     stress = Stress(hidden_corner=corner, cover=0.2)
-    world = read_world_file(FINDER.find(world_uri("docking")))
+    world = read_world("docking")
     cover = world_under(stress, world, MARKER_POSE, dock_of(scenario_of(0))).models[-1]
     (link,) = cover.links
     (square,) = link.visuals

@@ -10,7 +10,8 @@ from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory, path_error, read_tum
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
-from bullet_lab.studies.noise_study.paths import resample, write_tum
+from bullet_lab.studies.noise_study.paths import resample, tum_text
+from bullet_lab.studies.noise_study.regions import level_rule
 from bullet_lab.studies.noise_study.statistics import (
     PathMetrics,
     PathMetricsError,
@@ -18,7 +19,6 @@ from bullet_lab.studies.noise_study.statistics import (
     pairs_at_distance,
     study_case,
 )
-from bullet_lab.studies.noise_study.theory import level_rule
 
 CASES = [
     ("report", 0.5, 0.9),
@@ -153,8 +153,8 @@ def evo_values(folder, case, number):
     metrics = pytest.importorskip("evo.core.metrics")
     file_interface = pytest.importorskip("evo.tools.file_interface")
     reference, estimate = folder / "reference.tum", folder / "estimate.tum"
-    write_tum(reference, case.trajectory)
-    write_tum(estimate, case.kept_path(number))
+    reference.write_text(tum_text(case.trajectory))
+    estimate.write_text(tum_text(case.kept_path(number)))
     pair = tuple(
         file_interface.read_tum_trajectory_file(str(path)) for path in (reference, estimate)
     )
@@ -196,7 +196,7 @@ def test_evo_says_the_same(tmp_path, model, std, rate):
 def test_an_exported_path_comes_back(tmp_path):
     case = kept_case("rate_invariant", 0.3, 5.0)
     path = case.kept_path(3)
-    write_tum(tmp_path / "a.tum", path)
+    (tmp_path / "a.tum").write_text(tum_text(path))
     back = read_tum(tmp_path / "a.tum")
     np.testing.assert_array_equal(back.poses[:, :2], path.poses[:, :2])
     np.testing.assert_allclose(wrap(back.poses[:, 2] - path.poses[:, 2]), 0.0, atol=1e-14)

@@ -25,10 +25,11 @@ from bullet_lab.studies.noise_study.regions import (
     RegionCounter,
     Regions,
     checkpoints,
+    level_rule,
     share_band,
+    theory,
 )
 from bullet_lab.studies.noise_study.study import where_right_rows
-from bullet_lab.studies.noise_study.theory import level_rule, theory
 
 
 def trajectory_of(moves):

@@ -11,8 +11,7 @@ import pytest
 from bullet_lab.core.files import FileError
 from bullet_lab.core.trajectory import Trajectory, read_tum
 from bullet_lab.errors import LabError
-from bullet_lab.studies.noise_study import study as noise_study
-from bullet_lab.studies.noise_study.paths import PathFileError, read_path, write_tum
+from bullet_lab.studies.noise_study.paths import PathFileError, read_path, tum_text
 from bullet_lab.studies.noise_study.study import (
     StudySettings,
     main,
@@ -172,7 +171,7 @@ def test_the_simulated_square():
 
 
 def test_the_formats_hold_the_same_path(tmp_path):
-    write_tum(tmp_path / "a.tum", bend())
+    (tmp_path / "a.tum").write_text(tum_text(bend()))
     table = zip(bend().stamps.tolist(), bend().poses.tolist())
     rows = [f"{yaw!r},{x!r},{y!r},{stamp!r},7" for stamp, (x, y, yaw) in table]
     (tmp_path / "a.csv").write_text("\n".join(["yaw,x,y,stamp,more", *rows]) + "\n")
@@ -264,8 +263,8 @@ BAD_PATHS = {
     "twice.tum": (GOOD + "1 2 0 0 0 0 0 1\n", "stamps must increase"),
     "one.tum": ("0 0 0 0 0 0 0 1\n", "only one pose"),
     "none.tum": ("", "no poses"),
-    "still.tum": ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "leads nowhere"),
-    "far.tum": (GOOD + "2 1e200 0 0 0 0 0 1\n", "leads farther than"),
+    "still.tum": ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "shorter than 0.001 m"),
+    "far.tum": (GOOD + "2 1e200 0 0 0 0 0 1\n", "longer than 1e+07 m"),
     "short.tum": (GOOD + "2 1\n", "8 values needed"),
     "text.tum": ("\x00\xff", "line 1: 8 values needed"),
     "nan.csv": ("stamp,x,y,yaw\n0,0,0,0\n1,1,nan,0\n", "line 3: a value is not finite"),
@@ -310,7 +309,7 @@ def test_a_bad_path_ends_with_one_line_and_nothing_written(tmp_path, capfd, name
 )
 def test_bad_words_end_with_one_line_and_nothing_written(tmp_path, capfd, words, message):
     if not {"--path", "--laps"} & set(words):
-        write_tum(tmp_path / "bend.tum", bend())
+        (tmp_path / "bend.tum").write_text(tum_text(bend()))
         words = ["--path", str(tmp_path / "bend.tum"), *words]
     assert_refused(tmp_path, capfd, words, message)
 
@@ -328,7 +327,7 @@ def assert_refused(folder, capfd, words, message):
 
 
 def test_the_command_line(tmp_path, capfd):
-    write_tum(tmp_path / "bend.tum", bend())
+    (tmp_path / "bend.tum").write_text(tum_text(bend()))
     words = ["--path", "bend.tum", "--base", str(tmp_path), "--levels", "0.1", "--rates", "5"]
     words += ["--models", "report", "--paths", "10", "--seed", "3"]
     words += ["__name:=noise_study", "__log:=/tmp/a b.log"]
@@ -342,13 +341,13 @@ def test_the_command_line(tmp_path, capfd):
 
 
 def test_an_interrupted_study_leaves_what_was_there(tmp_path, monkeypatch):
-    write_tum(tmp_path / "bend.tum", bend())
+    (tmp_path / "bend.tum").write_text(tum_text(bend()))
     (tmp_path / "metrics.csv").write_text("old")
 
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(noise_study, "_draw", interrupt)
+    monkeypatch.setattr("bullet_lab.studies.results.save", interrupt)
     with pytest.raises(SystemExit) as end:
         words = "--paths 10 --levels 0.1 --rates 5 --models report"
         main([str(tmp_path), "--path", str(tmp_path / "bend.tum"), *words.split()])

@@ -205,15 +205,6 @@ def test_sampled_with_phases():
     np.testing.assert_array_equal(indices, [[0, 3, 10], [10, 13, 20], [20, 23, 30], [30, 33, 40]])
 
 
-@pytest.mark.parametrize(
-    "stamps, rate, phases",
-    [([0, 1], 0.0, [0]), ([0, 1], math.nan, [0]), ([], 1.0, [0]), ([0, 1], 1.0, [1.5])],
-)
-def test_sampled_refuses(stamps, rate, phases):
-    with pytest.raises(NoiseError):
-        sampled(stamps, rate, phases)
-
-
 def test_noisy_paths_refuse():
     poses = square()
     good = poses[:, np.newaxis], draws(poses)

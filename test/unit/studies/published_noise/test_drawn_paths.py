@@ -101,10 +101,10 @@ def test_what_figure_1b_shows(package):
 @pytest.mark.parametrize(
     "text, error",
     [
-        ("", "no path"),
-        ("a,b\n1,2\n", "not a table"),
-        ("series,x_m,y_m\nfig1b_noisy,1\n", "not a table"),
-        ("series,x_m,y_m\nfig1b_noisy,1,here\n", "not a table"),
+        ("", "has to name the columns series, x_m, y_m"),
+        ("a,b\n1,2\n", "has to name the columns"),
+        ("series,x_m,y_m\nfig1b_noisy,1\n", "line 2: a value is not a number"),
+        ("series,x_m,y_m\nfig1b_noisy,1,here\n", "line 2: a value is not a number"),
         ("series,x_m,y_m\nfig1b_noisy,1,nan\n", "not finite"),
         ("series,x_m,y_m\nfig1b_noisy,0,0\n", "no path fig1b_perfect"),
         ("series,x_m,y_m\nfig1b_noisy,0,0\nfig1b_perfect,1,1\n", "four sides"),

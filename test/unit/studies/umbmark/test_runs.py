@@ -10,12 +10,10 @@ from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
 from bullet_lab.drive.square import Square
 from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.studies.noise_study.paths import write_tum
-from bullet_lab.studies.umbmark.drives import drive_square
+from bullet_lab.studies.noise_study.paths import tum_text
 from bullet_lab.studies.umbmark.estimate import fit
-from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels
-from bullet_lab.studies.umbmark.runs import RunError
-from bullet_lab.studies.umbmark.sources import perfect_square, read_runs
+from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels, drive_square
+from bullet_lab.studies.umbmark.runs import RunError, perfect_square, read_runs
 
 BELIEVED = Wheels(0.28, 0.28, 0.38)
 WRONG = SystematicErrors(diameter_error=0.004, base_error=-0.02)
@@ -39,8 +37,8 @@ def recorded(turn):
 
 
 def write_pair(folder, name, true, reported):
-    write_tum(folder / f"{name}_truth.tum", true)
-    write_tum(folder / f"{name}_odom.tum", reported)
+    (folder / f"{name}_truth.tum").write_text(tum_text(true))
+    (folder / f"{name}_odom.tum").write_text(tum_text(reported))
 
 
 def write_table(folder, name, true, reported):
@@ -115,7 +113,7 @@ def test_a_perfect_square_comes_back():
         ("a,b\n1,2\n", "has to name the columns"),
         ("direction,x,y,yaw\nleft,0,0,0\n", "line 2: the direction has to be one of cw, ccw"),
         ("direction,x,y,yaw\ncw,0,nan,0\n", "line 2"),
-        (CSV_HEADER + "\n0,0,0,0,0,0,0\n", "two rows"),
+        (CSV_HEADER + "\n0,0,0,0,0,0,0\n", "only one pose"),
         (CSV_HEADER + "\n0,0,0,0,0,0,0\n1,1,0,0,1,0,0\n", "not once round"),
     ],
 )

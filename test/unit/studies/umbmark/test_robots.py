@@ -7,7 +7,7 @@ import pytest
 
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.simulation.plugins.wheel_drives import DiffDrive
-from bullet_lab.studies.umbmark.floor import FloorPlan, RobotError
+from bullet_lab.studies.umbmark.robots import FloorPlan, RobotError
 
 PACKAGE = Path(__file__).resolve().parents[4]
 TUTORIALS = PACKAGE / "test" / "tutorials"

@@ -1,0 +1,107 @@
+"""Results of a study: tables, figures, texts and summary.json; and what its figures share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Dict, Iterable, List, Mapping, Sequence, Tuple
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from bullet_lab.core.figures import new_figure, save
+from bullet_lab.core.files import write_json
+from bullet_lab.studies.study import SUMMARY, whole_results, write_table
+
+Record = Mapping[str, Any]
+"""A row of a table by the names of its columns."""
+
+
+def write_results(
+    folder: Path,
+    summary: Dict[str, Any],
+    tables: Mapping[str, Iterable[Iterable[Any]]],
+    figures: Mapping[str, Figure],
+    texts: Mapping[str, str],
+    name: str = SUMMARY,
+) -> Dict[str, Any]:
+    """Write all results of a study, or none of them, and return the summary.
+
+    Args:
+        folder: for the files.
+        summary: content of a JSON file.
+        tables: rows of CSV files, the header first, by the names of the files.
+        figures: by the names of PNG files.
+        texts: content of other files by their names, which may begin with a folder.
+        name: of the file with the summary.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+    with whole_results(folder) as part:
+        for file, rows in tables.items():
+            write_table(part / file, rows)
+        for file, figure in figures.items():
+            save(figure, part / file)
+        for file, text in texts.items():
+            (part / file).parent.mkdir(exist_ok=True)
+            (part / file).write_text(text)
+        write_json(part / name, summary)
+    return summary
+
+
+def rows_of(records: Sequence[Record]) -> List[Iterable[Any]]:
+    """Return a header and a row for each of the records, which have the same names."""
+    return [records[0], *(record.values() for record in records)]
+
+
+def panels(
+    shape: Tuple[int, int], size: Tuple[float, float], title: str = "", **more: Any
+) -> Tuple[Figure, np.ndarray]:
+    """Return a figure and its axes, an array of a shape.
+
+    Args:
+        shape: numbers of rows and columns.
+        size: width and height in inches.
+        title: of the figure.
+        more: as in `Figure.subplots`.
+    """
+    figure = new_figure(*size)
+    if title:
+        figure.suptitle(title)
+    return figure, figure.subplots(*shape, squeeze=False, **more)
+
+
+def legend_below(
+    figure: Figure, handles: Sequence[Artist], columns: int = 0, bottom: float = 0.0, **more: Any
+) -> None:
+    """Add a legend below the panels of a figure.
+
+    Args:
+        figure: to draw on.
+        handles: with labels.
+        columns: of the legend; 0 for a single row.
+        bottom: share of the height for the legend; the panels are laid out above it. 0 keeps them.
+        more: as in `Figure.legend`.
+    """
+    more = {"loc": "lower center", "ncol": columns or len(handles), "frameon": False, **more}
+    if handles:
+        figure.legend(handles=handles, **more)
+    if bottom:
+        figure.tight_layout(rect=(0.0, bottom, 1.0, 1.0))
+
+
+def legend_entry(label: str, **style: Any) -> Line2D:
+    """Return an entry for a legend: a line or marker in a style, with a label."""
+    return Line2D([], [], label=label, **style)
+
+
+def labelled(*every: Axes) -> List[Artist]:
+    """Return the artists of some axes that have a label, one for each label."""
+    handles: Dict[str, Artist] = {}
+    for axes in every:
+        for handle, label in zip(*axes.get_legend_handles_labels()):
+            handles.setdefault(label, handle)
+    return list(handles.values())
