@@ -22,9 +22,9 @@ from bullet_lab.ros.view import raw
 from bullet_lab.ros.view.displays import Stage, placed
 from bullet_lab.ros.view.feeds import Feed, reader_of
 from bullet_lab.simulation.world.description import WHITE, Colour, Geometry, Mesh, Visual
-from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Plane, Sphere
+from bullet_lab.simulation.world.xml import ReportOnce
 from bullet_lab.view.looks import glb_of
 from bullet_lab.view.scene import Copies, Labels, Polyline, Solids, glb_copies, rgb
 

@@ -14,8 +14,8 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.node.node import TF_PREFIX, NodeError, search_parameter
 from bullet_lab.ros.view.displays import Stage
 from bullet_lab.simulation.world.description import Model, Visual
-from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.urdf import read_urdf
+from bullet_lab.simulation.world.xml import ReportOnce
 from bullet_lab.srv import DescribeModels
 from bullet_lab.view.looks import glb_of
 from bullet_lab.view.scene import Copies, glb_copies

@@ -14,7 +14,7 @@ from bullet_lab.simulation.rendering.lights import BITS, PICTURE
 from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
 from bullet_lab.simulation.rendering.textures import LoadedTexture, Textures
 from bullet_lab.simulation.world.description import Plane, Visual
-from bullet_lab.simulation.world.report import ReportOnce
+from bullet_lab.simulation.world.xml import ReportOnce
 
 # Where a textured surface is, m in the link's frame, and its mean normal: with a length of 1 for a
 # plane, and of 0 for what faces all ways.

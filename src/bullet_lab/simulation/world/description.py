@@ -25,6 +25,8 @@ WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
 WORLD_LINK = "world"
 # Between the names of a model and of what is in it.
 SEPARATOR = "::"
+# The limits of a joint that are read.
+LIMITS = ("lower", "upper", "effort", "velocity")
 BLACK: Colour = (0.0, 0.0, 0.0, 1.0)
 
 

@@ -30,7 +30,6 @@ from bullet_lab.simulation.world.ogre_script import (
     parse_script,
     substituted,
 )
-from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.resources import (
     ResourceError,
     ResourceFinder,
@@ -40,6 +39,7 @@ from bullet_lab.simulation.world.resources import (
 from bullet_lab.simulation.world.xml import (
     MAXIMUM_BYTES,
     ElementReader,
+    ReportOnce,
     XmlError,
     file_bytes,
     numbers,

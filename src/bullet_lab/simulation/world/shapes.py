@@ -22,15 +22,16 @@ from bullet_lab.simulation.world.xml import TagReader
 
 
 class ShapeTag(TagReader):
-    """A tag that describes a shape, with its measures as attributes (URDF) or children (SDF)."""
+    """A tag that describes a shape, with its measures as attributes (URDF) or children (SDF).
+
+    `file_key` is the key of a mesh's file.
+    """
+
+    file_key: ClassVar[str]
 
     @abstractmethod
-    def uri(self) -> str:
-        """Return what names the file of a mesh."""
-
-    @abstractmethod
-    def find(self, uri: str) -> Path:
-        """Return the file that a URI means; raises ResourceError."""
+    def file(self, uri: str) -> Path:
+        """Return the file that a URI means; raise ResourceError."""
 
 
 class Shape(ABC):
@@ -187,8 +188,8 @@ class Mesh(Shape):
 
     @classmethod
     def read(cls, tag: ShapeTag) -> Mesh:
-        uri, scale, part = tag.uri(), tag.scale("scale"), tag.text("submesh/name")
-        return cls(tag.find(uri), uri, scale, part, tag.boolean("submesh/center", False))
+        uri, scale, part = tag.text(tag.file_key), tag.scale("scale"), tag.text("submesh/name")
+        return cls(tag.file(uri), uri, scale, part, tag.boolean("submesh/center", False))
 
     def measures(self) -> Dict[str, Tuple[float, ...]]:
         return {"scale": self.scale}

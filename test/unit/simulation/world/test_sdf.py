@@ -316,10 +316,10 @@ BAD_MODELS = {
         ),
         "link 'a': <mu>: 'nan' is not a finite number",
     ),
-    "mesh": (model(link(shape("<mesh/>"))), "<collision>: a <mesh> without <uri>"),
+    "mesh": (model(link(shape("<mesh/>"))), "<collision>: <uri>: no file is named"),
     "missing mesh": (
         model(link(shape("<mesh><uri>package://bullet_lab/nix.dae</uri></mesh>"))),
-        "link 'a': <collision>: 'package://bullet_lab/nix.dae': no such file",
+        "link 'a': <collision>: <uri>: 'package://bullet_lab/nix.dae': no such file",
     ),
     "flat mesh": (
         model(link(shape(f"<mesh><uri>{BEACON}</uri><scale>1 0 1</scale></mesh>"))),
@@ -385,7 +385,7 @@ BAD_WORLDS = {
     "include": ("<include/>", "an <include> without <uri>"),
     "unknown model": (
         include("<uri>model://nix</uri>"),
-        "<include>: 'model://nix': in none of the model folders",
+        "<include>: <uri>: 'model://nix': in none of the model folders",
     ),
     "network": (include("<uri>http://127.0.0.1:1/m</uri>"), "<include>: .*: only package://"),
     "outside": (include("<uri>file:///etc/passwd</uri>"), "<include>: .*: outside the folders"),

@@ -162,26 +162,26 @@ BAD = {
     "no radius": (with_shape('<cylinder length="2"/>'), "link 'a': cylinder radius: ''"),
     "unknown shape": (with_shape("<torus/>"), "link 'a': no geometry is called <torus>"),
     "no shape": (with_shape(""), "link 'a': <collision> without a geometry"),
-    "no mesh name": (with_shape("<mesh/>"), "link 'a': mesh: no file is named"),
+    "no mesh name": (with_shape("<mesh/>"), "link 'a': mesh filename: no file is named"),
     "missing mesh": (
         with_shape('<mesh filename="package://bullet_lab/nix.dae"/>'),
-        "link 'a': mesh: 'package://bullet_lab/nix.dae': no such file",
+        "link 'a': mesh filename: 'package://bullet_lab/nix.dae': no such file",
     ),
     "mesh of unknown package": (
         with_shape('<mesh filename="package://no_such_package/m.dae"/>'),
-        "link 'a': mesh: .*: no ROS package 'no_such_package'",
+        "link 'a': mesh filename: .*: no ROS package 'no_such_package'",
     ),
     "mesh from the network": (
         with_shape('<mesh filename="http://127.0.0.1:1/m.dae"/>'),
-        "link 'a': mesh: 'http://127.0.0.1:1/m.dae': only package://",
+        "link 'a': mesh filename: 'http://127.0.0.1:1/m.dae': only package://",
     ),
     "mesh outside": (
         with_shape('<mesh filename="package://bullet_lab/../../etc/passwd"/>'),
-        "link 'a': mesh: .*: leaves its folder",
+        "link 'a': mesh filename: .*: leaves its folder",
     ),
     "file outside": (
         with_shape('<mesh filename="file:///etc/passwd"/>'),
-        "link 'a': mesh: .*: outside the folders",
+        "link 'a': mesh filename: .*: outside the folders",
     ),
     "flat mesh": (
         with_shape('<mesh filename="package://bullet_lab/meshes/beacon.dae" scale="1 1 0"/>'),
