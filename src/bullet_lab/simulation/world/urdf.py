@@ -313,7 +313,7 @@ class _GazeboTags:
         elif child.tag == "selfCollide":
             fields["self_collide"] = tag.boolean("value", False)
         elif child.tag == "material":
-            look = document.materials.named(tag.text("value"), where, document.finder)
+            look = document.materials.named(tag.text("value"), where)
             if look is not None:
                 fields["look"] = look
         elif child.tag == "visual" and child.find("material") is not None:
