@@ -8,8 +8,8 @@ from typing import Any, Callable, Sequence
 import numpy as np
 
 from bullet_lab.errors import LabError
+from bullet_lab.simulation.rendering.drawables import read_pixels
 from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
-from bullet_lab.simulation.rendering.textures import read_pixels
 from bullet_lab.simulation.world.description import Texture, Visual
 
 LOG = logging.getLogger(__name__)
