@@ -160,7 +160,7 @@ class Drawables:
         try:
             found = surfaces_of(visual.geometry, self._report)
         except LabError as error:
-            self._report(f"{where} is not drawn as it should be: {error}")
+            self._report(f"{where} is not drawn completely: {error}")
             return []
         return [surface.shown(visual, self._ambient, self._report) for surface in found]
 
@@ -170,7 +170,7 @@ class Drawables:
         try:
             return self._textures.of(surface.texture)
         except LabError as error:
-            self._report(f"{error}; drawn without")
+            self._report(f"{error}; drawn without it")
             return None
 
 

@@ -242,7 +242,7 @@ class Graphics:
                 return call(*arguments)
             except AssertionError as error:
                 # What Panda3D raises where one of its own conditions does not hold.
-                raise RendererError(f"Panda3D gives up: {error}") from error
+                raise RendererError(f"Panda3D failed: {error}") from error
             finally:
                 egl = self._egl
                 display, surface = egl.eglGetCurrentDisplay(), egl.eglGetCurrentSurface(EGL_DRAW)

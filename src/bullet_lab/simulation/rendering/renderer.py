@@ -60,7 +60,7 @@ class Shot:
             known = ", ".join(map(str, SAMPLES))
             raise RendererError(f"{self.samples:g} samples for each pixel are not one of {known}")
         if any(self.camera.distortion):
-            raise RendererError("a pinhole distorts nothing")
+            raise RendererError("a pinhole camera has no distortion; bend the picture with a Lens")
 
 
 class _LinkNode:

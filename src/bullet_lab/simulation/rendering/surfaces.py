@@ -77,7 +77,7 @@ class Surface:
             colour = (*rgb, alpha * colour[3])
         texture, picture = material.texture, self.picture
         if texture is not None and picture is None:
-            report(f"{texture.path}: lies on a mesh without picture coordinates; drawn without")
+            report(f"{texture.path}: the mesh has no texture coordinates; drawn without it")
             texture = None
         return replace(
             self,

@@ -111,7 +111,8 @@ class MaterialLibrary:
             return self._look(name, block, [*folders, folder], scripts)
         if name not in self._missing:
             self._missing.add(name)
-            self._report(f"{source}: material '{name}' is in no script that is named; not drawn")
+            what = "is in none of the named scripts; the default is drawn"
+            self._report(f"{source}: material '{name}' {what}")
         return None
 
     def _colour(self, tag: ElementReader, key: str) -> Optional[Colour]:
@@ -119,7 +120,7 @@ class MaterialLibrary:
         try:
             return _clipped(colour(text, tag.where(key))) if text else None
         except XmlError as error:
-            self._report(f"{error}; not counted")
+            self._report(f"{error}; ignored")
             return None
 
     def _scripts(self, element: Element, source: str, finder: ResourceFinder) -> Iterator[Script]:
@@ -153,16 +154,16 @@ class MaterialLibrary:
         try:
             text = file_bytes(path, MAXIMUM_BYTES).decode("utf-8", errors="replace")
         except LabError as error:
-            self._report(f"{error}; its materials are not drawn")
+            self._report(f"{error}; its materials are ignored")
             return found
         root, mistake = parse_script(text)
         if mistake:
-            self._report(f"{path}: {mistake}; what follows is not read")
+            self._report(f"{path}: {mistake}; the rest is ignored")
         for line in root.properties:
             if line[0] == "import" and "from" in line[:-1]:
                 other = self._file(line[-1], [path.parent])
                 if other is None:
-                    self._report(f"{path}: import: '{line[-1]}' is not there")
+                    self._report(f"{path}: import: '{line[-1]}' not found")
                 else:
                     found.update(self._blocks(other))
         for block in root.blocks:
@@ -179,11 +180,11 @@ class MaterialLibrary:
         try:
             whole = substituted(inherited(block, lambda kind, n: self._block(kind, n, places)[0]))
         except ScriptError as error:
-            self._report(f"{where}: {error}; drawn without")
+            self._report(f"{where}: {error}; drawn without it")
             whole = substituted(block)
         shown = _shown_pass(whole)
         if shown.all("vertex_program_ref") or shown.all("fragment_program_ref"):
-            self._report(f"{where}: its programs are not run")
+            self._report(f"{where}: its shader programs are ignored")
         blends = _blends(shown)
         diffuse = self._numbers(shown, where, "diffuse") or WHITE
         ambient = self._numbers(shown, where, "ambient") or WHITE
@@ -213,7 +214,7 @@ class MaterialLibrary:
             return None
         found = _finite(words)
         if len(found) not in (3, 4):
-            self._report(f"{where}: {keys[0]} '{' '.join(words)[:80]}' is no colour")
+            self._report(f"{where}: {keys[0]} '{' '.join(words)[:80]}' is not a colour")
             return None
         return _clipped((*found, 1.0)[:4])
 
@@ -233,7 +234,7 @@ class MaterialLibrary:
             return None
         path = self._file(file, folders)
         if path is None:
-            self._report(f"{where}: its picture '{file}' is not there; drawn without")
+            self._report(f"{where}: picture '{file}' not found; drawn without it")
             return None
         scale = _finite(unit.words("scale"))
         turn = _finite(unit.words("rotate"))
@@ -253,7 +254,8 @@ class MaterialLibrary:
         if known.picture:
             path = self._file(known.picture, ())
             if path is None:
-                self._report(f"material '{name}': Gazebo's {known.picture} is not here: a colour")
+                what = f"Gazebo's {known.picture} not found; a plain colour is drawn"
+                self._report(f"material '{name}': {what}")
                 ambient = _times(known.plain, ambient or diffuse)
                 diffuse = _times(known.plain, diffuse)
             else:
@@ -292,7 +294,7 @@ class MaterialLibrary:
                         found.setdefault(name, path)
                 count += len(names)
                 if count > MOST_FILES:
-                    self._report(f"{folder}: not all of its files are looked at: over {MOST_FILES}")
+                    self._report(f"{folder}: has over {MOST_FILES} files; the rest is ignored")
                     break
             self._files[folder] = found
         return self._files[folder]

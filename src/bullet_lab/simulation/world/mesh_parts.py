@@ -157,7 +157,7 @@ class _Materials:
             file = _find(name, self._path)
             text = read_bytes(file).decode("utf-8", errors="replace")
         except LabError as error:
-            self._report(f"{error}; drawn without")
+            self._report(f"{error}; drawn without it")
             raise FileNotFoundError(name) from error
         for material, statements in _statements(text).items():
             self.looks[material] = _wavefront_look(statements, file, self._report)
@@ -225,7 +225,7 @@ def _texture(name: str, user: Path, report: Report) -> Optional[Texture]:
     try:
         return Texture(_find(name, user))
     except ResourceError as error:
-        report(f"{error}; drawn without")
+        report(f"{error}; drawn without it")
         return None
 
 

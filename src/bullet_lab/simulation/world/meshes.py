@@ -101,16 +101,16 @@ def file_version(mesh: MeshFile) -> Tuple[int, int]:
 def _load(mesh: MeshFile, _version: Tuple[int, int]) -> Triangles:
     path = mesh.path
     if path.suffix.lower() not in KNOWN_SUFFIXES:
-        raise MeshError(f"{path}: a mesh is one of {', '.join(KNOWN_SUFFIXES)}")
+        raise MeshError(f"{path}: unknown kind of mesh; use {', '.join(KNOWN_SUFFIXES)}")
     with readable(path):
         vertices, faces = _read(mesh)
     if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise MeshError(f"{path}: a corner has three coordinates")
+        raise MeshError(f"{path}: a corner needs three coordinates")
     vertices = (vertices - middle_of([vertices], mesh)) * np.asarray(mesh.scale)
     if len(faces) == 0 or not np.isfinite(vertices).all():
         raise MeshError(f"{path}: no triangles with finite corners")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise MeshError(f"{path}: a triangle names a corner that is not there")
+        raise MeshError(f"{path}: a triangle has an unknown corner")
     # Callers share these arrays.
     vertices.setflags(write=False)
     faces.setflags(write=False)
@@ -227,7 +227,7 @@ def read_scene(mesh: MeshFile, resolver: Any = None) -> Any:
 
 def warn_of_submesh(mesh: MeshFile) -> None:
     """Log that a file has no such submesh."""
-    LOG.warning("%s: no submesh '%s'; all of it is taken", mesh.path, mesh.submesh)
+    LOG.warning("%s: no submesh '%s'; the whole mesh is used", mesh.path, mesh.submesh)
 
 
 def _plain_faces(data: bytes) -> bytes:

@@ -63,8 +63,7 @@ class Block:
 
 
 def parse_script(text: str) -> Tuple[Block, str]:
-    """Return the blocks of a script, up to the first mistake, and that mistake or an empty text.
-    """
+    """Return the blocks of a script up to its first mistake, and the mistake or an empty text."""
     stack, line = [Block()], []
     for number, sign, word in _tokens(text):
         if word is not None:
@@ -100,7 +99,7 @@ def inherited(block: Block, find: Callable[[str, str], Optional[Block]], below=(
     for name in block.parents:
         parent = find(block.kind, name)
         if parent is None or name in (*below, block.name):
-            why = "is not there" if parent is None else "inherits from it"
+            why = "is missing" if parent is None else "inherits from it"
             raise ScriptError(f"{block.kind} '{block.name}': its parent '{name}' {why}")
         made = _over(inherited(parent, find, (*below, block.name)), made)
     own = [inherited(inner, find, below) if inner.parents else inner for inner in block.blocks]

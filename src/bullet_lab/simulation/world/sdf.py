@@ -136,10 +136,9 @@ def _first_model(tag: SdfTag) -> Model:
     parts = [_resolved(child, tag) for child in held if child.tag in PARTS]
     models = [part for part in parts if part.element.tag == "model"]
     if not models:
-        raise XmlError(f"{tag.source}: 0 models where one is wanted")
+        raise XmlError(f"{tag.source}: there is no model")
     if len(models) > 1:
-        what = "models where one is wanted; the first counts"
-        LOG.warning("%s: %d %s", tag.source, len(models), what)
+        LOG.warning("%s: %d models; only the first is used", tag.source, len(models))
     return merged(_model(models[0]), models[0].source)
 
 

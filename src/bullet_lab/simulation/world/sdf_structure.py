@@ -75,8 +75,9 @@ class Frames:
         while name not in OUTERMOST:
             frame = self._frames.get(name)
             if frame is None or frame.base in seen - set(OUTERMOST):
-                reason = "is not there" if frame is None else "is given in itself"
-                LOG.warning("%s: frame '%s' %s; the model's counts", self._source, name, reason)
+                reason = "is unknown" if frame is None else "is given in itself"
+                what = f"frame '{name}' {reason}; the model's frame is used"
+                LOG.warning("%s: %s", self._source, what)
                 return pose if frame is None else frame.pose * pose
             pose, name = frame.pose * pose, frame.base
             seen.add(name)
@@ -211,7 +212,7 @@ def read_joint(tag: SdfTag, frames: Frames, links: Mapping[str, Link], model: st
         place = tag.pose()
     kind = tag.element.get("type", "")
     if kind not in JOINT_KINDS:
-        what = f"type '{kind}' is not simulated; it holds its links fixed"
+        what = f"type '{kind}' is not simulated; its links are fixed to each other"
         tag.document.report(f"{tag.source}: {what}")
         kind = "fixed"
     return Joint(
@@ -237,7 +238,7 @@ def _end(tag: SdfTag, name: str, frames: Frames, links: Mapping[str, Link], mode
         found = candidate if candidate in links else frames.carrier(candidate)
         if found in links:
             return found
-    raise XmlError(f"{tag.source}: names no link '{name}'")
+    raise XmlError(f"{tag.source}: has an unknown link '{name}'")
 
 
 def _axis(tag: SdfTag, frames: Frames, place: Pose, child: Pose) -> Vector:
@@ -274,12 +275,12 @@ def read_states(element: Element, models: Iterable[Model], source: str) -> Dict[
         name = child.get("name", "")
         where = f"{source}: state of model '{name}'"
         if name not in known:
-            LOG.warning("%s: there is no such model", where)
+            LOG.warning("%s: unknown model", where)
             continue
         try:
             states[name] = _model_state(child, known[name], where)
         except XmlError as error:
-            LOG.warning("%s; the model stands as it is built", error)
+            LOG.warning("%s; the model keeps its initial state", error)
     return states
 
 

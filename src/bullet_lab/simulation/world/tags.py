@@ -91,7 +91,7 @@ class Tag(ElementReader, ShapeTag):
         return self.element.get("name", "")
 
     def doubt(self, error: LabError) -> None:  # noqa: D102
-        self.document.report(f"{error}; the default counts")
+        self.document.report(f"{error}; the default is used")
 
     def other(self: AnyTag, element: Element, source: str = "") -> AnyTag:
         """Return the reader of another element of the document."""

@@ -38,7 +38,7 @@ def first_of_each(parts: Iterable[Named], what: str, source: str) -> Tuple[Named
     found: Dict[str, Named] = {}
     for part in parts:
         if part.name in found:
-            LOG.warning("%s: %s '%s' appears twice; the first counts", source, what, part.name)
+            LOG.warning("%s: %s '%s' appears twice; the first is used", source, what, part.name)
         found.setdefault(part.name, part)
     return tuple(found.values())
 
@@ -52,14 +52,14 @@ def check_tree(links: Sequence[Link], joints: Sequence[Joint], source: str) -> N
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in names:
-                raise XmlError(f"{source}: joint '{joint.name}' names no link '{end}'")
+                raise XmlError(f"{source}: joint '{joint.name}' has an unknown link '{end}'")
     roots = sorted(names - {joint.child for joint in joints})
     # Each link has one parent at most, so that only a loop is reached from no root.
     unreached = names.difference(*(top_down(root, joints) for root in roots))
     if unreached:
         raise XmlError(f"{source}: a loop of joints at {', '.join(sorted(unreached))}")
     if len(roots) > 1:
-        raise XmlError(f"{source}: several roots: {', '.join(roots)}")
+        raise XmlError(f"{source}: several root links: {', '.join(roots)}")
     if not links:
         raise XmlError(f"{source}: there is no link")
 
@@ -243,13 +243,13 @@ def _with_sound_inertia(link: Link, source: str) -> Link:
     if low > 0.0 and high <= (low + middle) * (1.0 + RELATIVE_TOLERANCE):
         return link
     shown = ", ".join(f"{value:.3g}" for value in moments)
-    what = f"{source}: link '{link.name}': no body has the principal moments {shown} kg m²"
+    what = f"{source}: link '{link.name}': no body can have the principal moments {shown} kg m²"
     if low > 0.0:
-        LOG.warning("%s; they count as they are", what)
+        LOG.warning("%s; they are used as they are", what)
         return link
     least = _least_moment(link)
     matrix = axes @ np.diag(np.where(moments > 0.0, moments, least)) @ axes.T
-    LOG.warning("%s; %.3g is taken for what is not positive", what, least)
+    LOG.warning("%s; moments that are not positive become %.3g", what, least)
     return replace(link, inertia=replace(inertia, matrix=matrix))
 
 
@@ -319,7 +319,7 @@ def check_proportions(model: Model) -> None:
         for value in values:
             # NaN is refused, too.
             if not abs(value) <= limit:
-                problem = f"{what}: {value:g} is out of all proportion"
+                problem = f"{what}: {value:g} is not within ±{limit:g}"
                 raise ModelError(f"model '{model.name}': {problem}")
 
 

@@ -177,7 +177,7 @@ def _geometry(tag: _UrdfTag) -> Shape:
         raise XmlError(f"{tag.source}: <{tag.element.tag}> without a geometry")
     kind = SHAPES.get(holder[0].tag)
     if kind is None or not kind.in_urdf:
-        raise XmlError(f"{tag.source}: no geometry is called <{holder[0].tag}>")
+        raise XmlError(f"{tag.source}: unknown geometry <{holder[0].tag}>")
     return kind.read(tag.other(holder[0]))
 
 
@@ -185,7 +185,7 @@ def _joint(tag: _UrdfTag) -> Joint:
     kind = tag.text("type")
     if kind not in SIMULATED_JOINTS:
         is_free = kind in LOOSE_JOINTS
-        what = "its child is free" if is_free else "it holds its links fixed"
+        what = "its child is free" if is_free else "its links are fixed to each other"
         tag.document.report(f"{tag.source}: type '{kind}' is not simulated; {what}")
         kind = kind if is_free else "fixed"
     for end in ("parent", "child"):
@@ -254,7 +254,7 @@ class _GazeboTags:
                 self._report_unknown(element, ("static",))
                 continue
             if name not in names:
-                self._report(f"<gazebo reference='{name}'>: there is no such link or joint")
+                self._report(f"<gazebo reference='{name}'>: unknown link or joint")
             for child in element:
                 with leaving_out(self._report):
                     self._read(child, self._fields.setdefault(name, {}), name)

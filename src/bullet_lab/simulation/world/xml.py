@@ -155,7 +155,7 @@ def numbers(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
         raise XmlError(f"{what}: '{' '.join(parts)[:80]}' is not {expected}")
     for value in values:
         if abs(value) > LARGEST_NUMBER:
-            raise XmlError(f"{what}: {value:g} is out of all proportion")
+            raise XmlError(f"{what}: {value:g} is not within ±{LARGEST_NUMBER:g}")
     return values
 
 

@@ -220,7 +220,7 @@ def test_broken_files_are_one_line(tmp_path, name, content, message):
     [
         ("p.png", b"no image", "not a readable image"),
         ("p.png", b"", "not a readable image"),
-        ("p.obj", None, "without picture coordinates"),
+        ("p.obj", None, "no texture coordinates"),
     ],
 )
 def test_a_picture_that_cannot_be_shown_is_named_and_left_out(
