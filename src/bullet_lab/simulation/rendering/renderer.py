@@ -1,4 +1,4 @@
-"""Pictures of a simulation through a pinhole camera, with exactly the geometry asked for."""
+"""Take pictures and depths of a simulation through a pinhole camera."""
 
 from __future__ import annotations
 
@@ -29,22 +29,23 @@ from bullet_lab.simulation.rendering.shaders import MOVING, PLAIN, SLANTED, STIL
 from bullet_lab.simulation.world.description import Mesh, World
 from bullet_lab.simulation.world.meshes import file_version
 
-# With more, it takes too long to see whether any is in view.
+# With more hulls, checking whether any is in view takes too long.
 MOST_HULLS = 64
-# From x ahead, z up to Panda3D's axes of a camera: y ahead, z up.
+# From axes with x ahead and z up to those of Panda3D's camera, y ahead and z up.
 AHEAD = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, -0.5 * math.pi))
-# A texture is drawn by the better and slower way where the cosine of its surface's normal with the
-# direction of view is less: where a pixel's footprint is 1.3 times as long as wide. (Below that,
-# sharper textures only let the smallest markers flicker.)
+# Below this cosine between a surface's normal and the view, textures are filtered better and more
+# slowly: a pixel's footprint is 1.3 times as long as wide. Above it, sharper textures only make
+# the smallest markers flicker.
 SLANT = 0.77
+# How many drawables of removed models are kept, for models that come back.
 KEPT_DRAWABLES = 4
 
 
 @dataclass(frozen=True)
 class Shot:
-    """How to take a picture: with a camera without distortion, from `near` to `far`, in metres.
+    """The settings of a picture: a camera without distortion, and `near` and `far` in metres.
 
-    The mean of the samples of each pixel, 1, 2 or 4, is its colour, so that edges do not alias.
+    A pixel is the mean of its samples, 1, 2 or 4, which makes edges smooth.
     """
 
     camera: PinholeCamera
@@ -53,34 +54,35 @@ class Shot:
     samples: int = 1
 
     def __post_init__(self) -> None:
-        """Raise RendererError where no such picture exists."""
+        """Raise RendererError for invalid settings."""
         if not 0.0 < self.near < self.far < math.inf:
-            raise RendererError(f"no view reaches from {self.near:g} m to {self.far:g} m")
+            limits = f"near {self.near:g} m, far {self.far:g} m"
+            raise RendererError(f"{limits}; 0 < near < far is needed")
         if self.samples not in SAMPLES:
             known = ", ".join(map(str, SAMPLES))
-            raise RendererError(f"{self.samples:g} samples for each pixel are not one of {known}")
+            raise RendererError(f"{self.samples:g} samples per pixel; allowed are {known}")
         if any(self.camera.distortion):
             raise RendererError("a pinhole camera has no distortion; bend the picture with a Lens")
 
 
 class _LinkNode:
-    """What is to be seen of one link, below a node of its own."""
+    """The node of a link, with its drawable."""
 
     def __init__(self, root: Any, frame: AttachedFrame, drawable: Drawable):
         self._frame, self._drawable, self._pose = frame, drawable, Pose()
         self.path = root.attach_new_node("link")
-        # Corners of the boxes around what throws shadows, (n, 8, 3) in m in the world.
+        # Corners of the boxes around shadow casters, (n, 8, 3) in m in the world.
         self.boxes = drawable.boxes
         self._textured = []
         for node, patch in drawable.nodes:
-            # The node itself may hang below other links, too, that are seen from elsewhere.
+            # Other links may share the node; they are seen from other directions.
             path = self.path.attach_new_node("look")
             path.attach_new_node(node)
             if patch is not None:
                 self._textured.append((path, *patch))
 
     def follow(self) -> bool:
-        """Go where the link is; return whether it has moved."""
+        """Move the node to the link; return whether it has moved."""
         pose = self._frame.pose()
         if pose == self._pose:
             return False
@@ -90,35 +92,34 @@ class _LinkNode:
         return True
 
     def face(self, eye: Vector, programs: Mapping[str, Any]) -> None:
-        """Choose how textures are drawn for a place in the world, m, that they are seen from."""
+        """Choose the programs of textures for an eye at a point in the world, m."""
         for path, centre, normal in self._textured:
-            way = centre - (self._pose.inverse() * Pose(eye)).position
-            slanted = abs(way @ normal) < SLANT * np.linalg.norm(way)
+            ray = centre - (self._pose.inverse() * Pose(eye)).position
+            slanted = abs(ray @ normal) < SLANT * np.linalg.norm(ray)
             path.set_shader(programs[SLANTED if slanted else TEXTURED])
 
 
 class Scene:
-    """What is to be seen in a world, all below its `root`, a node path of Panda3D's."""
+    """The visible objects of a world, below its `root`, a node path of Panda3D."""
 
     def __init__(self, world: World, models: Mapping[str, Any], graphics: Graphics):
         self.root = panda3d().NodePath("scene")
         self._models = models
         self._graphics = graphics
         self._lighting = Lighting(world, graphics, self.root)
-        # Links that look the same share one drawable for as long as any of them is there. The last
-        # ones are kept, for models that go and come back: glibc, before 2.38, hardly uses again
-        # what the driver gives back of a texture.
+        # Equal links share a drawable as long as one of them exists. The last ones are kept for
+        # models that come back: glibc before 2.38 hardly reuses the memory of released textures.
         self._maker = Drawables(world.ambient)
         self._drawables: Any = weakref.WeakValueDictionary()
         self._last: Deque[Drawable] = deque(maxlen=KEPT_DRAWABLES)
         # Each model with its links, by its name.
         self._shown: Dict[str, Tuple[Any, List[_LinkNode]]] = {}
-        # How often what stands still, and what moves, has changed.
+        # How often the static and the moving models have changed.
         self._versions = {STILL: 0, MOVING: 0}
         self._moves: Dict[str, int] = {}
 
     def update(self) -> None:
-        """Bring everything to where the models are."""
+        """Move all nodes to the poses of the models."""
         for name in [n for n, (i, _) in self._shown.items() if self._models.get(n) is not i]:
             self._remove(name)
         for name, instance in self._models.items():
@@ -132,9 +133,9 @@ class Scene:
             self._versions[kind] += is_new or any(moved)
 
     def prepare(self, eye: Vector, in_view: Callable[[np.ndarray], bool]) -> List[Target]:
-        """Choose how all is drawn for an eye, m; return shadow maps that must be drawn first.
+        """Choose the programs for an eye at a point, m; return the shadow maps to draw first.
 
-        `in_view` says whether any of several hulls may be seen, see `Lighting.shadows_of`.
+        `in_view` returns whether any of several hulls may be visible, see `Lighting.shadows_of`.
         """
         moving = self._boxes(MOVING)
         seen = len(moving) > 0 and any(map(in_view, self._lighting.shadows_of(moving)))
@@ -147,16 +148,16 @@ class Scene:
         return self._lighting.update({kind: self._versions[kind] for kind in kinds}, self._boxes)
 
     def relight(self, world: World) -> None:
-        """Take the lights of a world from now on."""
+        """Use the lights of a world from now on."""
         self._lighting.remove()
         self._lighting = Lighting(world, self._graphics, self.root)
 
     def close(self) -> None:
-        """Give everything back."""
+        """Release everything."""
         for name in list(self._shown):
             self._remove(name)
         self._lighting.remove()
-        # A target that drew this scene last still knows its root.
+        # A target that drew this scene last still refers to its root.
         self.root.set_state(panda3d().RenderState.make_empty())
 
     def _remove(self, name: str) -> None:
@@ -167,7 +168,7 @@ class Scene:
             link.path.remove_node()
 
     def _boxes(self, kind: str) -> np.ndarray:
-        """Return the corners of the boxes around what throws shadows, (n, 8, 3)."""
+        """Return the corners of the boxes around shadow casters, (n, 8, 3)."""
         links = (link for i, links in self._shown.values() if _kind(i) == kind for link in links)
         return np.concatenate([np.zeros((0, 8, 3)), *(link.boxes for link in links)])
 
@@ -192,9 +193,9 @@ def _kind(instance: Any) -> str:
 
 
 class Renderer:
-    """Draws the models, by name, that a world has at each picture, with its lights and background.
+    """Draws the models that a world has at each picture, with its lights and background.
 
-    `driver` says what draws. All of it raises RendererError for what cannot be drawn.
+    `driver` is the name of the driver. All methods raise RendererError.
     """
 
     def __init__(self, world: World, models: Mapping[str, Any]):
@@ -207,9 +208,9 @@ class Renderer:
         self._states[DEPTHS] = shared.state(program)
 
     def picture(self, pose: Pose, shot: Shot, exposure: float = 1.0) -> np.ndarray:
-        """Return what is seen along the x axis of a pose, its z axis upwards.
+        """Return the picture along the x axis of a pose, with its z axis up.
 
-        Exposure is a factor to the brightness; what exceeds white is white.
+        Exposure is a factor of the brightness; brighter colours than white become white.
 
         Returns:
             (height, width, 3) uint8, RGB. The same world, pose and shot give the same bytes.
@@ -222,10 +223,10 @@ class Renderer:
         return target.pixels(np.uint8, 3)
 
     def depths(self, pose: Pose, shot: Shot) -> np.ndarray:
-        """Return the distance along the view of what is seen through each pixel's centre.
+        """Return the depth along the view at the centre of each pixel.
 
         Returns:
-            (height, width) float32 in m, +inf where nothing is within the view.
+            (height, width) float32 in m, +inf where nothing is visible.
         """
         target = self._aimed(pose, shot, DEPTHS, np.zeros(3))
         self._graphics.draw([target])
@@ -234,17 +235,17 @@ class Renderer:
         return depths
 
     def relight(self, world: World) -> None:
-        """Take the lights of a world from now on."""
+        """Use the lights of a world from now on."""
         self._scene.relight(world)
 
     def close(self) -> None:
-        """Give everything back."""
+        """Release everything."""
         self._scene.close()
 
     def _aimed(self, pose: Pose, shot: Shot, samples: int, background: np.ndarray) -> Target:
         self._scene.update()
         target = self._graphics.target(shot.camera.width, shot.camera.height, samples)
-        # Blue first: what Panda3D hands out as blue is red then.
+        # Blue first: Panda3D returns red and blue exchanged.
         target.buffer.set_clear_color((*background[::-1], 1.0))
         target.look(self._scene.root, self._states[samples], BITS[PICTURE], [projection(shot)])
         set_pose(target.cameras[0], pose * AHEAD)
@@ -269,20 +270,20 @@ def projection(shot: Shot) -> np.ndarray:
 
 
 def in_view(hulls: np.ndarray, pose: Pose, shot: Shot) -> bool:
-    """Return whether any of several convex hulls may be seen; True if in doubt.
+    """Return whether any of several convex hulls may be visible; True if in doubt.
 
-    Hulls are (n, m, 4): homogeneous points of each in the world, 0 last for directions. What of one
-    is beyond the nearest distance cannot be seen where all of it lies beyond one side of the view.
+    Hulls are (n, m, 4): homogeneous points of each in the world, with a last value of 0 for
+    directions. A hull is invisible if its part beyond `near` is outside one side of the view.
     """
     if len(hulls) > MOST_HULLS:
         return True
     local = (hulls[..., :3] - hulls[..., 3:] * pose.position) @ (pose * AHEAD).rotation_matrix()
     clip = np.concatenate((local, hulls[..., 3:]), axis=2) @ projection(shot).T
-    # Points beyond the nearest distance, and where what joins others to them comes through it.
+    # Points beyond `near`, and those where an edge of the hull crosses it.
     ahead = clip[..., 2] + clip[..., 3]
     beyond, before = np.maximum(ahead, 0.0)[:, None, :, None], np.minimum(ahead, 0.0)
     kept = beyond * clip[:, :, None] - (beyond > 0.0) * before[:, :, None, None] * clip[:, None]
-    # A little more than is seen: shadows have soft edges.
+    # A little wider than the view: shadows have soft edges.
     edge = 1.01 * kept[..., 3:]
     inside = np.concatenate((edge + kept[..., :2], edge - kept[..., :2]), axis=3) > 0.0
     return bool(inside.any(axis=(1, 2)).all(axis=1).any())

@@ -39,7 +39,7 @@ def test_moments_that_no_body_has_count_as_they_are():
 
 @pytest.mark.parametrize("moments", ["0 0 0", "-1 -1 -1", "0 0.001 0.001"])
 def test_moments_that_are_not_positive_come_from_the_shape(moments):
-    with complains("link 'wheel': no body can have .*moments that are not positive become 0.00104$"):
+    with complains("no body can have .*; moments that are not positive become 0.00104$"):
         model = robot(moments)
     # The box around the wheel is 0.2 m by 0.2 m by 0.04 m.
     least = 0.3 / 12.0 * (0.2**2 + 0.04**2)

@@ -190,7 +190,7 @@ BAD = {
     "negative mass": (with_inertia("-1"), "link 'a': mass value: -1 is negative"),
     "bad mass": (with_inertia("heavy"), "link 'a': mass value: 'heavy' is not a finite number"),
     "bad moment": (with_inertia(ixy="x"), "link 'a': inertia ixy: 'x' is not a finite number"),
-    "unphysical": (with_inertia(izz="3"), "'a': no body can have the principal moments 1, 1, 3"),
+    "unphysical": (with_inertia(izz="3"), "link 'a': no body can have .* moments 1, 1, 3"),
     "half an inertial": (
         robot('<link name="a"><inertial><mass value="1"/></inertial></link>'),
         "link 'a': no body can have the principal moments 0, 0, 0",
