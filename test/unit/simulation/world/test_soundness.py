@@ -7,6 +7,7 @@ import pytest
 from conftest import EMPTY_WORLD, complains
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.sdf import read_description
 
@@ -101,3 +102,10 @@ def test_a_static_robot_needs_no_mass():
         world.run_for(0.1)
         assert instance.model.static
         assert instance.frame("wheel").pose().position == pytest.approx((0, 0.15, 1))
+
+
+def test_a_robot_that_is_only_the_world_is_refused():
+    model = read_description('<robot name="r"><link name="world"/></robot>', "robot")
+    refused = pytest.raises(LabError, match="link 'world' moves and has no mass")
+    with Simulation.of(EMPTY_WORLD) as world, refused:
+        world.add(model)
