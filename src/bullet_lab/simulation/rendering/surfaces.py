@@ -14,6 +14,7 @@ import numpy as np
 
 from bullet_lab.simulation.world.description import (
     WHITE,
+    Appearance,
     Box,
     Colour,
     Cylinder,
@@ -25,7 +26,7 @@ from bullet_lab.simulation.world.description import (
     Texture,
     Visual,
 )
-from bullet_lab.simulation.world.mesh_parts import Look, Part, Report, mesh_parts
+from bullet_lab.simulation.world.mesh_parts import Part, Report, mesh_parts
 
 LOG = logging.getLogger(__name__)
 CYLINDER_SIDES = 48
@@ -59,7 +60,7 @@ class Surface:
     corners: np.ndarray
     normals: np.ndarray
     picture: Optional[np.ndarray] = None
-    look: Optional[Look] = None
+    look: Optional[Appearance] = None
     colour: Colour = WHITE
     glow: Sequence[float] = (0.0, 0.0, 0.0)
     texture: Optional[Texture] = None

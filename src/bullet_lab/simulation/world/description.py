@@ -80,6 +80,10 @@ class Material:
     scripts: Tuple[Tuple[str, Path], ...] = ()
 
 
+# The diffuse colour of a surface, and the rest of its look.
+Appearance = Tuple[Colour, Material]
+
+
 @dataclass(frozen=True)
 class Visual:
     """A visible shape; `pose` is in the link's frame, `colour` RGBA within [0, 1]."""

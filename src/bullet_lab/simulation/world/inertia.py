@@ -10,7 +10,7 @@ from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.world.description import Inertia
 
 INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-# Limits of what is simulated: m.
+# The limits of simulated models: m.
 FARTHEST = 1e6
 # m/s and rad/s.
 FASTEST = 1e6

@@ -15,7 +15,7 @@ from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Seque
 from xml.etree.ElementTree import Element
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import WHITE, Colour, Material, Texture
+from bullet_lab.simulation.world.description import WHITE, Appearance, Colour, Material, Texture
 from bullet_lab.simulation.world.gazebo_materials import GazeboMaterial, gazebo_material
 from bullet_lab.simulation.world.ogre_script import (
     Block,
@@ -45,8 +45,6 @@ MOST_FILES = 20_000
 GAZEBO_MEDIA = "file://media/materials/"
 UNNAMED = ("", "__default__")
 
-# A colour, and the rest of how a surface looks.
-Look = Tuple[Colour, Material]
 # What a document calls a script, and where it is.
 Script = Tuple[str, Path]
 # The blocks of a script by kind and name.
@@ -67,7 +65,7 @@ class MaterialLibrary:
 
     def of_element(
         self, element: Optional[Element], source: str, finder: ResourceFinder, default: Colour
-    ) -> Look:
+    ) -> Appearance:
         """Return the meaning of an SDF `<material>`; `default` is the colour without one."""
         if element is None:
             return default, Material()
@@ -91,7 +89,7 @@ class MaterialLibrary:
         # The ambient colour replaces a missing diffuse one.
         return diffuse or (shown if found else ambient or shown), Material(**fields)
 
-    def named(self, name: str, source: str, scripts: Sequence[Script] = ()) -> Optional[Look]:
+    def named(self, name: str, source: str, scripts: Sequence[Script] = ()) -> Optional[Appearance]:
         """Return the meaning of a name; report an unknown one and return None.
 
         `scripts` are the folders or files with its script and its pictures.
@@ -173,7 +171,7 @@ class MaterialLibrary:
 
     def _look(
         self, name: str, block: Block, folders: Sequence[Path], scripts: Sequence[Script]
-    ) -> Look:
+    ) -> Appearance:
         """Return the look of a material in a script in the last of the folders."""
         where = f"material '{name}' in {folders[-1]}"
         places = [folders[-1], *self._folders]
@@ -249,7 +247,7 @@ class MaterialLibrary:
             (unit.words("filtering") * 3)[1:2] in (("none",), ("point",)),
         )
 
-    def _gazebo_look(self, name: str, known: GazeboMaterial) -> Look:
+    def _gazebo_look(self, name: str, known: GazeboMaterial) -> Appearance:
         texture, diffuse, ambient = None, known.diffuse, known.ambient
         if known.picture:
             path = self._file(known.picture, ())

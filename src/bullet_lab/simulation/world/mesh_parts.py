@@ -18,7 +18,14 @@ from urllib.parse import unquote
 import numpy as np
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import WHITE, Colour, Material, Mesh, Texture
+from bullet_lab.simulation.world.description import (
+    WHITE,
+    Appearance,
+    Colour,
+    Material,
+    Mesh,
+    Texture,
+)
 from bullet_lab.simulation.world.meshes import (
     MeshError,
     collada_triangles,
@@ -36,7 +43,6 @@ LOG = logging.getLogger(__name__)
 OWN_LOOKS = {".obj": b"usemtl", ".dae": b"instance_material"}
 FACE_WITH_NORMALS = re.compile(rb"^\s*f\s+-?\d+/-?\d*/-?\d", re.MULTILINE)
 
-Look = Tuple[Colour, Material]
 Report = Callable[[str], None]
 
 
@@ -54,7 +60,7 @@ class Part:
     corners: np.ndarray
     normals: Optional[np.ndarray] = None
     picture: Optional[np.ndarray] = None
-    look: Optional[Look] = None
+    look: Optional[Appearance] = None
 
 
 def mesh_parts(mesh: Mesh, report: Report = LOG.warning) -> List[Part]:
@@ -113,7 +119,7 @@ def _collada_parts(mesh: Mesh, report: Report) -> Iterator[Part]:
         yield Part(corners, normals, picture, look)
 
 
-def _effect_look(effect: Any, path: Path, report: Report) -> Look:
+def _effect_look(effect: Any, path: Path, report: Report) -> Appearance:
     """Return the look of a COLLADA material."""
     texture, diffuse = None, _rgb(effect.diffuse)
     sampler = getattr(effect.diffuse, "sampler", None)
@@ -146,7 +152,7 @@ class _Materials:
 
     def __init__(self, path: Path, report: Report):
         self._path, self._report = path, report
-        self.looks: Dict[str, Look] = {}
+        self.looks: Dict[str, Appearance] = {}
 
     def __getitem__(self, name: str) -> str:
         """Return a material file; many meshes name one that does not exist."""
@@ -196,7 +202,7 @@ def _statements(text: str) -> Dict[str, Dict[str, str]]:
     return found
 
 
-def _wavefront_look(statements: Dict[str, str], path: Path, report: Report) -> Look:
+def _wavefront_look(statements: Dict[str, str], path: Path, report: Report) -> Appearance:
     """Return the look of a material in a .mtl file."""
     def numbers(key: str, count: int) -> Sequence[float]:
         """Return numbers within [0, 1]; empty unless there are as many."""

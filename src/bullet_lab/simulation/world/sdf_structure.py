@@ -262,8 +262,8 @@ def merged(model: Model, source: str) -> Model:
     frames = {}
     for name, (link, pose) in model.frames.items():
         # The link may have been merged into another.
-        keeper, offset = found.frames.get(link, (link, Pose()))
-        frames[name] = (keeper, offset * pose)
+        target, offset = found.frames.get(link, (link, Pose()))
+        frames[name] = (target, offset * pose)
     return with_sound_inertias(replace(found, frames={**frames, **found.frames}), source)
 
 

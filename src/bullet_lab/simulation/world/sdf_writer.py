@@ -276,15 +276,15 @@ def _sensors(link: Link, model: Model) -> Iterator[Element]:
     written: Set[int] = set()
     for plugin in model.plugins:
         sensor, holder = plugin.sensor, plugin.link or model.canonical_link().name
-        keeper = model.frames[holder][0] if holder in model.frames else holder
-        if sensor is None or keeper != link.name or id(sensor) in written:
+        base = model.frames[holder][0] if holder in model.frames else holder
+        if sensor is None or base != link.name or id(sensor) in written:
             continue
         written.add(id(sensor))
         element = copy.deepcopy(sensor)
         element.tail = None
         for old in element.findall("plugin"):
             element.remove(old)
-        if holder != keeper:
+        if holder != base:
             # Its pose is in the frame of the merged link.
             pose = element.find("pose")
             pose = _add(element, "pose", "0 0 0 0 0 0") if pose is None else pose

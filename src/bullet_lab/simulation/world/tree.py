@@ -177,8 +177,8 @@ def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
     places = {link.name: _place(link.name, fixed) for link in model.links}
     members: Dict[str, List[Tuple[Link, Pose]]] = {}
     for link in model.links:
-        keeper, pose = places[link.name]
-        members.setdefault(keeper, []).append((link, pose))
+        base, pose = places[link.name]
+        members.setdefault(base, []).append((link, pose))
     kept = (link for link in model.links if link.name not in fixed)
     links = tuple(_merge(link, members[link.name], rename) for link in kept)
     joints = []
@@ -206,15 +206,15 @@ def _place(name: str, fixed: Dict[str, Joint]) -> Tuple[str, Pose]:
     return name, pose
 
 
-def _merge(keeper: Link, members: List[Tuple[Link, Pose]], rename: bool) -> Link:
+def _merge(base: Link, members: List[Tuple[Link, Pose]], rename: bool) -> Link:
     def moved(shape: Collision, link: Link, pose: Pose) -> Collision:
-        is_renamed = rename and link.name != keeper.name
-        name = f"{keeper.name}{LUMP}{shape.name}" if is_renamed else shape.name
+        is_renamed = rename and link.name != base.name
+        name = f"{base.name}{LUMP}{shape.name}" if is_renamed else shape.name
         return replace(shape, pose=pose * shape.pose, name=name)
 
     inertias = [(link.inertia, pose) for link, pose in members if link.inertia is not None]
     return replace(
-        keeper,
+        base,
         inertia=combine(inertias) if inertias else None,
         visuals=tuple(replace(v, pose=p * v.pose) for link, p in members for v in link.visuals),
         collisions=tuple(moved(c, link, p) for link, p in members for c in link.collisions),

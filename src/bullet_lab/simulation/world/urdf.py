@@ -286,7 +286,7 @@ class _GazeboTags:
         """
         links = []
         for link in model.links:
-            merged = [name for name, (keeper, _) in model.frames.items() if keeper == link.name]
+            merged = [name for name, (base, _) in model.frames.items() if base == link.name]
             names = [n for n in (link.name, *merged) if "gravity" in self._fields.get(n, {})]
             is_pulled = not names or self._fields[names[-1]]["gravity"]
             if not is_pulled and names[-1] != link.name:

@@ -1,4 +1,4 @@
-"""Expand one xacro file in a process of its own, see `xacro`; find packages for xacro."""
+"""Expand one xacro file in a separate process, see `xacro`; find packages for xacro."""
 
 from __future__ import annotations
 
