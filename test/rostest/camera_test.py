@@ -199,7 +199,7 @@ class CameraTest(unittest.TestCase):
             image = self.images()
             advance(50)
             image.wait(1)
-            self.assertEqual((node.out + node.err).count("renderer 'tiny' is gone"), 1)
+            self.assertEqual((node.out + node.err).count("renderer 'tiny' was removed"), 1)
 
     def test_pictures_follow_from_the_seed(self):
         pictures = [self.picture_at_a_second(seed) for seed in (1, 1, 2)]

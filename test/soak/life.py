@@ -21,7 +21,7 @@ from std_srvs.srv import Empty
 from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.ros.messages.gazebo_types import srv
-from bullet_lab.simulation.rendering.scene import KEPT_DRAWABLES
+from bullet_lab.simulation.rendering.renderer import KEPT_DRAWABLES
 from bullet_lab.simulation.world.resources import package_share
 
 INCLUDE = '<sdf version="1.6"><include><uri>model://{}</uri></include></sdf>'

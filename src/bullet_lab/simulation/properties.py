@@ -7,7 +7,7 @@ from typing import Dict, Optional
 
 from bullet_lab.simulation.models import Entity, ModelInstance, SimulationError
 from bullet_lab.simulation.world.description import Inertia
-from bullet_lab.simulation.world.inertia import check_proportions
+from bullet_lab.simulation.world.tree import check_proportions
 
 
 def change_joint(

@@ -35,12 +35,11 @@ from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plu
 from bullet_lab.simulation.plugins.plugin import NAMESPACE
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
 from bullet_lab.simulation.world.description import Light, Model, PluginTag, Snapshot, World
-from bullet_lab.simulation.world.inertia import check_proportions
-from bullet_lab.simulation.world.report import leaving_out
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
-from bullet_lab.simulation.world.soundness import usable
+from bullet_lab.simulation.world.tree import check_proportions, usable
 from bullet_lab.simulation.world.urdf import read_urdf_file
+from bullet_lab.simulation.world.xml import leaving_out
 
 __all__ = ["ModelInstance", "Simulation", "SimulationError", "Snapshot", "Timer", "View"]
 

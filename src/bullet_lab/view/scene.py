@@ -13,11 +13,11 @@ from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tupl
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.simulation.rendering.drawables import read_pixels
 from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
-from bullet_lab.simulation.rendering.textures import read_pixels
 from bullet_lab.simulation.world.description import Texture, Visual
-from bullet_lab.simulation.world.report import leaving_out
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Sphere
+from bullet_lab.simulation.world.xml import leaving_out
 
 LOG = logging.getLogger(__name__)
 # Segments of one piece of a polyline. A full piece is never sent again.

@@ -69,7 +69,7 @@ def test_stops_and_damping(world):
         (Inertia(0.0, (0.0, 0.0, 0.0), np.eye(3)), "no body has"),
         (Inertia(1.0, (0.0, 0.0, 0.0), np.diag((1.0, -1.0, 1.0))), "no body has"),
         (Inertia(1.0, (0.1, 0.0, 0.0), np.eye(3)), "centre of mass and principal axes"),
-        (Inertia(1e13, (0.0, 0.0, 0.0), np.eye(3)), "out of all proportion"),
+        (Inertia(1e13, (0.0, 0.0, 0.0), np.eye(3)), "1e\\+13 is not within ±1e\\+12"),
     ],
 )
 def test_refusals(world, inertia, said):

@@ -22,9 +22,9 @@ from bullet_lab.ros.view.displays import finite, placed
 from bullet_lab.ros.view.frames import DisplayContext
 from bullet_lab.ros.view.subscription import Subscription, reader_of
 from bullet_lab.simulation.world.description import WHITE, Colour, Geometry, Mesh, Visual
-from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Plane, Sphere
+from bullet_lab.simulation.world.xml import ReportOnce
 from bullet_lab.view.scene import CopyGroups, Labels, Polyline, Solids, rgb, visual_copies
 
 SOLIDS = {

@@ -11,8 +11,8 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.ros.node.node import MASTER_ERRORS, TF_PREFIX, NodeError, search_parameter
 from bullet_lab.ros.view.frames import DisplayContext
 from bullet_lab.simulation.world.description import Model, Visual
-from bullet_lab.simulation.world.report import ReportOnce, leaving_out
 from bullet_lab.simulation.world.urdf import read_urdf
+from bullet_lab.simulation.world.xml import ReportOnce, leaving_out
 from bullet_lab.srv import DescribeModels
 from bullet_lab.view.scene import Copies, CopyGroups, visual_copies
 

@@ -1,7 +1,7 @@
-"""Pictures of a simulation: what cameras and `view.py` draw with, on Panda3D.
+"""Draw the pictures of cameras and of `view.py` with Panda3D.
 
-`graphics` is the engine with its buffers, `scene` what is to be seen, with each link's `drawables`
-and the `lights` with their shadow maps, `shaders` the programs that draw, and `renderer` takes
-pictures and depths through a pinhole. `surfaces` reads shapes with the images on them; `finish`
-does to a picture what a lens and a sensor do.
+`graphics` is the engine with its buffers, `surfaces` makes triangles of shapes, `drawables` gives
+them to Panda3D with their textures, `lights` holds the lights with their shadow maps, `shaders` the
+GLSL programs, `renderer` takes pictures and depths through a pinhole camera, and `finish` adds lens
+and sensor errors to a picture.
 """

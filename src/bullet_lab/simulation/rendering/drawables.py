@@ -1,9 +1,11 @@
-"""What is to be seen of a link as Panda3D draws it: triangles, colours and textures."""
+"""Make Panda3D's triangles, colours and textures of the links of a model."""
 
 from __future__ import annotations
 
 import itertools
+import weakref
 from dataclasses import dataclass
+from io import BytesIO
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -12,31 +14,101 @@ from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering.graphics import panda3d
 from bullet_lab.simulation.rendering.lights import BITS, PICTURE
 from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
-from bullet_lab.simulation.rendering.textures import LoadedTexture, Textures
-from bullet_lab.simulation.world.description import Plane, Visual
-from bullet_lab.simulation.world.report import ReportOnce
+from bullet_lab.simulation.world.description import Plane, Texture, Visual
+from bullet_lab.simulation.world.meshes import file_version, read_bytes
+from bullet_lab.simulation.world.xml import ReportOnce
 
-# Where a textured surface is, m in the link's frame, and its mean normal: with a length of 1 for a
-# plane, and of 0 for what faces all ways.
+# The longest side of a texture in pixels; larger pictures are shrunk.
+LARGEST_SIDE = 8192
+
+
+class TextureError(LabError):
+    """A file is not a readable picture."""
+
+
+class LoadedTexture:
+    """A texture of Panda3D, which is released together with this object."""
+
+    def __init__(self, texture: Any):
+        self.texture = texture
+        # Without this, the driver keeps it as long as the context exists.
+        weakref.finalize(self, texture.release_all)
+
+
+class Textures:
+    """The pictures on surfaces; each is read once, and kept while a surface has it."""
+
+    def __init__(self) -> None:
+        self._known: Any = weakref.WeakValueDictionary()
+
+    def of(self, texture: Texture) -> LoadedTexture:
+        """Return a loaded texture; raise LabError for a file that is not a picture."""
+        kind = (texture.blends, texture.repeats, texture.sharp)
+        key = (texture.path, kind, file_version(texture))
+        found = self._known.get(key)
+        if found is None:
+            found = self._known[key] = LoadedTexture(_panda_texture(texture))
+        return found
+
+
+def read_pixels(texture: Texture) -> np.ndarray:
+    """Return a picture of limited size, (height, width, 3) uint8, or RGBA if it blends."""
+    import PIL.Image
+
+    data = read_bytes(texture.path)
+    try:
+        with PIL.Image.open(BytesIO(data)) as image:
+            plain = image.convert("RGBA" if texture.blends else "RGB")
+        plain.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
+        return np.array(plain)
+    except Exception as error:
+        raise TextureError(f"{texture.path}: not a readable image: {error}") from error
+
+
+def _panda_texture(texture: Texture) -> Any:
+    core, pixels = panda3d(), read_pixels(texture)
+    height, width = pixels.shape[:2]
+    made = core.Texture("image")
+    kind = core.Texture.F_rgba if texture.blends else core.Texture.F_rgb
+    made.setup_2d_texture(width, height, core.Texture.T_unsigned_byte, kind)
+    # In Panda3D, the lowest row is first, and the order is blue, green, red.
+    made.set_ram_image(np.ascontiguousarray(pixels[::-1, :, _order(texture)]).tobytes())
+    made.minfilter = core.SamplerState.FT_linear_mipmap_linear
+    nearest, linear = core.SamplerState.FT_nearest, core.SamplerState.FT_linear
+    made.magfilter = nearest if texture.sharp else linear
+    if not texture.repeats:
+        made.wrap_u = made.wrap_v = core.SamplerState.WM_clamp
+    return made
+
+
+def _order(texture: Texture) -> Tuple[int, ...]:
+    return (2, 1, 0, 3) if texture.blends else (2, 1, 0)
+
+
+# The centre of a textured surface, m in the link's frame, and its mean normal, which has the length
+# 1 for a plane and 0 for a closed surface.
 Patch = Tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
 class Drawable:
-    """What is to be seen of a link."""
+    """The visible parts of a link.
 
-    # To be hung below the node of a link, with where they are if they are textured.
+    Attributes:
+        nodes: to be attached to the node of a link, with the patch of a textured node.
+        boxes: corners of the boxes around shadow casters, (n, 8, 3) in m in the link's frame.
+        textures: those of the nodes, to be kept as long as these.
+    """
+
     nodes: List[Tuple[Any, Optional[Patch]]]
-    # Corners of the boxes around what throws shadows, (n, 8, 3) in m in the link's frame.
     boxes: np.ndarray
-    # What is on them, to be kept as long.
     textures: List[LoadedTexture]
 
 
 class Drawables:
-    """Makes what is to be seen of links in a world's ambient light, RGB.
+    """Makes the drawables of links in a world's ambient light, RGB.
 
-    What cannot be read is left out, with a line in the log, once each.
+    Unreadable parts are left out, with one warning each.
     """
 
     def __init__(self, ambient: Sequence[float]):
@@ -45,11 +117,11 @@ class Drawables:
         self._report = ReportOnce()
 
     def of(self, visuals: Sequence[Visual], casts: str, where: str) -> Drawable:
-        """Return what is to be seen of a link, to be drawn into shadow maps, STILL or MOVING.
+        """Return the drawable of a link.
 
-        `where` says which link it is.
+        `casts` is the kind of its shadow maps, STILL or MOVING; `where` names it in messages.
         """
-        # What is drawn with one call: in the same way, and with at most one picture.
+        # The surfaces of one draw call: of the same kind, with at most one picture.
         calls: Dict[tuple, List[Surface]] = {}
         boxes = [np.zeros((0, 8, 3))]
         for visual in visuals:
@@ -74,9 +146,8 @@ class Drawables:
                 path.set_transparency(panda3d().TransparencyAttrib.M_alpha)
                 path.set_bin("transparent", 0)
             else:
-                # Floors last: most of them is hidden. Else in the order in which things were added,
-                # so that equal worlds give equal pictures. ("fixed" would come after
-                # "transparent".)
+                # Floors last, since most of a floor is hidden. Otherwise in the order of addition,
+                # so that equal worlds give equal pictures ("fixed" comes after "transparent").
                 path.set_bin("background", int(is_plane))
             path.hide(panda3d().BitMask32.all_on())
             for kind in (PICTURE, casts) if throws else (PICTURE,):
@@ -85,13 +156,13 @@ class Drawables:
         return made
 
     def _surfaces(self, visual: Visual, where: str) -> List[Surface]:
-        """Return what is to be seen of a visual, in the link's frame."""
+        """Return the surfaces of a visual, in the link's frame."""
         if visual.colour[3] <= 0.0:
             return []
         try:
             found = surfaces_of(visual.geometry, self._report)
         except LabError as error:
-            self._report(f"{where} is not drawn as it should be: {error}")
+            self._report(f"{where} is not drawn completely: {error}")
             return []
         return [surface.shown(visual, self._ambient, self._report) for surface in found]
 
@@ -101,7 +172,7 @@ class Drawables:
         try:
             return self._textures.of(surface.texture)
         except LabError as error:
-            self._report(f"{error}; drawn without")
+            self._report(f"{error}; drawn without it")
             return None
 
 
@@ -120,7 +191,7 @@ def _node(surfaces: Sequence[Surface]) -> Any:
 
 
 def _vertex_format() -> Any:
-    """Return how Panda3D finds what `Surface.floats` gives."""
+    """Return the columns of `Surface.floats` for Panda3D."""
     core, kinds, columns = panda3d(), panda3d().Geom, panda3d().GeomVertexArrayFormat()
     for name, count, content in (
         ("vertex", 3, kinds.C_point),
@@ -134,7 +205,7 @@ def _vertex_format() -> Any:
 
 
 def _patch(surface: Surface) -> Patch:
-    # Triangles that show a single point of the image do not count.
+    # Without triangles that show a single point of the picture.
     chosen = np.ptp(surface.picture, axis=1).max(axis=1) > 0.0
     corners = surface.corners[chosen] if chosen.any() else surface.corners
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -1,4 +1,4 @@
-"""What a lens and a sensor do to an ideal picture: distortion, blur and noise."""
+"""Add the errors of a lens and a sensor to an ideal picture: distortion, blur and noise."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering.graphics import SAMPLES
 
-# Numbers in the table of noise beyond those of one picture: so many pictures differ.
+# How many numbers the table of noise has beyond those of one picture: the number of its offsets.
 SPARE_NOISE = 1 << 20
 WHITE = 255.0
-# The ideal picture behind a distorted one is this many times larger at most.
+# The ideal picture is at most this many times larger than the distorted one.
 WIDEST = 3.0
-# Outside of every picture.
+# A coordinate outside every picture.
 NOWHERE = -10.0
 
 
 class FinishError(LabError):
-    """Settings of a camera, or a lens, that make no picture."""
+    """Settings of a camera or a lens are invalid."""
 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """What may change between two pictures of a camera.
+    """Settings of a camera that may change between pictures.
 
     Attributes:
-        samples: of each pixel, 1, 2 or 4.
-        exposure: factor to the brightness.
+        samples: samples of each pixel, 1, 2 or 4.
+        exposure: factor of the brightness.
         blur: standard deviation of the blur in pixels.
-        noise_mean: of what is added to each number of the picture, as a share of white.
+        noise_mean: mean of the noise of each pixel and colour, as a share of white.
         noise_stddev: its standard deviation, likewise.
     """
 
@@ -48,33 +48,33 @@ class CameraSettings:
         """Raise FinishError for a number that is not finite or out of its range."""
         values = (self.samples, self.exposure, self.blur, self.noise_mean, self.noise_stddev)
         if not all(map(math.isfinite, values)):
-            raise FinishError("a camera's setting is not finite")
+            raise FinishError("a camera setting is not finite")
         if self.samples not in SAMPLES:
             known = ", ".join(map(str, SAMPLES))
-            raise FinishError(f"{self.samples:g} samples for each pixel are not one of {known}")
+            raise FinishError(f"{self.samples:g} samples per pixel; allowed are {known}")
         if min(self.exposure, self.blur, self.noise_stddev) < 0.0:
-            raise FinishError("exposure, blur and the noise's deviation are not negative")
+            raise FinishError("exposure, blur and noise_stddev must not be negative")
         if abs(self.noise_mean) > 1.0 or self.noise_stddev > 1.0:
-            raise FinishError("noise is given as a share of white, 1 at most")
+            raise FinishError("noise is a share of white; at most 1 is allowed")
 
 
 class SensorNoise:
-    """Normal noise on pictures, drawn once and read from a random place for each picture.
+    """Normal noise, drawn once and read from a random offset for each picture.
 
-    Numbers for each pixel of each frame would cost as much as drawing it. Within one picture all
-    are independent; two share numbers, but at other pixels, unless their places happen to be the
+    Drawing new numbers for each frame would take as long as rendering it. The numbers in a picture
+    are independent. Two pictures share numbers, at different pixels unless their offsets are the
     same (one in a million). Mean and deviation are shares of white.
     """
 
     def __init__(self, mean: float, stddev: float, count: int, random: np.random.Generator):
         noise = random.standard_normal(count + SPARE_NOISE, dtype=np.float32)
         noise = np.rint(WHITE * (mean + stddev * noise))
-        # Apart, since adding and subtracting bytes is fast and stops at black and white.
+        # Two arrays, since adding and subtracting bytes is fast and saturates.
         self._more = np.clip(noise, 0, 255).astype(np.uint8)
         self._less = np.clip(-noise, 0, 255).astype(np.uint8)
 
     def add_to(self, picture: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """Return the picture with noise; `random` draws the place."""
+        """Return the picture with noise; `random` draws the offset."""
         first = int(random.integers(SPARE_NOISE))
         part = slice(first, first + picture.size)
         more, less = (a[part].reshape(picture.shape) for a in (self._more, self._less))
@@ -82,9 +82,9 @@ class SensorNoise:
 
 
 def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
-    """Return the picture with a normal blur of `sigma` pixels, as uint8.
+    """Return the picture with a Gaussian blur of `sigma` pixels, as uint8.
 
-    Of float32, what is beyond white is cut off afterwards.
+    A float32 picture is clipped to white afterwards.
     """
     if sigma <= 0.0:
         return picture
@@ -93,18 +93,17 @@ def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
 
 
 class Lens:
-    """A distorting lens: which ideal picture to draw, and how to bend it into a camera's.
+    """A distorting lens: it gives the ideal picture to draw, and distorts that.
 
-    Where a lens that bends strongly shows nothing, or only what would need far too large a picture,
-    its own is black.
+    Pixels outside the lens, or that would need too large an ideal picture, are black.
 
     Attributes:
-        camera: what it is the lens of.
-        ideal: the camera without distortion that is to draw.
-        black: the share of the pixels that show nothing.
+        camera: the camera with distortion.
+        ideal: the camera without distortion that draws.
+        black: the share of black pixels.
 
     Raises:
-        FinishError: it shows nothing at all.
+        FinishError: all pixels are black.
     """
 
     def __init__(self, camera: PinholeCamera):
@@ -116,20 +115,20 @@ class Lens:
             self.black = float(np.mean(self._map[0] == NOWHERE))
 
     def bend(self, picture: np.ndarray) -> np.ndarray:
-        """Return the picture of `camera`, given that of `ideal`."""
+        """Return the picture of `camera` from that of `ideal`."""
         return picture if self._map is None else cv2.remap(picture, *self._map, cv2.INTER_LINEAR)
 
     def pick(self, values: np.ndarray) -> np.ndarray:
-        """Return the values of `camera`'s pixels, given those of `ideal`: of the nearest pixel.
+        """Return the values of `camera`'s pixels from the nearest pixels of `ideal`.
 
-        Between the depths of two things there is nothing, so they are not mixed.
+        Interpolation would mix the depths of two objects.
         """
         if self._map is None:
             return values
         return cv2.remap(values, *self._map, cv2.INTER_NEAREST, borderValue=math.nan)
 
     def slopes(self) -> np.ndarray:
-        """Return x/z and y/z of what each pixel sees in the optical frame: (2, height, width)."""
+        """Return x/z and y/z of each pixel's ray in the optical frame, (2, height, width)."""
         camera, places = self.ideal, self._map
         if places is None:
             places = np.indices((camera.height, camera.width))[::-1]
@@ -138,7 +137,7 @@ class Lens:
 
 
 def _bent(camera: PinholeCamera) -> Tuple[PinholeCamera, np.ndarray]:
-    """Return the ideal camera behind a lens, and where each pixel looks in its picture."""
+    """Return the ideal camera of a lens, and the place of each pixel in its picture."""
     pixels = np.indices((camera.height, camera.width))[::-1].reshape(2, -1).T.astype(float)
     centre, size = np.array((camera.cx, camera.cy)), np.array((camera.width, camera.height))
     offsets = camera.slopes(pixels) * (camera.fx, camera.fy)

@@ -1,7 +1,6 @@
-"""Panda3D, headless: the one graphics engine of a process, and the buffers that it draws into.
+"""Run Panda3D without a screen: the graphics engine of a process, and its buffers.
 
-It draws through EGL, without a screen and, where there is no GPU, in software (Mesa). What
-Panda3D must be told before it starts, and what is particular about it, stands here.
+It draws through EGL; without a GPU, Mesa draws in software.
 """
 
 from __future__ import annotations
@@ -30,50 +29,50 @@ window-type offscreen
 audio-library-name null
 notify-level error
 notify-level-display fatal
-# The caches of states and transforms would keep textures of models that are long gone.
+# The caches of states and transforms would keep the textures of removed models.
 state-cache 0
 transform-cache 0
-# Images keep their widths and heights; by default they are cut to powers of two.
+# Textures keep their sizes; by default they are reduced to powers of two.
 textures-power-2 none
-# Shadow maps would have a buffer for colours as well, as large as they are.
+# Otherwise each shadow map has a colour buffer of its size.
 gl-force-fbo-color 0
 sync-video 0
 """
 EGL_OPENGL_API = 0x30A2
 EGL_DRAW = 0x3059
-# Mesa's llvmpipe hands what is to be drawn to so many threads, unless the user says otherwise. With
-# threads it needs several scenes at a time, and each keeps what it drew until it is taken again,
-# which may be never: up to 128 MB of shadow maps that were long gone. A picture of 640x480 takes
-# 0.8 ms longer without, and 14 % less processor time.
+# The number of threads of Mesa's llvmpipe, unless the user sets it. With threads, llvmpipe keeps
+# several scenes with all their textures: up to 128 MB of removed shadow maps. Without threads, a
+# picture of 640x480 takes 0.8 ms longer, and 14 % less processor time.
 THREADS = "LP_NUM_THREADS", "0"
-# How many samples a pixel of a picture may have, and what stands for a picture of depths.
+# The numbers of samples that a pixel may have.
 SAMPLES = (1, 2, 4)
+# Instead of a number of samples: a picture of depths.
 DEPTHS = 0
-# Buffers for pictures that are kept, for the sizes that were asked for last.
+# The number of buffers for pictures that are kept, those used last.
 KEPT_BUFFERS = 8
 KEPT_PROGRAMS = 64
-# Of a camera's own state over that of what it sees.
+# The priority of a camera's state over that of objects.
 OVERRIDE = 100
 NO_DRIVER = "pictures need EGL and a driver: on Debian, install libegl1 and libgl1-mesa-dri"
-# The parameter `renderer`, from when there was a choice.
+# Values of the parameter `renderer`; Panda3D draws for all of them.
 AUTO = "auto"
 CHOICES = (AUTO, "egl", "tiny")
 
 
 class RendererError(LabError):
-    """Nothing can be drawn here, or not this picture."""
+    """A picture cannot be drawn."""
 
 
 def check_choice(renderer: str) -> None:
-    """Say so where somebody asks for a renderer that is gone."""
+    """Warn if the removed renderer "tiny" is chosen."""
     if renderer == "tiny":
-        LOG.warning("renderer 'tiny' is gone: Panda3D draws all pictures, through EGL")
+        LOG.warning("renderer 'tiny' was removed; Panda3D draws all pictures, through EGL")
 
 
 class Target:
-    """A buffer of Panda3D's to draw into, with the texture that the result is found in.
+    """A buffer of Panda3D, with the texture that holds the result.
 
-    It has tiles with `size` pixels along their lower sides, and a camera for each, row by row.
+    It has tiles that are `size` pixels wide, and a camera for each tile, row by row.
     """
 
     def __init__(self, buffer: Any, texture: Any, tiles: Size):
@@ -86,11 +85,11 @@ class Target:
             self.cameras.append(core.NodePath(core.Camera("camera")))
             buffer.make_display_region(*sides).set_camera(self.cameras[-1])
         buffer.set_active(False)
-        # Panda3D's own picture, and the view of it.
+        # Panda3D's own picture, and a numpy view of it.
         self._seen: Tuple[Any, np.ndarray] = (None, np.zeros(0, np.uint8))
 
     def look(self, root: Any, state: Any, bit: int, matrices: Sequence[np.ndarray]) -> None:
-        """Let the cameras see what has a bit below a root, through matrices to clip coordinates."""
+        """Let the cameras show the nodes with a bit below a root, with projection matrices."""
         core = panda3d()
         for path, matrix in zip(self.cameras, matrices):
             node, lens = path.node(), core.MatrixLens()
@@ -101,9 +100,9 @@ class Target:
             node.set_camera_mask(core.BitMask32.bit(bit))
 
     def pixels(self, kind: type, channels: int) -> np.ndarray:
-        """Return what was drawn, (height, width, channels), in an array of its own."""
+        """Return a copy of the result, (height, width, channels)."""
         image = self.texture.get_ram_image()
-        # Panda3D draws into the same one again, and leaks 32 bytes with each view of it.
+        # Panda3D uses the same memory again, and leaks 32 bytes with each view of it.
         if image != self._seen[0]:
             self._seen = (image, np.frombuffer(image, np.uint8))
         shape = (self.texture.get_y_size(), self.texture.get_x_size(), channels)
@@ -111,13 +110,13 @@ class Target:
 
 
 class Graphics:
-    """Panda3D's engine with a graphics context; one for a process, see `shared_graphics`.
+    """Panda3D's engine with a graphics context; one per process, see `shared_graphics`.
 
-    Any thread may use it, one at a time: the context is let go after each use, since a driver draws
-    nothing, and says nothing, for a thread while another one has it.
+    Any thread may use it, one at a time. The context is released after each use, since a driver
+    silently draws nothing for a thread while another thread has it.
 
-    `driver` says what draws, as "llvmpipe (LLVM 15.0.6, 256 bits)"; `program` makes a shader of two
-    programs in GLSL, the same one for all scenes.
+    `driver` is the name of the driver, such as "llvmpipe (LLVM 15.0.6, 256 bits)"; `program` makes
+    a shader from two GLSL programs, the same one for all scenes.
     """
 
     def __init__(self):
@@ -133,7 +132,7 @@ class Graphics:
         for now in ("eglGetCurrentDisplay", "eglGetCurrentSurface", "eglGetCurrentContext"):
             getattr(self._egl, now).restype = ctypes.c_void_p
         self._egl.eglMakeCurrent.argtypes = [ctypes.c_void_p] * 4
-        # What the last use let go: display, surface twice, context.
+        # What the last use released: display, surface twice, context.
         self._current: Tuple[Any, ...] = ()
         self._engine = core.GraphicsEngine.get_global_ptr()
         self._shared: Tuple[Any, ...] = ()
@@ -149,8 +148,8 @@ class Graphics:
         self.driver = context.get_gsg().get_driver_renderer()
 
     def target(self, width: int, height: int, samples: int) -> Target:
-        """Return that for pictures, RGB of 8 bits, or float32 DEPTHS; raises RendererError."""
-        # The one that was asked for last is the last one to go.
+        """Return a target for pictures, RGB of 8 bits, or float32 DEPTHS; raise RendererError."""
+        # The target used last is removed last.
         kept = self._kept.pop((width, height, samples), None)
         if kept is None:
             if len(self._kept) >= KEPT_BUFFERS:
@@ -168,35 +167,35 @@ class Graphics:
         return kept
 
     def shadow_target(self, size: int, tiles: Size) -> Target:
-        """Return a new target for columns and rows of square shadow maps; raises RendererError."""
+        """Return a new target for columns and rows of square shadow maps; raise RendererError."""
         core = panda3d()
         properties, texture = core.FrameBufferProperties(), core.Texture("shadow")
         properties.set_depth_bits(24)
-        # Compared with the depth that is asked for, and the results interpolated.
+        # A look-up compares with a depth, and interpolates the results.
         texture.minfilter = texture.magfilter = core.SamplerState.FT_shadow
         texture.wrap_u = texture.wrap_v = core.SamplerState.WM_clamp
         target = self._target(texture, properties, (size * tiles[0], size * tiles[1]), tiles)
         target.buffer.set_sort(-1)
         for camera in target.cameras:
-            # What stands between a light and its map is not to be left out.
+            # Objects between a light and its map cast shadows, too.
             camera.node().set_cull_bounds(core.OmniBoundingVolume())
         return target
 
     def state(self, program: Any = None, cull: str = "counter_clockwise", samples: int = 1) -> Any:
-        """Return what a camera draws with: a program for all, or None for that of each thing."""
-        # None of this is left to what was drawn last.
+        """Return the state of a camera; its program is for all objects, None for their own."""
+        # All is set, so that nothing depends on the picture before.
         core = panda3d()
         state, modes = core.NodePath("state"), core.AntialiasAttrib
         state.set_attrib(core.CullFaceAttrib.make(getattr(core.CullFaceAttrib, f"M_cull_{cull}")))
         state.set_antialias(modes.M_multisample if samples > 1 else modes.M_none)
         if program is not None:
             state.set_shader(program, OVERRIDE)
-            # What is behind glass does not count.
+            # Transparent objects are drawn as opaque.
             state.set_transparency(core.TransparencyAttrib.M_none, OVERRIDE)
         return state.get_state()
 
     def draw(self, targets: Sequence[Target]) -> None:
-        """Draw what the cameras of some targets see."""
+        """Draw into some targets."""
         for target in targets:
             target.buffer.set_active(True)
         try:
@@ -206,7 +205,7 @@ class Graphics:
                 target.buffer.set_active(False)
 
     def remove(self, target: Target) -> None:
-        """Give a target's buffer back."""
+        """Release a target."""
         self._with_context(self._engine.remove_window, target.buffer)
         target.texture.release_all()
 
@@ -220,7 +219,7 @@ class Graphics:
         coloured = (kinds.RTM_copy_ram, kinds.RTP_color)
         deep = (kinds.RTM_bind_or_copy, kinds.RTP_depth)
         buffer.add_render_texture(texture, *(coloured if properties.get_red_bits() else deep))
-        # That was put down as an event, for nobody.
+        # Otherwise events of new buffers pile up.
         panda3d().EventQueue.get_global_event_queue().clear()
         return Target(buffer, texture, tiles)
 
@@ -232,17 +231,17 @@ class Graphics:
 
     def _with_context(self, call: Callable[..., Any], *arguments: Any) -> Any:
         with self._lock:
-            # Of each thread for itself; its default is OpenGL ES.
+            # This is set per thread; the default is OpenGL ES.
             self._egl.eglBindAPI(EGL_OPENGL_API)
-            # Panda3D takes the context to draw, but not to give buffers back: without one, these
-            # calls of the driver's do nothing.
+            # Panda3D takes the context to draw, but not to release buffers; without a context, the
+            # driver does not release them.
             if self._current:
                 self._egl.eglMakeCurrent(*self._current)
             try:
                 return call(*arguments)
             except AssertionError as error:
-                # What Panda3D raises where one of its own conditions does not hold.
-                raise RendererError(f"Panda3D gives up: {error}") from error
+                # Panda3D raises this if one of its assertions fails.
+                raise RendererError(f"Panda3D failed: {error}") from error
             finally:
                 egl = self._egl
                 display, surface = egl.eglGetCurrentDisplay(), egl.eglGetCurrentSurface(EGL_DRAW)
@@ -253,7 +252,7 @@ class Graphics:
 
 @functools.lru_cache(maxsize=None)
 def panda3d() -> Any:
-    """Return Panda3D's core, told how to behave; raises RendererError."""
+    """Return Panda3D's core with our settings; raise RendererError if it is not installed."""
     if importlib.util.find_spec("panda3d") is None:
         raise RendererError("pictures need Panda3D: run scripts/setup.sh, or 'pip install panda3d'")
     os.environ.setdefault(*THREADS)
@@ -264,19 +263,19 @@ def panda3d() -> Any:
 
 
 def panda_matrix(columns: np.ndarray) -> Any:
-    """Return a (4, 4) matrix that multiplies columns as Panda3D has it."""
+    """Return Panda3D's form of a (4, 4) matrix that multiplies column vectors."""
     return panda3d().LMatrix4f(*columns.T.ravel().tolist())
 
 
 def set_pose(path: Any, pose: Pose) -> None:
-    """Put a node at a pose in its parent's frame."""
+    """Set the pose of a node in its parent's frame."""
     x, y, z, w = pose.quaternion
     path.set_pos_quat(panda3d().LPoint3(*pose.position), panda3d().LQuaternion(w, x, y, z))
 
 
 @functools.lru_cache(maxsize=None)
 def _made() -> Tuple[int, Union[Graphics, RendererError]]:
-    """Return the process that it was made in, and what draws or why nothing can."""
+    """Return the id of the process that made the graphics, and the graphics or the error."""
     try:
         return os.getpid(), Graphics()
     except RendererError as error:
@@ -284,7 +283,7 @@ def _made() -> Tuple[int, Union[Graphics, RendererError]]:
 
 
 def shared_graphics() -> Graphics:
-    """Return this process's graphics; raises RendererError."""
+    """Return the graphics of this process; raise RendererError."""
     process, made = _made()
     if isinstance(made, RendererError):
         raise made
@@ -294,5 +293,5 @@ def shared_graphics() -> Graphics:
 
 
 def driver_name() -> str:
-    """Return what draws in this process, as `Graphics.driver`; raises RendererError."""
+    """Return the name of the driver, see `Graphics`; raise RendererError."""
     return shared_graphics().driver

@@ -1,9 +1,9 @@
-"""The lights of a world, and their shadow maps.
+"""Compute the shadow maps of the lights of a world, and give the lights to the shaders.
 
-A shadow map holds how far a light reaches in each direction. What stands still is drawn into one
-map for each light, again only when something is added, moved or taken away; what moves into a
-second, small one of directional and spot lights, which lies just around it, again whenever it has
-moved. So both follow from where things are now, and from nothing else.
+A shadow map holds how far a light reaches in each direction. Each light has a map of the static
+models, drawn again when one is added, moved or removed. Directional and spot lights have a second,
+small map just around the models that move, drawn again after each motion. So pictures only depend
+on the present poses.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ from bullet_lab.simulation.world.description import Light, World
 LOG = logging.getLogger(__name__)
 
 PICTURE = "picture"
-# Which of a camera's bits shows what.
+# The bits of a camera's mask, by what it shows.
 BITS = {PICTURE: 0, STILL: 1, MOVING: 2}
-# What a pixel of a sun's map is to cover (m), and the sizes that it may have for that (pixels).
+# The aim for the size of a pixel in the map of a directional light (m), and its sizes (pixels).
 PIXEL = {STILL: 0.0025, MOVING: 0.006}
 SIZES = {STILL: (256, 512, 1024, 2048, 4096), MOVING: (64, 128, 256, 512)}
 SPOT_SIZE = {STILL: 2048, MOVING: 512}
-# Across and ahead in the maps of a lamp.
+# The axes across and ahead in the maps of a point light.
 LAMP_AXES = np.eye(3)[np.array([[1, 2, 0], [0, 2, 1], [0, 1, 2]])]
-# A surface is lifted by so many pixels of the map out of its own shadow.
+# A surface is lifted out of its own shadow by so many pixels of the map.
 LIFT = 1.5
-# In m: what is larger, as a floor, throws its shadow within the map but does not make it larger.
+# m. A larger object, such as a floor, casts shadows but does not enlarge the map.
 LARGEST = 30.0
-# Textures that one program may use, less one for the picture on a surface.
+# The textures that a program may use, without the picture on a surface.
 MOST_MAPS = 15
-# Rad, the whole opening: a wider spot throws shadows within this only.
+# Rad, the whole opening: a wider spot casts shadows only within this angle.
 WIDEST_SPOT = math.radians(160.0)
 
-# Matrices (4, 4) from the world to clip coordinates, for each tile of a shadow map; pixels along
-# its sides; how far a surface is lifted, in m, or per m of distance from a spot or lamp.
+# For a shadow map: a matrix (4, 4) from the world to clip coordinates for each tile; its size in
+# pixels; how far a surface is lifted, in m, or per m of distance from a spot or point light.
 Aim = Tuple[Sequence[np.ndarray], int, float]
 
 
 def aim_at(boxes: np.ndarray, light: Light, kind: str) -> Aim:
-    """Return the map, STILL or MOVING, that just holds what a light sees of boxes (n, 8, 3)."""
+    """Return the smallest map, STILL or MOVING, for the boxes (n, 8, 3) that a light reaches."""
     place = np.asarray(light.pose.position)
     size, limits, rim = SPOT_SIZE[kind], np.full(3, math.inf), PIXEL[kind]
     if light.kind == "point":
@@ -66,7 +66,7 @@ def aim_at(boxes: np.ndarray, light: Light, kind: str) -> Aim:
     clip = np.column_stack((points, np.ones(len(points)))) @ matrix.T
     there = clip[:, :3] / np.maximum(clip[:, 3:], NEAREST)
     if (clip[:, 3] < NEAREST).any():
-        # Something is beside the light or behind it.
+        # A corner is beside the light or behind it.
         there = np.append(there, (-limits, limits), axis=0)
     low = np.maximum(there.min(axis=0) - rim, -limits)
     high = np.minimum(there.max(axis=0) + rim, limits)
@@ -81,7 +81,7 @@ def aim_at(boxes: np.ndarray, light: Light, kind: str) -> Aim:
 
 
 def _perspective(axes: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Return the projection from a place along the last of three axes, 45° to each side.
+    """Return the projection from a point along the last of three axes, 45° to each side.
 
     A depth, from 0 to 1, is 1 - NEAREST / distance.
     """
@@ -93,7 +93,7 @@ def _perspective(axes: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def axes_along(direction: Sequence[float]) -> np.ndarray:
-    """Return orthogonal unit axes (3, 3), by rows; the last one goes along a direction."""
+    """Return orthogonal unit axes as rows (3, 3); the last one is along a direction."""
     along = np.asarray(direction) / np.linalg.norm(direction)
     first = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
     first /= np.linalg.norm(first)
@@ -101,7 +101,7 @@ def axes_along(direction: Sequence[float]) -> np.ndarray:
 
 
 class _ShadowMap:
-    """One shadow map of one light, in the uniforms of the scene."""
+    """A shadow map of a light, in the uniforms of the scene."""
 
     def __init__(self, graphics: Graphics, root: Any, light: Light, name: str, kind: str):
         self.kind = kind
@@ -109,11 +109,11 @@ class _ShadowMap:
         self._target: Optional[Target] = None
         self._version = -1
         program = graphics.program(shaders.DEPTH_VERTEX, shaders.DEPTH_FRAGMENT)
-        # Both sides throw shadows, since a mesh may be open.
+        # Both sides of a triangle cast shadows, since a mesh may be open.
         self._state = graphics.state(program, cull="none")
 
     def update(self, version: int, boxes: Callable[[str], np.ndarray]) -> List[Target]:
-        """Return the map if it is to be drawn since it is of another version."""
+        """Return the map if it must be drawn again: for another version."""
         if self._version == version:
             return []
         self._version = version
@@ -130,7 +130,7 @@ class _ShadowMap:
         return [self._target]
 
     def remove(self) -> None:
-        """Give the buffer back."""
+        """Release the buffer."""
         if self._target is not None:
             self._graphics.remove(self._target)
 
@@ -139,7 +139,7 @@ class Lighting:
     """The lights of a world in the uniforms of a scene.
 
     Attributes:
-        programs: by whether shadows of what moves are looked up, and by PLAIN, TEXTURED or SLANTED.
+        programs: by whether they use the maps of moving models, and by PLAIN, TEXTURED or SLANTED.
     """
 
     def __init__(self, world: World, graphics: Graphics, root: Any):
@@ -162,18 +162,18 @@ class Lighting:
             self.programs[moving][paint] = program
 
     def update(self, now: Dict[str, int], boxes: Callable[[str], np.ndarray]) -> List[Target]:
-        """Return the maps that are to be drawn.
+        """Return the maps that must be drawn again.
 
-        `now` has the versions of what is STILL, and of what is MOVING if that matters: the same
-        only while all of it is where it was. `boxes` gives corners of those around it, (n, 8, 3).
+        `now` has the version of the STILL models, and of the MOVING ones if these are needed; a
+        version changes with any pose. `boxes` gives the corners of their boxes, (n, 8, 3).
         """
         known = (shadow_map for shadow_map in self._maps if shadow_map.kind in now)
         return [target for each in known for target in each.update(now[each.kind], boxes)]
 
     def shadows_of(self, boxes: np.ndarray) -> Iterator[np.ndarray]:
-        """Return for each light hulls of moving boxes (n, 8, 3) with their shadows, (n, 16, 4).
+        """Yield for each light the hulls of moving boxes (n, 8, 3) with their shadows, (n, 16, 4).
 
-        These are homogeneous: the corners, and the directions in which shadows go on without end.
+        These are homogeneous: the corners, and the directions of the infinite shadows.
         """
         for position in self._positions:
             hulls = np.zeros((len(boxes), 16, 4))
@@ -182,13 +182,13 @@ class Lighting:
             yield hulls
 
     def remove(self) -> None:
-        """Give all shadow maps back."""
+        """Release all shadow maps."""
         for shadow_map in self._maps:
             shadow_map.remove()
 
 
 def _uniforms(light: Light) -> Dict[str, Sequence[float]]:
-    """Return what the programs have to know of a light, by their names for it."""
+    """Return the uniforms of a light by their names in the programs."""
     along = np.asarray(light.pose.rotate(light.direction))
     along = along / (np.linalg.norm(along) or 1.0)
     fade, cone = light.attenuation, light.cone
@@ -202,13 +202,13 @@ def _uniforms(light: Light) -> Dict[str, Sequence[float]]:
 
 
 def plan_maps(world: World) -> List[Tuple[str, ...]]:
-    """Return the shadow maps of each light; says so where shadows are left out."""
+    """Return the kinds of shadow maps of each light; warn if there are too many."""
     planned: List[Tuple[str, ...]] = []
     for light in world.lights:
         wanted = (STILL,) if light.kind == "point" else (STILL, MOVING)
         wanted = wanted if world.shadows and light.casts_shadows else ()
         if sum(map(len, planned)) + len(wanted) > MOST_MAPS:
-            LOG.warning("light '%s' throws no shadows: too many others do", light.name)
+            LOG.warning("light '%s' casts no shadows; %d maps are the limit", light.name, MOST_MAPS)
             wanted = ()
         planned.append(wanted)
     return planned

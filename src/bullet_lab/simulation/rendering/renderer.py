@@ -1,32 +1,51 @@
-"""Pictures of a simulation through a pinhole camera, with exactly the geometry asked for."""
+"""Take pictures and depths of a simulation through a pinhole camera."""
 
 from __future__ import annotations
 
 import math
+import weakref
+from collections import deque
 from dataclasses import dataclass
-from typing import Any, Mapping
+from typing import Any, Callable, Deque, Dict, List, Mapping, Tuple
 
 import numpy as np
 
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.pose import Pose
+from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.simulation.physics.attached_frame import AttachedFrame
 from bullet_lab.simulation.rendering import graphics, shaders
-from bullet_lab.simulation.rendering.graphics import DEPTHS, SAMPLES, RendererError, Target
-from bullet_lab.simulation.rendering.lights import BITS, PICTURE
-from bullet_lab.simulation.rendering.scene import Scene
-from bullet_lab.simulation.world.description import World
+from bullet_lab.simulation.rendering.drawables import Drawable, Drawables
+from bullet_lab.simulation.rendering.graphics import (
+    DEPTHS,
+    SAMPLES,
+    Graphics,
+    RendererError,
+    Target,
+    panda3d,
+    set_pose,
+)
+from bullet_lab.simulation.rendering.lights import BITS, PICTURE, Lighting
+from bullet_lab.simulation.rendering.shaders import MOVING, PLAIN, SLANTED, STILL, TEXTURED
+from bullet_lab.simulation.world.description import Mesh, World
+from bullet_lab.simulation.world.meshes import file_version
 
-# With more, it takes too long to see whether any is in view.
+# With more hulls, checking whether any is in view takes too long.
 MOST_HULLS = 64
-# From x ahead, z up to Panda3D's axes of a camera: y ahead, z up.
+# From axes with x ahead and z up to those of Panda3D's camera, y ahead and z up.
 AHEAD = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, -0.5 * math.pi))
+# Below this cosine between a surface's normal and the view, textures are filtered better and more
+# slowly: a pixel's footprint is 1.3 times as long as wide. Above it, sharper textures only make
+# the smallest markers flicker.
+SLANT = 0.77
+# How many drawables of removed models are kept, for models that come back.
+KEPT_DRAWABLES = 4
 
 
 @dataclass(frozen=True)
 class Shot:
-    """How to take a picture: with a camera without distortion, from `near` to `far`, in metres.
+    """The settings of a picture: a camera without distortion, and `near` and `far` in metres.
 
-    The mean of the samples of each pixel, 1, 2 or 4, is its colour, so that edges do not alias.
+    A pixel is the mean of its samples, 1, 2 or 4, which makes edges smooth.
     """
 
     camera: PinholeCamera
@@ -35,20 +54,148 @@ class Shot:
     samples: int = 1
 
     def __post_init__(self) -> None:
-        """Raise RendererError where no such picture exists."""
+        """Raise RendererError for invalid settings."""
         if not 0.0 < self.near < self.far < math.inf:
-            raise RendererError(f"no view reaches from {self.near:g} m to {self.far:g} m")
+            limits = f"near {self.near:g} m, far {self.far:g} m"
+            raise RendererError(f"{limits}; 0 < near < far is needed")
         if self.samples not in SAMPLES:
             known = ", ".join(map(str, SAMPLES))
-            raise RendererError(f"{self.samples:g} samples for each pixel are not one of {known}")
+            raise RendererError(f"{self.samples:g} samples per pixel; allowed are {known}")
         if any(self.camera.distortion):
-            raise RendererError("a pinhole distorts nothing")
+            raise RendererError("a pinhole camera has no distortion; bend the picture with a Lens")
+
+
+class _LinkNode:
+    """The node of a link, with its drawable."""
+
+    def __init__(self, root: Any, frame: AttachedFrame, drawable: Drawable):
+        self._frame, self._drawable, self._pose = frame, drawable, Pose()
+        self.path = root.attach_new_node("link")
+        # Corners of the boxes around shadow casters, (n, 8, 3) in m in the world.
+        self.boxes = drawable.boxes
+        self._textured = []
+        for node, patch in drawable.nodes:
+            # Other links may share the node; they are seen from other directions.
+            path = self.path.attach_new_node("look")
+            path.attach_new_node(node)
+            if patch is not None:
+                self._textured.append((path, *patch))
+
+    def follow(self) -> bool:
+        """Move the node to the link; return whether it has moved."""
+        pose = self._frame.pose()
+        if pose == self._pose:
+            return False
+        self._pose = pose
+        set_pose(self.path, pose)
+        self.boxes = self._drawable.boxes @ pose.rotation_matrix().T + np.asarray(pose.position)
+        return True
+
+    def face(self, eye: Vector, programs: Mapping[str, Any]) -> None:
+        """Choose the programs of textures for an eye at a point in the world, m."""
+        for path, centre, normal in self._textured:
+            ray = centre - (self._pose.inverse() * Pose(eye)).position
+            slanted = abs(ray @ normal) < SLANT * np.linalg.norm(ray)
+            path.set_shader(programs[SLANTED if slanted else TEXTURED])
+
+
+class Scene:
+    """The visible objects of a world, below its `root`, a node path of Panda3D."""
+
+    def __init__(self, world: World, models: Mapping[str, Any], graphics: Graphics):
+        self.root = panda3d().NodePath("scene")
+        self._models = models
+        self._graphics = graphics
+        self._lighting = Lighting(world, graphics, self.root)
+        # Equal links share a drawable as long as one of them exists. The last ones are kept for
+        # models that come back: glibc before 2.38 hardly reuses the memory of released textures.
+        self._maker = Drawables(world.ambient)
+        self._drawables: Any = weakref.WeakValueDictionary()
+        self._last: Deque[Drawable] = deque(maxlen=KEPT_DRAWABLES)
+        # Each model with its links, by its name.
+        self._shown: Dict[str, Tuple[Any, List[_LinkNode]]] = {}
+        # How often the static and the moving models have changed.
+        self._versions = {STILL: 0, MOVING: 0}
+        self._moves: Dict[str, int] = {}
+
+    def update(self) -> None:
+        """Move all nodes to the poses of the models."""
+        for name in [n for n, (i, _) in self._shown.items() if self._models.get(n) is not i]:
+            self._remove(name)
+        for name, instance in self._models.items():
+            if name not in self._shown:
+                self._shown[name] = (instance, self._nodes_of(instance))
+            kind = _kind(instance)
+            if kind == STILL and self._moves.get(name) == instance.moves:
+                continue
+            is_new, self._moves[name] = name not in self._moves, instance.moves
+            moved = [link.follow() for link in self._shown[name][1]]
+            self._versions[kind] += is_new or any(moved)
+
+    def prepare(self, eye: Vector, in_view: Callable[[np.ndarray], bool]) -> List[Target]:
+        """Choose the programs for an eye at a point, m; return the shadow maps to draw first.
+
+        `in_view` returns whether any of several hulls may be visible, see `Lighting.shadows_of`.
+        """
+        moving = self._boxes(MOVING)
+        seen = len(moving) > 0 and any(map(in_view, self._lighting.shadows_of(moving)))
+        programs = self._lighting.programs[seen]
+        self.root.set_shader(programs[PLAIN])
+        for _, links in self._shown.values():
+            for link in links:
+                link.face(eye, programs)
+        kinds = (STILL, MOVING) if seen else (STILL,)
+        return self._lighting.update({kind: self._versions[kind] for kind in kinds}, self._boxes)
+
+    def relight(self, world: World) -> None:
+        """Use the lights of a world from now on."""
+        self._lighting.remove()
+        self._lighting = Lighting(world, self._graphics, self.root)
+
+    def close(self) -> None:
+        """Release everything."""
+        for name in list(self._shown):
+            self._remove(name)
+        self._lighting.remove()
+        # A target that drew this scene last still refers to its root.
+        self.root.set_state(panda3d().RenderState.make_empty())
+
+    def _remove(self, name: str) -> None:
+        instance, links = self._shown.pop(name)
+        self._moves.pop(name, None)
+        self._versions[_kind(instance)] += 1
+        for link in links:
+            link.path.remove_node()
+
+    def _boxes(self, kind: str) -> np.ndarray:
+        """Return the corners of the boxes around shadow casters, (n, 8, 3)."""
+        links = (link for i, links in self._shown.values() if _kind(i) == kind for link in links)
+        return np.concatenate([np.zeros((0, 8, 3)), *(link.boxes for link in links)])
+
+    def _nodes_of(self, instance: Any) -> List[_LinkNode]:
+        nodes, kind = [], _kind(instance)
+        for body in instance.bodies.values():
+            for link in filter(lambda link: link.visuals, body.links):
+                files = [v.geometry for v in link.visuals if isinstance(v.geometry, Mesh)]
+                files += [v.material.texture for v in link.visuals if v.material.texture]
+                key = (link.visuals, kind, tuple(map(file_version, files)))
+                drawable = self._drawables.get(key)
+                if drawable is None:
+                    where = f"model '{instance.name}': link '{link.name}'"
+                    drawable = self._drawables[key] = self._maker.of(link.visuals, kind, where)
+                    self._last.append(drawable)
+                nodes.append(_LinkNode(self.root, AttachedFrame(body, link.name), drawable))
+        return nodes
+
+
+def _kind(instance: Any) -> str:
+    return STILL if instance.model.static else MOVING
 
 
 class Renderer:
-    """Draws the models, by name, that a world has at each picture, with its lights and background.
+    """Draws the models that a world has at each picture, with its lights and background.
 
-    `driver` says what draws. All of it raises RendererError for what cannot be drawn.
+    `driver` is the name of the driver. All methods raise RendererError.
     """
 
     def __init__(self, world: World, models: Mapping[str, Any]):
@@ -61,9 +208,9 @@ class Renderer:
         self._states[DEPTHS] = shared.state(program)
 
     def picture(self, pose: Pose, shot: Shot, exposure: float = 1.0) -> np.ndarray:
-        """Return what is seen along the x axis of a pose, its z axis upwards.
+        """Return the picture along the x axis of a pose, with its z axis up.
 
-        Exposure is a factor to the brightness; what exceeds white is white.
+        Exposure is a factor of the brightness; brighter colours than white become white.
 
         Returns:
             (height, width, 3) uint8, RGB. The same world, pose and shot give the same bytes.
@@ -76,10 +223,10 @@ class Renderer:
         return target.pixels(np.uint8, 3)
 
     def depths(self, pose: Pose, shot: Shot) -> np.ndarray:
-        """Return the distance along the view of what is seen through each pixel's centre.
+        """Return the depth along the view at the centre of each pixel.
 
         Returns:
-            (height, width) float32 in m, +inf where nothing is within the view.
+            (height, width) float32 in m, +inf where nothing is visible.
         """
         target = self._aimed(pose, shot, DEPTHS, np.zeros(3))
         self._graphics.draw([target])
@@ -88,20 +235,20 @@ class Renderer:
         return depths
 
     def relight(self, world: World) -> None:
-        """Take the lights of a world from now on."""
+        """Use the lights of a world from now on."""
         self._scene.relight(world)
 
     def close(self) -> None:
-        """Give everything back."""
+        """Release everything."""
         self._scene.close()
 
     def _aimed(self, pose: Pose, shot: Shot, samples: int, background: np.ndarray) -> Target:
         self._scene.update()
         target = self._graphics.target(shot.camera.width, shot.camera.height, samples)
-        # Blue first: what Panda3D hands out as blue is red then.
+        # Blue first: Panda3D returns red and blue exchanged.
         target.buffer.set_clear_color((*background[::-1], 1.0))
         target.look(self._scene.root, self._states[samples], BITS[PICTURE], [projection(shot)])
-        graphics.set_pose(target.cameras[0], pose * AHEAD)
+        set_pose(target.cameras[0], pose * AHEAD)
         return target
 
 
@@ -123,20 +270,20 @@ def projection(shot: Shot) -> np.ndarray:
 
 
 def in_view(hulls: np.ndarray, pose: Pose, shot: Shot) -> bool:
-    """Return whether any of several convex hulls may be seen; True if in doubt.
+    """Return whether any of several convex hulls may be visible; True if in doubt.
 
-    Hulls are (n, m, 4): homogeneous points of each in the world, 0 last for directions. What of one
-    is beyond the nearest distance cannot be seen where all of it lies beyond one side of the view.
+    Hulls are (n, m, 4): homogeneous points of each in the world, with a last value of 0 for
+    directions. A hull is invisible if its part beyond `near` is outside one side of the view.
     """
     if len(hulls) > MOST_HULLS:
         return True
     local = (hulls[..., :3] - hulls[..., 3:] * pose.position) @ (pose * AHEAD).rotation_matrix()
     clip = np.concatenate((local, hulls[..., 3:]), axis=2) @ projection(shot).T
-    # Points beyond the nearest distance, and where what joins others to them comes through it.
+    # Points beyond `near`, and those where an edge of the hull crosses it.
     ahead = clip[..., 2] + clip[..., 3]
     beyond, before = np.maximum(ahead, 0.0)[:, None, :, None], np.minimum(ahead, 0.0)
     kept = beyond * clip[:, :, None] - (beyond > 0.0) * before[:, :, None, None] * clip[:, None]
-    # A little more than is seen: shadows have soft edges.
+    # A little wider than the view: shadows have soft edges.
     edge = 1.01 * kept[..., 3:]
     inside = np.concatenate((edge + kept[..., :2], edge - kept[..., :2]), axis=3) > 0.0
     return bool(inside.any(axis=(1, 2)).all(axis=1).any())

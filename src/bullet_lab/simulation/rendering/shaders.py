@@ -1,14 +1,14 @@
-"""The programs that draw, in GLSL.
+"""Make the GLSL programs that draw.
 
-Light is Lambert's, worked out for each pixel in the world's frame:
+Light is Lambertian and is computed for each pixel in the world's frame:
 
     picture · exposure · (colour · (ambient + sum over lights of diffuse
                                     · max(0, normal · towards light) · fading · cone
                                     · what reaches the place by the shadow maps) + glow)
 
-where the glow is what a surface gives off by itself, and what is more than its colour in ambient
-light; with fading 1 / (constant + linear d + quadratic d²), 1 at most and 0 beyond the light's
-range. There are no highlights.
+where the glow is the light that a surface emits, and what its ambient colour adds to its colour in
+ambient light. The fading is 1 / (constant + linear d + quadratic d²), at most 1, and 0 beyond the
+light's range. There are no highlights.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from __future__ import annotations
 from typing import Sequence, Tuple
 
 STILL, MOVING = "still", "moving"
-# In m: what is nearer to a spot or lamp throws no shadow.
+# m. Objects that are nearer to a spot or point light cast no shadow.
 NEAREST = 0.02
-# Pixels along each side of one of the six maps around a lamp.
+# Pixels along each side of one of the six maps around a point light.
 LAMP_SIZE = 1024
 
 DEPTH_VERTEX = """#version 150
@@ -29,7 +29,7 @@ void main() {
   gl_Position = p3d_ModelViewProjectionMatrix * p3d_Vertex;
 }
 """
-# Distance along the view: what a projection divides by. In shadow maps, it does not matter.
+# The distance along the view, by which a projection divides. Shadow maps do not use it.
 DEPTH_FRAGMENT = """#version 150
 out vec4 depth;
 
@@ -73,8 +73,8 @@ LIGHTS}
 CORNER_LINE = "  LIGHT_cosine = max(0.0, dot(normal, LIGHT_position.xyz));\n"
 CORNER_MAP_LINE = "  LIGHT_in_MAP = in_map(LIGHT_into_MAP, LIGHT_lift_MAP);\n"
 
-# Mesa's own anisotropic filter in software takes the nearest texel, which moves edges by up to a
-# pixel. There is no branch since in software both ways of one are always taken.
+# Mesa's software anisotropic filter takes the nearest texel, which moves edges by up to a pixel.
+# There is no branch, since Mesa's software always computes both sides.
 FRAGMENT = """#version 150
 uniform float exposure;
 uniform vec3 ambient;
@@ -153,7 +153,7 @@ LIGHTS
   drawn = vec4(((exposure * lit * colour.rgb + given_off) * paint.rgb).bgr, colour.a * paint.a);
 }
 """.replace("NEAREST", str(NEAREST)).replace("HALF_A_PIXEL", str(0.5 / LAMP_SIZE))
-# For both programs; the one hands out what the other takes in.
+# For both programs: outputs of the first are inputs of the second.
 DECLARED = """uniform vec3 LIGHT_diffuse, LIGHT_along, LIGHT_cone;
 uniform vec4 LIGHT_position, LIGHT_attenuation;
 INOUT float LIGHT_cosine;
@@ -163,7 +163,7 @@ uniform mat4 LIGHT_into_MAP;
 uniform float LIGHT_lift_MAP;
 INOUT vec4 LIGHT_in_MAP;
 """
-# What a surface takes of each kind of light, and what share of that a shadow map lets through.
+# The share of each kind of light that a surface gets, and the share that a shadow map lets through.
 LAMP = "lamp(n, LIGHT_position.xyz - place, LIGHT_attenuation)"
 CONE = "cone_share(place - LIGHT_position.xyz, LIGHT_along, LIGHT_cone)"
 TAKEN = {"directional": "LIGHT_cosine", "point": LAMP, "spot": f"{LAMP} * {CONE}"}
@@ -172,7 +172,7 @@ REACH = {
     "point": " * reach_around(LIGHT_MAP, place - LIGHT_position.xyz, LIGHT_lift_MAP * n)",
     "spot": " * reach(LIGHT_MAP, LIGHT_in_MAP)",
 }
-# What the triangles' colour is multiplied by.
+# The factor of the colour of triangles.
 PLAIN, TEXTURED, SLANTED = "plain", "textured", "slanted"
 PAINT = {
     PLAIN: "vec4(1.0)",
@@ -185,7 +185,7 @@ Lit = Tuple[str, Sequence[str]]
 
 
 def picture_programs(lights: Sequence[Lit], paint: str) -> Tuple[str, str]:
-    """Return the programs for corners and pixels of what is PLAIN, TEXTURED or also SLANTED.
+    """Return the programs for corners and pixels of PLAIN, TEXTURED or SLANTED surfaces.
 
     The uniforms of the lights are named `light<number>_…`.
     """
@@ -198,7 +198,7 @@ def picture_programs(lights: Sequence[Lit], paint: str) -> Tuple[str, str]:
 
 
 def _each(lights: Sequence[Lit], of_light: str, of_map: str, end: str = "") -> str:
-    """Return a text for each light, with one for each of its maps."""
+    """Return a text for each light, each with a text for each of its maps."""
     texts = ""
     for number, (kind, maps) in enumerate(lights):
         reach = of_map.replace("REACH", REACH[kind])

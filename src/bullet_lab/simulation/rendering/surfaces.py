@@ -1,7 +1,7 @@
-"""Shapes as triangles with normals, and with coordinates of the picture that may be on them.
+"""Make triangles of shapes, with normals and texture coordinates.
 
-Where a picture lies on boxes, cylinders, balls and planes is as in Gazebo, upright on the sides of
-boxes and not mirrored, upside down around cylinders.
+Texture coordinates are those of Gazebo: upright and not mirrored on boxes, upside down around
+cylinders.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from bullet_lab.simulation.world.description import (
     WHITE,
+    Appearance,
     Box,
     Colour,
     Cylinder,
@@ -25,13 +26,13 @@ from bullet_lab.simulation.world.description import (
     Texture,
     Visual,
 )
-from bullet_lab.simulation.world.mesh_parts import Look, Part, Report, mesh_parts
+from bullet_lab.simulation.world.mesh_parts import Part, Report, mesh_parts
 
 LOG = logging.getLogger(__name__)
 CYLINDER_SIDES = 48
-# Of a ball, from pole to pole and around.
+# The number of lines of a ball, from pole to pole and around.
 SPHERE_LINES = (18, 16)
-# Of a picture on a side of a box: what is to the right and up, by the side's axis and direction.
+# The directions right and up of a picture on a side of a box, by the side's axis and its sign.
 BOX_SIDES = {
     (0, 1): ((0, 1, 0), (0, 0, 1)),
     (0, -1): ((0, -1, 0), (0, 0, 1)),
@@ -50,24 +51,24 @@ class Surface:
         corners: (n, 3, 3) positions.
         normals: (n, 3, 3) unit normals at the corners.
         picture: (n, 3, 2) coordinates in a picture, from its lower left; None without any.
-        look: colour and material that it has of its own; None without.
-        colour: that light is scattered in.
-        glow: RGB that it gives off.
-        texture: on it, None without one.
+        look: colour and material in the file of a mesh; None without any.
+        colour: of scattered light.
+        glow: RGB of the light that it emits.
+        texture: its picture, or None.
     """
 
     corners: np.ndarray
     normals: np.ndarray
     picture: Optional[np.ndarray] = None
-    look: Optional[Look] = None
+    look: Optional[Appearance] = None
     colour: Colour = WHITE
     glow: Sequence[float] = (0.0, 0.0, 0.0)
     texture: Optional[Texture] = None
 
     def shown(self, visual: Visual, ambient: np.ndarray, report: Report) -> Surface:
-        """Return the same as a visual of a link shows it, in the link's frame.
+        """Return the surface with the look of a visual, in the link's frame.
 
-        `ambient` is the world's light, RGB; `report` is told what cannot be shown.
+        `ambient` is the world's light, RGB; `report` gets a line if the texture is left out.
         """
         turn = visual.pose.rotation_matrix()
         corners = self.corners @ turn.T + np.asarray(visual.pose.position)
@@ -77,7 +78,7 @@ class Surface:
             colour = (*rgb, alpha * colour[3])
         texture, picture = material.texture, self.picture
         if texture is not None and picture is None:
-            report(f"{texture.path}: lies on a mesh without picture coordinates; drawn without")
+            report(f"{texture.path}: the mesh has no texture coordinates; drawn without it")
             texture = None
         return replace(
             self,
@@ -90,7 +91,7 @@ class Surface:
         )
 
     def floats(self) -> np.ndarray:
-        """Return place, normal, colour, place in the picture and glow of corners, (3 n, 15)."""
+        """Return position, normal, colour, texture coordinates and glow of corners, (3 n, 15)."""
         shape = self.corners.shape[:2]
         colour, glow = (np.broadcast_to(c, (*shape, len(c))) for c in (self.colour, self.glow))
         picture = np.zeros((*shape, 2)) if self.picture is None else self.picture
@@ -99,7 +100,10 @@ class Surface:
 
 
 def _glow(colour: Colour, material: Material, ambient: np.ndarray) -> Tuple[float, ...]:
-    """Return what a surface gives off, with what is more than its colour in ambient light."""
+    """Return the light of a surface that does not depend on lamps.
+
+    That is what it emits, and what its ambient colour adds to its diffuse one in ambient light.
+    """
     if not material.lit:
         return colour[:3]
     glow = np.array(material.emissive[:3])
@@ -109,9 +113,9 @@ def _glow(colour: Colour, material: Material, ambient: np.ndarray) -> Tuple[floa
 
 
 def surfaces_of(geometry: Geometry, report: Report = LOG.warning) -> List[Surface]:
-    """Return what is seen of a shape; raises LabError for an unusable mesh.
+    """Return the surfaces of a shape; raise LabError for an unusable mesh.
 
-    `report` is told what is missing of it.
+    `report` gets a line for each missing file.
     """
     return SURFACES[type(geometry)](geometry, report)
 
@@ -136,7 +140,7 @@ def _cylinder(cylinder: Cylinder, _report: Report) -> List[Surface]:
         np.abs(surface.normals[..., 2:]) > 0.5, surface.normals, surface.corners * (1, 1, 0)
     )
     x, y, z = np.moveaxis(surface.corners, -1, 0)
-    # The middle of each end shows the picture's upper left corner, in Gazebo as well.
+    # As in Gazebo, the middle of each end shows the upper left corner of the picture.
     middle = np.hypot(x, y) < 0.5 * cylinder.radius
     turns = _turns(np.where(middle, np.nan, np.arctan2(x, y)))
     picture = np.stack((turns, 0.5 - z / cylinder.length), axis=2)
@@ -158,9 +162,9 @@ def _sphere(sphere: Sphere, _report: Report) -> List[Surface]:
 
 
 def _turns(angles: np.ndarray) -> np.ndarray:
-    """Return how far around corners (n, 3) are, at angles (rad), without a jump in a triangle.
+    """Return angles (rad) of corners (n, 3) as shares of a turn, without a jump in a triangle.
 
-    Corners without an angle, at poles, are in the middle between the others.
+    Corners at poles have no angle (NaN); they get the mean of the others.
     """
     turns = angles / (2.0 * np.pi) % 1.0
     turns = np.where(np.nanmax(turns, axis=1, keepdims=True) - turns > 0.5, turns + 1.0, turns)
@@ -183,22 +187,20 @@ def _mesh(mesh: Mesh, report: Report) -> List[Surface]:
 
 
 def _part(part: Part) -> Surface:
-    surface = flat(part.corners)
+    normals, picture, order = flat(part.corners).normals, part.picture, slice(None)
     if part.normals is not None:
-        # Where there is none, the triangle's own.
+        # A missing normal is replaced by that of the triangle.
         lengths = np.linalg.norm(part.normals, axis=-1, keepdims=True)
-        normals = _unit(np.where(lengths > 1e-9, part.normals, surface.normals))
-        outward = np.median(np.sum(surface.normals * normals, axis=-1))
-        surface = replace(surface, normals=normals)
-        if outward < 0.0:
-            # Mirrored, or wound the other way around: the normals know where outside is.
-            corners, normals = part.corners[:, ::-1], normals[:, ::-1]
-            picture = None if part.picture is None else part.picture[:, ::-1]
-            return Surface(corners, normals, picture, part.look)
-    return replace(surface, picture=part.picture, look=part.look)
+        given = _unit(np.where(lengths > 1e-9, part.normals, normals))
+        outward = np.median(np.sum(normals * given, axis=-1))
+        # Mirrored, or with the corners in the other order: the given normals point outwards.
+        order = slice(None, None, -1 if outward < 0.0 else 1)
+        normals = given[:, order]
+    picture = None if picture is None else picture[:, order]
+    return Surface(part.corners[:, order], normals, picture, part.look)
 
 
-# What makes surfaces of each shape.
+# The function that makes the surfaces of each shape.
 SURFACES: Dict[type, Callable[[Any, Report], List[Surface]]] = {
     Box: _box,
     Cylinder: _cylinder,
@@ -209,12 +211,12 @@ SURFACES: Dict[type, Callable[[Any, Report], List[Surface]]] = {
 
 
 def flat(corners: np.ndarray) -> Surface:
-    """Return triangles with the normal of each at its three corners."""
+    """Return triangles whose corners have the normal of the triangle."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return Surface(corners, np.repeat(_unit(normals)[:, None], 3, axis=1))
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
-    """Return vectors with length 1; up for those without any."""
+    """Return vectors with length 1; zero vectors become (0, 0, 1)."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(lengths > 0.0, vectors / np.where(lengths > 0.0, lengths, 1.0), (0.0, 0.0, 1.0))

@@ -1,1 +1,1 @@
-"""What a world and its models are, and the formats that say it: SDF, URDF, xacro, meshes."""
+"""Describe worlds and models, and read them from SDF, URDF, xacro and mesh files."""

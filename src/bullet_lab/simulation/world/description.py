@@ -1,7 +1,7 @@
-"""What a world and the models in it are made of, as plain data.
+"""Describe worlds and models as plain data.
 
-URDF and SDF are read into these classes; the physics, the pictures, the RViz markers and the saved
-world are made from them. Lengths are metres, masses kilograms, angles radians.
+URDF and SDF are read into these classes; physics, pictures, RViz markers and saved worlds are made
+from them. Lengths are metres, masses kilograms, angles radians.
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ Geometry = Union[Box, Cylinder, Sphere, Plane, Mesh]
 Colour = Tuple[float, float, float, float]
 
 WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
-# The link that joints to the world hang on; no document has one of its own with this name.
+# The parent link of joints to the world; no other link has this name.
 WORLD_LINK = "world"
-# Between the names of a model and of what is in it.
+# Between the name of a nested model and the names of its parts.
 SEPARATOR = "::"
+# The limits of a joint that are read.
+LIMITS = ("lower", "upper", "effort", "velocity")
 BLACK: Colour = (0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Texture:
-    """A picture that the colours of a surface are multiplied by.
+    """A picture by which the colours of a surface are multiplied.
 
-    Where it lies on the surface is said as in OGRE: `scale` sizes it about its middle, `scroll`
-    then shifts it by shares of its sides, and `rotation` (rad) turns it. Beyond its edges it
-    repeats, or its rim goes on. Where it `blends`, it lets through what is behind it. A `sharp`
-    one has square pixels from near by.
+    As in OGRE, `scale` sizes it about its middle, `scroll` then shifts it by shares of its sides,
+    and `rotation` (rad) turns it. Beyond its edges it `repeats`, or its border continues. Where it
+    `blends`, its alpha makes it transparent. A `sharp` one has square pixels from near by.
     """
 
     path: Path
@@ -47,10 +48,10 @@ class Texture:
     sharp: bool = False
 
     def coordinates(self, surface: np.ndarray) -> np.ndarray:
-        """Return the places in the picture, (…, 2) from its lower left, for those of a surface."""
+        """Return points in the picture, (…, 2) from its lower left, for points of a surface."""
         if (self.scale, self.scroll, self.rotation) == ((1.0, 1.0), (0.0, 0.0), 0.0):
             return surface
-        # OGRE counts downwards, from the upper left.
+        # In OGRE, the origin is the upper left.
         offset = ((surface - 0.5) * (1.0, -1.0)) / self.scale + self.scroll
         cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
         return 0.5 + (offset @ np.array(((cosine, sine), (-sine, cosine)))) * (1.0, -1.0)
@@ -58,16 +59,16 @@ class Texture:
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface looks, beside the colour that it shows in the light of lamps.
+    """How a surface looks, apart from its diffuse colour.
 
     Attributes:
-        ambient: its colour in ambient light; None for the same.
-        emissive: what it shows without any light.
-        texture: on it, if there is one.
-        lit: whether light counts; where not, the colour is seen as it is.
-        covers: whether it covers what a mesh has of its own: colours, textures.
-        name: in scripts of OGRE's; empty without one.
-        scripts: where that is defined, as was said and as it was found.
+        ambient: its colour in ambient light; None for the diffuse one.
+        emissive: the light that it emits.
+        texture: its picture, or None.
+        lit: whether light matters; otherwise its colour is shown as it is.
+        covers: whether it replaces the colours and textures of a mesh file.
+        name: in OGRE's scripts; empty without one.
+        scripts: where it is defined: the URI in the document, and the path.
     """
 
     ambient: Optional[Colour] = None
@@ -79,9 +80,13 @@ class Material:
     scripts: Tuple[Tuple[str, Path], ...] = ()
 
 
+# The diffuse colour of a surface, and the rest of its look.
+Appearance = Tuple[Colour, Material]
+
+
 @dataclass(frozen=True)
 class Visual:
-    """A shape to be seen; `pose` is in the link's frame, `colour` RGBA within [0, 1]."""
+    """A visible shape; `pose` is in the link's frame, `colour` RGBA within [0, 1]."""
 
     geometry: Geometry
     pose: Pose = Pose()
@@ -93,11 +98,11 @@ class Visual:
 
 @dataclass(frozen=True)
 class Collision:
-    """A shape that touches others; `friction` is Coulomb's coefficient.
+    """A shape with contacts; `friction` is Coulomb's coefficient.
 
-    With a `direction`, a unit vector in the shape's own axes, it is the coefficient along it, and
-    `cross_friction` that across it. `stiffness` (N/m) and `damping` (N s/m) make its contacts
-    springs; None for hard ones.
+    With a `direction`, a unit vector in the shape's axes, it is the coefficient along that, and
+    `cross_friction` the one across. `stiffness` (N/m) and `damping` (N s/m) make contacts soft;
+    None for hard ones.
     """
 
     geometry: Geometry
@@ -132,9 +137,8 @@ class Inertia:
 class Link:
     """A rigid part; `pose` is in the model's frame with all joints at zero.
 
-    `self_collide` says whether it touches other links of its model; neighbours in the tree of
-    joints never touch. One that is `anchored` is fixed to the world. `gravity` tells whether
-    gravity pulls it.
+    With `self_collide`, it collides with other links of its model, but never with its neighbours in
+    the tree of joints. An `anchored` link is fixed to the world. Without `gravity`, it floats.
     """
 
     name: str
@@ -151,7 +155,7 @@ class Link:
 class Joint:
     """A joint; `pose` of the child's frame in the parent's, `axis` in the child's frame.
 
-    The axis goes through the place `anchor` (m) in the child's frame.
+    The axis goes through the point `anchor` (m) in the child's frame.
     """
 
     name: str
@@ -168,11 +172,11 @@ class Joint:
 
 @dataclass(frozen=True)
 class PluginTag:
-    """A `<plugin>` tag; `link` names the link that it refers to, if any.
+    """A `<plugin>` tag; `link` is the name of its link, if any.
 
     `tags` holds the text of each child by tag name; `sensor` is the `<sensor>` element around
-    the plugin, if there is one. `element` is the tag itself, as it was read. `scope` stands before
-    the names of links and joints that its tags say: that of the nested model it is in, with `::`.
+    the plugin, or None. `element` is the tag as it was read. `scope` is the name of the nested
+    model that it is in, with `::`: it comes before names of links and joints in the tags.
     """
 
     filename: str
@@ -186,9 +190,9 @@ class PluginTag:
 
 @dataclass(frozen=True)
 class Model:
-    """A robot or a thing; the pose is that of the model's frame in the world.
+    """A robot or an object; the pose is that of the model's frame in the world.
 
-    `frames` gives, for each frame that was merged into another link, that link's name and the
+    `frames` gives, for each frame that was merged into another link, the name of that link and the
     pose of the frame in it.
     """
 
@@ -201,21 +205,21 @@ class Model:
     frames: Mapping[str, Tuple[str, Pose]] = field(default_factory=dict)
 
     def root_links(self) -> Tuple[Link, ...]:
-        """Return the links that are no joint's child."""
+        """Return the links that are the child of no joint."""
         children = {joint.child for joint in self.joints}
         return tuple(link for link in self.links if link.name not in children)
 
     def canonical_link(self) -> Link:
-        """Return the link whose motion is the model's: its first root, or what hangs there."""
+        """Return the link that moves the model: its first root, or the first child of the world."""
         root = self.root_links()[0]
-        # The world's own link is the last of all.
+        # WORLD_LINK is the last link.
         if root.name != WORLD_LINK:
             return root
         hanging = {joint.child for joint in self.joints if joint.parent == WORLD_LINK}
         return next(link for link in self.links if link.name in hanging)
 
     def own_links(self) -> Tuple[Link, ...]:
-        """Return the links less the world's own, which carries those that move on it."""
+        """Return the links without WORLD_LINK, which carries links that move on the world."""
         return tuple(link for link in self.links if link.name != WORLD_LINK)
 
     def links_by_name(self) -> Dict[str, Link]:
@@ -225,42 +229,32 @@ class Model:
 
 @dataclass(frozen=True)
 class Attenuation:
-    """How a light fades: to 1 / (constant + linear d + quadratic d²), and to nothing at `range`."""
+    """A light's share 1 / (constant + linear d + quadratic d²), at most 1; 0 beyond `range`."""
 
     range: float = 10.0
     constant: float = 1.0
     linear: float = 0.0
     quadratic: float = 0.0
 
-    def at(self, distances: np.ndarray) -> np.ndarray:
-        """Return what is left at distances in metres, 1 at most."""
-        fading = self.constant + distances * (self.linear + distances * self.quadratic)
-        return np.where(distances > self.range, 0.0, 1.0 / np.maximum(1.0, fading))
-
 
 @dataclass(frozen=True)
 class Cone:
-    """What a spot lights: all within the inner angle (rad, whole opening), none beyond the outer.
+    """The cone of a spot: full light within the inner angle, none beyond the outer.
 
-    In between it fades with the power `falloff` of the share of the way, as in OGRE.
+    Angles are whole openings in rad. In between, the share of the cosine is raised to the power
+    `falloff`, as in OGRE.
     """
 
     inner: float = 0.0
     outer: float = math.pi
     falloff: float = 1.0
 
-    def at(self, cosines: np.ndarray) -> np.ndarray:
-        """Return what is left in directions given by their cosine with the spot's axis."""
-        inside, outside = math.cos(0.5 * self.inner), math.cos(0.5 * self.outer)
-        share = (cosines - outside) / max(1e-9, inside - outside)
-        return np.clip(share, 0.0, 1.0) ** self.falloff
-
 
 @dataclass(frozen=True)
 class Light:
     """A light: `kind` is point, directional or spot; `direction` in the frame of `pose`.
 
-    `attenuation` counts for point and spot, `cone` for spot.
+    `attenuation` is for point and spot lights, `cone` for spots.
     """
 
     name: str
@@ -284,7 +278,7 @@ class FrameState:
 
 @dataclass(frozen=True)
 class ModelState:
-    """Where a model and its links are in the world.
+    """The pose of a model and the states of its links in the world.
 
     `joints` holds position (rad or m) and velocity of the movable joints.
     """
@@ -296,9 +290,9 @@ class ModelState:
 
 @dataclass(frozen=True)
 class World:
-    """All that a world file holds; gravity in m/s², ambient light and background as RGBA.
+    """A world file; gravity in m/s², ambient light and background as RGBA.
 
-    `states` says of models by name where their parts are, where this is not as they are built.
+    `states` holds saved states of models by name, if they are not as built.
     """
 
     name: str
@@ -313,7 +307,7 @@ class World:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A world at a step: its models, and where all their parts are."""
+    """A world at a step: its models and their states."""
 
     world: World
     step: int

@@ -1,4 +1,4 @@
-"""The floor plan of a world: what stands on it, seen from above."""
+"""Make the floor plan of a world: the boxes on it, from above."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from bullet_lab.simulation.world.description import World
 Point = Tuple[float, float]
 
 _CORNERS = ((0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5))
-# A box that leans more than this (rad) has no rectangle as its plan.
+# The footprint of a box that leans more than this (rad) is no rectangle.
 _UPRIGHT = 1e-3
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """A standing box of the model `name` from above.
+    """An upright box of the model `name` from above.
 
-    `centre` is x, y in the world, `yaw` (rad) that of its sides, `size` along its own x and y,
-    `bottom` and `top` its lowest and highest point; all in m.
+    `centre` is x, y in the world, `yaw` that of its sides (rad), `size` along its own x and y,
+    `bottom` and `top` are the heights of its ends; all in m.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Footprint:
         )
 
     def distance(self, point: Point) -> float:
-        """Return how far a point is from it in m, 0 inside."""
+        """Return the distance of a point in m, 0 inside."""
         dx, dy = point[0] - self.centre[0], point[1] - self.centre[1]
         cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
         beside = abs(cosine * dx + sine * dy) - 0.5 * self.size[0]
@@ -49,11 +49,11 @@ class Footprint:
 
 
 def footprints(world: World, below: float = math.inf) -> Tuple[Footprint, ...]:
-    """Return the boxes in a world that something could run into.
+    """Return the upright boxes of static models, which a robot could hit.
 
     Args:
-        world: its static models count; their shapes other than boxes, and leaning boxes, do not.
-        below: m; what begins above this height is left out.
+        world: the world; shapes other than boxes, and leaning boxes, are left out.
+        below: m; boxes that begin above this height are left out.
     """
     found: List[Footprint] = []
     static = [model for model in world.models if model.static]

@@ -1,21 +1,20 @@
-"""Mass and inertia of rigid bodies, and what is out of all proportion for the engine."""
+"""Compute masses and inertias of rigid bodies."""
 
 from __future__ import annotations
 
-from itertools import chain
-from typing import Iterable, Iterator, Sequence, Tuple
+from typing import Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector
-from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import Inertia, Model
+from bullet_lab.simulation.world.description import Inertia
 
 INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-# In m, m/s and rad/s: no robot of a lab is so far away, or so fast.
+# The limits of simulated models: m.
 FARTHEST = 1e6
+# m/s and rad/s.
 FASTEST = 1e6
-# In kg.
+# kg.
 HEAVIEST = 1e12
 
 
@@ -31,10 +30,10 @@ def matrix_from_elements(
 
 
 def inertia_at(pose: Pose, mass: float, elements: Sequence[float]) -> Inertia:
-    """Return an inertia that a document gives in a frame of its own.
+    """Return the inertia of a link from that in another frame.
 
     Args:
-        pose: of that frame in the link's; its origin is the centre of mass.
+        pose: of that frame in the link's frame; its origin is the centre of mass.
         mass: kg.
         elements: in kg m², in the order of INERTIA_KEYS.
     """
@@ -43,7 +42,7 @@ def inertia_at(pose: Pose, mass: float, elements: Sequence[float]) -> Inertia:
 
 
 def combine(parts: Sequence[Tuple[Inertia, Pose]]) -> Inertia:
-    """Return the inertia of bodies that are fixed to each other, by the parallel axis theorem.
+    """Return the inertia of bodies fixed to each other, by the parallel axis theorem.
 
     `parts` holds each body's inertia and the pose of its frame in the common one.
 
@@ -78,7 +77,7 @@ def mobility(inertia: Inertia, axis: Vector, turning: bool) -> float:
 def principal_axes(inertia: Inertia) -> Tuple[Tuple[float, float, float], Pose]:
     """Return the principal moments and the pose of the principal frame in the link's frame.
 
-    An inertia that is diagonal already keeps the axes of the link.
+    A diagonal inertia keeps the axes of the link.
     """
     matrix = inertia.matrix
     off_diagonal = matrix - np.diag(np.diag(matrix))
@@ -88,37 +87,3 @@ def principal_axes(inertia: Inertia) -> Tuple[Tuple[float, float, float], Pose]:
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] = -axes[:, 0]
     return tuple(float(value) for value in moments), Pose.from_matrix(inertia.centre, axes)
-
-
-class ProportionError(LabError):
-    """Something is out of all proportion."""
-
-
-def check_proportions(model: Model) -> None:
-    """Refuse a model with a part that is absurdly far away, large or heavy.
-
-    Raises:
-        ProportionError: there is one; the message says which.
-    """
-    for what, values, limit in _measures(model):
-        for value in values:
-            # Not finite is out of proportion, too.
-            if not abs(value) <= limit:
-                said = f"{what}: {value:g} is out of all proportion"
-                raise ProportionError(f"model '{model.name}': {said}")
-
-
-def _measures(model: Model) -> Iterator[Tuple[str, Iterable[float], float]]:
-    yield "pose", model.pose.position, FARTHEST
-    for link in model.links:
-        where = f"link '{link.name}'"
-        yield f"{where}: pose", link.pose.position, FARTHEST
-        if link.inertia is not None:
-            yield f"{where}: mass", (link.inertia.mass,), HEAVIEST
-            yield f"{where}: centre of mass", link.inertia.centre, FARTHEST
-            yield f"{where}: inertia", link.inertia.matrix.flat, HEAVIEST * FARTHEST
-        for shape in (*link.visuals, *link.collisions):
-            yield f"{where}: pose of a shape", shape.pose.position, FARTHEST
-            yield f"{where}: size of a shape", chain(*shape.geometry.measures().values()), FARTHEST
-    for joint in model.joints:
-        yield f"joint '{joint.name}': pose", joint.pose.position, FARTHEST

@@ -1,7 +1,7 @@
-"""What is seen of mesh files: triangles with normals, colours and the pictures on them.
+"""Read what is visible of mesh files: triangles with normals, colours and pictures.
 
-Pictures and the .mtl of an .obj are looked for as Gazebo does; what is missing is named and drawn
-without, and a mesh is never refused for it.
+Pictures and the .mtl of an .obj are searched where Gazebo searches them. Missing ones are reported;
+the mesh is drawn without them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,14 @@ from urllib.parse import unquote
 import numpy as np
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import WHITE, Colour, Material, Mesh, Texture
+from bullet_lab.simulation.world.description import (
+    WHITE,
+    Appearance,
+    Colour,
+    Material,
+    Mesh,
+    Texture,
+)
 from bullet_lab.simulation.world.meshes import (
     MeshError,
     collada_triangles,
@@ -27,15 +34,15 @@ from bullet_lab.simulation.world.meshes import (
     middle_of,
     read_bytes,
     read_scene,
+    readable,
 )
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 
 LOG = logging.getLogger(__name__)
-# What tells that a file has materials of its own, and faces that name their normals.
+# The word by which a file with own materials is recognised.
 OWN_LOOKS = {".obj": b"usemtl", ".dae": b"instance_material"}
 FACE_WITH_NORMALS = re.compile(rb"^\s*f\s+-?\d+/-?\d*/-?\d", re.MULTILINE)
 
-Look = Tuple[Colour, Material]
 Report = Callable[[str], None]
 
 
@@ -53,26 +60,38 @@ class Part:
     corners: np.ndarray
     normals: Optional[np.ndarray] = None
     picture: Optional[np.ndarray] = None
-    look: Optional[Look] = None
+    look: Optional[Appearance] = None
 
 
 def mesh_parts(mesh: Mesh, report: Report = LOG.warning) -> List[Part]:
-    """Return what is seen of a mesh with its scale applied; raises as `load_triangles`.
+    """Return the parts of a scaled mesh; `report` gets a line for each missing file.
 
-    `report` is told what is missing, each a line.
+    Raises as `load_triangles`.
     """
-    # What is wrong with it is said there.
+    # Checks the mesh.
     triangles = load_triangles(mesh)
-    if mesh.path.suffix.lower() == ".stl":
-        order = -1 if np.prod(mesh.scale) < 0.0 else 1
-        return [Part(triangles.vertices[triangles.faces[:, ::order]])]
-    parts = _read(mesh, report)
-    middle = middle_of([part.corners for part in parts], mesh)
-    return [_scaled(part, mesh, middle) for part in parts]
+    # Mirrored triangles are turned over, so that they still face outwards.
+    order = slice(None, None, -1 if np.prod(mesh.scale) < 0.0 else 1)
+    suffix = mesh.path.suffix.lower()
+    if suffix == ".stl":
+        return [Part(triangles.vertices[triangles.faces[:, order]])]
+    read = _collada_parts if suffix == ".dae" else _wavefront_parts
+    with readable(mesh.path):
+        parts = list(read(mesh, report))
+    middle, scale = middle_of([part.corners for part in parts], mesh), np.asarray(mesh.scale)
+    return [
+        replace(
+            part,
+            corners=((part.corners - middle) * scale)[:, order],
+            normals=None if part.normals is None else (part.normals / scale)[:, order],
+            picture=None if part.picture is None else part.picture[:, order],
+        )
+        for part in parts
+    ]
 
 
 def has_own_looks(mesh: Mesh) -> bool:
-    """Return whether a mesh brings materials of its own; not if it cannot be read."""
+    """Return whether a mesh file has its own materials; False if it is unreadable."""
     return _has_own_looks(mesh.path, file_version(mesh))
 
 
@@ -85,29 +104,6 @@ def _has_own_looks(path: Path, _version: Tuple[int, int]) -> bool:
         return False
 
 
-def _read(mesh: Mesh, report: Report) -> List[Part]:
-    read = _collada_parts if mesh.path.suffix.lower() == ".dae" else _wavefront_parts
-    try:
-        return list(read(mesh, report))
-    except LabError:
-        raise
-    except Exception as error:
-        raise MeshError(f"{mesh.path}: not a readable mesh: {error}") from error
-
-
-def _scaled(part: Part, mesh: Mesh, middle: np.ndarray) -> Part:
-    scale = np.asarray(mesh.scale)
-    # Mirrored triangles are turned over, so that they still look outward.
-    order = slice(None, None, -1 if np.prod(scale) < 0.0 else 1)
-    normals, picture = part.normals, part.picture
-    return replace(
-        part,
-        corners=((part.corners - middle) * scale)[:, order],
-        normals=None if normals is None else (normals / scale)[:, order],
-        picture=None if picture is None else picture[:, order],
-    )
-
-
 def _collada_parts(mesh: Mesh, report: Report) -> Iterator[Part]:
     metres, sets = collada_triangles(mesh)
     for part in sets:
@@ -116,15 +112,15 @@ def _collada_parts(mesh: Mesh, report: Report) -> Iterator[Part]:
         if part.normal is not None and len(part.normal):
             normals = np.asarray(part.normal, float)[part.normal_index]
         if part.texcoordset:
-            # Gazebo, too, takes the first of several.
+            # As in Gazebo, the first of several.
             picture = np.asarray(part.texcoordset[0], float)[part.texcoord_indexset[0]][..., :2]
         effect = getattr(part.material, "effect", None)
         look = None if effect is None else _effect_look(effect, mesh.path, report)
         yield Part(corners, normals, picture, look)
 
 
-def _effect_look(effect: Any, path: Path, report: Report) -> Look:
-    """Return how a material of COLLADA looks."""
+def _effect_look(effect: Any, path: Path, report: Report) -> Appearance:
+    """Return the look of a COLLADA material."""
     texture, diffuse = None, _rgb(effect.diffuse)
     sampler = getattr(effect.diffuse, "sampler", None)
     if sampler is not None:
@@ -135,31 +131,31 @@ def _effect_look(effect: Any, path: Path, report: Report) -> Look:
         opacity = share * float(effect.transparency)
         if str(getattr(effect, "opaque_mode", "")).endswith("RGB_ZERO"):
             opacity = 1.0 - np.mean(effect.transparent[:3]) * float(effect.transparency)
-    # Nobody ships what is not seen: that is an exporter's mistake.
+    # An invisible material is a mistake of the exporter.
     opacity = opacity if 0.0 < opacity <= 1.0 else 1.0
     rest = Material(_rgb(effect.ambient), _rgb(effect.emission) or Material.emissive, texture)
     return (*(diffuse or WHITE)[:3], opacity), rest
 
 
 def _rgb(value: Any) -> Optional[Colour]:
-    """Return a colour of COLLADA; None if there is none, or a picture."""
+    """Return a COLLADA colour; None for a missing one or a picture."""
     if not isinstance(value, tuple) or len(value) < 3:
         return None
     return (*np.clip(value[:3], 0.0, 1.0).tolist(), 1.0)
 
 
 class _Materials:
-    """Gives trimesh the .mtl files that an .obj names, and remembers what they say.
+    """Gives trimesh the .mtl files that an .obj names, and keeps the looks in them.
 
-    trimesh only gets the names in it: that is enough to tell the parts of a mesh apart.
+    trimesh only gets the names of materials, which is enough to separate the parts of a mesh.
     """
 
     def __init__(self, path: Path, report: Report):
         self._path, self._report = path, report
-        self.looks: Dict[str, Look] = {}
+        self.looks: Dict[str, Appearance] = {}
 
     def __getitem__(self, name: str) -> str:
-        """Return a material file; many meshes name one that nobody has."""
+        """Return a material file; many meshes name one that does not exist."""
         file = self._path.parent / name
         if not os.path.exists(file):
             raise FileNotFoundError(name)
@@ -167,10 +163,10 @@ class _Materials:
             file = _find(name, self._path)
             text = read_bytes(file).decode("utf-8", errors="replace")
         except LabError as error:
-            self._report(f"{error}; drawn without")
+            self._report(f"{error}; drawn without it")
             raise FileNotFoundError(name) from error
-        for material, said in _statements(text).items():
-            self.looks[material] = _wavefront_look(said, file, self._report)
+        for material, statements in _statements(text).items():
+            self.looks[material] = _wavefront_look(statements, file, self._report)
         return "".join(f"newmtl {material}\n" for material in self.looks)
 
     def get(self, name: str) -> bytes:
@@ -188,32 +184,40 @@ def _wavefront_parts(mesh: Mesh, report: Report) -> Iterator[Part]:
             part.vertices[part.faces],
             part.vertex_normals[part.faces] if smooth else None,
             None if uv is None else uv[part.faces][..., :2],
-            # Where a material is not known, trimesh makes one up, without a name.
+            # trimesh replaces an unknown material by one without a name.
             materials.looks.get(getattr(material, "name", None)),
         )
 
 
 def _statements(text: str) -> Dict[str, Dict[str, str]]:
-    """Return what a .mtl says of each of its materials, by the first words of the lines."""
+    """Return the lines of each material in a .mtl by their first words."""
     found: Dict[str, Dict[str, str]] = {}
-    said: Dict[str, str] = {}
+    statements: Dict[str, str] = {}
     for line in text.splitlines():
         word, _, rest = line.strip().partition(" ")
         if word == "newmtl":
-            said = found.setdefault(rest.strip(), {})
+            statements = found.setdefault(rest.strip(), {})
         elif word and not word.startswith("#"):
-            said[word] = rest.strip()
+            statements[word] = rest.strip()
     return found
 
 
-def _wavefront_look(said: Dict[str, str], path: Path, report: Report) -> Look:
-    """Return how a material of a .mtl file looks."""
-    diffuse, ambient, emissive = (_numbers(said.get(key, ""), 3) for key in ("Kd", "Ka", "Ke"))
-    alpha, through = _numbers(said.get("d", ""), 1), _numbers(said.get("Tr", ""), 1)
-    opacity = alpha[0] if alpha else 1.0 - through[0] if through else 1.0
-    name, texture = said.get("map_Kd", ""), None
+def _wavefront_look(statements: Dict[str, str], path: Path, report: Report) -> Appearance:
+    """Return the look of a material in a .mtl file."""
+    def numbers(key: str, count: int) -> Sequence[float]:
+        """Return numbers within [0, 1]; empty unless there are as many."""
+        try:
+            words = statements.get(key, "").split()
+            found = [min(max(float(word), 0.0), 1.0) for word in words]
+        except ValueError:
+            return []
+        return found if len(found) == count else []
+
+    diffuse, ambient, emissive = numbers("Kd", 3), numbers("Ka", 3), numbers("Ke", 3)
+    (opacity,) = numbers("d", 1) or [1.0 - share for share in numbers("Tr", 1)] or [1.0]
+    name, texture = statements.get("map_Kd", ""), None
     if name:
-        # Options such as "-s 1 1 1" may stand before its name.
+        # Options such as "-s 1 1 1" may stand before the name.
         texture = _texture(name.split()[-1] if name.startswith("-") else name, path, report)
     rest = Material(
         (*ambient, 1.0) if ambient else None,
@@ -223,31 +227,22 @@ def _wavefront_look(said: Dict[str, str], path: Path, report: Report) -> Look:
     return (*(diffuse or WHITE[:3]), opacity if opacity > 0.0 else 1.0), rest
 
 
-def _numbers(text: str, count: int) -> Optional[Sequence[float]]:
-    """Return numbers within [0, 1]; None where there are not as many."""
-    try:
-        found = [min(max(float(word), 0.0), 1.0) for word in text.split()]
-    except ValueError:
-        return None
-    return found if len(found) == count else None
-
-
 def _texture(name: str, user: Path, report: Report) -> Optional[Texture]:
     try:
         return Texture(_find(name, user))
     except ResourceError as error:
-        report(f"{error}; drawn without")
+        report(f"{error}; drawn without it")
         return None
 
 
 def _find(name: str, user: Path) -> Path:
     """Return a file that another one names, within its Gazebo model or ROS package.
 
-    It lies where the name leads to from there, or in the model's textures.
+    It is at the path from the other file, or in the model's textures.
     """
     folder, name = user.parent, unquote(name.replace("\\", "/"))
     marks = ("model.config", "package.xml")
-    # A model may lie in a package, whose files it may use.
+    # A model in a package may use the files of the package.
     holders = [f for f in user.parents if any((f / mark).is_file() for mark in marks)] or [folder]
     root = holders[0]
     outer = next((f for f in holders if (f / "package.xml").is_file()), root)

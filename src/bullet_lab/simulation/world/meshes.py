@@ -1,11 +1,12 @@
-"""Mesh files as triangles and as what PyBullet takes.
+"""Read mesh files as triangles, and cut them into pieces that PyBullet accepts.
 
-COLLADA is read with pycollada itself: trimesh would pass over its unit and over what is broken in
-it, and costs 0.3 s to import, which only worlds with .stl and .obj files pay.
+COLLADA files are read with pycollada. trimesh would ignore their unit and their mistakes, and takes
+0.3 s to import; only worlds with .stl and .obj files need it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import logging
 import re
@@ -25,13 +26,13 @@ LOG = logging.getLogger(__name__)
 
 KNOWN_SUFFIXES = (".dae", ".stl", ".obj")
 MAXIMUM_BYTES = 200_000_000
-# Meshes that are kept as they were read, since many models may share one.
+# Meshes that are kept in memory, since many models may share one.
 CACHED_MESHES = 16
-# PyBullet takes so many corners in one call.
+# PyBullet accepts so many corners in one call.
 MOST_CORNERS = 131_072
-# That corners of a larger convex hull are looked for in.
+# The directions in which corners of a large convex hull are searched.
 DIRECTIONS = 4096
-# Faces of an .obj with indices that count back, or with four corners that are more than places.
+# Faces of an .obj that have negative indices, or at least four corners with textures or normals.
 ODD_FACE = re.compile(rb"^\s*f(\s[^#\n]*-|([ \t]+\d*/\S*){4})", re.MULTILINE)
 UNUSABLE_NUMBER = re.compile(r"nan|inf", re.IGNORECASE)
 COLLADA = "{http://www.collada.org/2005/11/COLLADASchema}"
@@ -42,9 +43,10 @@ class MeshError(LabError):
 
 
 class MeshFile(Protocol):
-    """What names a mesh: its file, three factors for the coordinates in it, and which part of it.
+    """A mesh: its file, three factors for its coordinates, and the part of it that is used.
 
-    With a name, that is the part of this name, with its middle at the origin if it is centred.
+    Without the name of a `submesh`, all of it is used. A `centred` part has its middle at the
+    origin.
     """
 
     path: Path
@@ -55,17 +57,28 @@ class MeshFile(Protocol):
 
 @dataclass(frozen=True)
 class Triangles:
-    """A triangle mesh: `vertices` (n, 3) in metres, `faces` (m, 3) indices into them."""
+    """A triangle mesh: `vertices` (n, 3) in metres, `faces` (m, 3) indices of vertices."""
 
     vertices: np.ndarray
     faces: np.ndarray
 
 
-def load_triangles(mesh: MeshFile) -> Triangles:
-    """Read a mesh with all transforms of its file and the description's scale applied.
+@contextlib.contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Raise MeshError for any error of a library that reads a malformed mesh file."""
+    try:
+        yield
+    except LabError:
+        raise
+    except Exception as error:
+        raise MeshError(f"{path}: not a readable mesh: {error}") from error
 
-    The transforms matter: the `<matrix>` of a COLLADA node is where Blender writes the size.
-    So does the length of its `<unit>`; as in Gazebo, its `<up_axis>` does not.
+
+def load_triangles(mesh: MeshFile) -> Triangles:
+    """Read a mesh, with the transforms of its file and the scale of the description applied.
+
+    The transforms matter: Blender writes the size into the `<matrix>` of a COLLADA node. So does
+    the `<unit>` of a COLLADA file. As in Gazebo, its `<up_axis>` does not.
 
     Raises:
         MeshError: unknown kind of file, too large, malformed, empty, or with coordinates that
@@ -76,7 +89,7 @@ def load_triangles(mesh: MeshFile) -> Triangles:
 
 
 def file_version(mesh: MeshFile) -> Tuple[int, int]:
-    """Return what changes when the file of a mesh does: its time (ns) and its size (bytes)."""
+    """Return the time (ns) and the size (bytes) of a file, which differ when it has changed."""
     try:
         found = mesh.path.stat()
     except OSError:
@@ -86,33 +99,49 @@ def file_version(mesh: MeshFile) -> Tuple[int, int]:
 
 @functools.lru_cache(maxsize=CACHED_MESHES)
 def _load(mesh: MeshFile, _version: Tuple[int, int]) -> Triangles:
-    suffix = mesh.path.suffix.lower()
-    if suffix not in KNOWN_SUFFIXES:
-        raise MeshError(f"{mesh.path}: a mesh is one of {', '.join(KNOWN_SUFFIXES)}")
-    vertices, faces = _read(mesh, suffix)
+    path = mesh.path
+    if path.suffix.lower() not in KNOWN_SUFFIXES:
+        raise MeshError(f"{path}: unknown kind of mesh; use {', '.join(KNOWN_SUFFIXES)}")
+    with readable(path):
+        vertices, faces = _read(mesh)
     if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise MeshError(f"{mesh.path}: a corner has three coordinates")
+        raise MeshError(f"{path}: a corner needs three coordinates")
     vertices = (vertices - middle_of([vertices], mesh)) * np.asarray(mesh.scale)
     if len(faces) == 0 or not np.isfinite(vertices).all():
-        raise MeshError(f"{mesh.path}: no triangles with finite corners")
+        raise MeshError(f"{path}: no triangles with finite corners")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise MeshError(f"{mesh.path}: a triangle names a corner that is not there")
-    for array in (vertices, faces):
-        # Others get the same arrays.
-        array.setflags(write=False)
+        raise MeshError(f"{path}: a triangle has an unknown corner")
+    # Callers share these arrays.
+    vertices.setflags(write=False)
+    faces.setflags(write=False)
     return Triangles(vertices, faces)
 
 
+def _read(mesh: MeshFile) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the unscaled vertices of a mesh and the indices of its triangles."""
+    if mesh.path.suffix.lower() != ".dae":
+        scene = read_scene(mesh)
+        merged = scene.to_geometry() if hasattr(scene, "to_geometry") else scene.dump(True)
+        return np.asarray(merged.vertices, dtype=float), np.asarray(merged.faces, dtype=int)
+    metres, sets = collada_triangles(mesh)
+    vertices = [np.zeros((0, 3)), *(np.asarray(s.vertex, float) for s in sets)]
+    faces, count = [np.zeros((0, 3), dtype=int)], 0
+    for part in sets:
+        faces.append(np.asarray(part.vertex_index, int) + count)
+        count += len(part.vertex)
+    return metres * np.concatenate(vertices), np.concatenate(faces)
+
+
 def middle_of(parts: Sequence[np.ndarray], mesh: MeshFile) -> np.ndarray:
-    """Return what of the places (…, 3) in a mesh is to be at its origin, unscaled."""
+    """Return the point, among the points (…, 3) of an unscaled mesh, that becomes its origin."""
     if not (mesh.submesh and mesh.centred and any(map(len, parts))):
         return np.zeros(3)
-    places = np.concatenate([part.reshape(-1, 3) for part in parts])
-    return 0.5 * (places.min(axis=0) + places.max(axis=0))
+    points = np.concatenate([part.reshape(-1, 3) for part in parts])
+    return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
 def mesh_bounds(mesh: MeshFile) -> np.ndarray:
-    """Return the least and the greatest corner of a mesh, shape (2, 3); raises as it is read."""
+    """Return the least and the greatest corner, shape (2, 3); raise as `load_triangles`."""
     return _bounds(mesh, file_version(mesh))
 
 
@@ -125,23 +154,23 @@ def _bounds(mesh: MeshFile, _version: Tuple[int, int]) -> np.ndarray:
 
 
 def hull_corners(mesh: MeshFile) -> np.ndarray:
-    """Return corners (n, 3) that have the same convex hull as a mesh, as many as Bullet takes.
+    """Return at most MOST_CORNERS corners (n, 3) with the same convex hull as a mesh.
 
-    Bullet itself drops those within the hull. Of a mesh with too many, those stay that are
-    farthest in one of many directions, which is the same to a thousandth of its size. Raises as
+    Bullet itself drops corners inside the hull. Of a larger mesh, the farthest corner in each of
+    many directions is kept: the hull is the same to a thousandth of its size. Raises as
     `load_triangles`.
     """
     corners = np.unique(load_triangles(mesh).vertices, axis=0)
     if len(corners) <= MOST_CORNERS:
         return corners
     spans = np.ptp(corners, axis=0)
-    round_ = (corners / np.where(spans > 0.0, spans, 1.0)).T
+    normalised = (corners / np.where(spans > 0.0, spans, 1.0)).T
     blocks = np.array_split(_directions(), DIRECTIONS // 32)
-    return corners[np.unique([np.argmax(block @ round_, axis=1) for block in blocks])]
+    return corners[np.unique([np.argmax(block @ normalised, axis=1) for block in blocks])]
 
 
 def triangle_corners(mesh: MeshFile) -> List[np.ndarray]:
-    """Return a mesh in pieces that Bullet takes: corners (n, 3), three for each triangle."""
+    """Return a mesh in pieces for PyBullet: corners (n, 3), three for each triangle."""
     triangles = load_triangles(mesh)
     corners = triangles.vertices[triangles.faces.ravel()]
     piece = MOST_CORNERS // 3 * 3
@@ -149,81 +178,63 @@ def triangle_corners(mesh: MeshFile) -> List[np.ndarray]:
 
 
 def _directions() -> np.ndarray:
-    """Return unit vectors that are spread evenly, shape (DIRECTIONS, 3): Fibonacci's sphere."""
+    """Return evenly spread unit vectors, shape (DIRECTIONS, 3): a Fibonacci sphere."""
     number = np.arange(DIRECTIONS) + 0.5
     height, turn = 1.0 - 2.0 * number / DIRECTIONS, number * np.pi * (3.0 - np.sqrt(5.0))
     level = np.sqrt(1.0 - height * height)
     return np.column_stack((level * np.cos(turn), level * np.sin(turn), height))
 
 
-def _read(mesh: MeshFile, suffix: str) -> Tuple[np.ndarray, np.ndarray]:
-    path = mesh.path
-    try:
-        if suffix == ".dae":
-            return _read_collada(mesh)
-        scene = read_scene(mesh)
-        merged = scene.to_geometry() if hasattr(scene, "to_geometry") else scene.dump(True)
-        return np.asarray(merged.vertices, dtype=float), np.asarray(merged.faces, dtype=int)
-    except LabError:
-        raise
-    except Exception as error:
-        # What the libraries raise on a malformed file can be anything.
-        raise MeshError(f"{path}: not a readable mesh: {error}") from error
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a file; raise MeshError if it is missing or too large."""
+    return file_bytes(path, MAXIMUM_BYTES, MeshError)
 
 
 def read_scene(mesh: MeshFile, resolver: Any = None) -> Any:
-    """Return what trimesh reads of an .obj or .stl file, or of a part of an .obj file.
+    """Return trimesh's scene of an .obj or .stl file, or of a part of an .obj file.
 
     A `resolver` gives it the other files that the file names; without one, it gets none.
 
     Raises:
-        MeshError: the file is missing, too large or malformed.
+        MeshError: the file is missing, too large or not a whole STL file.
+        Exception: any other, for a malformed file.
     """
-    # Costs 100 ms and 30 MB: only worlds with such meshes pay for it.
+    # Takes 100 ms and 30 MB: only worlds with such meshes import it.
     import trimesh
 
     path = mesh.path
     data, kind = read_bytes(path), path.suffix.lower()[1:]
-    try:
-        data = _plain_faces(_as_utf8(data)) if kind == "obj" else _whole_stl(path, data)
-        if mesh.submesh:
-            data = _part_of(data, mesh) if kind == "obj" else _whole(data, mesh)
-        # From memory: given a file, trimesh would look beside it for the materials and textures
-        # that a mesh names. Not processed: that would drop corners that are not finite.
-        how = {"file_type": kind, "force": "scene", "process": False, "resolver": resolver}
-        return trimesh.load(BytesIO(data), **how)
-    except LabError:
-        raise
-    except Exception as error:
-        raise MeshError(f"{path}: not a readable mesh: {error}") from error
-
-
-def _as_utf8(data: bytes) -> bytes:
-    """Return a text with signs of other encodings replaced: names and comments may have some.
-
-    trimesh would guess the encoding, with a library that may be there or not.
-    """
-    return data.decode("utf-8", "replace").encode()
-
-
-def _whole_stl(path: Path, data: bytes) -> bytes:
-    """Return an STL file that is as long as it says, or a text.
-
-    Raises:
-        MeshError: it is neither.
-    """
-    if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
-        return data
-    if b"\0" in data:
+    if kind == "stl" and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
+        # A whole binary file.
+        pass
+    elif kind == "stl" and b"\0" in data:
         raise MeshError(f"{path}: neither a whole binary mesh nor text")
-    return _as_utf8(data)
+    else:
+        # Names and comments may be in any encoding; trimesh would guess which.
+        data = data.decode("utf-8", "replace").encode()
+    if kind == "obj":
+        data = _plain_faces(data)
+    if mesh.submesh:
+        part = _submesh(data, mesh.submesh) if kind == "obj" else b""
+        if not part:
+            warn_of_submesh(mesh)
+        data = part or data
+    # From memory: given a file name, trimesh would read the materials and textures beside it. Not
+    # processed: that would drop corners that are not finite.
+    options = {"file_type": kind, "force": "scene", "process": False, "resolver": resolver}
+    return trimesh.load(BytesIO(data), **options)
+
+
+def warn_of_submesh(mesh: MeshFile) -> None:
+    """Log that a file has no such submesh."""
+    LOG.warning("%s: no submesh '%s'; the whole mesh is used", mesh.path, mesh.submesh)
 
 
 def _plain_faces(data: bytes) -> bytes:
-    """Return an .obj with triangles only that name corners by their numbers from the start.
+    """Return an .obj that has triangles only, with positive indices.
 
-    trimesh counts back from the end of the file, and before 5 it passes over what corners of
-    other faces say of textures.
+    trimesh counts negative indices from the end of the file. Before version 5, it ignores the
+    textures of faces with more corners.
     """
     if not ODD_FACE.search(data):
         return data
@@ -241,28 +252,6 @@ def _plain_faces(data: bytes) -> bytes:
     return b"\n".join(lines)
 
 
-def _part_of(data: bytes, mesh: MeshFile) -> bytes:
-    """Return an .obj with the faces alone that are in its objects or groups of a name.
-
-    As in Gazebo, a group is known by the first of its names, and by no object's around it.
-    """
-    kept, name, found = [], "", False
-    for line in data.splitlines():
-        word, _, rest = line.strip().partition(b" ")
-        if word in (b"o", b"g"):
-            said = rest.decode(errors="replace").strip()
-            name = said if word == b"o" else said.partition(" ")[0]
-        if word != b"f" or name == mesh.submesh:
-            kept.append(line)
-            found = found or word == b"f"
-    return b"\n".join(kept) if found else _whole(data, mesh)
-
-
-def _whole(data: bytes, mesh: MeshFile) -> bytes:
-    LOG.warning("%s: no submesh '%s'; all of it is taken", mesh.path, mesh.submesh)
-    return data
-
-
 def _index(index: bytes, count: int) -> bytes:
     if not index.startswith(b"-"):
         return index
@@ -271,22 +260,29 @@ def _index(index: bytes, count: int) -> bytes:
     return b"%d" % (count + int(index) + 1)
 
 
-def _read_collada(mesh: MeshFile) -> Tuple[np.ndarray, np.ndarray]:
-    metres, sets = collada_triangles(mesh)
-    parts = [(np.asarray(s.vertex, float), np.asarray(s.vertex_index, int)) for s in sets]
-    if not parts:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
-    firsts = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
-    faces = [indices + first for (_, indices), first in zip(parts, firsts)]
-    return metres * np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
+def _submesh(data: bytes, submesh: str) -> bytes:
+    """Return an .obj with only the faces in objects or groups of a name; empty without any.
+
+    As in Gazebo, the first of its names is that of a group.
+    """
+    kept, name, found = [], "", False
+    for line in data.splitlines():
+        word, _, rest = line.strip().partition(b" ")
+        if word in (b"o", b"g"):
+            name = rest.decode(errors="replace").strip()
+            name = name if word == b"o" else name.partition(" ")[0]
+        if word != b"f" or name == submesh:
+            kept.append(line)
+            found = found or word == b"f"
+    return b"\n".join(kept) if found else b""
 
 
 def collada_triangles(mesh: MeshFile) -> Tuple[float, List[Any]]:
-    """Return the length of a COLLADA mesh's unit, m, and its bound triangle sets, by pycollada.
+    """Return the unit of a COLLADA mesh in m, and pycollada's bound triangle sets.
 
     Raises:
         XmlError: the file is missing, not well-formed or has a document type.
-        Exception: anything, where what it says makes no sense.
+        Exception: any other, for a malformed file.
     """
     import collada
     from collada.triangleset import BoundTriangleSet
@@ -297,18 +293,18 @@ def collada_triangles(mesh: MeshFile) -> Tuple[float, List[Any]]:
     metres = 1.0 if unit is None else number(unit.get("meter", "1"), f"{path}: <unit>")
     for array in root.iter(f"{COLLADA}float_array"):
         if UNUSABLE_NUMBER.search(array.text or ""):
-            # pycollada would make zeros of them.
+            # pycollada would replace them by zeros.
             raise ValueError("a number is not finite")
     for image in root.iter(f"{COLLADA}image"):
         if not "".join(image.itertext()).strip():
-            # pycollada would refuse the mesh for a picture without a name.
+            # pycollada would refuse the mesh because of a picture without a name.
             image[:] = []
             SubElement(image, f"{COLLADA}init_from").text = image.get("id", "picture")
-    # Written anew, so that pycollada's own parser sees what was checked and nothing else: no
-    # entities, no encodings. Images are not looked for; they may be missing.
+    # Written again, so that pycollada's own parser gets what was checked: no entities and no other
+    # encodings. Missing images and materials are no errors.
     optional = [collada.common.DaeBrokenRefError, collada.common.DaeUnsupportedError]
     document = collada.Collada(BytesIO(tostring(root)), ignore=optional)
-    if _without_lost_materials(root, {f"#{material.id}" for material in document.materials}):
+    if _drop_unknown_materials(root, {f"#{material.id}" for material in document.materials}):
         document = collada.Collada(BytesIO(tostring(root)), ignore=optional)
     if document.scene is None:
         raise ValueError("there is no scene")
@@ -316,11 +312,11 @@ def collada_triangles(mesh: MeshFile) -> Tuple[float, List[Any]]:
     if mesh.submesh:
         named = [g for name, g in _in_nodes(document.scene.nodes) if name == mesh.submesh]
         if not named:
-            LOG.warning("%s: no submesh '%s'; all of it is taken", path, mesh.submesh)
+            warn_of_submesh(mesh)
         geometries = named or geometries
     primitives = (p for g in geometries for p in g.primitives())
     cut = (p.triangleset() if hasattr(p, "triangleset") else p for p in primitives)
-    # Points and lines are left out.
+    # Without points and lines.
     return metres, [p for p in cut if isinstance(p, BoundTriangleSet) and len(p)]
 
 
@@ -339,20 +335,15 @@ def _in_nodes(
             yield from ((name, bound) for bound in node.objects("geometry", outer))
 
 
-def _without_lost_materials(root: Element, known: Collection[str]) -> bool:
-    """Take out what names materials that are not there; return whether there was any.
+def _drop_unknown_materials(root: Element, known: Collection[str]) -> bool:
+    """Remove references to unknown materials; return whether there were any.
 
-    pycollada would leave out the geometry with them.
+    pycollada would leave out the geometry with such a reference.
     """
-    lost = False
+    dropped = False
     for holder in root.iter(f"{COLLADA}technique_common"):
         for element in holder.findall(f"{COLLADA}instance_material"):
             if element.get("target") not in known:
                 holder.remove(element)
-                lost = True
-    return lost
-
-
-def read_bytes(path: Path) -> bytes:
-    """Return what is in a file; raises MeshError if it is missing or too large."""
-    return file_bytes(path, MAXIMUM_BYTES, MeshError)
+                dropped = True
+    return dropped

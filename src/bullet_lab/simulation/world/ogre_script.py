@@ -1,8 +1,7 @@
-"""Reading OGRE's scripts, which Gazebo's materials are written in: blocks within blocks.
+"""Read OGRE's scripts, in which Gazebo's materials are written, as nested blocks.
 
-Their language has comments, variables that hold in a block and all below it, and blocks that
-inherit: what they say goes over what those say that they name after a colon, block by block.
-What any of it means is `materials`' business.
+The language has comments, variables that are valid in a block and below it, and inheritance: a
+block overrides the blocks that it names after a colon. `materials` interprets the blocks.
 """
 
 from __future__ import annotations
@@ -14,34 +13,34 @@ from typing import Callable, Dict, Iterator, List, Mapping, Optional, Tuple
 
 from bullet_lab.errors import LabError
 
-# Blocks within blocks; real ones have four.
+# The limit of nested blocks; real scripts have four levels.
 DEEPEST = 20
 TOKEN = re.compile(
     r"""(?://[^\n]*|/\*.*?(?:\*/|\Z))        # comments
-    | "(?P<quoted>[^"\n]*)"?                 # words, with blanks in them or without; the slashes
-    | (?P<sign>[{}\n])                       # of a URI are no comment
+    | "(?P<quoted>[^"\n]*)"?                 # words, with blanks or without
+    | (?P<sign>[{}\n])                       # the slashes of a URI are no comment
     | (?P<word>(?:(?<=:)//|(?!//|/\*)[^\s{}"])+)""",
     re.VERBOSE | re.DOTALL,
 )
-# Between a name and what it inherits from; not in a name such as Lab::Wall.
+# Between a name and its parents; not in a name such as Lab::Wall.
 COLON = re.compile(r"(?<!:)(:)(?![:/])")
 
 
 class ScriptError(LabError):
-    """A script that OGRE could not read, either."""
+    """A script that OGRE cannot read."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """What stands between braces.
+    """The content of a pair of braces.
 
     Attributes:
         kind: its first word: material, technique, pass, texture_unit.
-        name: of it, or nothing.
-        parents: the names of the blocks that it inherits from.
+        name: empty without one.
+        parents: names of the blocks that it inherits from.
         properties: the words of each line.
-        blocks: that stand in it.
-        variables: that it sets, by names without the "$".
+        blocks: the blocks in it.
+        variables: the values that it sets, by names without the "$".
         outer: variables of its file.
     """
 
@@ -58,23 +57,20 @@ class Block:
         return [block for block in self.blocks if block.kind == kind]
 
     def words(self, *keys: str) -> Tuple[str, ...]:
-        """Return the words of the last line that begins with one of these, without that."""
+        """Return the words after the key in the last line that begins with one of the keys."""
         found = [line[1:] for line in self.properties if line[0] in keys]
         return tuple(" ".join(found[-1]).split()) if found else ()
 
 
 def parse_script(text: str) -> Tuple[Block, str]:
-    """Return what a script says, and what is wrong with it: nothing, or a line.
-
-    What stands before a mistake counts.
-    """
+    """Return the blocks of a script up to its first mistake, and the mistake or an empty text."""
     stack, line = [Block()], []
     for number, sign, word in _tokens(text):
         if word is not None:
             line.append(word)
             continue
         if sign == "{":
-            # The header may stand on a line before.
+            # The header may be on the line before.
             if not line and stack[-1].properties:
                 line = list(stack[-1].properties.pop())
             stack.append(replace(_header(line), outer=stack[0].variables))
@@ -94,16 +90,16 @@ def parse_script(text: str) -> Tuple[Block, str]:
 
 
 def inherited(block: Block, find: Callable[[str, str], Optional[Block]], below=()) -> Block:
-    """Return a block with what it inherits; `find` gives another one by kind and name.
+    """Return a block with the content of its parents; `find` returns one by kind and name.
 
     Raises:
-        ScriptError: there is no such block, or they inherit from each other in a circle.
+        ScriptError: a parent is missing, or inherits from the block.
     """
     made = Block(block.kind)
     for name in block.parents:
         parent = find(block.kind, name)
         if parent is None or name in (*below, block.name):
-            why = "is not there" if parent is None else "inherits from it"
+            why = "is missing" if parent is None else "inherits from it"
             raise ScriptError(f"{block.kind} '{block.name}': its parent '{name}' {why}")
         made = _over(inherited(parent, find, (*below, block.name)), made)
     own = [inherited(inner, find, below) if inner.parents else inner for inner in block.blocks]
@@ -111,7 +107,7 @@ def inherited(block: Block, find: Callable[[str, str], Optional[Block]], below=(
 
 
 def substituted(block: Block, above: Optional[Mapping[str, str]] = None) -> Block:
-    """Return a block with the values of its variables, and of those above it, for their names."""
+    """Return a block with variables, its own and those above it, replaced by their values."""
     values = {**block.outer, **(above or {}), **block.variables}
     words = [tuple(_value(word, values) for word in line) for line in block.properties]
     blocks = [substituted(inner, values) for inner in block.blocks]
@@ -119,7 +115,7 @@ def substituted(block: Block, above: Optional[Mapping[str, str]] = None) -> Bloc
 
 
 def _tokens(text: str) -> Iterator[Tuple[int, str, Optional[str]]]:
-    """Yield the number of the line with a sign or a word."""
+    """Yield line number, sign and word; one of the two is missing."""
     number = 1
     for found in TOKEN.finditer(text):
         word = found["word"] if found["quoted"] is None else found["quoted"]
@@ -144,7 +140,7 @@ def _add_line(block: Block, words: List[str]) -> None:
 
 
 def _over(upper: Block, lower: Block) -> Block:
-    """Return a block laid over another one of its kind."""
+    """Return a block whose content overrides that of another one of its kind."""
     blocks = list(lower.blocks)
     counts: Dict[str, int] = {}
     for block in upper.blocks:
@@ -152,7 +148,7 @@ def _over(upper: Block, lower: Block) -> Block:
         if block.name:
             places = [n for n in places if fnmatchcase(lower.blocks[n].name, block.name)]
         else:
-            # Those without a name go over what stands at their place.
+            # Blocks without a name override those at the same place.
             count = counts.setdefault(block.kind, 0)
             counts[block.kind] += 1
             places = places[count : count + 1]

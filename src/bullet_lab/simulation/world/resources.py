@@ -1,9 +1,9 @@
-"""Where the files live that worlds and robots refer to.
+"""Find the files that worlds and robots refer to.
 
-`package://` is looked up among ROS packages; `model://` in ~/.gazebo/models, the folders of
+`package://` is searched in ROS packages; `model://` in ~/.gazebo/models, the folders of
 GAZEBO_MODEL_PATH and this package's `models/`; a relative path beside its document, then in the
-folders of GAZEBO_RESOURCE_PATH, as `file://media/…` is. A reference never reaches the network, and
-never a file outside the folders that the lab was given.
+folders of GAZEBO_RESOURCE_PATH, like `file://media/…`. A reference never reaches the network, nor
+a file outside these folders.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ PACKAGE = "bullet_lab"
 
 
 class ResourceError(LabError):
-    """A file that is referred to does not exist or may not be read."""
+    """A file does not exist, or the document may not read it."""
 
 
 def package_share() -> Path:
     """Return the folder that holds this package's worlds, models, meshes and URDF files.
 
     Raises:
-        ResourceError: the package was taken apart.
+        ResourceError: these folders are neither in the source tree nor installed.
     """
     library = Path(__file__).resolve().parents[2]
     source_tree = library.parents[1]
@@ -38,7 +38,7 @@ def package_share() -> Path:
 
 
 def ros_package_folder(name: str) -> Optional[Path]:
-    """Return the folder of a ROS package, or None where it, or ROS, is unknown."""
+    """Return the folder of a ROS package, or None if it is unknown or ROS is not installed."""
     if name == PACKAGE:
         return package_share()
     try:
@@ -52,20 +52,20 @@ def ros_package_folder(name: str) -> Optional[Path]:
 
 
 def gazebo_model_folders() -> Tuple[Path, ...]:
-    """Return the folders to look for `model://` in, in the order of the search: Gazebo's."""
+    """Return the folders of `model://`, in Gazebo's order."""
     home = os.environ.get("HOME", "")
     own = (Path(home) / ".gazebo" / "models",) if home else ()
     return (*own, *listed_folders("GAZEBO_MODEL_PATH"), package_share() / "models")
 
 
-# Where Gazebo looks for files in a folder of GAZEBO_RESOURCE_PATH.
+# Where Gazebo searches for files in a folder of GAZEBO_RESOURCE_PATH.
 RESOURCES = ("", "models", "media/models", "Media/models")
-# Where OGRE looks for scripts and pictures in a folder of media.
+# Where OGRE searches for scripts and pictures in a folder of media.
 MEDIA = ("", "materials/scripts", "materials/textures", "materials/programs", "media/models")
 
 
 def gazebo_media_folders() -> Tuple[Path, ...]:
-    """Return the folders with materials and pictures of GAZEBO_RESOURCE_PATH, each for itself."""
+    """Return the folders in GAZEBO_RESOURCE_PATH that may hold materials and pictures."""
     found = []
     for folder in listed_folders("GAZEBO_RESOURCE_PATH"):
         media = (folder / name / part for name in ("media", "Media") for part in MEDIA)
@@ -74,15 +74,15 @@ def gazebo_media_folders() -> Tuple[Path, ...]:
 
 
 def listed_folders(variable: str) -> Tuple[Path, ...]:
-    """Return the folders that an environment variable lists, between colons."""
+    """Return the folders in an environment variable, which are separated by colons."""
     listed = os.environ.get(variable, "").split(os.pathsep)
     return tuple(Path(folder) for folder in listed if folder)
 
 
 def package_uri(path: Path) -> str:
-    """Return the package:// or model:// URI of a file; empty where only its path names it."""
+    """Return the package:// or model:// URI of a file; empty if it has none."""
     for folder in _package_above(path):
-        # A checkout of this package may be called anything; the folders of others, as they are.
+        # A checkout of this package may have any name; those of others have the package's name.
         for name in (PACKAGE, folder.name):
             known = ros_package_folder(name)
             if known is not None and os.path.realpath(known) == os.path.realpath(folder):
@@ -94,10 +94,10 @@ def package_uri(path: Path) -> str:
 
 
 class ResourceFinder:
-    """Turns the references in a document into files.
+    """Finds the files that a document refers to.
 
-    `folder` is where the document lies, None if it came as text; `packages` gives the folder of a
-    ROS package by its name, or None; `model_folders` hold models by name.
+    `folder` is that of the document, None if it came as text; `packages` returns the folder of a
+    ROS package by its name, or None; `model_folders` contain models by name.
     """
 
     def __init__(
@@ -112,11 +112,11 @@ class ResourceFinder:
 
     @classmethod
     def anywhere(cls) -> ResourceFinder:
-        """Return a finder for what the user names, who may name any file."""
+        """Return a finder for references by the user, who may name any file."""
         return _UserFinder(Path.cwd())
 
     def beside(self, path: Path) -> ResourceFinder:
-        """Return a finder for a document that lies at `path`."""
+        """Return a finder for a document at `path`."""
         return ResourceFinder(path.parent, self._packages, self._models)
 
     def find(self, uri: str) -> Path:
@@ -124,18 +124,18 @@ class ResourceFinder:
 
         Raises:
             ResourceError: unknown kind of reference, unknown package or model, a path that
-                leaves its folder, or nothing there.
+                leaves its folder, or no such file.
         """
         try:
             return self._find(uri)
         except (OSError, ValueError) as error:
-            # A name that is too long, a zero byte, half an IPv6 address.
+            # For example a name that is too long, a zero byte, or half an IPv6 address.
             reason = error.strerror if isinstance(error, OSError) else error
             raise ResourceError(f"'{uri[:80]}': {reason}") from error
 
     def _find(self, uri: str) -> Path:
         if not uri:
-            raise ResourceError("no file is named")
+            raise ResourceError("no file is named; a path or a URI is needed")
         parts = urlsplit(uri)
         if parts.scheme == "package":
             folder = self._packages(parts.netloc)
@@ -164,7 +164,7 @@ class ResourceFinder:
         listed = listed_folders("GAZEBO_RESOURCE_PATH")
         folders = (*own, *(folder / part for folder in listed for part in RESOURCES))
         if not folders:
-            raise ResourceError(f"'{uri}': a relative path in a text that lies in no folder")
+            raise ResourceError(f"'{uri}': a relative path in a text; use a URI")
         return _search(folders, path, uri) or _existing(folders[0] / path, uri)
 
     def _absolute(self, uri: str, path: Path) -> Path:
@@ -176,7 +176,7 @@ class ResourceFinder:
 
 
 class _UserFinder(ResourceFinder):
-    """Follows the user's own words: no path is out of bounds for them."""
+    """Finds any file that the user names."""
 
     def _find(self, uri: str) -> Path:
         if "://" in uri:
@@ -194,11 +194,11 @@ def _package_above(path: Path) -> Tuple[Path, ...]:
 
 
 def _search(folders: Iterable[Path], path: str, uri: str) -> Optional[Path]:
-    """Return what a path leads to in the first folder that has it, None if none does.
+    """Return a path in the first folder that contains it, or None.
 
     Raises:
-        ResourceError: the path leads out of a folder. Whether anything is there is not looked at:
-            the error does not tell which files exist.
+        ResourceError: the path leads out of a folder. The error does not reveal whether such a
+            file exists.
     """
     leaves = False
     for folder in folders:
@@ -212,8 +212,8 @@ def _search(folders: Iterable[Path], path: str, uri: str) -> Optional[Path]:
 
 
 def is_below(path: Path, folder: Path) -> bool:
-    """Return whether a path leads to what is in a folder."""
-    # realpath, so that neither ".." nor a symbolic link inside a model leads out of it.
+    """Return whether a path leads to a file in a folder."""
+    # realpath: neither ".." nor a symbolic link may lead out of the folder.
     inner, outer = os.path.realpath(path), os.path.realpath(folder)
     return os.path.commonpath([inner, outer]) == outer
 

@@ -1,50 +1,151 @@
-"""What holds an SDF model together: frames, nested models and joints."""
+"""Read how the parts of an SDF model are connected: frames, nested models, joints and states."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Dict, Iterable, Mapping, Sequence, Tuple
+import logging
+import math
+from dataclasses import dataclass, replace
+from typing import Dict, Iterable, Iterator, Mapping, Optional, Sequence, Tuple
+from xml.etree.ElementTree import Element
 
-from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.simulation.world.description import (
+    LIMITS,
     SEPARATOR,
     WORLD_LINK,
+    Colour,
+    FrameState,
     Joint,
     Link,
     Model,
+    ModelState,
 )
-from bullet_lab.simulation.world.frames import MODEL_FRAME, Frames
-from bullet_lab.simulation.world.sdf_tag import SdfError, SdfTag
-from bullet_lab.simulation.world.soundness import with_sound_inertias
-from bullet_lab.simulation.world.tree import lump_fixed_joints, rooted
+from bullet_lab.simulation.world.tags import Document, Tag
+from bullet_lab.simulation.world.tree import lump_fixed_joints, rooted, with_sound_inertias
+from bullet_lab.simulation.world.xml import ElementReader, XmlError, colour
+
+LOG = logging.getLogger(__name__)
 
 JOINT_KINDS = ("fixed", "revolute", "continuous", "prismatic", "ball")
+# SDF's default limits mean "none".
 NO_BOUND = 1e16
 # Before version 1.5, axes were given in the model's frame.
 AXES_IN_JOINTS = (1, 5)
 # Before version 1.7, a frame moved with the one that its pose was given in.
 FRAMES_ATTACHED = (1, 7)
+# The frame of the model or of the world that contains the others.
+MODEL_FRAME = "__model__"
+OUTERMOST = ("", MODEL_FRAME, WORLD_LINK)
 
-# A nested model with all names scoped, and the frame that it is placed in.
+# A nested model with full names, and the frame that its pose is given in.
 Nested = Tuple[Model, str]
 Place = Tuple[str, Pose]
 
 
-def scoped(model: Model, held: bool) -> Model:
-    """Return a nested model with its name before those of all that is in it.
+@dataclass(frozen=True)
+class _Frame:
+    """A frame: `pose` in the frame `base`; it moves with the frame `carrier`."""
 
-    One that is static in a model that is not is anchored, each of its links for itself.
+    pose: Pose
+    base: str
+    carrier: str
+
+
+class Frames:
+    """The frames of a model or a world, which are given in each other, as in SDF 1.7.
+
+    A model's frames are its links, joints, `<frame>`s and nested models; a world's are its models
+    and `<frame>`s. Frames of a nested model are named `model::name`.
+    """
+
+    def __init__(self, source: str):
+        self._source = source
+        self._frames: Dict[str, _Frame] = {}
+
+    def add(self, name: str, pose: Pose, base: str = "", carrier: str = "") -> None:
+        """Add a frame at a pose in another one, by default the outermost."""
+        self._frames.setdefault(name, _Frame(pose, base or MODEL_FRAME, carrier))
+
+    def pose(self, name: str) -> Pose:
+        """Return the pose of a frame in the outermost one.
+
+        An unknown frame, or one that is given in itself, counts as the outermost, with a warning.
+        """
+        pose, seen = Pose(), {name}
+        while name not in OUTERMOST:
+            frame = self._frames.get(name)
+            if frame is None or frame.base in seen - set(OUTERMOST):
+                reason = "is unknown" if frame is None else "is given in itself"
+                what = f"frame '{name}' {reason}; the model's frame is used"
+                LOG.warning("%s: %s", self._source, what)
+                return pose if frame is None else frame.pose * pose
+            pose, name = frame.pose * pose, frame.base
+            seen.add(name)
+        return pose
+
+    def carrier(self, name: str) -> str:
+        """Return the frame at the end of the chain of carriers; empty for an unknown frame."""
+        seen = set()
+        while name in self._frames and self._frames[name].carrier and name not in seen:
+            seen.add(name)
+            name = self._frames[name].carrier
+        return name if name in self._frames or name in OUTERMOST else ""
+
+
+class SdfTag(Tag):
+    """An SDF element. With `frames`, its poses are given in these, and returned in `inside`."""
+
+    def __init__(
+        self,
+        element: Element,
+        source: str,
+        document: Document,
+        frames: Optional[Frames] = None,
+        inside: str = "",
+    ):
+        super().__init__(element, source, document)
+        self.frames, self.inside = frames, inside
+
+    def other(self, element: Element, source: str = "") -> SdfTag:  # noqa: D102
+        return SdfTag(element, source or self.source, self.document, self.frames, self.inside)
+
+    def base(self) -> str:
+        """Return the frame that its <pose> is given in; empty for the one around it."""
+        found = self.element.find("pose")
+        return "" if found is None else found.get("relative_to") or found.get("frame") or ""
+
+    def pose(self) -> Pose:  # noqa: D102
+        base, pose = self.base(), super().pose()
+        if self.frames is None or base in ("", self.inside):
+            return pose
+        return self.frames.pose(self.inside).inverse() * self.frames.pose(base) * pose
+
+    def colour(self, key: str, default: Colour) -> Colour:
+        """Return a colour; alpha may be left out."""
+        text = self.text(key)
+        try:
+            return colour(text, self.where(key)) if text else default
+        except XmlError as error:
+            self.doubt(error)
+            return default
+
+
+def scoped(model: Model, held: bool) -> Model:
+    """Return a nested model with its name before the names of its parts.
+
+    `held` means that the outer model is static. A static model in one that is not is anchored,
+    each of its links separately.
     """
     prefix = model.name + SEPARATOR
 
     def named(name: str) -> str:
         return name if name == WORLD_LINK else prefix + name
 
-    apart = model.static and not held
-    links = (replace(link, name=named(link.name), anchored=apart) for link in model.links)
+    anchored = model.static and not held
+    links = (replace(link, name=named(link.name), anchored=anchored) for link in model.links)
     joints = (
         replace(j, name=named(j.name), parent=named(j.parent), child=named(j.child))
-        for j in (() if apart else model.joints)
+        for j in (() if anchored else model.joints)
     )
     plugins = (
         replace(p, link=named(p.link) if p.link else "", scope=prefix + p.scope)
@@ -59,7 +160,7 @@ def scoped(model: Model, held: bool) -> Model:
 def model_frames(
     tag: SdfTag, links: Iterable[SdfTag], joints: Iterable[SdfTag], nested: Iterable[Nested]
 ) -> Frames:
-    """Return the frames of a model: of its links, of its <frame>s, of what is nested, of joints."""
+    """Return the frames of a model: of links, of <frame>s, of nested models and of joints."""
     frames = Frames(tag.source)
     for link in links:
         frames.add(link.name, link.pose(), link.base())
@@ -84,38 +185,43 @@ def model_frames(
 def places(
     tag: SdfTag, frames: Frames, links: Sequence[Link], nested: Iterable[Nested]
 ) -> Dict[str, Place]:
-    """Return the links that a model's <frame>s and nested models move with, and poses in them."""
+    """Return the link that each <frame> and nested model moves with, and its pose there."""
     names = [element.get("name", "") for element in tag.element.findall("frame")]
-    found = {}
+    found: Dict[str, Place] = {}
     for model, _ in nested:
         found.update(model.frames)
         names.append(model.name)
     known = {link.name for link in links}
     for name in names:
-        carrier = frames.carrier(name)
         if links and name not in known:
-            found[name] = frames.place(name, carrier if carrier in known else links[0].name)
+            carrier = frames.carrier(name)
+            carrier = carrier if carrier in known else links[0].name
+            found[name] = (carrier, frames.pose(carrier).inverse() * frames.pose(name))
     return found
 
 
 def read_joint(tag: SdfTag, frames: Frames, links: Mapping[str, Link], model: str) -> Joint:
-    """Return a joint; raises SdfError where an end is missing."""
+    """Return a joint; raise XmlError if one of its links is missing."""
     parent, child = (_end(tag, tag.text(end), frames, links, model) for end in ("parent", "child"))
     at = {WORLD_LINK: Pose(), **{name: link.pose for name, link in links.items()}}
-    said = [k for k in ("lower", "upper", "effort", "velocity") if tag.text(f"axis/limit/{k}")]
-    limits = {key: tag.bound(f"axis/limit/{key}") for key in said}
-    # Where the joint is in its child.
+    given = [key for key in LIMITS if tag.text(f"axis/limit/{key}")]
+    limits = {key: tag.bound(f"axis/limit/{key}") for key in given}
+    # The pose of the joint in its child.
     place = at[child].inverse() * frames.pose(tag.base() or child) * tag.pose()
     if not tag.base() and child == tag.text("child"):
         place = tag.pose()
+    kind = tag.element.get("type", "")
+    if kind not in JOINT_KINDS:
+        what = f"type '{kind}' is not simulated; its links are fixed to each other"
+        tag.document.report(f"{tag.source}: {what}")
+        kind = "fixed"
     return Joint(
         tag.name,
-        _kind(tag),
+        kind,
         parent,
         child,
         at[parent].inverse() * at[child],
         _axis(tag, frames, place, at[child]),
-        # Bounds as far as SDF's own defaults are none.
         {key: value for key, value in limits.items() if abs(value) < NO_BOUND},
         tag.number("axis/dynamics/damping", 0.0),
         tag.number("axis/dynamics/friction", 0.0),
@@ -123,28 +229,20 @@ def read_joint(tag: SdfTag, frames: Frames, links: Mapping[str, Link], model: st
     )
 
 
-def _kind(tag: SdfTag) -> str:
-    kind = tag.element.get("type", "")
-    if kind in JOINT_KINDS:
-        return kind
-    tag.document.report(f"{tag.source}: type '{kind}' is not simulated; it holds its links fixed")
-    return "fixed"
-
-
 def _end(tag: SdfTag, name: str, frames: Frames, links: Mapping[str, Link], model: str) -> str:
-    """Return the link at an end of a joint, which may be named by a frame or the whole way."""
+    """Return the link at an end of a joint, which may be given by a frame or a full name."""
     if name == WORLD_LINK:
         return name
-    own = model + SEPARATOR
-    for said in (name, name[len(own) :] if name.startswith(own) else name):
-        found = said if said in links else frames.carrier(said)
+    prefix = model + SEPARATOR
+    for candidate in (name, name[len(prefix) :] if name.startswith(prefix) else name):
+        found = candidate if candidate in links else frames.carrier(candidate)
         if found in links:
             return found
-    raise SdfError(f"{tag.source}: names no link '{name}'")
+    raise XmlError(f"{tag.source}: has an unknown link '{name}'")
 
 
 def _axis(tag: SdfTag, frames: Frames, place: Pose, child: Pose) -> Vector:
-    """Return the axis in the child's frame; `place` is the joint's in the child."""
+    """Return the axis in the child's frame; `place` is the pose of the joint in the child."""
     axis = tag.direction("axis/xyz", "0 0 1")
     xyz = tag.element.find("axis/xyz")
     base = "" if xyz is None else xyz.get("expressed_in", "")
@@ -156,14 +254,81 @@ def _axis(tag: SdfTag, frames: Frames, place: Pose, child: Pose) -> Vector:
 
 
 def merged(model: Model, source: str) -> Model:
-    """Return a whole model as trees of joints, with what is fixed merged; raises SdfError."""
+    """Return a model as trees of joints, with links on fixed joints merged; raise XmlError."""
     if not model.links:
-        raise SdfError(f"{source}: there is no link")
+        raise XmlError(f"{source}: there is no link")
     links, joints = rooted(model.links, model.joints, source)
     found = lump_fixed_joints(replace(model, links=links, joints=joints, frames={}))
     frames = {}
     for name, (link, pose) in model.frames.items():
-        # A place in a link is one in the link that has remained of it.
-        keeper, offset = found.frames.get(link, (link, Pose()))
-        frames[name] = (keeper, offset * pose)
+        # The link may have been merged into another.
+        target, offset = found.frames.get(link, (link, Pose()))
+        frames[name] = (target, offset * pose)
     return with_sound_inertias(replace(found, frames={**frames, **found.frames}), source)
+
+
+def read_states(element: Element, models: Iterable[Model], source: str) -> Dict[str, ModelState]:
+    """Return the states of a world's models in a saved `<state>`, by their names."""
+    known = {model.name: model for model in models}
+    states: Dict[str, ModelState] = {}
+    for child in element.findall("model"):
+        name = child.get("name", "")
+        where = f"{source}: state of model '{name}'"
+        if name not in known:
+            LOG.warning("%s: unknown model", where)
+            continue
+        try:
+            states[name] = _model_state(child, known[name], where)
+        except XmlError as error:
+            LOG.warning("%s; the model keeps its initial state", error)
+    return states
+
+
+def _model_state(element: Element, model: Model, source: str) -> ModelState:
+    present = model.links_by_name()
+    links: Dict[str, FrameState] = {}
+    for name, child in _in_state(element, "link"):
+        if name in present:
+            tag = ElementReader(child, f"{source}: link '{name}'")
+            values = tag.numbers("velocity", 6, "0 0 0 0 0 0")
+            links[name] = FrameState(tag.pose(), values[:3], values[3:])
+    if WORLD_LINK in present:
+        links[WORLD_LINK] = FrameState(model.pose)
+    positions = {
+        name: ElementReader(child, source).number("angle", 0.0)
+        for name, child in _in_state(element, "joint")
+    }
+    joints = {}
+    for joint in model.joints:
+        if joint.kind != "ball":
+            position, rate = _joint_state(joint, links)
+            joints[joint.name] = (positions.get(joint.name, position), rate)
+    return ModelState(ElementReader(element, source).pose(), links, joints)
+
+
+def _in_state(element: Element, tag: str, scope: str = "") -> Iterator[Tuple[str, Element]]:
+    """Yield the links or joints of a state by their full names, with those of nested models."""
+    for child in element.findall(tag):
+        yield scope + child.get("name", ""), child
+    for nested in element.findall("model"):
+        yield from _in_state(nested, tag, f"{scope}{nested.get('name', '')}{SEPARATOR}")
+
+
+def _joint_state(joint: Joint, links: Mapping[str, FrameState]) -> Tuple[float, float]:
+    """Return position (rad or m) and velocity of a joint, from the states of its links."""
+    if joint.parent not in links or joint.child not in links:
+        return 0.0, 0.0
+    parent, child = links[joint.parent], links[joint.child]
+    moved = (parent.pose * joint.pose).inverse() * child.pose
+    axis = child.pose.rotate(joint.axis)
+    if joint.kind == "prismatic":
+        arm = subtract(child.pose.position, parent.pose.position)
+        carried = add(parent.linear, cross(parent.angular, arm))
+        return _dot(joint.axis, moved.position), _dot(axis, subtract(child.linear, carried))
+    *turn, w = moved.quaternion
+    angle = math.remainder(2.0 * math.atan2(_dot(joint.axis, turn), w), math.tau)
+    return angle, _dot(axis, subtract(child.angular, parent.angular))
+
+
+def _dot(one: Sequence[float], other: Sequence[float]) -> float:
+    return sum(a * b for a, b in zip(one, other))

@@ -1,8 +1,7 @@
-"""Writing models and worlds as SDF 1.6: what was read of them, wherever it came from.
+"""Write models and worlds as SDF 1.6.
 
-A running world loads again to the same state: its models stand in the file with their present
-poses, and how their links move and where their joints are is in its `<state>`, as in worlds that
-Gazebo saves.
+A saved world loads again to the same state. Models have their present poses, and the `<state>`
+holds the states of links and joints, as in worlds that Gazebo saves.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.world.description import (
+    LIMITS,
     SEPARATOR,
     WORLD_LINK,
     Collision,
@@ -37,10 +37,10 @@ from bullet_lab.simulation.world.resources import package_uri
 VERSION = "1.6"
 NANOSECONDS = 10**9
 INDENT = "  "
-# Where a joint that is limited on one side ends on the other, as SDF has it.
+# The limit that means "none" in SDF.
 FAR = 1e16
 NAMESPACE = "robotNamespace"
-# What joints to the world are called, after the link that they hold.
+# The end of the name of a joint to the world, after the name of its link.
 ANCHOR = "_to_world"
 
 
@@ -48,11 +48,11 @@ def world_text(snapshot: Snapshot, folder: Path) -> Tuple[str, List[str]]:
     """Return a world as SDF.
 
     Args:
-        snapshot: the world and where everything is.
-        folder: where the file will lie; files below it are named by their path from it.
+        snapshot: the world and the states of its models.
+        folder: that of the file; files below it get relative paths.
 
     Returns:
-        The text of the file, and notes on what whoever loads it should know.
+        The text of the file, and notes for the user.
     """
     sdf = Element("sdf", version=VERSION)
     world = _add(sdf, "world", _surroundings(snapshot.world), name=snapshot.world.name)
@@ -69,10 +69,10 @@ def world_text(snapshot: Snapshot, folder: Path) -> Tuple[str, List[str]]:
 
 
 def _add(parent: Element, tag: str, content: Any, **attributes: str) -> Element:
-    """Add an element with attributes and its content.
+    """Add an element with its attributes and its content.
 
-    That is, by their tags, the contents of the elements in it; or a text, a truth value, a pose or
-    numbers, none of them rounded.
+    The content is a dict of child elements by tag, or a text, a truth value, a pose or numbers.
+    Numbers are not rounded.
     """
     element = SubElement(parent, tag, attributes)
     if isinstance(content, dict):
@@ -91,7 +91,7 @@ def _add(parent: Element, tag: str, content: Any, **attributes: str) -> Element:
 
 
 def _indent(element: Element, level: int = 0) -> None:
-    """Put each element that stands in others on a line of its own."""
+    """Put each nested element on its own line."""
     if not len(element):
         return
     inner = "\n" + INDENT * (level + 1)
@@ -105,7 +105,7 @@ def _indent(element: Element, level: int = 0) -> None:
 
 
 class _Uris:
-    """How a document in a folder can name other files, whatever they were called before."""
+    """Gives the URIs by which a document in a folder can name other files."""
 
     def __init__(self, folder: Path):
         self.notes: List[str] = []
@@ -129,7 +129,7 @@ class _Uris:
 
 
 def _built_at(state: ModelState) -> Pose:
-    """Return where a model is built: where its joints to the world are, if there are any."""
+    """Return the pose of a model without its motion: that of its joints to the world, if any."""
     return state.links[WORLD_LINK].pose if WORLD_LINK in state.links else state.pose
 
 
@@ -143,7 +143,7 @@ def _add_model(parent: Element, model: Model, pose: Pose, uris: _Uris) -> None:
             ends = {"parent": WORLD_LINK, "child": link.name}
             _add(element, "joint", ends, name=f"{link.name}{ANCHOR}", type="fixed")
     for joint in model.joints:
-        # SDF has no continuous joints: they are revolute ones without limits.
+        # SDF has no continuous joints; they are revolute joints without limits.
         kind = "revolute" if joint.kind == "continuous" else joint.kind
         _add(element, "joint", _joint(joint), name=joint.name, type=kind)
     scopes: Dict[str, Element] = {"": element}
@@ -152,7 +152,7 @@ def _add_model(parent: Element, model: Model, pose: Pose, uris: _Uris) -> None:
 
 
 def _in_scope(scopes: Dict[str, Element], scope: str) -> Element:
-    """Return the element of a nested model, which holds plugins alone: all else is named fully."""
+    """Return the element of a nested model; it only holds plugins, as the rest has full names."""
     if scope not in scopes:
         outer, _, name = scope[: -len(SEPARATOR)].rpartition(SEPARATOR)
         within = _in_scope(scopes, outer + SEPARATOR if outer else "")
@@ -183,20 +183,20 @@ def _add_link(parent: Element, link: Link, model: Model, uris: _Uris) -> None:
 
 
 def _add_material(parent: Element, visual: Visual, uris: _Uris) -> None:
-    """Add what a visual looks like, but for what a mesh brings itself."""
+    """Add the material of a visual, without what is in the file of a mesh."""
     material, shape = visual.material, visual.geometry
-    said: Dict[str, Any] = {}
+    content: Dict[str, Any] = {}
     if material.covers or not (isinstance(shape, Mesh) and has_own_looks(shape)):
-        said = {"ambient": material.ambient or visual.colour, "diffuse": visual.colour}
+        content = {"ambient": material.ambient or visual.colour, "diffuse": visual.colour}
         if material.emissive != Material.emissive:
-            said["emissive"] = material.emissive
+            content["emissive"] = material.emissive
         if not material.lit:
-            said["lighting"] = False
+            content["lighting"] = False
     elif visual.colour[3] < 1.0:
         _add(parent, "transparency", 1.0 - visual.colour[3])
-    if not said and not material.name:
+    if not content and not material.name:
         return
-    element = _add(parent, "material", said)
+    element = _add(parent, "material", content)
     if material.name:
         script = _add(element, "script", {})
         for uri, path in material.scripts:
@@ -205,7 +205,7 @@ def _add_material(parent: Element, visual: Visual, uris: _Uris) -> None:
 
 
 def _named(shapes: Iterable[Any], kind: str) -> Iterator[Tuple[str, Any]]:
-    """Yield shapes with names that occur once."""
+    """Yield shapes with unique names."""
     taken: Set[str] = set()
     for shape in shapes:
         name, number = shape.name or kind, 0
@@ -218,34 +218,35 @@ def _named(shapes: Iterable[Any], kind: str) -> Iterator[Tuple[str, Any]]:
 
 def _shape(shape: Union[Collision, Visual], uris: _Uris) -> Dict[str, Any]:
     geometry = shape.geometry
-    said: Dict[str, Any] = {}
+    content: Dict[str, Any] = {}
     if isinstance(geometry, Mesh):
-        said["uri"] = uris.of(geometry.uri, geometry.path)
+        content["uri"] = uris.of(geometry.uri, geometry.path)
         if geometry.submesh:
-            said["submesh"] = {"name": geometry.submesh, "center": geometry.centred}
-    return {"pose": shape.pose, "geometry": {geometry.tag: {**said, **geometry.measures()}}}
+            content["submesh"] = {"name": geometry.submesh, "center": geometry.centred}
+    return {"pose": shape.pose, "geometry": {geometry.tag: {**content, **geometry.measures()}}}
 
 
 def _surface(collision: Collision) -> Dict[str, Any]:
-    cross = collision.cross_friction
-    friction: Dict[str, Any] = {"mu": collision.friction}
-    friction["mu2"] = collision.friction if cross is None else cross
-    if collision.direction is not None:
-        friction["fdir1"] = collision.direction
-    spring = {"kp": collision.stiffness, "kd": collision.damping}
-    said = {tag: value for tag, value in spring.items() if value is not None}
-    contact = {"contact": {"ode": said}} if said else {}
-    return {"friction": {"ode": friction}, **contact}
+    mu, cross, direction = collision.friction, collision.cross_friction, collision.direction
+    friction = {"mu": mu, "mu2": mu if cross is None else cross, "fdir1": direction}
+    contact = _given({"kp": collision.stiffness, "kd": collision.damping})
+    surface: Dict[str, Any] = {"friction": {"ode": _given(friction)}}
+    if contact:
+        surface["contact"] = {"ode": contact}
+    return surface
+
+
+def _given(content: Dict[str, Any]) -> Dict[str, Any]:
+    return {tag: value for tag, value in content.items() if value is not None}
 
 
 def _joint(joint: Joint) -> Dict[str, Any]:
     limits = {"lower": -FAR, "upper": FAR, **joint.limits}
     if joint.kind == "continuous":
         limits.update(lower=-FAR, upper=FAR)
-    known = ("lower", "upper", "effort", "velocity")
     axis = {
         "xyz": joint.axis,
-        "limit": {key: value for key, value in limits.items() if key in known},
+        "limit": {key: value for key, value in limits.items() if key in LIMITS},
         "dynamics": {"damping": joint.damping, "friction": joint.friction},
     }
     place = {"pose": Pose(joint.anchor)} if any(joint.anchor) else {}
@@ -253,7 +254,7 @@ def _joint(joint: Joint) -> Dict[str, Any]:
 
 
 def plugin_element(plugin: PluginTag) -> Element:
-    """Return a plugin's tag, with all that was in it and the namespace that it was given."""
+    """Return a plugin's tag with all its content and its namespace."""
     if plugin.element is None:
         element = Element("plugin", name=plugin.name, filename=plugin.filename)
         for tag, text in plugin.tags.items():
@@ -271,20 +272,20 @@ def plugin_element(plugin: PluginTag) -> Element:
 
 
 def _sensors(link: Link, model: Model) -> Iterator[Element]:
-    """Yield the sensors of a link, and those of the links that were merged into it."""
+    """Yield the sensors of a link and of the links that were merged into it."""
     written: Set[int] = set()
     for plugin in model.plugins:
         sensor, holder = plugin.sensor, plugin.link or model.canonical_link().name
-        keeper = model.frames[holder][0] if holder in model.frames else holder
-        if sensor is None or keeper != link.name or id(sensor) in written:
+        base = model.frames[holder][0] if holder in model.frames else holder
+        if sensor is None or base != link.name or id(sensor) in written:
             continue
         written.add(id(sensor))
         element = copy.deepcopy(sensor)
         element.tail = None
         for old in element.findall("plugin"):
             element.remove(old)
-        if holder != keeper:
-            # Its pose is given in the frame of the link that it was on.
+        if holder != base:
+            # Its pose is in the frame of the merged link.
             pose = element.find("pose")
             pose = _add(element, "pose", "0 0 0 0 0 0") if pose is None else pose
             pose.set("frame", holder)
@@ -328,7 +329,7 @@ def _add_state(world: Element, snapshot: Snapshot) -> None:
     content = {"sim_time": time, "iterations": str(snapshot.step)}
     element = _add(world, "state", content, world_name=snapshot.world.name)
     for model, state in snapshot.models:
-        # What never moves stands where its model says.
+        # A static model has no state.
         if model.static:
             continue
         child = _add(element, "model", {"pose": _built_at(state)}, name=model.name)

@@ -1,9 +1,8 @@
-"""The shapes of bodies: one class for each, with all that follows from its measures.
+"""Describe the shapes of bodies, with one class for each.
 
-Lengths are metres, in the shape's own frame: its origin is in the middle of all but planes and
-meshes. A new shape is a class here, in SHAPES, and an entry in the tables of what makes
-something of its own of shapes: `physics.bodies`, `rendering.surfaces`,
-`ros.messages.world_markers`.
+Lengths are metres in the shape's frame, whose origin is in the middle of all but planes and meshes.
+A new shape is a class here, in SHAPES, and an entry in the tables of `physics.bodies`,
+`rendering.surfaces` and `ros.messages.world`.
 """
 
 from __future__ import annotations
@@ -22,22 +21,23 @@ from bullet_lab.simulation.world.xml import TagReader
 
 
 class ShapeTag(TagReader):
-    """A tag that describes a shape, with its measures as attributes (URDF) or children (SDF)."""
+    """A tag that describes a shape, with its measures as attributes (URDF) or children (SDF).
+
+    `file_key` is the key of a mesh's file.
+    """
+
+    file_key: ClassVar[str]
 
     @abstractmethod
-    def uri(self) -> str:
-        """Return what names the file of a mesh."""
-
-    @abstractmethod
-    def find(self, uri: str) -> Path:
-        """Return the file that a URI means; raises ResourceError."""
+    def file(self, uri: str) -> Path:
+        """Return the file that a URI means; raise ResourceError."""
 
 
 class Shape(ABC):
-    """What all shapes know.
+    """Base of all shapes.
 
-    `tag` is its name in SDF and, if `in_urdf`, in URDF. One with colours of its own is white where
-    nobody says a colour.
+    `tag` is its name in SDF and, if `in_urdf`, in URDF. If it `has_own_colours`, its default colour
+    is white.
     """
 
     tag: ClassVar[str]
@@ -47,25 +47,25 @@ class Shape(ABC):
     @classmethod
     @abstractmethod
     def read(cls, tag: ShapeTag) -> Any:
-        """Return the shape that a tag describes; raises LabError."""
+        """Return the shape that a tag describes; raise LabError."""
 
     def measures(self) -> Dict[str, Tuple[float, ...]]:
-        """Return the numbers that make the shape, by their names in SDF."""
+        """Return the sizes of the shape by their names in SDF."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: v if isinstance(v, tuple) else (v,) for name, v in values.items()}
 
     @abstractmethod
     def bounds(self) -> np.ndarray:
-        """Return the least and the greatest corner of the box around it, shape (2, 3), in m.
+        """Return the least and the greatest corner of the box around it in m, shape (2, 3).
 
         >>> Box((2.0, 1.0, 0.5)).bounds().tolist()
         [[-1.0, -0.5, -0.25], [1.0, 0.5, 0.25]]
         """
 
     def distance(self, point: Vector) -> float:
-        """Return how far a point is from its surface, in m; inside or outside.
+        """Return the distance of a point from its surface in m, inside or outside.
 
-        A mesh is taken for the box around it.
+        For a mesh, it is that from the box around it.
 
         >>> Box((2.0, 2.0, 2.0)).distance((0.75, 0.0, 0.0))
         0.25
@@ -73,15 +73,15 @@ class Shape(ABC):
         4.0
         """
         gaps = self._gaps(point)
-        # Outside of a product of intervals, and inside.
+        # The first term is 0 inside, the second outside.
         return abs(math.hypot(*(max(gap, 0.0) for gap in gaps)) + min(max(gaps), 0.0))
 
     def floor_sides(self) -> Optional[Tuple[float, float]]:
-        """Return the sides (m) of the rectangle that it covers standing; None if it is none."""
+        """Return the sides (m) of its rectangular footprint; None if it is no rectangle."""
         return None
 
     def _gaps(self, point: Vector) -> Sequence[float]:
-        """Return how far beyond the intervals that it is a product of a point is, m."""
+        """Return how far a point is beyond each of the shape's extents, m."""
         low, high = self.bounds()
         return np.maximum(low - point, point - high).tolist()
 
@@ -147,7 +147,7 @@ class Sphere(Shape):
 
 @dataclass(frozen=True)
 class Plane(Shape):
-    """A plane through the origin; it collides without end and is drawn `size` wide."""
+    """A plane through the origin; it is infinite for contacts and is drawn with a `size`."""
 
     normal: Vector = (0.0, 0.0, 1.0)
     size: Tuple[float, float] = (100.0, 100.0)
@@ -170,10 +170,10 @@ class Plane(Shape):
 class Mesh(Shape):
     """A triangle mesh file (.dae, .stl or .obj).
 
-    `uri` is what the description said, for those who resolve it themselves (RViz); `path` is
-    the file that it means here. With a `submesh`, only what a COLLADA file has in nodes of that
-    name, or an .obj file in objects or groups, with its middle at the origin if it is `centred`.
-    What asks for its triangles raises MeshError or XmlError for a file that is not usable.
+    `uri` is that of the description, which RViz resolves itself; `path` is the file. With a
+    `submesh`, only the nodes of that name in a COLLADA file, or the objects or groups in an .obj
+    file, are used, with their middle at the origin if it is `centred`. Functions that read its
+    triangles raise MeshError or XmlError for an unusable file.
     """
 
     path: Path
@@ -182,13 +182,13 @@ class Mesh(Shape):
     submesh: str = ""
     centred: bool = False
     tag = "mesh"
-    # It may bring colours and pictures, which nothing shall darken.
+    # A default colour would darken the colours and pictures in the file.
     has_own_colours = True
 
     @classmethod
     def read(cls, tag: ShapeTag) -> Mesh:
-        uri, scale, part = tag.uri(), tag.scale("scale"), tag.text("submesh/name")
-        return cls(tag.find(uri), uri, scale, part, tag.boolean("submesh/center", False))
+        uri, scale, part = tag.text(tag.file_key), tag.scale("scale"), tag.text("submesh/name")
+        return cls(tag.file(uri), uri, scale, part, tag.boolean("submesh/center", False))
 
     def measures(self) -> Dict[str, Tuple[float, ...]]:
         return {"scale": self.scale}

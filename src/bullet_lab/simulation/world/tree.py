@@ -1,55 +1,83 @@
-"""Links and joints as a tree, and merging of links on fixed joints as Gazebo does."""
+"""Check the links and joints of a model, make trees of them, and merge links on fixed joints."""
 
 from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import Dict, Iterable, List, Sequence, Tuple, Type
+from itertools import chain
+from typing import Any, Dict, Iterable, Iterator, List, Sequence, Set, Tuple, TypeVar
+
+import numpy as np
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import WORLD_LINK, Collision, Joint, Link, Model
-from bullet_lab.simulation.world.inertia import combine
-from bullet_lab.simulation.world.xml import XmlError
+from bullet_lab.simulation.world.inertia import FARTHEST, HEAVIEST, combine
+from bullet_lab.simulation.world.xml import XmlError, leaving_out
 
 LOG = logging.getLogger(__name__)
 
+# Rounded numbers in a file may exceed the limits of physical inertias by this share.
+RELATIVE_TOLERANCE = 1e-3
+# The radius in m of the ball that replaces a link without shapes.
+BALL = 0.05
+# Stands between the names of the remaining link and of a shape from a merged link.
+LUMP = "_fixed_joint_lump__"
 
-class TreeError(XmlError):
-    """Links and joints do not make one tree."""
+Links = Tuple[Link, ...]
+Joints = Tuple[Joint, ...]
+Named = TypeVar("Named", bound=Any)
+
+
+class ModelError(LabError):
+    """A model cannot be simulated."""
+
+
+def first_of_each(parts: Iterable[Named], what: str, source: str) -> Tuple[Named, ...]:
+    """Return the parts without those whose name appeared before; warn of these."""
+    found: Dict[str, Named] = {}
+    for part in parts:
+        if part.name in found:
+            LOG.warning("%s: %s '%s' appears twice; the first is used", source, what, part.name)
+        found.setdefault(part.name, part)
+    return tuple(found.values())
 
 
 def check_tree(links: Sequence[Link], joints: Sequence[Joint], source: str) -> None:
-    """Refuse with TreeError what is not one tree of links with names of their own.
-
-    That is no link, a name twice, a joint's end missing, a link with two parents, or a loop.
-    """
-    refuse_repeats((link.name for link in links), "link", source)
-    refuse_repeats((joint.name for joint in joints), "joint", source)
-    refuse_repeats((joint.child for joint in joints), "child link", source)
+    """Raise XmlError unless the links and joints make one tree with unique names."""
+    _refuse_duplicates((link.name for link in links), "link", source)
+    _refuse_duplicates((joint.name for joint in joints), "joint", source)
+    _refuse_duplicates((joint.child for joint in joints), "child link", source)
     names = {link.name for link in links}
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in names:
-                raise TreeError(f"{source}: joint '{joint.name}' names no link '{end}'")
+                raise XmlError(f"{source}: joint '{joint.name}' has an unknown link '{end}'")
     roots = sorted(names - {joint.child for joint in joints})
-    # Each link has one parent at most: what no root reaches hangs on a loop.
+    # Each link has one parent at most, so that only a loop is reached from no root.
     unreached = names.difference(*(top_down(root, joints) for root in roots))
     if unreached:
-        raise TreeError(f"{source}: a loop of joints at {', '.join(sorted(unreached))}")
+        raise XmlError(f"{source}: a loop of joints at {', '.join(sorted(unreached))}")
     if len(roots) > 1:
-        raise TreeError(f"{source}: several roots: {', '.join(roots)}")
+        raise XmlError(f"{source}: several root links: {', '.join(roots)}")
     if not links:
-        raise TreeError(f"{source}: there is no link")
+        raise XmlError(f"{source}: there is no link")
 
 
-def rooted(
-    links: Sequence[Link], joints: Sequence[Joint], source: str
-) -> Tuple[Tuple[Link, ...], Tuple[Joint, ...]]:
-    """Return links and joints as trees, whose joints lead away from their roots.
+def _refuse_duplicates(names: Iterable[str], what: str, source: str) -> None:
+    seen: Set[str] = set()
+    for name in names:
+        if name in seen:
+            raise XmlError(f"{source}: {what} '{name}' appears twice")
+        seen.add(name)
 
-    What is fixed to the world becomes an anchored root; what other joints hang on the world hangs
-    on an anchored link of the name WORLD_LINK. A joint that leads to a root is turned round. One
-    that closes a loop is left out with a warning, since the engine knows trees only.
+
+def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> Tuple[Links, Joints]:
+    """Return links and joints as trees, with all joints leading away from the roots.
+
+    A link that is fixed to the world becomes an anchored root. Other joints to the world get an
+    anchored link with the name WORLD_LINK as their parent. A joint that leads towards a root is
+    reversed. A joint that closes a loop is left out with a warning: the engine only knows trees.
     """
     names = [WORLD_LINK, *(link.name for link in links)]
     held = [WORLD_LINK, *(link.name for link in links if link.anchored)]
@@ -61,13 +89,13 @@ def rooted(
     children = {joint.child for joint in kept}
     away: Dict[str, Joint] = {}
     reached = set(held)
-    # Whatever hangs on no joint comes before what a joint would have to be turned round for.
+    # Links that are no child come before those whose joint would have to be reversed.
     for start in (*held, *(name for name in names if name not in children), *names):
         queue = [start] if start in held or start not in reached else []
         for name in queue:
             reached.add(name)
             for joint in (joint for joint in ends[name] if joint.name not in away):
-                away[joint.name] = joint if joint.parent == name else _turned(joint)
+                away[joint.name] = joint if joint.parent == name else _reversed(joint)
                 queue.append(away[joint.name].child)
     return _anchored(links, [away[joint.name] for joint in kept])
 
@@ -75,11 +103,9 @@ def rooted(
 def _without_loops(
     names: Iterable[str], held: Sequence[str], joints: Iterable[Joint], source: str
 ) -> List[Joint]:
-    """Return joints without those that close a loop; what is `held` is joined already."""
+    """Return the joints that close no loop; the `held` links are connected already."""
     group = {name: {name} for name in names}
-    for name in held:
-        group[name] = group[held[0]]
-    group[held[0]].update(held)
+    group.update(dict.fromkeys(held, set(held)))
     kept = []
     for joint in joints:
         one, other = group[joint.parent], group[joint.child]
@@ -88,13 +114,12 @@ def _without_loops(
             continue
         kept.append(joint)
         one |= other
-        for name in other:
-            group[name] = one
+        group.update(dict.fromkeys(other, one))
     return kept
 
 
-def _turned(joint: Joint) -> Joint:
-    """Return the same joint with parent and child changed round, which has the same positions."""
+def _reversed(joint: Joint) -> Joint:
+    """Return the same joint with parent and child exchanged; its positions stay the same."""
     x, y, z = joint.pose.rotate(joint.axis)
     return replace(
         joint,
@@ -106,10 +131,8 @@ def _turned(joint: Joint) -> Joint:
     )
 
 
-def _anchored(
-    links: Sequence[Link], joints: Sequence[Joint]
-) -> Tuple[Tuple[Link, ...], Tuple[Joint, ...]]:
-    """Return links and joints with those links anchored that are fixed to the world."""
+def _anchored(links: Sequence[Link], joints: Sequence[Joint]) -> Tuple[Links, Joints]:
+    """Return links and joints, with the links anchored that are fixed to the world."""
     to_world = {joint.child: joint.kind for joint in joints if joint.parent == WORLD_LINK}
     fixed = {name for name, kind in to_world.items() if kind == "fixed"}
     found = [replace(link, anchored=link.anchored or link.name in fixed) for link in links]
@@ -120,7 +143,7 @@ def _anchored(
 
 
 def top_down(root: str, joints: Iterable[Joint]) -> List[str]:
-    """Return the links that can be reached from a root, each after its parent."""
+    """Return the names of the links below a root and its own, each after its parent."""
     children: Dict[str, List[str]] = {}
     for joint in joints:
         children.setdefault(joint.parent, []).append(joint.child)
@@ -130,8 +153,8 @@ def top_down(root: str, joints: Iterable[Joint]) -> List[str]:
     return order
 
 
-def place_links(links: Tuple[Link, ...], joints: Tuple[Joint, ...]) -> Tuple[Link, ...]:
-    """Return the links with their poses in the root's frame, all joints at zero."""
+def place_links(links: Links, joints: Joints) -> Links:
+    """Return the links with their poses in the root's frame, with all joints at zero."""
     above = {joint.child: joint for joint in joints}
     poses: Dict[str, Pose] = {}
     root = next(link.name for link in links if link.name not in above)
@@ -141,27 +164,12 @@ def place_links(links: Tuple[Link, ...], joints: Tuple[Joint, ...]) -> Tuple[Lin
     return tuple(replace(link, pose=poses[link.name]) for link in links)
 
 
-def refuse_repeats(
-    names: Iterable[str], what: str, source: str, error: Type[XmlError] = TreeError
-) -> None:
-    """Refuse a name that comes twice; `what` says of what it is, `source` where."""
-    seen = set()
-    for name in names:
-        if name in seen:
-            raise error(f"{source}: {what} '{name}' appears twice")
-        seen.add(name)
-
-
-# Stands between the names of the link that stays and of the shape that came from another.
-LUMP = "_fixed_joint_lump__"
-
-
 def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
-    """Return the same body with as few links as its movable joints, and gravity, need.
+    """Return a model with the links on fixed joints merged into their parents.
 
-    Shapes, masses and inertias go over to the link that stays; `frames` of the result says
-    where each merged link's frame lies in it. Movable joints are hung on the links that stay.
-    With `rename`, names of shapes tell that they came from another link.
+    A merged link gives its shapes, mass and inertia to the link that stays, and `frames` has its
+    pose there. With `rename`, the names of its shapes contain that of the link that stays. Links
+    on which gravity acts differently are not merged, unless they cannot move.
     """
     fixed = {joint.child: joint for joint in model.joints if _merges(joint, model)}
     if not fixed:
@@ -169,8 +177,8 @@ def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
     places = {link.name: _place(link.name, fixed) for link in model.links}
     members: Dict[str, List[Tuple[Link, Pose]]] = {}
     for link in model.links:
-        keeper, pose = places[link.name]
-        members.setdefault(keeper, []).append((link, pose))
+        base, pose = places[link.name]
+        members.setdefault(base, []).append((link, pose))
     kept = (link for link in model.links if link.name not in fixed)
     links = tuple(_merge(link, members[link.name], rename) for link in kept)
     joints = []
@@ -182,7 +190,6 @@ def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
 
 
 def _merges(joint: Joint, model: Model) -> bool:
-    """Return whether the ends of a joint become one link: of one that floats, only half would."""
     if joint.kind != "fixed" or model.static:
         return joint.kind == "fixed"
     links = model.links_by_name()
@@ -191,7 +198,7 @@ def _merges(joint: Joint, model: Model) -> bool:
 
 
 def _place(name: str, fixed: Dict[str, Joint]) -> Tuple[str, Pose]:
-    """Return the link that a link ends up in and the pose of its frame in that link."""
+    """Return the link that a link is merged into, and the pose of its frame there."""
     pose = Pose()
     while name in fixed:
         pose = fixed[name].pose * pose
@@ -199,17 +206,135 @@ def _place(name: str, fixed: Dict[str, Joint]) -> Tuple[str, Pose]:
     return name, pose
 
 
-def _merge(keeper: Link, members: List[Tuple[Link, Pose]], rename: bool) -> Link:
+def _merge(base: Link, members: List[Tuple[Link, Pose]], rename: bool) -> Link:
     def moved(shape: Collision, link: Link, pose: Pose) -> Collision:
-        come = rename and link.name != keeper.name
-        name = f"{keeper.name}{LUMP}{shape.name}" if come else shape.name
+        is_renamed = rename and link.name != base.name
+        name = f"{base.name}{LUMP}{shape.name}" if is_renamed else shape.name
         return replace(shape, pose=pose * shape.pose, name=name)
 
     inertias = [(link.inertia, pose) for link, pose in members if link.inertia is not None]
     return replace(
-        keeper,
+        base,
         inertia=combine(inertias) if inertias else None,
         visuals=tuple(replace(v, pose=p * v.pose) for link, p in members for v in link.visuals),
         collisions=tuple(moved(c, link, p) for link, p in members for c in link.collisions),
         self_collide=any(link.self_collide for link, _ in members),
     )
+
+
+def with_sound_inertias(model: Model, source: str) -> Model:
+    """Return a model with positive principal moments for all links that have a mass.
+
+    A moment that is not positive is replaced by that of the box around the link's largest shape.
+    Positive moments that are too unequal for any body stay, as in Gazebo, with a warning.
+    """
+    if model.static:
+        return model
+    links = (_with_sound_inertia(link, source) for link in model.links)
+    return replace(model, links=tuple(links))
+
+
+def _with_sound_inertia(link: Link, source: str) -> Link:
+    inertia = link.inertia
+    if inertia is None or inertia.mass <= 0.0:
+        return link
+    moments, axes = np.linalg.eigh(inertia.matrix)
+    low, middle, high = moments
+    if low > 0.0 and high <= (low + middle) * (1.0 + RELATIVE_TOLERANCE):
+        return link
+    shown = ", ".join(f"{value:.3g}" for value in moments)
+    what = f"{source}: link '{link.name}': no body can have the principal moments {shown} kg m²"
+    if low > 0.0:
+        LOG.warning("%s; they are used as they are", what)
+        return link
+    least = _least_moment(link)
+    matrix = axes @ np.diag(np.where(moments > 0.0, moments, least)) @ axes.T
+    LOG.warning("%s; moments that are not positive become %.3g", what, least)
+    return replace(link, inertia=replace(inertia, matrix=matrix))
+
+
+def _least_moment(link: Link) -> float:
+    """Return the least principal moment of the box around a link's largest shape, kg m²."""
+    found = []
+    for shape in link.collisions or link.visuals:
+        try:
+            sides = np.sort(np.ptp(shape.geometry.bounds(), axis=0))
+        except LabError:
+            continue
+        if sides[1] > 0.0 and sides[2] < np.inf:
+            found.append(float(sides[0] ** 2 + sides[1] ** 2) / 12.0)
+    return link.inertia.mass * max(found, default=0.4 * BALL**2)
+
+
+def usable(model: Model) -> Model:
+    """Return a model without the parts that cannot be simulated.
+
+    These are shapes whose mesh is unusable, and moving links without mass, with all links below
+    them, which Gazebo drops as well.
+
+    Raises:
+        ModelError: nothing is left.
+    """
+    where = f"model '{model.name}'"
+    links = tuple(_with_usable_shapes(link, where) for link in model.links)
+    joints = model.joints
+    if not model.static:
+        links, joints = _without_massless(links, joints, where)
+    if all(link.name == WORLD_LINK for link in links):
+        name = model.links[0].name if model.links else WORLD_LINK
+        raise ModelError(f"{where}: link '{name}' moves and has no mass")
+    return replace(model, links=links, joints=joints)
+
+
+def _with_usable_shapes(link: Link, where: str) -> Link:
+    def used(shapes: Sequence[Any]) -> Tuple[Any, ...]:
+        found = []
+        for shape in shapes:
+            with leaving_out(lambda what: LOG.warning("%s: link '%s': %s", where, link.name, what)):
+                # Reads the file of a mesh.
+                shape.geometry.bounds()
+                found.append(shape)
+        return tuple(found)
+
+    return replace(link, visuals=used(link.visuals), collisions=used(link.collisions))
+
+
+def _without_massless(links: Links, joints: Joints, where: str) -> Tuple[Links, Joints]:
+    dropped: Set[str] = set()
+    for link in links:
+        massless = link.inertia is None or link.inertia.mass <= 0.0
+        if massless and not link.anchored and link.name not in dropped:
+            below = top_down(link.name, joints)
+            dropped.update(below)
+            others = f", and with it {', '.join(below[1:])}" if below[1:] else ""
+            what = "moves and has no mass; it is left out"
+            LOG.warning("%s: link '%s' %s%s", where, link.name, what, others)
+    kept = [j for j in joints if j.child not in dropped and j.parent not in dropped]
+    return tuple(link for link in links if link.name not in dropped), tuple(kept)
+
+
+def check_proportions(model: Model) -> None:
+    """Raise ModelError for a model with a part that is too far away, too large or too heavy."""
+    for what, values, limit in _measures(model):
+        for value in values:
+            # NaN is refused, too.
+            if not abs(value) <= limit:
+                problem = f"{what}: {value:g} is not within ±{limit:g}"
+                raise ModelError(f"model '{model.name}': {problem}")
+
+
+def _measures(model: Model) -> Iterator[Tuple[str, Iterable[float], float]]:
+    """Yield what is measured, its values, and their limit."""
+    yield "pose", model.pose.position, FARTHEST
+    for link in model.links:
+        where = f"link '{link.name}'"
+        yield f"{where}: pose", link.pose.position, FARTHEST
+        if link.inertia is not None:
+            yield f"{where}: mass", (link.inertia.mass,), HEAVIEST
+            yield f"{where}: centre of mass", link.inertia.centre, FARTHEST
+            yield f"{where}: inertia", link.inertia.matrix.flat, HEAVIEST * FARTHEST
+        for shape in (*link.visuals, *link.collisions):
+            yield f"{where}: pose of a shape", shape.pose.position, FARTHEST
+            yield f"{where}: size of a shape", chain(*shape.geometry.measures().values()), FARTHEST
+    for joint in model.joints:
+        yield f"joint '{joint.name}': pose", joint.pose.position, FARTHEST

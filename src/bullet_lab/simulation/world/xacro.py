@@ -1,11 +1,10 @@
-"""Expanding xacro, the macro language of URDF.
+"""Expand xacro, the macro language of URDF.
 
-A xacro file is a program: its `${…}` are Python expressions. The xacro package gives them few
-names to work with and none with leading underscores, which is a fence and no wall. So a file is
-only expanded where the user names it by its path, never one that came in as text; and that
-happens in a process of its own, which gets so much time and memory, can create or write no
-file, and ends afterwards. It can read whatever the user can read, the environment included:
-expand no xacro file of somebody you do not trust.
+A xacro file is a program: its `${…}` are Python expressions. The xacro package restricts the names
+in them, but this is no protection. So a file is only expanded if the user names its path, never if
+it came as text. A separate process expands it, which has limited time and memory and cannot write
+files. It can read everything that the user can read, with the environment: do not expand xacro
+files of strangers.
 """
 
 from __future__ import annotations
@@ -30,16 +29,16 @@ class XacroError(XmlError):
 
 
 def is_xacro(path: Path) -> bool:
-    """Return whether a file is xacro, by its name."""
+    """Return whether a file has the suffix of xacro."""
     return path.suffix.lower() == SUFFIX
 
 
 def expand_xacro(path: Path, arguments: Optional[Mapping[str, str]] = None) -> str:
-    """Return the URDF text that a xacro file stands for, with values of its `<xacro:arg>`.
+    """Return the URDF text of a xacro file, with values for its `<xacro:arg>`.
 
     Raises:
-        XacroError: the xacro package is missing, the file is not there, makes no sense, or
-            takes too long or too much memory; the message says which.
+        XacroError: the xacro package or the file is missing, the file is invalid, or it takes too
+            much time or memory; the message says which.
     """
     limits = {"seconds": SECONDS, "memory_bytes": MEMORY_BYTES}
     order = {"path": str(path), "arguments": dict(arguments or {}), **limits}
@@ -67,4 +66,4 @@ def _reason(done: subprocess.CompletedProcess) -> str:
     if done.returncode < 0:
         return f"xacro took more than {SECONDS} s"
     lines = done.stderr.decode(errors="replace").strip().splitlines()
-    return lines[-1][:LONGEST_MESSAGE] if lines else "xacro failed without a word"
+    return lines[-1][:LONGEST_MESSAGE] if lines else "xacro failed without a message"

@@ -1,4 +1,4 @@
-"""The process that expands one xacro file, see `xacro`, and where xacro looks for packages."""
+"""Expand one xacro file in a separate process, see `xacro`; find packages for xacro."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, Mapping
 
 def main() -> int:
     """Read the order from standard input; write URDF, or one line of error."""
-    # Run as a file, Python looks for modules beside it first.
+    # Otherwise Python would import modules beside this file first.
     del sys.path[0]
     order = json.load(sys.stdin)
     try:
@@ -23,12 +23,12 @@ def main() -> int:
     find_packages_of_ros1()
     _limit(order)
     try:
-        # What xacro has to say is not URDF.
+        # Messages of xacro are not URDF.
         with contextlib.redirect_stdout(StringIO()):
             document = xacro.process_file(order["path"], mappings=order["arguments"], verbosity=0)
         text = document.toxml()
     except (Exception, SystemExit) as error:
-        if _for_want_of_memory(error):
+        if _is_memory_error(error):
             return _fail(f"xacro took more than {order['memory_bytes'] >> 20} MB of memory")
         return _fail(" ".join(f"xacro: {error or type(error).__name__}".split()))
     sys.stdout.write(text)
@@ -36,7 +36,7 @@ def main() -> int:
 
 
 def find_packages_of_ros1() -> None:
-    """Have xacro's $(find package) look where package:// does: PyPI's xacro would ask ROS 2."""
+    """Make xacro's $(find package) search like package://; PyPI's xacro would ask ROS 2."""
     from bullet_lab.simulation.world.resources import ros_package_folder
 
     def share_folder(name: str) -> str:
@@ -51,8 +51,8 @@ def find_packages_of_ros1() -> None:
     sys.modules["ament_index_python.packages"] = packages
 
 
-def _for_want_of_memory(error: Any) -> bool:
-    # xacro wraps what it catches, in `exc`.
+def _is_memory_error(error: Any) -> bool:
+    # xacro wraps an error that it catches in one with the attribute `exc`.
     while error is not None and not isinstance(error, MemoryError):
         error = getattr(error, "exc", None)
     return error is not None

@@ -1,15 +1,19 @@
-"""Reading XML that comes from outside, without letting it reach anything else."""
+"""Read XML and other files from strangers: size limits, no entities, checked values.
+
+An invalid value is reported once and replaced by its default, or its element is left out.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import os
 import re
 import stat
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Callable, Match, Optional, Sequence, Tuple, Type
+from typing import Callable, Iterator, Match, Optional, Sequence, Set, Tuple, Type
 from xml.etree.ElementTree import Element, ParseError
 
 import defusedxml.ElementTree
@@ -18,30 +22,54 @@ from defusedxml.common import DefusedXmlException
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
 
-# A description of a robot or a world is text for people; meshes are files of their own.
+LOG = logging.getLogger(__name__)
+
+# A robot or a world is a text that people write; meshes are in files of their own.
 MAXIMUM_BYTES = 20_000_000
 COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 DECLARATION = re.compile(r"<\?xml\s.*?\?>", re.DOTALL)
-# Before a colon, in the name of an element or of an attribute.
+# The part before the colon in the name of an element or an attribute.
 PREFIX = re.compile(r"""(</?[\w.-]+|\s[\w.-]+(?=:[\w.-]+\s*=\s*["'])):""")
 TAG = re.compile(r"<[^<>!?]+>")
-# Of an attribute: its name, and its value with quotes or without.
+# An attribute: its name, and its value with quotes or without.
 VALUE = re.compile(r"""(\s[\w.:-]+\s*=\s*)(?:("[^"]*"|'[^']*')|([^\s"'>]*[^\s"'>/]))""")
-# Squares and cubes of larger ones would overflow; SDF writes 1e16 for "no limit".
+# Squares and cubes of larger numbers would overflow. SDF writes 1e16 for "no limit".
 LARGEST_NUMBER = 1e18
-# A coefficient of friction that nothing slips at.
+# A coefficient of friction at which nothing slips.
 NO_SLIP = 1e6
 
 
 class XmlError(LabError):
-    """A document cannot be read or does not say what it must."""
+    """A document cannot be read, or its content is invalid."""
+
+
+class ReportOnce:
+    """Log each warning once."""
+
+    def __init__(self) -> None:
+        self._given: Set[str] = set()
+
+    def __call__(self, message: str) -> None:
+        """Warn, unless the same warning was logged before."""
+        if message not in self._given:
+            self._given.add(message)
+            LOG.warning("%s", message)
+
+
+@contextlib.contextmanager
+def leaving_out(report: Callable[[str], None]) -> Iterator[None]:
+    """Report a LabError and continue without the part that caused it."""
+    try:
+        yield
+    except LabError as error:
+        report(f"{error}; it is left out")
 
 
 def parse_text(text: str, source: str) -> Element:
     """Parse XML text; `source` names it in messages.
 
-    Document types are refused altogether: entities can read files and the network, and no
-    robot needs them. What Gazebo's parser passes over is passed over.
+    Document types are refused: entities can read files and the network, and no robot needs them.
+    Mistakes that Gazebo's parser ignores are ignored.
 
     Raises:
         XmlError: not well formed, too large, or with a document type.
@@ -51,7 +79,7 @@ def parse_text(text: str, source: str) -> Element:
     try:
         with contextlib.suppress(ParseError):
             return _parsed(text)
-        return _parsed(_as_gazebo_has_it(text))
+        return _parsed(_repaired(text))
     except ParseError as error:
         raise XmlError(f"{source}: not well-formed XML: {error}") from error
     except DefusedXmlException as error:
@@ -61,22 +89,22 @@ def parse_text(text: str, source: str) -> Element:
 
 
 def _parsed(text: str) -> Element:
-    # Given as text, not as bytes: whatever encoding the document declares is passed over.
+    # As text, not as bytes: the encoding that the document declares does not matter.
     return defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
 
 
-def _as_gazebo_has_it(text: str) -> str:
-    """Return a document without what expat refuses and Gazebo's parser, TinyXML, does not mind.
+def _repaired(text: str) -> str:
+    """Return a document without the mistakes that expat refuses and Gazebo's TinyXML ignores.
 
-    That is whatever stands in comments, a declaration that is not the first of all, prefixes of
-    names without a namespace, and values without quotes.
+    These are any text in comments, a declaration that is not at the start, prefixes without a
+    namespace, and values without quotes.
 
-    >>> _as_gazebo_has_it("<!-- -- --> <?xml version='1.0'?><a b:c='1'><d:e f=g/></a>").strip()
+    >>> _repaired("<!-- -- --> <?xml version='1.0'?><a b:c='1'><d:e f=g/></a>").strip()
     "<a b.c='1'><d.e f='g'/></a>"
     """
-    for passed_over in (COMMENT, DECLARATION):
-        # Lines keep their numbers, for messages.
-        text = passed_over.sub(lambda found: "\n" * found.group().count("\n"), text)
+    for ignored in (COMMENT, DECLARATION):
+        # Line numbers in messages stay right.
+        text = ignored.sub(lambda found: "\n" * found.group().count("\n"), text)
     text = PREFIX.sub(r"\1.", text)
     return TAG.sub(lambda tag: VALUE.sub(_quoted, tag.group()), text)
 
@@ -87,12 +115,12 @@ def _quoted(value: Match[str]) -> str:
 
 
 def file_bytes(path: Path, most: int, error_kind: Type[LabError] = XmlError) -> bytes:
-    """Return what is in a file; raises `error_kind` if that is missing or over `most` bytes.
+    """Return the content of a file; raise `error_kind` if it is missing or over `most` bytes.
 
-    A pipe or a device is refused: a simulation would wait for whoever writes into it.
+    A pipe or a device is refused: reading it could block for ever.
     """
     try:
-        with open(path, "rb", opener=_open_at_once) as file:
+        with open(path, "rb", opener=_open_without_waiting) as file:
             found = os.fstat(file.fileno())
             if not stat.S_ISREG(found.st_mode):
                 raise error_kind(f"{path}: not a file")
@@ -103,12 +131,12 @@ def file_bytes(path: Path, most: int, error_kind: Type[LabError] = XmlError) -> 
         raise error_kind(f"{path}: {error.strerror}") from error
 
 
-def _open_at_once(name: str, flags: int) -> int:
+def _open_without_waiting(name: str, flags: int) -> int:
     return os.open(name, flags | os.O_NONBLOCK)
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file; raises XmlError if that is missing, too large or not UTF-8."""
+    """Return the text of a file; raise XmlError if it is missing, too large or not UTF-8."""
     try:
         return file_bytes(path, MAXIMUM_BYTES).decode()
     except UnicodeDecodeError as error:
@@ -116,7 +144,7 @@ def read_text(path: Path) -> str:
 
 
 def numbers(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
-    """Return the `count` finite numbers in a text; raises XmlError that names the place, `what`."""
+    """Return the `count` finite numbers in a text; raise XmlError that begins with `what`."""
     parts = (text or "").split()
     try:
         values = tuple(float(part) for part in parts)
@@ -127,119 +155,113 @@ def numbers(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
         raise XmlError(f"{what}: '{' '.join(parts)[:80]}' is not {expected}")
     for value in values:
         if abs(value) > LARGEST_NUMBER:
-            raise XmlError(f"{what}: {value:g} is out of all proportion")
+            raise XmlError(f"{what}: {value:g} is not within ±{LARGEST_NUMBER:g}")
     return values
 
 
 def number(text: Optional[str], what: str) -> float:
-    """Return the one finite number in a text; raises XmlError."""
+    """Return the one finite number in a text; raise XmlError."""
     return numbers(text, 1, what)[0]
 
 
+def colour(text: str, what: str) -> Tuple[float, ...]:
+    """Return the red, green, blue and alpha in a text, alpha 1 by default; raise XmlError."""
+    return numbers(f"{text} 1" if len(text.split()) == 3 else text, 4, what)
+
+
 def child_text(element: Element, tag: str, default: str = "") -> str:
-    """Return the stripped text of a child, or the default where it is missing or empty."""
-    child = element.find(tag)
-    text = (child.text or "").strip() if child is not None else ""
-    return text or default
+    """Return the stripped text of a child, or the default if it is missing or empty."""
+    return (element.findtext(tag) or "").strip() or default
 
 
 class TagReader(ABC):
-    """What a tag says, by the names of what it holds; raises XmlError where that makes no sense.
+    """Reads and checks the values in a tag by their keys.
 
-    Where there is a default, `doubt` decides whether it counts instead.
+    An invalid value raises XmlError. If there is a default, `doubt` decides: it raises the error,
+    or it returns and the default is used.
     """
 
     @abstractmethod
     def text(self, key: str, default: str = "") -> str:
-        """Return a text, or the default where there is none."""
+        """Return a text, or the default if it is missing."""
 
     @abstractmethod
     def where(self, key: str) -> str:
-        """Name the place of a text in messages."""
+        """Return the place of a value, for messages."""
 
     def doubt(self, error: LabError) -> None:
-        """Take note of what makes no sense, and return for its default to count; or raise it."""
+        """Raise the error of an invalid value; subclasses may log it instead."""
         raise error
 
     def numbers(self, key: str, count: int, default: str = "") -> Tuple[float, ...]:
         """Return `count` finite numbers."""
-        return self._checked(key, count, default, lambda values: "")
+        return self._checked(key, count, default, lambda values: False, "")
 
     def number(self, key: str, default: float) -> float:
         """Return a finite number."""
         return self.numbers(key, 1, repr(default))[0]
 
     def bound(self, key: str) -> float:
-        """Return a number that bounds something; LARGEST_NUMBER for what is larger or infinite.
+        """Return a limit; larger or infinite ones become LARGEST_NUMBER.
 
-        >>> class Said(TagReader):
+        >>> class Example(TagReader):
         ...     def text(self, key, default=""):
         ...         return {"upper": "1.79769e+308", "lower": "-inf", "effort": "3"}[key]
-        >>> [Said().bound(key) for key in ("upper", "lower", "effort")]
+        ...     def where(self, key):
+        ...         return key
+        >>> [Example().bound(key) for key in ("upper", "lower", "effort")]
         [1e+18, -1e+18, 3.0]
         """
         with contextlib.suppress(ValueError):
-            said = float(self.text(key))
-            if abs(said) > LARGEST_NUMBER:
-                return math.copysign(LARGEST_NUMBER, said)
+            value = float(self.text(key))
+            if abs(value) > LARGEST_NUMBER:
+                return math.copysign(LARGEST_NUMBER, value)
         return self.number(key, 0.0)
 
     def coefficient(self, key: str, default: float) -> float:
         """Return a number that is not negative."""
-
-        def check(values: Tuple[float, ...]) -> str:
-            return f"{values[0]:g} is negative" if values[0] < 0.0 else ""
-
-        return self._checked(key, 1, repr(default), check)[0]
+        return self._checked(key, 1, repr(default), lambda v: v[0] < 0.0, "{:g} is negative")[0]
 
     def friction(self, key: str, default: float) -> float:
-        """Return a coefficient of friction: NO_SLIP for what is larger, or negative, as in ODE.
+        """Return a coefficient of friction; larger or negative ones become NO_SLIP, as in ODE.
 
-        >>> class Said(TagReader):
+        >>> class Example(TagReader):
         ...     def text(self, key, default=""):
         ...         return {"mu": "0.5", "mu2": "-1", "grip": "inf"}.get(key, default)
-        >>> [Said().friction(key, 1.0) for key in ("mu", "mu2", "grip", "none")]
+        ...     def where(self, key):
+        ...         return key
+        >>> [Example().friction(key, 1.0) for key in ("mu", "mu2", "grip", "none")]
         [0.5, 1000000.0, 1000000.0, 1.0]
         """
         try:
-            said = float(self.text(key, repr(default)))
+            value = float(self.text(key, repr(default)))
         except ValueError:
-            said = math.nan
-        if math.isnan(said):
+            value = math.nan
+        if math.isnan(value):
             return self.number(key, default)
-        return said if 0.0 <= said < NO_SLIP else NO_SLIP
+        return value if 0.0 <= value < NO_SLIP else NO_SLIP
 
     def sizes(self, key: str, count: int, default: str = "") -> Tuple[float, ...]:
         """Return `count` positive numbers."""
-
-        def check(values: Tuple[float, ...]) -> str:
-            return f"{min(values):g} is not positive" if min(values) <= 0.0 else ""
-
-        return self._checked(key, count, default, check)
+        return self._checked(key, count, default, lambda v: min(v) <= 0.0, "{:g} is not positive")
 
     def positive(self, key: str, default: float) -> float:
         """Return a positive number."""
         return self.sizes(key, 1, repr(default))[0]
 
     def scale(self, key: str) -> Vector:
-        """Return three factors, all 1 by default; negative ones mirror."""
-
-        def check(values: Tuple[float, ...]) -> str:
-            return "a scale of 0 leaves nothing" if 0.0 in values else ""
-
-        return self._checked(key, 3, "1 1 1", check)
+        """Return three factors, by default 1; negative ones mirror."""
+        reason = "a scale of 0 leaves nothing"
+        return self._checked(key, 3, "1 1 1", lambda v: 0.0 in v, reason)
 
     def direction(self, key: str, default: str) -> Vector:
         """Return a unit vector."""
-
-        def check(values: Tuple[float, ...]) -> str:
-            return "" if _length(values) > 0.0 else "a zero vector has no direction"
-
-        values = self._checked(key, 3, default, check)
+        reason = "a zero vector has no direction"
+        values = self._checked(key, 3, default, lambda v: _length(v) == 0.0, reason)
         return tuple(value / _length(values) for value in values)
 
     def choice(self, key: str, known: Sequence[str]) -> str:
-        """Return one of several words, the first of them by default."""
+        """Return one of several words, by default the first."""
         word = self.text(key, known[0])
         if word in known:
             return word
@@ -256,14 +278,18 @@ class TagReader(ABC):
         return default
 
     def _checked(
-        self, key: str, count: int, default: str, check: Callable[[Tuple[float, ...]], str]
+        self,
+        key: str,
+        count: int,
+        default: str,
+        is_wrong: Callable[[Tuple[float, ...]], bool],
+        reason: str,
     ) -> Tuple[float, ...]:
-        """Return finite numbers that `check` says nothing about."""
+        """Return finite numbers that are not wrong; `reason` is formatted with the least one."""
         try:
             values = numbers(self.text(key, default), count, self.where(key))
-            trouble = check(values)
-            if trouble:
-                raise XmlError(f"{self.where(key)}: {trouble}")
+            if is_wrong(values):
+                raise XmlError(f"{self.where(key)}: {reason.format(min(values))}")
             return values
         except XmlError as error:
             if not default:
@@ -277,7 +303,7 @@ def _length(values: Sequence[float]) -> float:
 
 
 class ElementReader(TagReader):
-    """What the elements below one say, by their paths such as "ray/range/max".
+    """Reads the texts of the elements below one by their paths, such as "ray/range/max".
 
     `source` names the element in messages.
     """
@@ -293,6 +319,6 @@ class ElementReader(TagReader):
         return f"{self.source}: <{key.rpartition('/')[2]}>"
 
     def pose(self) -> Pose:
-        """Return the `<pose>` in it, in its own frame; raises XmlError."""
+        """Return the `<pose>` in it, in the frame that it is given in; raise XmlError."""
         values = self.numbers("pose", 6, "0 0 0 0 0 0")
         return Pose.from_rpy(values[:3], values[3:])

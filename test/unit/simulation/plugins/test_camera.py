@@ -281,7 +281,7 @@ def test_impossible_settings_are_refused(wrong):
         ({"rate": 5000}, "not within 1e-09"),
         ({"rate": "fast"}, "not a finite number"),
         ({"more": noise(0.1, kind="custom")}, "<type>: 'custom' is not gaussian or none"),
-        ({"more": noise(-0.1)}, "not negative"),
+        ({"more": noise(-0.1)}, "must not be negative"),
         ({"tags": "<samples>99</samples>"}, "99 samples"),
         ({"tags": "<distortionK1>0.1</distortionK1>",
           "more": "<distortion><k1>0.2</k1></distortion>"}, "other coefficients"),

@@ -102,9 +102,13 @@ def brightness(light):
         offsets = light.pose.position - places
         far = np.linalg.norm(offsets, axis=1)
         towards = offsets / far[:, None]
-        share = light.attenuation.at(far)
+        fade = light.attenuation
+        fading = fade.constant + far * (fade.linear + far * fade.quadratic)
+        share = np.where(far > fade.range, 0.0, 1.0 / np.maximum(1.0, fading))
         if light.kind == "spot":
-            share = share * light.cone.at(-(towards @ along))
+            inside, outside = np.cos(0.5 * light.cone.inner), np.cos(0.5 * light.cone.outer)
+            edge = (-(towards @ along) - outside) / max(1e-9, inside - outside)
+            share = share * np.clip(edge, 0.0, 1.0) ** light.cone.falloff
     cosine = np.maximum(0.0, np.sum(normal * towards, axis=1))
     if light.casts_shadows:
         cosine[nearest(places + 1e-6 * normal, towards)[0] < far] = 0.0

@@ -254,7 +254,7 @@ def test_what_cannot_be_read_is_left_out_and_the_rest_is_drawn(tmp_path, caplog)
         path.write_text("v 0 0 x\n")
         assert [middle(simulation) for _ in range(3)] == [(255, 0, 0)] * 3
     (message,) = caplog.messages
-    assert message.startswith("model 'p': link 'link' is not drawn as it should be: ")
+    assert message.startswith("model 'p': link 'link' is not drawn completely: ")
 
 
 def test_a_machine_without_a_driver_is_told_the_packages():

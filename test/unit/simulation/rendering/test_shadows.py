@@ -166,7 +166,7 @@ def test_more_lights_with_shadows_than_there_are_maps(caplog):
     # Seven throw shadows, with a map for what stands still and one for what moves.
     assert at(seen, 1.6, 0.0) == pytest.approx(255 * (0.25 + 5 * 0.05 * 0.6), abs=2)
     assert at(seen, -1.0, 0.5) == pytest.approx(255 * (0.25 + 12 * 0.05 * 0.6), abs=2)
-    assert caplog.text.count("throws no shadows: too many others do") == 5
+    assert caplog.text.count("casts no shadows; 15 maps are the limit") == 5
 
 
 def test_shadows_do_not_depend_on_what_was_in_view_before():

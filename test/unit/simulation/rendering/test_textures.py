@@ -10,9 +10,9 @@ from PIL import Image
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
+from bullet_lab.simulation.rendering.drawables import read_pixels
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.rendering.surfaces import surfaces_of
-from bullet_lab.simulation.rendering.textures import read_pixels
 from bullet_lab.simulation.world.description import Mesh
 
 AHEAD = Pose((0.0, 0.0, 0.5))
@@ -220,7 +220,7 @@ def test_broken_files_are_one_line(tmp_path, name, content, message):
     [
         ("p.png", b"no image", "not a readable image"),
         ("p.png", b"", "not a readable image"),
-        ("p.obj", None, "without picture coordinates"),
+        ("p.obj", None, "no texture coordinates"),
     ],
 )
 def test_a_picture_that_cannot_be_shown_is_named_and_left_out(

@@ -290,7 +290,7 @@ def test_what_is_for_the_eye_alone_is_not_reported(caplog):
 def test_a_reference_to_nothing_is_reported(caplog):
     nowhere = "<gazebo reference='bose'><mu1>1</mu1></gazebo>"
     (message,) = warnings_of(caplog, lambda: carrier(nowhere))
-    assert "<gazebo reference='bose'>: there is no such link or joint" in message
+    assert "<gazebo reference='bose'>: unknown link or joint" in message
 
 
 def test_tags_of_a_plugin_that_it_does_not_know_are_reported(caplog):

@@ -155,11 +155,11 @@ def test_colours_without_a_script(shop):
 @pytest.mark.parametrize(
     ("material", "message"),
     [
-        (script("Shop/Gone"), "material 'Shop/Gone' is in no script that is named"),
-        (script("Shop/Gone", ""), "material 'Shop/Gone' is in no script that is named"),
-        (script("Shop/Lost"), "its picture 'lost.png' is not there"),
-        (script("Shop/Bad"), "diffuse 'one two three' is no colour"),
-        (script("Shop/Shaded"), "its programs are not run"),
+        (script("Shop/Gone"), "material 'Shop/Gone' is in none of the named scripts"),
+        (script("Shop/Gone", ""), "material 'Shop/Gone' is in none of the named scripts"),
+        (script("Shop/Lost"), "picture 'lost.png' not found"),
+        (script("Shop/Bad"), "diffuse 'one two three' is not a colour"),
+        (script("Shop/Shaded"), "its shader programs are ignored"),
         (script("Shop/Crate", "<uri>model://gone</uri>" + URIS[1]), "'model://gone'"),
         (
             script("Gazebo/Wood", "<uri>file://media/materials/scripts/gazebo.material</uri>"),
@@ -182,7 +182,7 @@ def test_what_is_missing_is_said_once_and_the_rest_is_drawn(shop, material, mess
 
 def test_a_colour_that_is_none_is_said(shop, caplog):
     assert visual_of(shop, "<diffuse>green</diffuse><ambient>1 0 0</ambient>").colour[0] == 1.0
-    assert "visual 'v': <diffuse>: 'green' is not 4 finite numbers; not counted" in caplog.text
+    assert "visual 'v': <diffuse>: 'green' is not 4 finite numbers; ignored" in caplog.text
 
 
 def test_a_script_that_breaks_off_keeps_what_was_before(shop, caplog):
@@ -217,7 +217,7 @@ def test_pictures_never_lie_outside_of_the_folders(shop, tmp_path, caplog):
             f'material S {{ technique {{ pass {{ texture_unit {{ texture "{name}"\n}}}}}}}}'
         )
         assert visual_of(shop, script("S")).material.texture is None
-    assert caplog.text.count("is not there") == 3
+    assert caplog.text.count("not found; drawn without it") == 3
 
 
 WORLD = """<sdf version="1.6"><world name="w">

@@ -97,7 +97,7 @@ def test_a_part_of_a_collada_file_by_the_name_of_its_node(tmp_path, beacon_text,
     assert bounds("other")[0] == pytest.approx((-2, 2, -1))
     assert caplog.messages == []
     assert bounds("gone").tolist() == bounds("").tolist()
-    assert "m.dae: no submesh 'gone'; all of it is taken" in caplog.text
+    assert "m.dae: no submesh 'gone'; the whole mesh is used" in caplog.text
 
 
 # Two triangles in objects, of two materials the second, and one in a group with two names.
@@ -137,14 +137,14 @@ def test_a_part_of_an_obj_file_by_the_name_of_its_object_or_group(tmp_path, capl
     assert len(mesh_parts(Mesh(path, "", submesh="second"))) == 2
     assert caplog.messages == []
     assert bounds("fourth") == bounds("")
-    assert "m.obj: no submesh 'fourth'; all of it is taken" in caplog.text
+    assert "m.obj: no submesh 'fourth'; the whole mesh is used" in caplog.text
 
 
 def test_an_stl_file_has_no_parts(tmp_path, caplog):
     path = tmp_path / "a.stl"
     path.write_text(STL.format("2"))
     assert Mesh(path, "", submesh="one").bounds().tolist() == [[0, 0, 0], [2, 1, 0]]
-    assert "a.stl: no submesh 'one'; all of it is taken" in caplog.text
+    assert "a.stl: no submesh 'one'; the whole mesh is used" in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -210,10 +210,10 @@ BAD = {
     "one_of_two.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nv nan 0 0\nf 1 2 3\nf 1 2 4\n", "finite"),
     "inf.obj": ("v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "finite"),
     "word.obj": ("v 0 0 x\nf 1 1 1\n", "not a readable mesh"),
-    "index.obj": ("v 0 0 0\nv 1 0 0\nf 1 2 99\n", "not a readable mesh|corner that is not"),
+    "index.obj": ("v 0 0 0\nv 1 0 0\nf 1 2 99\n", "not a readable mesh|unknown corner"),
     "points.obj": ("v 0 0 0\nv 1 1 1\n", "not a readable mesh"),
     "binary.obj": (bytes(range(256)), "no triangles"),
-    "a.ply": ("ply", "a mesh is one of .dae, .stl, .obj"),
+    "a.ply": ("ply", "unknown kind of mesh; use .dae, .stl, .obj"),
     "latin.dae": ("<ü/>".encode("latin-1"), "not UTF-8 text"),
     "plain.dae": ("<COLLADA/>", "there is no scene"),
     "zip.dae": (b"PK\x05\x06" + 18 * b"\0", "not well-formed XML"),
@@ -363,5 +363,5 @@ def test_the_transform_decides_where_a_robot_stops(
 
 
 def test_corners_in_a_plane_are_no_mesh(load):
-    with pytest.raises(MeshError, match="a corner has three coordinates"):
+    with pytest.raises(MeshError, match="a corner needs three coordinates"):
         load("flat.obj", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")

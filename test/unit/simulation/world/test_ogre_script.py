@@ -168,7 +168,7 @@ def test_mistakes_are_said_and_what_was_before_them_counts(text, mistake, kept):
     [
         ("material A : B { }\nmaterial B : A { }", "inherits from it"),
         ("material A : A { }", "inherits from it"),
-        ("material A : Gone { }", "its parent 'Gone' is not there"),
+        ("material A : Gone { }", "its parent 'Gone' is missing"),
     ],
 )
 def test_parents_that_cannot_be(text, message):

@@ -282,7 +282,7 @@ BAD_MODELS = {
     "pose": (model("<pose>1 2 3</pose>" + link()), "<pose>: '1 2 3' is not 6 finite numbers"),
     "frame": (
         model(link('<pose frame="x">1 2 3 0 0 0</pose>')),
-        "model 'm': frame 'x' is not there; the model's counts",
+        "model 'm': frame 'x' is unknown; the model's frame is used",
     ),
     "no geometry": (
         model(link('<collision name="c"/>')),
@@ -316,10 +316,10 @@ BAD_MODELS = {
         ),
         "link 'a': <mu>: 'nan' is not a finite number",
     ),
-    "mesh": (model(link(shape("<mesh/>"))), "<collision>: a <mesh> without <uri>"),
+    "mesh": (model(link(shape("<mesh/>"))), "<collision>: <uri>: no file is named"),
     "missing mesh": (
         model(link(shape("<mesh><uri>package://bullet_lab/nix.dae</uri></mesh>"))),
-        "link 'a': <collision>: 'package://bullet_lab/nix.dae': no such file",
+        "link 'a': <collision>: <uri>: 'package://bullet_lab/nix.dae': no such file",
     ),
     "flat mesh": (
         model(link(shape(f"<mesh><uri>{BEACON}</uri><scale>1 0 1</scale></mesh>"))),
@@ -327,7 +327,7 @@ BAD_MODELS = {
     ),
     "no mass": (
         model(link("<inertial><mass>0</mass></inertial>")),
-        "link 'a': <mass>: 0 is not positive; the default counts",
+        "link 'a': <mass>: 0 is not positive; the default is used",
     ),
     "negative mass": (
         model(link("<inertial><mass>-1</mass></inertial>")),
@@ -335,13 +335,13 @@ BAD_MODELS = {
     ),
     "inertia": (
         model(link("<inertial><inertia><izz>3</izz></inertia></inertial>")),
-        "no body has the principal moments 1, 1, 3",
+        "no body can have the principal moments 1, 1, 3",
     ),
     "joint type": (
         model(link() + link("", "b") + joint("screw")),
-        "joint 'j': type 'screw' is not simulated; it holds its links fixed",
+        "joint 'j': type 'screw' is not simulated; its links are fixed to each other",
     ),
-    "joint end": (model(link() + joint("fixed", child="x")), "joint 'j': names no link 'x'"),
+    "joint end": (model(link() + joint("fixed", child="x")), "joint 'j': has an unknown link 'x'"),
     "axis": (
         model(link() + link("", "b") + joint("revolute", inside="<axis><xyz>0 0 0</xyz></axis>")),
         "joint 'j': <xyz>: a zero vector has no direction",
@@ -353,10 +353,10 @@ BAD_MODELS = {
     "wrong root": ("<robot/>", "the root element is <robot>, not <sdf>"),
     "malformed": ("<sdf>", "not well-formed XML"),
     "DTD": ("<!DOCTYPE sdf><sdf/>", "document types and entities are refused"),
-    "none": (sdf(""), "0 models where one is wanted"),
+    "none": (sdf(""), "there is no model"),
     "two": (
         sdf('<model name="a"><link name="l"/></model><model name="b"><link name="l"/></model>'),
-        "2 models where one is wanted",
+        "2 models; only the first is used",
     ),
 }  # fmt: skip
 
@@ -385,7 +385,7 @@ BAD_WORLDS = {
     "include": ("<include/>", "an <include> without <uri>"),
     "unknown model": (
         include("<uri>model://nix</uri>"),
-        "<include>: 'model://nix': in none of the model folders",
+        "<include>: <uri>: 'model://nix': in none of the model folders",
     ),
     "network": (include("<uri>http://127.0.0.1:1/m</uri>"), "<include>: .*: only package://"),
     "outside": (include("<uri>file:///etc/passwd</uri>"), "<include>: .*: outside the folders"),
@@ -395,7 +395,7 @@ BAD_WORLDS = {
     ),
     "include frame": (
         include('<uri>model://good</uri><pose frame="x">0 0 0 0 0 0</pose>'),
-        "frame 'x' is not there; the model's counts",
+        "frame 'x' is unknown; the model's frame is used",
     ),
 }
 

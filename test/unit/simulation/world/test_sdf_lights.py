@@ -1,6 +1,4 @@
-import math
 
-import numpy as np
 import pytest
 from conftest import complains
 
@@ -37,20 +35,6 @@ def test_attenuation_and_cone(read):
     (lamp,) = read(light(f"<attenuation>{fading}</attenuation><spot>{spot}</spot>")).lights
     assert lamp.attenuation == Attenuation(7.0, 0.5, 0.1, 0.01)
     assert lamp.cone == Cone(0.3, 0.9, 2.0)
-
-
-def test_fading(read):
-    fading = Attenuation(5.0, 0.5, 0.1, 0.02)
-    left = fading.at(np.array([0.0, 4.0, 5.0, 5.1]))
-    # Never brighter than at the lamp itself.
-    assert left == pytest.approx([1.0, 1 / 1.22, 1 / 1.5, 0.0])
-
-
-def test_the_edge_of_a_cone():
-    cone = Cone(0.4, 1.0, 2.0)
-    half = (math.cos(0.2) + math.cos(0.5)) / 2
-    cosines = np.array([1.0, math.cos(0.19), half, math.cos(0.51), -1.0])
-    assert cone.at(cosines) == pytest.approx([1.0, 1.0, 0.25, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ WITH_EXAMPLES = (
     "simulation.plugins.wheel_drives",
     "simulation.world.inertia",
     "simulation.world.shapes",
+    "simulation.world.xml",
 )
 SOLIDS = [Box((0.4, 1.0, 2.0)), Cylinder(0.3, 1.2), Sphere(0.7)]
 CUBE = """v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\nv 0 0 2\nv 2 0 2\nv 2 2 2\nv 0 2 2

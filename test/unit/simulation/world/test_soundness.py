@@ -7,6 +7,7 @@ import pytest
 from conftest import EMPTY_WORLD, complains
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.sdf import read_description
 
@@ -32,14 +33,14 @@ def matrix(model):
 
 
 def test_moments_that_no_body_has_count_as_they_are():
-    with complains("link 'wheel': no body has the principal moments 3.08e-05, 3.08e-05, 0.00136"):
+    with complains("link 'wheel': no body can have .* moments 3.08e-05, 3.08e-05, 0.00136"):
         model = robot("3.08e-05 0.00136 3.08e-05")
     assert matrix(model) == pytest.approx((3.08e-5, 1.36e-3, 3.08e-5))
 
 
 @pytest.mark.parametrize("moments", ["0 0 0", "-1 -1 -1", "0 0.001 0.001"])
 def test_moments_that_are_not_positive_come_from_the_shape(moments):
-    with complains("link 'wheel': no body has .*is taken for what is not positive$"):
+    with complains("no body can have .*; moments that are not positive become 0.00104$"):
         model = robot(moments)
     # The box around the wheel is 0.2 m by 0.2 m by 0.04 m.
     least = 0.3 / 12.0 * (0.2**2 + 0.04**2)
@@ -49,7 +50,7 @@ def test_moments_that_are_not_positive_come_from_the_shape(moments):
 
 def test_off_diagonal_elements_that_no_body_has():
     text = ROBOT.format(inertial="", shape=CYLINDER).replace('ixy="0"', 'ixy="0.05"')
-    with complains("link 'base': no body has the principal moments -0.03, 0.02, 0.07"):
+    with complains("link 'base': no body can have the principal moments -0.03, 0.02, 0.07"):
         model = read_description(text, "robot")
     assert np.linalg.eigvalsh(model.links[0].inertia.matrix).min() > 0.0
 
@@ -82,7 +83,7 @@ def test_a_link_without_mass_is_left_out_and_the_rest_stands(mass):
         ('<box size="0 0.1 0.1"/>', "box size: 0 is not positive"),
         ('<mesh filename="package://bullet_lab/meshes/nix.dae"/>', "nix.dae': no such file"),
         ('<mesh filename="package://nix/m.dae"/>', "no ROS package 'nix'"),
-        ("<torus/>", "no geometry is called <torus>"),
+        ("<torus/>", "unknown geometry <torus>"),
     ],
 )
 def test_an_odd_shape_is_left_out_and_its_link_stays(shape, said):
@@ -101,3 +102,10 @@ def test_a_static_robot_needs_no_mass():
         world.run_for(0.1)
         assert instance.model.static
         assert instance.frame("wheel").pose().position == pytest.approx((0, 0.15, 1))
+
+
+def test_a_robot_that_is_only_the_world_is_refused():
+    model = read_description('<robot name="r"><link name="world"/></robot>', "robot")
+    refused = pytest.raises(LabError, match="link 'world' moves and has no mass")
+    with Simulation.of(EMPTY_WORLD) as world, refused:
+        world.add(model)

@@ -97,7 +97,7 @@ def test_a_frame_in_itself_or_in_nothing_is_named(caplog):
     near(poses(found)["a"], 1, 0, 0)
     near(poses(found)["b"], 2, 0, 0)
     assert "is given in itself" in caplog.text
-    assert "frame 'x' is not there" in caplog.text
+    assert "frame 'x' is unknown" in caplog.text
 
 
 @pytest.mark.parametrize(

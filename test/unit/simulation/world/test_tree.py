@@ -12,12 +12,12 @@ from bullet_lab.simulation.world.description import (
     Visual,
 )
 from bullet_lab.simulation.world.tree import (
-    TreeError,
     check_tree,
     lump_fixed_joints,
     place_links,
     top_down,
 )
+from bullet_lab.simulation.world.xml import XmlError
 
 
 def links(names):
@@ -39,22 +39,22 @@ def test_a_tree_passes_and_is_walked_from_the_top():
         ("", [], "there is no link"),
         ("aab", ["ab"], "link 'a' appears twice"),
         ("abc", ["ac", "bc"], "child link 'c' appears twice"),
-        ("ab", ["ax"], "joint 'j0' names no link 'x'"),
-        ("ab", ["xb"], "joint 'j0' names no link 'x'"),
-        ("ab", [], "several roots: a, b"),
+        ("ab", ["ax"], "joint 'j0' has an unknown link 'x'"),
+        ("ab", ["xb"], "joint 'j0' has an unknown link 'x'"),
+        ("ab", [], "several root links: a, b"),
         ("ab", ["ab", "ba"], "a loop of joints at a, b"),
         ("abc", ["bc", "cb"], "a loop of joints at b, c"),
         ("a", ["aa"], "a loop of joints at a"),
     ],
 )
 def test_what_is_no_tree_is_refused(names, ends, message):
-    with pytest.raises(TreeError, match=f"^s: {message}$"):
+    with pytest.raises(XmlError, match=f"^s: {message}$"):
         check_tree(links(names), joints(*ends), "s")
 
 
 def test_joint_names_are_not_shared():
     same = (Joint("j", "fixed", "a", "b"), Joint("j", "fixed", "a", "c"))
-    with pytest.raises(TreeError, match="joint 'j' appears twice"):
+    with pytest.raises(XmlError, match="joint 'j' appears twice"):
         check_tree(links("abc"), same, "s")
 
 

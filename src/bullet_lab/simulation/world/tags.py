@@ -1,0 +1,160 @@
+"""Read the elements of SDF and URDF documents, and warn of those that are not simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Iterator, Tuple, TypeVar
+from xml.etree.ElementTree import Element
+
+from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.errors import LabError
+from bullet_lab.simulation.world.description import PluginTag
+from bullet_lab.simulation.world.materials import MaterialLibrary
+from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
+from bullet_lab.simulation.world.shapes import ShapeTag
+from bullet_lab.simulation.world.xml import ElementReader, ReportOnce, XmlError
+
+# The SDF version that Gazebo 11 reads.
+NEWEST = (1, 7)
+
+# The children of each SDF element that are simulated.
+SDF_READ = {
+    "sdf": {"world", "model", "light", "include"},
+    "world": {"model", "light", "include", "gravity", "scene", "state", "physics"},
+    "model": {"link", "joint", "plugin", "pose", "static", "frame", "include", "model"},
+    "link": {"pose", "inertial", "visual", "collision", "sensor", "plugin"}
+    | {"self_collide", "gravity"},
+    "visual": {"geometry", "pose", "material", "cast_shadows", "transparency"},
+    "collision": {"geometry", "pose", "surface"},
+    "joint": {"parent", "child", "pose", "axis", "axis2"},
+    "surface": {"friction", "contact"},
+    "physics": {"gravity"},
+}
+# Children that Gazebo writes into every saved world, or that have no visible effect here.
+SDF_QUIET = {
+    "world": {"gui", "atmosphere", "wind", "magnetic_field", "spherical_coordinates", "audio"},
+    "model": {"allow_auto_disable"},
+    "link": {"must_be_base_link"},
+    "visual": {"meta", "laser_retro"},
+    "collision": {"max_contacts", "laser_retro"},
+    "joint": {"physics", "sensor"},
+    # Settings of Gazebo's engines.
+    "physics": {"ode", "bullet", "simbody", "dart", "max_contacts", "real_time_factor"},
+}
+# Values that ask for what the simulation does anyway.
+SDF_DEFAULTS = {
+    "kinematic": ("0", "false"),
+    "enable_wind": ("0", "false"),
+    "self_collide": ("0", "false"),
+    "transparency": ("0", "0.0"),
+    "max_step_size": ("0.001", "1e-3", "1e-03"),
+    "real_time_update_rate": ("1000", "1000.0"),
+}
+# Plugins of worlds and of the server that make Gazebo's ROS interface; the bridge provides it.
+SERVER_PLUGINS = ("libgazebo_ros_api_plugin", "libgazebo_ros_paths_plugin", "libgazebo_ros")
+
+AnyTag = TypeVar("AnyTag", bound="Tag")
+
+
+@dataclass(frozen=True)
+class Document:
+    """The document that elements stand in.
+
+    Attributes:
+        finder: finds the files that it names.
+        version: of its SDF.
+        depth: the number of includes around it.
+        report: logs each warning once.
+        materials: those that were read so far.
+    """
+
+    finder: ResourceFinder
+    version: Tuple[int, ...] = NEWEST
+    depth: int = 0
+    report: ReportOnce = field(default_factory=ReportOnce)
+    materials: MaterialLibrary = field(default_factory=MaterialLibrary)
+
+
+class Tag(ElementReader, ShapeTag):
+    """An element of a document; invalid values are reported, and the defaults are used."""
+
+    file_key = "uri"
+
+    def __init__(self, element: Element, source: str, document: Document):
+        super().__init__(element, source)
+        self.document = document
+
+    @property
+    def name(self) -> str:
+        """The element's name; empty without one."""
+        return self.element.get("name", "")
+
+    def doubt(self, error: LabError) -> None:  # noqa: D102
+        self.document.report(f"{error}; the default is used")
+
+    def other(self: AnyTag, element: Element, source: str = "") -> AnyTag:
+        """Return the reader of another element of the document."""
+        return type(self)(element, source or self.source, self.document)
+
+    def below(self: AnyTag, element: Element) -> AnyTag:
+        """Return the reader of an element in it, which messages name."""
+        return self.other(element, f"{self.source}: {element.tag} '{element.get('name', '')}'")
+
+    def named(self: AnyTag, element: Element) -> AnyTag:
+        """Return the same; raise XmlError for an element without a name."""
+        if not element.get("name"):
+            raise XmlError(f"{self.source}: a <{element.tag}> without a name")
+        return self.below(element)
+
+    def file(self, uri: str) -> Path:  # noqa: D102
+        try:
+            return self.document.finder.find(uri)
+        except ResourceError as error:
+            raise ResourceError(f"{self.where(self.file_key)}: {error}") from error
+
+
+def version_of(root: Element) -> Tuple[int, ...]:
+    """Return the version of an <sdf>, by default the newest."""
+    try:
+        return tuple(int(part) for part in root.get("version", "").split("."))
+    except ValueError:
+        return NEWEST
+
+
+def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
+    """Yield the plugins in an element and in the sensors below it."""
+    for holder in (parent, *parent.findall("sensor")):
+        sensor = None if holder is parent else holder
+        for element in holder.findall("plugin"):
+            tags = {child.tag: (child.text or "").strip() for child in element}
+            filename, name = element.get("filename", ""), element.get("name", "")
+            yield PluginTag(filename, name, tags, link, sensor, element)
+
+
+def report_unknown(element: Element, source: str, report: ReportOnce) -> None:
+    """Warn once of each kind of element in an <sdf> that is not simulated."""
+    read, quiet = SDF_READ[element.tag], SDF_QUIET.get(element.tag, ())
+    ignored = []
+    for child in element:
+        if child.tag in SDF_READ and child.tag in read:
+            report_unknown(child, source, report)
+        elif child.tag not in read and child.tag not in quiet and _has_effect(child):
+            name = f"<{child.tag}>"
+            if child.tag == "plugin":
+                name = f"plugin '{child.get('name', '')}' ({child.get('filename', '')})"
+            ignored.append(f"{name} is not simulated")
+    if element.tag == "physics" and ignored:
+        # Nearly every world has some of these: one line for all of them.
+        ignored = [f"{', '.join(ignored)}; the time step is {1.0 / STEPS_PER_SECOND:g} s"]
+    for line in ignored:
+        report(f"{source}: <{element.tag}>: {line}")
+
+
+def _has_effect(element: Element) -> bool:
+    if element.tag == "plugin" and Path(element.get("filename", "")).stem in SERVER_PLUGINS:
+        return False
+    if element.tag in ("bounce", "velocity_decay"):
+        values = ((child.text or "").strip() for child in element if child.tag != "threshold")
+        return any(value.strip("+-0.") for value in values)
+    return (element.text or "").strip() not in SDF_DEFAULTS.get(element.tag, ())
