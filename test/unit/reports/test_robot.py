@@ -9,11 +9,11 @@ from bullet_lab.reports.robot import (
     TRUTH,
     Controller,
     Count,
+    Displacement,
     Leg,
     PluginRow,
     Robot,
     RobotReport,
-    Way,
     declared_rates,
 )
 
@@ -32,8 +32,8 @@ ROBOT = Robot(
 KINDS = {"/odom": "nav_msgs/Odometry", "/joint_states": "sensor_msgs/JointState"}
 
 
-def way(*poses):
-    made = Way()
+def displacement(*poses):
+    made = Displacement()
     for pose in poses:
         made.add(pose)
     return made
@@ -45,19 +45,19 @@ def leg(said, true, quantity="ahead_m", asked=1.0):
     return Leg("metre", quantity, asked, odometry, {**figures, **true}, 5.0)
 
 
-def test_a_way_is_measured_along_the_first_heading():
-    figures = way((1.0, 2.0, math.pi / 2), (1.1, 2.5, 1.0)).figures()
+def test_a_displacement_is_measured_along_the_first_heading():
+    figures = displacement((1.0, 2.0, math.pi / 2), (1.1, 2.5, 1.0)).figures()
     assert figures["ahead_m"] == pytest.approx(0.5)
     assert figures["aside_m"] == pytest.approx(-0.1)
 
 
 def test_whole_turns_are_counted():
-    turning = way(*((0.0, 0.0, math.remainder(0.1 * k, math.tau)) for k in range(100)))
+    turning = displacement(*((0.0, 0.0, math.remainder(0.1 * k, math.tau)) for k in range(100)))
     assert turning.figures()["turned_deg"] == pytest.approx(math.degrees(9.9))
 
 
-def test_a_way_of_nothing_has_no_figures():
-    assert Way().figures() is None
+def test_a_displacement_without_a_pose_has_no_figures():
+    assert Displacement().figures() is None
 
 
 @pytest.mark.parametrize(

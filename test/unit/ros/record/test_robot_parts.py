@@ -1,5 +1,7 @@
-"""Which model is the robot, and which topics are its own."""
+"""Which model is the robot, which topics are its own, and where a camera sees the whole of it."""
 
+import math
+from itertools import product
 from types import SimpleNamespace
 
 import pytest
@@ -7,8 +9,12 @@ from bullet_lab.msg import ModelDescription, PluginDescription
 
 from bullet_lab.ros.record import robot_parts
 from bullet_lab.ros.record.robot_parts import (
+    CLEARANCE,
+    FIELD_OF_VIEW,
+    camera_pose,
     candidates,
     choose,
+    distance_to,
     robot_of,
     rows_of_others,
     topics_of,
@@ -143,3 +149,25 @@ def test_why_a_robot_stands(monkeypatch):
     assert why_it_stands(cart, "/go", True)[0] == "none of its joints turn"
     cart.is_static = True
     assert why_it_stands(cart, "/go", True) == ["the model is static"]
+
+
+BOXES = [
+    ((-0.1, -0.1, 0.0), (0.1, 0.1, 0.2)),
+    ((2.0, -5.0, 0.1), (4.0, -4.5, 0.4)),
+    ((-0.1, -0.1, 0.0), (0.1, 0.1, 3.0)),
+]
+
+
+@pytest.mark.parametrize("box", BOXES)
+def test_every_corner_is_in_the_picture(box):
+    eye = camera_pose(*box).inverse()
+    for corner in product(*zip(*box)):
+        x, y, z = (eye * type(eye)(corner)).position
+        assert x > CLEARANCE * distance_to(*box)
+        assert math.atan2(abs(y), x) < 0.5 * FIELD_OF_VIEW
+        # The picture is three quarters as high as wide.
+        assert abs(z) / x < 0.75 * math.tan(0.5 * FIELD_OF_VIEW)
+
+
+def test_a_point_is_looked_at_from_somewhere():
+    assert distance_to((1.0, 1.0, 1.0), (1.0, 1.0, 1.0)) > 0.1
