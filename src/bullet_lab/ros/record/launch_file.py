@@ -87,7 +87,7 @@ def debian_package(package: str) -> str:
 
 
 class Launched:
-    """A process of roslaunch that runs a launch file until it is closed; none if `path` is empty."""
+    """A roslaunch process that runs a launch file until it is closed; none if `path` is empty."""
 
     def __init__(self, path: str, arguments: str):
         folder = Path(os.environ.get("ROS_LOG_DIR") or ".")
