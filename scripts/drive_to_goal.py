@@ -4,4 +4,4 @@
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.ros.nodes.drive_to_goal")
+    run("bullet_lab.ros.nodes.drive_to_goal:drive_to_goal")

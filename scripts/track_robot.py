@@ -4,4 +4,4 @@
 from bullet_lab.entry import run
 
 if __name__ == "__main__":
-    run("bullet_lab.ros.nodes.track_robot")
+    run("bullet_lab.ros.nodes.track_robot:track_robot")

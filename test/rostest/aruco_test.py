@@ -185,7 +185,7 @@ class ArucoTest(unittest.TestCase):
             self.camera.send(stamp, picture(VIEW))
         stamps = [m.header.stamp.to_sec() for m in self.topics["detections"].wait(3)]
         self.assertEqual([5.0, 6.0, 1.0], stamps)
-        wait_for(lambda: "a second image of" in self.node.err, "a warning")
+        wait_for(lambda: "duplicate image with stamp" in self.node.err, "a warning")
 
     def test_cameras_that_are_none(self):
         zero, other, nan = info(0.0), info(0.0), info(0.0)
@@ -223,7 +223,7 @@ class ArucoTest(unittest.TestCase):
     def test_diagnostics_of_each_kind(self):
         self.start("detections", with_info=False)
         diagnosis = self.diagnosis()
-        diagnosis.wait(WARN, "nothing comes")
+        diagnosis.wait(WARN, "no messages")
         said = lambda words: lambda: any(words in line for line in diagnosis.said())  # noqa: E731
         self.send_until(said("no camera_info"), picture(VIEW))
         diagnosis.wait(WARN, "no camera_info")

@@ -157,12 +157,12 @@ class DockFailuresTest(unittest.TestCase):
     def test_no_odometry(self):
         self.robot.does.discard("odom")
         self.send()
-        self.assert_failed(DockResult.ODOMETRY_LOST, "odom: nothing comes")
+        self.assert_failed(DockResult.ODOMETRY_LOST, "odom: no messages")
 
     def test_no_camera_info(self):
         self.robot.does.discard("camera_info")
         self.send()
-        self.assert_failed(DockResult.CAMERA_LOST, "camera_info: nothing comes")
+        self.assert_failed(DockResult.CAMERA_LOST, "camera_info: no messages")
 
     def test_camera_that_is_not_calibrated(self):
         matrix = self.robot.matrix

@@ -1,7 +1,7 @@
 """Detector of good features to track (Shi and Tomasi).
 
 :ROS Parameters: see `GoodFeaturesParameters`.
-:ROS Subscribers, while somebody listens: ~image and its camera_info
+:ROS Subscribers, while a result has a subscriber: ~image and its camera_info
 :ROS Publishers:
     - ~points (bullet_lab/ImagePoints), the strongest first
     - ~image_annotated (blue discs, as in figure 7c), ~camera_info, /diagnostics, see `image_node`
@@ -24,15 +24,15 @@ from bullet_lab.vision.features import good_features
 class GoodFeaturesParameters(ImageParameters):
     """Private parameters of good_features."""
 
-    max_corners: int = parameters.integer(25, "at most so many", 1, 100000)
+    max_corners: int = parameters.integer(25, "greatest number of features", 1, 100000)
     quality: float = parameters.number(
-        0.01, "least strength, as part of the strongest", above=0.0, maximum=1.0
+        0.01, "least strength, as a share of the strongest", above=0.0, maximum=1.0
     )
-    min_distance: float = parameters.number(10.0, "between two of them, px", minimum=0.0)
+    min_distance: float = parameters.number(10.0, "px between two features", minimum=0.0)
 
 
 class GoodFeatures(ImageNode):
-    """Answers images with their good features."""
+    """Publishes the good features of each image."""
 
     task = "feature detection"
     outputs = {"points": ImagePoints}

@@ -1,7 +1,7 @@
 """Corner detector (Harris).
 
 :ROS Parameters: see `HarrisParameters`.
-:ROS Subscribers, while somebody listens: ~image and its camera_info
+:ROS Subscribers, while a result has a subscriber: ~image and its camera_info
 :ROS Publishers:
     - ~points (bullet_lab/ImagePoints), the strongest first
     - ~image_annotated (blue squares, as in figure 7d), ~camera_info, /diagnostics, see
@@ -29,12 +29,12 @@ class HarrisParameters(ImageParameters):
     aperture: int = parameters.odd(3, "size of the Sobel operator, px", 1, 31)
     k: float = parameters.number(0.04, "Harris' free parameter", above=0.0, maximum=0.25)
     threshold: float = parameters.number(
-        0.01, "least response, as part of the largest", above=0.0, maximum=1.0
+        0.01, "least response, as a share of the largest", above=0.0, maximum=1.0
     )
 
 
 class HarrisCorners(ImageNode):
-    """Answers images with their corners."""
+    """Publishes the corners of each image."""
 
     task = "corner detection"
     outputs = {"points": ImagePoints}

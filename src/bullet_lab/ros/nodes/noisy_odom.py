@@ -168,8 +168,8 @@ def _service_name(namespace: str) -> str:
     """Return the name of set_noise, as if a node ran in each namespace."""
     if not namespace:
         return "~set_noise"
-    node = rospy.get_name().rsplit("/", 1)[-1]
-    return f"{namespace}{node}/set_noise"
+    own = rospy.get_name().rsplit("/", 1)[-1]
+    return f"{namespace}{own}/set_noise"
 
 
 def robots_of(parameters: NoisyOdomParameters) -> dict[str, NoisyOdomParameters]:

@@ -45,7 +45,7 @@ class ShowSensorsParameters:
 
     bumper: str = parameters.text("bumper", "topic of the contacts")
     imu: str = parameters.text("imu", "topic of the inertial unit")
-    scale: float = parameters.number(0.02, "length in m of an arrow for each N of a contact", above=0.0)
+    scale: float = parameters.number(0.02, "m of an arrow for each N of a contact", above=0.0)
 
 
 class _Input:

@@ -286,7 +286,9 @@ def plot_docking(parameters: PlotDockingParameters) -> None:
     Recorder(report, parameters, "the bridge and dock", view, request).run()
 
 
-def _docking_request(parameters: PlotDockingParameters, dock: Dock, report: DockReport) -> GoalRequest:
+def _docking_request(
+    parameters: PlotDockingParameters, dock: Dock, report: DockReport
+) -> GoalRequest:
     """Return the call of the action; the result goes to the report."""
     client = ActionClient("dock", DockAction)
     handles: list[ClientGoalHandle] = []
