@@ -27,8 +27,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from bullet_lab.core import parameters
-from bullet_lab.core.parameters import ParameterError
+from bullet_lab.core.parameters import ParameterError, boolean, checked, number
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.msg import MarkerDetectionArray
 from bullet_lab.ros.messages.images import (
@@ -94,44 +93,44 @@ def accept_sizes(value: Any) -> Mapping[int, float]:
 class ArucoParameters(ImageParameters):
     """Private parameters of aruco."""
 
-    tags: str = parameters.checked(
+    tags: str = checked(
         "DICT_APRILTAG_36h10",
         "dictionary of the markers",
         "one of " + ", ".join(name[5:].lower() for name in DICTIONARY_NAMES),
         accept_tags,
     )
-    width: float = parameters.number(0.2, "edge of the black square of the markers, m", above=0.0)
-    ids: tuple[int, ...] = parameters.checked(
+    width: float = number(0.2, "edge of the black square of the markers, m", above=0.0)
+    ids: tuple[int, ...] = checked(
         (), "markers to report; none: all", "ids with spaces between them", accept_ids
     )
-    sizes: Mapping[int, float] | None = parameters.checked(
+    sizes: Mapping[int, float] | None = checked(
         None,
         "edges of markers with another size than ~width, m",
         "like 7=0.1 9=0.05: ids and edges in metres",
         accept_sizes,
     )
-    rectified: bool = parameters.boolean(False, "the images are rectified")
-    upright: bool = parameters.boolean(
+    rectified: bool = boolean(False, "the images are rectified")
+    upright: bool = boolean(
         True, "assume upright markers and a level camera if the image allows two poses"
     )
-    publish_tf: bool = parameters.boolean(False, "publish transforms, and process all images")
-    pixel_sigma: float = parameters.number(
+    publish_tf: bool = boolean(False, "publish transforms, and process all images")
+    pixel_sigma: float = number(
         0.02, "standard deviation of corners in addition to that of the image's noise, px", 0.0
     )
-    border: float = parameters.number(
+    border: float = number(
         DEFAULTS.border, "px to the edge of the image; nearer markers are cropped", 0.0
     )
-    min_side: float = parameters.number(
+    min_side: float = number(
         DEFAULTS.min_side, "edge of the smallest marker, px", 5.0
     )
-    contrast: float = parameters.number(
+    contrast: float = number(
         DEFAULTS.contrast, "least difference of black and white in grey levels", 0.0, maximum=255.0
     )
-    correction: float = parameters.number(
+    correction: float = number(
         DEFAULTS.correction, "share of the correctable bits to correct", 0.0, maximum=1.0
     )
-    inverted: bool = parameters.boolean(DEFAULTS.inverted, "find white markers on black as well")
-    second_pass: bool = parameters.boolean(
+    inverted: bool = boolean(DEFAULTS.inverted, "find white markers on black as well")
+    second_pass: bool = boolean(
         DEFAULTS.second_pass, "search once more if no marker is found"
     )
 

@@ -38,7 +38,15 @@ import rospy.rostime
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty, EmptyResponse
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import (
+    boolean,
+    choice,
+    integer,
+    name_list,
+    number,
+    number_list,
+    text,
+)
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
@@ -89,49 +97,49 @@ END_OF_TIME = 2**31 - 1
 class BridgeParameters:
     """Private parameters of the bridge."""
 
-    world: str = parameters.text(
+    world: str = text(
         "package://bullet_lab/worlds/empty.world", "SDF world: a path, package:// or model://"
     )
-    robot: str = parameters.text(
+    robot: str = text(
         "", "URDF robot: a path or package://; empty for that of ~robot_description"
     )
-    robot_description: str = parameters.text(
+    robot_description: str = text(
         "robot_description", "parameter that holds the robot's URDF; empty for no robot"
     )
-    robot_name: str = parameters.text("", "name of the robot's model; empty for that of the URDF")
-    robot_namespace: str = parameters.text("", "robotNamespace of plugins that have none")
-    robot_pose: tuple[float, ...] = parameters.number_list(
+    robot_name: str = text("", "name of the robot's model; empty for that of the URDF")
+    robot_namespace: str = text("", "robotNamespace of plugins that have none")
+    robot_pose: tuple[float, ...] = number_list(
         (0.0,) * 6, "pose of the robot at the start: x y z in metres, roll pitch yaw in radians"
     )
-    rtf: float = parameters.number(
+    rtf: float = number(
         1.0, "simulated seconds per wall second; 0 for as fast as possible", minimum=0.0
     )
-    clock_rate: float = parameters.number(
+    clock_rate: float = number(
         100.0, "messages on /clock per simulated second", above=0.0, maximum=1000.0
     )
-    renderer: str = parameters.choice(
+    renderer: str = choice(
         AUTO, "ignored: cameras are always rendered by Panda3D through EGL", CHOICES
     )
-    camera_rate: float = parameters.number(
+    camera_rate: float = number(
         0.0,
         "images per second of the robot's cameras; 0: as in its description",
         minimum=0.0,
         maximum=1000.0,
     )
-    seed: int = parameters.integer(0, "seed of the noise of all sensors", minimum=0)
-    states_rate: float = parameters.number(
+    seed: int = integer(0, "seed of the noise of all sensors", minimum=0)
+    states_rate: float = number(
         100.0,
         "messages on /gazebo/model_states and link_states per simulated second",
         above=0.0,
         maximum=1000.0,
     )
-    paused: bool = parameters.boolean(False, "start paused")
-    lock_step: tuple[str, ...] = parameters.name_list("nodes that time waits for")
-    save_folder: str = parameters.text(
+    paused: bool = boolean(False, "start paused")
+    lock_step: tuple[str, ...] = name_list("nodes that time waits for")
+    save_folder: str = text(
         "results", "the only folder into which /bullet_lab/save_world writes"
     )
-    world_frame: str = parameters.text("world", "frame of the markers on /bullet_lab/world")
-    publish_world_tf: bool = parameters.boolean(
+    world_frame: str = text("world", "frame of the markers on /bullet_lab/world")
+    publish_world_tf: bool = boolean(
         False, "publish on /tf_static that the odometry frames are at the world frame"
     )
 

@@ -31,8 +31,7 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header, Time
 
-from bullet_lab.core import parameters
-from bullet_lab.core.parameters import ParameterError
+from bullet_lab.core.parameters import ParameterError, integer, number, text
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import (
@@ -91,51 +90,51 @@ USUAL = DockingSettings()
 class DockParameters:
     """Private parameters of dock."""
 
-    docks: str = parameters.text(
+    docks: str = text(
         "package://bullet_lab/config/docks.yaml", "dock database: a path or package://"
     )
-    dock: str = parameters.text("dock", "dock of the database for goals that have only a pose")
-    odom: str = parameters.text("odom", "topic of the odometry, perfect or noisy")
-    cmd_vel: str = parameters.text("cmd_vel", "topic of the commands")
-    detections: str = parameters.text("aruco/detections", "topic of the detected markers")
-    camera_info: str = parameters.text("mycamera/camera_info", "topic of the camera's calibration")
-    base_frame: str = parameters.text("base_footprint", "frame of the robot on the floor")
-    dock_frame: str = parameters.text("dock", "frame of the dock on TF; empty: not published")
-    rate: float = parameters.number(
+    dock: str = text("dock", "dock of the database for goals that have only a pose")
+    odom: str = text("odom", "topic of the odometry, perfect or noisy")
+    cmd_vel: str = text("cmd_vel", "topic of the commands")
+    detections: str = text("aruco/detections", "topic of the detected markers")
+    camera_info: str = text("mycamera/camera_info", "topic of the camera's calibration")
+    base_frame: str = text("base_footprint", "frame of the robot on the floor")
+    dock_frame: str = text("dock", "frame of the dock on TF; empty: not published")
+    rate: float = number(
         20.0, "commands per simulated second", minimum=10.0, maximum=100.0
     )
-    odom_rate: float = parameters.number(
+    odom_rate: float = number(
         20.0, "lock step: messages of odometry per second", above=0.0, maximum=1000.0
     )
-    image_rate: float = parameters.number(
+    image_rate: float = number(
         30.0, "lock step: images per second", above=0.0, maximum=1000.0
     )
-    patience: float = parameters.number(
+    patience: float = number(
         3.0, "s to wait for odometry, camera and transforms at the start", above=0.0
     )
-    time_limit: float = parameters.number(USUAL.time_limit, "s for a docking", above=0.0)
-    max_retries: int = parameters.integer(
+    time_limit: float = number(USUAL.time_limit, "s for a docking", above=0.0)
+    max_retries: int = integer(
         USUAL.max_retries, "how often to retreat and try again", minimum=0, maximum=1000
     )
-    drive_speed: float = parameters.number(
+    drive_speed: float = number(
         USUAL.drive_speed, "m/s, far from the dock", above=0.0, maximum=1.0
     )
-    approach_speed: float = parameters.number(
+    approach_speed: float = number(
         USUAL.approach_speed, "m/s on the dock's axis", above=0.0, maximum=1.0
     )
-    turn_speed: float = parameters.number(
+    turn_speed: float = number(
         USUAL.turn_speed, "rad/s on the spot", above=0.0, maximum=2.0
     )
-    tolerance_distance: float = parameters.number(
+    tolerance_distance: float = number(
         0.0, "m, of the docked pose along the axis; 0: that of the database", minimum=0.0
     )
-    tolerance_lateral: float = parameters.number(
+    tolerance_lateral: float = number(
         0.0, "m, across the axis; 0: that of the database", minimum=0.0
     )
-    tolerance_yaw: float = parameters.number(
+    tolerance_yaw: float = number(
         0.0, "rad, of the yaw; 0: that of the database", minimum=0.0
     )
-    seed: int = parameters.integer(0, "of the random draws of docking", minimum=0)
+    seed: int = integer(0, "of the random draws of docking", minimum=0)
 
     def settings(self) -> DockingSettings:
         """Return the settings of docking."""
@@ -328,7 +327,7 @@ class DockNode:
             self._preempt("replaced by another goal", now)
             self._accept(action, now)
         if self._action is not None and self._action.server.is_cancelled:
-            self._preempt("cancelled", now)
+            self._preempt("cancelled on request", now)
 
     def _accept(self, action: Action, now: rospy.Time) -> None:
         self._action = action

@@ -28,7 +28,8 @@ from geometry_msgs.msg import Twist
 from std_msgs.msg import Time
 from tqdm import tqdm
 
-from bullet_lab.core import parameters, se2
+from bullet_lab.core import se2
+from bullet_lab.core.parameters import checked, choice, integer, number, text
 from bullet_lab.core.pose import Pose
 from bullet_lab.drive.square import MODES, OPEN_LOOP, Square, SquareDriver
 from bullet_lab.ros.gazebo.client import call
@@ -58,36 +59,36 @@ def _accept_turn_speed(value: Any) -> float:
 class SquareParameters:
     """Private parameters of both nodes."""
 
-    mode: str = parameters.choice(OPEN_LOOP, "what ends a side", MODES)
-    sides: int = parameters.integer(4, "number of sides", minimum=1)
-    side: float = parameters.number(2.0, "length of a side in m", above=0.0)
+    mode: str = choice(OPEN_LOOP, "what ends a side", MODES)
+    sides: int = integer(4, "number of sides", minimum=1)
+    side: float = number(2.0, "length of a side in m", above=0.0)
 
 
 @dataclass(frozen=True)
 class DriveSquaresParameters(SquareParameters):
     """Private parameters of drive_squares."""
 
-    cmd_vel: str = parameters.text("cmd_vel", "topic of the commands")
-    odom: str = parameters.text("odom", "topic of the odometry that closes the loop")
-    speed: float = parameters.number(0.2, "on the sides, m/s", above=0.0)
-    turn_speed: float = parameters.checked(
+    cmd_vel: str = text("cmd_vel", "topic of the commands")
+    odom: str = text("odom", "topic of the odometry that closes the loop")
+    speed: float = number(0.2, "on the sides, m/s", above=0.0)
+    turn_speed: float = checked(
         -0.5236,
         "at the corners, rad/s; negative is clockwise",
         "a number other than 0",
         _accept_turn_speed,
     )
-    turn_commands: int = parameters.integer(34, "open loop: commands of a turn at 10 Hz", minimum=0)
+    turn_commands: int = integer(34, "open loop: commands of a turn at 10 Hz", minimum=0)
 
 
 @dataclass(frozen=True)
 class FleetParameters(SquareParameters):
     """Private parameters of fleet."""
 
-    robots: int = parameters.integer(8, "how many there are", 1, MOST_ROBOTS)
-    robot: str = parameters.text(
+    robots: int = integer(8, "how many there are", 1, MOST_ROBOTS)
+    robot: str = text(
         "package://bullet_lab/urdf/block_robot.urdf", "URDF of each: a path or package://"
     )
-    spacing: float = parameters.number(2.5, "m from one start to the next, in a grid", above=0.0)
+    spacing: float = number(2.5, "m from one start to the next, in a grid", above=0.0)
 
 
 class _Robot:

@@ -35,7 +35,7 @@ from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import ColorRGBA, Float64, Header, Time
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import boolean, number, text
 from bullet_lab.drive.goal import (
     LEAST_TOLERANCE,
     STANDSTILL,
@@ -81,31 +81,31 @@ NOT_BEGUN = {
 class DriveToGoalParameters:
     """Private parameters of drive_to_goal."""
 
-    cmd_vel: str = parameters.text("cmd_vel", "topic of the commands")
-    odom: str = parameters.text("odom", "topic of the odometry, perfect or noisy")
-    speed: float = parameters.number(USUAL.speed, "at most, m/s", above=0.0)
-    turn_speed: float = parameters.number(USUAL.turn_speed, "at most, rad/s", above=0.0)
-    acceleration: float = parameters.number(USUAL.acceleration, "at most, m/s²", above=0.0)
-    turn_acceleration: float = parameters.number(
+    cmd_vel: str = text("cmd_vel", "topic of the commands")
+    odom: str = text("odom", "topic of the odometry, perfect or noisy")
+    speed: float = number(USUAL.speed, "at most, m/s", above=0.0)
+    turn_speed: float = number(USUAL.turn_speed, "at most, rad/s", above=0.0)
+    acceleration: float = number(USUAL.acceleration, "at most, m/s²", above=0.0)
+    turn_acceleration: float = number(
         USUAL.turn_acceleration, "at most, rad/s²", above=0.0
     )
-    gain: float = parameters.number(USUAL.gain, "m/s for each m to the goal", above=0.0)
-    turn_gain: float = parameters.number(USUAL.turn_gain, "rad/s for each rad", above=0.0)
-    tolerance: float = parameters.number(
+    gain: float = number(USUAL.gain, "m/s for each m to the goal", above=0.0)
+    turn_gain: float = number(USUAL.turn_gain, "rad/s for each rad", above=0.0)
+    tolerance: float = number(
         USUAL.tolerance, "m from the goal to stop within", minimum=LEAST_TOLERANCE
     )
-    yaw_tolerance: float = parameters.number(
+    yaw_tolerance: float = number(
         USUAL.yaw_tolerance, "rad from its heading to stop within", minimum=LEAST_TOLERANCE
     )
-    heading: bool = parameters.boolean(True, "turn to the goal's heading at the end")
-    rate: float = parameters.number(20.0, "commands per second", minimum=5.0, maximum=100.0)
-    odom_rate: float = parameters.number(
+    heading: bool = boolean(True, "turn to the goal's heading at the end")
+    rate: float = number(20.0, "commands per second", minimum=5.0, maximum=100.0)
+    odom_rate: float = number(
         20.0, "lock step: messages of odometry per second", above=0.0, maximum=1000.0
     )
-    stale: float = parameters.number(
+    stale: float = number(
         0.5, "s without odometry after which the robot is stopped", above=0.0
     )
-    patience: float = parameters.number(
+    patience: float = number(
         5.0, "s without odometry after which the goal is aborted", above=0.0
     )
 
@@ -313,7 +313,7 @@ class DriveToGoal:
         if self._server.is_new_goal_available():
             self._accept(now)
         if self._server.is_cancelled:
-            self._end(now, GoalStatus.PREEMPTED, "cancelled")
+            self._end(now, GoalStatus.PREEMPTED, "cancelled on request")
 
     def _accept(self, now: rospy.Time) -> None:
         why = "replaced by another goal"

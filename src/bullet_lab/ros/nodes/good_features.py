@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Mapping
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import integer, number
 from bullet_lab.msg import ImagePoints
 from bullet_lab.ros.messages.images import points_message
 from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
@@ -24,11 +24,11 @@ from bullet_lab.vision.features import good_features
 class GoodFeaturesParameters(ImageParameters):
     """Private parameters of good_features."""
 
-    max_corners: int = parameters.integer(25, "greatest number of features", 1, 100000)
-    quality: float = parameters.number(
+    max_corners: int = integer(25, "greatest number of features", 1, 100000)
+    quality: float = number(
         0.01, "least strength, as a share of the strongest", above=0.0, maximum=1.0
     )
-    min_distance: float = parameters.number(10.0, "px between two features", minimum=0.0)
+    min_distance: float = number(10.0, "px between two features", minimum=0.0)
 
 
 class GoodFeatures(ImageNode):

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Mapping
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import integer, number, odd
 from bullet_lab.msg import ImagePoints
 from bullet_lab.ros.messages.images import points_message
 from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
@@ -25,10 +25,10 @@ from bullet_lab.vision.features import harris_corners
 class HarrisParameters(ImageParameters):
     """Private parameters of harris_corners."""
 
-    block_size: int = parameters.integer(2, "size of the neighbourhood, px", 1, 31)
-    aperture: int = parameters.odd(3, "size of the Sobel operator, px", 1, 31)
-    k: float = parameters.number(0.04, "Harris' free parameter", above=0.0, maximum=0.25)
-    threshold: float = parameters.number(
+    block_size: int = integer(2, "size of the neighbourhood, px", 1, 31)
+    aperture: int = odd(3, "size of the Sobel operator, px", 1, 31)
+    k: float = number(0.04, "Harris' free parameter", above=0.0, maximum=0.25)
+    threshold: float = number(
         0.01, "least response, as a share of the largest", above=0.0, maximum=1.0
     )
 

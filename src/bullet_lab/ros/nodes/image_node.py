@@ -29,7 +29,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import text
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.images import image_message, pixels_of
 from bullet_lab.ros.node.diagnostics import Diagnostics, Health, Traffic
@@ -54,8 +54,8 @@ class DuplicateImageError(LabError):
 class ImageParameters:
     """Private parameters of all nodes that process images."""
 
-    image: str = parameters.text("/mycamera/image_raw", "topic of the images")
-    camera_info: str = parameters.text("", "topic of their camera_info; empty: beside the image")
+    image: str = text("/mycamera/image_raw", "topic of the images")
+    camera_info: str = text("", "topic of their camera_info; empty: beside the image")
 
     @property
     def info_topic(self) -> str:

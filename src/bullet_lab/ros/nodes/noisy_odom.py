@@ -22,7 +22,7 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import boolean, choice, integer, number
 from bullet_lab.core.se2 import ellipse_points, quaternion_from_yaw
 from bullet_lab.noise.odometry_noise import (
     MODELS,
@@ -58,13 +58,13 @@ class NoisyOdomParameters(_NoiseParameters, SystematicErrors):
     The noise is added to the odometry with the systematic errors.
     """
 
-    model: str = parameters.choice("report", "rule of the noise", MODELS)
-    seed: int = parameters.integer(0, "of the random draws", minimum=0)
-    robots: int = parameters.integer(
+    model: str = choice("report", "rule of the noise", MODELS)
+    seed: int = integer(0, "of the random draws", minimum=0)
+    robots: int = integer(
         0, "serve robot1 … robot<n>, each with a seed of its own derived from ~seed", 0, MOST_ROBOTS
     )
-    as_published: bool = parameters.boolean(False, "run the report's algorithm with its defects")
-    rate: float = parameters.number(
+    as_published: bool = boolean(False, "run the report's algorithm with its defects")
+    rate: float = number(
         PUBLISHED_RATE, "Hz at which as_published samples the odometry", above=0.0
     )
 

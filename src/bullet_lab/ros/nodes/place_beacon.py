@@ -20,7 +20,7 @@ from geometry_msgs.msg import PointStamped
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import number, text
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call
@@ -42,15 +42,15 @@ class OccupiedError(LabError):
 class PlaceBeaconParameters:
     """Private parameters of place_beacon."""
 
-    model: str = parameters.text(
+    model: str = text(
         "model://beacon", "what to place: model://…, or an SDF or URDF file, a path or package://"
     )
-    prefix: str = parameters.text("beacon", "first part of the names: beacon_0, beacon_1 …")
-    world_frame: str = parameters.text("world", "frame of the world")
-    clearance: float = parameters.number(
+    prefix: str = text("beacon", "first part of the names: beacon_0, beacon_1 …")
+    world_frame: str = text("world", "frame of the world")
+    clearance: float = number(
         0.3, "m from the point to other models: a beacon's radius and a margin", above=0.0
     )
-    robot_radius: float = parameters.number(0.3, "m, radius of a robot", above=0.0)
+    robot_radius: float = number(0.3, "m, radius of a robot", above=0.0)
 
 
 def free_name(prefix: str, taken: Collection[str]) -> str:

@@ -15,8 +15,16 @@ from xml.sax.saxutils import escape
 
 import rospy
 
-from bullet_lab.core import parameters, se2
-from bullet_lab.core.parameters import ParameterError
+from bullet_lab.core import se2
+from bullet_lab.core.parameters import (
+    ParameterError,
+    checked,
+    choice,
+    integer,
+    number,
+    number_list,
+    text,
+)
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw
 from bullet_lab.ros.gazebo.client import call, numbered
@@ -48,33 +56,33 @@ def accept_poses(value: Any) -> Tuple[se2.PlanarPose, ...]:
 class DepopulateParameters:
     """Private parameters of depopulate."""
 
-    prefix: str = parameters.text("beacon", "first part of the models' names: beacon_0, beacon_1 …")
+    prefix: str = text("beacon", "first part of the models' names: beacon_0, beacon_1 …")
 
 
 @dataclass(frozen=True)
 class PopulateParameters(DepopulateParameters):
     """Private parameters of populate."""
 
-    model: str = parameters.text(
+    model: str = text(
         "model://beacon", "what to place: model://…, or an SDF or URDF file, a path or package://"
     )
-    pattern: str = parameters.choice(
+    pattern: str = choice(
         "poses", "how they are arranged", ("poses", "line", "grid", "circle")
     )
-    poses: Tuple[se2.PlanarPose, ...] = parameters.checked(
+    poses: Tuple[se2.PlanarPose, ...] = checked(
         BEACONS,
         "their poses, for the pattern poses",
         "a list of [x, y] or [x, y, yaw] with finite numbers in m and rad",
         accept_poses,
     )
-    count: int = parameters.integer(3, "how many, for the other patterns", 1, 100_000)
-    spacing: float = parameters.number(1.0, "m between neighbours in a line or grid", above=0.0)
-    radius: float = parameters.number(3.0, "of the circle, in m", above=0.0)
-    origin: Tuple[float, ...] = parameters.number_list(
+    count: int = integer(3, "how many, for the other patterns", 1, 100_000)
+    spacing: float = number(1.0, "m between neighbours in a line or grid", above=0.0)
+    radius: float = number(3.0, "of the circle, in m", above=0.0)
+    origin: Tuple[float, ...] = number_list(
         (0.0, 0.0, 0.0), "displacement of the pattern: x y z in m"
     )
-    name: str = parameters.text("", "name of the model, if it is only one")
-    namespace: str = parameters.text(
+    name: str = text("", "name of the model, if it is only one")
+    namespace: str = text(
         "", "robotNamespace of plugins that have none; the node's own namespace if empty"
     )
 

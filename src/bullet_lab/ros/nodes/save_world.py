@@ -15,8 +15,8 @@ from pathlib import Path
 
 import rospy
 
-from bullet_lab.core import parameters
 from bullet_lab.core.files import make_folder, replace_file, write_json
+from bullet_lab.core.parameters import integer, number, text
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.node.lock_step import time_held_at
@@ -28,10 +28,10 @@ from bullet_lab.srv import SaveWorld
 class SaveWorldParameters:
     """Private parameters of save_world."""
 
-    path: str = parameters.text("", "file to write; the argument FILE if empty")
-    summary: str = parameters.text("", "JSON file for figures about it; none if empty")
-    models: int = parameters.integer(0, "wait until there are this many models", minimum=0)
-    at: float = parameters.number(
+    path: str = text("", "file to write; the argument FILE if empty")
+    summary: str = text("", "JSON file for figures about it; none if empty")
+    models: int = integer(0, "wait until there are this many models", minimum=0)
+    at: float = number(
         0.0, "s; in lock step, the simulated time to save at", minimum=0.0
     )
 

@@ -23,7 +23,7 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import number, text
 from bullet_lab.core.pose import Vector
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import InputError, vector_of
@@ -43,9 +43,9 @@ LEAST_FORCE = 0.01
 class ShowSensorsParameters:
     """Private parameters of show_sensors."""
 
-    bumper: str = parameters.text("bumper", "topic of the contacts")
-    imu: str = parameters.text("imu", "topic of the inertial unit")
-    scale: float = parameters.number(0.02, "m of an arrow for each N of a contact", above=0.0)
+    bumper: str = text("bumper", "topic of the contacts")
+    imu: str = text("imu", "topic of the inertial unit")
+    scale: float = number(0.02, "m of an arrow for each N of a contact", above=0.0)
 
 
 class _Input:

@@ -25,7 +25,7 @@ from sensor_msgs.msg import Range
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import boolean, checked, text
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, node
@@ -66,16 +66,16 @@ def accept_beacons(value: Any) -> Tuple[Beacon, ...]:
 class TrackRobotParameters:
     """Private parameters of track_robot."""
 
-    beacons: Tuple[Beacon, ...] = parameters.checked(
+    beacons: Tuple[Beacon, ...] = checked(
         accept_beacons(DEFAULT_BEACONS),
         "names and places of the beacons",
         "a list of [name, x, y] with names that topics can have and finite x and y in metres",
         accept_beacons,
     )
-    watch: bool = parameters.boolean(
+    watch: bool = boolean(
         False, "add the beacons that are spawned in the world, and remove those that are deleted"
     )
-    prefix: str = parameters.text("beacon", "first part of the names of those beacons: beacon_0 …")
+    prefix: str = text("beacon", "first part of the names of those beacons: beacon_0 …")
 
 
 def report_line(beacon: Beacon, dist: float) -> str:
