@@ -40,7 +40,7 @@ class PluginRow:
         filename: of its library.
         link: that it is mounted on.
         acts: whether it is simulated.
-        rate: Hz; 0 if it has none of its own.
+        rate: Hz; 0 if it has none.
         inputs: topics that it subscribes to.
         outputs: topics that it publishes.
         tags_not_simulated: tags that have no effect.
@@ -203,7 +203,7 @@ class Leg:
         odometry: figures by the odometry; None without any.
         truth: figures by the truth.
         seconds: simulated.
-        late: whether it was given up because it took too long.
+        late: whether it was aborted because it took too long.
         touched: model::link of what the robot has touched from the side.
         causes: known reasons why it stands.
     """

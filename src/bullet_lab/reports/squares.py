@@ -149,7 +149,7 @@ class PathsRecording:
 
     Args:
         folder: for the files.
-        begins_anew: called with the folder of the earlier files when time was set back.
+        on_reset: called with the folder of the earlier files when time was set back.
 
     Raises:
         FileError: a file cannot be written; so do the methods.
@@ -158,9 +158,9 @@ class PathsRecording:
     PERFECT, NOISY = "odom", "noisy_odom"
     FILES = ("odom.tum", "noisy_odom.tum", "paths.csv")
 
-    def __init__(self, folder: Path, begins_anew: Callable[[Path], None] = lambda old: None):
+    def __init__(self, folder: Path, on_reset: Callable[[Path], None] = lambda old: None):
         self.folder = folder
-        self._begins_anew = begins_anew
+        self._on_reset = on_reset
         self._runs = 0
         # The path that may still get messages of the old run, and the last stamp before them.
         self._late: str | None = None
@@ -235,7 +235,7 @@ class PathsRecording:
             for file in self.FILES:
                 move_file(self.folder / file, old)
             self._open()
-            self._begins_anew(old)
+            self._on_reset(old)
         return True
 
 
@@ -246,7 +246,7 @@ class OdometryReport(Report):
         super().__init__(folder)
         self.robots: dict[str, PathsRecording] = {}
         for name in namespaces:
-            self.robots[name] = PathsRecording(folder / name, partial(self._begin_anew, name))
+            self.robots[name] = PathsRecording(folder / name, partial(self._reset, name))
             for path in (PathsRecording.NOISY, PathsRecording.PERFECT):
                 self.topics[f"{name}/{path}".lstrip("/")] = "nav_msgs/Odometry"
 
@@ -265,8 +265,8 @@ class OdometryReport(Report):
         found = [paths.perfect() for paths in self.robots.values()]
         return max((p.stamps[-1] - p.stamps[0] for p in found if p is not None), default=0.0)
 
-    def _begin_anew(self, namespace: str, old: Path) -> None:
-        self.begins_anew(namespace, old)
+    def _reset(self, namespace: str, old: Path) -> None:
+        self.on_reset(namespace, old)
 
 
 class SquaresReport(OdometryReport):
@@ -323,9 +323,9 @@ class SquaresReport(OdometryReport):
             if covariance is not None
         ]
 
-    def _begin_anew(self, namespace: str, old: Path) -> None:
+    def _reset(self, namespace: str, old: Path) -> None:
         self._covariances.clear()
-        super()._begin_anew(namespace, old)
+        super()._reset(namespace, old)
 
 
 def settings_line(about: Mapping[str, Any]) -> str:

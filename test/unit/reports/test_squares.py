@@ -132,7 +132,7 @@ def test_a_place_that_cannot_be_written_to(tmp_path):
 def test_time_set_back_begins_a_new_run(recording):
     fill(recording)
     old = []
-    recording._begins_anew = old.append
+    recording._on_reset = old.append
     assert recording.take("odom", 3 * TICK, POSES[0])
     assert old == [recording.folder / "run_1"]
     assert len(read_paths_csv(old[0] / "paths.csv")[0]) == 15
@@ -146,7 +146,7 @@ def test_time_set_back_begins_a_new_run(recording):
 def test_the_report_forgets_the_covariances_of_the_old_run(tmp_path):
     report = SquaresReport(tmp_path)
     anew = []
-    report.begins_anew = lambda *what: anew.append(what)
+    report.on_reset = lambda *what: anew.append(what)
     for stamp in (2 * TICK, TICK):
         for topic in ("odom", "noisy_odom"):
             assert report.take(topic, Reading(stamp, POSES[0], ((0.01, 0.0), (0.0, 0.01))))

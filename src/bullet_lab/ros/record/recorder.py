@@ -128,7 +128,7 @@ class Recorder:
         self._failure: FileError | None = None
         self._finished = False
         report.about = parameters.about
-        report.begins_anew = self._begin_anew
+        report.on_reset = self._reset
         self._period = math.inf
         if isinstance(parameters, RenewedParameters):
             self._period = parameters.plot_period
@@ -242,7 +242,7 @@ class Recorder:
         with self._lock:
             self._report.until = message.data.to_nsec()
 
-    def _begin_anew(self, namespace: str, old: FilePath) -> None:
+    def _reset(self, namespace: str, old: FilePath) -> None:
         rospy.loginfo("time was set back: the earlier recording is in %s", old)
         self._first = math.inf
         if self._view is not None:

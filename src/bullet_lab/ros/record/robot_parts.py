@@ -11,7 +11,7 @@ import os
 import struct
 import time
 from dataclasses import fields
-from typing import Any, Callable, Iterable, Mapping
+from typing import Any, Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 import rosgraph
@@ -58,8 +58,8 @@ class Master:
     """The simulator's topics and all services, as the ROS master knows them at a moment.
 
     Attributes:
-        heard: topics that the simulator subscribes to, with their types.
-        spoken: topics that it publishes, with their types.
+        subscribed: topics that the simulator subscribes to, with their types.
+        published: topics that it publishes, with their types.
         services: names of all services.
     """
 
@@ -73,8 +73,8 @@ class Master:
         # The simulator is the node that publishes the time.
         simulators = set(dict(published).get("/clock", ()))
         self.services = {name for name, _ in services}
-        self.heard = _topics_with(simulators, subscribed, kinds)
-        self.spoken = _topics_with(simulators, published, kinds)
+        self.subscribed = _topics_with(simulators, subscribed, kinds)
+        self.published = _topics_with(simulators, published, kinds)
 
 
 def _topics_with(
@@ -129,11 +129,11 @@ def candidates(models: Iterable[ModelDescription]) -> str:
     return f"model:=NAME takes one of {names}" if names else "no model in the world can move"
 
 
-def why_it_stands(model: ModelDescription, drive: str, is_heard: bool) -> list[str]:
+def why_it_stands(model: ModelDescription, drive: str, is_connected: bool) -> list[str]:
     """Return known reasons why a robot does not move although velocities are sent to it."""
     if model.is_static:
         return ["the model is static"]
-    if not is_heard:
+    if not is_connected:
         return [f"nothing listens to {drive}"]
     ask = rospy.ServiceProxy("/gazebo/get_joint_properties", srv.GetJointProperties)
     rates = {joint: ask(f"{model.name}::{joint}").rate for joint in model.joints}
@@ -142,38 +142,48 @@ def why_it_stands(model: ModelDescription, drive: str, is_heard: bool) -> list[s
     return [*found, f"it stands on {', '.join(model.stands_on) or 'nothing'}"]
 
 
-def robot_of(model: ModelDescription, answer: DescribeModelsResponse, master: Master) -> Robot:
-    """Return the parts of a robot and the topics that it is driven by."""
-    rows = tuple(_row(plugin) for plugin in model.plugins)
-    others = _topics(other for other in answer.models if other.name != model.name)
-    own = _topics([model])
-    drives = of_kind(master.heard, VELOCITIES)
-    drive = _nearest(drives, own, others, "")
+def robot_of(
+    model: ModelDescription,
+    others: Sequence[ModelDescription],
+    warnings: Iterable[str],
+    master: Master,
+) -> Robot:
+    """Return the parts of a robot and the topics that it is driven by.
+
+    Args:
+        model: of the robot.
+        others: all other models.
+        warnings: of the simulation about all models.
+        master: which has the topics.
+    """
+    own, strange = _topics([model]), _topics(others)
+    drives = of_kind(master.subscribed, VELOCITIES)
+    drive = _nearest(drives, own, strange, "")
     odometry = ""
     if drive:
         # The odometry of a plugin that drives is its own; that of a controller is no plugin's.
-        beside = {t for row in rows if drive in row.inputs for t in row.outputs}
-        strange = others if drive in own else others | own
-        odometry = _nearest(of_kind(master.spoken, ODOMETRY), beside, strange, drive)
-    names = {m.name for m in answer.models if m.of_world_file and m.name != model.name}
-    kin = [other for other in answer.models if other.of_world_file == model.of_world_file]
-    said = [line for line in answer.said if not any(f"'{name}'" in line for name in names)]
+        beside = {t for plugin in model.plugins if drive in plugin.inputs for t in plugin.outputs}
+        if drive not in own:
+            strange = strange | own
+        odometry = _nearest(of_kind(master.published, ODOMETRY), beside, strange, drive)
+    of_world = [other.name for other in others if other.of_world_file]
+    kin = [other for other in others if other.of_world_file == model.of_world_file]
     return Robot(
         name=model.name,
         links=tuple(model.links),
         joints=tuple(model.joints),
-        plugins=rows,
+        plugins=plugins_of([model]),
         controllers=tuple(controllers(master)),
         drive=drive,
         odometry=odometry,
-        said=tuple(said),
-        choice=tuple(other.name for other in drivable(kin, drives)),
+        said=tuple(w for w in warnings if not any(f"'{name}'" in w for name in of_world)),
+        choice=tuple(other.name for other in drivable([model, *kin], drives)),
     )
 
 
-def rows_of_others(model: ModelDescription, models: Iterable[ModelDescription]) -> list[PluginRow]:
-    """Return the plugins of all models but one."""
-    return [_row(p) for other in models if other.name != model.name for p in other.plugins]
+def plugins_of(models: Iterable[ModelDescription]) -> tuple[PluginRow, ...]:
+    """Return the plugins of models."""
+    return tuple(_row(plugin) for model in models for plugin in model.plugins)
 
 
 def _row(plugin: Any) -> PluginRow:
@@ -191,29 +201,29 @@ def of_kind(topics: Mapping[str, str], kind: str) -> list[str]:
     return [topic for topic, has in topics.items() if has == kind]
 
 
-def _nearest(topics: Iterable[str], own: set[str], others: set[str], drive: str) -> str:
-    """Return the robot's topic: its own, or that of no other model named most like its drive."""
+def _nearest(topics: Iterable[str], own: set[str], strange: set[str], drive: str) -> str:
+    """Return the robot's topic: an own one, else the one of no other model named like `drive`."""
 
     def rank(topic: str) -> tuple[bool, int, bool]:
         shared = os.path.commonprefix([topic, drive])
         return topic in own, shared.count("/"), "odom" in topic
 
-    possible = [topic for topic in topics if topic in own or topic not in others]
+    possible = [topic for topic in topics if topic in own or topic not in strange]
     return max(possible, key=rank, default="")
 
 
 def topics_of(
-    model: ModelDescription, models: Iterable[ModelDescription], master: Master
+    model: ModelDescription, others: Iterable[ModelDescription], master: Master
 ) -> dict[str, str]:
     """Return the topics that a robot publishes, with their types.
 
     Topics that no model's plugin names are those of its controllers.
     """
-    others = _topics(other for other in models if other.name != model.name) - _topics([model])
+    strange = _topics(others) - _topics([model])
     return {
         topic: kind
-        for topic, kind in master.spoken.items()
-        if topic not in others and not kind.startswith(SETTINGS)
+        for topic, kind in master.published.items()
+        if topic not in strange and not kind.startswith(SETTINGS)
     }
 
 
@@ -231,10 +241,10 @@ def controllers(master: Master) -> list[Controller]:
     return found
 
 
-# Messages on their way have arrived when none came for so many wall seconds. With running time
-# there is no such moment, so the wait is repeated at most so often.
+# All messages have arrived when none came for this many wall seconds.
 QUIET = 0.2
-LOOKS = 5
+# While simulated time runs, messages always come: the wait is repeated this often at most.
+MOST_WAITS = 5
 
 
 class Listeners:
@@ -261,13 +271,13 @@ class Listeners:
         return all(one.get_num_connections() > 0 for one in self._subscribers.values())
 
     def close(self) -> None:
-        """Receive the messages that are still on their way, then unsubscribe."""
+        """Wait for messages that were already sent, then unsubscribe."""
         before = -1
-        for _ in range(LOOKS):
-            heard = sum(count.messages for count in self._report.counts.values())
-            if heard == before:
+        for _ in range(MOST_WAITS):
+            received = sum(count.messages for count in self._report.counts.values())
+            if received == before:
                 break
-            before = heard
+            before = received
             rospy.rostime.wallsleep(QUIET)
         for one in self._subscribers.values():
             one.unregister()

@@ -91,7 +91,7 @@ class FleetMarkers:
             self._points[topic].append(Point(place.x, place.y, 0.0))
 
     def forget(self, namespace: str) -> None:
-        """Start the paths of a robot anew, as time was set back."""
+        """Start new paths of a robot, as time was set back."""
         with self._lock:
             for which in COLOURS:
                 self._points[f"{namespace}/{which}"].clear()

@@ -48,8 +48,8 @@ from bullet_lab.ros.record.robot_parts import (
     described,
     of_kind,
     photograph,
+    plugins_of,
     robot_of,
-    rows_of_others,
     topics_of,
     why_it_stands,
 )
@@ -58,15 +58,15 @@ from bullet_lab.ros.record.robot_parts import (
 COMMANDS = 20.0
 # Simulated seconds that the robot stands, before and after each part of the drive.
 STAND = 1.0
-# A part of the drive is given up after this many times the time that it should take.
+# A part of the drive is aborted after this many times the time that it should take.
 LATEST = 3.0
 # It ends at this many times the target by the truth, whatever the odometry reports.
 FARTHEST = 1.5
 # Wall seconds for the simulation to start, and for the robot to be spawned.
 SIMULATION = 60.0
 ARRIVAL = 120.0
-# A launch file has started everything if nothing new came for so many wall seconds; without a
-# subscriber to velocities the wait is longer.
+# A launch file has started everything when nothing new came for this many wall seconds; the wait is
+# longer without a subscriber to velocities.
 SETTLED = 3.0
 SETTLED_WITHOUT_DRIVE = 20.0
 # Wall seconds between two checks.
@@ -117,7 +117,7 @@ def _find_robot(name: str, launched: Launched) -> ModelDescription:
             since, before = time.monotonic(), now
         quiet = time.monotonic() - since
         waited = time.monotonic() - start
-        drives = of_kind(master.heard, VELOCITIES)
+        drives = of_kind(master.subscribed, VELOCITIES)
         if found is None and launched.path and choose(models, name, drives, True) is not None:
             with contextlib.suppress(rospy.ServiceException):
                 rospy.ServiceProxy("/gazebo/unpause_physics", Empty)()
@@ -145,10 +145,10 @@ class Trial:
         self._launched = launched
         answer, master = described(), Master()
         model = next(model for model in answer.models if model.name == name)
-        robot = robot_of(model, answer, master)
-        topics = topics_of(model, answer.models, master)
-        others = rows_of_others(model, answer.models)
-        self._report = RobotReport(Path(parameters.out), robot, topics, others)
+        others = [other for other in answer.models if other.name != name]
+        robot = robot_of(model, others, answer.said, master)
+        topics = topics_of(model, others, master)
+        self._report = RobotReport(Path(parameters.out), robot, topics, plugins_of(others))
         self._report.about = parameters.about
         self._odometry = NewestOdometry(robot.odometry, subscribed=False)
         self._pauses = False
@@ -250,8 +250,8 @@ class Trial:
         touched.update(model.touches)
         causes: list[str] = []
         if abs(self._moved[TRUTH].figures()[quantity]) < STANDING * asked:
-            is_heard = self._velocities.get_num_connections() > 0
-            causes = why_it_stands(model, self._report.robot.drive, is_heard)
+            is_connected = self._velocities.has_connections()
+            causes = why_it_stands(model, self._report.robot.drive, is_connected)
         self._stand(STAND)
         odometry, truth = self._moved[ODOMETRY].figures(), self._moved[TRUTH].figures()
         known = (is_late, tuple(sorted(touched)), tuple(causes))
@@ -259,9 +259,9 @@ class Trial:
 
     def _is_enough(self, quantity: str, asked: float) -> bool:
         """Return whether the odometry, or the truth while that pauses, has reached the target."""
-        true = self._moved[TRUTH].figures()
-        said = None if self._pauses else self._moved[ODOMETRY].figures()
-        return (said or true)[quantity] >= asked or true[quantity] >= FARTHEST * asked
+        truth = self._moved[TRUTH].figures()
+        odometry = None if self._pauses else self._moved[ODOMETRY].figures()
+        return (odometry or truth)[quantity] >= asked or truth[quantity] >= FARTHEST * asked
 
     def _stand(self, seconds: float) -> None:
         for _ in range(round(seconds * COMMANDS)):

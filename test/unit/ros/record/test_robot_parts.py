@@ -15,8 +15,8 @@ from bullet_lab.ros.record.robot_parts import (
     candidates,
     choose,
     distance_to,
+    plugins_of,
     robot_of,
-    rows_of_others,
     topics_of,
     why_it_stands,
 )
@@ -32,8 +32,10 @@ def plugin(inputs=(), outputs=()):
     return PluginDescription(filename="lib.so", inputs=list(inputs), outputs=list(outputs))
 
 
-def master(heard=(), spoken=()):
-    return SimpleNamespace(heard=dict(heard), spoken=dict(spoken), services=set())
+def master(subscribed=(), published=()):
+    return SimpleNamespace(
+        subscribed=dict(subscribed), published=dict(published), services=set()
+    )
 
 
 CART = model("cart", plugin(["/go"], ["/odom"]))
@@ -62,18 +64,14 @@ def test_no_robot_yet(models, name):
     assert choose(models, name, ["/go"]) is None
 
 
-def answer(*models, said=()):
-    return SimpleNamespace(models=models, said=list(said))
-
-
 def test_topics_of_another_robot_are_not_its_own():
     now = master(
         {"/go": TWIST, "/rover/go": TWIST},
         {"/odom": ODOMETRY, "/rover/odom": ODOMETRY, "/joint_states": "sensor_msgs/JointState"},
     )
-    robot = robot_of(ROVER, answer(CART, ROVER), now)
+    robot = robot_of(ROVER, [CART], [], now)
     assert (robot.drive, robot.odometry) == ("/rover/go", "/rover/odom")
-    found = topics_of(CART, [CART, ROVER], now)
+    found = topics_of(CART, [ROVER], now)
     assert set(found) == {"/odom", "/joint_states"}
 
 
@@ -83,19 +81,19 @@ def test_a_controller_drives_where_no_plugin_names_a_topic():
         {"/base/cmd_vel": TWIST, "/light": "std_msgs/Bool"},
         {"/odom": ODOMETRY, "/truth": ODOMETRY, "/base/other": "std_msgs/Bool"},
     )
-    robot = robot_of(husky, answer(husky), now)
+    robot = robot_of(husky, [], [], now)
     assert (robot.drive, robot.odometry) == ("/base/cmd_vel", "/odom")
 
 
 def test_the_odometry_is_that_of_the_plugin_that_drives():
     rover = model("rover", plugin([], ["/cmd/odom"]), plugin(["/cmd/vel"], ["/driven"]))
     now = master({"/cmd/vel": TWIST}, {"/cmd/odom": ODOMETRY, "/driven": ODOMETRY})
-    assert robot_of(rover, answer(rover), now).odometry == "/driven"
+    assert robot_of(rover, [], [], now).odometry == "/driven"
 
 
 def test_what_was_said_of_the_world_is_left_out():
     said = ["model 'wall': crooked", "model 'cart': odd", "model_xml of 'cart': odder"]
-    robot = robot_of(CART, answer(WALL, CART, said=said), master())
+    robot = robot_of(CART, [WALL], said, master())
     assert robot.said == ("model 'cart': odd", "model_xml of 'cart': odder")
     assert (robot.drive, robot.odometry) == ("", "")
 
@@ -105,7 +103,7 @@ def test_of_several_robots_the_first_by_name_is_driven():
     drives = [f"/tb3_{n}/go" for n in range(3)]
     assert choose([LAMP, *tb], "", drives).name == "tb3_0"
     now = master(dict.fromkeys(drives, TWIST))
-    assert robot_of(tb[1], answer(LAMP, *tb), now).choice == ("tb3_0", "tb3_1", "tb3_2")
+    assert robot_of(tb[1], [LAMP, tb[0], tb[2]], [], now).choice == ("tb3_0", "tb3_1", "tb3_2")
 
 
 def test_a_robot_of_the_world_file_is_taken_where_nothing_else_came():
@@ -122,7 +120,7 @@ def test_a_robot_of_the_world_file_is_taken_where_nothing_else_came():
     assert choose(world, "", [], True) is None
     # What is said of it is no matter of the world.
     said = ["model 'robot': odd", "model 'wall': crooked"]
-    assert robot_of(robot, answer(*world, said=said), master()).said == ("model 'robot': odd",)
+    assert robot_of(robot, world[:-1], said, master()).said == ("model 'robot': odd",)
 
 
 def test_whom_model_may_name():
@@ -132,8 +130,8 @@ def test_whom_model_may_name():
     assert candidates([BOX, wall, LAMP]) == "model:=NAME takes one of lamp, box"
 
 
-def test_the_plugins_of_others():
-    assert [row.outputs for row in rows_of_others(CART, [CART, ROVER])] == [("/rover/odom",)]
+def test_the_plugins_of_models():
+    assert [row.outputs for row in plugins_of([CART, ROVER])] == [("/odom",), ("/rover/odom",)]
 
 
 def test_why_a_robot_stands(monkeypatch):

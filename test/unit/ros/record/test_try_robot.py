@@ -90,12 +90,14 @@ def found(monkeypatch):
                 if clock.now >= at
             ]
 
-        def heard():
+        def subscribed():
             return {f"/{model.name}/go": VELOCITIES for model in models()}
 
         monkeypatch.setattr(try_robot, "time", clock)
         monkeypatch.setattr(
-            try_robot, "Master", lambda: SimpleNamespace(services={SERVICE}, heard=heard())
+            try_robot,
+            "Master",
+            lambda: SimpleNamespace(services={SERVICE}, subscribed=subscribed()),
         )
         monkeypatch.setattr(try_robot, "described", lambda: SimpleNamespace(models=models()))
         monkeypatch.setattr(try_robot.rospy, "ServiceProxy", lambda *_: lambda: None)
