@@ -241,20 +241,16 @@ class PyBulletBridge:
         actions = {
             "pause_physics": self.stepper.pause,
             "unpause_physics": self.stepper.unpause,
-            "reset_world": self._reset_world,
-            "reset_simulation": self._reset_simulation,
+            "reset_world": lambda: self._reset(self.stepper.reset_world),
+            "reset_simulation": lambda: self._reset(self.stepper.reset_simulation),
         }
         services = [_service(f"/gazebo/{name}", Empty, actions[name]) for name in actions]
         services.append(_service("/bullet_lab/step", Step, self._handle_step))
         services.append(_service("/bullet_lab/advance", Advance, self._handle_advance))
         return services
 
-    def _reset_world(self) -> None:
-        self.stepper.reset_world()
-        self._gazebo.everything_moved()
-
-    def _reset_simulation(self) -> None:
-        self.stepper.reset_simulation()
+    def _reset(self, reset: Callable[[], None]) -> None:
+        reset()
         self._gazebo.everything_moved()
 
     def _handle_step(self, request: Any) -> StepResponse:

@@ -27,28 +27,28 @@ CLOCK_RATE = "/gazebo/pub_clock_frequency"
 # Beginning of the file names of Gazebo's ROS interface, which the bridge has.
 ROS_PLUGINS = "libgazebo_ros_"
 
-# Options with a value that are ignored.
-IDLE_VALUES = (
-    ("-e", "--physics"),
-    ("-g", "--gui-plugin"),
-    ("-o", "--profile"),
-    ("--record_encoding",),
-    ("--record_path",),
-    ("--record_period",),
-    ("--record_filter",),
-    ("--gui-client-plugin",),
+# Options with a value that are ignored, by their short and long names.
+IGNORED_VALUES = (
+    "-e --physics",
+    "-g --gui-plugin",
+    "-o --profile",
+    "--record_encoding",
+    "--record_path",
+    "--record_period",
+    "--record_filter",
+    "--gui-client-plugin",
 )
 # Options without a value that are ignored.
-IDLE_FLAGS = (
-    ("-r", "--record"),
-    ("--record_resources",),
-    ("-q", "--quiet"),
-    ("--verbose",),
-    ("--minimal_comms",),
-    ("--lockstep",),
+IGNORED_FLAGS = (
+    "-r --record",
+    "--record_resources",
+    "-q --quiet",
+    "--verbose",
+    "--minimal_comms",
+    "--lockstep",
 )
 # Options that are refused, as a user would miss their effect.
-REFUSED = (("-p", "--play"), ("--iters",), ("--initial_sim_time",))
+REFUSED = ("-p --play", "--iters", "--initial_sim_time")
 
 
 @dataclass(frozen=True)
@@ -81,17 +81,16 @@ def parse_server_arguments(words: Sequence[str]) -> ServerArguments:
     parser.add_argument("-u", "--pause", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-s", "--server-plugin", action="append", default=[])
-    for names in IDLE_FLAGS:
-        parser.add_argument(*names, action="store_true")
-    for names in IDLE_VALUES:
-        parser.add_argument(*names, action="append")
-    for names in REFUSED:
-        parser.add_argument(*names, dest=names[-1].lstrip("-"))
+    for names in IGNORED_FLAGS:
+        parser.add_argument(*names.split(), action="store_true")
+    for names in (*IGNORED_VALUES, *REFUSED):
+        parser.add_argument(*names.split(), action="append")
     # Launch files have empty words for empty arguments.
     found = parser.parse_args([word for word in words if word])
     for names in REFUSED:
-        if getattr(found, names[-1].lstrip("-")) is not None:
-            raise ArgumentsError(f"{names[-1]} is not simulated")
+        option = names.split()[-1]
+        if getattr(found, option.lstrip("-")) is not None:
+            raise ArgumentsError(f"{option} is not simulated")
     if found.seed < 0:
         raise ArgumentsError(f"--seed {found.seed} is negative")
     plugins = (Path(name).name for name in found.server_plugin)

@@ -27,13 +27,7 @@ from bullet_lab.reports.vision import VisionReport
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.publishers import subscriber
-from bullet_lab.ros.record.recorder import (
-    POLL_SECONDS,
-    RecordParameters,
-    reader_of,
-    save_figures,
-    save_summary,
-)
+from bullet_lab.ros.record.recorder import POLL_SECONDS, RecordParameters, reader_of, save_all
 
 # Wall seconds to wait for results of one image, once each detector has sent a result.
 _PATIENCE = 5.0
@@ -126,10 +120,7 @@ def plot_vision(parameters: PlotVisionParameters) -> None:
     answers.close()
     for topic, kind in report.topics.items():
         report.take(topic, reader_of(kind)[1](messages[topic]))
-    report.finish()
-    summary = report.summary(True, {})
-    save_figures(report, report.figures(summary))
-    save_summary(report, summary)
+    summary = save_all(report, True)
     for name, line in report.found.items():
         rospy.loginfo("%s: %s", name, line)
     rospy.loginfo("%s", report.line(summary))

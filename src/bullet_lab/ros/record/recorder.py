@@ -284,6 +284,15 @@ def save_figures(report: Report, figures: Mapping[str, Figure]) -> None:
         save(figure, report.folder / name)
 
 
+def save_all(report: Report, finished: bool) -> Mapping[str, Any]:
+    """Write all files of a report that is not run by a recorder, and return the summary."""
+    report.finish()
+    summary = report.summary(finished, {})
+    save_figures(report, report.figures(summary))
+    save_summary(report, summary)
+    return summary
+
+
 Contents = Callable[[Any], tuple]
 
 

@@ -37,7 +37,7 @@ from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.odometry import ODOMETRY_TIMEOUT, NewestOdometry, planar_pose
 from bullet_lab.ros.node.publishers import publisher
 from bullet_lab.ros.record.launch_file import Launched
-from bullet_lab.ros.record.recorder import RecordParameters, save_figures, save_summary
+from bullet_lab.ros.record.recorder import RecordParameters, save_all
 from bullet_lab.ros.record.robot_parts import (
     SERVICE,
     VELOCITIES,
@@ -187,10 +187,7 @@ class Trial:
     def _save(self, finished: bool) -> Mapping[str, Any]:
         report = self._report
         report.not_started = self._launched.failures()
-        report.finish()
-        summary = report.summary(finished, {})
-        save_figures(report, report.figures(summary))
-        save_summary(report, summary)
+        summary = save_all(report, finished)
         print(report.table())
         if not report.has_failed(summary):
             rospy.loginfo("%s", report.line(summary))
