@@ -17,13 +17,21 @@ from typing import Any, Sequence
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+)
 from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
 from bullet_lab.core.parameters import boolean, choice, integer, number
-from bullet_lab.core.se2 import ellipse_points, quaternion_from_yaw
+from bullet_lab.core.se2 import PlanarPose, ellipse_points, quaternion_from_yaw
 from bullet_lab.noise.odometry_noise import (
     MODELS,
     NoiseError,
@@ -81,7 +89,7 @@ class NoisyOdometry:
         self.std = parameters.std
         self.msg: Odometry | None = None
         self.last_odom: Odometry | None = None
-        self.pose = [0.0, 0.0, 0.0]
+        self.pose: PlanarPose = (0.0, 0.0, 0.0)
         self._sampler = Sampler(parameters.rate) if parameters.as_published else None
         self._published = PublishedNoise(parameters.std, parameters.seed)
         self._model = parameters.model
@@ -115,15 +123,15 @@ class NoisyOdometry:
 
     def compute_noise(self, msg: Odometry, reported: SystematicStep) -> None:
         """Publish a message with noise, from its pose with systematic errors, `reported`."""
-        noisy = _copy(msg)
         if self._sampler is not None:
-            self.pose = list(self._published.update(*reported.pose))
+            self.pose = self._published.update(*reported.pose)
+            noisy = _at(msg, self.pose)
         else:
             step = self._path.update(*reported.pose)
-            self.pose = list(step.pose)
+            self.pose = step.pose
+            noisy = _at(msg, self.pose)
             errors = (reported.motion_error, step.motion_error)
-            _set_uncertainty(noisy, step, errors, self._seconds_since_last(msg))
-        _set_pose(noisy, self.pose)
+            _add_noise(noisy, step, errors, self._seconds_since_last(msg))
         self.last_odom = msg
         self.pub.publish(noisy)
         if self._sampler is None and self._ellipse.has_connections():
@@ -182,29 +190,27 @@ def robots_of(parameters: NoisyOdomParameters) -> dict[str, NoisyOdomParameters]
     }
 
 
-def _copy(msg: Odometry) -> Odometry:
-    """Return a copy of a message that can be changed.
+def _at(msg: Odometry, pose: PlanarPose) -> Odometry:
+    """Return a copy of a message at another pose; nothing that may change is shared.
 
     The node in the report changed the message that it also kept as the last perfect one.
     """
-    header = Header(0, msg.header.stamp, msg.header.frame_id)
-    copy = Odometry(header=header, child_frame_id=msg.child_frame_id)
-    copy.pose.pose.position.z = msg.pose.pose.position.z
-    copy.pose.covariance = list(msg.pose.covariance)
-    copy.twist.covariance = list(msg.twist.covariance)
+    x, y, yaw = pose
+    place = Point(x, y, msg.pose.pose.position.z)
+    turn = Quaternion(*quaternion_from_yaw(yaw))
     linear, angular = msg.twist.twist.linear, msg.twist.twist.angular
-    copy.twist.twist.linear = Vector3(linear.x, linear.y, linear.z)
-    copy.twist.twist.angular = Vector3(angular.x, angular.y, angular.z)
-    return copy
+    twist = Twist(
+        Vector3(linear.x, linear.y, linear.z), Vector3(angular.x, angular.y, angular.z)
+    )
+    return Odometry(
+        Header(0, msg.header.stamp, msg.header.frame_id),
+        msg.child_frame_id,
+        PoseWithCovariance(Pose(place, turn), list(msg.pose.covariance)),
+        TwistWithCovariance(twist, list(msg.twist.covariance)),
+    )
 
 
-def _set_pose(message: Odometry, pose: list[float]) -> None:
-    position, turn = message.pose.pose.position, message.pose.pose.orientation
-    position.x, position.y = pose[0], pose[1]
-    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(pose[2])
-
-
-def _set_uncertainty(
+def _add_noise(
     message: Odometry,
     step: NoisyStep,
     errors: Sequence[tuple[float, float, float]],

@@ -19,7 +19,7 @@ from typing import Any, Tuple, Union
 
 import rosgraph.names
 import rospy
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Point
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Range
 from std_msgs.msg import ColorRGBA, Header, String
@@ -94,9 +94,7 @@ class _BeaconTopics:
     def publish(self, header: Header, dist: float) -> None:
         """Publish a distance in m, with a header."""
         self._line.publish(String(report_line(self.beacon, dist)))
-        message = Range(header=header, radiation_type=Range.INFRARED)
-        message.min_range, message.max_range, message.range = 0.0, math.inf, dist
-        self._range.publish(message)
+        self._range.publish(Range(header, Range.INFRARED, 0.0, 0.0, math.inf, dist))
 
     def close(self) -> None:
         """Unregister the publishers."""
@@ -167,23 +165,24 @@ class TrackRobot:
             self._markers.publish(MarkerArray([Marker(action=Marker.DELETEALL)]))
 
     def _draw(self, msg: Odometry, distances: list[float]) -> MarkerArray:
+        """Return a label above each beacon, and a line to it from the robot."""
+        header = Header(0, msg.header.stamp, msg.header.frame_id)
+        robot = msg.pose.pose.position
         markers = []
         for number, (topics, dist) in enumerate(zip(self._beacons, distances)):
             beacon = topics.beacon
-            header = Header(0, msg.header.stamp, msg.header.frame_id)
             label = Marker(header=header, ns="label", id=number, type=Marker.TEXT_VIEW_FACING)
             label.pose.position = Point(beacon.x, beacon.y, LABEL_HEIGHT)
-            label.pose.orientation.w = 1.0
             label.scale.z = LABEL_SIZE
             label.color = ColorRGBA(1.0, 0.55, 0.1, 1.0)
             label.text = f"{beacon.name}: {dist:.2f} m"
             ray = Marker(header=header, ns="ray", id=number, type=Marker.LINE_LIST)
-            ray.pose.orientation.w = 1.0
-            robot = msg.pose.pose.position
             ray.points = [Point(robot.x, robot.y, 0.1), Point(beacon.x, beacon.y, 0.1)]
-            ray.scale = Vector3(0.03, 0.0, 0.0)
+            ray.scale.x = 0.03
             ray.color = ColorRGBA(0.84, 0.37, 0.0, 1.0)
             markers += [label, ray]
+        for marker in markers:
+            marker.pose.orientation.w = 1.0
         return MarkerArray(markers)
 
 
