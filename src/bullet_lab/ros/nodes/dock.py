@@ -19,7 +19,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any, Callable, NamedTuple
 
 import rospy
@@ -163,9 +163,8 @@ class DockParameters:
 
 def with_tolerances(dock: Dock, *tolerances: float) -> Dock:
     """Return a dock with other tolerances (m along its axis, m across, rad); 0 changes nothing."""
-    names = (field.name for field in fields(DockTolerance))
-    given = {name: value for name, value in zip(names, tolerances) if value}
-    return replace(dock, tolerance=replace(dock.tolerance, **given))
+    pairs = zip(tolerances, astuple(dock.tolerance))
+    return replace(dock, tolerance=DockTolerance(*(given or own for given, own in pairs)))
 
 
 class DockTopics:
