@@ -65,6 +65,9 @@ class RecordParameters:
 
     out: str = text("results", "folder for the files")
     about: Mapping[str, Any] = about()
+    # Without annotations, as these are parameters of the subclasses only.
+    plot_period = math.inf
+    until = ""
 
 
 @dataclass(frozen=True)
@@ -129,10 +132,8 @@ class Recorder:
         self._finished = False
         report.about = parameters.about
         report.on_reset = self._reset
-        self._period = math.inf
-        if isinstance(parameters, RenewedParameters):
-            self._period = parameters.plot_period
-        if isinstance(parameters, TimedParameters) and parameters.until:
+        self._period = parameters.plot_period
+        if parameters.until:
             self._end = rospy.Subscriber(parameters.until, Time, self._receive_end)
         self._subscribers: list[rospy.Subscriber] = []
         for topic, kind in report.topics.items():
