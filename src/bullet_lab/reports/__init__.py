@@ -10,8 +10,11 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any, Callable, Iterable, Mapping, NamedTuple, Sequence
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bullet_lab.core.figures import BLACK
 from bullet_lab.core.files import NANOSECONDS, PathSeries, Series, make_folder
 
 
@@ -127,6 +130,33 @@ class DriveReport(Report):
 
     def take(self, topic: str, reading: Reading) -> bool:
         return reading.stamp >= self.BEGINNING and super().take(topic, reading)
+
+
+def draw_path(
+    axes: Axes,
+    poses: np.ndarray,
+    colour: str,
+    width: float,
+    start: str,
+    end: str = "",
+    label: str | None = None,
+) -> None:
+    """Draw a path seen from above, with its start and its end.
+
+    Args:
+        axes: to draw on.
+        poses: m, m, rad, shape (n, 3), at least one.
+        colour: of the path.
+        width: of the path, in points.
+        start: colour of the start.
+        end: colour of the end; empty for no end.
+        label: of the path, in the legend.
+    """
+    x, y, _ = poses.T
+    axes.plot(x, y, color=colour, linewidth=width, label=label)
+    axes.plot(x[0], y[0], "o", color=start, markeredgecolor=BLACK, label="start")
+    if end:
+        axes.plot(x[-1], y[-1], "s", color=end, markeredgecolor=BLACK, label="end")
 
 
 def earliest(stamps: Iterable[int | None]) -> int | None:

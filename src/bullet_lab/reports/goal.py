@@ -17,7 +17,7 @@ from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.reports import DriveReport, Reading
+from bullet_lab.reports import DriveReport, Reading, draw_path
 
 # ns that are recorded after the end, while the robot should stand.
 REST = NANOSECONDS
@@ -181,9 +181,7 @@ class GoalReport(DriveReport):
             axes.annotate(name, (x, y), ha="center", va="center", fontsize=7, annotation_clip=True)
         if truth is not None:
             shown.append(truth.poses[:, :2])
-            x, y, _ = truth.poses.T
-            axes.plot(x, y, color=ORANGE, linewidth=1.8, label="true path")
-            axes.plot(x[0], y[0], "o", color="white", markeredgecolor=BLACK, label="start")
+            draw_path(axes, truth.poses, ORANGE, 1.8, start="white", label="true path")
             _arrow(axes, truth.poses[-1], BLACK, "end")
         for number, record in enumerate(goals):
             colour = GREEN if record.reached else VERMILION

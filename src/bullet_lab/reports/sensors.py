@@ -22,7 +22,7 @@ from bullet_lab.core.figures import (
     plan_axes,
 )
 from bullet_lab.core.files import Join, Series, SeriesError, Values
-from bullet_lab.reports import Reading, Report
+from bullet_lab.reports import Reading, Report, draw_path
 
 # N; a smaller force is a touch that has just ended.
 TOUCH = 0.1
@@ -167,10 +167,7 @@ def _draw_plan(axes: Axes, report: SensorsReport) -> None:
     axes.plot(x, y, ".", color=VERMILION, markersize=1.0, alpha=0.3)
     _, poses = report.odom.table()
     if len(poses):
-        x, y, _ = poses.T
-        axes.plot(x, y, color=BLACK, linewidth=1.4)
-        axes.plot(x[0], y[0], "o", color="white", markeredgecolor=BLACK, label="start")
-        axes.plot(x[-1], y[-1], "s", color=BLACK, label="end")
+        draw_path(axes, poses, BLACK, 1.4, start="white", end=BLACK)
         axes.legend(loc="best")
 
 
@@ -240,10 +237,7 @@ class BeaconsReport(Report):
 
     def _draw_rows(self, plan: Axes, curves: Axes) -> None:
         path, (measured, true) = self._rows.path(), self._distances()
-        x, y, _ = path.poses.T
-        plan.plot(x, y, color=BLACK, linewidth=1.4)
-        plan.plot(x[0], y[0], "o", color=GREEN, markeredgecolor=BLACK, label="start")
-        plan.plot(x[-1], y[-1], "s", color="white", markeredgecolor=BLACK, label="end")
+        draw_path(plan, path.poses, BLACK, 1.4, start=GREEN, end="white")
         for column, (name, _, colour) in enumerate(self._coloured()):
             curves.plot(path.stamps, true[:, column], color=colour, linewidth=6.0, alpha=0.3)
             curves.plot(path.stamps, measured[:, column], color=colour, linewidth=1.5, label=name)
