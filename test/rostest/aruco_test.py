@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The marker detector: its answers, when it works, what it refuses and what it says of itself."""
+"""The marker detector: its results, when it works, what it refuses, and its diagnostics."""
 
 import dataclasses
 import math
@@ -218,7 +218,7 @@ class ArucoTest(unittest.TestCase):
         self.assertEqual(2, node.wait(), node.err)
         self.assertIn("no marker 50", node.err)
 
-    # What it says of itself
+    # Diagnostics
 
     def test_diagnostics_of_each_kind(self):
         self.start("detections", with_info=False)

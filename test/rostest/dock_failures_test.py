@@ -80,7 +80,7 @@ class DockFailuresTest(unittest.TestCase):
         return self.result_of(self.dock)
 
     def result_of(self, client):
-        """Wait for it: the state of a goal is told by another topic than its result."""
+        """Wait for it: the state of a goal comes on another topic than its result."""
         wait_for(lambda: self.is_over(client) and client.get_result(), "a result")
         return client.get_result()
 
@@ -112,7 +112,7 @@ class DockFailuresTest(unittest.TestCase):
         message.pose.orientation.w = math.cos(0.5 * yaw)
         return message
 
-    # Goals that make no sense
+    # Invalid goals
 
     def test_unknown_dock(self):
         self.send("kitchen")
@@ -186,7 +186,7 @@ class DockFailuresTest(unittest.TestCase):
         self.send(search=False)
         self.assert_failed(DockResult.NOT_DETECTED, "")
 
-    # What fails on the way
+    # Failures during the docking
 
     def test_camera_stops(self):
         self.send()

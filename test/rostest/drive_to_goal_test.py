@@ -28,7 +28,7 @@ TOLERANCE = 0.05
 
 
 class FakeRobot:
-    """Does as it is told, and says so 50 times a second of wall time."""
+    """Follows the commands, and publishes its pose 50 times a second of wall time."""
 
     def __init__(self, topic="odom"):
         self.pose = (0.0, 0.0, 0.0)

@@ -94,7 +94,7 @@ def test_what_cannot_be_used_is_counted_and_the_end_is_where_it_was_announced(tm
     assert summary["sim_time_s"] == pytest.approx(0.1)
     assert len((tmp_path / "path.tum").read_text().splitlines()) == 3
     assert (tmp_path / "path.png").is_file()
-    # On its way in still.
+    # A late message.
     receive["odom"](odometry(5))
     assert len((tmp_path / "path.tum").read_text().splitlines()) == 3
 
@@ -152,7 +152,7 @@ def test_a_goal_that_is_not_reached_leaves_everything_and_one_line(tmp_path, rec
     assert summary_of(tmp_path)["finished"] is True
 
 
-def test_a_goal_that_nobody_takes(tmp_path, receive, monkeypatch):
+def test_a_goal_that_is_not_accepted(tmp_path, receive, monkeypatch):
     monkeypatch.setattr(recorder, "ACCEPTANCE", 0.05)
     request = GoalRequest("server", lambda: True, lambda: None, lambda: False)
     parameters = recorder.RecordParameters(out=str(tmp_path))

@@ -91,9 +91,9 @@ def test_the_odometry_is_that_of_the_plugin_that_drives():
     assert robot_of(rover, [], [], now).odometry == "/driven"
 
 
-def test_what_was_said_of_the_world_is_left_out():
-    said = ["model 'wall': crooked", "model 'cart': odd", "model_xml of 'cart': odder"]
-    robot = robot_of(CART, [WALL], said, master())
+def test_warnings_of_the_world_are_left_out():
+    warnings = ["model 'wall': crooked", "model 'cart': odd", "model_xml of 'cart': odder"]
+    robot = robot_of(CART, [WALL], warnings, master())
     assert robot.said == ("model 'cart': odd", "model_xml of 'cart': odder")
     assert (robot.drive, robot.odometry) == ("", "")
 
@@ -118,9 +118,9 @@ def test_a_robot_of_the_world_file_is_taken_where_nothing_else_came():
     # A controller may drive it, whose topic no plugin names.
     assert choose([WALL, statue, door], "", ["/base/go"], True).name == "a_door"
     assert choose(world, "", [], True) is None
-    # What is said of it is no matter of the world.
-    said = ["model 'robot': odd", "model 'wall': crooked"]
-    assert robot_of(robot, world[:-1], said, master()).said == ("model 'robot': odd",)
+    # Warnings about the robot are not those of the world.
+    warnings = ["model 'robot': odd", "model 'wall': crooked"]
+    assert robot_of(robot, world[:-1], warnings, master()).said == ("model 'robot': odd",)
 
 
 def test_whom_model_may_name():

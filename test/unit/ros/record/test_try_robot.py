@@ -35,8 +35,8 @@ def trial(tmp_path):
 
 
 def test_odometry_comes_again_after_a_pause(trial, monkeypatch):
-    said = []
-    monkeypatch.setattr(try_robot.rospy, "logwarn", lambda *words: said.append(words))
+    warnings = []
+    monkeypatch.setattr(try_robot.rospy, "logwarn", lambda *words: warnings.append(words))
     first, last = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)
     trial._odometry = Odometry(first, None, None, last, None)
     assert [trial._newest_odometry() for _ in range(5)] == [first, None, None, last, None]
@@ -44,7 +44,7 @@ def test_odometry_comes_again_after_a_pause(trial, monkeypatch):
     assert [patience > 0.0 for patience in trial._odometry.patience] == [
         True, True, False, False, True
     ]  # fmt: skip
-    assert (len(said), trial._report.pauses) == (2, 2)
+    assert (len(warnings), trial._report.pauses) == (2, 2)
 
 
 def test_the_truth_decides_while_odometry_pauses(trial):
