@@ -16,7 +16,9 @@ from bullet_lab.core.files import NANOSECONDS, PathSeries, replace_file
 from bullet_lab.core.se2 import PlanarPose, between
 from bullet_lab.reports import Reading, Report
 
-TRUTH, ODOMETRY = "truth", "odometry"
+# Names of the two paths.
+TRUTH = "truth"
+ODOMETRY = "odometry"
 TABLE = "robot.md"
 # A robot that has driven less than this share of the target has not moved.
 STANDING = 0.05

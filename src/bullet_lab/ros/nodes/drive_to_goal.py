@@ -397,7 +397,8 @@ class DriveToGoal:
         self._odometry.clear()
         self._frames.clear()
         self._server.forget_cancels()
-        self._pose, self._seen = None, rospy.Time(0)
+        self._pose = None
+        self._seen = rospy.Time(0)
         if self._server.is_active():
             self._end(rospy.Time(0), GoalStatus.ABORTED, "simulated time was set back")
 

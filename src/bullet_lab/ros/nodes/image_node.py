@@ -174,7 +174,9 @@ class ImageNode(ABC):
 
     def _start(self) -> None:
         with self._lock:
-            self._info, self._waits_for_info, self._last_stamp = None, True, None
+            self._info = None
+            self._waits_for_info = True
+            self._last_stamp = None
             self.reset()
             info = subscriber(self.parameters.info_topic, CameraInfo, self._receive_info)
             images = subscriber(

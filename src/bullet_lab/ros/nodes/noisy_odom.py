@@ -148,7 +148,9 @@ class NoisyOdometry:
             self._path.change_rule(rule_of(model, noise))
         except NoiseError as error:
             return SetNoiseResponse(False, str(error))
-        self._model, self.std, self._noise = model, request.std, noise
+        self.std = request.std
+        self._model = model
+        self._noise = noise
         rospy.loginfo("noise is now %s with std %g", model, request.std)
         return SetNoiseResponse(True, "")
 

@@ -50,8 +50,11 @@ from bullet_lab.simulation.world.floor_plan import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
 
+# Wall seconds for the markers of the world.
 WORLD_TIMEOUT_SECONDS = 60.0
+# The beacons of the report.
 BEACONS = ("beacon_0", "beacon_1", "beacon_2")
+# m; the plan of the station has only objects that the robot can touch.
 ROBOT_HEIGHT = 0.55
 
 

@@ -121,7 +121,8 @@ class FleetMarkers:
     def _line(self, topic: str, points: list[Point]) -> Marker:
         which = topic.rpartition("/")[2]
         marker = self._marker(topic, topic, Marker.LINE_STRIP, COLOURS[which])
-        marker.pose.position.z, marker.scale.x = HEIGHTS[which], LINE_WIDTH
+        marker.pose.position.z = HEIGHTS[which]
+        marker.scale.x = LINE_WIDTH
         marker.points = points
         return marker
 
