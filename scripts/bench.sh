@@ -1,20 +1,20 @@
 #!/usr/bin/env bash
 # Measures how fast the lab is:
 #   scripts/bench.sh [bridge|noise|laser|camera|aruco|detectors|world|dock|robots|models|relay|view|processors] [option …]
-#   bridge (default)  the bridge beside the bare engine: --rounds N, --seconds S
-#   noise             noisy paths by the thousand beside the per-message loop: --rounds N, --paths N
-#   camera            frames beside bare ones, 30 Hz with aruco.py: --frames N, --seconds S
-#   aruco             from image to pose, beside OpenCV's own detector: --rounds N
-#   detectors         found, corners, poses beside OpenCV's and AprilTag's: --scenes N, --crops N
+#   bridge (default)  the bridge, against the bare engine: --rounds N, --seconds S
+#   noise             thousands of noisy paths, against the per-message loop: --rounds N, --paths N
+#   camera            frames, against bare rendering; 30 Hz with aruco.py: --frames N, --seconds S
+#   aruco             from image to pose, against OpenCV's detector: --rounds N
+#   detectors         detections, corners and poses, against OpenCV and AprilTag: --scenes N, --crops N
 #   laser             scans, and fleets of robots with lasers: --rounds N, --seconds S (simulated)
-#   world             models that come and go, a crowded world saved: --models N, --camera
+#   world             spawning, deleting and saving many models: --models N, --camera
 #   dock              a campaign of dockings on all cores: --dockings N
 #   robots            speed against the number of robots: --rounds N, --seconds S (simulated)
-#   models            speed against the number of models: the same
+#   models            speed against the number of models: same options
 #   relay             squares in lock step with and without a relay in between: --rounds N, --sides N
-#   processors        which results have other bits as an older processor would compute them
-#   view              what the world in a browser costs: --robots N, --seconds S, --rounds N
-# Prints a table and writes results/bench/bench.json, or noise.json and so on. No part of the tests.
+#   processors        which results have other bits on an older processor
+#   view              cost of the view in a browser: --robots N, --seconds S, --rounds N
+# Prints a table and writes results/bench/bench.json, noise.json and so on. Not part of the tests.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh

@@ -1,31 +1,31 @@
-# Sourced by whoever runs scripts and launch files of a course on ROS and Gazebo, as they are:
+# Source this file to run unchanged scripts and launch files of a course on ROS and Gazebo:
 #
 #   source scripts/course.sh
 #
-# Debian's Python with what such scripts import (tf, an OpenCV with windows and the old calls for
-# markers, matplotlib), as `python3` and as `python`; this workspace, whose launch files and nodes
-# bring their own Python along; a `xacro` that works. Installs what is missing.
+# It provides `python3` and `python` as Debian's Python, with the libraries that such scripts import
+# (tf, an OpenCV with windows and the old marker functions, matplotlib), this workspace, whose
+# nodes use their own Python, and a `xacro` that works. It installs what is missing.
 # shellcheck shell=bash
 
-# In a shell that is somebody else's, nothing is left behind but the environment.
+# A function, so that only the environment of the calling shell changes.
 _lab_course() {
   local scripts root folder word words=() packages=${ROS_PACKAGE_PATH-}
   scripts=$(cd -P "$(dirname "${BASH_SOURCE[0]}")" && pwd) || return
   "$scripts/setup.sh" --with course || return
   root=$(dirname "$scripts")
-  # What another Python is told to import, Debian's could not.
+  # Debian's Python cannot import modules of another Python.
   unset PYTHONPATH PYTHONHOME
   # shellcheck disable=SC1091
   source "$root/build/ws/devel/setup.bash" || return
   [[ -z $packages || $packages == "$ROS_PACKAGE_PATH" ]] || ROS_PACKAGE_PATH+=:$packages
-  # A virtual environment of the lab, or of anybody, has an OpenCV of its own.
+  # Before any virtual environment, which may have another OpenCV.
   folder=$root/build/course
   IFS=: read -r -a words <<<"$PATH"
   PATH=$folder:$root/build/ws/devel/bin
   for word in "${words[@]}"; do
     [[ :$PATH: == *":$word:"* ]] || PATH=$PATH:$word
   done
-  # Names that OpenCV has lost since Noetic's.
+  # It restores names that OpenCV has removed since Noetic.
   export PYTHONPATH=$root/config/course${PYTHONPATH:+:$PYTHONPATH}
   hash -r
 }

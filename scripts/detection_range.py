@@ -3,5 +3,7 @@
 
 from bullet_lab.entry import run
 
+MAIN = "bullet_lab.studies.detection_range.study"
+
 if __name__ == "__main__":
-    run("bullet_lab.studies.detection_range.study")
+    run(MAIN)

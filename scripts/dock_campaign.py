@@ -3,5 +3,7 @@
 
 from bullet_lab.entry import run
 
+MAIN = "bullet_lab.studies.dock_campaign.study"
+
 if __name__ == "__main__":
-    run("bullet_lab.studies.dock_campaign.study")
+    run(MAIN)

@@ -1,9 +1,9 @@
-# Sourced by the other scripts: where things are, and how to enter the lab's environment.
+# Sourced by the other scripts: paths, and functions that enter the lab's environment.
 # shellcheck shell=bash disable=SC2034 # not all of them use all of it
 
-# The workspace has a link to this folder: `cd -P` finds the package and not what links to it.
+# The workspace has a link to this folder; `cd -P` resolves it.
 LAB_ROOT=$(cd -P "$(dirname "${BASH_SOURCE[0]}")" && cd .. && pwd)
-# rosrun searches packages for executables, and leaves out their build/ alone.
+# rosrun searches packages for executables, but not in build/.
 LAB_DIR=$LAB_ROOT/build
 LAB_VENV=$LAB_DIR/venv
 LAB_WS=$LAB_DIR/ws
@@ -14,8 +14,8 @@ else
   LAB_ROS=/usr
 fi
 
-# ROS works with the system's Python only: nothing of another one may be in its way,
-# be it first in PATH, in PYTHONPATH or in the user's site-packages.
+# ROS works only with the system's Python: removes another Python from PATH, PYTHONPATH and
+# the user's site-packages.
 use_lab_python() {
   unset PYTHONPATH PYTHONHOME
   export PYTHONNOUSERSITE=1
@@ -24,7 +24,7 @@ use_lab_python() {
 
 # The setup files of catkin read variables that may be unset.
 source_setup_file() {
-  # They write a file, which is left where they are killed meanwhile. Another user's clone is theirs.
+  # They write a temporary file, which stays if they are killed. The folder may be read-only.
   [[ ! -w $LAB_DIR ]] || local TMPDIR=$LAB_DIR
   set +u
   # shellcheck disable=SC1090
@@ -32,20 +32,20 @@ source_setup_file() {
   set -u
 }
 
-# The built workspace and the virtual environment, for everything that runs.
+# Enter the built workspace and the virtual environment.
 enter_lab() {
   local given_master=${ROS_MASTER_URI-} given_packages=${ROS_PACKAGE_PATH-}
   use_lab_python
   source_setup_file "$LAB_WS/devel/setup.bash"
-  # They forget where else the user has packages.
+  # They drop other folders from ROS_PACKAGE_PATH.
   if [[ -n $given_packages && $given_packages != "$ROS_PACKAGE_PATH" ]]; then
     export ROS_PACKAGE_PATH=$ROS_PACKAGE_PATH:$given_packages
   fi
   PATH=$LAB_VENV/bin:$PATH
-  # With several threads, the last bit of a sum depends on how many cores there are, and small
+  # With several threads, the last bit of a sum depends on the number of cores, and small
   # matrices take longer.
   export OPENBLAS_NUM_THREADS=${OPENBLAS_NUM_THREADS:-1}
-  # catkin's files set a default, which would look like a master that the user named.
+  # catkin's files set a default, which would look like the user's choice.
   if [[ -z $given_master ]]; then
     unset ROS_MASTER_URI
   fi

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Runs each job again and again, does something bad to it, and looks at what becomes of it:
+# Runs jobs, injects a fault into each, and checks how it ends:
 # scripts/faults.sh [--count N] [--seed S] [--first I | --only I] [--job JOB] [--kind KIND]
-# What was tried is not tried again. A failure leaves its folder in results/faults and the
-# command that repeats it; status 1 then.
+# Faults that were tried before are skipped. A failure leaves its folder in results/faults, with
+# the command that repeats it; status 1.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh

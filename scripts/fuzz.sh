@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Mutates files, words and parameters that come from outside and looks at what becomes of them:
+# Mutates files, arguments and parameters, reads them, and checks how errors are reported:
 # scripts/fuzz.sh [--minutes N | --mutants N] [--seed S] [--way WAY [--first K]]
-# scripts/fuzz.sh --live [--messages N] [--seed S]: messages and calls to a running bridge
-# A failure leaves its input in results/fuzz and the command that repeats it; status 1 then.
+# scripts/fuzz.sh --live [--messages N] [--seed S]: random messages and calls to a running bridge
+# A failure leaves its input in results/fuzz, with the command that repeats it; status 1.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Checks the sources: scripts/lint.sh [check …], by default all checks. No problem: status 0.
+# Checks the sources: scripts/lint.sh [check …]; by default all checks. Status 0 if all pass.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
@@ -7,14 +7,14 @@ source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 
 CHECKS=(ruff shellcheck catkin_lint xml sdf launch)
 
-# Also where there is no git, whose list of ignored files ruff follows.
+# Also without git, whose list of ignored files ruff uses.
 check_ruff() { python -m ruff check --quiet --output-format concise --extend-exclude build,results .; }
 
 check_shellcheck() { shellcheck --external-sources scripts/*.sh test/clients/*.sh .ci/run; }
 
 check_catkin_lint() { catkin_lint --offline --quiet --strict .; }
 
-# All XML that is written by hand is well-formed.
+# All hand-written XML must be well-formed.
 check_xml() {
   local files
   mapfile -t files < <(find package.xml launch urdf worlds models meshes test -type f \
@@ -38,9 +38,9 @@ sys.exit(bool(problems))
 PYTHON
 }
 
-# Worlds and models are what SDFormat's schema says. The package sdformat-sdf carries it as XSD
-# files with gaps: types.xsd is missing, <pose> has no room for its numbers, models are declared
-# twice, and an <include> has no <pose>, all of which the format's own *.sdf files have right.
+# Worlds and models must follow SDFormat's schema. The XSD files in the package sdformat-sdf have
+# errors, which its *.sdf files do not have: types.xsd is missing, <pose> has no content, models are
+# declared twice, and <include> has no <pose>.
 check_sdf() {
   local given=(/usr/share/sdformat*/1.6) schema=$LAB_DIR/sdformat
   rm -rf "$schema"
@@ -52,9 +52,9 @@ check_sdf() {
   xmllint --nonet --noout --schema "$schema/root.xsd" worlds/*.world models/*/model.sdf
 }
 
-# Everything that a launch file names exists, and its package is depended on.
+# All files and packages that a launch file names must exist and be dependencies.
 check_launch() {
-  # In one process: roslaunch-check takes a second for each file.
+  # In one process, because roslaunch-check takes a second for each file.
   python - launch/*.launch test/rostest/*.test <<'PYTHON'
 import sys
 

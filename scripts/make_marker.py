@@ -3,5 +3,7 @@
 
 from bullet_lab.entry import run
 
+MAIN = "bullet_lab.markers.make_marker"
+
 if __name__ == "__main__":
-    run("bullet_lab.markers.make_marker")
+    run(MAIN)

@@ -1,15 +1,15 @@
 #!/usr/bin/env bash
-# Tries what can be tried elsewhere of the other platform, Ubuntu 20.04 with ROS in /opt/ros/noetic:
+# Checks support for Ubuntu 20.04 with ROS in /opt/ros/noetic, as far as other systems can:
 # scripts/platform.sh [--sources DIR] [check …]; by default all checks, in build/platform.
 #
-#   resolve  everything that is asked for of PyPI is there for Python 3.8 and Ubuntu 20.04's glibc
-#   newest   the unit tests with Python 3.8 and the newest packages for it
-#   lowest   likewise, with the lowest versions that requirements.txt allows
-#   catkin   the build in a ROS that has gazebo_msgs, gazebo_ros, xacro … of its own
+#   resolve  PyPI has all required packages for Python 3.8 and Ubuntu 20.04's glibc
+#   newest   the unit tests pass with Python 3.8 and the newest packages for it
+#   lowest   the same, with the lowest versions that requirements.txt allows
+#   catkin   the build works in a ROS that has gazebo_msgs, gazebo_ros, xacro …
 #
-# Python 3.8 is $PYTHON38, or python3.8; uv looks for it and downloads it elsewhere. The packages
-# of catkin's check are copies of our stand-ins, but for those whose sources are in a folder of DIR.
-# What cannot be tried so is in docs/platforms.md.
+# Python 3.8 is $PYTHON38, or python3.8; uv downloads it if it is missing. Packages for the check
+# `catkin` are copies of our stand-ins, except those with sources in DIR. docs/platforms.md lists
+# what cannot be checked this way.
 set -euo pipefail
 
 # shellcheck source=scripts/setup.sh
@@ -19,9 +19,9 @@ PLATFORM=$LAB_ROOT/build/platform
 UV=$PLATFORM/tools/bin/uv
 CHECKS=(resolve newest lowest catkin)
 GLIBC=2_31
-# Of ROS's own packages, what they need of Debian's beside the standard library.
+# The Python packages that ROS's own packages import.
 ROS_NEEDS=(catkin_pkg netifaces pycryptodomex python-gnupg PyYAML rospkg)
-# They import tf2, which is C++ for the system's Python alone.
+# These import tf2, whose C++ module fits only the system's Python.
 NEED_TF2=(
   --ignore=test/unit/ros/gazebo/test_client.py
   --ignore=test/unit/ros/nodes/test_bad_parameters.py
@@ -46,7 +46,7 @@ check_newest() { test_with newest highest; }
 
 check_lowest() { test_with lowest lowest-direct; }
 
-# test_with NAME RESOLUTION: the unit tests in a virtual environment of their own.
+# test_with NAME RESOLUTION: run the unit tests in a separate virtual environment.
 test_with() {
   local venv=$PLATFORM/$1
   get_uv
@@ -66,7 +66,7 @@ test_with() {
   )
 }
 
-# ROS's packages in Python, without what else is where they are.
+# Links only ROS's Python packages from a folder that has others, too.
 link_ros() {
   local folder name
   rm -rf "$PLATFORM/ros"
@@ -80,9 +80,9 @@ link_ros() {
   done
 }
 
-# ---- A ROS with packages of its own ----
+# ---- A ROS that has all packages ----
 
-# Those that we have stand-ins for, as a ROS has them: in its prefix, without this package.
+# Installs the packages of our stand-ins in a prefix, as in a full ROS, without this package.
 make_own_ros() {
   local prefix=$1 sources=$2 folder name
   rm -rf "$PLATFORM/own" "$prefix"
@@ -108,7 +108,7 @@ check_catkin() (
   mkdir -p "$PLATFORM/lab/ws/src"
   ln -sfn "$LAB_VENV" "$PLATFORM/lab/venv"
   LAB_DIR=$PLATFORM/lab LAB_WS=$PLATFORM/lab/ws LAB_ROS=$PLATFORM/noetic
-  # setup.sh's own step.
+  # A step of setup.sh.
   step_build "catkin build" "$PLATFORM/lab/build.log"
   enter_lab
   [[ -z $(stand_ins) ]]
@@ -119,7 +119,7 @@ check_catkin() (
 
 try_check() {
   local name=$1 log=$PLATFORM/$1.log start=$SECONDS
-  # In a shell of its own, where a failure ends it: not so in a condition.
+  # In another shell: within a condition, `set -e` has no effect.
   if ! bash -c 'set -euo pipefail; source "$1"; SOURCES=$3; "check_$2"' check \
     "${BASH_SOURCE[0]}" "$name" "$SOURCES" >"$log" 2>&1; then
     tail -n 30 "$log" >&2

@@ -3,5 +3,7 @@
 
 from bullet_lab.entry import run
 
+MAIN = "bullet_lab.ros.record.plots:plot_docking"
+
 if __name__ == "__main__":
-    run("bullet_lab.ros.record.plots:plot_docking")
+    run(MAIN)

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Installs and builds what is missing; does nothing, quickly, when nothing is.
+# Installs and builds what is missing; ends at once if nothing is missing.
 #
 # Usage: scripts/setup.sh [--no-build] [--with rviz] [--with test] [--with course] [--with browser]
 #
-# --no-build leaves the building to you, in a catkin workspace of your own.
-# Debian packages come by apt-get (through sudo where not root), Python packages into
-# build/venv, the catkin workspace is built in build/ws. Where /opt/ros/noetic exists it
-# is used instead of Debian's ROS. What ran is in build/log.
+# --no-build: you build the package yourself, in your own catkin workspace.
+# Debian packages are installed by apt-get (with sudo unless you are root), Python packages into
+# build/venv; the catkin workspace is built in build/ws. If /opt/ros/noetic exists, it is used
+# instead of Debian's ROS. Logs are in build/log.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
@@ -19,7 +19,7 @@ fail() {
   exit 1
 }
 
-# ---- What there is to install ----
+# ---- Packages ----
 
 debian_packages() {
   if [[ $LAB_ROS == /opt/ros/noetic ]]; then
@@ -45,7 +45,7 @@ debian_packages() {
       ;;
     rviz) echo rviz xvfb ;;
     test) echo shellcheck python3-rostest iproute2 sdformat-sdf libxml2-utils xvfb ;;
-    # What scripts of courses import; Debian's OpenCV has windows and the old calls for markers.
+    # Scripts of courses import these; Debian's OpenCV has windows and the old marker functions.
     course)
       echo python3-opencv python3-tf python3-tf-conversions python3-tf2-geometry-msgs \
         python3-image-geometry python3-matplotlib python3-tk
@@ -82,7 +82,7 @@ noetic_packages() {
   done
 }
 
-# ---- Steps: each has its inputs; it is done again when their checksum changes ----
+# ---- Steps: a step is repeated if the checksum of its inputs changes ----
 
 inputs_of() {
   local name
@@ -120,7 +120,7 @@ is_done() {
   [[ -e $stamp && $(<"$stamp") == "$(checksum_of "$1")" ]]
 }
 
-# One may have been removed since. Without dpkg, the stamp has to do.
+# A package may have been removed since. Without dpkg, only the stamp is checked.
 has_packages() {
   command -v dpkg-query >/dev/null || return 0
   local packages
@@ -128,7 +128,7 @@ has_packages() {
   [[ -z $(missing_of "${packages[@]}") ]]
 }
 
-# Those that a file lists, one a line.
+# are_all_there FILE: whether all paths in a file exist, one per line.
 are_all_there() { xargs -r -d '\n' ls -d <"$1"; } >/dev/null 2>&1
 
 mark_done() { checksum_of "$1" >"$LAB_DIR/stamp/$1"; }
@@ -143,9 +143,9 @@ describe() {
   esac
 }
 
-# ---- Running something quietly ----
+# ---- Commands whose output goes to a log ----
 
-# On a terminal, shows how long a step has taken and the last line of its log.
+# Shows the duration of a step and the last line of its log, on a terminal.
 tick() {
   local title=$1 log=$2 start=$SECONDS line
   while sleep 1; do
@@ -154,7 +154,7 @@ tick() {
   done
 }
 
-# run_quietly TITLE LOG COMMAND…: output goes to the log, which is shown on failure only.
+# run_quietly TITLE LOG COMMAND…: write the output to the log; print the log only on failure.
 run_quietly() {
   local title=$1 log=$2 ticker="" status=0
   shift 2
@@ -162,7 +162,7 @@ run_quietly() {
     tick "$title" "$log" 9>&- &
     ticker=$!
   fi
-  # Nothing that is started may inherit the lock (fd 9) and hold it for longer than this.
+  # A process that inherits the lock (fd 9) could hold it for longer than this script.
   "$@" >>"$log" 2>&1 </dev/null 9>&- || status=$?
   if [[ -n $ticker ]]; then
     kill "$ticker" 2>/dev/null || true
@@ -185,7 +185,7 @@ missing_of() {
     <(awk '$2 == "installed" {print $1}' <<<"$installed" | sort -u)
 }
 
-# Fails rather than waits for a password where nobody can type one.
+# Fails instead of waiting for a password if there is no terminal.
 become_root() {
   ((EUID)) || return 0
   if command -v sudo >/dev/null; then
@@ -208,14 +208,14 @@ apt_get() {
   "${command[@]}" "$@"
 }
 
-# Where course.sh finds Debian's Python, whatever stands first in PATH.
+# course.sh puts these links first in PATH, so that Debian's Python is found.
 link_debians_python() {
   mkdir -p "$LAB_COURSE"
   ln -sfn /usr/bin/python3 "$LAB_COURSE/python3"
   ln -sfn /usr/bin/python3 "$LAB_COURSE/python"
 }
 
-# A list that cannot be refreshed may be one that is not needed: the installation tells.
+# A failed update may concern a list that is not needed; if not, the installation fails.
 apt_install() {
   apt_get update || true
   apt_get install --no-install-recommends "$@"
@@ -240,8 +240,8 @@ pip_install() {
     --no-color --progress-bar off "$@"
 }
 
-# Debian's matplotlib, where it is installed, puts its own mpl_toolkits before those of ours, which
-# they do not fit: here ours come first. site runs each line of a .pth as it is read.
+# Debian's matplotlib, if it is installed, puts its mpl_toolkits before the ones in build/venv,
+# and they do not fit our matplotlib. This line, which site runs, puts ours first.
 OWN_TOOLKITS="import os, sys, types; \
 sys.modules.setdefault('mpl_toolkits', types.ModuleType('mpl_toolkits')).__dict__\
 .setdefault('__path__', []).append(os.path.join(sys._getframe(1).f_locals['sitedir'], 'mpl_toolkits'))"
@@ -252,7 +252,7 @@ put_own_toolkits_first() {
   echo "$OWN_TOOLKITS" >"$site/mpl_toolkits.pth"
 }
 
-# ROS's modules are the system's. An old pip knows too few kinds of wheels.
+# ROS's modules are in the system's packages. An old pip does not know newer kinds of wheels.
 create_venv() {
   /usr/bin/python3 -m venv --system-site-packages "$LAB_VENV" \
     && pip_install 'pip>=21' \
@@ -260,7 +260,7 @@ create_venv() {
     && put_own_toolkits_first
 }
 
-# Prints where the descriptions are of those of the system's packages that ours need.
+# Prints the metadata folders of the system's Python packages that ours require.
 SYSTEM_PACKAGES='
 import re, sys
 from importlib.metadata import distributions
@@ -282,7 +282,7 @@ while names:
             print(one._path)
 '
 
-# note_system_packages STEP LIST: they may be removed or replaced later.
+# note_system_packages STEP LIST: record them, since they may be removed or replaced later.
 note_system_packages() {
   "$LAB_VENV/bin/python" -c "$SYSTEM_PACKAGES" "$2" >"$LAB_DIR/stamp/$1.system"
 }
@@ -297,17 +297,17 @@ step_python() {
     list=$LAB_ROOT/requirements-$part.txt
     run_quietly "$title" "$log" pip_install -r "$list"
   fi
-  # What cannot be told of a strange installation is not looked after.
+  # If this fails on an unusual installation, system packages are not checked later.
   note_system_packages "python-$part" "$list" 2>>"$log" || true
 }
 
 # ---- The catkin workspace ----
 
-# Leaves out what the user's shell knows of Python and other workspaces: the build keeps it.
+# Without the user's Python and other workspaces: catkin would store them in the build.
 build_workspace() (
   unset CMAKE_PREFIX_PATH ROS_PACKAGE_PATH
   use_lab_python
-  # Everything here is Python: messages in four more languages take most of the time.
+  # Only Python is used; generating messages for four other languages takes most of the time.
   export ROS_LANG_DISABLE=gencpp:geneus:genlisp:gennodejs
   PATH=$LAB_VENV/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
   if [[ $LAB_ROS != /usr ]]; then
@@ -317,11 +317,11 @@ build_workspace() (
     -DPYTHON_EXECUTABLE="$LAB_VENV/bin/python" -DCATKIN_ENABLE_TESTING=OFF
 )
 
-# The top level of the package, less what running it leaves there.
+# The files of the package, without build/ and results/.
 package_entries() { ls --ignore=build --ignore=results "$LAB_ROOT"; }
 
-# Links what is in the package one by one: with a link to the whole of it, rosrun would follow
-# the link into this very workspace, round and round.
+# Links the entries of the package one by one: through a link to the whole package, rosrun would
+# follow build/ into this workspace again and again.
 link_package() {
   local entry
   rm -rf "$1"
@@ -331,8 +331,7 @@ link_package() {
   done
 }
 
-# What was written for Gazebo names its packages: where the real ones are absent, ours are built
-# beside us.
+# Launch files for Gazebo name its packages: stand-ins are built for those that are missing.
 stand_ins() {
   local folder name
   for folder in "$LAB_ROOT"/stand_ins/*/; do
@@ -348,7 +347,7 @@ step_build() {
   for name in $(stand_ins); do
     ln -s "$LAB_ROOT/stand_ins/$name" "$LAB_WS/src/$name"
   done
-  # What was built elsewhere, before the clone was moved, is of no use.
+  # A build from before the clone was moved cannot be used.
   if ! grep -qsxF "CMAKE_HOME_DIRECTORY:INTERNAL=$LAB_WS/src" "$LAB_WS/build/CMakeCache.txt"; then
     rm -rf "$LAB_WS/build" "$LAB_WS/devel"
   fi
@@ -371,7 +370,7 @@ take_step() {
   say "$title: done, $((SECONDS - start)) s"
 }
 
-# The steps of those named that are not done yet.
+# open_steps STEP…: print the steps that are not done yet.
 open_steps() {
   local step
   for step in "$@"; do
@@ -398,7 +397,7 @@ steps_of() {
   done
 }
 
-# Another user's clone is set up by its owner.
+# Only the owner of a clone can set it up.
 take_lock() {
   local owner
   if ! mkdir -p "$LAB_DIR"/{log,stamp} 2>/dev/null || [[ ! -w $LAB_DIR ]]; then
@@ -427,9 +426,9 @@ main() {
   for i in "${!steps[@]}"; do
     take_step "${steps[i]}" $((i + 1)) ${#steps[@]}
   done
-  # PyPI's command of this name needs ROS 2, and would hide the one that works.
+  # PyPI's xacro needs ROS 2, and would hide the one that works.
   rm -f "$LAB_VENV/bin/xacro"
 }
 
-# platform.sh takes single steps.
+# platform.sh sources this file for single steps.
 [[ ${BASH_SOURCE[0]} != "$0" ]] || main "$@"

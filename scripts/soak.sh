@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Has a lab live for hours of simulated time and looks whether it takes more and more of the machine:
+# Runs a lab for hours of simulated time and checks that memory, threads and files do not grow:
 # scripts/soak.sh [--hours H] [--seed S] [--out FOLDER]
-# Leaves soak.png, samples.csv and summary.json in results/soak; with those of a soak that was
-# stopped, or was shorter, it goes on. Status 1 where something grows, or a node ends.
+# Writes soak.png, samples.csv and summary.json to results/soak, and continues a soak that was
+# stopped or was shorter. Status 1 if something grows or a node ends.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh

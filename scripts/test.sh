@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Runs the tests: linters, unit tests and rostests, side by side; with --long, every job at its
-# full length after them, and faults in all of them. Status 0 only when all of them pass.
+# Runs the tests: linters, unit tests, fuzzing and rostests, in parallel. With --long, it also runs
+# every job at its full length, and the faults. Status 0 only if all of them pass.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
@@ -11,13 +11,13 @@ export LAB_TALLY=$LOG/tally
 ROSTEST_TIMEOUT=600
 MUTANTS=564
 FAULTS=200
-# Much of a rostest is waiting: for nodes that start, for what must not come.
+# More than there are cores, because rostests mostly wait.
 AT_ONCE=$(($(nproc) + 2))
 
-# count PASSED FAILED: one line in the tally.
+# count PASSED FAILED: add a line to the tally.
 count() { echo "$1 $2" >>"$LAB_TALLY"; }
 
-# attribute NAME FILE: a number from the first test suite of a JUnit file, 0 without one.
+# attribute NAME FILE: print a number from the first test suite of a JUnit file, or 0.
 attribute() {
   local number
   number=$(grep -o '<testsuite [^>]*' "$2" 2>/dev/null | head -n 1 \
@@ -25,7 +25,7 @@ attribute() {
   echo "${number:-0}"
 }
 
-# run_lint: what it prints is told only where something is wrong.
+# run_lint: print the output only if something is wrong.
 run_lint() {
   local log=$LOG/lint.log start=$SECONDS
   "$LAB_ROOT/scripts/lint.sh" >"$log" 2>&1 || cat "$log"
@@ -43,7 +43,7 @@ run_pytest() {
   tests=$(attribute tests "$results")
   skipped=$(attribute skipped "$results")
   failed=$(($(attribute failures "$results") + $(attribute errors "$results")))
-  # pytest itself may fail, without a test that does.
+  # pytest itself may fail while no test does.
   if ((status && !failed)); then
     failed=1
     tests=$((tests + 1))
@@ -53,14 +53,14 @@ run_pytest() {
   count $((tests - failed - skipped)) "$failed"
 }
 
-# summary_of NAME LOG: a number from the summary that rostest prints, in colours; 0 without.
+# summary_of NAME LOG: print a number from the coloured summary of rostest, or 0.
 summary_of() {
   local number
   number=$(sed -n "s/^[^ ]* \* $1: \([0-9]*\).*/\1/p" "$2" | tail -n 1)
   echo "${number:-0}"
 }
 
-# Every rostest has a master of its own, on a free port.
+# Every rostest starts its own master on a free port.
 run_rostest() {
   local file=$1 name start=$SECONDS log status=0 tests failed
   name=$(basename "$file" .test)
@@ -81,7 +81,7 @@ run_rostest() {
   count $((tests - failed)) "$failed"
 }
 
-# run_fuzz: some hundred mutants of all that is read; scripts/fuzz.sh takes as many as one likes.
+# run_fuzz: a few hundred mutants of every kind of input; scripts/fuzz.sh runs any number.
 run_fuzz() {
   local log=$LOG/fuzz.log start=$SECONDS status=0
   python "$LAB_ROOT/test/fuzz/fuzz.py" --each 4 --mutants "$MUTANTS" --workers 1 \
@@ -91,7 +91,7 @@ run_fuzz() {
   count $((1 - status)) "$status"
 }
 
-# run_faults: stopped, it goes on where it was; scripts/faults.sh takes other seeds.
+# run_faults: continues after a stop; scripts/faults.sh can use other seeds.
 run_faults() {
   local log=$LOG/faults.log start=$SECONDS status=0
   [[ ! -e $LOG/faults/summary.json ]] || rm -rf "$LOG/faults"
@@ -112,7 +112,7 @@ run_part() {
   esac
 }
 
-# All parts, the longest first, so that none of them is left alone at the end.
+# All parts, longest first, so that they end at about the same time.
 parts() {
   printf '%s\n' unit lint fuzz
   grep -o 'time-limit="[0-9]*"' "$LAB_ROOT"/test/rostest/*.test | sort -t '"' -k 2 -nr | cut -d : -f 1
@@ -132,7 +132,7 @@ main() {
   mkdir -p "$LOG"
   : >"$LAB_TALLY"
   enter_lab
-  # The tests are about this machine: nothing of theirs is to be seen from outside.
+  # The tests listen only on this machine.
   unset ROS_MASTER_URI ROS_HOSTNAME
   export ROS_IP=127.0.0.1
   # shellcheck disable=SC2016 # expanded by the shell that xargs starts

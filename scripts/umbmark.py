@@ -3,5 +3,7 @@
 
 from bullet_lab.entry import run
 
+MAIN = "bullet_lab.studies.umbmark.study"
+
 if __name__ == "__main__":
-    run("bullet_lab.studies.umbmark.study")
+    run(MAIN)

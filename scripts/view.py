@@ -3,5 +3,7 @@
 
 from bullet_lab.entry import run
 
+MAIN = "bullet_lab.ros.view.node"
+
 if __name__ == "__main__":
-    run("bullet_lab.ros.view.node")
+    run(MAIN)

@@ -1,4 +1,4 @@
-"""How the executables in scripts/ start: import late, so that failing to is one line too."""
+"""Start of the executables in scripts/: late imports, so that a failure is one line, too."""
 
 from __future__ import annotations
 
@@ -14,27 +14,30 @@ from bullet_lab.errors import LabError
 
 STATUS_CANNOT_START = 1
 STATUS_INTERRUPTED = 130
-# Of GNU's malloc.h; pictures of 640x480 are smaller, for whom the system would take too long.
-M_MMAP_THRESHOLD, LARGE_BYTES = -3, 4 * 2**20
-M_ARENA_MAX, ARENAS = -8, 1
+# Options of GNU's malloc.h.
+M_MMAP_THRESHOLD = -3
+M_ARENA_MAX = -8
+# Larger than images of 640x480, for which memory from the system would be too slow.
+LARGE_BYTES = 4 * 2**20
+ARENAS = 1
 JOB = "BULLET_LAB_JOB"
 """Set in the environment of a job's nodes."""
 
 
 def run(target: str) -> None:
-    """Import "module" or "module:function" and call its `main` or function.
+    """Import "module" or "module:function", and call its `main` or the function.
 
-    Where a library is missing, that ends with one line.
+    If a library is missing, print one line and exit.
     """
     module, _, function = target.partition(":")
     name = os.path.basename(sys.argv[0])
-    # With several, the last bit of a sum depends on how many cores there are.
+    # With several threads, the last bit of a sum depends on the number of cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     end_at_once_when_interrupted()
     give_memory_back()
     import logging
 
-    # A log that finds no room on the disk is no reason for tracebacks.
+    # No traceback if the disk is too full for the log.
     logging.raiseExceptions = False
     keep_to_this_machine()
     try:
@@ -50,13 +53,13 @@ def run(target: str) -> None:
 
 
 def give_memory_back() -> None:
-    """Have the C library give the system back what is freed, instead of keeping it.
+    """Make the C library return freed memory to the system instead of keeping it.
 
-    Where shadow maps and pictures of many sizes come and go, it comes to keep them among what is
-    small, and a process grows by hundreds of megabytes in an hour. And it has a heap for each of
-    many threads, which keeps up to 64 MB when they are gone: rospy has one for each connection.
+    Otherwise it keeps freed shadow maps and images of many sizes between small blocks, and a
+    process grows by hundreds of megabytes in an hour. It also has a heap of up to 64 MB for each of
+    many threads, even after they have ended; rospy has a thread for each connection.
     """
-    # Other C libraries than GNU's have no such function, and no such habit.
+    # Only GNU's C library has this function, and needs it.
     with contextlib.suppress(AttributeError):
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
@@ -64,41 +67,40 @@ def give_memory_back() -> None:
 
 
 def trim_memory() -> None:
-    """Have the C library give the system back what is free among what is in use.
+    """Make the C library return free memory between used blocks to the system.
 
-    By itself it gives back large buffers and the end of its heap: what is free before a small
-    thing that is in use stays resident.
+    By default it returns only large buffers and the end of its heap.
     """
     with contextlib.suppress(AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def keep_to_this_machine() -> None:
-    """Have rospy listen on the loopback, unless the environment names an address or a master.
+    """Make rospy listen on the loopback, unless the environment names an address or a master.
 
-    rospy itself listens on all interfaces, and whoever reaches a node may stop it.
+    By default rospy listens on all interfaces, and all who reach a node can stop it.
     """
     if any(os.environ.get(name) for name in ("ROS_IP", "ROS_HOSTNAME")):
         return
     try:
         master = urlsplit(os.environ.get("ROS_MASTER_URI", "")).hostname or "localhost"
     except ValueError:
-        # rospy will say so.
+        # rospy reports the invalid URI.
         return
     if master in ("localhost", "::1") or master.startswith("127."):
         os.environ["ROS_HOSTNAME"] = "localhost"
 
 
 def end_at_once_when_interrupted() -> None:
-    """Answer Ctrl-C by the end of this process, for as long as there is nothing to put in order.
+    """Exit at once on Ctrl-C, while there is nothing to clean up.
 
-    Modules that are being imported may swallow a KeyboardInterrupt, and where it has come through
-    `exec`, as of dataclasses, Python kills itself by SIGINT whatever status it is told to end with.
+    A module may swallow a KeyboardInterrupt while it is imported. If it is raised within `exec`, as
+    of dataclasses, Python ends by SIGINT whatever the exit status.
     """
-    # A shell's background job is not to be interrupted.
+    # A shell's background job ignores SIGINT.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end_at_once)
-    # scripts/run.sh has one wait that comes before this.
+    # scripts/run.sh starts Python with SIGINT blocked.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
 
 

@@ -1,21 +1,21 @@
-"""The base of every error that bullet_lab raises on purpose."""
+"""The base class of all errors that bullet_lab raises."""
 
 import re
 
-# What is longer, without a space, is somebody's input that was quoted: its ends will do.
+# A longer word in a message is quoted input: only its first and last characters are kept.
 LONG_WORD = 400
 QUOTED = 150
 
 
 class LabError(Exception):
-    """Something outside the program is wrong; the message is one line made for the user.
+    """An error with a cause outside the program; the message is one line for the user.
 
-    Executables catch it, print the line and end with a non-zero status. Each module that
-    has errors of its own derives one class from it.
+    Executables catch it, print the line and exit with a non-zero status. A module derives its
+    errors from this class.
     """
 
     def __str__(self) -> str:
-        # What a message quotes from outside may hold line ends, and be of any length.
+        # Quoted input may have line ends and any length.
         words = re.sub(rf"\S{{{LONG_WORD},}}", _ends, super().__str__()).split()
         line = " ".join(words)
         return line if len(line) <= 10 * LONG_WORD else f"{line[: 5 * LONG_WORD]} …"

@@ -1,7 +1,7 @@
-"""Runs jobs, does something bad to each, and looks at what becomes of it; see scripts/faults.sh.
+"""Runs jobs, injects a fault into each, and checks how it ends; see scripts/faults.sh.
 
-What was tried is in results/faults/faults.jsonl, and is not tried again with the same seed. A
-failure leaves its folder there, beside the command that repeats it.
+results/faults/faults.jsonl lists the faults that were tried; they are not tried again with the
+same seed. A failure leaves its folder there, and the command that repeats it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ RECORD = "faults.jsonl"
 
 
 def known(record: Path, seed: int) -> Dict[int, Dict[str, Any]]:
-    """Return what has become of the faults of a seed that were tried before, by their index."""
+    """Return the outcomes of the faults that were tried with a seed before, by their index."""
     if not record.is_file():
         return {}
     rows = map(json.loads, record.read_text().splitlines())
@@ -32,7 +32,7 @@ def known(record: Path, seed: int) -> Dict[int, Dict[str, Any]]:
 
 
 def tried(fault: Fault, out: Path) -> Dict[str, Any]:
-    """Try a fault; what it leaves is kept where something is wrong."""
+    """Try a fault and return its outcome; keep its folder if something is wrong."""
     folder = out / f"{fault.seed}-{fault.index}"
     shutil.rmtree(folder, ignore_errors=True)
     outcome = Trial(fault, folder).run()
@@ -43,7 +43,7 @@ def tried(fault: Fault, out: Path) -> Dict[str, Any]:
 
 
 def summary_of(rows: List[Dict[str, Any]]) -> Dict[str, Any]:
-    """Count what was tried; a fault that came when all was over is none."""
+    """Count the faults that were tried; those that came after the end of the job do not count."""
     struck = [row for row in rows if row["struck"]]
     return {
         "tried": len(rows),
@@ -55,21 +55,21 @@ def summary_of(rows: List[Dict[str, Any]]) -> Dict[str, Any]:
 
 
 def main() -> None:
-    """Try faults, print and write results/faults/summary.json; status 1 where something failed."""
+    """Try faults, print and write results/faults/summary.json; exit with status 1 on a failure."""
     parser = argparse.ArgumentParser(prog="faults.sh", description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=200, help="so many faults")
+    parser.add_argument("--count", type=int, default=200, help="number of faults")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="index of the first fault")
-    parser.add_argument("--only", type=int, help="the fault of this index, whatever was tried")
+    parser.add_argument("--only", type=int, help="the fault of this index, even if it was tried")
     parser.add_argument("--job", choices=JOBS, help="this job only")
     parser.add_argument("--kind", choices=sorted(KINDS), help="this kind only")
     parser.add_argument("--out", type=Path, default=Path("results/faults"))
     wanted = parser.parse_args()
-    # In a shell's background job it is ignored, and so it would be in all that is started here.
+    # A shell ignores it in background jobs, and the processes started here would inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     out = wanted.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
-    # Indices stand for the same faults, whatever else is left out.
+    # An index means the same fault, whichever others are left out.
     indices = range(wanted.first, wanted.first + wanted.count)
     before = known(out / RECORD, wanted.seed)
     if wanted.only is not None:

@@ -1,38 +1,24 @@
-"""Which faults there are, and which one a seed and an index stand for."""
+"""The kinds of faults, and the fault that a seed and an index mean."""
 
 from __future__ import annotations
 
+import shlex
 import signal
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, NamedTuple, Tuple
+from typing import Dict, List, NamedTuple, Tuple
 
 import numpy as np
 
 from bullet_lab.ros.launcher.jobs import find_jobs
 
 PACKAGE = Path(__file__).resolve().parents[2]
-JOBS = sorted(find_jobs(PACKAGE))
-# The least that a job can do; one that is not here does what it does by default.
-SMALLEST: Dict[str, Tuple[str, ...]] = {
-    "calibrate": ("laps:=1", "models:=rate_invariant", "systematic:=none"),
-    "detection_range": (
-        *("worlds:=marker_panel", "lights:=default", "distances:=1", "bearings:=0"),
-        *("frames:=2", "dots:=2"),
-    ),
-    "dock": ("x:=1.5",),
-    "dock_campaign": ("n:=2", "workers:=2"),
-    "fleet": ("n:=2",),
-    "noise_study": ("paths:=20", "levels:=0.1", "models:=rate_invariant", "rates:=5"),
-    "published_noise": ("seeds:=100",),
-    "save_world": ("count:=3", "rtf:=0"),
-    "sensors": ("bag:=true",),
-    "umbmark": ("side:=0.2", "runs:=1"),
-    "verify": ("jobs:=squares",),
-}
+JOBS = find_jobs(PACKAGE)
+# In addition to a job's smallest run: work for both workers, and a bag to be closed.
+MORE = {"dock_campaign": ["n:=2"], "sensors": ["bag:=true"]}
 LAUNCHER, TERMINAL, NODE, WORKER = "run.sh", "terminal", "node", "worker"
-"""Whom a signal is for: run.sh alone, all of a terminal's, a node, a process of a study."""
-# Wall seconds: half of the moments are of the first kind, equally often in each decade.
+"""Receivers of a signal: run.sh alone, all processes of a terminal, a node, a study's worker."""
+# Wall s: half of the moments are between FIRST and EARLY, with equal weight for each decade.
 FIRST, EARLY, LATE = 1e-3, 1.0, 8.0
 STOPPED_SECONDS = 5.0
 
@@ -41,10 +27,10 @@ class Kind(NamedTuple):
     """A kind of fault.
 
     Attributes:
-        weight: how often it is drawn, relative to others.
-        targets: of a signal.
-        signal: that is sent, if any; after SIGSTOP, SIGCONT follows.
-        live: whether it takes a simulation that runs on ROS.
+        weight: its frequency, relative to other kinds.
+        targets: receivers of the signal.
+        signal: the signal, if any; SIGCONT follows a SIGSTOP.
+        live: whether it needs a simulation that runs on ROS.
     """
 
     weight: float
@@ -58,15 +44,15 @@ KINDS: Dict[str, Kind] = {
     "int": Kind(4, (LAUNCHER, TERMINAL, TERMINAL, NODE, WORKER), signal.SIGINT),
     "term": Kind(3, (LAUNCHER, NODE, NODE, WORKER), signal.SIGTERM),
     "stop": Kind(2, (LAUNCHER, NODE, NODE, WORKER), signal.SIGSTOP),
-    # The master that was there before the job ends; the second time another takes its place.
+    # The job uses a running master, which ends; for master_back, another one replaces it.
     "master_gone": Kind(1),
     "master_back": Kind(1),
     "disk_full": Kind(1.5),
-    # Simulated time stands for a while.
+    # Simulated time is paused for a while.
     "clock": Kind(1, live=True),
-    # Somebody subscribes to everything and does not read; it goes after a while.
+    # A node subscribes to all topics, does not read, and ends after a while.
     "deaf": Kind(1.5, live=True),
-    # Who drives the robot is asked to end, while it moves.
+    # The node that drives the robot gets a signal while the robot moves.
     "rest_int": Kind(1, signal=signal.SIGINT, live=True),
     "rest_term": Kind(1, signal=signal.SIGTERM, live=True),
 }
@@ -74,12 +60,12 @@ KINDS: Dict[str, Kind] = {
 
 @dataclass(frozen=True)
 class Fault:
-    """What is done to a job, and when.
+    """A fault, and the job and the moment of it.
 
     Attributes:
-        target: of a signal.
-        choice: in [0, 1), which one of several targets.
-        moment: wall seconds, counted from when the target is there.
+        target: receiver of the signal.
+        choice: number in [0, 1) that selects one of several targets.
+        moment: wall seconds after the target has started.
     """
 
     seed: int
@@ -91,22 +77,29 @@ class Fault:
     moment: float
 
 
+def arguments_of(job: str) -> List[str]:
+    """Return the arguments of a job's smallest run, with two workers where it has workers."""
+    declared = JOBS[job]
+    workers = ["workers:=2"] if "workers" in declared.arguments else []
+    return [*shlex.split(declared.smallest), *workers, *MORE.get(job, ())]
+
+
 def is_live(job: str) -> bool:
     """Return whether a job has a simulation that runs on ROS."""
-    text = (PACKAGE / "launch" / f"{job}.launch").read_text()
+    text = JOBS[job].path.read_text()
     return "bridge.launch.xml" in text or "pybullet_bridge.py" in text
 
 
 def drawn(seed: int, index: int) -> Fault:
-    """Return the fault of an index: jobs come by turns, all else at random."""
-    job = JOBS[index % len(JOBS)]
+    """Return the fault of an index: jobs take turns, everything else is random."""
+    job = list(JOBS)[index % len(JOBS)]
     random = np.random.default_rng([seed, index])
     kinds = [name for name, kind in KINDS.items() if is_live(job) or not kind.live]
     weights = np.array([KINDS[name].weight for name in kinds])
     name = kinds[random.choice(len(kinds), p=weights / weights.sum())]
     targets = KINDS[name].targets
     target = targets[random.integers(len(targets))] if targets else ""
-    if target == WORKER and "workers" not in find_jobs(PACKAGE)[job].arguments:
+    if target == WORKER and "workers" not in JOBS[job].arguments:
         target = NODE
     choice, share, early = random.uniform(), random.uniform(), random.uniform() < 0.5
     moment = FIRST * (EARLY / FIRST) ** share if early else LATE * share

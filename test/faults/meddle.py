@@ -1,8 +1,8 @@
-"""Does to a job's ROS graph what its first word says, and says on standard output how far it is.
+"""Disturbs the ROS graph of a job as its first argument demands, and prints its progress.
 
-deaf: subscribe to all topics there are; who started this program then stops it.
-clock SECONDS: have simulated time stand so long.
-rest: tell which node first moves a robot, and, at the end of the input, what it sent last.
+deaf: subscribe to all topics; the program that started this one then stops it.
+clock SECONDS: pause simulated time for that long.
+rest: print the node that first moves a robot and, at the end of the input, the last commands.
 """
 
 import json
@@ -20,19 +20,19 @@ POLL_SECONDS = 0.05
 
 def deaf():
     """Subscribe to everything."""
-    heard = threading.Event()
-    while not heard.is_set():
+    received = threading.Event()
+    while not received.is_set():
         topics, _, _ = rosgraph.Master("/deaf").getSystemState()
         for topic, _ in topics:
             if topic != "/rosout":
-                rospy.Subscriber(topic, rospy.AnyMsg, lambda _: heard.set())
-        heard.wait(1.0)
-    print("heard", flush=True)
+                rospy.Subscriber(topic, rospy.AnyMsg, lambda _: received.set())
+        received.wait(1.0)
+    print("received", flush=True)
     threading.Event().wait()
 
 
 def clock(seconds):
-    """Have simulated time stand."""
+    """Pause simulated time."""
     rospy.wait_for_service("/gazebo/pause_physics")
     rospy.ServiceProxy("/gazebo/pause_physics", Empty)()
     print("paused", flush=True)
@@ -41,23 +41,23 @@ def clock(seconds):
 
 
 def rest():
-    """Tell who drives, and the last command of each topic."""
+    """Print the node that drives, and the last command of each topic."""
     last, subscribers = {}, {}
 
-    def hear(message, topic):
+    def receive(message, topic):
         last[topic] = [message.linear.x, message.angular.z]
-        if any(last[topic]) and not told.is_set():
-            told.set()
+        if any(last[topic]) and not found.is_set():
+            found.set()
             print(message._connection_header["callerid"], flush=True)
 
     def listen():
         while True:
             for topic, kind in rosgraph.Master("/rest").getPublishedTopics("/"):
                 if kind == Twist._type and topic not in subscribers:
-                    subscribers[topic] = rospy.Subscriber(topic, Twist, hear, topic)
+                    subscribers[topic] = rospy.Subscriber(topic, Twist, receive, topic)
             time.sleep(POLL_SECONDS)
 
-    told = threading.Event()
+    found = threading.Event()
     threading.Thread(target=listen, daemon=True).start()
     sys.stdin.read()
     print(json.dumps(last), flush=True)

@@ -1,4 +1,4 @@
-"""One job, one fault, and all that is to hold afterwards."""
+"""A trial: one job with one fault, and the checks afterwards."""
 
 from __future__ import annotations
 
@@ -25,34 +25,40 @@ from kinds import (
     LAUNCHER,
     NODE,
     PACKAGE,
-    SMALLEST,
     STOPPED_SECONDS,
     TERMINAL,
     WORKER,
     Fault,
+    arguments_of,
     is_live,
 )
 from PIL import Image
 
-# By which processes of a trial are found, wherever they are.
+# Environment variable that marks all processes of a trial.
 MARK = "BULLET_LAB_FAULT"
-# Wall seconds for a job to end, for what it leaves to be gone, and between two looks.
-PATIENCE, GRACE, LOOK = 600.0, 30.0, 0.0005
-# Of a disk that fills up.
+# Wall seconds for a job to end.
+PATIENCE = 600.0
+# Wall seconds for the processes of a job to end after it.
+GRACE = 30.0
+# Wall seconds between two polls.
+POLL = 0.0005
+# Size of the disk that is filled.
 DISK = "64m"
+# Bytes that a process may write to a file, if this is not root and mounts no disk.
 FILE_LIMIT = 4096
-# Times real time, where somebody else is to have a word in the run.
+# A job with a live fault runs at 10 times real time, so that the fault comes in time.
 SLOWLY = "rtf:=10"
-# Who writes what is recorded.
+# Nodes that write recordings begin with these names, and recordings end with these suffixes.
 RECORDERS = ("plot_", "try_robot")
 RECORDED = (".csv", ".tum", ".jsonl")
-# What may be cut off at the announced end of a recording.
-KEPT, CUT = 0.8, 5
+# A recording may lose a share and some lines when it is cut at its announced end.
+KEPT = 0.8
+CUT = 5
 
 
 @dataclass
 class Outcome:
-    """What became of a fault: whether it came in time, how the job ended, and what is wrong."""
+    """The outcome of a trial: did the fault come in time, how the job ended, and what is wrong."""
 
     struck: bool = False
     victim: str = ""
@@ -62,7 +68,7 @@ class Outcome:
 
 
 class Trial:
-    """Runs a job in a new folder, and strikes."""
+    """Runs a job in a new folder, and injects the fault."""
 
     def __init__(self, fault: Fault, folder: Path):
         self._fault, self._folder = fault, folder
@@ -72,12 +78,12 @@ class Trial:
         self._outcome = Outcome()
         self._before: Dict[Path, int] = {}
         self._was_done = False
-        self._words = [*SMALLEST.get(fault.job, ())]
+        self._words = arguments_of(fault.job)
         if self._kind.live:
             self._words = [word for word in self._words if not word.startswith("rtf")] + [SLOWLY]
 
     def run(self) -> Outcome:
-        """Run the job, strike, and judge."""
+        """Run the job, inject the fault, and check the results."""
         for path in (self._out, self._temporary):
             path.mkdir(parents=True)
         start = time.monotonic()
@@ -86,7 +92,7 @@ class Trial:
                 stack.enter_context(_small_disk(self._out))
             self._start(stack)
             stack.callback(self._end_all)
-            self._outcome.struck = self._strike()
+            self._outcome.struck = self._inject()
             self._wait()
             self._judge()
             if self._outcome.wrong and self._fault.kind == "disk_full":
@@ -119,14 +125,14 @@ class Trial:
 
     # The faults
 
-    def _strike(self) -> bool:
-        """Do what the fault is; return whether the job was there to notice."""
+    def _inject(self) -> bool:
+        """Inject the fault; return whether the job was still running."""
         if self._kind.targets:
             return self._send_signal()
         if self._kind.live:
             return self._meddle()
         time.sleep(self._fault.moment)
-        self._look()
+        self._record_state()
         if not self._runs():
             return False
         if self._fault.kind == "disk_full":
@@ -143,9 +149,9 @@ class Trial:
         if victim is None:
             return False
         time.sleep(self._fault.moment)
-        self._look()
+        self._record_state()
         if self._fault.target == WORKER:
-            # The one that was there first may have done its work.
+            # The first worker may have finished.
             victim = self._find_target() or victim
         return self._signal(victim, self._kind.signal)
 
@@ -207,7 +213,7 @@ class Trial:
         line = self._first_line(helper)
         if not line:
             return False
-        self._look()
+        self._record_state()
         if self._fault.kind == "deaf":
             helper.send_signal(signal.SIGSTOP)
             time.sleep(STOPPED_SECONDS)
@@ -222,14 +228,14 @@ class Trial:
             return False
         with contextlib.suppress(psutil.TimeoutExpired):
             driver.wait(PATIENCE)
-        said, _ = helper.communicate(timeout=PATIENCE)
-        for topic, command in json.loads(said or "{}").items():
+        commands, _ = helper.communicate(timeout=PATIENCE)
+        for topic, command in json.loads(commands or "{}").items():
             if any(command):
                 self._wrong(f"the last command on {topic} was {command}")
         return True
 
     def _first_line(self, helper: subprocess.Popen) -> str:
-        """Return what a helper says first; nothing where the job is over before."""
+        """Return the first line of a helper; empty if the job ends before."""
         os.set_blocking(helper.stdout.fileno(), False)
         line = self._await(lambda: helper.stdout.readline() or None) or ""
         os.set_blocking(helper.stdout.fileno(), True)
@@ -245,46 +251,46 @@ class Trial:
             while True:
                 file.write(bytes(4096))
 
-    # What is there
+    # State
 
     def _await(self, find: Callable) -> object:
-        """Return what is found; None where the job is over before."""
+        """Poll until something is found, and return it; None if the job ends before."""
         while self._runs():
             found = find()
             if found is not None:
                 return found
-            time.sleep(LOOK)
+            time.sleep(POLL)
         return None
 
     def _runs(self) -> bool:
         return self._job.poll() is None
 
     def _master_uri(self) -> Optional[str]:
-        said = re.search(r"master (http://\S+)", self._said("stdout"))
-        return said and said[1]
+        uri = re.search(r"master (http://\S+)", self._output("stdout"))
+        return uri and uri[1]
 
-    def _said(self, stream: str) -> str:
+    def _output(self, stream: str) -> str:
         return (self._folder / stream).read_text(errors="replace")
 
     def _processes(self) -> List[psutil.Process]:
-        """Return what runs of this trial."""
+        """Return the running processes of this trial."""
         found = []
         mine = f"{MARK}={self._mark}".encode()
         for entry in Path("/proc").glob("[0-9]*"):
-            # Those that have ended have no environment.
+            # Zombies have no environment.
             with contextlib.suppress(OSError, psutil.Error):
                 if mine in (entry / "environ").read_bytes().split(b"\0"):
                     found.append(psutil.Process(int(entry.name)))
         return found
 
-    def _look(self) -> None:
-        """Note what was there before the fault."""
+    def _record_state(self) -> None:
+        """Record the state before the fault."""
         self._was_done = (self._out / "summary.json").is_file()
         self._before = {path: _lines(path) for path in self._recorded()}
 
     def _recorded(self) -> List[Path]:
         found = [path for path in self._out.rglob("*") if path.suffix in RECORDED]
-        # What is not whole yet is in hidden files and folders.
+        # Partial results are in hidden files and folders.
         return [path for path in found if "/." not in str(path.relative_to(self._folder))]
 
     def _start_master(self) -> subprocess.Popen:
@@ -304,7 +310,7 @@ class Trial:
     # The end
 
     def _wait(self) -> None:
-        """Wait for the end of the job, and of all that it has started."""
+        """Wait for the end of the job and of all its processes."""
         try:
             self._outcome.status = self._job.wait(PATIENCE)
         except subprocess.TimeoutExpired:
@@ -339,36 +345,36 @@ class Trial:
     def _wrong(self, what: str) -> None:
         self._outcome.wrong.append(what)
 
-    # What is to hold
+    # Checks
 
     def _judge(self) -> None:
-        status, err = self._outcome.status, self._said("stderr")
+        status, err = self._outcome.status, self._output("stderr")
         if status is None:
             return
         if status not in self._expected():
             self._wrong(f"status {status}")
         for stream in ("stdout", "stderr"):
-            if "Traceback" in self._said(stream):
+            if "Traceback" in self._output(stream):
                 self._wrong(f"a traceback on {stream}")
         ours = (f"{self._fault.job}: ", "run.sh: ", "setup: ")
         if status > 0 and status not in (130, 143):
-            told = [line for line in err.splitlines() if line.startswith(ours)]
-            if not told:
-                self._wrong(f"status {status} without a line that says why")
+            reasons = [line for line in err.splitlines() if line.startswith(ours)]
+            if not reasons:
+                self._wrong(f"status {status} without a line with the reason")
         self._judge_leftovers()
         self._judge_results()
 
     def _expected(self) -> set:
-        """Return the statuses that are right; 0 only where the job has done its work."""
+        """Return the right statuses; 0 only if the job has finished its work."""
         kind, at_launcher = self._fault.kind, self._fault.target in (LAUNCHER, TERMINAL)
-        done = f"{self._fault.job}: done" in self._said("stdout")
+        done = f"{self._fault.job}: done" in self._output("stdout")
         asked_to_end = self._outcome.struck and at_launcher and kind != "stop"
         right = {0} if done and (self._was_done or not asked_to_end) else set()
         if not self._outcome.struck:
             return right
         if kind == "int" and at_launcher:
-            # Before run.sh has said how it answers, it dies as a shell does of a signal.
-            return right | {130} | (set() if self._said("stdout") else {-signal.SIGINT})
+            # Before run.sh has set its trap, it dies of the signal as any shell.
+            return right | {130} | (set() if self._output("stdout") else {-signal.SIGINT})
         if kind in ("kill", "term") and at_launcher:
             return right | {-self._kind.signal, 128 + self._kind.signal} - {128 + signal.SIGKILL}
         if kind == "kill" and self._fault.target == NODE:
@@ -395,9 +401,9 @@ class Trial:
                 self._wrong(f"{path.name}: {kept} lines of {lines} kept")
         full = self._fault.kind == "disk_full"
         recording = is_live(self._fault.job) and any(n > 1 for n in self._before.values())
-        told = (self._out / "summary.json").is_file() or full or killed.startswith(RECORDERS)
-        if recording and not told:
-            self._wrong("no summary of what was recorded")
+        excused = full or killed.startswith(RECORDERS)
+        if recording and not excused and not (self._out / "summary.json").is_file():
+            self._wrong("no summary of the recording")
         if killed != "record" and not full and list(self._out.rglob("*.active")):
             self._wrong("the bag was not closed")
         for path in self._out.rglob("*"):
@@ -408,11 +414,11 @@ class Trial:
                     with Image.open(path) as picture:
                         picture.verify()
             except (ValueError, OSError, SyntaxError) as error:
-                self._wrong(f"{path.name} is no whole file: {error}")
+                self._wrong(f"{path.name} is not complete: {error}")
 
 
 def _nodes_of(job: str, words: List[str]) -> List[str]:
-    """Return the names of a job's nodes, in the order in which they are started."""
+    """Return the names of a job's nodes in the order of their start."""
     path = str(PACKAGE / "launch" / f"{job}.launch")
     config = roslaunch.config.load_config_default([(path, list(words))], None, verbose=False)
     return [rosgraph.names.ns_join(node.namespace, node.name) for node in config.nodes]
@@ -444,7 +450,7 @@ def _end(process: subprocess.Popen) -> None:
 
 @contextlib.contextmanager
 def _small_disk(folder: Path) -> Iterator[None]:
-    """Give a folder a file system of its own that is soon full; takes root."""
+    """Mount a small file system on a folder; needs root."""
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(folder)], check=True)
     try:
         yield

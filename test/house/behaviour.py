@@ -11,7 +11,7 @@ import argparse
 import csv
 import importlib
 import json
-import re
+import runpy
 import sys
 import tempfile
 from dataclasses import MISSING, is_dataclass
@@ -25,7 +25,6 @@ from bullet_lab.ros.launcher.jobs import find_jobs
 from bullet_lab.simulation.plugins import known_plugins
 
 PACKAGE = Path(__file__).resolve().parents[2]
-RUN = re.compile(r"""\brun\(["']([\w.]+)(?::\w+)?["']\)""")
 
 
 def jobs() -> Iterator[str]:
@@ -39,8 +38,8 @@ def executables() -> Iterator[str]:
     """Yield each executable's parameters with their defaults and what is allowed."""
     for script in sorted((PACKAGE / "scripts").glob("*.py")):
         yield f"executable {script.name}"
-        found = RUN.search(script.read_text())
-        kinds = vars(importlib.import_module(found[1])).values() if found else ()
+        module = runpy.run_path(str(script))["MAIN"].partition(":")[0]
+        kinds = vars(importlib.import_module(module)).values()
         for kind in kinds:
             if isinstance(kind, type) and is_dataclass(kind):
                 for entry in declarations(kind).values():

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import rospkg
 
-from bullet_lab.ros.messages import control_types, gazebo_types
+from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv, msg, srv
 from bullet_lab.simulation.world.xacro import expand_xacro
 
 XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -25,7 +25,7 @@ def main():
     for name in names:
         found = Path(rospkg.RosPack().get_path(name))
         assert prefix in found.parents, f"{name} is {found}"
-    for module in (gazebo_types.msg, gazebo_types.srv, control_types.msg, control_types.srv):
+    for module in (msg, srv, control_msg, control_srv):
         assert prefix in Path(module.__file__).parents, f"{module.__file__} is used"
     compared = sum(map(compare, names))
     with tempfile.TemporaryDirectory() as place:

@@ -14,9 +14,8 @@ import rospy
 import rostest
 from lab_testing import PACKAGE, Master, Node, wait_for
 
-from bullet_lab.ros.contract.results import FAILED, PASSED
 from bullet_lab.ros.contract.rows import read_contract
-from bullet_lab.ros.contract.run import ContractRun
+from bullet_lab.ros.contract.run import FAILED, PASSED, ContractRun
 from bullet_lab.ros.contract.simulator import Simulator
 
 HERE = PACKAGE / "test" / "rostest"

@@ -329,7 +329,7 @@ class TimeTest(GazeboCase):
         self.assertEqual((0.001, 1000.0), (found.time_step, found.max_update_rate))
         moon = Vector3(0.0, 0.0, -1.6)
         set_physics = rospy.ServiceProxy("/gazebo/set_physics_properties", SetPhysicsProperties)
-        self.assert_refused("0.002 s: it is 0.001 s", set_physics(0.002, 500.0, moon, ODEPhysics()))
+        self.assert_refused("0.002 s; only 0.001 s", set_physics(0.002, 500.0, moon, ODEPhysics()))
         self.assert_refused("max_update_rate", set_physics(0.001, -1.0, moon, ODEPhysics()))
         nan = Vector3(0.0, math.nan, 0.0)
         self.assert_refused("gravity is not finite", set_physics(0.001, 500.0, nan, ODEPhysics()))

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What is seen on the page is where it is, whoever looks can drive, and else nothing is heard."""
+"""The page shows things where they are, a user can drive, and without a page nothing is heard."""
 
 import subprocess
 import sys
@@ -103,7 +103,7 @@ class ViewTest(unittest.TestCase):
         wait_for(lambda: "/topics/sonar" in self.looker.nodes, "the sonar")
         self.assertTrue(len(self.see("/topics/bullet_lab/world/solids/box")))
 
-    def test_bad_messages_are_passed_over(self):
+    def test_bad_messages_are_ignored(self):
         sender = rospy.Publisher("/strange", Marker, queue_size=1, latch=True)
         good = Marker(type=Marker.CUBE, ns="good")
         good.header.frame_id, good.color.a = "world", 1.0

@@ -85,6 +85,6 @@ def test_what_a_program_imports_and_runs_is_there(path):
         if isinstance(node, ast.ImportFrom) and node.module.startswith("bullet_lab."):
             module = importlib.import_module(node.module)
             assert all(hasattr(module, alias.name) for alias in node.names)
-    for name, function in re.findall(r'\brun\("([\w.]+):?(\w*)"\)', text):
+    for name, function in re.findall(r'\b(?:run\(|MAIN = )"([\w.]+):?(\w*)"', text):
         source = Path(importlib.util.find_spec(name).origin).read_text()
         assert f"def {function or 'main'}(" in source

@@ -1,1 +1,1 @@
-"""What all else builds on: angles, poses, trajectories, cameras, files; no ROS, no simulation."""
+"""Basics of the package: poses, trajectories, cameras, files, parameters; no ROS."""

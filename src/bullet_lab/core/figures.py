@@ -1,4 +1,4 @@
-"""What all figures share: colours, canvas, saving, and what stands on a floor."""
+"""Helpers of all figures: colours, canvas, saving, and floor plans."""
 
 from __future__ import annotations
 
@@ -14,28 +14,37 @@ from matplotlib.patches import Polygon
 
 from bullet_lab.core.files import replace_file
 
-# Okabe and Ito's palette, which the colour-blind can tell apart; as in figure 1, the noisy path
-# is blue and the perfect one orange.
-BLUE, ORANGE, GREEN, VERMILION, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
-BLACK, GREY = "#000000", "#999999"
+# Okabe and Ito's palette, which colour-blind readers can distinguish. As in figure 1, the noisy
+# path is blue and the perfect one orange.
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+VERMILION = "#D55E00"
+PURPLE = "#CC79A7"
+BLACK = "#000000"
+GREY = "#999999"
 DOTS_PER_INCH = 110
+# m.
+MARKER_SIDE = 0.2
+
+Outline = Sequence[Tuple[float, float]]
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of a size in inches; it needs no window system and no pyplot."""
+    """Return an empty figure of a size in inches; it needs no window system."""
     figure = Figure(figsize=(width, height), dpi=DOTS_PER_INCH)
     FigureCanvasAgg(figure)
     return figure
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG; a reader finds the old file or the new one, never a part."""
-    # Without the software's version in it, the same figure is the same file.
+    """Write a figure as PNG, whole or not at all."""
+    # Without the software's version, equal figures are equal files.
     replace_file(path, lambda part: figure.savefig(part, format="png", metadata={"Software": ""}))
 
 
 def plan_axes(axes: Axes, **more: str) -> None:
-    """Prepare axes for what is seen from above, in m and to scale; `more` is as of `Axes.set`."""
+    """Prepare axes for a view from above, in m and to scale; `more` is passed to `Axes.set`."""
     axes.set(**{"xlabel": "x (m)", "ylabel": "y (m)", **more})
     axes.set_aspect("equal", adjustable="datalim")
     axes.grid(alpha=0.3)
@@ -44,14 +53,10 @@ def plan_axes(axes: Axes, **more: str) -> None:
 def show_around(axes: Axes, points: Sequence[Sequence[Sequence[float]]], margin: float) -> None:
     """Limit axes to some arrays of points (m), with shape (n, 2), and a margin (m) around them."""
     if len(points):
-        every = np.concatenate(points)
-        (left, bottom), (right, top) = every.min(axis=0) - margin, every.max(axis=0) + margin
+        joined = np.concatenate(points)
+        left, bottom = joined.min(axis=0) - margin
+        right, top = joined.max(axis=0) + margin
         axes.set(xlim=(left, right), ylim=(bottom, top))
-
-
-Outline = Sequence[Tuple[float, float]]
-
-MARKER_SIDE = 0.2
 
 
 def draw_plan(axes: Axes, outlines: Iterable[Outline], dock: Sequence[float]) -> None:
@@ -59,7 +64,7 @@ def draw_plan(axes: Axes, outlines: Iterable[Outline], dock: Sequence[float]) ->
 
     Args:
         axes: to draw on; x and y are the world's, in metres.
-        outlines: of all that stands there.
+        outlines: of all obstacles.
         dock: x, y (m) and yaw (rad) of the floor below the marker's face.
     """
     axes.set(xlabel="x (m)", ylabel="y (m)")

@@ -1,4 +1,4 @@
-"""Files of results: whole or not at all, and rows over time, written as they come."""
+"""Result files: written whole or not at all, or row by row."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import secrets
 import tempfile
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
@@ -17,19 +18,18 @@ from bullet_lab.errors import LabError
 
 NANOSECONDS = 1_000_000_000
 PART = ".part_"
-"""How the name of what is not whole yet begins."""
+"""Prefix of the names of incomplete files."""
+
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
+_NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_EXCL
 
 
 class FileError(LabError):
-    """A result cannot be written."""
+    """A file cannot be written."""
 
 
 def make_folder(folder: Path) -> Path:
-    """Make a folder for results, if need be, and return it.
-
-    Raises:
-        FileError: it cannot be made or written to.
-    """
+    """Make a folder if it does not exist, and return it; raises FileError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -40,14 +40,14 @@ def make_folder(folder: Path) -> Path:
 
 
 def replace_file(path: Path, write: Callable[[Path], None]) -> None:
-    """Have a file written beside its place and put there only when it is whole.
+    """Write a file under another name, and rename it when it is complete.
 
     Args:
-        path: where the file shall be.
-        write: writes to the path that it is given.
+        path: of the file.
+        write: writes a file to the path that it is called with.
 
     Raises:
-        FileError: it cannot be written; what was there before still is.
+        FileError: it cannot be written; a file that existed before is unchanged.
     """
     try:
         _replace_file(path, write)
@@ -61,7 +61,7 @@ def _replace_file(path: Path, write: Callable[[Path], None]) -> None:
     part = Path(name)
     try:
         write(part)
-        # mkstemp's files are private; results are for everybody that may read the folder.
+        # mkstemp's files are private; all who can read the folder may read results.
         umask = os.umask(0)
         os.umask(umask)
         part.chmod(0o666 & ~umask)
@@ -72,7 +72,7 @@ def _replace_file(path: Path, write: Callable[[Path], None]) -> None:
 
 
 def move_file(path: Path, folder: Path) -> None:
-    """Move a file to a folder, over what has its name there; raises FileError."""
+    """Move a file to a folder, replacing a file of its name there; raises FileError."""
     try:
         path.replace(folder / path.name)
     except OSError as error:
@@ -83,7 +83,7 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """Write values as indented JSON, keys in the given order.
 
     Raises:
-        FileError: a value has no place in JSON, such as NaN, or the file cannot be written.
+        FileError: JSON cannot represent a value, such as NaN, or the file cannot be written.
     """
     try:
         text = json.dumps(values, indent=2, allow_nan=False) + "\n"
@@ -92,78 +92,47 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
     replace_file(path, lambda part: part.write_text(text))
 
 
-class RowFile:
-    """A text file that is written row by row, each in the file as soon as it is known.
-
-    Raises:
-        FileError: the file cannot be written; so do its methods.
-    """
-
-    def __init__(self, path: Path):
-        self.path = path
-        self._file = self._try(lambda: path.open("w", buffering=1))
-
-    def write(self, row: str) -> None:
-        """Add a row, given without its line end."""
-        self._try(lambda: self._file.write(f"{row}\n"))
-
-    def rewrite(self, rows: Iterable[str]) -> None:
-        """Close the file and put other rows in its place, at once or not at all."""
-        self.close()
-        text = "".join(f"{row}\n" for row in rows)
-        replace_file(self.path, lambda part: part.write_text(text))
-
-    def close(self) -> None:
-        """Close the file as it is."""
-        self._try(self._file.close)
-
-    def _try(self, action: Callable[[], Any]) -> Any:
-        try:
-            return action()
-        except OSError as error:
-            raise FileError(f"cannot write {self.path}: {error.strerror}") from error
-
-
 class SeriesError(LabError):
-    """A row that cannot be recorded."""
+    """A row is invalid."""
 
 
 class Series:
-    """A CSV file of rows, each with a stamp in s before its numbers.
+    """A CSV file of rows, each a stamp in s and numbers, written as they are added.
 
     Args:
-        path: of the file; its folder is made if need be.
+        path: of the file; its folder is made if it does not exist.
         columns: names of the numbers.
-        in_order: whether stamps that do not increase are refused. Otherwise rows are put in
-            order at the end, and one at the stamp of an earlier one takes its place.
+        in_order: whether stamps that do not increase are refused. Otherwise rows are sorted at the
+            end, and a row replaces an earlier one with the same stamp.
 
     Raises:
-        FileError: it cannot be written, here and in all that adds to it.
+        FileError: the file cannot be written; its methods raise it, too.
     """
 
     def __init__(self, path: Path, columns: Sequence[str], in_order: bool = True):
         make_folder(path.parent)
         self.columns = tuple(columns)
         self.last: Optional[int] = None
-        """The last stamp in ns, None while there is none."""
+        """The last stamp in ns; None before the first row."""
+        self._path = path
         self._in_order = in_order
         self._rows: Dict[int, Tuple[float, ...]] = {}
-        self._file = RowFile(path)
+        self._file = self._try(lambda: path.open("w", buffering=1))
         for line in self._header():
-            self._file.write(line)
+            self._write(line)
 
     def __len__(self) -> int:
         return len(self._rows)
 
     def add(self, stamp: int, values: Sequence[float]) -> None:
-        """Record numbers at a stamp in ns; infinite ones are nothing seen, and allowed.
+        """Record numbers at a stamp in ns; they may be infinite, which means that nothing was seen.
 
         Raises:
-            SeriesError: NaN, another number of them, or a stamp that is not after the last one.
+            SeriesError: NaN, a wrong number of them, or an out-of-order stamp.
         """
         row = tuple(map(float, values))
         if len(row) != len(self.columns):
-            raise SeriesError(f"{len(row)} numbers where there were {len(self.columns)}")
+            raise SeriesError(f"{len(row)} numbers; {len(self.columns)} are needed")
         self._check(row)
         last = stamp if self.last is None else max(self.last, stamp)
         if self._in_order and self.last is not None and stamp <= self.last:
@@ -171,8 +140,9 @@ class Series:
                 f"time goes back from {self.last / NANOSECONDS:.9f} s "
                 f"to {stamp / NANOSECONDS:.9f} s"
             )
-        self._rows[stamp], self.last = row, last
-        self._file.write(self._line(stamp, row))
+        self._rows[stamp] = row
+        self.last = last
+        self._write(self._line(stamp, row))
 
     def table(self) -> Tuple[np.ndarray, np.ndarray]:
         """Return the stamps in s, shape (n,), and the numbers, shape (n, columns)."""
@@ -182,7 +152,7 @@ class Series:
         return stamps, numbers.reshape(len(rows), len(self.columns))
 
     def path(self, first: int = 0) -> Optional[Trajectory]:
-        """Return three columns, which are x (m), y (m) and yaw (rad); None while there is no row.
+        """Return three columns, x (m), y (m) and yaw (rad), as a trajectory; None without rows.
 
         Args:
             first: index of the column of x.
@@ -191,10 +161,12 @@ class Series:
         return Trajectory(stamps, rows[:, first : first + 3]) if len(stamps) else None
 
     def finish(self, until: Optional[int] = None) -> None:
-        """Close the file; leave out what came after a stamp in ns, if one is given."""
+        """Sort and close the file; rows after the stamp `until` in ns, if given, are left out."""
         self._rows = {s: row for s, row in self._sorted() if until is None or s <= until}
         lines = [self._line(stamp, row) for stamp, row in self._rows.items()]
-        self._file.rewrite([*self._header(), *lines])
+        text = "".join(f"{line}\n" for line in (*self._header(), *lines))
+        self._try(self._file.close)
+        replace_file(self._path, lambda part: part.write_text(text))
 
     def _header(self) -> Iterable[str]:
         return [",".join(("stamp", *self.columns))]
@@ -204,14 +176,23 @@ class Series:
 
     def _check(self, row: Sequence[float]) -> None:
         if any(map(math.isnan, row)):
-            raise SeriesError("a number that is NaN")
+            raise SeriesError("a number is NaN; it must be finite or infinite")
+
+    def _write(self, line: str) -> None:
+        self._try(lambda: self._file.write(f"{line}\n"))
+
+    def _try(self, action: Callable[[], Any]) -> Any:
+        try:
+            return action()
+        except OSError as error:
+            raise FileError(f"cannot write {self._path}: {error.strerror}") from error
 
     def _sorted(self) -> List[Tuple[int, Tuple[float, ...]]]:
         return sorted(self._rows.items())
 
 
 class PathSeries(Series):
-    """A TUM file of planar poses (m, m, rad), which are finite."""
+    """A TUM file of finite planar poses (m, m, rad)."""
 
     def __init__(self, path: Path):
         super().__init__(path, ("x", "y", "yaw"))
@@ -224,18 +205,18 @@ class PathSeries(Series):
 
     def _check(self, row: Sequence[float]) -> None:
         if not all(map(math.isfinite, row)):
-            raise SeriesError(f"a pose that is not finite: {row}")
+            raise SeriesError(f"the pose is not finite: {row}")
 
 
 Values = Sequence[float]
 
 
 class Join:
-    """Rows of several sources, brought together where their stamps agree to the nanosecond.
+    """Joins rows of several sources whose stamps are equal to the nanosecond.
 
     Args:
         sources: names of all of them.
-        complete: called with the stamp in ns and the values by source, once all are there.
+        complete: called with the stamp in ns and the values by source, when all have come.
     """
 
     def __init__(self, sources: Iterable[str], complete: Callable[[int, Dict[str, Values]], None]):
@@ -244,9 +225,69 @@ class Join:
         self._waiting: Dict[int, Dict[str, Values]] = {}
 
     def add(self, source: str, stamp: int, values: Values) -> None:
-        """Take the values of a source at a stamp in ns."""
+        """Add the values of a source at a stamp in ns."""
         waiting = self._waiting.setdefault(stamp, {})
         waiting[source] = values
         if len(waiting) == len(self._sources):
             del self._waiting[stamp]
             self._complete(stamp, waiting)
+
+
+class ConfinedFolder:
+    """A folder below which files are written under names from outside, and nowhere else.
+
+    `place` resolves symbolic links, and refuses those that lead out of the folder. `write` follows
+    no link, as one may have been made since.
+
+    Attributes:
+        path: of the folder, without links.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path.expanduser().resolve()
+
+    def place(self, name: str) -> Path:
+        """Return the path of a file of that name, without links, below the folder.
+
+        Raises:
+            FileError: it is outside the folder, is a folder, or its folder does not exist.
+            OSError, RuntimeError: the name is too long, or its links form a cycle.
+        """
+        path = (self.path / name).resolve()
+        if path != self.path and self.path not in path.parents:
+            raise FileError(f"{path} is not in {self.path}")
+        if path.is_dir() or path == self.path:
+            raise FileError(f"{path} is a folder")
+        make_folder(self.path)
+        if not path.parent.is_dir():
+            raise FileError(f"there is no folder {path.parent}")
+        return path
+
+    def write(self, path: Path, text: str) -> None:
+        """Write a text to a path from `place`, whole or not at all; raises FileError."""
+        try:
+            with contextlib.ExitStack() as opened:
+                _put(self._open(opened, path.parent), path.name, text)
+        except OSError as error:
+            raise FileError(f"cannot write {path}: {error.strerror}") from error
+
+    def _open(self, opened: contextlib.ExitStack, folder: Path) -> int:
+        """Open a folder below this one, part by part without links; return its descriptor."""
+        inner = os.open(self.path, _FOLDER)
+        opened.callback(os.close, inner)
+        for part in folder.relative_to(self.path).parts:
+            inner = os.open(part, _FOLDER, dir_fd=inner)
+            opened.callback(os.close, inner)
+        return inner
+
+
+def _put(folder: int, name: str, text: str) -> None:
+    part = f"{PART}{secrets.token_hex(8)}"
+    try:
+        with open(os.open(part, _NEW_FILE, 0o666, dir_fd=folder), "w", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(part, name, src_dir_fd=folder, dst_dir_fd=folder)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(part, dir_fd=folder)
+        raise

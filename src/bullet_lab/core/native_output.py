@@ -1,4 +1,4 @@
-"""Keeping what C++ libraries print away from the user's terminal."""
+"""Redirection of what C++ libraries print to the terminal."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import IO, Iterator
 
 @contextlib.contextmanager
 def hidden_native_output() -> Iterator[None]:
-    """Discard what native code writes to the standard streams meanwhile.
+    """Discard what native code writes to the standard streams in this block.
 
-    PyBullet prints its build time when it is imported and warnings while it loads; every
-    failure is also raised, and reported once.
+    PyBullet prints its build time when it is imported, and warnings while it loads. It also raises
+    each failure, which is reported once.
     """
     with open(os.devnull, "wb") as sink, native_output_to(sink):
         yield
@@ -22,7 +22,7 @@ def hidden_native_output() -> Iterator[None]:
 
 @contextlib.contextmanager
 def native_output_to(file: IO) -> Iterator[None]:
-    """Have native code write to a file instead of the standard streams meanwhile."""
+    """Redirect what native code writes to the standard streams in this block to a file."""
     sys.stdout.flush()
     sys.stderr.flush()
     saved = {stream: os.dup(stream) for stream in (1, 2)}
@@ -31,7 +31,7 @@ def native_output_to(file: IO) -> Iterator[None]:
             os.dup2(file.fileno(), stream)
         yield
     finally:
-        # C keeps a buffer of its own, which would come out at exit.
+        # The C library has its own buffer, which it would write at exit.
         ctypes.CDLL(None).fflush(None)
         for stream, copy in saved.items():
             os.dup2(copy, stream)

@@ -1,8 +1,8 @@
-"""Parameters: declared once, with type, default, limits and a sentence each.
+"""Parameters: declared once, each with type, default, limits and a sentence.
 
 The parameters of a node, a study or a model are the fields of one frozen dataclass, each made by
-one of the functions below. Values come typed, or as the text that a launch file or a command
-line has; an empty text means "not given", unless the parameter takes it as a value. What is not
+one of the functions below. Values are typed, or the text of a launch file or a command line. An
+empty text means "not given", unless the parameter accepts it as a value. A value that is not
 allowed is refused with one line that names the parameter, the value and what is allowed.
 
 >>> @dataclass(frozen=True)
@@ -52,7 +52,13 @@ class ParameterError(LabError):
 
 @dataclass(frozen=True)
 class Check:
-    """What a value has to be: `accept` returns it converted, or raises ValueError or TypeError."""
+    """The check of a parameter's value.
+
+    Attributes:
+        doc: a sentence about the parameter.
+        allowed: what is allowed, in words.
+        accept: returns the value converted, or raises ValueError or TypeError.
+    """
 
     doc: str
     allowed: str
@@ -61,18 +67,18 @@ class Check:
 
 @dataclass(frozen=True)
 class Declaration:
-    """A parameter as it is declared: by a field of a dataclass. MISSING stands for no default."""
+    """A parameter as a dataclass field declares it. A default of MISSING means that it has none."""
 
     name: str
     default: Any
     check: Check
 
     def read(self, value: Any, shown_name: str = "") -> Any:
-        """Return a value as the parameter takes it; the default for an empty text that it does not.
+        """Return a value converted; an empty text that is not allowed gives the default.
 
         Args:
             value: typed, or the text of a launch file or a command line.
-            shown_name: what the parameter is called in a refusal, by default its name.
+            shown_name: of the parameter in an error message, by default its name.
 
         Raises:
             ParameterError: the value is not allowed.
@@ -88,12 +94,12 @@ class Declaration:
 
     @property
     def default_text(self) -> str:
-        """The default as a launch file or a command line would have it."""
+        """The default as the text of a launch file or a command line."""
         return _as_text(self.default)
 
 
 def declarations(kind: type) -> Dict[str, Declaration]:
-    """Return the parameters that a dataclass declares, by name; its other fields are left out."""
+    """Return the parameters that a dataclass declares, by name, without its other fields."""
     return {
         entry.name: declared(entry.name, entry)
         for entry in fields(kind)
@@ -102,7 +108,7 @@ def declarations(kind: type) -> Dict[str, Declaration]:
 
 
 def declared(name: str, entry: Field) -> Declaration:
-    """Return a parameter that stands in no dataclass, from what the functions below return."""
+    """Return a parameter outside a dataclass, from the field that a function below returns."""
     factory: Any = entry.default_factory  # type: ignore[misc]
     default = entry.default if factory is MISSING else factory()
     return Declaration(name, default, entry.metadata[_CHECK])
@@ -122,20 +128,17 @@ def number(
 
 def integer(default: int, doc: str, minimum: int = -(2**31), maximum: int = 2**31 - 1) -> Any:
     """Declare a whole number within [minimum, maximum]."""
-
-    def accept(value: Any) -> int:
-        value = _integer(value)
-        return _require(minimum <= value <= maximum, value)
-
+    accept = _whole_within(minimum, maximum)
     return _declare(default, doc, f"a whole number from {minimum} to {maximum}", accept)
 
 
 def odd(default: int, doc: str, minimum: int, maximum: int) -> Any:
     """Declare an odd whole number within [minimum, maximum]."""
+    accept_whole = _whole_within(minimum, maximum)
 
     def accept(value: Any) -> int:
-        value = _integer(value)
-        return _require(value % 2 == 1 and minimum <= value <= maximum, value)
+        value = accept_whole(value)
+        return _require(value % 2 == 1, value)
 
     return _declare(default, doc, f"an odd number from {minimum} to {maximum}", accept)
 
@@ -156,13 +159,9 @@ def choice(default: str, doc: str, options: Sequence[str]) -> Any:
 
 
 def choices(default: Sequence[str], doc: str, options: Sequence[str]) -> Any:
-    """Declare one or more words of several, none of them twice."""
-
-    def accept(value: Any) -> Tuple[str, ...]:
-        return _distinct(tuple(_require(word in options, word) for word in _words(value)))
-
-    allowed = "different words of " + ", ".join(options)
-    return _declare(tuple(default), doc, allowed, accept)
+    """Declare one or more different words of several."""
+    accept = _different(lambda word: _require(word in options, word))
+    return _declare(tuple(default), doc, "different words of " + ", ".join(options), accept)
 
 
 def text(default: str, doc: str) -> Any:
@@ -200,13 +199,9 @@ def numbers(
     above: float = -math.inf,
     maximum: float = math.inf,
 ) -> Any:
-    """Declare one or more finite numbers within limits as of `number`, none of them twice."""
+    """Declare one or more different finite numbers within limits as of `number`."""
     accept, limits = _within(minimum, above, maximum)
-
-    def accept_all(value: Any) -> Tuple[float, ...]:
-        return _distinct(tuple(map(accept, _words(value))))
-
-    return _declare(tuple(default), doc, f"different numbers{limits}", accept_all)
+    return _declare(tuple(default), doc, f"different numbers{limits}", _different(accept))
 
 
 def mapping(doc: str, *kinds: type) -> Any:
@@ -215,7 +210,7 @@ def mapping(doc: str, *kinds: type) -> Any:
     Args:
         doc: a sentence.
         kinds: dataclasses whose parameters may be among the entries, as the text of a launch
-            file: that is read as the parameter is, so that an empty one stands for the default.
+            file. It is read as that of the parameter, so an empty text means the default.
     """
 
     def accept(value: Any) -> Mapping[str, Any]:
@@ -227,7 +222,7 @@ def mapping(doc: str, *kinds: type) -> Any:
 
 
 def checked(default: Any, doc: str, allowed: str, accept: Callable[[Any], Any]) -> Any:
-    """Declare a value with a check of its own; `accept` raises ValueError or TypeError."""
+    """Declare a value with a special check; `accept` raises ValueError or TypeError."""
     return _declare(default, doc, allowed, accept)
 
 
@@ -239,7 +234,7 @@ def read_parameters(
     Args:
         kind: the dataclass that declares them.
         get: `get(name, default)`, such as rospy.get_param; called with "~name".
-        given: what is set below the node's private name, to find misspelt names in.
+        given: all that is set below the node's private name, to find misspelt names.
 
     Raises:
         ParameterError: a value that is not allowed, or a name that is not declared.
@@ -266,7 +261,7 @@ def check_parameters(parameters: Any) -> None:
     for name, declaration in declarations(type(parameters)).items():
         value = getattr(parameters, name)
         if isinstance(value, str) and not isinstance(declaration.default, str):
-            # What launch files write as text has been read before.
+            # Text of launch files has been converted before.
             allowed = declaration.check.allowed
             raise ParameterError(f"{name} is '{value}': it must be {allowed}, not a text")
         if value != declaration.default:
@@ -277,7 +272,7 @@ def add_options(parser: argparse.ArgumentParser, kind: type) -> None:
     """Add an option for each parameter: `--every-light` for every_light, `--std 0.3`.
 
     Lists are given as words, or as one: `--levels 0 0.1` or `--levels='0 0.1'`; true and false
-    as words, or true by the option alone. `read_options` reads what the parser finds.
+    as words, or true by the option alone. `read_options` reads the values that the parser finds.
     """
     for name, declaration in declarations(kind).items():
         check, shown = declaration.check, declaration.default_text
@@ -290,7 +285,7 @@ def add_options(parser: argparse.ArgumentParser, kind: type) -> None:
 
 
 def read_options(kind: Type[T], values: Mapping[str, Any]) -> T:
-    """Return the parameters from what a parser with `add_options` has found, such as `vars(…)`.
+    """Return the parameters from the values of a parser with `add_options`, such as `vars(…)`.
 
     Raises:
         ParameterError: a value that is not allowed.
@@ -308,11 +303,11 @@ def read_options(kind: Type[T], values: Mapping[str, Any]) -> T:
 
 
 class ArgumentsError(LabError):
-    """A command line that cannot be followed."""
+    """A command line is invalid."""
 
 
 class ArgumentParser(argparse.ArgumentParser):
-    """Raises ArgumentsError, where argparse's own would print its usage and exit."""
+    """Raises ArgumentsError instead of printing the usage and exiting."""
 
     def error(self, message: str) -> NoReturn:  # noqa: D102 - inherited
         raise ArgumentsError(message)
@@ -328,7 +323,7 @@ def _entry(declaration: Optional[Declaration], value: Any) -> Any:
     try:
         return declaration.read(value)
     except ParameterError:
-        # It is somebody else's entry of the same name.
+        # The entry of another node has the same name.
         return value
 
 
@@ -353,7 +348,7 @@ def _text(value: Any) -> str:
 
 
 def _float(value: Any) -> float:
-    """Return a finite number, which a text spells in plain digits."""
+    """Return a finite number; a text may have digits, a sign, a point and an exponent only."""
     if isinstance(value, str):
         _require(_NUMBER.fullmatch(value) is not None, value)
     else:
@@ -372,17 +367,33 @@ def _words(value: Any) -> Iterable[Any]:
     return value.split() if isinstance(value, str) else list(value)
 
 
-def _distinct(values: Tuple[Any, ...]) -> Tuple[Any, ...]:
-    return _require(bool(values) and len(set(values)) == len(values), values)
+def _different(accept: Callable[[Any], Any]) -> Callable[[Any], Tuple[Any, ...]]:
+    """Return a function that accepts one or more different values."""
+
+    def accept_all(value: Any) -> Tuple[Any, ...]:
+        values = tuple(map(accept, _words(value)))
+        return _require(bool(values) and len(set(values)) == len(values), values)
+
+    return accept_all
+
+
+def _whole_within(minimum: int, maximum: int) -> Callable[[Any], int]:
+    """Return a function that accepts a whole number within limits."""
+
+    def accept(value: Any) -> int:
+        value = _integer(value)
+        return _require(minimum <= value <= maximum, value)
+
+    return accept
 
 
 def _within(minimum: float, above: float, maximum: float) -> Tuple[Callable[[Any], float], str]:
-    """Return what takes a number within limits, and the limits in words."""
+    """Return a function that accepts a number within limits, and the limits in words."""
 
     def accept(value: Any) -> float:
         value = _float(value)
         return _require(minimum <= value <= maximum and value > above, value)
 
-    said = ((">=", minimum), (">", above), ("<=", maximum))
-    limits = [f"{sign} {limit:g}" for sign, limit in said if math.isfinite(limit)]
+    signs = ((">=", minimum), (">", above), ("<=", maximum))
+    limits = [f"{sign} {limit:g}" for sign, limit in signs if math.isfinite(limit)]
     return accept, " " + " and ".join(limits) if limits else ""

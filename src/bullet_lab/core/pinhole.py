@@ -10,15 +10,17 @@ import numpy as np
 
 from bullet_lab.errors import LabError
 
-# What a lens shows farther from its axis than 87° is passed over.
+# Slope of 87° from the axis; what a lens shows beyond is ignored.
 STEEPEST = 20.0
-# Of Newton's method: how far off what is seen at a found slope is, which is as good as not at all,
-# and which is still taken for found.
-MOST_STEPS, CONVERGED, FOUND = 30, 1e-12, 1e-6
+# Newton's method ends after so many steps, or at this error of the seen slope.
+MAX_STEPS = 30
+CONVERGED = 1e-12
+# A slope with a larger error is not found.
+FOUND = 1e-6
 
 
 class PinholeError(LabError):
-    """Numbers that make no camera."""
+    """The parameters of a camera are invalid."""
 
 
 @dataclass(frozen=True)
@@ -47,14 +49,14 @@ class PinholeCamera:
     distortion: Tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Raise PinholeError where the numbers make no camera."""
+        """Raise PinholeError if a parameter is invalid."""
         if self.width < 1 or self.height < 1:
-            raise PinholeError(f"an image of {self.width} x {self.height} pixels")
+            raise PinholeError(f"size {self.width} x {self.height} pixels; both must be >= 1")
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not all(map(math.isfinite, numbers)) or len(self.distortion) != 5:
-            raise PinholeError("the camera's numbers are not finite, or not 5 of distortion")
+            raise PinholeError(f"{numbers}; 4 intrinsics and 5 distortions must be finite")
         if self.fx <= 0.0 or self.fy <= 0.0:
-            raise PinholeError(f"focal lengths of {self.fx:g} and {self.fy:g} pixels")
+            raise PinholeError(f"focal lengths {self.fx:g}, {self.fy:g}; both must be > 0")
 
     @property
     def matrix(self) -> np.ndarray:
@@ -62,7 +64,7 @@ class PinholeCamera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Return the (n, 2) pixels where (n, 3) points of the optical frame are seen.
+        """Return the (n, 2) pixels of (n, 3) points of the optical frame.
 
         The distortion model is that of OpenCV and sensor_msgs/distortion_models. Points that
         are not ahead of the camera give NaN.
@@ -75,10 +77,10 @@ class PinholeCamera:
         return seen * (self.fx, self.fy) + (self.cx, self.cy)
 
     def slopes(self, pixels: np.ndarray) -> np.ndarray:
-        """Return x/z and y/z, (n, 2), of what is seen at (n, 2) pixels; NaN where nothing is.
+        """Return the slopes x/z and y/z, (n, 2), of the rays of (n, 2) pixels; NaN without a ray.
 
-        The inverse of `project`, by Newton's method. A lens whose distortion would fold the picture
-        over shows nothing beyond the fold.
+        The inverse of `project`, by Newton's method. If the distortion folds the picture over,
+        there is no ray beyond the fold.
 
         >>> camera = PinholeCamera(640, 480, 300.0, 300.0, 319.5, 239.5, (-0.3, 0.1, 0, 0, 0))
         >>> camera.slopes(camera.project([[0.5, -0.25, 1.0]])).round(9).tolist()
@@ -90,7 +92,7 @@ class PinholeCamera:
             return seen.T
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             found = seen * self._straightening(np.hypot(*seen))
-            for _ in range(MOST_STEPS):
+            for _ in range(MAX_STEPS):
                 missed = np.array(self._bent(*found)) - seen
                 if not np.nanmax(np.abs(missed), initial=0.0) > CONVERGED:
                     break
@@ -99,7 +101,7 @@ class PinholeCamera:
             return np.where(missed < FOUND, found, np.nan).T
 
     def _bent(self, x: np.ndarray, y: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-        """Return where the lens shows slopes."""
+        """Return the distorted slopes."""
         k1, k2, p1, p2, k3 = self.distortion
         square = x * x + y * y
         radial = 1.0 + square * (k1 + square * (k2 + square * k3))
@@ -108,7 +110,7 @@ class PinholeCamera:
         return u, v
 
     def _straightening(self, radii: np.ndarray) -> np.ndarray:
-        """Return slope by seen slope, as far as the lens bends along radii; NaN beyond its fold."""
+        """Return slope / distorted slope for the radial distortion alone; NaN beyond the fold."""
         k1, k2, _, _, k3 = self.distortion
         slopes = np.linspace(0.0, STEEPEST, 20_000)
         square = slopes * slopes
@@ -121,7 +123,7 @@ class PinholeCamera:
     def _solved(
         self, x: np.ndarray, y: np.ndarray, u: np.ndarray, v: np.ndarray
     ) -> Tuple[np.ndarray, np.ndarray]:
-        """Return by how much the slopes x, y have to change for what is seen to change by u, v."""
+        """Return the change of the slopes x, y that changes the distorted slopes by u, v."""
         k1, k2, p1, p2, k3 = self.distortion
         square = x * x + y * y
         radial = 1.0 + square * (k1 + square * (k2 + square * k3))

@@ -1,4 +1,4 @@
-"""Rigid poses in space as plain data."""
+"""Poses in space."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 Vector = Tuple[float, float, float]
 Quaternion = Tuple[float, float, float, float]
 
-# Sine of a pitch less than 1e-6 rad from straight up, where roll and yaw drown in rounding.
+# Sine of a pitch 1e-6 rad from straight up; beyond, rounding makes roll and yaw inaccurate.
 POLE_SINE = 1.0 - 5e-13
 
 
@@ -19,7 +19,7 @@ POLE_SINE = 1.0 - 5e-13
 class Pose:
     """A pose: `position` in metres and unit `quaternion` (x, y, z, w).
 
-    `a * b` is the pose `b`, given in the frame of `a`, seen from the frame that `a` is given in.
+    `a * b` is the pose `b`, given in the frame of `a`, in the frame in which `a` is given.
 
     >>> turned = Pose.from_rpy((1.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))
     >>> [round(value, 9) for value in (turned * Pose((2.0, 0.0, 0.0))).position]
@@ -51,7 +51,7 @@ class Pose:
 
     @classmethod
     def from_matrix(cls, position: Vector, rotation: np.ndarray) -> Pose:
-        """Make a pose from a position and a 3x3 rotation matrix (numerically stable everywhere)."""
+        """Make a pose from a position and a 3x3 rotation matrix; stable for all rotations."""
         m = np.asarray(rotation, dtype=float)
         # Bar-Itzhack's method: the quaternion is the dominant eigenvector of a symmetric matrix.
         k = np.array(
@@ -73,14 +73,14 @@ class Pose:
         return Pose(position, _hamilton(self.quaternion, other.quaternion))
 
     def inverse(self) -> Pose:
-        """Return the pose of the outer frame seen from this one."""
+        """Return the pose of the outer frame in this one."""
         x, y, z, w = self.quaternion
         turned_back = Pose(quaternion=(-x, -y, -z, w))
         px, py, pz = turned_back.rotate(self.position)
         return Pose((-px, -py, -pz), turned_back.quaternion)
 
     def rotate(self, vector: Vector) -> Vector:
-        """Turn a vector given in this pose's frame into the outer frame (no translation).
+        """Rotate a vector from this pose's frame to the outer frame, without translation.
 
         >>> Pose(quaternion=(0.0, 0.0, 1.0, 0.0)).rotate((1.0, 2.0, 3.0))
         (-1.0, -2.0, 3.0)
@@ -104,7 +104,7 @@ class Pose:
     def rpy(self) -> Vector:
         """Return roll, pitch and yaw in radians about the fixed axes x, y, z.
 
-        Straight up or down, roll and yaw turn about one axis: roll is 0 then.
+        At a pitch of ±90°, roll and yaw turn about one axis: roll is 0 then.
         """
         x, y, z, w = self.quaternion
         sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
@@ -131,7 +131,7 @@ def heading_of(quaternion: Quaternion) -> Tuple[float, float]:
     """Return the cosine and sine of the yaw of a unit quaternion (x, y, z, w)."""
     x, y, z, w = quaternion
     cosine, sine = 1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y)
-    # Both are 0 for a body whose x axis points straight up: any heading will do.
+    # Both are 0 if the x axis points straight up: any heading is right.
     length = math.hypot(cosine, sine) or 1.0
     return cosine / length, sine / length
 

@@ -1,4 +1,4 @@
-"""When things are due, in whole physics steps."""
+"""Schedules in whole physics steps."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from fractions import Fraction
 from bullet_lab.errors import LabError
 
 STEPS_PER_SECOND = 1000
-# Hz; what comes once in thirty years is no rate.
+# Hz; one occurrence in thirty years.
 SLOWEST = 1e-9
 
 
 class ScheduleError(LabError):
-    """A rate that cannot be kept."""
+    """A rate is not allowed."""
 
 
 class Schedule:
-    """Something that happens `rate` times per simulated second, on average exactly.
+    """Occurrences at a rate per simulated second that is exact on average.
 
     The k-th occurrence falls on the first step at or after k/rate seconds, so a rate that does
     not divide 1000 Hz jitters by less than one step and never drifts. (Gazebo waits until more
@@ -34,7 +34,7 @@ class Schedule:
         if rate != 0.0 and not SLOWEST <= rate <= STEPS_PER_SECOND:
             allowed = f"{SLOWEST:g} … {STEPS_PER_SECOND} Hz"
             raise ScheduleError(f"a rate of {rate:g} Hz is not within {allowed}")
-        # A ratio of whole numbers, since sums of rounded periods would drift.
+        # A ratio of integers, as sums of rounded periods would drift.
         period = STEPS_PER_SECOND / Fraction(rate or STEPS_PER_SECOND)
         self._numerator, self._denominator = period.numerator, period.denominator
         self.restart(start)
@@ -51,7 +51,7 @@ class Schedule:
         self.next_step = self._due(1)
 
     def advance(self) -> None:
-        """Note that the present occurrence has happened."""
+        """Go on to the next occurrence."""
         self._count += 1
         self.next_step = self._due(self._count)
 

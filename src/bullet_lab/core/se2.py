@@ -1,4 +1,4 @@
-"""The plane: angles, poses, where things stand in a pattern, and confidence ellipses.
+"""Planar geometry: angles, poses, patterns of places, and confidence ellipses.
 
 Planar poses are float arrays of shape (..., 3) that hold x (m), y (m) and yaw (rad). Leading axes
 broadcast as everywhere in numpy. Every yaw that is returned lies in [-pi, pi).
@@ -12,13 +12,13 @@ from typing import List, Sequence, Tuple
 import numpy as np
 
 PlanarPose = Tuple[float, float, float]
-"""One of them as numbers, for those who hold one at a time: x (m), y (m) and yaw (rad)."""
+"""A single pose as numbers: x (m), y (m) and yaw (rad)."""
 
 
 def wrap(angle):
     """Wrap angles into [-pi, pi): pi itself becomes -pi.
 
-    Angles that are already inside come back bit for bit, so wrapping never makes a pose drift.
+    Angles that are already inside are returned bit for bit, so wrapping does not make poses drift.
 
     Args:
         angle: rad, a float or an array of any shape.
@@ -49,7 +49,7 @@ def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
     """Return the heading (rad, in [-pi, pi]) of a rotation.
 
     This is the first angle of the intrinsic z-y-x sequence. The quaternion need not have unit
-    length; an all-zero one, as in a message that nobody filled in, gives 0.
+    length; an all-zero one, the default in a message, gives 0.
 
     >>> yaw_from_quaternion(0.0, 0.0, 1.0, 1.0) == math.pi / 2.0
     True
@@ -67,7 +67,7 @@ def quaternion_from_yaw(yaw: float) -> tuple[float, float, float, float]:
 
 
 def compose(a, b) -> np.ndarray:
-    """Return the pose `b`, given in the frame of pose `a`, in the frame that `a` is given in.
+    """Return the pose `b`, given in the frame of pose `a`, in the frame in which `a` is given.
 
     Args:
         a: poses, shape (..., 3).
@@ -86,7 +86,7 @@ def compose(a, b) -> np.ndarray:
 
 
 def between(a, b) -> np.ndarray:
-    """Return pose `b` as seen from pose `a`; `compose` with `a` gives `b` again.
+    """Return pose `b` in the frame of pose `a`, the inverse of `compose`.
 
     Args:
         a: poses, shape (..., 3).
@@ -105,20 +105,20 @@ def between(a, b) -> np.ndarray:
 
 
 def _parts(poses) -> Sequence:
-    # Of a single pose plain numbers, which are much faster.
+    # A single pose as numbers, which are much faster than arrays.
     poses = np.asarray(poses, dtype=float)
     return poses.tolist() if poses.ndim == 1 else (poses[..., 0], poses[..., 1], poses[..., 2])
 
 
 def _poses(x, y, yaw) -> np.ndarray:
-    # np.stack of np.broadcast_arrays takes several times as long.
+    # Several times as fast as np.stack of np.broadcast_arrays.
     poses = np.empty((*np.broadcast(x, y, yaw).shape, 3))
     poses[..., 0], poses[..., 1], poses[..., 2] = x, y, yaw
     return poses
 
 
 def inverse(pose) -> np.ndarray:
-    """Return the origin as seen from each pose, shape (..., 3).
+    """Return the pose of the origin in the frame of each pose, shape (..., 3).
 
     >>> inverse([1.0, 0.0, 0.0])
     array([-1.,  0.,  0.])
@@ -127,7 +127,7 @@ def inverse(pose) -> np.ndarray:
 
 
 def steps(poses) -> np.ndarray:
-    """Return each pose of a path as seen from the one before: (..., n, 3) gives (..., n-1, 3).
+    """Return each pose of a path in the frame of the previous one: (..., n, 3) to (..., n-1, 3).
 
     >>> steps([(0.0, 0.0, 0.0), (1.0, 0.0, 0.5), (1.0, 0.0, 0.0)])
     array([[ 1. ,  0. ,  0.5],
@@ -141,7 +141,7 @@ def logarithm(poses) -> np.ndarray:
     """Return the exponential coordinates (m, m, rad) of poses, shape (..., 3).
 
     They are the constant velocity that leads from the origin to the pose in one unit of time, along
-    an arc; `exponential` goes there. With p = x + iy and h the yaw, in [-pi, pi), the first two
+    an arc; `exponential` is the inverse. With p = x + iy and h the yaw, in [-pi, pi), the first two
     are (h/2) (cot(h/2) - i) p.
     (G. S. Chirikjian, Stochastic Models, Information Theory, and Lie Groups 2, 2012, section 10.6.)
 
@@ -164,22 +164,22 @@ def straightening(yaw) -> np.ndarray:
 
 
 def exponential(coordinates) -> np.ndarray:
-    """Return the poses that `logarithm` gives these coordinates (m, m, rad) of, shape (..., 3).
+    """Return the poses of exponential coordinates (m, m, rad), shape (..., 3); see `logarithm`.
 
-    The yaw of the coordinates may be any; that of the poses is in [-pi, pi).
+    The yaw of the coordinates may have any value; that of the poses is in [-pi, pi).
 
     >>> exponential([np.pi, 0.0, np.pi / 2.0]).round(6)
     array([2.      , 2.      , 1.570796])
     """
     x, y, yaw = np.moveaxis(np.asarray(coordinates, dtype=float), -1, 0)
-    # sin(h)/h and (1 - cos h)/h, from a function that is right at 0.
+    # sin(h)/h and (1 - cos h)/h, by a function that is defined at 0.
     arc = np.sinc(yaw / math.pi) + 0.5j * yaw * np.square(np.sinc(0.5 * yaw / math.pi))
     place = arc * (x + 1j * y)
     return np.stack([place.real, place.imag, wrap(yaw)], axis=-1)
 
 
 def line(count: int, spacing: float) -> List[PlanarPose]:
-    """Return places along x from the origin on, `spacing` m apart, all with yaw 0."""
+    """Return places along x from the origin, `spacing` m apart, with yaw 0."""
     return [(spacing * index, 0.0, 0.0) for index in range(count)]
 
 
@@ -194,7 +194,7 @@ def grid(count: int, spacing: float) -> List[PlanarPose]:
 
 
 def circle(count: int, radius: float) -> List[PlanarPose]:
-    """Return places evenly on a circle about the origin, from (radius, 0) on, facing outwards."""
+    """Return places at equal distances on a circle about the origin, facing outwards."""
     angles = [math.tau * index / count for index in range(count)]
     return [
         (radius * math.cos(a), radius * math.sin(a), math.remainder(a, math.tau)) for a in angles
@@ -205,14 +205,14 @@ LEVEL = 0.95
 """Probability that a Gaussian position lies within the ellipse."""
 
 SQUARE_RADIUS = -2.0 * math.log(1.0 - LEVEL)
-"""Of the ellipse in units of the standard deviation: chi-square with two degrees of freedom."""
+"""Of the ellipse, in variances: the quantile of chi-square with two degrees of freedom."""
 
 
 def ellipse_points(covariance, count: int = 73) -> np.ndarray:
     """Return points of the 95 % ellipse around the origin, the first and the last the same.
 
     Args:
-        covariance: 2x2 or larger (m²), of which the first two rows and columns are looked at.
+        covariance: 2x2 or larger (m²); its first two rows and columns are used.
         count: how many points.
 
     Returns:

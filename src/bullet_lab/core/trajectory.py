@@ -1,4 +1,4 @@
-"""Trajectories: what they are, the text files that hold them, and how far one is from another."""
+"""Trajectories, their text files, and the error of one relative to another."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TUM_COLUMNS = 8
 
 
 class TrajectoryError(LabError):
-    """A trajectory is not usable or its file not readable."""
+    """A trajectory is invalid, or its file cannot be read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Trajectory:
         poses: x (m), y (m) and yaw (rad), finite, shape (n, 3).
 
     Raises:
-        TrajectoryError: the shapes or values are not as said.
+        TrajectoryError: a shape or a value is wrong.
     """
 
     stamps: np.ndarray
@@ -82,7 +82,7 @@ def tum_row(stamp: float, x: float, y: float, yaw: float) -> str:
     """Return a line `timestamp tx ty tz qx qy qz qw` in the format of the TUM benchmark.
 
     The stamp (s) has 9 decimals; the pose (m, m, rad) has every digit of its doubles, so
-    reading it back gives x and y bit for bit. No line end.
+    reading it gives x and y bit for bit. There is no line end.
 
     >>> tum_row(0.05, 1.0, 2.0, 0.0)
     '0.050000000 1.0 2.0 0 0 0 0.0 1.0'
@@ -92,12 +92,12 @@ def tum_row(stamp: float, x: float, y: float, yaw: float) -> str:
 
 
 def read_tum(path: str | PathLike) -> Trajectory:
-    """Read a trajectory from a TUM file, leaving out height, roll and pitch.
+    """Read a trajectory from a TUM file, without height, roll and pitch.
 
     Empty lines and those that begin with # are skipped.
 
     Raises:
-        TrajectoryError: the file cannot be read or is not as said; the message names the line.
+        TrajectoryError: the file cannot be read or is invalid; the message names the line.
     """
     try:
         with open(path, encoding="utf-8") as file:
@@ -121,7 +121,7 @@ def read_tum(path: str | PathLike) -> Trajectory:
 
 
 def finite_numbers(words: Iterable[Any], where: str) -> List[float]:
-    """Return what a line of a file says; raises TrajectoryError, with the place, if not numbers."""
+    """Return the numbers of a line; raises TrajectoryError, with `where`, if one is not finite."""
     try:
         values = [float(word) for word in words]
     except (TypeError, ValueError):
@@ -135,7 +135,7 @@ def trajectory_of(rows: Sequence[Sequence[float]], path: str | PathLike) -> Traj
     """Return the trajectory of rows of stamp (s), x, y (m) and yaw (rad).
 
     Raises:
-        TrajectoryError: they make none; the message names the file that they are from.
+        TrajectoryError: they are invalid; the message names their file.
     """
     table = np.array(rows, dtype=float).reshape(-1, 4)
     try:

@@ -1,1 +1,1 @@
-"""Drivers of robots: in squares, and to goals."""
+"""Controllers that drive robots in squares and to goals."""

@@ -1,8 +1,8 @@
-"""A driver to goals: the P-controller of the course, for robots that steer.
+"""Driving to a goal: the P-controller of the course, for robots that steer.
 
-The speed is proportional to the distance and the turning rate to the angle that are left, both
-within limits, as in the course's drive_to_goal. A robot with two wheels cannot go sideways:
-towards a goal beside or behind it, it turns on the spot first.
+The speed is proportional to the remaining distance and the turn rate to the remaining angle, both
+within limits, as in the course's drive_to_goal. A robot with two wheels cannot move sideways: if
+the goal is beside or behind it, it turns on the spot first.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from bullet_lab.errors import LabError
 Command = Tuple[float, float]
 STANDSTILL: Command = (0.0, 0.0)
 
-# The drive ends when this part of the tolerance is left, and begins anew beyond the whole of it:
-# a turn on the spot, or the next noisy pose, does not send the robot to and fro.
+# The drive ends at this share of the tolerance, and resumes beyond the whole of it. So a turn on
+# the spot, or the next noisy pose, does not make the robot drive back and forth.
 ARRIVAL = 0.5
 # Angles (rad) to the goal at which a turn on the spot begins and ends.
 TURN_BEYOND = math.radians(60.0)
@@ -30,11 +30,11 @@ LEAST_TOLERANCE = 0.01
 
 
 class GoalDriverError(LabError):
-    """A goal or limits that cannot be driven by."""
+    """A goal or a limit is invalid."""
 
 
 class DrivePhase(Enum):
-    """A part of the drive to a goal."""
+    """A phase of the drive to a goal."""
 
     DRIVING = "driving"
     TURNING = "turning to the goal's heading"
@@ -43,16 +43,16 @@ class DrivePhase(Enum):
 
 @dataclass(frozen=True)
 class GoalLimits:
-    """How fast and how exactly a goal is driven to; the defaults are the course's.
+    """Speeds and tolerances of a drive to a goal; the defaults are the course's.
 
     Attributes:
         speed: m/s.
         turn_speed: rad/s.
-        acceleration: m/s², of speeding up and of braking.
+        acceleration: m/s², for speeding up and for braking.
         turn_acceleration: rad/s².
-        gain: m/s for each metre that is left.
-        turn_gain: rad/s for each radian that is left.
-        tolerance: m from the goal that the robot may stop.
+        gain: m/s for each remaining metre.
+        turn_gain: rad/s for each remaining radian.
+        tolerance: m from the goal within which the robot may stop.
         yaw_tolerance: rad from its heading.
         heading: whether to turn to the goal's heading at the end.
     """
@@ -70,21 +70,22 @@ class GoalLimits:
     def __post_init__(self):
         numbers = [value for value in vars(self).values() if not isinstance(value, bool)]
         if not all(math.isfinite(value) and value > 0.0 for value in numbers):
-            raise GoalDriverError("the limits of a drive to a goal are finite and above 0")
-        if min(self.tolerance, self.yaw_tolerance) < LEAST_TOLERANCE:
-            raise GoalDriverError(f"a tolerance is at least {LEAST_TOLERANCE:g}, in m and in rad")
+            raise GoalDriverError(f"limits {numbers}; all must be finite and > 0")
+        least = min(self.tolerance, self.yaw_tolerance)
+        if least < LEAST_TOLERANCE:
+            raise GoalDriverError(f"tolerance {least:g}; at least {LEAST_TOLERANCE:g} is needed")
 
 
 class GoalDriver:
-    """Says how fast to drive to one goal, tick by tick.
+    """Computes the velocity towards one goal, tick by tick.
 
     Args:
         goal: pose (m, m, rad) in the frame of the odometry.
         limits: for the drive.
-        command: what the robot has been told last, when another goal is given on the way.
+        command: the last command, if the robot is already moving.
 
     Attributes:
-        phase: what is being done.
+        phase: the present one.
         moving: the last command (m/s, rad/s).
 
     Raises:
@@ -102,7 +103,7 @@ class GoalDriver:
         self, goal: PlanarPose, limits: GoalLimits = GoalLimits(), command: Command = STANDSTILL
     ):
         if not all(map(math.isfinite, goal)):
-            raise GoalDriverError("a goal that is not finite")
+            raise GoalDriverError(f"the goal {goal} is not finite")
         self.goal = goal
         self.phase = DrivePhase.DRIVING
         self._limits = limits
@@ -110,11 +111,11 @@ class GoalDriver:
         self._on_the_spot = False
 
     def distance(self, pose: PlanarPose) -> float:
-        """Return how far (m) a pose is from the goal."""
+        """Return the distance (m) of a pose from the goal."""
         return math.hypot(self.goal[0] - pose[0], self.goal[1] - pose[1])
 
     def turn_left(self, pose: PlanarPose) -> float:
-        """Return by how much (rad, in [-pi, pi)) a pose is to be turned to the goal's heading."""
+        """Return the remaining turn (rad, in [-pi, pi)) from a pose to the goal's heading."""
         return wrap(self.goal[2] - pose[2])
 
     def command(self, pose: PlanarPose, seconds: float) -> Command:
@@ -122,22 +123,22 @@ class GoalDriver:
 
         Args:
             pose: m, m, rad.
-            seconds: since the command before, for the accelerations.
+            seconds: since the previous command, for the accelerations.
         """
         v_goal, w_goal = self._control(pose)
         limits, (v, w) = self._limits, self.moving
         v += _clip(v_goal - v, limits.acceleration * seconds)
         w += _clip(w_goal - w, limits.turn_acceleration * seconds)
-        # What is left to brake on arrival is a crawl.
+        # On arrival the speed is so low that no braking is needed.
         self.moving = STANDSTILL if self.phase is DrivePhase.ARRIVED else (v, w)
         return self.moving
 
     def stopped(self) -> None:
-        """Take note that the robot was stopped by somebody else: it starts from rest."""
+        """Start from rest, as something else has stopped the robot."""
         self.moving = STANDSTILL
 
     def _control(self, pose: PlanarPose) -> Command:
-        """Return the velocity to come to, accelerations left out; move on to the next phase."""
+        """Return the velocity without limits of acceleration, and change the phase."""
         limits, left = self._limits, self.distance(pose)
         if self.phase is DrivePhase.DRIVING and left <= ARRIVAL * limits.tolerance:
             self.phase = DrivePhase.TURNING if limits.heading else DrivePhase.ARRIVED

@@ -1,6 +1,6 @@
-"""A driver of squares: by the clock or by odometry, command after command.
+"""Driving squares, open loop by the clock or closed loop by odometry.
 
-It knows neither ROS nor the simulation: who uses it sends the commands, `rate` times a second.
+The code is independent of ROS and of the simulation: its user sends the commands at `rate` Hz.
 """
 
 from __future__ import annotations
@@ -19,36 +19,35 @@ MODES = (OPEN_LOOP, CLOSED_LOOP)
 OPEN_LOOP_RATE = 10.0
 CLOSED_LOOP_RATE = 20.0
 
-# Speeds near the target fall with what is left, down to a crawl: as fast as one may go and still
-# stop within a tolerance at the rate of the odometry, and fast enough to overcome friction.
+# Near the target the speed falls with the remaining distance, down to the slowest speed. This is
+# slow enough to stop within the tolerance at the rate of the odometry, and overcomes friction.
 SLOWING_GAIN = 2.0
 SLOWEST_DRIVE = 0.02
 SLOWEST_TURN = 0.1
 DRIVE_TOLERANCE = 0.001
-# What may be left of a turn, and what may be too much. The two together are wider than the
-# slowest turn without friction goes from one odometry to the next, 0.29°: it cannot jump to and
-# fro over its target for ever.
+# Allowed undershoot and overshoot of a turn. Together they are larger than the slowest turn between
+# two odometry messages without friction, 0.29°, so that the robot cannot oscillate for ever.
 TURN_TOLERANCE = math.radians(0.1)
 TURN_EXCESS = math.radians(0.2)
 
 
 class DriverError(LabError):
-    """A square that cannot be driven."""
+    """A square is invalid."""
 
 
 @dataclass(frozen=True)
 class Square:
-    """A square, or a part of one, or several in a row.
+    """A square, a part of one, or several in a row.
 
     Attributes:
-        sides: how many; a full square has 4, more go round again.
+        sides: number of sides; a full square has 4.
         side: length of one, m.
         speed: on the sides, m/s.
         turn_speed: at the corners, rad/s; negative turns clockwise.
-        turn_commands: how many commands at 10 Hz an open-loop turn takes.
+        turn_commands: number of commands at 10 Hz of an open-loop turn.
 
     Raises:
-        DriverError: no sides, or a length or a speed that makes no sense.
+        DriverError: there are no sides, or a length or a speed is invalid.
 
     Example:
         >>> Square(side=1.0).side_commands
@@ -65,11 +64,11 @@ class Square:
         finite = all(map(math.isfinite, (self.side, self.speed, self.turn_speed)))
         drives = self.side > 0.0 and self.speed > 0.0 and self.turn_speed != 0.0
         if self.sides < 1 or not (finite and drives):
-            raise DriverError("a square has sides, a length and speeds other than 0")
+            raise DriverError(f"{self}: needs sides >= 1, side > 0, speed > 0, turn_speed not 0")
 
     @property
     def side_commands(self) -> int:
-        """How many commands at 10 Hz an open-loop side takes, friction left out; at least one."""
+        """Number of commands at 10 Hz of an open-loop side, without friction; at least one."""
         return max(1, round(OPEN_LOOP_RATE * self.side / self.speed))
 
 
@@ -85,10 +84,10 @@ class ClosedLoopSide:
     """One side and the turn after it, by odometry.
 
     Args:
-        square: what is driven.
+        square: the one to drive.
         start: pose (m, m, rad) at the start of the side.
-        heading: rad, of the side; the turn ends a quarter turn from it. Given for each side as
-            a multiple of a quarter turn, so that errors of the turns do not add up.
+        heading: rad, of the side; the turn ends a quarter turn from it. As each heading is
+            computed from the one before, errors of the turns do not accumulate.
     """
 
     def __init__(self, square: Square, start: PlanarPose, heading: float):
@@ -126,13 +125,13 @@ class ClosedLoopSide:
 
 
 def approach(left: float, fastest: float, slowest: float, gain: float = SLOWING_GAIN) -> float:
-    """Return the speed at which to cover the rest of a way.
+    """Return the speed for the remaining distance or angle.
 
     Args:
-        left: what is left, in m or rad, > 0.
+        left: the remaining distance or angle, in m or rad, > 0.
         fastest: the speed far from the target, in units of `left` per second.
         slowest: the speed close to it, unless `fastest` is slower still.
-        gain: speed for each unit that is left, in between, 1/s.
+        gain: speed for each remaining unit, in between, 1/s.
 
     Example:
         >>> approach(1.0, 0.2, 0.02), approach(0.05, 0.2, 0.02), approach(0.001, 0.2, 0.02)
@@ -145,17 +144,17 @@ _Commands = Generator[Command, Optional[PlanarPose], None]
 
 
 class SquareDriver:
-    """Says what a robot is to do next, at `rate` Hz, until the square is driven.
+    """Computes the commands at `rate` Hz, until the square is driven.
 
     Args:
-        square: what is driven.
-        mode: one of `MODES`, what ends a side.
+        square: the one to drive.
+        mode: one of `MODES`.
 
     Attributes:
         rate: commands per second.
-        needs_pose: whether `command` has to be told where the robot is.
-        sides_done: how many sides have been driven, with the turn after each.
-        distance: m driven so far, of all sides.
+        needs_pose: whether `command` needs the pose of the robot.
+        sides_done: number of sides that have been driven, with the turn after each.
+        distance: m driven so far on all sides.
 
     Raises:
         DriverError: an unknown mode.
@@ -177,10 +176,10 @@ class SquareDriver:
         self._commands: Optional[_Commands] = None
 
     def command(self, pose: Optional[PlanarPose] = None) -> Optional[Command]:
-        """Return the next command (m/s, rad/s), or None once all is driven.
+        """Return the next command (m/s, rad/s), or None at the end.
 
         Args:
-            pose: where the robot is (m, m, rad); of no interest to an open loop.
+            pose: of the robot (m, m, rad); not used in open loop.
         """
         try:
             if self._commands is None:
@@ -208,6 +207,6 @@ class SquareDriver:
             self.sides_done += 1
 
     def _note(self, progress: float) -> None:
-        """Take note of how far (m) along the present side the robot is."""
+        """Update the distance by the progress (m) along the present side."""
         driven = self.sides_done * self._square.side + min(progress, self._square.side)
         self.distance = max(self.distance, driven)

@@ -1,1 +1,1 @@
-"""Noise on odometry that accumulates as the error of real odometry does."""
+"""Noise and systematic errors of odometry: paths, moments, likelihood and calibration."""

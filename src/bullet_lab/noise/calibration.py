@@ -1,66 +1,88 @@
-r"""Parameters of a noise model and of systematic errors from paths with truth: maximum likelihood.
+r"""Maximum likelihood estimates and intervals of noise parameters and systematic errors.
 
-The likelihood is that of `likelihood.residuals`. Its maximum is found by Fisher's scoring with
-Levenberg's damping: for residuals r of variance exp(v),
+The likelihood is that of `Problem`. Its maximum is found by Fisher's scoring with Levenberg's
+damping: for residuals r of variance exp(v),
 
     gradient      sum of -r r' exp(-v) + v' (r² exp(-v) - 1) / 2
     information   sum of  r' r' exp(-v) + v' v' / 2,
 
-with derivatives by differences, so that a model needs to say nothing but its variances. What
-cannot be negative is fitted by its logarithm.
+with derivatives by finite differences, so that a model needs to define its variances only.
 
 An interval holds the values of a parameter for which the others can be chosen so that twice the
 logarithm of the likelihood is at most 3.84 below its maximum, chi-square's 95 % with one degree
-of freedom: the profile likelihood. Unlike one of estimate and standard error, it does not depend
-on how the parameter is written, and near 0 it ends there.
+of freedom: the profile likelihood. Unlike an interval from estimate and standard error, it does
+not depend on the parameterisation, and it does not extend below 0. Its ends are found by false
+position on the root of the fall, which is nearly straight.
 
-Everything is done for many odometries at once.
+All functions work on many odometries at once.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Any, Callable, Dict, Optional, Sequence, Tuple
+from dataclasses import dataclass
+from typing import Dict, Iterator, Sequence, Tuple
 
 import numpy as np
+from scipy.stats import chi2
 
-from bullet_lab.core.parameters import Declaration, declarations
-from bullet_lab.noise.likelihood import PartErrors, StepPairs, part_errors
-from bullet_lab.noise.odometry_noise import NoiseError, NoiseRule, model_named
-from bullet_lab.noise.search import Optimum, Search, beyond_end
-from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.noise.problem import SYSTEMATIC, Problem
 
-SYSTEMATIC = ("scale_error", "base_error", "diameter_error", "gyro_bias_per_metre")
-"""Those of `SystematicErrors` that a path can tell; its wheel_base has to be known."""
+__all__ = ["SYSTEMATIC", "Fit", "Problem", "covariance", "fit", "intervals", "profile"]
 
-_LEVELS = np.geomspace(1e-6, 10.0, 36)
-_UNIT = 0.01  # of what may be negative
-_ROBUST_STEPS = 30
-_DIFFERENCE = 1e-4
-_LARGEST_JUMP = 0.01  # of a residual by _DIFFERENCE; more is an angle that flips
-_ZERO = math.log(1e-10)  # so much of where the search starts is nothing
+INTERVAL = 0.95
+ROOT = math.sqrt(chi2.ppf(INTERVAL, 1))
+"""Root of twice the fall of the logarithm of the likelihood at the ends of an interval."""
+
+_MAX_STEPS = 100
+# Of a search that mostly finds the maximum that is already known.
+_MIRRORED_STEPS = 25
+# Of a search that begins beside the maximum.
+_PROFILE_STEPS = 20
+# Gain by a step at which the search ends; the next step would gain a hundredth of it.
+_ENOUGH = 2e-3
+# Distance to the end of an interval, in standard deviations, at which the search ends.
+_CLOSE = 3e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """What fits best, for each of b odometries; k parameters.
+class Optimum:
+    """A maximum of the likelihood for each of b odometries, by k coordinates.
+
+    Attributes:
+        coordinates: shape (b, k).
+        log_likelihood: natural logarithm, shape (b,).
+        information: Fisher's, in the coordinates, shape (b, k, k).
+    """
+
+    coordinates: np.ndarray
+    log_likelihood: np.ndarray
+    information: np.ndarray
+
+    def some(self, rows: np.ndarray) -> Optimum:
+        """Return those of some of the odometries."""
+        return Optimum(self.coordinates[rows], self.log_likelihood[rows], self.information[rows])
+
+    def replace(self, rows: np.ndarray, other: Optimum) -> None:
+        """Replace those of some of the odometries."""
+        self.coordinates[rows] = other.coordinates[rows]
+        self.log_likelihood[rows] = other.log_likelihood[rows]
+        self.information[rows] = other.information[rows]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(Optimum):
+    """The maximum, with its parameters.
 
     Attributes:
         model: name of the noise model.
         names: of the parameters, those of the model first.
-        estimates: shape (b, k).
-        log_likelihood: at the estimates, shape (b,).
-        coordinates: the estimates as they are fitted, shape (b, k).
-        information: Fisher's, in those coordinates, shape (b, k, k).
+        estimates: of the parameters, shape (b, k).
     """
 
     model: str
     names: Tuple[str, ...]
     estimates: np.ndarray
-    log_likelihood: np.ndarray
-    coordinates: np.ndarray
-    information: np.ndarray
 
     def aic(self) -> np.ndarray:
         """Return Akaike's criterion, shape (b,): less is better."""
@@ -71,247 +93,36 @@ class Fit:
         return dict(zip(self.names, self.estimates[row].tolist()))
 
 
-class Problem:
-    """Which parameters are asked of which steps.
-
-    Args:
-        pairs: steps with truth, of b odometries.
-        model: the noise model, one of `MODELS`.
-        systematic: which of `SYSTEMATIC` are fitted beside its parameters; the others are 0.
-        wheel_base: m, as of `SystematicErrors`.
-        start: coordinates to begin at, shape (k,), where they are known.
-
-    Raises:
-        NoiseError: the model is unknown.
-
-    Attributes:
-        names: of the k parameters, those of the model first.
-        start: coordinates to begin at, shape (b, k).
-        low: limits of the coordinates, shape (k,).
-        high: likewise.
-    """
-
-    def __init__(
-        self,
-        pairs: StepPairs,
-        model: str,
-        systematic: Sequence[str] = (),
-        wheel_base: float = SystematicErrors.wheel_base,
-        start: Optional[np.ndarray] = None,
-    ):
-        self.pairs = pairs
-        self.kind = model_named(model)
-        self.systematic = tuple(systematic)
-        self.wheel_base = wheel_base
-        declared = declarations(self.kind)
-        known = {**declarations(SystematicErrors), **declared}
-        self.names = (*declared, *systematic)
-        self._own = len(declared)
-        limits = np.array([_limits(known[name]) for name in self.names])
-        self.logarithmic = limits[:, 0] >= 0.0
-        self._true = part_errors(pairs)
-        low, self.high = (self.coordinates(limit) for limit in limits.T)
-        self.known = start is not None
-        self.start = self._start() if start is None else np.tile(start, (len(self), 1))
-        self.low = np.where(self.logarithmic, self.start.min(axis=0) + _ZERO, low)
-
-    def __len__(self) -> int:
-        return len(self.pairs.odometry)
-
-    def values(self, coordinates: np.ndarray) -> np.ndarray:
-        """Return the parameters from what is fitted, shapes (b, k)."""
-        return np.where(self.logarithmic, np.exp(coordinates), _UNIT * coordinates)
-
-    def coordinates(self, values: np.ndarray) -> np.ndarray:
-        """Do the opposite of `values`; 0 is what is next to nothing."""
-        positive = np.log(np.maximum(values, 1e-300))
-        return np.where(self.logarithmic, positive, values / _UNIT)
-
-    def rule(self, values: np.ndarray) -> NoiseRule:
-        """Return the rule of b sets of parameters, (b, k), with arrays (b, 1) and unchecked."""
-        return unchecked(self.kind, self.names[: self._own], values)
-
-    def expected(self, values: np.ndarray) -> np.ndarray:
-        """Return the steps that odometry without noise would report, shape (b, n, 3)."""
-        if not self.systematic:
-            return np.broadcast_to(self.pairs.true, (len(values), *self.pairs.true.shape))
-        base = np.full((len(values), 1), self.wheel_base)
-        errors = unchecked(
-            SystematicErrors,
-            (*self.systematic, "wheel_base"),
-            np.hstack((values[:, self._own :], base)),
-        )
-        return errors.steps(self.pairs.true)
-
-    def errors(self, values: np.ndarray, rows: np.ndarray) -> PartErrors:
-        """Return the errors of the parts, of some rows, by their parameters, (rows, k)."""
-        everybody = len(rows) == len(self)
-        if not self.systematic:
-            return self._true if everybody else self._true.some(rows)
-        pairs = self.pairs if everybody else self.pairs.some(rows)
-        return part_errors(pairs, self.expected(values))
-
-    def evaluate(self, values: np.ndarray, errors: PartErrors) -> Tuple[np.ndarray, np.ndarray]:
-        """Return residuals and the logarithms of their variances, of some rows, (rows, 3 n)."""
-        found, variances = errors.residuals(self.rule(values), *self.pairs.truth_variances)
-        shape = (len(values), -1)
-        return found.reshape(shape), np.log(variances).reshape(shape)
-
-    def logarithm(self, coordinates: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Return the logarithm of the likelihood of some rows, (rows,)."""
-        values = self.values(coordinates)
-        return _logarithm(*self.evaluate(values, self.errors(values, rows)))
-
-    def slopes(self, coordinates: np.ndarray, rows: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-        """Return gradient, (rows, k), and Fisher's information, (rows, k, k), of some rows."""
-        values = self.values(coordinates)
-        errors = self.errors(values, rows)
-        found, logarithms = self.evaluate(values, errors)
-        by_found, by_log = (np.empty((len(rows), len(self.names), found.shape[1])) for _ in "  ")
-        for j in range(len(self.names)):
-            moved = coordinates.copy()
-            moved[:, j] += _DIFFERENCE
-            values = self.values(moved)
-            # What noise was added does not depend on the rule.
-            there = errors if j < self._own else self.errors(values, rows)
-            change, log_there = self.evaluate(values, there)
-            change -= found
-            by_found[:, j] = np.where(np.abs(change) < _LARGEST_JUMP, change, 0.0)
-            by_log[:, j] = log_there - logarithms
-        by_found /= _DIFFERENCE
-        by_log /= _DIFFERENCE
-        weight = np.exp(-logarithms)
-        weighted = by_found * weight[:, np.newaxis]
-        excess = 0.5 * (found * found * weight - 1.0)
-        gradient = by_log @ excess[..., np.newaxis] - weighted @ found[..., np.newaxis]
-        information = weighted @ by_found.swapaxes(1, 2) + 0.5 * (by_log @ by_log.swapaxes(1, 2))
-        return gradient[..., 0], information
-
-    def _start(self) -> np.ndarray:
-        """Return the level of noise that fits best, as coordinates, shape (b, k)."""
-        values = np.zeros((len(self), len(self.names)))
-        errors = self._true
-        if self.systematic:
-            values[:, self._own :] = self._robust()
-            errors = part_errors(self.pairs, self.expected(values))
-        found, best = np.full(len(self), -np.inf), values.copy()
-        for level in _LEVELS.tolist():
-            try:
-                rule = self.kind.at_level(level)
-            except NoiseError:
-                continue
-            own = [max(getattr(rule, name), 1e-3 * level**2) for name in self.names[: self._own]]
-            values[:, : self._own] = own
-            logarithms = _logarithm(*self.evaluate(values, errors))
-            better = logarithms > found
-            found[better], best[better] = logarithms[better], values[better]
-        return self.coordinates(best)
-
-    def _robust(self) -> np.ndarray:
-        """Return systematic errors that make those of the parts small, in absolute values, (b, s).
-
-        By squares those of turns would drown the far smaller ones of ways, and the other way
-        round; noise in proportion to a part is next to nothing where the part is.
-        """
-        values = np.zeros((len(self), len(self.names)))
-        for share in np.geomspace(1.0, 1e-4, _ROBUST_STEPS):
-            here = self._raw(values)
-            columns = []
-            for j in range(self._own, len(self.names)):
-                moved = values.copy()
-                moved[:, j] += _UNIT * _DIFFERENCE
-                columns.append((self._raw(moved) - here) / (_UNIT * _DIFFERENCE))
-            slopes = np.stack(columns, axis=1)
-            typical = np.median(np.abs(here), axis=1, keepdims=True) + 1e-12
-            weighted = slopes / (here**2 + (share * typical) ** 2)[:, np.newaxis]
-            flat = (len(self), len(self.systematic), -1)
-            weighted, slopes = weighted.reshape(flat), slopes.reshape(flat)
-            matrix = weighted @ slopes.swapaxes(1, 2)
-            least = 1e-9 * np.trace(matrix, axis1=1, axis2=2) + 1e-12
-            matrix += least[:, np.newaxis, np.newaxis] * np.eye(flat[1])
-            pull = weighted @ here.reshape(len(self), -1, 1)
-            values[:, self._own :] -= np.linalg.solve(matrix, pull)[..., 0]
-            values = self.values(np.clip(self.coordinates(values), -self.high, self.high))
-        return values[:, self._own :]
-
-    def _raw(self, values: np.ndarray) -> np.ndarray:
-        errors = part_errors(self.pairs, self.expected(values))
-        return np.stack((errors.sideways, errors.along, errors.turned), axis=-1)
-
-
-def _logarithm(found: np.ndarray, logarithms: np.ndarray) -> np.ndarray:
-    terms = found * found * np.exp(-logarithms) + logarithms
-    return -0.5 * (terms.sum(axis=1) + terms.shape[1] * math.log(2.0 * math.pi))
-
-
-def _limits(declaration: Declaration) -> Tuple[float, float]:
-    """Return between which values a parameter may be."""
-
-    def allowed(value: float) -> bool:
-        try:
-            declaration.check.accept(value)
-        except (ValueError, TypeError, LookupError, OverflowError):
-            return False
-        return True
-
-    return -_farthest(lambda size: allowed(-size)), _farthest(allowed)
-
-
-def _farthest(allowed: Callable[[float], bool]) -> float:
-    """Return up to which size, of a million at most, values are allowed; 0 is."""
-    low, high = 0.0, 1e6
-    if allowed(high):
-        return high
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if allowed(middle) else (low, middle)
-    return low
-
-
-def unchecked(kind: type, names: Sequence[str], values: np.ndarray) -> Any:
-    """Return an object with parameters that are arrays of shape (b, 1), from an array (b, k).
-
-    Other fields have their defaults.
-    """
-    made = object.__new__(kind)
-    for entry in fields(kind):
-        object.__setattr__(made, entry.name, np.full((len(values), 1), entry.default))
-    for name, column in zip(names, values.T):
-        object.__setattr__(made, name, column[:, np.newaxis])
-    return made
-
-
 def fit(problem: Problem) -> Fit:
-    """Return what fits best."""
-    search, rows = Search(problem), np.arange(len(problem))
-    best = search.maximise(rows, problem.start)
-    for _, other in () if problem.known else search.mirrored(best):
-        better = np.flatnonzero(other.log_likelihood > best.log_likelihood)
-        best.replace(better, other.some(better))
-    nothing = problem.logarithmic & (best.coordinates <= problem.low)
+    """Return the fit with the largest likelihood."""
+    search = Search(problem)
+    best = search.maximise(np.arange(len(problem)), problem.start)
+    if not problem.known:
+        for _, other in search.mirrored(best):
+            best.replace(other.log_likelihood > best.log_likelihood, other)
+    is_zero = problem.logarithmic & (best.coordinates <= problem.low)
     return Fit(
+        best.coordinates,
+        best.log_likelihood,
+        best.information,
         problem.kind.name,
         problem.names,
-        np.where(nothing, 0.0, problem.values(best.coordinates)),
-        best.log_likelihood,
-        best.coordinates,
-        best.information,
+        np.where(is_zero, 0.0, problem.values(best.coordinates)),
     )
 
 
 def intervals(problem: Problem, found: Fit) -> np.ndarray:
-    """Return the 95 % intervals of a fit, shape (b, k, 2): from where to where.
+    """Return the 95 % intervals of a fit, shape (b, k, 2): lower and upper ends.
 
-    0 or infinity where the likelihood does not end them. A parameter of which the steps say
-    nothing has the interval from 0, or minus infinity, to infinity. Where the likelihood has a
-    second maximum that cannot be ruled out, with an error of the other sign, the interval goes
-    from the lowest to the highest value that either gives.
+    An end is 0 or infinite if the likelihood does not limit the interval there. If the steps do not
+    depend on a parameter, its interval goes from 0, or minus infinity, to infinity. If the
+    likelihood has a second maximum that cannot be excluded, with an error of the other sign, the
+    interval goes from the lowest to the highest value of both.
     """
-    search, rows = Search(problem), np.arange(len(problem))
-    best = Optimum(found.coordinates, found.log_likelihood, found.information)
-    ends = search.ends(rows, best, found.log_likelihood)
-    for j, other in search.mirrored(best):
-        elsewhere = other.coordinates[:, j] * best.coordinates[:, j] < 0.0
+    search = Search(problem)
+    ends = search.ends(np.arange(len(problem)), found, found.log_likelihood)
+    for j, other in search.mirrored(found):
+        elsewhere = other.coordinates[:, j] * found.coordinates[:, j] < 0.0
         possible = beyond_end(found.log_likelihood, other.log_likelihood) < 0.0
         rows = np.flatnonzero(elsewhere & possible)
         more = search.ends(rows, other.some(rows), found.log_likelihood[rows])
@@ -321,19 +132,21 @@ def intervals(problem: Problem, found: Fit) -> np.ndarray:
 
 
 def profile(problem: Problem, found: Fit, name: str, values: Sequence[float]) -> np.ndarray:
-    """Return how much twice the logarithm of the likelihood falls where a parameter is held.
+    """Return by how much twice the logarithm of the likelihood falls if a parameter is held fixed.
 
     Args:
         problem: one odometry, b = 1.
         found: its fit.
         name: of the parameter.
-        values: at which it is held, in order.
+        values: at which it is held fixed, in order.
 
     Returns:
-        The falls, >= 0, in the order of the values; 3.84 is where the interval ends.
+        The falls, >= 0, in the order of the values; the interval ends at 3.84.
     """
-    search, j = Search(problem), found.names.index(name)
-    falls, start = [], found.coordinates.copy()
+    search = Search(problem)
+    j = found.names.index(name)
+    falls = []
+    start = found.coordinates.copy()
     for value in values:
         held = np.full_like(found.coordinates, value)
         start[:, j] = np.maximum(problem.coordinates(held)[:, j], problem.low[j])
@@ -341,3 +154,160 @@ def profile(problem: Problem, found: Fit, name: str, values: Sequence[float]) ->
         start = reached.coordinates.copy()
         falls.append(2.0 * (found.log_likelihood[0] - reached.log_likelihood[0]))
     return np.maximum(falls, 0.0)
+
+
+class Search:
+    """Finds maxima of the likelihood, and ends of intervals."""
+
+    def __init__(self, problem: Problem):
+        self._problem = problem
+        self._low = problem.low
+        self._high = problem.high
+        self._longest = np.where(problem.logarithmic, 4.0, 30.0)
+
+    def maximise(
+        self, rows: np.ndarray, start: np.ndarray, held: int = -1, most: int = _MAX_STEPS
+    ) -> Optimum:
+        """Find the maximum for some of the odometries; coordinate `held`, if >= 0, is fixed."""
+        x = np.clip(start, self._low, self._high)
+        count, k = x.shape
+        best = self._problem.logarithm(x, rows)
+        information = np.zeros((count, k, k))
+        damping = np.full(count, 1e-4)
+        running = np.arange(count)
+        for _ in range(most):
+            if not running.size:
+                break
+            here = x[running]
+            gradient, information[running] = self._problem.slopes(here, rows[running])
+            step, gain = self._step(here, gradient, information[running], damping[running], held)
+            there = np.clip(here + step, self._low, self._high)
+            reached = self._problem.logarithm(there, rows[running])
+            better = reached > best[running]
+            moved = running[better]
+            x[moved], best[moved] = there[better], reached[better]
+            damping[running] *= np.where(better, 0.1, 10.0)
+            running = running[(gain > _ENOUGH) & (damping[running] < 1e6)]
+        return Optimum(x, best, information)
+
+    def mirrored(self, best: Optimum) -> Iterator[Tuple[int, Optimum]]:
+        """Yield the index of each systematic error, and the maxima found from its other sign.
+
+        If the noise is in proportion to a part that only an error causes, the noise vanishes as the
+        error goes through 0, and there is a maximum on either side.
+        """
+        for j in np.flatnonzero(~self._problem.logarithmic):
+            start = best.coordinates.copy()
+            start[:, j] *= -1.0
+            yield int(j), self.maximise(np.arange(len(start)), start, most=_MIRRORED_STEPS)
+
+    def ends(self, rows: np.ndarray, optimum: Optimum, best: np.ndarray) -> np.ndarray:
+        """Return the ends of the intervals around a maximum, (rows, k, 2).
+
+        Args:
+            rows: of the odometries.
+            optimum: for each of them.
+            best: logarithm of the largest likelihood, (rows,).
+        """
+        every = range(optimum.coordinates.shape[1])
+        found = [[self._end(rows, optimum, best, j, s) for s in (-1.0, 1.0)] for j in every]
+        return np.moveaxis(np.array(found), -1, 0)
+
+    def _end(
+        self, rows: np.ndarray, optimum: Optimum, best: np.ndarray, j: int, side: float
+    ) -> np.ndarray:
+        """Return the lower (side -1) or upper (1) end of the interval of parameter j."""
+        limit = (self._low if side < 0.0 else self._high)[j]
+        warm = optimum.coordinates.copy()
+        tangent = self._tangent(optimum, j)
+        inner = warm[:, j].copy()
+        below = beyond_end(best, optimum.log_likelihood)
+        outer = np.full(len(rows), side * np.inf)
+        above = np.full(len(rows), np.nan)
+        reach = self._first_reach(optimum, j)
+        running = np.arange(len(rows))
+        for _ in range(_MAX_STEPS):
+            running = running[side * (limit - inner[running]) > 0.0]
+            if not running.size:
+                break
+            tried = _next(
+                inner[running], below[running], outer[running], above[running], reach[running], side
+            )
+            tried = np.minimum(side * tried, side * limit) * side
+            start = warm[running]
+            start += tangent[running] * (tried - start[:, j])[:, np.newaxis]
+            start[:, j] = tried
+            reached = self.maximise(rows[running], start, j, _PROFILE_STEPS)
+            warm[running] = reached.coordinates
+            beyond = beyond_end(best[running], reached.log_likelihood)
+            _narrow(running, tried, beyond, inner, below, outer, above)
+            reach[running] *= 2.0
+            close = (np.abs(beyond) < _CLOSE) | (np.abs(outer[running] - inner[running]) < 1e-6)
+            running = running[~close]
+        at_limit = side * (limit - inner) <= 0.0
+        x = optimum.coordinates.copy()
+        x[:, j] = np.where(np.abs(above) < np.abs(below), outer, inner)
+        nothing = 0.0 if side < 0.0 and self._problem.logarithmic[j] else side * np.inf
+        return np.where(at_limit, nothing, self._problem.values(x)[:, j])
+
+    def _first_reach(self, found: Optimum, j: int) -> np.ndarray:
+        """Return about the half width of the interval of parameter j, from the information."""
+        inverse, scale = covariance(found.information)
+        error = np.sqrt(np.maximum(inverse[:, j, j], 1.0)) / scale[:, j]
+        return 1.02 * ROOT * np.minimum(error, 0.5 * self._longest[j])
+
+    def _tangent(self, found: Optimum, j: int) -> np.ndarray:
+        """Return by how much all coordinates change with that of parameter j, (b, k)."""
+        inverse, scale = covariance(found.information)
+        along = inverse[:, :, j] / inverse[:, j, j, np.newaxis]
+        slopes = along * scale[:, j, np.newaxis] / scale
+        return np.where(found.coordinates > self._low, slopes, 0.0)
+
+    def _step(
+        self,
+        x: np.ndarray,
+        gradient: np.ndarray,
+        information: np.ndarray,
+        damping: np.ndarray,
+        held: int,
+    ) -> Tuple[np.ndarray, np.ndarray]:
+        """Return the step, and its gain if the likelihood were a parabola."""
+        outwards = ((x <= self._low) & (gradient < 0.0)) | ((x >= self._high) & (gradient > 0.0))
+        free = ~outwards & (np.arange(x.shape[1]) != held)
+        gradient = np.where(free, gradient, 0.0)
+        diagonal = np.diagonal(information, axis1=1, axis2=2)
+        extra = np.where(free, damping[:, np.newaxis] * diagonal + 1e-14, 1.0)
+        both = free[:, :, np.newaxis] & free[:, np.newaxis, :]
+        matrix = np.where(both, information, 0.0) + extra[:, :, np.newaxis] * np.eye(x.shape[1])
+        step = np.linalg.solve(matrix, gradient[..., np.newaxis])[..., 0]
+        gain = 0.5 * np.sum(gradient * step, axis=1)
+        return np.clip(step, -self._longest, self._longest), gain
+
+
+def covariance(information: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the inverse of information scaled to diagonals of 1, (b, k, k), and scales, (b, k)."""
+    scale = np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-12))
+    relative = information / (scale[:, :, np.newaxis] * scale[:, np.newaxis, :])
+    return np.linalg.inv(relative + 1e-9 * np.eye(scale.shape[1])), scale
+
+
+def beyond_end(best: np.ndarray, logarithm: np.ndarray) -> np.ndarray:
+    """Return how far beyond the end of an interval a likelihood is, in standard deviations."""
+    return np.sqrt(np.maximum(2.0 * (best - logarithm), 0.0)) - ROOT
+
+
+def _next(inner, below, outer, above, reach, side: float) -> np.ndarray:
+    """Return the next point to try: farther out, or between points on both sides of the root."""
+    with np.errstate(invalid="ignore"):
+        # The false position, or the middle if the outer point is too far for it to be accurate.
+        share = np.clip(-below / (above - below), 0.05, 0.95)
+        share = np.where(above > 4.0 * ROOT, 0.5, share)
+        between = inner + share * (outer - inner)
+    return np.where(np.isfinite(outer), between, inner + side * reach)
+
+
+def _narrow(rows, tried, beyond, inner, below, outer, above) -> None:
+    """Replace the inner or the outer point by the one that was tried."""
+    out = beyond >= 0.0
+    outer[rows[out]], above[rows[out]] = tried[out], beyond[out]
+    inner[rows[~out]], below[rows[~out]] = tried[~out], beyond[~out]

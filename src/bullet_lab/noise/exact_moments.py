@@ -1,4 +1,7 @@
-r"""Mean and covariance of a noisy path without drawing one: exactly, and to first order.
+r"""Mean and covariance of a noisy path without sampling: exact, to first order, and on SE(2).
+
+Cartesian moments
+-----------------
 
 For independent Gaussian noise, P = x + iy, step k of signed length d_k along psi_k, noise e1_k,
 et_k and e2_k of variances a_k, s_k² and b_k. Translation k is laid along psi_k + H_k, where
@@ -29,19 +32,58 @@ covariance, so that nothing is lost to rounding where the noise is small:
 With C = E |P - E P|² and G = E (P - E P)²: Var x, Var y = (C ± Re G) / 2, Cov(x, y) = Im G / 2.
 The inner sums over j < k are running sums, so all poses of a path take O(n).
 
-The covariance to first order is what the recursion F S F' + G Q G' of textbooks adds up to: noise
-of the heading at pose m moves pose n by i (P_n - P_m) per radian.
+The covariance to first order is the sum of the textbooks' recursion F S F' + G Q G': noise of the
+heading at pose m moves pose n by i (P_n - P_m) per radian.
+
+Moments in exponential coordinates
+----------------------------------
+The end poses of noisy paths form a cloud that is bent like a banana. In the coordinates of
+`se2.logarithm`, of the noisy pose as seen from the perfect one, it is nearly Gaussian (A. W. Long,
+K. C. Wolfe, M. J. Mashner, G. S. Chirikjian: The banana distribution is Gaussian, Robotics: Science
+and Systems, 2012). To first order their covariance is that of (x, y, heading): both axes and levers
+are the same. Far from the start that is not accurate enough, so mean and covariance are exact here.
+
+With p the error of the position, H that of the heading, h the same within half a turn and
+f(h) = (h/2) (cot(h/2) - i), the coordinates are v = f(h) p and h. As functions of H alone, f, |f|²,
+f² and so on are turned into a Fourier series, f(H) = sum_c F_c exp(icH); what remains are
+
+    M(c) = E p exp(icH),   S(c) = E |p|² exp(icH),   G(c) = E p² exp(icH),
+
+and E v = sum_c F_c M(c), E |v|² = sum_c |F|²_c S(c), and so on. As H gains a rotation, each is
+multiplied by exp(-c² w / 2), w its variance. With translation k, let w_k = d_k exp(i psi_k) and
+phi(c) = E exp(icH) = exp(-c² V_k / 2); p becomes p + (w_k + et_k exp(i psi_k)) exp(iH) - w_k and
+
+    M(c) += w_k (phi(c+1) - phi(c)),
+    S(c) += 2 Re(conj(w_k) (M(c-1) - M(c)))
+            + d_k² (2 phi(c) - phi(c+1) - phi(c-1)) + s_k² phi(c),
+    G(c) += 2 w_k (M(c+1) - M(c))
+            + w_k² (phi(c+2) - 2 phi(c+1) + phi(c)) + s_k² exp(2i psi_k) phi(c+2).
+
+S leaves out what is odd in c, which the coefficients of |f|² do not see, as |f| is even in h.
+
+The series need not have the period of a turn. If H is small, a period of `_SPAN` of its standard
+deviations is enough, and so are `_HARMONICS`, as M, S and G fall as exp(-c² V / 2).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from bullet_lab.core.se2 import straightening
 from bullet_lab.noise.noisy_paths import NoisySteps
 
 _NO_VARIANCE = 1e-300
+# Standard deviations of the heading; 1e-12 of all headings are beyond.
+_SPAN = 14.0
+# To either side; if the period is _SPAN, 7.2 standard deviations of c.
+_HARMONICS = 16
+# Of the integral for a coefficient, for up to 16 waves.
+_NODES = 128
+# rad²; below it, first order is right to rounding.
+_LEAST_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +105,12 @@ class Moments:
         return np.sqrt(bias + np.maximum(spread, 0.0))
 
     def about_perfect(self) -> np.ndarray:
-        """Return E(e e') of the errors themselves, shape (n+1, 3, 3): `NoisyPath` publishes it."""
+        """Return E(e e') of the errors, shape (n+1, 3, 3): the covariance of `NoisyPath`."""
         return self.covariance + self.mean[:, :, None] * self.mean[:, None, :]
 
 
 def exact_moments(steps: NoisySteps) -> Moments:
-    """Return the moments for independent Gaussian noise; see the head of this module.
+    """Return the moments for independent Gaussian noise; the module docstring derives them.
 
     >>> from bullet_lab.noise.noisy_paths import noisy_steps
     >>> from bullet_lab.noise.odometry_noise import ProbabilisticRule
@@ -79,18 +121,18 @@ def exact_moments(steps: NoisySteps) -> Moments:
     """
     d, s2, unit = steps.trans, steps.variance_trans, steps.direction
     turned, v = steps.variance1 + steps.variance2, _acting_variances(steps)
-    way, faded = d * unit, np.exp(-0.5 * v)
+    step, faded = d * unit, np.exp(-0.5 * v)
     lost = np.expm1(-v)
 
-    earlier = _fading_sum(-way.conj() * lost, np.exp(-0.5 * np.diff(v)))
-    c = s2 - d * d * lost + 2.0 * (way * earlier).real
-    earlier = _from_zero(np.cumsum(way * faded * lost))[:-1]
+    earlier = _fading_sum(-step.conj() * lost, np.exp(-0.5 * np.diff(v)))
+    c = s2 - d * d * lost + 2.0 * (step * earlier).real
+    earlier = _from_zero(np.cumsum(step * faded * lost))[:-1]
     g = unit * unit * (s2 * np.exp(-2.0 * v) + d * d * np.exp(-v) * lost)
-    g += 2.0 * way * faded * earlier
-    heading = 1j * v * way * faded
+    g += 2.0 * step * faded * earlier
+    heading = 1j * v * step * faded
 
-    # The mean of P less the perfect P, again without subtracting what is nearly the same.
-    shift = way * np.expm1(-0.5 * v)
+    # The mean of P minus the perfect P, without subtracting numbers that are nearly equal.
+    shift = step * np.expm1(-0.5 * v)
     mean = _from_zero(np.cumsum(shift))
     return Moments(
         np.column_stack([mean.real, mean.imag, np.zeros(len(mean))]),
@@ -134,7 +176,7 @@ def first_order_moments(steps: NoisySteps) -> Moments:
 def quadratic_covariances(steps: NoisySteps) -> np.ndarray:
     """Return the covariance of what is quadratic in the noise, at each pose.
 
-    To second order, translation k errs by
+    To second order, the error of translation k is
 
         exp(i psi_k) (et_k + i d_k H_k + i et_k H_k - d_k H_k² / 2).
 
@@ -142,35 +184,35 @@ def quadratic_covariances(steps: NoisySteps) -> np.ndarray:
 
         Cov(H_j², H_k²) = 2 V_j²,    Var(et_k H_k) = s_k² V_k,
 
-    and all else is uncorrelated. Where their share of the exact covariance is small in each
+    and all else is uncorrelated. If their share of the exact covariance is small in each
     direction, the error is nearly Gaussian; see `quadratic_shares`.
 
     Returns:
-        Of the errors of x (m), y (m) and heading (rad), shape (n+1, 3, 3); the heading has none.
+        Of the errors of x (m), y (m) and heading (rad), shape (n+1, 3, 3); 0 for the heading.
     """
     s2, unit = steps.variance_trans, steps.direction
     v = _acting_variances(steps)
-    way = steps.trans * unit
-    bent = way * v * v
+    step = steps.trans * unit
+    bent = step * v * v
     before = _from_zero(np.cumsum(bent))[:-1]
-    c = s2 * v + 0.5 * (bent * way.conj()).real + (way * before.conj()).real
-    g = -s2 * v * unit * unit + 0.5 * bent * way + way * before
+    c = s2 * v + 0.5 * (bent * step.conj()).real + (step * before.conj()).real
+    g = -s2 * v * unit * unit + 0.5 * bent * step + step * before
     c, g = (_from_zero(np.cumsum(terms)) for terms in (c, g))
     return _covariance(c, g, 0.0 * g, 0.0)
 
 
 def quadratic_shares(quadratic, covariance) -> np.ndarray:
-    """Return which share of the variance is quadratic in the noise, where that is largest.
+    """Return the largest share of the variance that is quadratic in the noise, of all directions.
 
-    It is the largest of u' Q u / u' C u over all directions u of (x, y, heading): 0 for an error
-    that is Gaussian, and some 1 for a banana.
+    It is the largest of u' Q u / u' C u over all directions u of (x, y, heading): 0 for a Gaussian
+    error, and about 1 for one that is bent like a banana.
 
     Args:
         quadratic: Q, `quadratic_covariances` at some poses, shape (..., 3, 3).
         covariance: C, the exact ones there, of the same shape.
 
     Returns:
-        Shape (...); 0 where there is no noise.
+        Shape (...); 0 if there is no noise.
 
     >>> from bullet_lab.noise.noisy_paths import noisy_steps
     >>> from bullet_lab.noise.odometry_noise import RateInvariantRule
@@ -185,9 +227,91 @@ def quadratic_shares(quadratic, covariance) -> np.ndarray:
     """
     scale = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), _NO_VARIANCE))
     size = scale[..., :, None] * scale[..., None, :]
-    # What has no variance at all has no share in it.
+    # The pseudo-inverse gives a share of 0 to directions without variance.
     inverse = np.linalg.pinv(covariance / size, rcond=1e-12, hermitian=True)
     return np.linalg.eigvals((quadratic / size) @ inverse).real.max(axis=-1)
+
+
+def exponential_moments(steps: NoisySteps, at) -> Moments:
+    """Return mean and covariance of the error in exponential coordinates, at some poses.
+
+    Args:
+        steps: of the perfect path.
+        at: indices of the poses, in increasing order, shape (k,).
+
+    Returns:
+        Of the `logarithm` of (x, y, heading), noisy minus perfect, in m and rad, along the axes of
+        the odometry frame: mean (k, 3), covariance (k, 3, 3).
+
+    >>> from bullet_lab.noise.noisy_paths import noisy_steps
+    >>> from bullet_lab.noise.odometry_noise import RateInvariantRule
+    >>> line = [(0.5 * k, 0.0, 0.0) for k in range(81)]
+    >>> steps = noisy_steps(line, RateInvariantRule(0.1))
+    >>> exponential_moments(steps, [80]).covariance[0].diagonal().round(2)
+    array([  5.89, 210.  ,   0.4 ])
+    >>> first_order_moments(steps).covariance[-1].diagonal().round(2)
+    array([  0.4 , 213.35,   0.4 ])
+    """
+    at = np.asarray(at, dtype=int)
+    first = first_order_moments(steps)
+    mean, covariance = first.mean[at], first.covariance[at]
+    variance = covariance[:, 2, 2]
+    known = variance > _LEAST_VARIANCE
+    if known.any():
+        period = np.minimum(math.tau, _SPAN * np.sqrt(variance[known]))
+        c = math.tau / period[:, None] * np.arange(-_HARMONICS, _HARMONICS + 1)
+        harmonics = _harmonics(steps, at[known], c)
+        mean[known], covariance[known] = _moments(period, c, variance[known], *harmonics)
+    return Moments(mean, covariance)
+
+
+def _harmonics(steps: NoisySteps, at: np.ndarray, c: np.ndarray):
+    """Return M, S and G for each pose and its c, shape (k, 33); see the module docstring."""
+    shifted = c + np.array([-1.0, 0.0, 1.0, 2.0])[:, None, None]
+    rates = -0.5 * shifted * shifted
+    phi = np.ones(shifted.shape)
+    m, g = (np.zeros(shape, dtype=complex) for shape in (phi[:3].shape, c.shape))
+    s = np.zeros(c.shape)
+    found = np.empty((3, *c.shape), dtype=complex)
+    turned = np.concatenate([[0.0], steps.variance2[:-1]]) + steps.variance1
+    columns = (turned, steps.trans * steps.direction, steps.variance_trans, steps.direction**2)
+    poses = np.arange(1, len(steps) + 1)
+    for pose, turn, step, s2, twice in zip(poses, *(column.tolist() for column in columns)):
+        if turn:
+            decay = np.exp(turn * rates)
+            phi *= decay
+            m *= decay[:3]
+            s *= decay[1]
+            g *= decay[1]
+        if step or s2:
+            s += 2.0 * (step.conjugate() * (m[0] - m[1])).real
+            s += abs(step) ** 2 * (2.0 * phi[1] - phi[0] - phi[2]) + s2 * phi[1]
+            g += 2.0 * step * (m[2] - m[1]) + s2 * twice * phi[3]
+            g += step * step * (phi[3] - 2.0 * phi[2] + phi[1])
+            m += step * (phi[1:] - phi[:3])
+        for row in np.flatnonzero(at == pose):
+            found[:, row] = np.stack([m[1, row], s[row], g[row]])
+    last = np.exp(steps.variance2[at - 1][:, None] * rates[1])
+    return found * last
+
+
+def _moments(period, c, variance, m, s, g):
+    """Return mean and covariance of (v, h) from M, S and G, their c and its period."""
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    h = 0.5 * period[:, None] * nodes
+    waves = np.exp(-1j * c[:, :, None] * h[:, None, :]) * (0.5 * weights)
+    straight = straightening(h)
+
+    def mean_of(function: np.ndarray, harmonics: np.ndarray) -> np.ndarray:
+        return np.einsum("kcn,kn,kc->k", waves, function, harmonics, optimize=True)
+
+    v = mean_of(straight, m)
+    size = mean_of(np.abs(straight) ** 2, s).real - np.abs(v) ** 2
+    pseudo = mean_of(straight**2, g) - v * v
+    cross = mean_of(h * straight, m)
+    turned = mean_of(h * h, np.exp(-0.5 * c * c * variance[:, None])).real
+    mean = np.column_stack([v.real, v.imag, np.zeros(len(v))])
+    return mean, _covariance(size, pseudo, cross, turned)
 
 
 def _acting_variances(steps: NoisySteps) -> np.ndarray:

@@ -1,15 +1,15 @@
-"""Whether a fitted noise model is what made the odometry, by its whitened residuals.
+"""Goodness of fit of a noise model, from its whitened residuals.
 
-If it is, they are standard normal and know nothing of each other. Three things are asked:
+If the model is right, they are standard normal and independent. Three tests:
 
-    shape       how far their distribution is from the normal one (Kolmogorov and Smirnov)
+    shape       distance of their distribution from the normal one (Kolmogorov and Smirnov)
     size        the mean square of each part, which is 1
-    neighbours  the correlation of each part with the same of the next step, which is 0
+    neighbours  the correlation of each part with that of the next step, which is 0
 
-The parameters come from the same residuals, which makes those look better than they are. How much
-is found out by data drawn from the fitted model and fitted again (parametric bootstrap). Long
-paths are drawn as far as some hundred of their steps: distributions of square roots of n times a
-deviation do not depend on n.
+The parameters are estimated from the same residuals, so these look better than they are. A
+parametric bootstrap, data drawn from the fitted model and fitted again, measures by how much. Of
+long paths a few hundred steps are drawn: the distribution of sqrt(n) times a deviation does not
+depend on n.
 """
 
 from __future__ import annotations
@@ -27,10 +27,12 @@ from bullet_lab.noise.odometry_noise import rule_of
 
 SIGNIFICANCE = 0.05
 _REPLICAS = 199
-_MOST_STEPS = 400
-_FEWEST = 8
-_LEAST_SPREAD = 0.05
-_SAID = {
+# Steps of a replica.
+_MAX_STEPS = 400
+# Residuals that a mean square or a correlation needs.
+_MIN_COUNT = 8
+_MIN_SPREAD = 0.05
+_PART_NAMES = {
     "rot1": "the turn before the way",
     "trans": "the way",
     "rot2": "the turn after the way",
@@ -42,13 +44,13 @@ class Goodness:
     """How well a fitted model describes the steps.
 
     Attributes:
-        whitened: residuals over their standard deviations, NaN for nothing to judge, (n, 3).
+        whitened: residuals over their standard deviations, NaN as of `likelihood.whitened`, (n, 3).
         distance: of their distribution from the normal one (Kolmogorov and Smirnov), 0 to 1.
         shape_p: p-value of that.
-        mean_squares: of the parts rot1, trans and rot2; 1 is right, NaN for nothing seen, (3,).
-        size_p: p-value of the one that is farthest off, three taken into account.
+        mean_squares: of the parts rot1, trans and rot2; 1 is right, NaN if too few, (3,).
+        size_p: p-value of the one that is farthest from 1, corrected for three tests.
         correlations: of each part with that of the next step, (3,).
-        neighbours_p: likewise.
+        neighbours_p: p-value of the one that is farthest from 0, corrected likewise.
         nees: mean of the squares of a step, over the number of its parts; 1 is right.
     """
 
@@ -63,16 +65,16 @@ class Goodness:
 
     @property
     def p_value(self) -> float:
-        """Of all three questions together (Bonferroni)."""
+        """Of all three tests together (Bonferroni)."""
         return min(1.0, 3.0 * min(self.shape_p, self.size_p, self.neighbours_p))
 
     @property
     def fits(self) -> bool:
-        """Whether nothing speaks against the model at the level of `SIGNIFICANCE`."""
+        """Whether no test rejects the model at the level of `SIGNIFICANCE`."""
         return self.p_value >= SIGNIFICANCE
 
     def words(self) -> List[str]:
-        """Return what speaks against the model; empty where it fits."""
+        """Return a sentence for each test that rejects the model; empty if it fits."""
         found = []
         limit = SIGNIFICANCE / 3.0
         if self.shape_p < limit:
@@ -83,7 +85,8 @@ class Goodness:
         if self.size_p < limit:
             part = int(np.nanargmax(np.abs(np.log(self.mean_squares))))
             times = math.sqrt(self.mean_squares[part])
-            found.append(f"{_SAID[PARTS[part]]} is {times:.2g} times as noisy as the model has it")
+            name = _PART_NAMES[PARTS[part]]
+            found.append(f"{name} is {times:.2g} times as noisy as the model has it")
         if self.neighbours_p < limit:
             part = int(np.nanargmax(np.abs(self.correlations)))
             value = self.correlations[part]
@@ -92,13 +95,13 @@ class Goodness:
                 if value > 0.0
                 else "the truth's own noise (truth_std_m, truth_std_rad), or too short steps"
             )
-            said = f"correlation {value:.2f} in {_SAID[PARTS[part]]}"
-            found.append(f"errors of neighbouring steps go together ({said}): {why}")
+            where = f"correlation {value:.2f} in {_PART_NAMES[PARTS[part]]}"
+            found.append(f"errors of neighbouring steps go together ({where}): {why}")
         return found
 
 
 def goodness(problem: Problem, found: Fit, follows: np.ndarray, seed: int) -> Goodness:
-    """Judge the fit of a problem with one odometry.
+    """Test the fit of a problem with one odometry.
 
     Args:
         problem: one odometry, b = 1.
@@ -133,12 +136,12 @@ def _whitened(problem: Problem, found: Fit) -> np.ndarray:
 
 
 def _replicas(problem: Problem, found: Fit, seed: int):
-    """Return the scaled distances of replicas, and the deviation of scaled mean squares, (3,)."""
+    """Return the scaled distances of replicas, and the spread of their mean squares, (3,)."""
     generator = np.random.default_rng([seed, 2])
     pairs = problem.pairs
     chosen = np.arange(len(pairs.true))
-    if len(chosen) > _MOST_STEPS:
-        chosen = np.sort(generator.choice(chosen, _MOST_STEPS, replace=False))
+    if len(chosen) > _MAX_STEPS:
+        chosen = np.sort(generator.choice(chosen, _MAX_STEPS, replace=False))
     part = StepPairs(
         pairs.true[chosen], pairs.odometry[:, chosen], pairs.truth_std_m, pairs.truth_std_rad
     )
@@ -164,8 +167,8 @@ def _replicas(problem: Problem, found: Fit, seed: int):
     squares = np.array([_mean_squares(z) for z in seen])
     with np.errstate(invalid="ignore"):
         spread = np.sqrt(np.mean(counts * (squares - 1.0) ** 2, axis=0))
-    # One that a parameter of its own makes 1 is never off by more than rounding.
-    spread = np.maximum(spread, _LEAST_SPREAD)
+    # A mean square that a parameter fits to 1 differs from it by rounding only.
+    spread = np.maximum(spread, _MIN_SPREAD)
     return distances, spread
 
 
@@ -180,19 +183,19 @@ def _distance(seen: np.ndarray) -> float:
 def _mean_squares(seen: np.ndarray) -> np.ndarray:
     counts = np.isfinite(seen).sum(axis=0)
     total = np.nansum(seen**2, axis=0)
-    return np.where(counts >= _FEWEST, total / np.maximum(counts, 1), np.nan)
+    return np.where(counts >= _MIN_COUNT, total / np.maximum(counts, 1), np.nan)
 
 
 def _correlations(seen: np.ndarray, follows: np.ndarray):
-    """Return the correlation of each part with that of the next step, and of how many, (3,)."""
-    # Large ones would decide alone.
-    ranks = np.clip(seen, -3.0, 3.0)
-    now, before = ranks[1:][follows[1:]], ranks[:-1][follows[1:]]
+    """Return the correlation of each part with that of the next step, and their number, (3,)."""
+    # Clipped, as a few large residuals would dominate.
+    clipped = np.clip(seen, -3.0, 3.0)
+    now, before = clipped[1:][follows[1:]], clipped[:-1][follows[1:]]
     both = np.isfinite(now) & np.isfinite(before)
     now, before = np.where(both, now, 0.0), np.where(both, before, 0.0)
     count = both.sum(axis=0)
     scale = np.sqrt(np.sum(now**2, axis=0) * np.sum(before**2, axis=0))
-    enough = (count >= _FEWEST) & (scale > 0.0)
+    enough = (count >= _MIN_COUNT) & (scale > 0.0)
     found = np.where(enough, np.sum(now * before, axis=0) / np.where(enough, scale, 1.0), np.nan)
     return found, count
 

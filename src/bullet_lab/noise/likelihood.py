@@ -1,22 +1,22 @@
-"""How likely the steps of an odometry are, by a noise model, where the true steps are known.
+"""Likelihood of the steps of an odometry under a noise model, given the true steps.
 
-An odometry that should have said a step of direction psi, signed length d and turn phi says one of
-direction psi + e1, length d + et and turn phi + e1 + e2: that is how `NoisyPath` makes it, with
-independent Gaussian e1, et and e2 whose variances a, s² and b are the rule's. So from both steps
-the noise can be read off, and its density is known exactly. Truth is measured, too: its position
-with variance p and its heading with variance q for each step. With the true step's length D
+For a step of direction psi, signed length d and turn phi, `NoisyPath` reports direction psi + e1,
+length d + et and turn phi + e1 + e2, with independent Gaussian e1, et and e2 whose variances a, s²
+and b are the rule's. So both steps give the noise, and its density is known exactly. The truth is
+measured, too: for each step its position has variance p and its heading variance q. With the true
+step's length D
 
     l = D e1 ~ N(0, D² a + p),    et ~ N(0, s² + p),    w = e1 + e2 ~ N(0, a + b + q),
     Cov(l, w) = D a,
 
-and of w, what l says about it is taken away: w - k l with k = D a / (D² a + p), whose variance is
-b + q + a p / (D² a + p). A step shorter than `MIN_TRANSLATION` has no direction: D is 0. That
-leaves three independent Gaussians for each step. p and q stand as well for the digits of a file;
-without them a robot that drives dead straight by a rule that gives no noise to turns of 0 would
-have a likelihood of 0 or infinity.
+and w is made independent of l: w - k l with k = D a / (D² a + p) has the variance
+b + q + a p / (D² a + p). A step shorter than `MIN_TRANSLATION` has no direction: D is 0. The result
+is three independent Gaussians for each step. p and q also cover the rounding of a file; without
+them a robot that drives exactly straight, by a rule that gives no noise to turns of 0, would have a
+likelihood of 0 or infinity.
 
-(x, y) of the odometry's step in polar coordinates has a Jacobian that no parameter is in, and D
-is the truth's, so likelihoods of all models and systematic errors are on one scale.
+The Jacobian of the odometry's (x, y) in polar coordinates depends on no parameter, and D is the
+truth's, so likelihoods of all models and systematic errors are comparable.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ from bullet_lab.noise.odometry_noise import (
 )
 
 RESOLUTION = 1e-9
-"""m and rad; standard deviation of the truth's poses where nobody says more of them."""
+"""m and rad; standard deviation of the truth's poses by default."""
 
 PARTS = ("rot1", "trans", "rot2")
 
 
 @dataclass(frozen=True, eq=False)
 class StepPairs:
-    """True steps, and what the odometry said of them; many odometries may share the true ones.
+    """True steps, and the steps of b odometries that share them.
 
     Attributes:
         true: (dx m, dy m, dyaw rad) in the body frame before each step, shape (n, 3).
-        odometry: the same as the odometry says it, shape (b, n, 3).
+        odometry: the same as the odometries report it, shape (b, n, 3).
         truth_std_m: standard deviation of the truth's position, on each axis, > 0.
         truth_std_rad: standard deviation of the truth's heading, > 0.
 
     Raises:
-        NoiseError: the shapes are others.
+        NoiseError: the shapes do not match.
     """
 
     true: np.ndarray
@@ -66,7 +66,7 @@ class StepPairs:
 
     @property
     def truth_variances(self) -> Tuple[float, float]:
-        """Of a step by the truth's own errors: p (m²) and q (rad²)."""
+        """Variances of a step from the truth's errors: p (m²) and q (rad²)."""
         return 2.0 * self.truth_std_m**2, 2.0 * self.truth_std_rad**2
 
     def some(self, rows) -> StepPairs:
@@ -76,7 +76,7 @@ class StepPairs:
 
 @dataclass(frozen=True, eq=False)
 class PartErrors:
-    """What was added to each part of each step; what follows from it depends on the noise rule.
+    """The noise that was added to each part of each step.
 
     Attributes:
         lever: m, length of the true steps, 0 for those without a direction, shape (n,).
@@ -114,15 +114,15 @@ class PartErrors:
 
 
 def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
-    """Compare what odometries said with what they would say without noise; see `residuals`."""
+    """Compare the reported steps with those expected without noise; see `residuals`."""
     expected = pairs.true if expected is None else expected
     direction, trans = line_of_travel(expected[..., 0], expected[..., 1])
     cos, sin = np.cos(direction), np.sin(direction)
     dx, dy, turn = np.moveaxis(pairs.odometry, -1, 0)
     ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
     side = np.where(ahead < 0.0, -1.0, 1.0)
-    # Whether a step has a direction is the truth's to say: the likelihood of a systematic error
-    # would jump where it makes a turn on the spot into a way of 0.1 mm.
+    # The true step decides whether there is a direction. Otherwise the likelihood would jump where
+    # a systematic error turns a rotation on the spot into a translation of 0.1 mm.
     lever = np.hypot(pairs.true[:, 0], pairs.true[:, 1])
     lever = np.where(lever >= MIN_TRANSLATION, lever, 0.0)
     rot1 = np.where(lever > 0.0, direction, 0.0)
@@ -136,7 +136,7 @@ def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
 
 
 def residuals(pairs: StepPairs, rule: NoiseRule, expected=None) -> Tuple[np.ndarray, np.ndarray]:
-    """Return what was added to each part of each step, and its variance by a rule.
+    """Return the noise that was added to each part of each step, and its variance under a rule.
 
     Args:
         pairs: b odometries of n steps.
@@ -146,7 +146,7 @@ def residuals(pairs: StepPairs, rule: NoiseRule, expected=None) -> Tuple[np.ndar
 
     Returns:
         The errors of the parts rot1 (as m at the end of the true step), trans (m) and rot2 (rad,
-        without what rot1 says of it), and their variances, both of shape (b, n, 3). By the rule
+        made independent of rot1), and their variances, both of shape (b, n, 3). Under the rule
         the errors are independent and Gaussian.
 
     >>> from bullet_lab.noise.odometry_noise import ReportRule
@@ -161,8 +161,8 @@ def residuals(pairs: StepPairs, rule: NoiseRule, expected=None) -> Tuple[np.ndar
 def whitened(pairs: StepPairs, rule: NoiseRule, expected=None) -> np.ndarray:
     """Return the errors of `residuals` over their standard deviations, shape (b, n, 3).
 
-    If rule and expectation are right, they are standard normal. NaN where there is nothing to
-    judge: the rule gives the part less noise than the truth's poses have, and it shows none.
+    If rule and expectation are right, they are standard normal. NaN if the rule gives the part less
+    noise than the truth's poses have, and the error is not larger than that.
     """
     error, variance = residuals(pairs, rule, expected)
     p, q = pairs.truth_variances
@@ -171,20 +171,10 @@ def whitened(pairs: StepPairs, rule: NoiseRule, expected=None) -> np.ndarray:
     return np.where(shown, error / np.sqrt(variance), np.nan)
 
 
-def log_likelihood(pairs: StepPairs, rule: NoiseRule, expected=None) -> np.ndarray:
-    """Return the natural logarithm of the likelihood of each of b odometries, shape (b,).
-
-    For the arguments see `residuals`. The likelihood is a density, of use beside others.
-    """
-    error, variance = residuals(pairs, rule, expected)
-    terms = error * error / variance + np.log(variance)
-    return -0.5 * (terms.sum(axis=(1, 2)) + terms[0].size * np.log(2.0 * np.pi))
-
-
 def drawn_pairs(
     true, rule: NoiseRule, generator: np.random.Generator, count: int, expected=None, **truth
 ) -> StepPairs:
-    """Draw odometries of which `whitened` gives standard normal numbers.
+    """Draw odometries whose `whitened` errors are standard normal.
 
     Args:
         true: the true steps, shape (n, 3).

@@ -1,4 +1,4 @@
-"""Many noisy versions of one perfect path at once: what `NoisyPath` does, without its loop.
+"""Many noisy versions of one perfect path at once: a vectorised `NoisyPath`.
 
 The poses of a noisy path are sums. With P = x + iy, step k of signed length d_k along the
 direction psi_k, and the noise e1, et, e2 of its three parts,
@@ -27,17 +27,17 @@ from bullet_lab.noise.odometry_noise import (
 )
 
 STEPS_PER_BLOCK = 16384
-"""Steps that are worked on at a time: their arrays, some 1.5 MB, stay in the processor's cache."""
+"""Steps of a block: their arrays, about 1.5 MB, fit into the processor's cache."""
 
 
 @dataclass(frozen=True, eq=False)
 class NoisySteps:
-    """The steps of a perfect path of n + 1 poses, and how uncertain a rule says each is.
+    """The steps of a perfect path of n + 1 poses, with their variances under a rule.
 
     Attributes:
-        position: x + iy (m) of each pose, seen from the first one but not turned, shape (n+1,).
+        position: x + iy (m) of each pose, relative to the first one but not rotated, shape (n+1,).
         direction: exp(i psi), psi the direction of travel of each step in the odometry frame,
-            the opposite of it when the robot drives backwards, shape (n,).
+            the opposite of it if the robot drives backwards, shape (n,).
         angle: psi (rad), shape (n,).
         trans: m, signed, shape (n,).
         variance1: rad², of the rotation before each translation, shape (n,).
@@ -58,14 +58,14 @@ class NoisySteps:
 
 
 def noisy_steps(poses, rule: NoiseRule) -> NoisySteps:
-    """Take a perfect path apart.
+    """Return the steps of a perfect path.
 
     Args:
         poses: x (m), y (m) and yaw (rad), shape (n+1, 3), n >= 1.
-        rule: how uncertain a step is.
+        rule: gives the variances of a step.
 
     Raises:
-        NoiseError: the shape is another, or a pose is not finite.
+        NoiseError: the shape is wrong, or a pose is not finite.
 
     >>> from bullet_lab.noise.odometry_noise import ReportRule
     >>> steps = noisy_steps([(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)], ReportRule(0.5))
@@ -79,7 +79,7 @@ def noisy_steps(poses, rule: NoiseRule) -> NoisySteps:
         raise NoiseError("a pose is not finite")
     body = se2.steps(poses)
     parts = decompose_steps(body)
-    # As in NoisyPath, a step that is too short to have a rot1 keeps its direction all the same.
+    # As in NoisyPath, a step that is too short for a rot1 keeps its direction.
     angle = poses[:-1, 2] + line_of_travel(body[:, 0], body[:, 1])[0]
     shape = parts.shape[:1]
     variances = [np.broadcast_to(v, shape).astype(float) for v in rule.variances(*parts.T)]
@@ -91,11 +91,11 @@ def noisy_steps(poses, rule: NoiseRule) -> NoisySteps:
 
 @dataclass(frozen=True, eq=False)
 class NoisyBlock:
-    """Some noisy paths.
+    """A block of noisy paths.
 
     Attributes:
-        first: number of the first of them among all.
-        position: x + iy (m) of each pose, seen from the first pose but not turned: b paths of
+        first: index of the first of them among all.
+        position: x + iy (m) of each pose, relative to the first pose but not rotated: b paths of
             n + 1 poses, shape (b, n+1).
         heading_error: rad, noisy minus perfect, not wrapped, shape (b, n+1).
         direction: exp(i psi) of each noisy step, shape (b, n).
@@ -118,14 +118,14 @@ def noisy_blocks(
 ) -> Iterator[NoisyBlock]:
     """Yield noisy paths in blocks, so that memory does not grow with their number.
 
-    They are the paths that `NoisyPath`, restarted before each, makes of the same generator, to
-    rounding, whatever the size of the blocks. A block's arrays are overwritten by the next.
+    For any block size they equal, to rounding, those of `NoisyPath` with the same generator,
+    restarted before each path. The arrays of a block are overwritten by the next block.
 
     Args:
         steps: of the perfect path.
         generator: of the normal draws, three for each step.
         count: how many paths, >= 0.
-        steps_per_block: about how many steps to take at a time; a path is never cut.
+        steps_per_block: about how many steps a block has; a path is not divided.
     """
     n = len(steps)
     size = max(1, min(count, steps_per_block // n))
@@ -157,9 +157,8 @@ def noisy_blocks(
 def study_generator(seed: int, model: str, std: float, rate: float) -> np.random.Generator:
     """Return the random generator of one case of a study.
 
-    Each case has a stream of its own, spawned from the seed under a key that is made of the case
-    and not of its number: what else is studied, which models there are, and in which order, does
-    not matter to it.
+    Each case has its own stream, spawned from the seed with a key made of the case. So the stream
+    does not depend on the other cases, on the registered models, or on their order.
 
     Args:
         seed: of the study, >= 0.
@@ -174,13 +173,13 @@ def study_generator(seed: int, model: str, std: float, rate: float) -> np.random
     >>> one.standard_normal() == other.standard_normal()
     False
     """
-    # Not the place of the model in a list, which the next model might change.
+    # Not the index of the model in a list, which another model might change.
     key = (model_named(model).stream, *_words(std), *_words(rate))
     try:
         sequence = np.random.SeedSequence(seed, spawn_key=key)
     except (TypeError, ValueError):
         raise NoiseError(f"seed must be an integer >= 0, not {seed!r}") from None
-    # Half of the time goes into normal draws, and numpy's default generator takes a third longer.
+    # Normal draws take half of the time, and numpy's default generator a third longer.
     return np.random.Generator(np.random.SFC64(sequence))
 
 

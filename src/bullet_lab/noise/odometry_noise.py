@@ -1,9 +1,9 @@
-"""Noise on planar odometry that accumulates as the error of real odometry does.
+"""Noise on planar odometry that accumulates like the error of real odometry.
 
-Each displacement between two poses is taken apart into a rotation, a translation and another
-rotation; a noise rule says how uncertain each of the three is; the noisy path is put together
-from the noisy parts. The model is that of Thrun, Burgard and Fox, Probabilistic Robotics,
-section 5.4, with a signed translation, so that driving backwards is not two half turns.
+Each displacement between two poses is decomposed into a rotation, a translation and a second
+rotation. A noise rule gives the variance of each part, and the noisy path is composed of the noisy
+parts. The model is that of Thrun, Burgard and Fox, Probabilistic Robotics, section 5.4, with a
+signed translation, so that driving backwards is not two half turns.
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ from bullet_lab.errors import LabError
 from bullet_lab.noise.running_moments import RunningMoments
 
 MIN_TRANSLATION = 1e-4
-"""m; a shorter step has no direction (at 20 Hz that is a crawl of 2 mm/s)."""
+"""m; a shorter step has no direction (at 20 Hz this is 2 mm/s)."""
 
-_LARGEST_PARAMETER = 1e6  # far beyond any robot; keeps squares and sums finite
+# Far beyond any robot; keeps squares and sums finite.
+_LARGEST_PARAMETER = 1e6
 
 
 class NoiseError(LabError):
-    """A parameter of the noise, or a pose given to it, cannot be used."""
+    """A parameter of the noise, or a pose, is invalid."""
 
 
 def decompose(dx: float, dy: float, dyaw: float) -> tuple[float, float, float]:
-    """Take one displacement apart into (rot1, trans, rot2).
+    """Decompose one displacement into (rot1, trans, rot2).
 
     Turning by rot1, going trans ahead (back when negative) and turning by rot2 leads to the
-    same pose. A step shorter than `MIN_TRANSLATION` has no direction worth the name: its rot1
-    is 0 and its rot2 is dyaw.
+    same pose. A step shorter than `MIN_TRANSLATION` has no meaningful direction: its rot1 is 0 and
+    its rot2 is dyaw.
 
     Args:
         dx: m, ahead in the body frame before the step.
@@ -54,7 +55,7 @@ def decompose(dx: float, dy: float, dyaw: float) -> tuple[float, float, float]:
 
 
 def decompose_steps(steps) -> np.ndarray:
-    """Do what `decompose` does for an array of (dx, dy, dyaw), shape (..., 3)."""
+    """Decompose an array of (dx, dy, dyaw), shape (..., 3), like `decompose`."""
     dx, dy, dyaw = np.moveaxis(np.asarray(steps, dtype=float), -1, 0)
     direction, trans = line_of_travel(dx, dy)
     rot1 = np.where(np.abs(trans) >= MIN_TRANSLATION, direction, 0.0)
@@ -64,7 +65,7 @@ def decompose_steps(steps) -> np.ndarray:
 def line_of_travel(dx, dy) -> Tuple[np.ndarray, np.ndarray]:
     """Return the line of travel (rad, in [-pi/2, pi/2]) and the signed length (m) along it.
 
-    Unlike in `decompose`, the shortest step has its direction.
+    Unlike in `decompose`, even the shortest step has a direction.
 
     Args:
         dx: m, ahead, an array.
@@ -75,26 +76,27 @@ def line_of_travel(dx, dy) -> Tuple[np.ndarray, np.ndarray]:
 
 
 def _direction(dx: float, dy: float) -> tuple[float, float]:
-    """Do what `line_of_travel` does, for floats."""
+    """Return what `line_of_travel` returns, for floats."""
     length = math.hypot(dx, dy)
     if dx < 0.0:
         return math.atan2(-dy, -dx), -length
-    return math.atan2(dy, dx + 0.0), length  # + 0.0 turns -0.0, whose arc tangent is pi, into 0.0
+    # Adding 0.0 turns -0.0, whose arc tangent is pi, into 0.0.
+    return math.atan2(dy, dx + 0.0), length
 
 
 @dataclass(frozen=True)
 class NoiseRule(abc.ABC):
-    """A noise model: says how uncertain a step is, all that the paths and the moments ask of it.
+    """A noise model: it gives the variances of a step.
 
     A model is one such class, a frozen dataclass below `register`. Its fields, declared with
-    `bullet_lab.core.parameters.number`, are parameters of noisy_odom; parameters of the same name
-    are one and the same. A level of noise in a study is `at_level`.
+    `bullet_lab.core.parameters.number`, are parameters of noisy_odom; models share parameters of
+    the same name. Studies choose a level of noise by `at_level`.
 
     Attributes:
         name: of the model, as in the parameter `model`.
         title: of the model in figures.
-        stream: number in the key of a study's random generators. It is never changed, so that
-            what has been studied stays as it is whatever model comes along.
+        stream: number in the key of a study's random generators. It never changes, so that the
+            results of studies do not depend on other models.
     """
 
     name: ClassVar[str]
@@ -110,7 +112,7 @@ class NoiseRule(abc.ABC):
 
     @classmethod
     def at_level(cls, std: float) -> NoiseRule:
-        """Return the rule at a level of noise; raises NoiseError for one that makes no sense."""
+        """Return the rule at a level of noise; raises NoiseError if the level is not allowed."""
         return rule_of(cls.name, {"std": std})
 
     @abc.abstractmethod
@@ -132,10 +134,10 @@ MODELS: Dict[str, Type[NoiseRule]] = {}
 
 
 def register(model: Type[NoiseRule]) -> Type[NoiseRule]:
-    """Make a noise model known: a decorator of its class.
+    """Register a noise model: a decorator of its class.
 
     Raises:
-        ValueError: a model of this name, or with its number of random streams, is known already.
+        ValueError: a model with this name or stream is already registered.
     """
     for other in MODELS.values():
         if model.name == other.name or model.stream == other.stream:
@@ -153,7 +155,7 @@ def _parameter(default: float, doc: str) -> Any:
 class ReportRule(NoiseRule):
     """The rule of the report: standard deviation = std · |part|, for each message.
 
-    The spread at the end of a path therefore depends on how many messages it is cut into.
+    The spread at the end of a path therefore depends on the number of messages.
 
     Attributes:
         std: standard deviation per metre (translation) and per radian (rotations), >= 0.
@@ -176,11 +178,11 @@ class ReportRule(NoiseRule):
 @register
 @dataclass(frozen=True)
 class RateInvariantRule(NoiseRule):
-    """Variance in proportion to what was travelled, as of a random walk.
+    """Variance in proportion to the distance travelled, as of a random walk.
 
     Translation gains std² per metre; heading gains std² per metre and per radian, half of it
     before and half after the translation. The heading variance of a path, and the variance along
-    a straight one, are the same however many messages it is cut into; across, N steps give
+    a straight one, do not depend on the number of messages; across, N steps give
     1 + 1/(2 N²) times the limit std² L³ / 3. Strafing counts as distance, not as two turns.
 
     Attributes:
@@ -236,16 +238,16 @@ class ProbabilisticRule(NoiseRule):
         return cls(square, 0.1 * square, square, 0.1 * square)
 
     def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
-        turn1, way, turn2 = rot1 * rot1, trans * trans, rot2 * rot2
+        turn1, moved, turn2 = rot1 * rot1, trans * trans, rot2 * rot2
         return (
-            self.alpha1 * turn1 + self.alpha2 * way,
-            self.alpha3 * way + self.alpha4 * (turn1 + turn2),
-            self.alpha1 * turn2 + self.alpha2 * way,
+            self.alpha1 * turn1 + self.alpha2 * moved,
+            self.alpha3 * moved + self.alpha4 * (turn1 + turn2),
+            self.alpha1 * turn2 + self.alpha2 * moved,
         )
 
 
 def model_named(name: str) -> Type[NoiseRule]:
-    """Return a noise model; raises NoiseError for a name that is not in `MODELS`."""
+    """Return the noise model of a name; raises NoiseError if it is not in `MODELS`."""
     try:
         return MODELS[name]
     except KeyError:
@@ -253,7 +255,7 @@ def model_named(name: str) -> Type[NoiseRule]:
 
 
 def noise_fields() -> List[Tuple[str, type, Any]]:
-    """Return the parameters of all models, each once, as `dataclasses.make_dataclass` has them."""
+    """Return the parameters of all models, each once, for `dataclasses.make_dataclass`."""
     found: Dict[str, Any] = {}
     for model in MODELS.values():
         for own in fields(model):
@@ -266,8 +268,8 @@ def rule_of(model: str, values: Mapping[str, Any]) -> NoiseRule:
 
     Args:
         model: one of `MODELS`.
-        values: of parameters by name. "std" is checked in any case; other models' are not looked
-            at, and those that are missing have their defaults.
+        values: of parameters by name. "std" is always checked; those of other models are ignored,
+            and missing ones have their defaults.
 
     Raises:
         NoiseError: the model is unknown, or a value is not a number that is finite and >= 0.
@@ -283,10 +285,10 @@ def rule_of(model: str, values: Mapping[str, Any]) -> NoiseRule:
 
 
 def named_alphas(model: str, alphas: Sequence[float]) -> Dict[str, float]:
-    """Return the parameters that a model has beside std, by name, from their values in order.
+    """Return the parameters of a model other than std, by name, from their values in order.
 
     Raises:
-        NoiseError: the model is unknown, or has another number of them, and any at all.
+        NoiseError: the model is unknown, or has a different number of them, and not none.
     """
     names = [name for name in declarations(model_named(model)) if name != "std"]
     if names and len(alphas) != len(names):
@@ -295,10 +297,10 @@ def named_alphas(model: str, alphas: Sequence[float]) -> Dict[str, float]:
 
 
 def make_generator(seed: int | None) -> np.random.Generator:
-    """Return a random generator of its own for a seed >= 0 (None: a different one each time).
+    """Return a new random generator for a seed >= 0 (None: a different one each time).
 
     Raises:
-        NoiseError: the seed cannot be used.
+        NoiseError: the seed is invalid.
     """
     try:
         return np.random.default_rng(seed)
@@ -307,13 +309,13 @@ def make_generator(seed: int | None) -> np.random.Generator:
 
 
 def derived_seed(seed: int, index: int) -> int:
-    """Return the seed, within 31 bits, of one of several sources that share nothing.
+    """Return the seed, within 31 bits, of one of several independent sources.
 
-    Unlike seed + index, those of neighbouring seeds have none in common.
+    Unlike seed + index, neighbouring seeds do not share derived seeds.
 
     Args:
         seed: of all sources, >= 0.
-        index: which one, >= 0.
+        index: of the source, >= 0.
 
     >>> derived_seed(1, 0), derived_seed(1, 1)
     (917752063, 594516694)
@@ -329,13 +331,13 @@ def check_pose(x: float, y: float, yaw: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class NoisyStep:
-    """What a noisy odometry reports for one message; all arrays are read-only.
+    """The report of a noisy odometry for one message; all arrays are read-only.
 
     Attributes:
         pose: noisy x (m), y (m) and yaw (rad, in [-pi, pi)) in the odometry frame.
         covariance: 3x3, of (x, y, yaw) in the odometry frame, accumulated since the start: the
-            exact second moments of what has been added to the perfect pose, about it, so that
-            the mean NEES is 3 also where the noise is large. Its axes are the perfect path's.
+            exact second moments of the error about the perfect pose, so that the mean NEES is 3
+            even if the noise is large. Its axes are the perfect path's.
         motion_error: noisy minus true step as (dx m, dy m, dyaw rad), each step in the body
             frame before it.
         motion_covariance: 3x3, likewise, of this step alone, in the body frame before it. Divided
@@ -349,21 +351,21 @@ class NoisyStep:
 
 
 class NoisyPath:
-    """Makes a noisy path out of a perfect one, pose by pose.
+    """Makes a noisy path from a perfect one, pose by pose.
 
-    The first pose comes back as it is. Each later one adds the noisy step to the noisy pose
-    before, so that errors accumulate and a heading error bends all that follows. With a rule
-    that gives no noise the perfect path comes back, to rounding.
+    The first pose is returned unchanged. Each later pose adds the noisy step to the previous noisy
+    pose, so that errors accumulate and a heading error bends the rest of the path. If the rule
+    gives no noise, the noisy path equals the perfect one, to rounding.
 
     Message k uses the normal draws 3k-3 to 3k-1 of the generator (for trans, rot1 and rot2),
-    moving or not. So the draws depend on nothing but the seed and the number of the message.
+    whether the robot moves or not. So the draws depend only on the seed and the message's number.
 
     Args:
-        rule: how uncertain a step is.
-        seed: of the path's own random generator, >= 0; None for a different one each time.
+        rule: gives the variances of a step.
+        seed: of the path's random generator, >= 0; None for a different one each time.
 
     Raises:
-        NoiseError: the seed cannot be used.
+        NoiseError: the seed is invalid.
 
     >>> path = NoisyPath(ReportRule(0.0), seed=1)
     >>> [path.update(x, 0.0, 0.0).pose for x in (0.0, 0.5)]
@@ -378,25 +380,25 @@ class NoisyPath:
         self._moments = RunningMoments()
 
     def restart(self) -> None:
-        """Forget the path: the next pose starts a new one. The random generator goes on."""
+        """Start a new path with the next pose. The random generator is not reset."""
         self._true = None
 
     def change_rule(self, rule: NoiseRule) -> None:
-        """Take another rule from the next pose on; path, covariance and draws go on."""
+        """Use another rule from the next pose on; path, covariance and generator are kept."""
         self._rule = rule
 
     def update(self, x: float, y: float, yaw: float) -> NoisyStep:
-        """Take the next perfect pose (m, m, rad) and return the noisy one.
+        """Return the noisy pose for the next perfect pose (m, m, rad).
 
         Raises:
-            NoiseError: the pose is not finite. Nothing has changed and nothing was drawn then.
+            NoiseError: the pose is not finite. The state and the generator are unchanged then.
         """
         check_pose(x, y, yaw)
         before, self._true = self._true, (x, y, yaw)
         if before is None:
             return self._start(x, y, yaw)
 
-        dx, dy, dyaw = _body_step(before, self._true)
+        dx, dy, dyaw = body_step(before, self._true)
         direction, trans = _direction(dx, dy)
         variances = self._rule.variances(*decompose(dx, dy, dyaw))
         error1, error_trans, error2 = self._draw(variances)
@@ -404,8 +406,8 @@ class NoisyPath:
         motion = RunningMoments()
         motion.add(direction, trans, variances)
 
-        # The true direction is kept even where the step is too short to have a rot1, so that
-        # the small sideways drift of a robot that turns is not laid ahead of it.
+        # The true direction is kept even if the step is too short for a rot1, so that the small
+        # sideways drift of a robot that turns is not reported as driving ahead.
         direction += error1
         trans += error_trans
         error_yaw = wrap(error1 + error2)
@@ -427,8 +429,8 @@ class NoisyPath:
     def _start(self, x: float, y: float, yaw: float) -> NoisyStep:
         self._noisy = (x, y, wrap(yaw))
         self._moments = RunningMoments()
-        nothing = self._moments.second_moments()
-        return NoisyStep(self._noisy, nothing, (0.0, 0.0, 0.0), nothing)
+        zeros = self._moments.second_moments()
+        return NoisyStep(self._noisy, zeros, (0.0, 0.0, 0.0), zeros)
 
     def _draw(self, variances) -> tuple[float, float, float]:
         draw_trans, draw1, draw2 = self._generator.standard_normal(3).tolist()
@@ -440,8 +442,8 @@ class NoisyPath:
         )
 
 
-def _body_step(before, after) -> tuple[float, float, float]:
-    """Do what `se2.between` does, for two poses of floats and many times as fast."""
+def body_step(before, after) -> tuple[float, float, float]:
+    """Return what `se2.between` returns, for two poses of floats, and many times as fast."""
     dx, dy = after[0] - before[0], after[1] - before[1]
     cos, sin = math.cos(before[2]), math.sin(before[2])
     return cos * dx + sin * dy, cos * dy - sin * dx, wrap(after[2] - before[2])

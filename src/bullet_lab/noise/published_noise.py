@@ -1,36 +1,36 @@
-"""The noise of the report exactly as it was published, defects and all, for comparison.
+"""The noise of the report exactly as it was published, with its defects, for comparison.
 
-Nothing else should use this: `odometry_noise` is the mended version.
+`odometry_noise` is the corrected version.
 """
 
 from __future__ import annotations
 
 import math
-from numbers import Real
 
 from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
-from bullet_lab.noise.odometry_noise import NoiseError, ReportRule, check_pose, make_generator
+from bullet_lab.noise.odometry_noise import check_pose, make_generator
 
 PUBLISHED_RATE = 0.9
-"""Hz, at which the published node samples the odometry."""
+"""Hz; rate at which the published node samples the odometry."""
 
-_STAMP_TOLERANCE = 1e-6  # s; a double cannot tell stamps of today much closer
+# s; the resolution of present-day stamps as doubles is not much finer.
+_STAMP_TOLERANCE = 1e-6
 
 
 class PublishedNoise:
     """The algorithm of listings 3 to 7 of the report.
 
-    Its defects are kept on purpose: the message that it remembers as the last perfect one is the
-    one it then overwrites with the noisy pose; rot1 is not wrapped; a robot at rest gets noise in
-    proportion to its heading; the noise depends on the message rate; and a step is laid along the
-    remembered heading, not along the noisy one.
+    Its defects are kept on purpose: it stores the last perfect message and then overwrites it with
+    the noisy pose; rot1 is not wrapped; a robot at rest gets noise in proportion to its heading;
+    the noise depends on the message rate; and a step is laid along the stored heading, not along
+    the noisy one.
 
     Args:
         std: standard deviation per metre and per radian, >= 0.
-        seed: of its own random generator, >= 0; None for a different one each time.
+        seed: of its random generator, >= 0; None for a different one each time.
 
     Raises:
-        NoiseError: a parameter cannot be used.
+        NoiseError: the seed is invalid.
 
     >>> published = PublishedNoise(0.0, seed=1)
     >>> [published.update(x, 0.0, 0.0) for x in (0.0, 0.5)]
@@ -38,20 +38,21 @@ class PublishedNoise:
     """
 
     def __init__(self, std: float, seed: int | None):
-        self._std = ReportRule(std).std
+        self._std = std
         self._generator = make_generator(seed)
-        self._pose = None  # as the node sums it up: its yaw is never wrapped
+        # As the node accumulates it: its yaw is never wrapped.
+        self._pose = None
         self._last_yaw = 0.0
 
     def restart(self) -> None:
-        """Forget the path: the next pose starts a new one. The random generator goes on."""
+        """Start a new path with the next pose. The random generator is not reset."""
         self._pose = None
 
     def update(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
-        """Take the next perfect pose (m, m, rad) and return the noisy one, yaw in [-pi, pi].
+        """Return the noisy pose, yaw in [-pi, pi], for the next perfect pose (m, m, rad).
 
         Raises:
-            NoiseError: the pose is not finite. Nothing has changed and nothing was drawn then.
+            NoiseError: the pose is not finite. The state and the generator are unchanged then.
         """
         check_pose(x, y, yaw)
         yaw = _through_message(yaw)
@@ -59,7 +60,7 @@ class PublishedNoise:
             self._pose = (x, y, yaw)
         else:
             self._add_step(x, y, yaw)
-        # Aliasing: what is remembered as the last perfect message is the noisy one.
+        # Aliasing: the stored last perfect message is the noisy one.
         self._last_yaw = _through_message(self._pose[2])
         return self._pose[0], self._pose[1], self._last_yaw
 
@@ -86,16 +87,13 @@ def _through_message(yaw: float) -> float:
 
 
 class Sampler:
-    """Picks the messages that a node which polls at a fixed rate would see.
+    """Selects the messages that a node would receive that polls at a fixed rate.
 
-    The node sleeps once before it looks for the first time, so tick k = 1, 2, … is at the first
-    stamp + k / rate. It depends on the stamps alone, not on the speed of the machine.
+    The node sleeps before its first poll, so tick k = 1, 2, … is at the first stamp + k / rate. The
+    selection depends on the stamps alone, not on the speed of the machine.
 
     Args:
         rate: Hz, > 0.
-
-    Raises:
-        NoiseError: the rate is not finite or not > 0.
 
     >>> sampler = Sampler(1.0)
     >>> [sampler.due(stamp) for stamp in (0.0, 0.6, 1.2, 1.8)]
@@ -103,22 +101,18 @@ class Sampler:
     """
 
     def __init__(self, rate: float):
-        if isinstance(rate, bool) or not isinstance(rate, Real):
-            raise NoiseError(f"rate must be a number, not {rate!r}")
-        if not 0.0 < rate < math.inf:
-            raise NoiseError(f"rate must be finite and > 0, not {rate!r}")
         self._rate = rate
         self._start = None
         self._tick = 1
 
     def restart(self) -> None:
-        """Start anew with the next stamp."""
+        """Count ticks from the next stamp."""
         self._start = None
 
     def due(self, stamp: float) -> bool:
         """Return whether this message (stamp in s) is the first at or after a tick.
 
-        Ticks that pass between two messages count once.
+        Several ticks between two messages count once.
         """
         if self._start is None:
             self._start = stamp

@@ -1,6 +1,6 @@
 """Exact second moments of a noisy path's error, pose by pose.
 
-They are those of `exact_moments`, whose head derives them, in the order in which steps come.
+The module `exact_moments` derives them; here they are updated with each step.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 
 class RunningMoments:
-    """Adds up how far a noisy path may be from the perfect one, for independent Gaussian noise.
+    """Accumulates the second moments of the error, for independent Gaussian noise.
 
     >>> moments = RunningMoments()
     >>> moments.add(0.0, 1.0, (0.0, 0.25, 0.5))
@@ -20,15 +20,19 @@ class RunningMoments:
     """
 
     def __init__(self) -> None:
-        self._turned = 0.0  # variance of the heading
-        self._acted = 0.0  # what it was as the latest translation was made
+        # Variance of the heading, and its value at the latest translation.
+        self._turned = 0.0
+        self._acted = 0.0
         self._mean = 0j
-        self._spread, self._pseudo, self._with_heading = 0.0, 0j, 0j
-        # What the translations so far have in common with the next one, and with its conjugate.
-        self._shared, self._mirrored = 0j, 0j
+        self._spread = 0.0
+        self._pseudo = 0j
+        self._with_heading = 0j
+        # Correlation of the translations so far with the next one, and with its conjugate.
+        self._shared = 0j
+        self._mirrored = 0j
 
     def add(self, direction: float, trans: float, variances: tuple[float, float, float]) -> None:
-        """Take the next step of the perfect path.
+        """Add the next step of the perfect path.
 
         Args:
             direction: rad, of travel, in the frame of the path.
@@ -38,17 +42,17 @@ class RunningMoments:
         variance1, variance_trans, variance2 = variances
         v = self._turned + variance1
         unit = complex(math.cos(direction), math.sin(direction))
-        way, square = trans * unit, trans * trans
+        step, square = trans * unit, trans * trans
         faded, lost = math.exp(-0.5 * v), math.expm1(-v)
 
         self._shared *= math.exp(-0.5 * (v - self._acted))
-        self._spread += variance_trans - square * lost + 2.0 * (way * self._shared).real
+        self._spread += variance_trans - square * lost + 2.0 * (step * self._shared).real
         own = variance_trans * faded**4 + square * faded**2 * lost
-        self._pseudo += unit * unit * own + 2.0 * way * faded * self._mirrored
-        self._with_heading += 1j * v * faded * way
-        self._mean += way * math.expm1(-0.5 * v)
-        self._shared -= way.conjugate() * lost
-        self._mirrored += way * faded * lost
+        self._pseudo += unit * unit * own + 2.0 * step * faded * self._mirrored
+        self._with_heading += 1j * v * faded * step
+        self._mean += step * math.expm1(-0.5 * v)
+        self._shared -= step.conjugate() * lost
+        self._mirrored += step * faded * lost
         self._acted, self._turned = v, v + variance2
 
     def second_moments(self) -> np.ndarray:

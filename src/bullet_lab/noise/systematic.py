@@ -1,18 +1,18 @@
-"""Systematic errors of odometry: what it believes of its wheels and of its gyro is not so.
+"""Systematic errors of odometry: wheels and gyro differ from their nominal parameters.
 
-A robot on two wheels at its left and right moves on arcs. Between two poses its axle's middle
-drives a way s and turns by phi, so that with the base B (distance of the wheels' contacts)
+A robot with a left and a right wheel moves on arcs. Between two poses the middle of its axle
+travels a distance s and turns by phi, so that with the base B (distance of the wheels' contacts)
+the wheels roll
 
-    s_left = s - phi B / 2,    s_right = s + phi B / 2
+    s_left = s - phi B / 2,    s_right = s + phi B / 2.
 
-are rolled off. Odometry counts the wheels' turns and multiplies them by diameters that it believes
-in. Where the wheel of a side is rho times as large as believed, it takes s_side / rho_side for the
-way; where the base is b for it, it reports
+Odometry counts the wheels' turns and multiplies them by nominal diameters. If the wheel of a side
+is rho times as large as nominal, it computes s_side / rho_side; with the nominal base b it reports
 
     s' = (s_right / rho_right + s_left / rho_left) / 2
     phi' = (s_right / rho_right - s_left / rho_left) / b + gyro_bias_per_metre |s|
 
-The diameters are said by their mean and their ratio, as by Borenstein and Feng, Measurement and
+The diameters are given by their mean and their ratio, as by Borenstein and Feng, Measurement and
 correction of systematic odometry errors in mobile robots (1996).
 """
 
@@ -26,10 +26,11 @@ import numpy as np
 
 from bullet_lab.core.parameters import ParameterError, check_parameters, number
 from bullet_lab.core.se2 import PlanarPose, wrap
-from bullet_lab.noise.odometry_noise import NoiseError, check_pose
+from bullet_lab.noise.odometry_noise import NoiseError, body_step, check_pose
 
 _LARGEST_ERROR = 0.5
-_LARGEST_BIAS = 10.0  # rad/m; more than a turn on each metre
+# rad/m; more than a turn on each metre.
+_LARGEST_BIAS = 10.0
 
 
 def _relative(doc: str):
@@ -38,19 +39,19 @@ def _relative(doc: str):
 
 @dataclass(frozen=True)
 class SystematicErrors:
-    """What is really there, relative to what the odometry believes; 0 for no error.
+    """The real robot relative to the odometry's nominal parameters; 0 for no error.
 
     Attributes:
-        scale_error: mean diameter of the wheels / the believed one - 1. Wheels that are larger
-            make the odometry report ways and turns that are too small.
-        base_error: base / the believed one - 1. A base that is wider makes it report turns that
-            are too large.
-        diameter_error: right diameter / left diameter - 1, where equal ones are believed in. A
-            larger right wheel turns the robot to the left while the odometry reports straight on.
-        gyro_bias_per_metre: rad/m, what the reported heading gains on each metre, forwards or
-            back. Going forwards it is hard to tell from a diameter_error of
+        scale_error: mean diameter of the wheels / the nominal one - 1. With larger wheels the
+            odometry reports distances and turns that are too small.
+        base_error: base / the nominal one - 1. With a wider base it reports turns that are too
+            large.
+        diameter_error: right diameter / left diameter - 1; nominally they are equal. A larger right
+            wheel turns the robot to the left while the odometry reports a straight line.
+        gyro_bias_per_metre: rad/m, gain of the reported heading on each metre, forwards or back.
+            Driving forwards, it is hard to distinguish from a diameter_error of
             -gyro_bias_per_metre · wheel_base.
-        wheel_base: m, the believed base; of account to diameter_error alone.
+        wheel_base: m, the nominal base; used only by diameter_error.
 
     Raises:
         NoiseError: a value is not allowed.
@@ -77,18 +78,18 @@ class SystematicErrors:
 
     @classmethod
     def of(cls, parameters) -> SystematicErrors:
-        """Return those that stand among the parameters of a node or a study."""
+        """Return those among the parameters of a node or a study."""
         return cls(**{entry.name: getattr(parameters, entry.name) for entry in fields(cls)})
 
     @property
     def none(self) -> bool:
-        """Whether odometry is right about everything."""
+        """Whether all errors are 0."""
         wheels = (self.scale_error, self.base_error, self.diameter_error)
         return not any((*wheels, self.gyro_bias_per_metre))
 
     @property
     def diameters(self) -> Tuple[float, float]:
-        """Diameter of the left and of the right wheel / the believed ones.
+        """Diameter of the left and of the right wheel / the nominal ones.
 
         Their ratio is 1 + diameter_error and their mean 1 + scale_error.
 
@@ -99,7 +100,7 @@ class SystematicErrors:
         return mean, mean * (1.0 + self.diameter_error)
 
     def matrix(self) -> np.ndarray:
-        """Return what makes reported way and turn (m, rad) of true ones, gyro aside: 2x2."""
+        """Return the 2x2 matrix from true to reported distance and turn (m, rad), without gyro."""
         left, right = self.diameters
         total, difference = 1.0 / right + 1.0 / left, 1.0 / right - 1.0 / left
         base = self.wheel_base * (1.0 + self.base_error)
@@ -111,24 +112,24 @@ class SystematicErrors:
         )
 
     def steps(self, steps) -> np.ndarray:
-        """Return what is reported for true steps.
+        """Return the reported steps for true steps.
 
         Args:
             steps: (dx m, dy m, dyaw rad) in the body frame before each, shape (..., 3). A motion
-                across the wheels, which those do not see, is scaled as the way is.
+                across the wheels, which they do not measure, is scaled like the distance.
 
         Returns:
             The reported ones, shape (..., 3), |dyaw| not wrapped.
         """
-        way, across, turn = np.moveaxis(arcs(steps), -1, 0)
+        ahead, across, turn = np.moveaxis(arcs(steps), -1, 0)
         matrix = self.matrix()
-        drift = self.gyro_bias_per_metre * np.abs(way)
-        new_way = matrix[0, 0] * way + matrix[0, 1] * turn
-        new_turn = matrix[1, 0] * way + matrix[1, 1] * turn + drift
-        return chords(np.stack((new_way, matrix[0, 0] * across, new_turn), axis=-1))
+        drift = self.gyro_bias_per_metre * np.abs(ahead)
+        new_ahead = matrix[0, 0] * ahead + matrix[0, 1] * turn
+        new_turn = matrix[1, 0] * ahead + matrix[1, 1] * turn + drift
+        return chords(np.stack((new_ahead, matrix[0, 0] * across, new_turn), axis=-1))
 
     def path(self, poses) -> np.ndarray:
-        """Return what is reported of a true path: what `SystematicPath` does, to the bit.
+        """Return the reported path for a true path, bit for bit that of `SystematicPath`.
 
         Args:
             poses: x (m), y (m) and yaw (rad), shape (n, 3).
@@ -138,10 +139,10 @@ class SystematicErrors:
 
 
 def arcs(steps) -> np.ndarray:
-    """Return the arcs that lead from pose to pose: way, way across (m) and turn (rad).
+    """Return the arcs from pose to pose: distance ahead, distance across (m) and turn (rad).
 
-    Each is the motion at a constant velocity that leads to (dx, dy, dyaw); a robot on two wheels
-    has no way across.
+    Each is the motion at a constant velocity that leads to (dx, dy, dyaw); a robot with two wheels
+    does not move across.
 
     Args:
         steps: (dx m, dy m, dyaw rad), shape (..., 3), |dyaw| <= pi.
@@ -161,16 +162,16 @@ def chords(arcs_) -> np.ndarray:
     >>> chords([np.pi, 0.0, np.pi / 2.0]).round(6)
     array([2.      , 2.      , 1.570796])
     """
-    way, across, turn = np.moveaxis(np.asarray(arcs_, dtype=float), -1, 0)
+    ahead, across, turn = np.moveaxis(np.asarray(arcs_, dtype=float), -1, 0)
     half = 0.5 * turn
     cos, sin, chord = np.cos(half), np.sin(half), np.sinc(half / np.pi)
     return np.stack(
-        (chord * (cos * way - sin * across), chord * (sin * way + cos * across), turn), axis=-1
+        (chord * (cos * ahead - sin * across), chord * (sin * ahead + cos * across), turn), axis=-1
     )
 
 
 class SystematicStep(NamedTuple):
-    """What odometry reports for one message.
+    """The report of odometry for one message.
 
     Attributes:
         pose: reported x (m), y (m) and yaw (rad, in [-pi, pi)).
@@ -186,9 +187,9 @@ _NO_ERROR = (0.0, 0.0, 0.0)
 
 
 class SystematicPath:
-    """Makes what odometry reports out of a true path, pose by pose.
+    """Makes the reported path from a true path, pose by pose.
 
-    The first pose comes back as it is; without errors all of them do, bit for bit.
+    The first pose is returned unchanged; without errors all poses are, bit for bit.
 
     >>> path = SystematicPath(SystematicErrors(scale_error=-0.5))
     >>> [path.update(x, 0.0, 0.0).pose for x in (1.0, 2.0)]
@@ -201,24 +202,22 @@ class SystematicPath:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the path: the next pose starts a new one."""
+        """Start a new path with the next pose."""
         self._true: Optional[PlanarPose] = None
         self._reported: PlanarPose = _NO_ERROR
 
     def update(self, x: float, y: float, yaw: float) -> SystematicStep:
-        """Take the next true pose (m, m, rad) and return the reported one.
+        """Return the reported pose for the next true pose (m, m, rad).
 
         Raises:
-            NoiseError: the pose is not finite; nothing has changed then.
+            NoiseError: the pose is not finite; the state is unchanged then.
         """
         check_pose(x, y, yaw)
         before, self._true = self._true, (x, y, yaw)
         if before is None or self._errors.none:
             self._reported = (x, y, yaw)
             return SystematicStep(self._reported, _NO_ERROR)
-        cos, sin = math.cos(before[2]), math.sin(before[2])
-        dx, dy = x - before[0], y - before[1]
-        true = (cos * dx + sin * dy, cos * dy - sin * dx, wrap(yaw - before[2]))
+        true = body_step(before, self._true)
         step = self._step(*true)
         x, y, yaw = self._reported
         cos, sin = math.cos(yaw), math.sin(yaw)
@@ -228,16 +227,16 @@ class SystematicPath:
         return SystematicStep(self._reported, error)
 
     def _step(self, dx: float, dy: float, dyaw: float) -> Tuple[float, float, float]:
-        """Do what `SystematicErrors.steps` does, for floats and many times as fast."""
+        """Return what `SystematicErrors.steps` returns, for floats, and many times as fast."""
         half = 0.5 * dyaw
         cos, sin, chord = math.cos(half), math.sin(half), _sinc(half)
-        way, across = (cos * dx + sin * dy) / chord, (cos * dy - sin * dx) / chord
-        (way_way, way_turn), (turn_way, turn_turn) = self._matrix
-        turn = turn_way * way + turn_turn * dyaw + self._errors.gyro_bias_per_metre * abs(way)
-        way, across = way_way * way + way_turn * dyaw, way_way * across
+        ahead, across = (cos * dx + sin * dy) / chord, (cos * dy - sin * dx) / chord
+        (ahead_ahead, ahead_turn), (turn_ahead, turn_turn) = self._matrix
+        turn = turn_ahead * ahead + turn_turn * dyaw + self._errors.gyro_bias_per_metre * abs(ahead)
+        ahead, across = ahead_ahead * ahead + ahead_turn * dyaw, ahead_ahead * across
         half = 0.5 * turn
         cos, sin, chord = math.cos(half), math.sin(half), _sinc(half)
-        return chord * (cos * way - sin * across), chord * (sin * way + cos * across), turn
+        return chord * (cos * ahead - sin * across), chord * (sin * ahead + cos * across), turn
 
 
 def _sinc(angle: float) -> float:
@@ -245,7 +244,7 @@ def _sinc(angle: float) -> float:
 
 
 def end_of(steps) -> np.ndarray:
-    """Return where steps lead from the origin: (dx m, dy m, dyaw rad), (..., n, 3) -> (..., 3).
+    """Return the pose that steps lead to: (dx m, dy m, dyaw rad), (..., n, 3) -> (..., 3).
 
     The heading is not wrapped.
 

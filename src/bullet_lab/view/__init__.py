@@ -1,1 +1,1 @@
-"""A world in a browser: the page, who may see it, and what the scene is made of; without ROS."""
+"""The web page of the view, without ROS: its scene, its server and its drive pad."""

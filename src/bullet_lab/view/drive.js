@@ -1,6 +1,6 @@
-// A pad and the arrow keys, which drive: what is held down is said ten times a second on a socket
-// of its own, as shares of the full speed forward and to the left, behind the newest time that the
-// server has told: it stops the robot when that is too old.
+// The drive pad and the arrow keys. While one is held, a command is sent ten times a second on a
+// separate socket: the newest time received from the server, then shares of the full speed forward
+// and to the left. The server stops the robot if that time is too old.
 (() => {
   const PERIOD_MS = 100;
   const RETRY_MS = 1000;
@@ -14,16 +14,16 @@
   const { nonce, dataset } = document.currentScript;
   const held = new Set();
   let pulled = [0, 0];
-  let said = "0 0";
+  let sent = "0 0";
   let socket = null;
-  let told = { time: 0, other: false, late: false };
+  let state = { time: 0, other: false, late: false };
 
-  // Each tab has a name of its own, in the address that viser's socket and ours are opened at.
+  // Each tab has a name, in the path of viser's socket and of this one.
   const [token] = location.pathname.split("/").filter(Boolean);
   history.replaceState(null, "", `/${token}/${dataset.tab}/`);
   const address = location.href.replace(/^http/, "ws").split(/[?#]/)[0] + "drive";
 
-  // viser unpacks its one script, and makes styles, without the nonce that they need.
+  // viser adds one script, and styles, without the nonce that the policy requires.
   const create = document.createElement;
   let scripts = 1;
   document.createElement = function (name, options) {
@@ -49,11 +49,11 @@
   pad.append(knob, hint);
 
   const show = () => {
-    const state = told.other ? "other" : told.late ? "late" : "free";
-    pad.title = HINTS[state];
-    pad.dataset.state = state;
-    hint.textContent = state === "free" ? "" : HINTS[state];
-    knob.style.opacity = state === "other" ? 0.3 : 1;
+    const kind = state.other ? "other" : state.late ? "late" : "free";
+    pad.title = HINTS[kind];
+    pad.dataset.state = kind;
+    hint.textContent = kind === "free" ? "" : HINTS[kind];
+    knob.style.opacity = kind === "other" ? 0.3 : 1;
   };
 
   const wanted = () => {
@@ -65,20 +65,20 @@
     return [forward, left].map((share) => Math.max(-1, Math.min(1, share)));
   };
 
-  const say = () => {
+  const send = () => {
     const [forward, left] = wanted();
-    const words = `${forward.toFixed(3) / 1} ${left.toFixed(3) / 1}`;
+    const shares = `${forward.toFixed(3) / 1} ${left.toFixed(3) / 1}`;
     knob.style.transform = `translate(${-left * RADIUS}px, ${-forward * RADIUS}px)`;
     if (socket === null || socket.readyState !== WebSocket.OPEN) return;
-    if (words === said && words === "0 0") return;
-    socket.send(`${told.time} ${words}`);
-    said = words;
+    if (shares === sent && shares === "0 0") return;
+    socket.send(`${state.time} ${shares}`);
+    sent = shares;
   };
 
   const letGo = () => {
     held.clear();
     pulled = [0, 0];
-    say();
+    send();
   };
 
   const pull = (event) => {
@@ -87,11 +87,11 @@
     const forward = (box.top + box.height / 2 - event.clientY) / RADIUS;
     const scale = Math.max(1, Math.hypot(forward, left));
     pulled = [forward / scale, left / scale];
-    say();
+    send();
   };
 
   pad.addEventListener("pointerdown", (event) => {
-    if (told.other) {
+    if (state.other) {
       socket.send("take over");
       return;
     }
@@ -105,12 +105,12 @@
     pad.addEventListener(name, letGo);
   }
 
-  // Those that are typed into, or moved by the same keys.
+  // Whether an element takes text, or moves with the same keys.
   const isTaken = (target) =>
     target instanceof Element &&
     target.closest("input, textarea, select, [role=slider], [contenteditable=true]") !== null;
 
-  // Before the page's own listeners, which would move the camera.
+  // Captured before the page's own listeners, which would move the camera.
   window.addEventListener(
     "keydown",
     (event) => {
@@ -119,14 +119,14 @@
       event.preventDefault();
       event.stopImmediatePropagation();
       held.add(event.key);
-      say();
+      send();
     },
     true,
   );
   window.addEventListener(
     "keyup",
     (event) => {
-      if (held.delete(event.key)) say();
+      if (held.delete(event.key)) send();
     },
     true,
   );
@@ -136,11 +136,11 @@
   const connect = () => {
     socket = new WebSocket(address);
     socket.addEventListener("open", () => {
-      said = "0 0";
+      sent = "0 0";
       pad.style.opacity = 1;
     });
     socket.addEventListener("message", (event) => {
-      told = JSON.parse(event.data);
+      state = JSON.parse(event.data);
       show();
     });
     socket.addEventListener("close", () => {
@@ -152,6 +152,6 @@
   document.addEventListener("DOMContentLoaded", () => {
     document.body.append(pad);
     connect();
-    setInterval(say, PERIOD_MS);
+    setInterval(send, PERIOD_MS);
   });
 })();

@@ -1,7 +1,7 @@
-"""The page: viser's, behind a gate, on this machine only, with a socket beside it that drives.
+"""The web page: viser's server on this machine only, behind a gate, with a socket for driving.
 
-viser asks nobody who he is, so its server is given the gate's hook as it starts; where that is
-not taken, there is no page at all.
+viser has no authentication, so the gate is hooked into its server as it starts. If that version
+of viser does not call the hook, the page is not served.
 """
 
 from __future__ import annotations
@@ -17,15 +17,14 @@ from pathlib import Path
 from typing import Any, Callable, Iterator, Optional
 
 from bullet_lab.errors import LabError
-from bullet_lab.view.gate import Gate
+from bullet_lab.view.gate import Gate, is_valid_message
 from bullet_lab.view.pad import PERIOD, Pad, Wheel
-from bullet_lab.view.soundness import is_sound
 
 HOST = "127.0.0.1"
 DRIVE = "drive"
 TITLE = "bullet_lab"
-# Scripts and styles count only with the nonce of the page; nothing comes from, or goes to, anywhere
-# else. viser unpacks itself in WebAssembly, and has workers.
+# The browser runs scripts and uses styles only with the page's nonce, and connects to this server
+# only. viser unpacks itself in WebAssembly, and has workers.
 POLICY = (
     "default-src 'none'; script-src 'nonce-{nonce}' 'wasm-unsafe-eval'; style-src 'nonce-{nonce}'; "
     "img-src 'self' data: blob:; font-src data:; worker-src blob:; connect-src 'self' data: blob:; "
@@ -36,26 +35,26 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
-# Which page the code at hand is about, in the tasks that serve it.
-_PAGE: contextvars.ContextVar[str] = contextvars.ContextVar("page", default="")
+# Name of the tab that the running task serves.
+_TAB: contextvars.ContextVar[str] = contextvars.ContextVar("tab", default="")
 
 
 class ViewError(LabError):
-    """There is no page to be had."""
+    """The page cannot be served."""
 
 
 class Page:
-    """A page for whoever has its URL; each browser tab has a name of its own.
+    """A page for all who have its URL; each browser tab has a name.
 
     Args:
-        port: to listen on; the next that is free, if it is not.
-        wheel: which tab drives.
+        port: to listen on; the next free one if it is taken.
+        wheel: decides which tab drives.
 
     Attributes:
-        server: viser's, to make a scene and controls with.
+        server: viser's, for the scene and the controls.
 
     Raises:
-        ViewError: viser is not there, or not one that lets itself be guarded.
+        ViewError: viser is missing, or its version does not call the gate.
     """
 
     def __init__(self, port: int, wheel: Wheel):
@@ -67,20 +66,22 @@ class Page:
             self.server = viser(HOST, port, label=TITLE, verbose=False)
         if self._serve_page is None:
             self.server.stop()
-            raise ViewError("this viser lets in whoever asks: another version is needed")
+            raise ViewError(
+                "this version of viser does not check requests; install another version"
+            )
         self.server.gui.configure_theme(show_share_button=False, show_logo=False)
         self.server.gui.main_panel.dock_right()
 
     @property
     def url(self) -> str:
-        """Where the page is, with the token."""
+        """Address of the page, with the token."""
         return f"http://{HOST}:{self.server.get_port()}/{self._gate.token}/"
 
     def on_connect(self, handle: Callable[[str, Any], None]) -> None:
-        """Call `handle` with the name of each tab that opens, and viser's client for it."""
+        """Have `handle` called with the name of each tab that opens, and viser's client for it."""
 
         async def connected(client: Any) -> None:
-            handle(_PAGE.get(), client)
+            handle(_TAB.get(), client)
 
         self.server.on_client_connect(connected)
 
@@ -90,7 +91,7 @@ class Page:
 
     @contextlib.contextmanager
     def _guarding(self, viser: type) -> Iterator[None]:
-        """Have the server that viser starts meanwhile ask the gate first."""
+        """Make the server that viser starts in this block ask the gate first."""
         from websockets.asyncio import server
 
         plain = server.serve
@@ -107,20 +108,20 @@ class Page:
             server.serve = plain
 
     def _answer(self, connection: Any, request: Any) -> Any:
-        """Answer a request; None for what goes on as a WebSocket."""
+        """Answer a request; None accepts it as a WebSocket."""
         path = self._gate.path(request.path, request.headers)
         if path is None:
             return _response(http.HTTPStatus.FORBIDDEN)
         parts = path.strip("/").split("/")
         is_socket = request.headers.get("Upgrade") is not None
-        # /, /tab and, for sockets, /tab/drive: the page tells the server its tab's name.
+        # Valid are /, /tab and, for sockets, /tab/drive: the page puts its tab's name in the path.
         if parts[1:] not in ([], [DRIVE]) or (parts[1:] and not is_socket):
             return _response(http.HTTPStatus.NOT_FOUND)
         request.path = "/" + "/".join(parts)
         if is_socket:
             return None
         request.path = "/"
-        # As it is, to put something into it.
+        # Uncompressed, as the pad is inserted.
         if "Accept-Encoding" in request.headers:
             del request.headers["Accept-Encoding"]
         answer = self._serve_page(connection, request)
@@ -134,7 +135,7 @@ class Page:
     def _handler(self, viser: Callable) -> Callable:
         async def handle(connection: Any) -> None:
             tab, _, rest = connection.request.path.strip("/").partition("/")
-            _PAGE.set(tab)
+            _TAB.set(tab)
             try:
                 await (self._listen(connection, tab) if rest else viser(_Checked(connection)))
             finally:
@@ -143,27 +144,27 @@ class Page:
         return handle
 
     async def _listen(self, connection: Any, tab: str) -> None:
-        """Drive as the pad of a tab says, for as long as it does."""
+        """Drive by the commands of a tab's pad, until its socket closes."""
         from websockets.exceptions import ConnectionClosed
 
         pad = Pad(tab, self._wheel)
-        telling = asyncio.ensure_future(_tell(connection, pad))
+        sending = asyncio.ensure_future(_send_state(connection, pad))
         try:
             while True:
                 try:
-                    word = await asyncio.wait_for(connection.recv(), pad.patience(time.monotonic()))
+                    text = await asyncio.wait_for(connection.recv(), pad.patience(time.monotonic()))
                 except asyncio.TimeoutError:
                     pad.stop()
                 else:
-                    pad.take(word, time.monotonic())
+                    pad.take(text, time.monotonic())
         except ConnectionClosed:
             pass
         finally:
-            telling.cancel()
+            sending.cancel()
 
 
-async def _tell(connection: Any, pad: Pad) -> None:
-    """Tell a pad the time that its words have to bear, and who drives."""
+async def _send_state(connection: Any, pad: Pad) -> None:
+    """Send a pad its state periodically; its commands carry the time from it."""
     from websockets.exceptions import ConnectionClosed
 
     with contextlib.suppress(ConnectionClosed):
@@ -173,7 +174,7 @@ async def _tell(connection: Any, pad: Pad) -> None:
 
 
 class _Checked:
-    """A connection of viser's from which only sound messages come."""
+    """A connection of viser's that drops invalid messages."""
 
     def __init__(self, connection: Any):
         self._connection = connection
@@ -184,7 +185,7 @@ class _Checked:
     async def recv(self) -> bytes:
         while True:
             data = await self._connection.recv()
-            if is_sound(data):
+            if is_valid_message(data):
                 return data
 
 
@@ -196,18 +197,18 @@ def _import_viser() -> Callable[..., Any]:
         raise ViewError(f"{error}: run scripts/setup.sh, or pip install viser") from error
 
     class Local(viser.ViserServer):
-        """A server of which nothing leaves this machine."""
+        """A server that opens no tunnel to other machines."""
 
         def request_share_url(self, verbose: bool = True) -> None:
-            """Pass over a wish for a tunnel to viser's makers."""
+            """Ignore the request for a tunnel through viser's public server."""
 
-    # It would print a URL without the token.
+    # viser would print a URL without the token.
     rich.get_console().quiet = True
     return Local
 
 
 def _with_pad(page: bytes, nonce: str) -> bytes:
-    """Return the page with its pad, its tab's name, and the nonce on each script of it."""
+    """Return the page with the pad, the tab's name, and the nonce on each script."""
     script = (Path(__file__).parent / "drive.js").read_bytes()
     title = f"<title>{TITLE}</title>\n<script data-tab='{secrets.token_urlsafe(9)}'>".encode()
     page = page.replace(b"<title>Viser</title>", title + script + b"</script>", 1)

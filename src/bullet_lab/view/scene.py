@@ -1,36 +1,46 @@
-"""What is in the page's scene, in few messages: copies of one look, lines that grow, labels.
+"""Nodes of the page's scene, updated in few messages.
 
-viser sends each property that changes as a message of its own; what moves together is therefore
-one node with an array for all of it. Poses are in the scene's one frame, in m; colours RGBA or RGB
-within [0, 1]. For one thread.
+viser sends each property that changes as a message. Things that move together are therefore one
+node with an array for all of them. Poses are in the scene's one frame, in m; colours are RGBA or
+RGB within [0, 1]. Not thread-safe.
 """
 
 from __future__ import annotations
 
+import logging
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector
-from bullet_lab.simulation.rendering.surfaces import surfaces_of
+from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
+from bullet_lab.simulation.rendering.textures import read_pixels
+from bullet_lab.simulation.world.description import Texture, Visual
+from bullet_lab.simulation.world.report import leaving_out
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Sphere
 
-# Points of a piece of a line, which is sent once it is full.
+LOG = logging.getLogger(__name__)
+# Segments of one piece of a polyline. A full piece is never sent again.
 PIECE = 256
 LINE_PIXELS = 2.5
-WHITE = (1.0, 1.0, 1.0, 1.0)
-# Of one unit along each axis.
+# Shapes of 1 m along each axis.
 UNITS = {
     "box": Box((1.0, 1.0, 1.0)),
     "cylinder": Cylinder(0.5, 1.0),
     "sphere": Sphere(0.5),
 }
+NO_LIGHT = np.zeros(3)
+# Pixels of a side of a texture: larger ones are scaled down for the page.
+MAX_TEXTURE_SIDE = 1024
+ROUGHNESS = 0.9
+# Exponent from a colour as a screen shows it to glTF's colour factor, which is linear in light.
+GAMMA = 2.2
 
 Row = Tuple[Any, ...]
 
 
 def rgb(colour: Sequence[float]) -> Tuple[int, int, int]:
-    """Return the first three parts of a colour as viser wants them.
+    """Return red, green and blue within [0, 255], as viser expects a colour.
 
     >>> rgb((1.0, 0.5, 0.0, 1.0))
     (255, 128, 0)
@@ -40,112 +50,110 @@ def rgb(colour: Sequence[float]) -> Tuple[int, int, int]:
 
 
 def wxyz(pose: Pose) -> Tuple[float, float, float, float]:
-    """Return the orientation of a pose as viser wants it."""
+    """Return the orientation of a pose as viser expects it."""
     x, y, z, w = pose.quaternion
     return w, x, y, z
 
 
 class Copies:
-    """Copies of one thing, each by a key, in one node of the scene.
+    """Copies of one thing, each with a key, in one node of the scene.
 
     Args:
-        make: makes the node of the properties named, an array with a row for each copy.
-        names: of the properties.
+        make: makes the node from named arrays with a row for each copy.
+        names: of the arrays.
     """
 
     def __init__(self, make: Callable[[Dict[str, np.ndarray]], Any], names: Sequence[str]):
-        self._make, self._names = make, names
+        self._make = make
+        self._names = names
         self._rows: Dict[Hashable, Row] = {}
-        self._shown: Tuple[Hashable, ...] = ()
+        self._shown: List[Hashable] = []
         self._changed = False
         self._node: Any = None
 
-    def __contains__(self, key: Hashable) -> bool:
-        return key in self._rows
-
     def put(self, key: Hashable, pose: Pose, *others: Any) -> None:
-        """Put a copy where it is; `others` are the properties after position and orientation."""
+        """Place a copy; `others` are the properties after position and orientation."""
         row = (pose.position, wxyz(pose), *others)
         if self._rows.get(key) != row:
             self._rows[key] = row
             self._changed = True
 
     def drop(self, key: Hashable) -> None:
-        """Take a copy away, if it is there."""
+        """Remove a copy, if there is one with this key."""
         if self._rows.pop(key, None) is not None:
             self._changed = True
 
-    def clear(self) -> None:
-        """Take all copies away."""
-        self._changed = self._changed or bool(self._rows)
-        self._rows.clear()
-
     def flush(self) -> None:
-        """Show what has changed."""
+        """Send what has changed."""
         if not self._changed:
             return
         self._changed = False
-        if tuple(self._rows) == self._shown and self._node is not None:
-            for name, values in self._arrays().items():
-                setattr(self._node, name, values)
-            return
-        self._shown = tuple(self._rows)
-        if self._rows:
-            # Under the same name, it takes the place of the one before.
-            self._node = self._make(self._arrays())
+        keys = list(self._rows)
+        columns = zip(*self._rows.values())
+        arrays = {name: np.array(column) for name, column in zip(self._names, columns)}
+        if keys and keys == self._shown and self._node is not None:
+            for name, array in arrays.items():
+                setattr(self._node, name, array)
+        elif keys:
+            # It replaces the node before it, which has the same name.
+            self._node = self._make(arrays)
         elif self._node is not None:
             self._node.remove()
             self._node = None
-
-    def _arrays(self) -> Dict[str, np.ndarray]:
-        columns = zip(*self._rows.values())
-        return {name: np.array(column) for name, column in zip(self._names, columns)}
+        self._shown = keys
 
 
-def glb_copies(scene: Any, name: str, glb: bytes) -> Copies:
-    """Return copies of what a binary glTF file shows."""
+class CopyGroups:
+    """Copies of several things; a key is in one group at most.
 
-    def make(arrays: Dict[str, np.ndarray]) -> Any:
-        return scene.add_batched_glb(name, glb, lod="off", **arrays)
+    Args:
+        make: makes the copies of a group from its name and its number.
+    """
 
-    return Copies(make, ("batched_positions", "batched_wxyzs"))
+    def __init__(self, make: Callable[[Any, int], Copies]):
+        self._make = make
+        self._groups: Dict[Any, Copies] = {}
 
+    def group(self, name: Any) -> Copies:
+        """Return the copies of a group."""
+        if name not in self._groups:
+            self._groups[name] = self._make(name, len(self._groups))
+        return self._groups[name]
 
-class Solids:
-    """Boxes, cylinders and balls of any size and colour."""
-
-    def __init__(self, scene: Any, name: str):
-        self._scene, self._name = scene, name
-        self._copies: Dict[Tuple[str, bool], Copies] = {}
-
-    def put(self, key: Hashable, kind: str, pose: Pose, size: Vector, colour: Row) -> None:
-        """Put a solid, a word of UNITS, as large as `size` along its axes, in m."""
-        see_through = colour[3] < 1.0
-        for other, copies in self._copies.items():
-            if other != (kind, see_through):
+    def put(self, name: Any, key: Hashable, pose: Pose, *others: Any) -> None:
+        """Place a copy in a group, and remove it from the others."""
+        for other, copies in self._groups.items():
+            if other != name:
                 copies.drop(key)
-        which = (kind, see_through)
-        if which not in self._copies:
-            self._copies[which] = self._new(*which)
-        opacity = (colour[3],) if see_through else ()
-        self._copies[which].put(key, pose, size, rgb(colour), *opacity)
+        self.group(name).put(key, pose, *others)
 
     def drop(self, key: Hashable) -> None:
-        """Take a solid away, if it is there."""
-        for copies in self._copies.values():
+        """Remove a copy, if there is one with this key."""
+        for copies in self._groups.values():
             copies.drop(key)
 
-    def clear(self) -> None:
-        """Take all of them away."""
-        for copies in self._copies.values():
-            copies.clear()
-
     def flush(self) -> None:
-        """Show what has changed."""
-        for copies in self._copies.values():
+        """Send what has changed."""
+        for copies in self._groups.values():
             copies.flush()
 
-    def _new(self, kind: str, see_through: bool) -> Copies:
+
+class Solids(CopyGroups):
+    """Boxes, cylinders and spheres of any size and colour."""
+
+    def __init__(self, scene: Any, name: str):
+        super().__init__(self._copies)
+        self._scene = scene
+        self._name = name
+
+    def put_solid(self, key: Hashable, kind: str, pose: Pose, size: Vector, colour: Row) -> None:
+        """Place a solid, named as in UNITS, whose extents along its axes are `size`, in m."""
+        see_through = colour[3] < 1.0
+        opacity = (colour[3],) if see_through else ()
+        self.put((kind, see_through), key, pose, size, rgb(colour), *opacity)
+
+    def _copies(self, group: Tuple[str, bool], _: int) -> Copies:
+        kind, see_through = group
         corners = surfaces_of(UNITS[kind])[0].corners.reshape(-1, 3)
         faces = np.arange(len(corners)).reshape(-1, 3)
         name = f"{self._name}/{kind}{'_see_through' if see_through else ''}"
@@ -159,60 +167,71 @@ class Solids:
 
 
 class Polyline:
-    """A line through points, of which what is new is sent as it grows."""
+    """A line through points; when it grows, only its end is sent."""
 
     def __init__(self, scene: Any, name: str, colour: Sequence[float]):
-        self._scene, self._name, self._colour = scene, name, rgb(colour)
+        self._scene = scene
+        self._name = name
+        self._colour = rgb(colour)
         self._nodes: List[Tuple[np.ndarray, Any]] = []
 
     def set(self, points: np.ndarray) -> None:
-        """Lead the line through points, (n, 3) in m."""
+        """Draw the line through points, (n, 3) in m."""
         points = np.asarray(points, np.float32)
         starts = range(0, max(len(points) - 1, 0), PIECE)
         for number, start in enumerate(starts):
-            self._set_piece(number, points[start : start + PIECE + 1])
+            self._set_piece(number, points[start : start + PIECE + 1].copy())
         for _, node in self._nodes[len(starts) :]:
             node.remove()
         del self._nodes[len(starts) :]
 
+    def remove(self) -> None:
+        """Remove the line."""
+        self.set(np.zeros((0, 3)))
+
     def _set_piece(self, number: int, points: np.ndarray) -> None:
-        segments = np.stack((points[:-1], points[1:]), axis=1)
-        if number < len(self._nodes):
-            shown, node = self._nodes[number]
-            if not np.array_equal(shown, points):
-                node.points = segments
-                self._nodes[number] = (points.copy(), node)
+        if number == len(self._nodes):
+            name = f"{self._name}/{number}"
+            node = segments_node(self._scene, name, segments(points), self._colour)
+            self._nodes.append((points, node))
             return
-        name = f"{self._name}/{number}"
-        node = segments_node(self._scene, name, segments, self._colour)
-        self._nodes.append((points.copy(), node))
+        shown, node = self._nodes[number]
+        if not np.array_equal(shown, points):
+            node.points = segments(points)
+            self._nodes[number] = (points, node)
 
 
-def segments_node(scene: Any, name: str, segments: np.ndarray, colour: Sequence[int]) -> Any:
-    """Return a node of segments (n, 2, 3) in m, of a colour within [0, 255]."""
+def segments(points: np.ndarray) -> np.ndarray:
+    """Return the segments (n - 1, 2, 3) between successive points (n, 3)."""
+    return np.stack((points[:-1], points[1:]), axis=1)
+
+
+def segments_node(scene: Any, name: str, ends: np.ndarray, colour: Sequence[int]) -> Any:
+    """Make a node of segments (n, 2, 3) in m, of a colour within [0, 255]."""
     return scene.add_line_segments(
-        name, segments, colour, thickness=LINE_PIXELS, thickness_units="screen"
+        name, ends, colour, thickness=LINE_PIXELS, thickness_units="screen"
     )
 
 
-class Shown:
-    """A node that is made when there is something to show, and taken away when there is not.
+class PointsNode:
+    """A node with an array of points that exists only while there are points.
 
     Args:
-        make: makes the node of the array.
-        name: of the node's property that the array is set to afterwards.
+        make: makes the node from the points and other properties.
     """
 
-    def __init__(self, make: Callable[[np.ndarray], Any], name: str = "points"):
-        self._make, self._name = make, name
+    def __init__(self, make: Callable[..., Any]):
+        self._make = make
         self._node: Any = None
 
-    def set(self, values: np.ndarray) -> None:
-        """Show an array, of any length."""
-        if len(values) and self._node is not None:
-            setattr(self._node, self._name, np.asarray(values, np.float32))
-        elif len(values):
-            self._node = self._make(np.asarray(values, np.float32))
+    def set(self, points: Sequence, **properties: Any) -> None:
+        """Show points; their number may change, and none removes the node."""
+        points = np.asarray(points, np.float32)
+        if len(points) and self._node is None:
+            self._node = self._make(points, **properties)
+        elif len(points):
+            for name, value in {"points": points, **properties}.items():
+                setattr(self._node, name, value)
         elif self._node is not None:
             self._node.remove()
             self._node = None
@@ -222,11 +241,12 @@ class Labels:
     """Texts in the scene, by keys."""
 
     def __init__(self, scene: Any, name: str):
-        self._scene, self._name = scene, name
+        self._scene = scene
+        self._name = name
         self._nodes: Dict[Hashable, Tuple[str, Vector, Any]] = {}
 
     def put(self, key: Hashable, text: str, position: Vector) -> None:
-        """Put a text at a place."""
+        """Place a text."""
         old_text, old_position, node = self._nodes.get(key, ("", None, None))
         if node is None:
             name = f"{self._name}/{len(self._nodes)}_{key}"
@@ -239,13 +259,13 @@ class Labels:
         self._nodes[key] = (text, position, node)
 
     def drop(self, key: Hashable) -> None:
-        """Take a text away, if it is there."""
+        """Remove a text, if there is one with this key."""
         _, _, node = self._nodes.pop(key, (None, None, None))
         if node is not None:
             node.remove()
 
     def keep(self, keys: Sequence[Hashable]) -> None:
-        """Take all texts away but these."""
+        """Remove all texts but these."""
         for key in set(self._nodes) - set(keys):
             self.drop(key)
 
@@ -253,7 +273,7 @@ class Labels:
 def floor_point(
     origin: Sequence[float], direction: Sequence[float]
 ) -> Optional[Tuple[float, float]]:
-    """Return where a ray meets the floor, x and y in m; None where it does not.
+    """Return where a ray meets the floor, x and y in m; None if it does not.
 
     >>> floor_point((0.0, 0.0, 2.0), (1.0, 0.0, -1.0))
     (2.0, 0.0)
@@ -262,3 +282,75 @@ def floor_point(
         return None
     share = -origin[2] / direction[2]
     return origin[0] + share * direction[0], origin[1] + share * direction[1]
+
+
+def visual_copies(
+    scene: Any, name: str, visuals: Sequence[Visual], report: Callable[[str], None]
+) -> Copies:
+    """Return copies of what visuals show together; `report` is called as by `glb_of`."""
+    glb = glb_of(visuals, report)
+    if not glb:
+        return Copies(lambda _: None, ())
+
+    def make(arrays: Dict[str, np.ndarray]) -> Any:
+        return scene.add_batched_glb(name, glb, lod="off", **arrays)
+
+    return Copies(make, ("batched_positions", "batched_wxyzs"))
+
+
+def glb_of(visuals: Sequence[Visual], report: Callable[[str], None] = LOG.warning) -> bytes:
+    """Return visuals of one frame as binary glTF; empty if nothing is visible.
+
+    Visuals that cannot be read are left out, each with a call of `report`.
+    """
+    import trimesh
+
+    meshes = [_mesh(s, report) for visual in visuals for s in _surfaces(visual, report)]
+    if not meshes:
+        return b""
+    return trimesh.Scene(meshes).export(file_type="glb", include_normals=True)
+
+
+def _surfaces(visual: Visual, report: Callable[[str], None]) -> Sequence[Surface]:
+    if visual.colour[3] <= 0.0:
+        return []
+    with leaving_out(report):
+        found = surfaces_of(visual.geometry, report)
+        return [surface.shown(visual, NO_LIGHT, report) for surface in found]
+    return []
+
+
+def _mesh(surface: Surface, report: Callable[[str], None]) -> Any:
+    import trimesh
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    picture = None if surface.texture is None else _picture(surface.texture, report)
+    *base, alpha = surface.colour
+    count = surface.corners.size // 3
+    see_through = alpha < 1.0 or (surface.texture is not None and surface.texture.blends)
+    material = PBRMaterial(
+        baseColorFactor=[*(min(1.0, part) ** GAMMA for part in base), alpha],
+        baseColorTexture=picture,
+        emissiveFactor=[min(1.0, max(0.0, part)) ** GAMMA for part in surface.glow],
+        alphaMode="BLEND" if see_through else "OPAQUE",
+        metallicFactor=0.0,
+        roughnessFactor=ROUGHNESS,
+    )
+    uv = np.zeros((count, 2)) if surface.picture is None else surface.picture.reshape(-1, 2)
+    return trimesh.Trimesh(
+        vertices=surface.corners.reshape(-1, 3),
+        faces=np.arange(count).reshape(-1, 3),
+        vertex_normals=surface.normals.reshape(-1, 3),
+        visual=TextureVisuals(uv=uv, material=material),
+        process=False,
+    )
+
+
+def _picture(texture: Texture, report: Callable[[str], None]) -> Any:
+    import PIL.Image
+
+    with leaving_out(report):
+        image = PIL.Image.fromarray(read_pixels(texture))
+        image.thumbnail((MAX_TEXTURE_SIDE, MAX_TEXTURE_SIDE))
+        return image

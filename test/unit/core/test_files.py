@@ -1,10 +1,24 @@
+"""Files of results, series of rows, and files in a confined folder."""
+
 import json
+import math
 import os
 import stat
 
 import pytest
 
-from bullet_lab.core.files import FileError, make_folder, replace_file, write_json
+from bullet_lab.core.files import (
+    ConfinedFolder,
+    FileError,
+    Join,
+    PathSeries,
+    Series,
+    SeriesError,
+    make_folder,
+    replace_file,
+    write_json,
+)
+from bullet_lab.core.trajectory import read_tum
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path):
@@ -83,3 +97,150 @@ def test_folders_are_made(tmp_path):
     for bad in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(FileError, match=f"^cannot make the folder {bad}: "):
             make_folder(bad)
+
+
+STEP = 50_000_000
+
+
+def test_each_pose_is_in_the_file_at_once(tmp_path):
+    series = PathSeries(tmp_path / "new" / "a.tum")
+    for number in (1, 2, 3):
+        series.add(STEP * number, (0.1 * number, 0.01 * number, 0.5))
+    found = read_tum(tmp_path / "new" / "a.tum")
+    assert found.stamps.tolist() == [0.05, 0.1, 0.15]
+    assert found.poses[2, 1] == 0.01 * 3
+    assert series.path().poses[:, :2].tolist() == found.poses[:, :2].tolist()
+
+
+def test_what_came_after_the_end_is_left_out(tmp_path):
+    series = PathSeries(tmp_path / "a.tum")
+    for number in range(1, 11):
+        series.add(STEP * number, (0.0, 0.0, 0.0))
+    assert series.last == 10 * STEP
+    series.finish(4 * STEP)
+    assert len(read_tum(tmp_path / "a.tum")) == len(series) == len(series.path()) == 4
+    series.finish(0)
+    assert series.path() is None
+
+
+@pytest.mark.parametrize("kind", [PathSeries, lambda path: Series(path, "abc")])
+@pytest.mark.parametrize("stamp", [0, STEP])
+def test_time_does_not_go_back(tmp_path, kind, stamp):
+    series = kind(tmp_path / "a")
+    series.add(STEP, (0.0, 0.0, 0.0))
+    with pytest.raises(SeriesError, match=r"^time goes back from 0\.050000000 s to "):
+        series.add(stamp, (0.0, 0.0, 0.0))
+    assert len(series) == 1
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_poses_are_finite(tmp_path, bad):
+    series = PathSeries(tmp_path / "a")
+    with pytest.raises(SeriesError, match="^the pose is not finite"):
+        series.add(STEP, (0.0, bad, 0.0))
+    assert series.last is None
+    assert (tmp_path / "a").read_text() == ""
+
+
+def test_rows_in_any_order_are_put_in_order_at_the_end(tmp_path):
+    series = Series(tmp_path / "a", ["x"], in_order=False)
+    for stamp, value in ((2 * STEP, 1), (STEP, 2), (2 * STEP, 3)):
+        series.add(stamp, [value])
+    assert series.last == 2 * STEP
+    assert len((tmp_path / "a").read_text().splitlines()) == 4
+    series.finish()
+    assert (tmp_path / "a").read_text() == "stamp,x\n0.050000000,2.0\n0.100000000,3.0\n"
+
+
+def test_rows_are_joined_by_the_nanosecond_whatever_comes_first():
+    whole = []
+    join = Join(("a", "b"), lambda stamp, values: whole.append((stamp, values)))
+    join.add("a", STEP, [1.0])
+    join.add("b", STEP + 1, [2.0])
+    join.add("b", STEP, [3.0])
+    join.add("a", STEP + 1, [4.0])
+    assert whole == [(STEP, {"a": [1.0], "b": [3.0]}), (STEP + 1, {"a": [4.0], "b": [2.0]})]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "own" / "inner").mkdir(parents=True)
+    (tmp_path / "elsewhere").mkdir()
+    return ConfinedFolder(tmp_path / "own")
+
+
+def all_files(path):
+    return sorted(str(one.relative_to(path)) for one in path.rglob("*") if one.is_file())
+
+
+def write(folder, name, text="text"):
+    folder.write(folder.place(name), text)
+
+
+def test_writes_into_the_folder_and_below(folder, tmp_path):
+    for name in ("a", "inner/b", f"{folder.path}/c", "inner/../d", "a"):
+        write(folder, name, name)
+    assert all_files(tmp_path) == ["own/a", "own/c", "own/d", "own/inner/b"]
+    assert (folder.path / "d").read_text() == "inner/../d"
+
+
+def test_a_file_is_for_whoever_may_read_the_folder(folder):
+    write(folder, "a")
+    umask = os.umask(0)
+    os.umask(umask)
+    assert (folder.path / "a").stat().st_mode & 0o777 == 0o666 & ~umask
+
+
+@pytest.mark.parametrize("name", ["../a", "/a", "out/a", "file_out", "inner/../../a", ".", "inner"])
+def test_refuses_what_is_elsewhere_or_a_folder(folder, tmp_path, name):
+    (folder.path / "out").symlink_to(tmp_path / "elsewhere")
+    (folder.path / "file_out").symlink_to(tmp_path / "elsewhere" / "a")
+    with pytest.raises(FileError, match="is not in|is a folder"):
+        write(folder, name)
+    assert all_files(tmp_path) == []
+
+
+def test_a_link_within_the_folder_may_be_followed(folder):
+    (folder.path / "link").symlink_to("inner")
+    write(folder, "link/a")
+    assert (folder.path / "inner" / "a").read_text() == "text"
+
+
+def test_a_link_that_comes_into_the_way_is_not_followed(folder, tmp_path):
+    place = folder.place("inner/a")
+    (folder.path / "inner").rmdir()
+    (folder.path / "inner").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(FileError, match="cannot write"):
+        folder.write(place, "text")
+    assert all_files(tmp_path) == []
+
+
+def test_a_link_in_the_place_of_the_file_is_replaced(folder, tmp_path):
+    place = folder.place("a")
+    place.symlink_to(tmp_path / "elsewhere" / "a")
+    folder.write(place, "text")
+    assert not place.is_symlink()
+    assert all_files(tmp_path) == ["own/a"]
+
+
+def test_a_hard_link_to_another_file_is_replaced(folder, tmp_path):
+    precious = tmp_path / "elsewhere" / "precious"
+    precious.write_text("as it was")
+    os.link(precious, folder.path / "a")
+    write(folder, "a")
+    assert precious.read_text() == "as it was"
+
+
+def test_what_cannot_be_written_leaves_nothing(folder):
+    with pytest.raises(UnicodeError):
+        write(folder, "a", "\ud800")
+    assert all_files(folder.path) == []
+
+
+def test_the_folder_is_the_one_that_it_was_at_first(folder, tmp_path):
+    (folder.path / "inner").rmdir()
+    folder.path.rmdir()
+    folder.path.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(FileError):
+        write(folder, "a")
+    assert all_files(tmp_path) == []

@@ -1,8 +1,23 @@
+"""Planar poses, angles, exponential coordinates and patterns of places."""
+
 import math
 
 import numpy as np
+import pytest
+from scipy.linalg import expm
 
 from bullet_lab.core import se2
+from bullet_lab.core.se2 import (
+    circle,
+    exponential,
+    grid,
+    line,
+    logarithm,
+    quaternion_from_yaw,
+    straightening,
+    wrap,
+    yaw_from_quaternion,
+)
 
 
 def random_poses(*shape):
@@ -48,3 +63,123 @@ def test_steps_lead_along_the_path():
     moves = se2.steps(paths)
     assert moves.shape == (4, 6, 3)
     np.testing.assert_allclose(se2.compose(paths[:, :-1], moves), paths[:, 1:], atol=1e-12)
+
+
+BELOW_PI = float(np.nextafter(math.pi, 0.0))
+CASES = [
+    (0.0, 0.0),
+    (math.pi, -math.pi),
+    (-math.pi, -math.pi),
+    (BELOW_PI, BELOW_PI),
+    (3 * math.pi / 2, -math.pi / 2),
+    (-3 * math.pi / 2, math.pi / 2),
+    (2 * math.pi, 0.0),
+    (7.0, 7.0 - 2 * math.pi),
+    (-1e-300, -1e-300),
+]
+
+
+@pytest.mark.parametrize(("angle", "expected"), CASES)
+def test_wrap_of_a_float(angle, expected):
+    wrapped = wrap(angle)
+    assert isinstance(wrapped, float)
+    assert wrapped == pytest.approx(expected, abs=1e-15)
+
+
+def test_wrap_of_an_array_is_that_of_its_floats():
+    angles = np.random.default_rng(1).uniform(-50.0, 50.0, (40, 25))
+    angles[0, : len(CASES)] = [angle for angle, _ in CASES]
+    wrapped = wrap(angles)
+    assert wrapped.shape == angles.shape
+    np.testing.assert_array_equal(wrapped, [[wrap(float(a)) for a in row] for row in angles])
+    assert wrapped.min() >= -math.pi
+    assert wrapped.max() < math.pi
+    np.testing.assert_allclose(np.exp(1j * wrapped), np.exp(1j * angles), atol=1e-13)
+
+
+def test_wrap_leaves_angles_inside_bit_for_bit():
+    angles = np.random.default_rng(2).uniform(-math.pi, math.pi, 1000)
+    np.testing.assert_array_equal(wrap(angles), angles)
+    assert [wrap(angle) for angle in angles.tolist()] == angles.tolist()
+
+
+def test_wrap_of_nan_is_nan():
+    assert math.isnan(wrap(math.nan))
+    assert np.isnan(wrap(np.array([math.nan]))).all()
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.3, -2.0, math.pi / 2, 3.14, -3.14, 1e-9])
+def test_yaw_survives_the_quaternion(yaw):
+    quaternion = quaternion_from_yaw(yaw)
+    assert math.hypot(*quaternion[2:]) == pytest.approx(1.0)
+    assert yaw_from_quaternion(*quaternion) == pytest.approx(yaw, abs=1e-15)
+    doubled = [2.0 * part for part in quaternion]
+    assert yaw_from_quaternion(*doubled) == pytest.approx(yaw, abs=1e-15)
+
+
+def test_yaw_of_a_tilted_body_is_its_heading():
+    half_yaw, half_pitch = 0.5 * 0.7, 0.5 * 0.2
+    quaternion = (
+        -math.sin(half_yaw) * math.sin(half_pitch),
+        math.cos(half_yaw) * math.sin(half_pitch),
+        math.sin(half_yaw) * math.cos(half_pitch),
+        math.cos(half_yaw) * math.cos(half_pitch),
+    )
+    assert yaw_from_quaternion(*quaternion) == pytest.approx(0.7)
+
+
+def test_an_empty_quaternion_is_no_heading():
+    assert yaw_from_quaternion(0.0, 0.0, 0.0, 0.0) == 0.0
+
+
+COORDINATES = np.concatenate(
+    [
+        np.random.default_rng(1).uniform([-5.0, -5.0, -3.1], [5.0, 5.0, 3.1], (40, 3)),
+        [[1.0, 2.0, yaw] for yaw in (0.0, 1e-12, -1e-9, 1e-6, 3e-4, 1.9e-4, -math.pi, 3.14159)],
+    ]
+)
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES.tolist())
+def test_it_is_the_matrix_exponential(coordinates):
+    x, y, yaw = coordinates
+    matrix = expm(np.array([[0.0, -yaw, x], [yaw, 0.0, y], [0.0, 0.0, 0.0]]))
+    found = exponential(coordinates)
+    np.testing.assert_allclose(found[:2], matrix[:2, 2], atol=1e-12)
+    assert math.cos(found[2]) == pytest.approx(matrix[0, 0], abs=1e-12)
+
+
+def test_there_and_back():
+    np.testing.assert_allclose(logarithm(exponential(COORDINATES)), COORDINATES, atol=1e-10)
+    poses = COORDINATES
+    np.testing.assert_allclose(exponential(logarithm(poses)), poses, atol=1e-10)
+
+
+def test_a_turn_more_is_the_same_pose():
+    np.testing.assert_allclose(
+        logarithm([1.0, 2.0, 1.0 + math.tau]), logarithm([1.0, 2.0, 1.0]), atol=1e-12
+    )
+
+
+def test_where_the_series_ends_nothing_jumps():
+    below, above = straightening(np.array([1.9999999e-4, 2.0000001e-4]))
+    assert abs(below - above) < 1e-10
+
+
+def test_a_line():
+    assert line(3, 0.5) == [(0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (1.0, 0.0, 0.0)]
+
+
+def test_a_grid_fills_row_by_row():
+    places = [(x, y) for x, y, _ in grid(5, 2.0)]
+    assert places == [(0.0, 0.0), (2.0, 0.0), (4.0, 0.0), (0.0, 2.0), (2.0, 2.0)]
+    assert grid(1, 2.0) == [(0.0, 0.0, 0.0)]
+
+
+def test_a_circle_is_even_and_faces_outwards():
+    places = circle(8, 3.0)
+    assert places[0] == (3.0, 0.0, 0.0)
+    for x, y, yaw in places:
+        assert (3.0 * math.cos(yaw), 3.0 * math.sin(yaw)) == pytest.approx((x, y))
+    gaps = [math.dist(a[:2], b[:2]) for a, b in zip(places, places[1:] + places[:1])]
+    assert gaps == pytest.approx(8 * [gaps[0]])

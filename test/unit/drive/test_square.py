@@ -157,7 +157,7 @@ def test_the_distance_is_that_of_the_sides():
 
 
 def test_closed_loop_drives_a_square_by_the_poses():
-    """A robot that does exactly as it is told, at 20 Hz."""
+    """A robot that follows commands exactly, at 20 Hz."""
     driver = SquareDriver(Square(sides=4, side=0.5), "closed_loop")
     x, y, yaw = 3.0, -1.0, math.radians(20.0)
     corners = [(x, y)]

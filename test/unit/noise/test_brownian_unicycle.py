@@ -4,8 +4,7 @@ import brownian_unicycle
 import numpy as np
 import pytest
 
-from bullet_lab.noise.exact_moments import exact_moments, first_order_moments
-from bullet_lab.noise.exponential_moments import exponential_moments
+from bullet_lab.noise.exact_moments import exact_moments, exponential_moments, first_order_moments
 from bullet_lab.noise.noisy_paths import noisy_steps
 from bullet_lab.noise.odometry_noise import RateInvariantRule
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from bullet_lab.core import se2
-from bullet_lab.noise.exponential_moments import exponential_moments
+from bullet_lab.noise.exact_moments import exponential_moments
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import MODELS, model_named
 

@@ -1,11 +1,13 @@
-"""The likelihood of steps: the noise that NoisyPath put on is read off, and weighed as it was."""
+"""The likelihood of steps: it recovers the noise that NoisyPath added, with its variances."""
+
+from dataclasses import astuple
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from bullet_lab.core import se2
-from bullet_lab.noise.likelihood import StepPairs, drawn_pairs, log_likelihood, residuals, whitened
+from bullet_lab.noise.likelihood import StepPairs, drawn_pairs, residuals, whitened
 from bullet_lab.noise.odometry_noise import (
     NoiseError,
     NoisyPath,
@@ -13,6 +15,7 @@ from bullet_lab.noise.odometry_noise import (
     RateInvariantRule,
     ReportRule,
 )
+from bullet_lab.noise.problem import Problem
 from bullet_lab.noise.systematic import SystematicErrors
 
 RULES = [ReportRule(0.1), RateInvariantRule(0.03), ProbabilisticRule(0.01, 0.02, 0.03, 0.004)]
@@ -69,7 +72,9 @@ def test_the_likelihood_is_that_of_the_three_gaussians():
     expected = stats.multivariate_normal([0.0, 0.0], sideways).logpdf(
         [0.3 * error1, error1 + error2]
     ) + stats.norm(0.0, np.sqrt(s2 + p)).logpdf(along)
-    assert log_likelihood(pairs, rule)[0] == pytest.approx(expected, rel=1e-12)
+    problem = Problem(pairs, rule.name)
+    coordinates = problem.coordinates(np.array([astuple(rule)]))
+    assert problem.logarithm(coordinates, np.arange(1)) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("rule", RULES)

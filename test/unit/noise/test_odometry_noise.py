@@ -1,3 +1,5 @@
+"""None"""
+
 import dataclasses
 import math
 
@@ -16,6 +18,7 @@ from bullet_lab.noise.odometry_noise import (
     ReportRule,
     decompose,
     decompose_steps,
+    derived_seed,
 )
 
 RULES = [ReportRule(0.1), RateInvariantRule(0.1), ProbabilisticRule(0.02, 0.01, 0.03, 0.005)]
@@ -260,3 +263,12 @@ def test_the_covariance_of_a_step_is_that_of_a_path_of_one_step(rule):
         own = alone.update(*se2.between(before, after).tolist())
         np.testing.assert_allclose(step.motion_covariance, own.covariance, atol=1e-15)
     assert np.linalg.eigvalsh(steps[-1].covariance).min() > 0.0
+
+
+def test_derived_seeds_are_the_same_each_time_and_differ_from_each_other():
+    seeds = [derived_seed(seed, index) for seed in range(20) for index in range(50)]
+    assert len(set(seeds)) == len(seeds)
+    assert seeds == [derived_seed(seed, index) for seed in range(20) for index in range(50)]
+    # As far as a parameter of type int goes.
+    assert min(seeds) >= 0
+    assert max(seeds) < 2**31

@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.core.files import FileError, RowFile, SeriesError
+from bullet_lab.core.files import FileError, Series, SeriesError
 from bullet_lab.reports import Reading
 from bullet_lab.reports.sensors import DISTANCES, BeaconsReport
 
@@ -75,6 +75,5 @@ def test_figure_has_a_curve_over_the_truth_for_each_beacon(tmp_path):
 
 def test_a_full_disk_is_one_line(tmp_path):
     (tmp_path / "rows.csv").symlink_to("/dev/full")
-    file = RowFile(tmp_path / "rows.csv")
     with pytest.raises(FileError, match="No space left"):
-        file.write("1,2,3")
+        Series(tmp_path / "rows.csv", "ab").add(0, (1.0, 2.0))

@@ -1,8 +1,11 @@
-"""Who comes in, and who does not."""
+"""Which requests and which messages of a browser are accepted."""
 
+import math
+
+import msgspec
 import pytest
 
-from bullet_lab.view.gate import Gate
+from bullet_lab.view.gate import MAX_MESSAGE_BYTES, Gate, is_valid_message
 
 GATE = Gate("secret")
 HERE = {"Host": "localhost:8080"}
@@ -55,3 +58,42 @@ def test_another_origin_or_name_is_refused(headers):
 def test_each_gate_has_a_token_of_its_own():
     assert Gate().token != Gate().token
     assert len(Gate().token) >= 20
+
+
+def update(**updates):
+    return {"type": "GuiUpdateMessage", "uuid": "a", "updates": updates}
+
+
+@pytest.mark.parametrize(
+    "message",
+    [update(value=0.5), update(value="/cmd_vel"), update(value=True), {"type": "X", "at": [0.0]}],
+)
+def test_messages_of_a_page_are_accepted(message):
+    assert is_valid_message(msgspec.msgpack.encode(message))
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        update(value=math.nan),
+        update(value=-math.inf),
+        update(value=[1.0, math.nan]),
+        update(value="x" * 2000),
+        update(value=0.5, visible=False),
+        update(update_cb=5),
+        update(),
+        {"type": "GuiUpdateMessage", "uuid": "a", "updates": 5},
+        {"type": "ViewerCameraMessage", "position": [0.0, math.inf, 0.0]},
+        {math.nan: 1},
+        ["GuiUpdateMessage"],
+    ],
+)
+def test_messages_that_no_page_sends_are_dropped(message):
+    assert not is_valid_message(msgspec.msgpack.encode(message))
+
+
+@pytest.mark.parametrize(
+    "data", ["text", b"", b"\xc1", b"\x91" * 5000 + b"\xc0", b"\xa0" * (MAX_MESSAGE_BYTES + 1)]
+)
+def test_garbage_is_dropped(data):
+    assert not is_valid_message(data)

@@ -1,10 +1,10 @@
-"""How long a word of the pad counts, and which tab drives; on a clock of the test's own."""
+"""How long a command of the pad is valid, and which tab drives; on a clock of the test."""
 
 import math
 
 import pytest
 
-from bullet_lab.view.pad import HOLD, PERIOD, STILL, TAKE_OVER, Pad, Wheel, read_word
+from bullet_lab.view.pad import HOLD, PERIOD, STILL, TAKE_OVER, Pad, Wheel, read_command
 
 
 @pytest.fixture
@@ -18,13 +18,13 @@ def wheel(driven):
 
 
 @pytest.mark.parametrize(
-    "word", ["1 nan 0", "inf 1 0", "1 1e999 0", "1 0", "1 0 0 0", "", b"1 1 0", None, "1 " * 10**6]
+    "text", ["1 nan 0", "inf 1 0", "1 1e999 0", "1 0", "1 0 0 0", "", b"1 1 0", None, "1 " * 10**6]
 )
-def test_a_word_that_makes_no_sense_is_old_and_still(word):
-    assert read_word(word) == (-math.inf, STILL)
+def test_an_invalid_command_is_late_and_a_stop(text):
+    assert read_command(text) == (-math.inf, STILL)
 
 
-def test_a_word_counts_from_the_time_that_it_bears(wheel, driven):
+def test_a_command_is_valid_from_the_time_that_it_carries(wheel, driven):
     pad = Pad("a", wheel)
     pad.take("10 1 0", 10.3)
     assert driven == [("a", (1.0, 0.0))]
@@ -35,7 +35,7 @@ def test_a_word_counts_from_the_time_that_it_bears(wheel, driven):
 
 
 @pytest.mark.parametrize("age", [HOLD, 2.0, 6.0, -1.0])
-def test_a_late_word_is_a_stop(wheel, driven, age):
+def test_a_late_command_is_a_stop(wheel, driven, age):
     pad = Pad("a", wheel)
     pad.take(f"{10.0 - age} 1 0", 10.0)
     assert not driven
@@ -75,8 +75,8 @@ def test_who_leaves_is_stopped_and_others_may_drive(wheel, driven):
     assert wheel.claim("b")
 
 
-def test_who_stands_still_is_told_so_once(wheel, driven):
+def test_a_stop_is_passed_on_once(wheel, driven):
     pad = Pad("a", wheel)
-    for word in ("10 0 0", "10 1 0", "10 0 0", "10 0 0"):
-        pad.take(word, 10.0)
+    for text in ("10 0 0", "10 1 0", "10 0 0", "10 0 0"):
+        pad.take(text, 10.0)
     assert driven == [("a", (1.0, 0.0)), ("a", STILL)]

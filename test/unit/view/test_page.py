@@ -19,8 +19,8 @@ class Driven:
     """A page, and what it was driven by."""
 
     def __init__(self):
-        self.said = []
-        self.page = Page(18200, Wheel(lambda tab, shares: self.said.append(shares)))
+        self.sent = []
+        self.page = Page(18200, Wheel(lambda tab, shares: self.sent.append(shares)))
         self.origin = self.page.url.rsplit("/", 2)[0]
 
     def socket(self, path="tab/drive", **options):
@@ -28,15 +28,15 @@ class Driven:
         return connect(address, **{"origin": self.origin, **options})
 
     def drive(self, socket, shares):
-        """Send shares with each time that the server tells, until one was in time."""
-        while shares not in self.said:
+        """Send shares with each time from the server, until one was in time."""
+        while shares not in self.sent:
             socket.send("{} {} {}".format(json.loads(socket.recv(60))["time"], *shares))
 
     def wait_until_still(self):
         deadline = time.monotonic() + 60.0
-        while STILL not in self.said and time.monotonic() < deadline:
+        while STILL not in self.sent and time.monotonic() < deadline:
             time.sleep(0.01)
-        return self.said
+        return self.sent
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ def test_a_command_drives_and_silence_stops(driven):
     with driven.socket() as socket:
         driven.drive(socket, (1.0, -0.5))
         assert driven.wait_until_still()[-1] == STILL
-    assert set(driven.said) == {(1.0, -0.5), STILL}
+    assert set(driven.sent) == {(1.0, -0.5), STILL}
 
 
 def test_a_closed_page_stops_the_robot(driven):

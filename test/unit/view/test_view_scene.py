@@ -1,11 +1,26 @@
-"""What is sent to the page when something is put, moved and taken away."""
+"""What is sent to the page when something is placed, moved and removed, and visuals as glTF."""
+
+from io import BytesIO
 
 import numpy as np
 import pytest
+import trimesh
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.view.scene import PIECE, Labels, Polyline, Shown, Solids, floor_point
+from bullet_lab.simulation.world.description import Visual
+from bullet_lab.simulation.world.resources import package_share
+from bullet_lab.simulation.world.shapes import Box, Mesh, Sphere
+from bullet_lab.view.scene import (
+    PIECE,
+    Labels,
+    PointsNode,
+    Polyline,
+    Solids,
+    floor_point,
+    glb_of,
+)
 
+WALL = package_share() / "models" / "docking_station" / "meshes" / "back_wall.obj"
 RED, GLASS = (1.0, 0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.5)
 SIZE = (1.0, 2.0, 3.0)
 
@@ -50,16 +65,16 @@ def scene():
 def test_solids_of_a_kind_are_one_node_that_is_sent_once_they_move(scene):
     solids = Solids(scene, "/s")
     for number in range(20):
-        solids.put(number, "box", Pose((number, 0.0, 0.0)), SIZE, RED)
+        solids.put_solid(number, "box", Pose((number, 0.0, 0.0)), SIZE, RED)
     solids.flush()
     (node,) = scene.nodes.values()
     assert node.batched_positions[:, 0].tolist() == list(range(20))
     assert node.batched_colors.dtype == np.uint8
     assert not node.sent
-    solids.put(3, "box", Pose((3.0, 0.0, 0.0)), SIZE, RED)
+    solids.put_solid(3, "box", Pose((3.0, 0.0, 0.0)), SIZE, RED)
     solids.flush()
     assert not node.sent
-    solids.put(3, "box", Pose((3.0, 7.0, 0.0)), SIZE, RED)
+    solids.put_solid(3, "box", Pose((3.0, 7.0, 0.0)), SIZE, RED)
     solids.flush()
     assert node.batched_positions[3].tolist() == [3.0, 7.0, 0.0]
     assert scene.nodes["/s/box"] is node
@@ -67,14 +82,15 @@ def test_solids_of_a_kind_are_one_node_that_is_sent_once_they_move(scene):
 
 def test_a_solid_that_comes_goes_or_turns_to_glass_makes_nodes_anew(scene):
     solids = Solids(scene, "/s")
-    solids.put("a", "box", Pose(), SIZE, RED)
-    solids.put("b", "box", Pose(), SIZE, RED)
+    solids.put_solid("a", "box", Pose(), SIZE, RED)
+    solids.put_solid("b", "box", Pose(), SIZE, RED)
     solids.flush()
-    solids.put("b", "box", Pose(), SIZE, GLASS)
+    solids.put_solid("b", "box", Pose(), SIZE, GLASS)
     solids.flush()
     assert len(scene.nodes["/s/box"].batched_positions) == 1
     assert scene.nodes["/s/box_see_through"].batched_opacities.tolist() == [0.5]
-    solids.clear()
+    for key in "ab":
+        solids.drop(key)
     solids.flush()
     assert not scene.nodes
 
@@ -97,7 +113,7 @@ def test_of_a_line_that_grows_only_the_end_is_sent(scene):
 
 
 def test_nothing_to_show_is_no_node(scene):
-    shown = Shown(lambda points: Node(scene.nodes, "/p", points=points))
+    shown = PointsNode(lambda points: Node(scene.nodes, "/p", points=points))
     for count in (0, 3, 5, 0, 0, 2):
         shown.set(np.zeros((count, 3)))
         assert len(scene.nodes) == bool(count)
@@ -119,3 +135,32 @@ def test_labels_follow_and_go(scene):
 def test_a_ray_that_does_not_meet_the_floor_meets_nothing():
     assert floor_point((0.0, 0.0, 1.0), (1.0, 0.0, 0.1)) is None
     assert floor_point((0.0, 0.0, -1.0), (1.0, 0.0, -0.1)) is None
+
+
+def read(glb):
+    return trimesh.load(BytesIO(glb), file_type="glb")
+
+
+def test_shapes_are_where_they_are_and_as_large_as_they_are():
+    visuals = [
+        Visual(Box((1.0, 2.0, 3.0)), Pose((10.0, 0.0, 0.0)), (1.0, 0.5, 0.0, 1.0)),
+        Visual(Sphere(0.5), colour=(0.0, 0.0, 1.0, 0.25)),
+    ]
+    scene = read(glb_of(visuals))
+    assert scene.bounds == pytest.approx(np.array([[-0.5, -1.0, -1.5], [10.5, 1.0, 1.5]]), abs=0.02)
+    opaque, clear = (mesh.visual.material for mesh in scene.geometry.values())
+    assert opaque.baseColorFactor[:3] == pytest.approx([255, round(255 * 0.5**2.2), 0], abs=1)
+    assert (opaque.alphaMode, clear.alphaMode) == ("OPAQUE", "BLEND")
+
+
+def test_a_mesh_brings_its_picture():
+    scene = read(glb_of([Visual(Mesh(WALL, str(WALL)))]))
+    assert any(m.visual.material.baseColorTexture is not None for m in scene.geometry.values())
+
+
+def test_what_cannot_be_read_is_reported_and_left_out():
+    reports = []
+    visuals = [Visual(Mesh(WALL.with_name("none.obj"), "none")), Visual(Box((1.0, 1.0, 1.0)))]
+    assert len(read(glb_of(visuals, reports.append)).geometry) == 1
+    assert len(reports) == 1
+    assert glb_of(visuals[:1], reports.append) == b""

@@ -1,1 +1,1 @@
-"""The parts of the bridge: its loop, its pace, and what its devices say and take."""
+"""The stepping loop of the bridge, its speed, lock step, and the topics of the world."""

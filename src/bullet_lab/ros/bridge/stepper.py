@@ -1,7 +1,7 @@
-"""The loop that advances a simulation, and the threads that want something of it. No rospy.
+"""The loop that advances a simulation, and requests of other threads to it. No rospy.
 
-PyBullet wants all calls from one thread: the one that calls `Stepper.run`. Others hand it what
-they want done, and wait.
+One thread makes all calls of PyBullet: the one that calls `Stepper.run`. Other threads pass their
+actions to it and wait.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.timing import FOR_EVER, WAITING, Lag, LoopWatch, Pace, TimeGate
 from bullet_lab.simulation.simulation import Simulation
 
-# Between two looks at what others want, at most: of small worlds, two milliseconds of wall time.
+# Largest number of steps of a stride, after which requests are served; 2 ms in a small world.
 STEPS_AT_A_TIME = 200
-# Wall seconds that a stride may take where its steps can be fewer: worlds may be slow.
+# Wall seconds of a stride of more than one step, at most.
 LONGEST_STRIDE = 0.1
-# Strides by which a command brings time to its own moment, at most.
+# Strides before a command is executed, at most.
 MOST_TO_CATCH_UP = 5
-# Longest wait before looking whether all has ended, in wall seconds.
+# Wall seconds between two checks whether the loop has ended, at most.
 LONGEST_WAIT = 0.2
-# Wall seconds after which it is reported who holds time back.
+# Wall seconds between two reports of the members that hold time back.
 PATIENCE = 2.0
 
 
 class StepperError(LabError):
-    """The simulation ends before it has done what was asked."""
+    """The simulation was stopped or ended before a request was done."""
 
 
 class Reached(NamedTuple):
-    """What became of a grant: whether time has come there, and the step and epoch it is at."""
+    """The result of a grant: whether time has reached it, and the present step and epoch."""
 
     success: bool
     step: int
@@ -45,7 +45,7 @@ class Reached(NamedTuple):
 
 @dataclass
 class _Advance:
-    """Steps that somebody asked for: how many are left, and the step that they led to."""
+    """A request for steps: how many are left, and the future with the step reached."""
 
     steps: int
     reached: futures.Future = field(default_factory=futures.Future)
@@ -55,20 +55,20 @@ class Stepper:
     """Advances a simulation as the wall clock, the lock step and pauses allow.
 
     Args:
-        simulation: what to advance.
-        pace: how it follows the wall clock.
-        gate: how far the members of the lock step let it go.
+        simulation: the simulation to advance.
+        pace: computes the steps that are due by the wall clock.
+        gate: keeps the grants of the lock step's members.
         tick: steps between two wake-ups while time follows the wall clock.
-        paused: whether to start so.
-        is_over: says whether to end.
-        report_stall: called with the names of those who hold time back, every `PATIENCE`.
-        after_steps: called when steps have been made, before anybody is told of them.
-        report_lag: called when time does not hold its speed, every few seconds.
-        watch: notices that.
+        paused: whether to start paused.
+        is_over: returns whether to end the loop.
+        report_stall: called with the names of the members that hold time back.
+        after_steps: called after each stride, before waiting threads see its end.
+        report_lag: called when simulated time is too slow.
+        watch: measures the speed.
 
     Attributes:
-        paused: whether time stands still.
-        epoch: one more than there were resets, of the world or of time.
+        paused: whether time is paused.
+        epoch: 1 plus the number of resets, of the world or of time.
     """
 
     def __init__(
@@ -99,16 +99,16 @@ class Stepper:
         self.epoch = 1
 
     @property
-    def hurried(self) -> bool:
-        """Whether steps are made faster than the wall clock has it, and nothing may be lost."""
+    def lossless(self) -> bool:
+        """Whether messages must not be lost: time does not follow the wall clock at present."""
         return self.pace.free or bool(self._advances)
 
     def run(self) -> None:
-        """Advance until all is over; to be called by one thread, once."""
+        """Run the loop until the end; to be called once, by one thread."""
         self._restart(self.simulation.step)
         try:
             while not self._is_over():
-                # Read before anything is looked at: what changes from here on cuts waits short.
+                # Read first: any later change ends the waiting below.
                 wakeups = self._wakeups
                 self._run_tasks()
                 self._go_on(wakeups)
@@ -118,15 +118,15 @@ class Stepper:
     # For other threads
 
     def wake(self) -> None:
-        """Have the loop look at once at what has changed."""
+        """End the loop's waiting after a change."""
         with self._wake:
             self._wakeups += 1
             self._wake.notify_all()
 
     def do(self, action: Callable[[], Any]) -> Any:
-        """Have something done between two steps; return what it returns, raise what it raises.
+        """Run an action in the loop between two steps; return or raise what it does.
 
-        Raises StepperError if all is over before it could be done.
+        Raises StepperError if the simulation ends before.
         """
         result: futures.Future = futures.Future()
         self._tasks.put((result, action))
@@ -134,16 +134,16 @@ class Stepper:
         return self._result_of(result)
 
     def do_now(self, action: Callable[[], None]) -> None:
-        """Have something done at the present moment of wall time.
+        """Run an action at the present moment of wall time.
 
-        Tied to the wall clock, simulated time sleeps between ticks; it is first brought to this
-        moment. At full speed there is no such moment, and the action is done at once.
+        Tied to the wall clock, the loop sleeps between ticks; simulated time first advances to
+        this moment. At full speed, the action is run at once.
         """
 
         def catch_up_and_act() -> None:
             step, limit = self.simulation.step, self.gate.limit()
             if not self.paused and limit is not None:
-                # At a speed that nothing keeps up with, the moment is years away.
+                # At a very high real-time factor, the moment may be years away.
                 most = MOST_TO_CATCH_UP * self._stride
                 self._run_until(min(limit, self.pace.due(step), step + most))
             action()
@@ -154,15 +154,15 @@ class Stepper:
             self.do(catch_up_and_act)
 
     def pause(self) -> None:
-        """Stop time, and end what `advance_by` has begun."""
+        """Pause time, and end the calls of `advance_by` with an error."""
         self.do(partial(self._set_paused, True))
 
     def unpause(self) -> None:
-        """Let time go on."""
+        """Let time advance."""
         self.do(partial(self._set_paused, False))
 
     def set_real_time_factor(self, factor: float) -> None:
-        """Let time go at another speed: simulated seconds per wall second, 0 for full speed."""
+        """Set the simulated seconds per wall second; 0 for full speed."""
 
         def change() -> None:
             self.pace.real_time_factor = factor
@@ -173,35 +173,34 @@ class Stepper:
     def advance_by(self, steps: int) -> int:
         """Advance by exactly so many steps, paused or not, and return the step reached.
 
-        Others are served between batches of steps. Raises StepperError where time is stopped, or
-        all is over, before that.
+        Other requests are served in between. Raises StepperError if time is paused, or the
+        simulation ends, before.
         """
         advance = _Advance(steps)
         self.do(partial(self._advances.append, advance))
         return self._result_of(advance.reached)
 
     def reset_world(self) -> None:
-        """Put all models back; time goes on."""
+        """Reset all models but not the time."""
         self.do(partial(self._reset, self.simulation.reset_world))
 
     def reset_simulation(self) -> None:
-        """Put all models back and start time again at 0."""
+        """Reset all models and set time to 0."""
         self.do(partial(self._reset, self.simulation.reset_simulation))
 
     def join(self, member: str) -> Reached:
-        """Have time stand until a member grants more, and return when it stands."""
+        """Hold time for a new member, and return when it is held."""
         while True:
             answer = self.grant(member, 0, self.epoch)
-            # A reset may have come in between.
+            # A reset may have changed the epoch in between.
             if answer.success or self._is_over():
                 return answer
 
     def grant(self, member: str, step: float, epoch: int) -> Reached:
-        """Let time go on to a step, for all that a member cares, and wait until it is there.
+        """Let time advance to a step as far as a member is concerned, and wait until it has.
 
-        It is refused, or ends early, where the world or time was reset since the epoch that the
-        member knows of, and where all is over. A grant for ever holds in every epoch and
-        returns at once.
+        Without success if the world or time was reset since the member's epoch, or the simulation
+        ends. A grant without an end is valid in every epoch and returns at once.
         """
         with self._wake:
             if step != FOR_EVER and epoch != self.epoch:
@@ -211,7 +210,7 @@ class Stepper:
         if step == FOR_EVER:
             return Reached(True, self._reached, self.epoch)
         if step <= self._reached:
-            # The loop may be in the middle of a stride, and time stands only at the end of it.
+            # Time is held from the end of the present stride on.
             self.do(lambda: None)
         with self._wake:
             while self._reached < step and self.epoch == epoch and not self._is_over():
@@ -231,7 +230,7 @@ class Stepper:
     # The loop
 
     def _go_on(self, wakeups: int) -> None:
-        """Advance as far as is due and allowed, or wait for more than so many wake-ups."""
+        """Advance as far as is due and allowed, or wait for a wake-up after the first `wakeups`."""
         if self._advances:
             self._advance()
             return
@@ -269,7 +268,7 @@ class Stepper:
             self._adapt_stride(self._reached - before, time.perf_counter() - start)
 
     def _adapt_stride(self, steps: int, seconds: float) -> None:
-        """Bound the next stride by the time that this one took; it grows to twice its length."""
+        """Set the length of the next stride by the wall time of this one, at most doubling it."""
         fit = steps * LONGEST_STRIDE / max(seconds, 1e-9)
         self._stride = int(max(1, min(STEPS_AT_A_TIME, 2 * self._stride, fit)))
 
@@ -279,26 +278,26 @@ class Stepper:
                 self._wake.wait(seconds)
 
     def _run_tasks(self) -> None:
-        # Those that are there now: steps are made however fast others ask for more.
+        # Only the present ones: steps are made however many new tasks come.
         for _ in range(self._tasks.qsize()):
             result, action = self._tasks.get()
             with self.watch.doing("services"):
                 try:
                     result.set_result(action())
                 except Exception as error:
-                    # It goes back to whoever asked, and time goes on for the others.
+                    # The requesting thread raises it.
                     result.set_exception(error)
 
     def _set_paused(self, paused: bool) -> None:
         self.paused = paused
         while paused and self._advances:
             advance = self._advances.popleft()
-            left = f"time was stopped with {advance.steps} steps to go"
+            left = f"paused with {advance.steps} steps to go"
             advance.reached.set_exception(StepperError(left))
         self._restart(self.simulation.step)
 
     def _advance(self) -> None:
-        """Make a batch of the steps that were asked for, by whoever waits the longest."""
+        """Make some steps of the oldest request for steps, and put it at the end of the queue."""
         advance = self._advances[0]
         batch = min(advance.steps, self._stride)
         self._run_until(self.simulation.step + batch)
@@ -310,7 +309,7 @@ class Stepper:
             advance.reached.set_result(self.simulation.step)
 
     def _reset(self, reset: Callable[[], None]) -> None:
-        """Reset, and take back what members have granted: they know nothing of it."""
+        """Reset, and revoke the grants of members, which do not know of the reset yet."""
         before = self.simulation.step
         reset()
         if self.simulation.step != before:
@@ -322,7 +321,7 @@ class Stepper:
             self._wake.notify_all()
 
     def _restart(self, step: int) -> None:
-        """Let speed be measured from now on, with time at a step."""
+        """Measure the speed from now on, with simulated time at a step."""
         self.pace.restart(step)
         self.watch.restart(step)
         self.simulation.take_spent()
@@ -333,7 +332,7 @@ class Stepper:
         for what, seconds in self.simulation.take_spent().items():
             self.watch.spend(what, seconds)
             self.watch.spend("steps", -seconds)
-        lag = self.watch.look(self.simulation.step, self.pace.real_time_factor)
+        lag = self.watch.measure(self.simulation.step, self.pace.real_time_factor)
         if lag is not None:
             self._report_lag(lag)
 
@@ -343,6 +342,6 @@ class Stepper:
             self._stalled_since = now
         elif now - self._stalled_since >= PATIENCE:
             self._stalled_since = now
-            # One report is enough.
+            # The stall is reported here; it does not count as a lag.
             self._restart(self.simulation.step)
             self._report_stall(self.gate.holding())

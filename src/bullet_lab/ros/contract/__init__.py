@@ -1,1 +1,1 @@
-"""The contract that Gazebo's ROS interface is: rows in config/contract, checked on a master."""
+"""The contract: does a simulator keep the promises of Gazebo's ROS interface?"""

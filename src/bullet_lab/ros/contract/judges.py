@@ -1,23 +1,170 @@
-"""What a row may expect, a function for each word: "" where it holds, else what was found."""
+"""Checks what was seen of a simulator against the expectations of the contract's rows.
+
+Each kind of expectation is a function in JUDGES: it returns what is wrong, or "" if nothing is.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 import statistics
-from typing import Any, Callable, Dict, Mapping, Sequence
+import struct
+from dataclasses import dataclass, field
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
-from bullet_lab.ros.contract.evidence import NotSeenError, Scene, beside, find_field, plain
+from rosgraph.names import namespace, ns_join
 
-# Of a rate by stamps and by counting, and of a number for which nothing else is said.
 RATE_TOLERANCE = 0.03
+"""Relative tolerance of a rate that is measured by stamps."""
+
 COUNT_TOLERANCE = 0.1
+"""Relative tolerance of a rate that is measured by counting messages."""
+
 ROUNDING = 1e-6
-AXES = {"x": 0, "y": 1, "z": 2}
+"""Tolerance of a number for which the row gives none; relative beyond 1."""
+
+STAMP_ROUNDING = 1e-6
+SHOWN = 100
+"""Characters of a value that are shown."""
+
+_AXES = {"x": 0, "y": 1, "z": 2}
+_FIELD = re.compile(r"(\w+)((?:\[\d+\])*)")
+_STAMP = struct.Struct("<II")
+
+
+class NotSeenError(LookupError):
+    """The thing that a row checks was not seen; the text says what was seen instead."""
+
+
+@dataclass
+class Heard:
+    """The messages that came on a topic.
+
+    Attributes:
+        type: their type, as the publisher gives it; the same for md5 and latching.
+        kind: their class; None if it is not installed.
+        buffers: the serialized messages, in order of arrival.
+    """
+
+    type: str = ""
+    md5: str = ""
+    latching: bool = False
+    kind: Optional[type] = None
+    buffers: List[bytes] = field(default_factory=list)
+
+    def message(self, index: int) -> Any:
+        """Return a message; raise NotSeenError."""
+        if not self.buffers:
+            raise NotSeenError("no message came")
+        if self.kind is None:
+            raise NotSeenError(f"{self.type} is not installed here")
+        return self.kind().deserialize(self.buffers[index])
+
+    def has_stamps(self) -> bool:
+        """Return whether the messages begin with a header, or are times themselves."""
+        return self.kind is not None and self.kind.__slots__[:1] in (["header"], ["clock"])
+
+    def cut(self, end: float) -> None:
+        """Drop messages with stamps after `end` (s): the simulator may have run on."""
+        if self.has_stamps():
+            kept = zip(self.buffers, self.stamps())
+            self.buffers = [buffer for buffer, stamp in kept if stamp <= end + STAMP_ROUNDING]
+
+    def stamps(self) -> List[float]:
+        """Return the stamps of the messages in s."""
+        # A header begins with its sequence number.
+        offset = _STAMP.size // 2 if self.kind.__slots__[0] == "header" else 0
+        pairs = (_STAMP.unpack_from(buffer, offset) for buffer in self.buffers)
+        return [seconds + 1e-9 * nanoseconds for seconds, nanoseconds in pairs]
+
+
+@dataclass
+class Evidence:
+    """Everything that was seen while simulated time ran.
+
+    Attributes:
+        published: types of the topics that have a publisher, by name.
+        taken: types of the topics that have a subscriber, by name.
+        services: type and md5 sum of services, by name.
+        heard: messages by the name of the topic.
+        frames: pairs of parent and child on /tf.
+        parameters: parameters of the ROS master, by name.
+        seconds: for how long time ran, in s.
+        seconds_before: for how long time ran before that, in s.
+    """
+
+    published: Mapping[str, str] = field(default_factory=dict)
+    taken: Mapping[str, str] = field(default_factory=dict)
+    services: Mapping[str, Tuple[str, str]] = field(default_factory=dict)
+    heard: Mapping[str, Heard] = field(default_factory=dict)
+    frames: Set[Tuple[str, str]] = field(default_factory=set)
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    seconds: float = 0.0
+    seconds_before: float = 0.0
+
+
+@dataclass
+class Scene:
+    """The evidence for one row.
+
+    Attributes:
+        evidence: everything that was seen.
+        types: md5 sums by type.
+        topic: full name of the row's topic or service.
+        place: position of the row's probe, x, y and z in m.
+        answer: answer of the service that the row calls; None if there is an `error`.
+        error: why the service did not answer.
+    """
+
+    evidence: Evidence
+    types: Mapping[str, str]
+    topic: str = ""
+    place: Sequence[float] = (0.0, 0.0, 0.0)
+    answer: Any = None
+    error: str = ""
+
+    def heard(self, topic: str = "") -> Heard:
+        """Return the messages on a topic, by default the row's; raise NotSeenError."""
+        name = topic or self.topic
+        if name not in self.evidence.heard or not self.evidence.heard[name].buffers:
+            raise NotSeenError(f"nothing came on {name}{self.nearby(name)}")
+        return self.evidence.heard[name]
+
+    def nearby(self, topic: str) -> str:
+        """Return a note on the published topics with the same namespace; empty if none."""
+        around = topic.rpartition("/")[0]
+        near = [name for name in sorted(self.evidence.published) if name.startswith(around)]
+        return f"; there are {', '.join(near[:6])}" if around and near else ""
+
+
+def find_field(message: Any, path: str) -> Any:
+    """Return a field of a message, such as pose.covariance[0]; raise NotSeenError."""
+    found = message
+    for part in path.split("."):
+        match = _FIELD.fullmatch(part)
+        if match is None or not hasattr(found, match[1]):
+            raise NotSeenError(f"there is no field {path}")
+        found = getattr(found, match[1])
+        for index in re.findall(r"\d+", match[2]):
+            if int(index) >= len(found):
+                raise NotSeenError(f"{path}: there are only {len(found)}")
+            found = found[int(index)]
+    return found
+
+
+def plain(value: Any) -> Any:
+    """Return a value of a message as YAML has it: lists, dictionaries, numbers and texts."""
+    if isinstance(value, (bytes, tuple, list)):
+        return [plain(entry) for entry in value]
+    if hasattr(value, "to_sec"):
+        return value.to_sec()
+    if hasattr(value, "__slots__"):
+        return {name: plain(getattr(value, name)) for name in value.__slots__}
+    return value
 
 
 def judge(word: str, expected: Any, scene: Scene) -> str:
-    """Return what is wrong by an expectation; empty where nothing is."""
+    """Return how an expectation is not met; empty if it is met."""
     try:
         return JUDGES[word](expected, scene)
     except NotSeenError as error:
@@ -25,10 +172,10 @@ def judge(word: str, expected: Any, scene: Scene) -> str:
 
 
 def _publishes(kind: str, scene: Scene) -> str:
-    """Somebody publishes the topic, with that type and its md5 sum."""
+    """The topic has a publisher, of that type with its md5 sum."""
     found = scene.evidence.published.get(scene.topic)
     if found is None:
-        return f"nobody publishes {scene.topic}{scene.nearby()}"
+        return f"nobody publishes {scene.topic}{scene.nearby(scene.topic)}"
     if found != kind:
         return f"{scene.topic} has {found}"
     heard = scene.heard()
@@ -37,13 +184,13 @@ def _publishes(kind: str, scene: Scene) -> str:
 
 
 def _takes(kind: str, scene: Scene) -> str:
-    """Somebody listens to the topic, with that type."""
+    """The topic has a subscriber of that type."""
     found = scene.evidence.taken.get(scene.topic, "nobody")
     return "" if found == kind else f"on {scene.topic} listens {found}"
 
 
 def _absent(_expected: bool, scene: Scene) -> str:
-    """Nobody publishes the topic or listens to it, and there is no such service."""
+    """The topic has no publisher and no subscriber, and there is no such service."""
     evidence = scene.evidence
     for named in (evidence.published, evidence.taken, evidence.services):
         if scene.topic in named:
@@ -52,7 +199,7 @@ def _absent(_expected: bool, scene: Scene) -> str:
 
 
 def _offers(kind: str, scene: Scene) -> str:
-    """There is a service of that type and its md5 sum."""
+    """There is a service of that type with its md5 sum."""
     found = scene.evidence.services.get(scene.topic)
     if found is None:
         return f"there is no service {scene.topic}"
@@ -72,70 +219,72 @@ def _silent(_expected: bool, scene: Scene) -> str:
 
 
 def _parameter(expected: Mapping[str, Any], scene: Scene) -> str:
-    """The master has parameters of these values."""
-    known = scene.evidence.parameters
-    return _listed(_unlike(want, known.get(name), scene, name) for name, want in expected.items())
+    """The ROS master has parameters with these values."""
+    return _compared(expected, scene.evidence.parameters.get, scene)
 
 
 def _rate(hertz: float, scene: Scene) -> str:
-    """Messages come so often per simulated second, by the median between stamps."""
+    """Messages come at this rate per simulated second, by the median between stamps."""
     heard = scene.heard()
-    tolerance = RATE_TOLERANCE if heard.has_stamps() else COUNT_TOLERANCE
-    if not heard.has_stamps():
-        found = len(heard.buffers) / scene.evidence.seconds if scene.evidence.seconds else math.nan
-    else:
+    if heard.has_stamps():
         stamps = heard.stamps()
         gaps = [later - sooner for sooner, later in zip(stamps, stamps[1:])]
-        middle = statistics.median(gaps) if gaps else 0.0
-        found = 1.0 / middle if middle > 0.0 else math.nan
+        period = statistics.median(gaps) if gaps else 0.0
+        tolerance = RATE_TOLERANCE
+    else:
+        period = scene.evidence.seconds / len(heard.buffers)
+        tolerance = COUNT_TOLERANCE
+    found = 1.0 / period if period > 0.0 else math.nan
     holds = abs(found - hertz) <= tolerance * hertz
     return "" if holds else f"{found:.4g} Hz, by {len(heard.buffers)} messages"
 
 
 def _fields(expected: Mapping[str, Any], scene: Scene) -> str:
-    """The fields of the last message are so."""
-    return _compared(expected, scene.heard().message(-1), scene)
+    """The fields of the last message have these values."""
+    return _compared_fields(expected, scene.heard().message(-1), scene)
 
 
 def _answers(expected: Mapping[str, Any], scene: Scene) -> str:
-    """The service answers, and the fields of its answer are so."""
-    return scene.error or _compared(expected, scene.answer, scene)
+    """The service answers, and the fields of its answer have these values."""
+    return scene.error or _compared_fields(expected, scene.answer, scene)
 
 
 def _fails(_expected: bool, scene: Scene) -> str:
-    """The service does not answer, but says that the call failed."""
+    """The service reports that the call failed."""
     return "" if scene.error else f"it answered {plain(scene.answer)}"
 
 
 def _change(expected: Mapping[str, Any], scene: Scene) -> str:
-    """The fields have changed by so much from the first to the last message."""
+    """The fields change by these values from the first to the last message."""
     heard = scene.heard()
     first, last = heard.message(0), heard.message(-1)
-    found = {path: find_field(last, path) - find_field(first, path) for path in expected}
-    return _listed(_unlike(want, found[path], scene, path) for path, want in expected.items())
+    return _compared(
+        expected, lambda path: find_field(last, path) - find_field(first, path), scene
+    )
 
 
 def _spread(expected: Mapping[str, Any], scene: Scene) -> str:
-    """The standard deviation of the fields over all messages is so."""
+    """The fields have these standard deviations over all messages."""
     heard = scene.heard()
     messages = [heard.message(index) for index in range(len(heard.buffers))]
-    found = {
-        path: statistics.pstdev([find_field(message, path) for message in messages])
-        for path in expected
-    }
-    return _listed(_unlike(want, found[path], scene, path) for path, want in expected.items())
+    return _compared(
+        expected,
+        lambda path: statistics.pstdev([find_field(message, path) for message in messages]),
+        scene,
+    )
 
 
 def _stamped(other: str, scene: Scene) -> str:
-    """Each stamp is one of the other topic's, but the first and last few."""
-    theirs = {round(stamp, 6) for stamp in scene.heard(beside(scene.topic, other)).stamps()}
+    """Each stamp but the first and the last is also a stamp of the other topic."""
+    heard = scene.heard(ns_join(namespace(scene.topic), other))
+    theirs = {round(stamp, 6) for stamp in heard.stamps()}
     inner = scene.heard().stamps()[1:-1]
     lone = [stamp for stamp in inner if round(stamp, 6) not in theirs]
     return f"no {other} at {lone[0]:.3f} s" if lone else "" if inner else "too few messages"
 
 
 def _tf(pair: Sequence[str], scene: Scene) -> str:
-    """The child frame is sent on /tf, with that parent."""
+    """A transform from this parent to this child comes on /tf."""
     if tuple(pair) in scene.evidence.frames:
         return ""
     parents = [f"in {parent}" for parent, child in scene.evidence.frames if child == pair[1]]
@@ -143,31 +292,30 @@ def _tf(pair: Sequence[str], scene: Scene) -> str:
 
 
 def _no_tf(pair: Sequence[str], scene: Scene) -> str:
-    """That transform is not sent on /tf."""
+    """No such transform comes on /tf."""
     return f"{pair} is on /tf" if tuple(pair) in scene.evidence.frames else ""
 
 
-def _compared(expected: Mapping[str, Any], message: Any, scene: Scene) -> str:
-    return _listed(
-        _unlike(want, find_field(message, path), scene, path) for path, want in expected.items()
-    )
+def _compared_fields(expected: Mapping[str, Any], message: Any, scene: Scene) -> str:
+    return _compared(expected, lambda path: find_field(message, path), scene)
 
 
-def _listed(complaints: Any) -> str:
-    return "; ".join(filter(None, complaints))
-
-
-def _unlike(want: Any, value: Any, scene: Scene, path: str) -> str:
-    """Return how a value is not as wanted; empty where it is."""
-    found = plain(value)
-    holds = _is(want, found, scene)
-    shown = str(found)
-    return "" if holds else f"{path} is {shown if len(shown) < 100 else shown[:100] + '…'}"
+def _compared(expected: Mapping[str, Any], find: Callable[[str], Any], scene: Scene) -> str:
+    """Compare named values with those that `find` returns; return those that differ."""
+    wrong = []
+    for name, want in expected.items():
+        found = plain(find(name))
+        if not _is(want, found, scene):
+            shown = str(found)
+            wrong.append(f"{name} is {shown if len(shown) < SHOWN else shown[:SHOWN] + '…'}")
+    return "; ".join(wrong)
 
 
 def _is(want: Any, found: Any, scene: Scene) -> bool:
     if isinstance(want, dict):
-        return all(_TESTS[word](argument, found, want, scene) for word, argument in want.items())
+        near = "near" not in want or _near(want, found, scene)
+        tests = [name for name in want if name not in _NEAR]
+        return near and all(_TESTS[name](want[name], found) for name in tests)
     if isinstance(want, (list, tuple)):
         same_length = isinstance(found, list) and len(want) == len(found)
         return same_length and all(_is(one, other, scene) for one, other in zip(want, found))
@@ -178,6 +326,15 @@ def _is(want: Any, found: Any, scene: Scene) -> bool:
     return want == found
 
 
+def _near(want: Mapping[str, Any], found: Any, scene: Scene) -> bool:
+    value = want["near"]
+    tolerance = want.get("within", ROUNDING * max(1.0, abs(value)))
+    origin = scene.place[_AXES[want["from"]]] if "from" in want else 0.0
+    # A busy simulator runs on for a while before it pauses.
+    origin += want.get("per_second_before", 0.0) * scene.evidence.seconds_before
+    return _is_near(value + origin, found, tolerance)
+
+
 def _is_near(want: float, found: Any, tolerance: float) -> bool:
     if isinstance(found, bool) or not isinstance(found, (int, float)):
         return False
@@ -186,45 +343,15 @@ def _is_near(want: float, found: Any, tolerance: float) -> bool:
     return want == found or abs(want - found) <= tolerance
 
 
-def _near(want: float, found: Any, entry: Mapping[str, Any], scene: Scene) -> bool:
-    origin = scene.place[AXES[entry["from"]]] if "from" in entry else 0.0
-    # Time runs on until the simulator has been told to pause, which takes long on a busy machine.
-    origin += entry.get("per_second_before", 0.0) * scene.evidence.seconds_before
-    return _is_near(want + origin, found, entry.get("within", ROUNDING * max(1.0, abs(want))))
-
-
-def _length(want: int, found: Any, _entry: Mapping[str, Any], _scene: Scene) -> bool:
-    return isinstance(found, (list, str)) and len(found) == want
-
-
-def _holds(want: Sequence[Any], found: Any, _entry: Mapping[str, Any], _scene: Scene) -> bool:
-    return isinstance(found, list) and all(entry in found for entry in want)
-
-
-def _lacks(want: Sequence[Any], found: Any, _entry: Mapping[str, Any], _scene: Scene) -> bool:
-    return isinstance(found, list) and not any(entry in found for entry in want)
-
-
-def _matches(want: str, found: Any, _entry: Mapping[str, Any], _scene: Scene) -> bool:
-    return isinstance(found, str) and re.search(want, found) is not None
-
-
-def _modifier(*_: Any) -> bool:
-    return True
-
-
-# What may be said of a field, beside its value.
-_TESTS: Dict[str, Callable[[Any, Any, Mapping[str, Any], Scene], bool]] = {
-    "near": _near,
-    "within": _modifier,
-    "from": _modifier,
-    "per_second_before": _modifier,
-    "length": _length,
-    "holds": _holds,
-    "lacks": _lacks,
-    "matches": _matches,
-    "above": lambda want, found, _entry, _scene: found > want,
-    "below": lambda want, found, _entry, _scene: found < want,
+# A row may use these in place of a value.
+_NEAR = ("near", "within", "from", "per_second_before")
+_TESTS: Dict[str, Callable[[Any, Any], bool]] = {
+    "length": lambda want, found: isinstance(found, (list, str)) and len(found) == want,
+    "holds": lambda want, found: isinstance(found, list) and all(one in found for one in want),
+    "lacks": lambda want, found: isinstance(found, list) and not any(one in found for one in want),
+    "matches": lambda want, found: isinstance(found, str) and bool(re.search(want, found)),
+    "above": lambda want, found: found > want,
+    "below": lambda want, found: found < want,
 }
 
 JUDGES: Dict[str, Callable[[Any, Scene], str]] = {

@@ -1,56 +1,59 @@
-"""The program that checks whether a simulator keeps what Gazebo's ROS interface promises.
+"""The program that checks whether a simulator keeps the promises of Gazebo's ROS interface.
 
 Usage: rosrun bullet_lab gazebo_contract.py [--only TEXT] [--junit FILE] [--list]
 
-It is told to stand on a master with a simulator: this package's bridge, or a Gazebo.
+It needs a ROS master with a simulator: this package's bridge, or a Gazebo.
 
 :ROS Service clients: those of /gazebo
-:ROS Subscribers, publishers: whatever the probes that it spawns speak and listen to
+:ROS Subscribers, publishers: the topics of the probes that it spawns
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import List, Sequence
+from typing import Dict, Iterable, List, Mapping, Sequence
+from xml.etree import ElementTree
 
 import rospy
 
 from bullet_lab.core import parameters
+from bullet_lab.core.files import replace_file
 from bullet_lab.core.parameters import ArgumentParser, ArgumentsError, add_options, read_options
 from bullet_lab.errors import LabError
-from bullet_lab.ros.contract.results import FAILED, deviations_table, listing, table, write_junit
-from bullet_lab.ros.contract.rows import Contract, Row, read_contract
-from bullet_lab.ros.contract.run import ContractRun
+from bullet_lab.ros.contract.rows import COMMIT, Contract, Deviation, Row, read_contract
+from bullet_lab.ros.contract.run import DEVIATES, FAILED, PASSED, ContractRun, Verdict
 from bullet_lab.ros.contract.simulator import Simulator
 from bullet_lab.ros.node.node import STATUS_BAD_PARAMETER, NodeError, run_node
 from bullet_lab.simulation.world.resources import ResourceFinder
 
 NAME = "gazebo_contract"
 FILES = "package://bullet_lab/config/contract/services.yaml"
-# A service that only this package's bridge offers.
 BRIDGE = "/bullet_lab/step"
+"""A service that only this package's bridge offers."""
+
 AUTO, NONE = "auto", "none"
 
 
 @dataclass(frozen=True)
 class ContractParameters:
-    """What the program takes, as options."""
+    """Options of the program."""
 
-    only: str = parameters.text("", "check the rows whose name has this in it; all if empty")
-    list: bool = parameters.boolean(False, "say which rows there are, and check nothing")
+    only: str = parameters.text("", "check the rows with this in their names; all if empty")
+    list: bool = parameters.boolean(False, "list the rows, and check nothing")
     deviations: str = parameters.choice(
-        AUTO, "the bridge's deviations are known of: auto where it is the bridge", (AUTO, NONE)
+        AUTO, "accept the bridge's known deviations: if it is the bridge, or never", (AUTO, NONE)
     )
-    markdown: bool = parameters.boolean(False, "say the deviations as a table in Markdown")
-    junit: str = parameters.text("", "file for the results as JUnit's XML; none if empty")
+    markdown: bool = parameters.boolean(False, "print the deviations as a Markdown table")
+    junit: str = parameters.text("", "file for the results as JUnit XML; none if empty")
     contract: str = parameters.text("", "folder with another contract; the package's if empty")
 
 
 def main() -> None:
-    """Run the program: status 0 where all rows hold, 1 where one does not, 2 on bad options."""
+    """Run the program: status 0 if all rows hold, 1 if one fails, 2 for wrong options."""
     try:
         options = read_command(rospy.myargv(sys.argv)[1:])
         folder = options.contract or ResourceFinder.anywhere().find(FILES).parent
@@ -70,18 +73,18 @@ def main() -> None:
 
 
 def read_command(words: Sequence[str]) -> ContractParameters:
-    """Return what a command line says; raises LabError."""
+    """Read the options; raise LabError."""
     parser = ArgumentParser(prog=f"{NAME}.py", description=(__doc__ or "").split("\n")[0])
     add_options(parser, ContractParameters)
     return read_options(ContractParameters, vars(parser.parse_args(list(words))))
 
 
 def check(contract: Contract, rows: List[Row], options: ContractParameters) -> None:
-    """Check rows, print the table and write the file; raises NodeError where one fails."""
+    """Check rows, print the table and write the file; raise NodeError if a row fails."""
     start = time.monotonic()
     simulator = Simulator()
-    with_known = options.deviations == AUTO and BRIDGE in simulator.offered()
-    known = contract.known if with_known else {}
+    is_bridge = options.deviations == AUTO and BRIDGE in simulator.offered()
+    known = contract.known if is_bridge else {}
     verdicts = ContractRun(contract, simulator, rows, known).verdicts()
     print(table(verdicts))
     if options.junit:
@@ -89,3 +92,77 @@ def check(contract: Contract, rows: List[Row], options: ContractParameters) -> N
     failed = sum(entry.status == FAILED for entry in verdicts)
     if failed:
         raise NodeError(f"{failed} of {len(verdicts)} rows do not hold")
+
+
+def table(verdicts: Sequence[Verdict]) -> str:
+    """Return a line for each row, and one with the number of rows of each status."""
+    width = max((len(entry.row.name) for entry in verdicts), default=0)
+    lines: List[str] = []
+    for entry in verdicts:
+        detail = f"  {entry.detail}" if entry.detail else ""
+        source = _short(entry.row.source)
+        lines.append(f"{entry.status:8}  {entry.row.name:{width}}  {source}{detail}")
+    counts = Counter(entry.status for entry in verdicts)
+    total = ", ".join(f"{counts[status]} {status}" for status in (PASSED, DEVIATES, FAILED))
+    return "\n".join([*lines, f"{total}; by gazebo_ros_pkgs {COMMIT[:12]}"])
+
+
+def _short(source: str) -> str:
+    """Return a source as file:line, without folders."""
+    return source.rpartition("/")[2]
+
+
+def listing(rows: Sequence[Row], deviations: Mapping[str, Deviation]) -> str:
+    """Return a line for each row, and a line with the reason for each deviation."""
+    width = max((len(row.name) for row in rows), default=0)
+    lines: List[str] = []
+    for row in rows:
+        deviation = deviations.get(row.name)
+        lines.append(f"{row.name:{width}}  {row.word:9}  {_short(row.source)}")
+        if deviation is not None:
+            lines.append(f"{'':{width}}  deviates: {deviation.reason}")
+    return "\n".join(lines)
+
+
+def write_junit(path: Path, verdicts: Sequence[Verdict], seconds: float) -> None:
+    """Write the verdicts as JUnit XML; deviations are skipped tests with their reasons."""
+    counts = Counter(entry.status for entry in verdicts)
+    suite = ElementTree.Element(
+        "testsuite",
+        name="gazebo_contract",
+        tests=str(len(verdicts)),
+        failures=str(counts[FAILED]),
+        errors="0",
+        skipped=str(counts[DEVIATES]),
+        time=f"{seconds:.3f}",
+    )
+    properties = ElementTree.SubElement(suite, "properties")
+    ElementTree.SubElement(properties, "property", name="gazebo_ros_pkgs", value=COMMIT)
+    for entry in verdicts:
+        chapter, _, name = entry.row.name.partition("/")
+        case = ElementTree.SubElement(suite, "testcase", classname=chapter, name=name)
+        case.set("file", entry.row.source)
+        if entry.status != PASSED:
+            kind = "failure" if entry.status == FAILED else "skipped"
+            ElementTree.SubElement(case, kind, message=entry.detail)
+    text = ElementTree.tostring(suite, encoding="unicode")
+    replace_file(path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def deviations_table(contract: Contract) -> str:
+    """Return the deviations as a Markdown table."""
+    sources = {row.name: row.source for row in contract.rows}
+    lines = ["| rows | source in Gazebo | here, and why |", "|---|---|---|"]
+    for entry in contract.deviations:
+        names = ", ".join(f"`{name}`" for name in entry.rows)
+        lines.append(f"| {names} | {_joined(map(sources.get, entry.rows))} | {entry.reason} |")
+    return "\n".join(lines)
+
+
+def _joined(sources: Iterable[str]) -> str:
+    """Join sources, naming each file once."""
+    files: Dict[str, List[str]] = {}
+    for source in sources:
+        file, _, lines = _short(source).partition(":")
+        files.setdefault(file, []).append(lines)
+    return ", ".join(f"{file}:{','.join(dict.fromkeys(ls))}" for file, ls in files.items())

@@ -1,54 +1,62 @@
 """The rows of the contract, as the YAML files in config/contract hold them.
 
-A chapter is a file: `source`, the file of gazebo_ros_pkgs that its rows stand on; `probes`, models
-that are put into the world; and `rows`. A row has a `name`, the `line` of the source, and what is
-expected, by one of the words in `judges.JUDGES`. It is about what a `probe` says on a `topic`, or
-about what a service answers to a `call` `with` a request. Rows with a call, and those that let
-time `run` (simulated s, perhaps with something to `publish`) or `wait` (wall s, while time
-stands), are followed in their order.
+Each file is a chapter. Its `source` is the file of gazebo_ros_pkgs that the rows quote, its
+`probes` are models that are spawned, and its `rows` are expectations. A row has a `name`, the
+`line` of the source, and one of the words in `judges.JUDGES` with what is expected. It is about a
+`topic` of a `probe`, or about the answer to a service `call` `with` a request.
+
+The rows of a chapter are followed in their order if one of them has a call, or lets simulated time
+`run` (in s, perhaps with messages to `publish`), or must `wait` (wall s, while time is paused).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from string import Template
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Type, TypeVar
+from xml.sax.saxutils import escape, quoteattr
 
 import yaml
+from rosgraph.names import ns_join
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.contract.judges import JUDGES
 
-# The commit of ros-simulation/gazebo_ros_pkgs, branch noetic-devel, that all lines are of.
 COMMIT = "f9e1a4607842afa5888ef01de31cd64a1e3e297f"
-DEVIATIONS = "deviations.yaml"
-TYPES = "types.yaml"
-# What stands in a row beside what is expected.
-ABOUT = frozenset(
-    ("name", "line", "source", "probe", "topic", "call", "with", "run", "publish", "wait")
-)
+"""The commit of ros-simulation/gazebo_ros_pkgs, branch noetic-devel, that all lines refer to."""
+
+PREFIX = "contract_"
+"""The names of all models that the contract spawns begin with this."""
+
+_DEVIATIONS = "deviations.yaml"
+_TYPES = "types.yaml"
+# Keys of a row that are copied as they are, and the others besides the word.
+_COPIED = ("probe", "topic", "call", "publish")
+_KEYS = {"name", "line", "source", "with", "run", "wait", *_COPIED}
+T = TypeVar("T")
 
 
 class ContractError(LabError):
-    """The contract's files make no sense."""
+    """The contract's files are invalid."""
 
 
 @dataclass(frozen=True)
 class Probe:
-    """A model that is put into the world to be looked at.
+    """A model that is spawned to be observed.
 
     Attributes:
-        name: of the model, without what all of them begin with.
+        name: name of the model, without PREFIX.
         robot: its file in config/contract/probes.
         plugin: file name of its plugin.
-        tags: of the plugin.
-        fill: what else is filled into the robot's file.
-        namespace: for the spawn service; None for one of its own.
-        tf_prefix: set in its namespace.
-        parameters: of the master; `{file: …}` is a text in config/contract/probes.
-        rpy: how it is turned at first, in rad.
-        floor: whether there is a floor below it.
-        publish: commands before time runs: topic, `type` and `message`.
+        tags: tags of the plugin.
+        fill: other values for the placeholders of the robot's file.
+        namespace: robot_namespace of the spawn service; None: contract/NAME.
+        tf_prefix: parameter that is set in the namespace, if any.
+        parameters: parameters of the ROS master; `{file: …}` is the text of a file in probes/.
+        rpy: initial roll, pitch and yaw in rad.
+        floor: whether the probe stands on a slab.
+        publish: commands before time runs: `topic`, `type` and `message` each.
         round: probes of different rounds are not in the world together.
     """
 
@@ -57,7 +65,7 @@ class Probe:
     plugin: str
     tags: Mapping[str, Any] = field(default_factory=dict)
     fill: Mapping[str, Any] = field(default_factory=dict)
-    namespace: Any = None
+    namespace: Optional[str] = None
     tf_prefix: str = ""
     parameters: Mapping[str, Any] = field(default_factory=dict)
     rpy: Sequence[float] = (0.0, 0.0, 0.0)
@@ -65,12 +73,44 @@ class Probe:
     publish: Sequence[Mapping[str, Any]] = ()
     round: int = 1
 
+    @property
+    def robot_namespace(self) -> str:
+        """The namespace of plugins that name none."""
+        return f"contract/{self.name}" if self.namespace is None else self.namespace
+
+    def full_name(self, topic: str) -> str:
+        """Return the full name of a topic or service of this probe; empty for an empty name."""
+        return ns_join(f"/{self.robot_namespace.strip('/')}", topic) if topic else ""
+
+    def commands(self) -> List[Dict[str, Any]]:
+        """Return the entries of `publish` with full names of topics."""
+        return [{**entry, "topic": self.full_name(entry["topic"])} for entry in self.publish]
+
+    def text(self, folder: Path) -> str:
+        """Return the SDF or URDF of this probe of the contract in a folder; raise ContractError."""
+        path = folder / "probes" / self.robot
+        values = {"plugin": self._plugin_text(), **{k: str(v) for k, v in self.fill.items()}}
+        try:
+            return Template(path.read_text(encoding="utf-8")).substitute(values)
+        except (OSError, KeyError, ValueError) as error:
+            raise ContractError(f"{path}, for {self.name}: {error!r}") from error
+
+    def _plugin_text(self) -> str:
+        if not self.plugin:
+            return ""
+        tags: List[str] = []
+        for tag, value in self.tags.items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            tags.append(f"<{tag}>{escape(text)}</{tag}>")
+        name, file = quoteattr(f"{self.name}_plugin"), quoteattr(self.plugin)
+        return f"<plugin name={name} filename={file}>{''.join(tags)}</plugin>"
+
 
 @dataclass(frozen=True)
 class Row:
-    """A row: what is looked at, what is expected there, and where Gazebo says so.
+    """A row: what is observed, what is expected, and the line of Gazebo that promises it.
 
-    `word` is what kind of expectation it is; empty where nothing is checked and something is done.
+    `word` is the kind of expectation; it is empty for a row that only acts.
     """
 
     name: str
@@ -90,7 +130,6 @@ class Row:
 class Chapter:
     """A file of the contract: its probes by name, and its rows."""
 
-    name: str
     probes: Mapping[str, Probe]
     rows: Tuple[Row, ...]
 
@@ -101,9 +140,9 @@ class Chapter:
 
 @dataclass(frozen=True)
 class Deviation:
-    """Rows that this package's bridge does not keep, why, and what it does `instead`.
+    """Rows that this package's bridge does not meet, and the reason.
 
-    The latter is said by the words of a row, and may be missing.
+    `instead` has the expectations that it meets instead, by their words; it may be empty.
     """
 
     rows: Tuple[str, ...]
@@ -113,7 +152,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Contract:
-    """All of it: `types` has md5 sums by the names of messages and services."""
+    """All chapters and deviations; `types` has md5 sums by the names of messages and services."""
 
     chapters: Tuple[Chapter, ...]
     types: Mapping[str, str]
@@ -122,7 +161,7 @@ class Contract:
 
     @property
     def rows(self) -> List[Row]:
-        """All that is checked."""
+        """All rows that are checked."""
         return [row for chapter in self.chapters for row in chapter.rows if row.word]
 
     @property
@@ -130,23 +169,31 @@ class Contract:
         """The deviations by the names of their rows."""
         return {name: entry for entry in self.deviations for name in entry.rows}
 
+    def read(self, value: Any) -> Any:
+        """Return a value of a row; for `{file: …}`, the text of that file in probes/."""
+        if not (isinstance(value, dict) and set(value) == {"file"}):
+            return value
+        return (self.folder / "probes" / value["file"]).read_text(encoding="utf-8")
+
 
 def read_contract(folder: Path) -> Contract:
-    """Read all files of a contract; raises ContractError."""
-    paths = [path for path in sorted(folder.glob("*.yaml")) if path.name not in (DEVIATIONS, TYPES)]
+    """Read all files of a contract; raise ContractError."""
+    paths = [p for p in sorted(folder.glob("*.yaml")) if p.name not in (_DEVIATIONS, _TYPES)]
     chapters = tuple(_chapter(path) for path in paths)
     if not chapters:
         raise ContractError(f"there is no contract in {folder}")
     deviations = tuple(
-        _made(Deviation, {**entry, "rows": tuple(entry.get("rows", ()))}, folder / DEVIATIONS)
-        for entry in _load(folder / DEVIATIONS) or ()
+        _made(Deviation, {**entry, "rows": tuple(entry.get("rows", ()))}, folder / _DEVIATIONS)
+        for entry in _load(folder / _DEVIATIONS) or ()
     )
-    contract = Contract(chapters, _load(folder / TYPES) or {}, deviations, folder)
+    contract = Contract(chapters, _load(folder / _TYPES) or {}, deviations, folder)
     names = [row.name for row in contract.rows]
-    doubled = sorted({name for name in names if names.count(name) > 1})
+    duplicates = sorted({name for name in names if names.count(name) > 1})
     unknown = sorted(set(contract.known) - set(names))
-    if doubled or unknown:
-        raise ContractError(f"{folder}: rows twice: {doubled}, deviations of no row: {unknown}")
+    if duplicates or unknown:
+        raise ContractError(
+            f"{folder}: duplicate rows: {duplicates}, deviations of unknown rows: {unknown}"
+        )
     return contract
 
 
@@ -158,52 +205,44 @@ def _load(path: Path) -> Any:
 
 
 def _chapter(path: Path) -> Chapter:
-    entries = _load(path)
-    name = path.stem
-    if not isinstance(entries, dict) or not isinstance(entries.get("rows"), list):
+    content = _load(path)
+    if not isinstance(content, dict) or not isinstance(content.get("rows"), list):
         raise ContractError(f"{path}: has no rows")
+    plugin = content.get("plugin", "")
     probes = {
-        key: _made(
-            Probe, {"plugin": entries.get("plugin", ""), **entry, "name": f"{name}_{key}"}, path
-        )
-        for key, entry in (entries.get("probes") or {}).items()
+        key: _made(Probe, {"plugin": plugin, **entry, "name": f"{path.stem}_{key}"}, path)
+        for key, entry in (content.get("probes") or {}).items()
     }
-    rows = tuple(_row(name, entry, entries.get("source", ""), path) for entry in entries["rows"])
+    rows = tuple(_row(entry, content.get("source", ""), path) for entry in content["rows"])
     for row in rows:
         if row.probe and row.probe not in probes:
             raise ContractError(f"{path}: '{row.name}': there is no probe '{row.probe}'")
-    return Chapter(name, probes, rows)
+    return Chapter(probes, rows)
 
 
-def _row(chapter: str, entry: Dict[str, Any], source: str, path: Path) -> Row:
-    words = sorted(set(entry) - ABOUT)
-    acts = bool({"run", "wait"} & set(entry))
+def _row(entry: Dict[str, Any], source: str, path: Path) -> Row:
+    words = sorted(set(entry) - _KEYS)
+    acts = "run" in entry or "wait" in entry
     if len(words) > 1 or (not words and not acts) or not set(words) <= set(JUDGES):
-        raise ContractError(f"{path}: {entry}: expects none or too much of {sorted(JUDGES)}")
+        raise ContractError(f"{path}: {entry}: needs exactly one of {sorted(JUDGES)}")
     word = words[0] if words else ""
     if word and not ("name" in entry and "line" in entry):
         raise ContractError(f"{path}: {entry}: has no name or no line")
+    lines = entry.get("line", "")
+    numbers = lines if isinstance(lines, list) else [lines]
     return Row(
-        name=f"{chapter}/{entry.get('name', '')}",
-        source=_sources(entry.get("source", source), entry.get("line", "")),
+        name=f"{path.stem}/{entry.get('name', '')}",
+        source=f"{entry.get('source', source)}:{','.join(map(str, numbers))}",
         word=word,
         expected=entry.get(word),
-        probe=entry.get("probe", ""),
-        topic=entry.get("topic", ""),
-        call=entry.get("call", ""),
         request=entry.get("with") or {},
         run=float(entry.get("run", 0.0)),
         wait=float(entry.get("wait", 0.0)),
-        publish=entry.get("publish", ()),
+        **{key: entry[key] for key in _COPIED if key in entry},
     )
 
 
-def _sources(file: str, lines: Any) -> str:
-    numbers = lines if isinstance(lines, list) else [lines]
-    return f"{file}:{','.join(map(str, numbers))}"
-
-
-def _made(kind: type, entry: Mapping[str, Any], path: Path) -> Any:
+def _made(kind: Type[T], entry: Mapping[str, Any], path: Path) -> T:
     try:
         return kind(**entry)
     except TypeError as error:

@@ -1,31 +1,74 @@
-"""Follows the contract: probes into the world, time, calls, verdicts, and all away again."""
+"""Runs the contract: spawns probes, lets time run, calls services, judges and cleans up."""
 
 from __future__ import annotations
 
 import contextlib
-from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
+from dataclasses import dataclass
+from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import rospy
+from rosgraph.names import namespace, ns_join
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.contract import probes
-from bullet_lab.ros.contract.evidence import Evidence, Scene, beside
-from bullet_lab.ros.contract.judges import judge
-from bullet_lab.ros.contract.results import Verdict, verdict
-from bullet_lab.ros.contract.rows import Chapter, Contract, Deviation, Probe, Row
+from bullet_lab.ros.contract.judges import Evidence, Scene, judge
+from bullet_lab.ros.contract.rows import PREFIX, Contract, Deviation, Probe, Row
 from bullet_lab.ros.contract.simulator import CallError, Simulator, SimulatorError
 
-# Simulated seconds for which probes are listened to.
+Place = Tuple[float, float, float]
+Rows = List[Tuple[Row, Optional[Probe]]]
+"""Rows with their probes; None for a row that has none."""
+
+PASSED, DEVIATES, FAILED = "passed", "deviates", "FAILED"
 ROUND_SECONDS = 2.6
-# Rows about what need not be a topic.
-NOT_HEARD = frozenset(("offers", "absent", "takes"))
-PLACE = probes.CORNER
+"""Simulated seconds for which the probes of a round are observed."""
+
+CORNER = (90.0, -20.0, 100.0)
+"""Place of the first probe in m, far from everything else in the world."""
+
+APART = 5.0
+"""Distance between probes in m."""
+
+ROW_LENGTH = 10
+SLAB = (4.6, 4.6, 0.2)
+"""Size of the slab below a probe in m."""
+
+# Rows with only these words need no messages from their topic.
+_WITHOUT_MESSAGES = {"offers", "absent", "takes"}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The result of a row; `detail` is what was found, or the reason of a deviation."""
+
+    row: Row
+    status: str
+    detail: str = ""
+
+
+def verdict(
+    row: Row, complaint: str, deviation: Optional[Deviation] = None, instead: str = ""
+) -> Verdict:
+    """Return the result of a row. A row with a known deviation fails unless it deviates so.
+
+    Args:
+        row: the row.
+        complaint: how the row is not met; empty if it is met.
+        deviation: the known deviation, if any.
+        instead: how the expectations of the deviation are not met; empty if they are met.
+    """
+    if deviation is None:
+        return Verdict(row, FAILED if complaint else PASSED, complaint)
+    if not complaint:
+        return Verdict(row, FAILED, "no longer deviates: remove it from deviations.yaml")
+    if instead:
+        return Verdict(row, FAILED, f"deviates in another way than deviations.yaml has: {instead}")
+    return Verdict(row, DEVIATES, f"{complaint}: {deviation.reason}")
 
 
 class ContractRun:
     """Checks some rows of a contract, and leaves the simulator as it was.
 
-    `deviations` are those that are known of, by row.
+    `deviations` are the known ones, by row.
     """
 
     def __init__(
@@ -42,57 +85,54 @@ class ContractRun:
         self._parameters: List[str] = []
 
     def verdicts(self) -> List[Verdict]:
-        """Return what comes of the rows; raises SimulatorError where that cannot be found out."""
-        was_paused = self._simulator.must("get_physics_properties", {}).pause
-        self._simulator.must("pause_physics", {})
+        """Return the results of the rows; raise SimulatorError if they cannot be checked."""
+        was_paused = self._simulator.must("get_physics_properties").pause
+        self._simulator.must("pause_physics")
         found: List[Verdict] = []
         try:
             self._clear()
-            for chapter in self._contract.chapters:
-                if chapter.has_steps() and self._asked(chapter.rows):
-                    found += self._follow(chapter)
-                    self._clear()
-            found += self._rounds()
+            for rows in self._groups():
+                found += self._follow(rows)
+                self._clear()
         finally:
-            # The first error is the one to tell.
+            # An error here must not hide the first one.
             with contextlib.suppress(SimulatorError):
                 self._clear()
                 if not was_paused:
-                    self._simulator.must("unpause_physics", {})
+                    self._simulator.must("unpause_physics")
         order = {row.name: number for number, row in enumerate(self._contract.rows)}
         return sorted(found, key=lambda entry: order[entry.row.name])
 
-    def _asked(self, rows: Iterable[Row]) -> List[Row]:
-        return [row for row in rows if row.word and row.name in self._wanted]
+    def _groups(self) -> Iterator[Rows]:
+        """Yield the rows that are followed together: chapters with steps, and rounds of probes."""
+        rounds: Dict[int, Rows] = {}
+        for chapter in self._contract.chapters:
+            wanted = [row for row in chapter.rows if self._is_wanted(row)]
+            if not chapter.has_steps():
+                for row in wanted:
+                    probe = chapter.probes[row.probe]
+                    rounds.setdefault(probe.round, []).append((row, probe))
+            elif wanted:
+                yield [(row, None) for row in chapter.rows]
+        for number in sorted(rounds):
+            yield rounds[number]
 
-    def _judged(self, row: Row, scene: Scene) -> Verdict:
-        deviation = self._deviations.get(row.name)
-        instead = ""
-        if deviation is not None and deviation.instead:
-            entries = deviation.instead.items()
-            instead = "; ".join(filter(None, (judge(word, say, scene) for word, say in entries)))
-        return verdict(row, judge(row.word, row.expected, scene), deviation, instead)
+    def _is_wanted(self, row: Row) -> bool:
+        return bool(row.word) and row.name in self._wanted
 
-    def _heard(self, named: Iterable[Tuple[Row, str]]) -> Iterable[str]:
-        """Return the topics that rows have to be judged by, from rows and their topics."""
-        for row, topic in named:
-            deviation = self._deviations.get(row.name)
-            if {row.word, *(deviation.instead if deviation else ())} - NOT_HEARD:
-                yield topic
-            if row.word == "stamped":
-                yield beside(topic, row.expected)
-
-    # Rows that are followed in their order
-
-    def _follow(self, chapter: Chapter) -> List[Verdict]:
-        """Do and judge what the rows of a chapter say, one after the other."""
-        asked = {row.name for row in self._asked(chapter.rows)}
-        services = [row.topic for row in chapter.rows if row.word in NOT_HEARD]
-        self._simulator.listen(self._heard((row, row.topic) for row in chapter.rows if row.topic))
-        offered = self._simulator.services(services)
+    def _follow(self, rows: Rows) -> List[Verdict]:
+        """Spawn the probes of some rows, then do and judge the rows one after the other."""
+        probes = {probe.name: probe for _, probe in rows if probe}
+        where = places(probes)
+        refused = self._spawn_all(probes.values(), where)
+        topics = [probe.full_name(row.topic) if probe else row.topic for row, probe in rows]
+        offered = self._observe([row for row, _ in rows], topics)
         evidence = Evidence()
+        if probes:
+            commands = [command for probe in probes.values() for command in probe.commands()]
+            evidence = self._simulator.run(ROUND_SECONDS, commands)
         found: List[Verdict] = []
-        for row in chapter.rows:
+        for (row, probe), topic in zip(rows, topics):
             if row.run:
                 before = evidence.seconds
                 evidence = self._simulator.run(row.run, row.publish)
@@ -102,101 +142,102 @@ class ContractRun:
             evidence.services = offered
             if row.word == "parameter":
                 evidence.parameters = {name: rospy.get_param(name, None) for name in row.expected}
-            scene = Scene(evidence, self._contract.types, row.topic, PLACE)
+            place = where[probe.name] if probe else CORNER
+            scene = Scene(evidence, self._contract.types, topic, place)
             if row.call:
                 self._call(row, scene)
-            if row.name in asked and row.word:
+            if probe and probe.name in refused:
+                found.append(verdict(row, f"the probe is refused: {refused[probe.name]}"))
+            elif self._is_wanted(row):
                 found.append(self._judged(row, scene))
         self._simulator.forget()
         return found
 
     def _call(self, row: Row, scene: Scene) -> None:
-        request = {name: self._read(value) for name, value in row.request.items()}
+        request = {name: self._contract.read(value) for name, value in row.request.items()}
         try:
             scene.answer = self._simulator.call(row.call, request)
         except CallError as error:
             scene.error = str(error)
 
-    def _read(self, value: Any) -> Any:
-        """Return a value; the text of a file where it names one."""
-        if not (isinstance(value, dict) and set(value) == {"file"}):
-            return value
-        return (self._contract.folder / "probes" / value["file"]).read_text(encoding="utf-8")
+    def _observe(self, rows: Sequence[Row], topics: Sequence[str]) -> Dict[str, Tuple[str, str]]:
+        """Subscribe to the topics of rows; return type and md5 sum of their services."""
+        heard, services = [], []
+        for row, topic in zip(rows, topics):
+            if row.word in _WITHOUT_MESSAGES:
+                services.append(topic)
+            deviation = self._deviations.get(row.name)
+            words = {row.word, *(deviation.instead if deviation else ())}
+            if topic and words - _WITHOUT_MESSAGES:
+                heard.append(topic)
+            if row.word == "stamped":
+                heard.append(ns_join(namespace(topic), row.expected))
+        self._simulator.listen(heard)
+        return self._simulator.services(services)
 
-    # Probes that are looked at together
+    def _judged(self, row: Row, scene: Scene) -> Verdict:
+        deviation = self._deviations.get(row.name)
+        entries = deviation.instead.items() if deviation else ()
+        instead = "; ".join(filter(None, (judge(word, value, scene) for word, value in entries)))
+        return verdict(row, judge(row.word, row.expected, scene), deviation, instead)
 
-    def _rounds(self) -> List[Verdict]:
-        found: List[Verdict] = []
-        rows: Dict[int, List[Tuple[Probe, Row]]] = {}
-        for chapter in self._contract.chapters:
-            for row in () if chapter.has_steps() else self._asked(chapter.rows):
-                probe = chapter.probes[row.probe]
-                rows.setdefault(probe.round, []).append((probe, row))
-        for number in sorted(rows):
-            found += self._round(rows[number])
-            self._clear()
-        return found
-
-    def _round(self, rows: Sequence[Tuple[Probe, Row]]) -> List[Verdict]:
-        """Put the probes of some rows into the world, let time run, and judge."""
-        present = list({probe.name: probe for probe, _ in rows}.values())
-        where = probes.places(present)
-        standing = [where[probe.name] for probe in present if probe.floor]
+    def _spawn_all(self, probes: Iterable[Probe], where: Mapping[str, Place]) -> Dict[str, str]:
+        """Spawn probes, and a floor below them; return errors by the names of refused probes."""
+        standing = [where[probe.name] for probe in probes if probe.floor]
         if standing:
-            self._spawn(probes.FLOOR, probes.floor_text(standing), "")
-        refused = {probe.name: self._place(probe, where[probe.name]) for probe in present}
-        named = [(row, probes.topic_name(row.topic, probe)) for probe, row in rows if row.topic]
-        services = [topic for row, topic in named if row.word in NOT_HEARD]
-        self._simulator.listen(self._heard(named))
-        evidence = self._simulator.run(ROUND_SECONDS, _commands(present))
-        evidence.services = self._simulator.services(services)
-        found = []
-        for probe, row in rows:
-            scene = self._scene(row, probe, where[probe.name], evidence)
-            wrong = refused[probe.name]
-            found.append(verdict(row, wrong) if wrong else self._judged(row, scene))
-        self._simulator.forget()
-        return found
+            self._spawn("floor", floor_text(standing), "", Pose())
+        refused = {}
+        for probe in probes:
+            space = probe.robot_namespace
+            prefix = {f"/{space}/tf_prefix": probe.tf_prefix} if probe.tf_prefix else {}
+            for name, value in {**prefix, **probe.parameters}.items():
+                self._parameters.append(name)
+                rospy.set_param(name, self._contract.read(value))
+            text = probe.text(self._contract.folder)
+            pose = Pose.from_rpy(where[probe.name], tuple(probe.rpy))
+            try:
+                self._spawn(probe.name, text, space, pose)
+            except SimulatorError as error:
+                refused[probe.name] = str(error)
+        return refused
 
-    def _scene(self, row: Row, probe: Probe, place: Any, evidence: Evidence) -> Scene:
-        topic = probes.topic_name(row.topic, probe) if row.topic else ""
-        return Scene(evidence, self._contract.types, topic, place)
-
-    def _place(self, probe: Probe, place: probes.Place) -> str:
-        """Put a probe into the world; return what is wrong where that fails."""
-        space = probes.namespace(probe)
-        prefix = {f"/{space}/tf_prefix": probe.tf_prefix} if probe.tf_prefix else {}
-        for name, value in {**prefix, **probe.parameters}.items():
-            self._parameters.append(name)
-            rospy.set_param(name, self._read(value))
-        text = probes.probe_text(probe, self._contract.folder)
-        pose = Pose.from_rpy(place, tuple(probe.rpy))
-        try:
-            self._spawn(probes.model_name(probe), text, space, pose)
-        except SimulatorError as error:
-            return f"the probe is refused: {error}"
-        return ""
-
-    def _spawn(self, name: str, text: str, space: str, pose: Optional[Pose] = None) -> None:
-        x, y, z = (pose or Pose()).position
-        i, j, k, w = (pose or Pose()).quaternion
-        at = {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": i, "y": j, "z": k, "w": w}}
-        request = {"model_name": name, "model_xml": text, "initial_pose": at}
-        self._simulator.must("spawn_sdf_model", {**request, "robot_namespace": space})
+    def _spawn(self, name: str, text: str, space: str, pose: Pose) -> None:
+        position = dict(zip("xyz", pose.position))
+        orientation = dict(zip("xyzw", pose.quaternion))
+        self._simulator.must(
+            "spawn_sdf_model",
+            model_name=f"{PREFIX}{name}",
+            model_xml=text,
+            robot_namespace=space,
+            initial_pose={"position": position, "orientation": orientation},
+        )
 
     def _clear(self) -> None:
-        """Take away all that such a run puts into a world, an earlier one's too."""
+        """Remove everything that a run of the contract adds, also that of an earlier run."""
         self._simulator.forget()
-        for name in self._simulator.must("get_world_properties", {}).model_names:
-            if name.startswith(probes.PREFIX):
-                self._simulator.must("delete_model", {"model_name": name})
+        for name in self._simulator.must("get_world_properties").model_names:
+            if name.startswith(PREFIX):
+                self._simulator.must("delete_model", model_name=name)
         while self._parameters:
             rospy.delete_param(self._parameters.pop())
 
 
-def _commands(present: Sequence[Probe]) -> List[Dict[str, Any]]:
-    return [
-        {**entry, "topic": probes.topic_name(entry["topic"], probe)}
-        for probe in present
-        for entry in probe.publish
-    ]
+def places(names: Iterable[str]) -> Dict[str, Place]:
+    """Return the place of each probe by its name, in m."""
+    x, y, z = CORNER
+    return {
+        name: (x + APART * (number % ROW_LENGTH), y + APART * (number // ROW_LENGTH), z)
+        for number, name in enumerate(names)
+    }
+
+
+def floor_text(standing: Sequence[Place]) -> str:
+    """Return the SDF of a static model with a slab below each place."""
+    width, depth, height = SLAB
+    slabs = "".join(
+        f'<collision name="slab_{number}"><pose>{x:g} {y:g} {z - height / 2:g} 0 0 0</pose>'
+        f"<geometry><box><size>{width:g} {depth:g} {height:g}</size></box></geometry></collision>"
+        for number, (x, y, z) in enumerate(standing)
+    )
+    link = f'<link name="link">{slabs}</link>'
+    return f'<sdf version="1.6"><model name="floor"><static>true</static>{link}</model></sdf>'

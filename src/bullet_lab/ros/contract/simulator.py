@@ -1,36 +1,49 @@
-"""The simulator that answers on the master: called, listened to, and let run for a while."""
+"""The simulator on the ROS master: calls its services, lets time run, and records its topics."""
 
 from __future__ import annotations
 
+import concurrent.futures
 import contextlib
 import threading
 import time
 from io import BytesIO
-from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Mapping, Tuple
 
 import genpy
 import rosgraph
 import roslib.message
 import rospy
 import rosservice
+from rosgraph.names import ns_join
 from rosgraph_msgs.msg import Clock
 from tf2_msgs.msg import TFMessage
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.contract.evidence import Evidence, Heard
+from bullet_lab.ros.contract.judges import Evidence, Heard
 
 CALLER = "/gazebo_contract"
-# Wall seconds: for a service's answer, for topics that come up, for messages on their way, and
-# for one simulated second of a simulator that is busy.
 ANSWER_SECONDS = 20.0
+"""Timeout of a service call, in wall s."""
+
 TOPICS_SECONDS = 3.0
+"""Timeout for a topic to get a publisher or a subscriber, in wall s."""
+
 SETTLE_SECONDS = 0.3
+"""Wall seconds for messages to arrive."""
+
 SLOWEST = 20.0
-LOOK_SECONDS = 0.02
+"""Wall seconds in which a simulated second must pass."""
+
+_CALL_ERRORS = (
+    *(rosservice.ROSServiceException, rospy.ServiceException, genpy.MessageException),
+    *(ValueError, OSError),
+)
+_POLL_SECONDS = 0.02
+_CLOCK_POLL_SECONDS = 0.002
 
 
 class SimulatorError(LabError):
-    """The simulator does not do what the contract needs to be checked at all."""
+    """The simulator does not do what is necessary to check the contract."""
 
 
 class CallError(LabError):
@@ -38,49 +51,44 @@ class CallError(LabError):
 
 
 class Simulator:
-    """Speaks with a simulator by what every Gazebo offers; time runs only in `run`."""
+    """Uses a simulator through the interface of Gazebo; simulated time passes only in `run`."""
 
     def __init__(self):
         self._master = rosgraph.Master(CALLER)
         self._lock = threading.Lock()
         self._now = 0.0
-        self._services: Dict[str, Tuple[str, str]] = {}
         self._recorder = Recorder()
         self._clock = rospy.Subscriber("/clock", Clock, self._take_time)
 
     def call(self, service: str, request: Mapping[str, Any]) -> Any:
-        """Return what a service answers; raises CallError."""
-        name = service if service.startswith("/") else f"/gazebo/{service}"
-        type_name, _ = self.service(name)
-        kind = roslib.message.get_service_class(type_name)
-        if kind is None:
-            raise CallError(f"{name}: {type_name} is not installed here")
-        message = kind._request_class()
+        """Return the answer of a service, by default of /gazebo; raise CallError."""
+        name = ns_join("/gazebo", service)
         try:
+            kind = rosservice.get_service_class_by_name(name)
+            message = kind._request_class()
             genpy.message.fill_message_args(message, [dict(request)])
             return _within(ANSWER_SECONDS, lambda: rospy.ServiceProxy(name, kind)(message))
-        except (rospy.ServiceException, genpy.MessageException, ValueError) as error:
+        except concurrent.futures.TimeoutError as error:
+            raise CallError(f"{name}: no answer in {ANSWER_SECONDS:g} s") from error
+        except _CALL_ERRORS as error:
             raise CallError(f"{name}: {error}") from error
 
-    def service(self, name: str) -> Tuple[str, str]:
-        """Return the type and the md5 sum of a service; raises CallError without it."""
-        if name not in self._services:
-            try:
+    def services(self, names: Iterable[str]) -> Dict[str, Tuple[str, str]]:
+        """Return type and md5 sum of those of the services that exist."""
+        found: Dict[str, Tuple[str, str]] = {}
+        for name in names:
+            with contextlib.suppress(rosgraph.MasterException, *_CALL_ERRORS):
                 uri = self._master.lookupService(name)
                 header = rosservice.get_service_headers(name, uri)
-                self._services[name] = (header["type"], header["md5sum"])
-            except (rosgraph.MasterException, rosservice.ROSServiceException, KeyError) as error:
-                raise CallError(f"there is no service {name}") from error
-            except (OSError, rosservice.ROSServiceIOException) as error:
-                raise CallError(f"{name} does not answer: {error}") from error
-        return self._services[name]
+                found[name] = header.get("type", ""), header.get("md5sum", "")
+        return found
 
     def offered(self) -> List[str]:
         """Return the names of all services."""
         return [name for name, _ in self._master.getSystemState()[2]]
 
-    def must(self, service: str, request: Mapping[str, Any]) -> Any:
-        """Return what a service answers, which has to say that it succeeded."""
+    def must(self, service: str, **request: Any) -> Any:
+        """Return the answer of a service; raise SimulatorError unless it reports success."""
         try:
             answer = self.call(service, request)
         except CallError as error:
@@ -90,64 +98,53 @@ class Simulator:
         return answer
 
     def listen(self, topics: Iterable[str]) -> None:
-        """Listen to topics from now on, and wait for those of them that somebody publishes."""
+        """Subscribe to topics, and wait a while until each of them has a publisher."""
         self._recorder.listen(topics)
-        until = time.monotonic() + TOPICS_SECONDS
-        while self._recorder.lonely() and time.monotonic() < until:
-            time.sleep(LOOK_SECONDS)
+        _wait_until(self._recorder.is_connected)
 
     def forget(self) -> None:
-        """Listen to nothing any more."""
+        """Unsubscribe from all topics."""
         self._recorder.close()
-        self._services.clear()
 
     def run(self, seconds: float, commands: Iterable[Mapping[str, Any]] = ()) -> Evidence:
-        """Send commands, let time run, and return what was seen in just so many seconds.
+        """Send commands, let time run, and return what was seen in exactly these seconds.
 
         Each command has a topic, a `type` and a `message`.
         """
-        speakers = [_speaker(entry) for entry in commands]
+        publishers = [_publisher(entry) for entry in commands]
         evidence = Evidence(*self._topics())
-        start = self.now()
+        start = self._sim_time()
         self._recorder.begin()
-        # While time stands, so that they act for all of the time however busy the machine is.
-        for publisher, message in speakers:
+        # Before time runs, so that commands act for all of it, even on a busy machine.
+        for publisher, message in publishers:
             publisher.publish(message)
-        if speakers:
+        if publishers:
             time.sleep(SETTLE_SECONDS)
-        self.must("unpause_physics", {})
+        self.must("unpause_physics")
         self._wait(start, seconds)
-        self.must("pause_physics", {})
+        self.must("pause_physics")
         time.sleep(SETTLE_SECONDS)
         evidence.heard, evidence.frames = self._recorder.end()
-        evidence.seconds = self.now() - start
+        evidence.seconds = self._sim_time() - start
         for heard in evidence.heard.values():
             heard.cut(start + seconds)
-        for publisher, _ in speakers:
+        for publisher, _ in publishers:
             publisher.unregister()
         return evidence
 
     def stand(self, seconds: float) -> Evidence:
-        """Return what was seen in some wall seconds while time stood still."""
+        """Return what was seen in some wall seconds while time was paused."""
         evidence = Evidence(*self._topics())
         self._recorder.begin()
         time.sleep(seconds)
         evidence.heard, evidence.frames = self._recorder.end()
         return evidence
 
-    def services(self, names: Iterable[str]) -> Dict[str, Tuple[str, str]]:
-        """Return type and md5 sum of those services that there are."""
-        found: Dict[str, Tuple[str, str]] = {}
-        for name in names:
-            with contextlib.suppress(CallError):
-                found[name] = self.service(name)
-        return found
-
-    def now(self) -> float:
-        """Return simulated time, in s."""
-        return self.must("get_world_properties", {}).sim_time
+    def _sim_time(self) -> float:
+        return self.must("get_world_properties").sim_time
 
     def _topics(self) -> Tuple[Dict[str, str], Dict[str, str]]:
+        """Return the types of topics that other nodes publish, and of those they subscribe to."""
         published, subscribed, _ = self._master.getSystemState()
         types = dict(self._master.getTopicTypes())
         own = rospy.get_name()
@@ -161,7 +158,7 @@ class Simulator:
             self._now = message.clock.to_sec()
 
     def _wait(self, start: float, seconds: float) -> None:
-        """Wait until so much time has passed; raises SimulatorError where it does not."""
+        """Wait until /clock has advanced by some seconds; raise SimulatorError on a timeout."""
         until = time.monotonic() + SLOWEST * max(seconds, 1.0)
         with self._lock:
             self._now = start
@@ -169,12 +166,12 @@ class Simulator:
             with self._lock:
                 if self._now - start >= seconds:
                     return
-            time.sleep(0.002)
+            time.sleep(_CLOCK_POLL_SECONDS)
         raise SimulatorError(f"{seconds:g} s of /clock did not pass in {SLOWEST * seconds:g} s")
 
 
 class Recorder:
-    """Keeps what comes on topics, as it comes."""
+    """Records the messages on topics."""
 
     def __init__(self):
         self._lock = threading.Lock()
@@ -185,24 +182,23 @@ class Recorder:
         self._tf = rospy.Subscriber("/tf", TFMessage, self._take_frames)
 
     def listen(self, topics: Iterable[str]) -> None:
-        """Listen to topics, beside those that it listens to."""
+        """Subscribe to topics, besides the present ones."""
         for name in sorted(set(topics) - set(self._subscribers)):
             self._subscribers[name] = rospy.Subscriber(
                 name, rospy.AnyMsg, self._take, callback_args=name, tcp_nodelay=True
             )
 
-    def lonely(self) -> List[str]:
-        """Return the topics that nobody publishes."""
-        subscribers = self._subscribers.items()
-        return [name for name, entry in subscribers if not entry.get_num_connections()]
+    def is_connected(self) -> bool:
+        """Return whether each topic has a publisher."""
+        return all(entry.get_num_connections() for entry in self._subscribers.values())
 
     def begin(self) -> None:
-        """Keep what comes from now on."""
+        """Begin to record."""
         with self._lock:
             self._on, self._heard, self._frames = True, {}, set()
 
     def end(self) -> Tuple[Dict[str, Heard], set]:
-        """Return what has come, and keep nothing more."""
+        """Stop recording; return the messages by topic, and the pairs of frames on /tf."""
         with self._lock:
             self._on = False
             heard, frames = self._heard, self._frames
@@ -211,7 +207,7 @@ class Recorder:
         return heard, frames
 
     def close(self) -> None:
-        """Listen no longer, but to /tf."""
+        """Unsubscribe from all topics but /tf."""
         for subscriber in self._subscribers.values():
             subscriber.unregister()
         self._subscribers.clear()
@@ -235,7 +231,7 @@ class Recorder:
 
 
 def _buffer(message: Any) -> bytes:
-    """Return a message as it came; one that this node hears as a typed one, too, is typed."""
+    """Return a serialized message: rospy hands on typed ones for topics such as /clock."""
     if isinstance(message, rospy.AnyMsg):
         return message._buff
     stream = BytesIO()
@@ -243,36 +239,37 @@ def _buffer(message: Any) -> bytes:
     return stream.getvalue()
 
 
-def _speaker(entry: Mapping[str, Any]) -> Tuple[rospy.Publisher, Any]:
-    """Return a publisher that somebody hears, if anybody does, and its message."""
+def _publisher(entry: Mapping[str, Any]) -> Tuple[rospy.Publisher, Any]:
+    """Return the publisher of a command and its message; raise SimulatorError.
+
+    Waits a while for a subscriber.
+    """
     kind = roslib.message.get_message_class(entry["type"])
     if kind is None:
         raise SimulatorError(f"{entry['type']} is not installed here")
     message = kind()
     genpy.message.fill_message_args(message, [dict(entry.get("message") or {})])
     publisher = rospy.Publisher(entry["topic"], kind, queue_size=10)
-    until = time.monotonic() + TOPICS_SECONDS
-    while not publisher.get_num_connections() and time.monotonic() < until:
-        time.sleep(LOOK_SECONDS)
+    _wait_until(publisher.get_num_connections)
     return publisher, message
 
 
+def _wait_until(condition: Callable[[], Any]) -> None:
+    until = time.monotonic() + TOPICS_SECONDS
+    while not condition() and time.monotonic() < until:
+        time.sleep(_POLL_SECONDS)
+
+
 def _within(seconds: float, action: Callable[[], Any]) -> Any:
-    """Return what an action returns; raises ServiceException where that takes too long."""
-    found: List[Any] = []
-    failed: List[Optional[BaseException]] = []
+    """Return the result of an action, which runs in a thread; raise TimeoutError."""
+    future: concurrent.futures.Future = concurrent.futures.Future()
 
     def act() -> None:
         try:
-            found.append(action())
+            future.set_result(action())
         except Exception as error:
-            failed.append(error)
+            future.set_exception(error)
 
-    thread = threading.Thread(target=act, daemon=True)
-    thread.start()
-    thread.join(seconds)
-    if failed and failed[0] is not None:
-        raise failed[0]
-    if not found:
-        raise rospy.ServiceException(f"no answer in {seconds:g} s")
-    return found[0]
+    # A pool would wait for the thread when Python ends.
+    threading.Thread(target=act, daemon=True).start()
+    return future.result(seconds)

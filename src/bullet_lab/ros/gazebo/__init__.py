@@ -1,1 +1,1 @@
-"""Gazebo's services and topics, offered and called."""
+"""Services and topics of Gazebo, and their clients."""

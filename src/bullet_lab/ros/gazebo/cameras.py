@@ -1,8 +1,8 @@
-"""What sensors offer beside their topics: compressed pictures, calibration, settings.
+"""Services of sensors, and compressed images.
 
-Below a camera's name: set_camera_info, and set_parameters of dynamic_reconfigure (imager_rate);
-below the topic of its pictures: compressed, as image_transport sends it, with the parameters of
-compressed_image_transport. A picture is compressed only while somebody listens.
+Below a camera's name: set_camera_info, and set_parameters of dynamic_reconfigure (imager_rate).
+Below its image topic: `compressed`, as image_transport publishes it, with the parameters of
+compressed_image_transport. An image is compressed only while somebody listens.
 """
 
 from __future__ import annotations
@@ -10,137 +10,115 @@ from __future__ import annotations
 import contextlib
 import math
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Callable, Dict, List
 
 import rospy
 from sensor_msgs.msg import CompressedImage
-from sensor_msgs.srv import SetCameraInfo, SetCameraInfoResponse
+from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Empty, EmptyResponse
 
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
+from bullet_lab.ros.gazebo.services import offer
 from bullet_lab.ros.messages.conversions import compressed_message
+from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node.node import MASTER_ERRORS
-from bullet_lab.simulation.plugins import Plugin
+from bullet_lab.simulation.models import ModelInstance
 from bullet_lab.simulation.plugins.camera import Camera, DepthCamera
 from bullet_lab.simulation.plugins.imu import Imu
 from bullet_lab.simulation.plugins.samples import ImageSample
 
-# Those of compressed_image_transport, but what restarts a JPEG.
+# Those of compressed_image_transport, without the restart interval of a JPEG.
 COMPRESSION = (
-    Setting("format", "jpeg", "how pictures are compressed", choices=("jpeg", "png")),
-    Setting("jpeg_quality", 80, "of a JPEG, in percent", 1, 100),
+    Setting("format", "jpeg", "compression format", choices=("jpeg", "png")),
+    Setting("jpeg_quality", 80, "quality of a JPEG, in percent", 1, 100),
     Setting("jpeg_progressive", False, "JPEGs that are seen before they are whole"),
     Setting("jpeg_optimize", False, "smaller JPEGs, in more time"),
-    Setting("png_level", 9, "of a PNG: 1 is fast, 9 is small", 1, 9),
+    Setting("png_level", 9, "compression level of a PNG: 1 is fast, 9 is small", 1, 9),
 )
 # Hz.
-LEAST_RATE, GREATEST_RATE = 1.0, 50.0
-# What set_camera_info changes.
+LEAST_RATE = 1.0
+GREATEST_RATE = 50.0
+# The fields of CameraInfo that set_camera_info changes.
 CALIBRATED = ("height", "width", "distortion_model", "D", "K", "R", "P", "binning_x", "binning_y")
+# The largest of OpenCV's distortion models has 14 coefficients.
+MOST_COEFFICIENTS = 14
+# Characters of a distortion model's name.
+LONGEST_NAME = 100
 
-# Of the distortion models that OpenCV knows, the largest has 14; characters of a model's name.
-MOST_COEFFICIENTS, LONGEST_NAME = 14, 100
 
-
-class CompressedPictures:
-    """The compressed pictures of one camera. Belongs to the thread that steps the simulation."""
+class CompressedImages:
+    """The compressed images of one camera; for the thread of the simulation."""
 
     def __init__(self, world: RunningWorld, camera: Camera):
         self.topic = f"{camera.image.topic}/compressed"
-        self.settings: Values = {setting.name: setting.default for setting in COMPRESSION}
+        self._settings: Values = {setting.name: setting.default for setting in COMPRESSION}
         self._publisher = world.topics.publisher(self.topic, CompressedImage)
         camera.image.connect(self._publish, self._publisher.has_connections)
 
     def set(self, values: Values) -> Values:
-        """Compress differently from now on; return what holds."""
-        formats = COMPRESSION[0].choices
-        known = {setting.name: values[setting.name] for setting in COMPRESSION}
-        if known["format"] not in formats:
-            known["format"] = self.settings["format"]
-        self.settings = known
-        return known
+        """Set the compression; return the resulting settings. An unknown format is ignored."""
+        settings = {setting.name: values[setting.name] for setting in COMPRESSION}
+        if settings["format"] not in COMPRESSION[0].choices:
+            settings["format"] = self._settings["format"]
+        self._settings = settings
+        return settings
 
     def _publish(self, sample: ImageSample) -> None:
         if self._publisher.has_connections():
-            self._publisher.publish(compressed_message(sample, self.settings))
-
-
-@dataclass
-class _Offered:
-    """What a sensor offers: a topic, if any, and what can be shut down."""
-
-    topic: str
-    services: List[Any] = field(default_factory=list)
+            self._publisher.publish(compressed_message(sample, self._settings))
 
 
 class SensorServices:
-    """Offers what the sensors of all models have beside their topics, while they are there."""
+    """Offers the services of the cameras and IMUs of all models, as models come and go."""
 
     def __init__(self, world: RunningWorld):
         self._world = world
-        self._offered: Dict[str, List[_Offered]] = {}
-        # Asking the master for each of them would hold the simulation up.
-        self._clerk = ThreadPoolExecutor(1)
-        self._offers = {Camera: self._offer, DepthCamera: self._offer, Imu: self._offer_calibration}
-        world.changed.append(self._changed)
-        self._changed("")
+        # By model.
+        self._topics: Dict[str, List[str]] = {}
+        self._services: Dict[str, List[Any]] = {}
+        # Registers services in a thread of its own: the simulation does not wait for the master.
+        self._registrar = ThreadPoolExecutor(1)
+        world.follow(self._begin, self._end)
 
-    def _changed(self, name: str) -> None:
-        """Follow a model that has come or gone, or all with an empty name."""
-        for model in [name] if name else {*self._world.models, *self._offered}:
-            instance = self._world.models.get(model)
-            sensors = [p for p in (instance.plugins if instance else ()) if type(p) in self._offers]
-            if sensors and model not in self._offered:
-                self._offered[model] = [self._offers[type(sensor)](sensor) for sensor in sensors]
-            elif not sensors and model in self._offered:
-                for offered in self._offered.pop(model):
-                    if offered.topic:
-                        self._world.topics.release(offered.topic)
-                    self._clerk.submit(_shut_down, offered.services)
+    def _begin(self, instance: ModelInstance) -> None:
+        topics = self._topics[instance.name] = []
+        services = self._services[instance.name] = []
+        for plugin in instance.plugins:
+            offers: List[Callable[[], Any]] = []
+            if type(plugin) in (Camera, DepthCamera):
+                images = CompressedImages(self._world, plugin)
+                topics.append(images.topic)
+                offers = self._camera_services(plugin, images)
+            elif type(plugin) is Imu:
+                name = rospy.resolve_name(plugin.service)
+                offers = [partial(rospy.Service, name, Empty, lambda _: EmptyResponse())]
+            if offers:
+                self._registrar.submit(_start, offers, services, plugin.mount.plugin.name)
 
-    def _offer(self, camera: Camera) -> _Offered:
-        pictures = CompressedPictures(self._world, camera)
-        offered = _Offered(pictures.topic)
-        self._clerk.submit(self._register, camera, pictures, offered.services)
-        return offered
+    def _end(self, model: str) -> None:
+        for topic in self._topics.pop(model):
+            self._world.topics.release(topic)
+        self._registrar.submit(_shut_down, self._services.pop(model))
 
-    def _offer_calibration(self, imu: Imu) -> _Offered:
-        offered = _Offered("")
-        name = rospy.resolve_name(imu.service)
-        offer = partial(rospy.Service, name, Empty, lambda _: EmptyResponse())
-        self._clerk.submit(_take_up, [offer], offered.services, imu)
-        return offered
-
-    def _register(self, camera: Camera, pictures: CompressedPictures, services: List[Any]) -> None:
-        service = rospy.resolve_name(camera.topic("set_camera_info"))
-        space = service.rsplit("/", 1)[0]
-        calibrate, change = partial(self._calibrate, camera), partial(self._set_rate, camera)
-        offers = [
-            partial(rospy.Service, service, SetCameraInfo, calibrate),
-            partial(Reconfigurable, rospy.resolve_name(pictures.topic), COMPRESSION, pictures.set),
+    def _camera_services(self, camera: Camera, images: CompressedImages) -> List[Callable[[], Any]]:
+        name = rospy.resolve_name(camera.topic("set_camera_info"))
+        topic = rospy.resolve_name(images.topic)
+        offers: List[Callable[[], Any]] = [
+            partial(offer, name, SetCameraInfo, partial(self._calibrate, camera)),
+            partial(Reconfigurable, topic, COMPRESSION, images.set),
         ]
         if camera.name:
-            offers.append(partial(Reconfigurable, space, [_rate_of(camera)], change))
-        _take_up(offers, services, camera)
+            space, change = name.rsplit("/", 1)[0], partial(self._set_rate, camera)
+            offers.append(partial(Reconfigurable, space, [_rate_setting(camera)], change))
+        return offers
 
-    def _calibrate(self, camera: Camera, request: Any) -> SetCameraInfoResponse:
-        told = {name: getattr(request.camera_info, name) for name in CALIBRATED}
-        wrong = wrong_calibration(told)
-        if wrong:
-            return SetCameraInfoResponse(False, wrong)
-
-        def change() -> None:
-            camera.calibration = told
-
-        try:
-            self._world.do(change)
-        except StepperError as error:
-            return SetCameraInfoResponse(False, str(error))
-        return SetCameraInfoResponse(True, "")
+    def _calibrate(self, camera: Camera, request: Any) -> None:
+        calibration = {name: getattr(request.camera_info, name) for name in CALIBRATED}
+        check_calibration(calibration)
+        self._world.do(lambda: setattr(camera, "calibration", calibration))
 
     def _set_rate(self, camera: Camera, values: Values) -> Values:
         rate = values["imager_rate"]
@@ -149,33 +127,33 @@ class SensorServices:
         return values
 
 
-def wrong_calibration(told: Dict[str, Any]) -> str:
-    """Return what is wrong with a calibration of set_camera_info; empty where nothing is."""
+def check_calibration(calibration: Dict[str, Any]) -> None:
+    """Raise InputError for an invalid calibration of set_camera_info."""
     for name in "DKRP":
-        if not all(map(math.isfinite, told[name])):
-            return f"{name} has a number that is not finite"
-    if len(told["D"]) > MOST_COEFFICIENTS:
-        return f"D has {len(told['D'])} coefficients; at most {MOST_COEFFICIENTS} are allowed"
-    if len(told["distortion_model"]) > LONGEST_NAME:
-        return f"distortion_model has more than {LONGEST_NAME} characters"
-    return ""
+        if not all(map(math.isfinite, calibration[name])):
+            raise InputError(f"{name} has a number that is not finite")
+    count = len(calibration["D"])
+    if count > MOST_COEFFICIENTS:
+        raise InputError(f"D has {count} coefficients; at most {MOST_COEFFICIENTS} are allowed")
+    if len(calibration["distortion_model"]) > LONGEST_NAME:
+        raise InputError(f"distortion_model has more than {LONGEST_NAME} characters")
 
 
-def _rate_of(camera: Camera) -> Setting:
+def _rate_setting(camera: Camera) -> Setting:
     default = min(max(1.0 / camera.schedule.period, LEAST_RATE), GREATEST_RATE)
     return Setting(
         "imager_rate", default, "pictures per simulated second", LEAST_RATE, GREATEST_RATE
     )
 
 
-def _take_up(offers: List[Callable[[], Any]], services: List[Any], sensor: Plugin) -> None:
-    for offer in offers:
+def _start(offers: List[Callable[[], Any]], services: List[Any], sensor: str) -> None:
+    for start in offers:
         try:
-            services.append(offer())
+            services.append(start())
         except (rospy.ServiceException, *MASTER_ERRORS) as error:
-            # Two sensors without a name of their own want the same services.
+            # Two sensors of the same name have the same services.
             if not rospy.is_shutdown():
-                rospy.logwarn("sensor '%s': %s", sensor.mount.plugin.name, error)
+                rospy.logwarn("sensor '%s': %s", sensor, error)
 
 
 def _shut_down(services: List[Any]) -> None:

@@ -1,6 +1,6 @@
-"""Clients of a running simulator: its services, this package's or Gazebo's, and what stands where.
+"""Clients of a running simulator: calls of its services, and where its models are.
 
-The latter follows from the markers that the bridge shows.
+The latter follows from the markers that the bridge publishes.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from bullet_lab.ros.node.node import NodeError, Refusals, wait_until
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Mesh
 
-# Markers of all shapes in the world.
+# Topic with the markers of all shapes in the world.
 WORLD = "/bullet_lab/world"
-# What rises less than this (m) above the floor is floor.
+# m; a shape whose top is lower counts as floor.
 FLOOR = 0.02
 
 
 def call(service: str, kind: type, *arguments: Any) -> Any:
-    """Call a service once it is there; raises NodeError unless it answers that it succeeded."""
+    """Wait for a service and call it; raises NodeError if it fails or its response says so."""
     wait_until(lambda: _is_offered(service), service)
     try:
         answer = rospy.ServiceProxy(service, kind)(*arguments)
@@ -52,40 +52,37 @@ def _is_offered(service: str) -> bool:
 
 
 def numbered(names: Iterable[str], name: str) -> List[str]:
-    """Return those names that are `name`, an underscore and a number."""
+    """Return the names that consist of `name`, an underscore and a number."""
     pattern = re.compile(rf"{re.escape(name)}_\d+")
     return [found for found in names if pattern.fullmatch(found)]
 
 
 @dataclass(frozen=True)
-class Standing:
-    """The box around a shape, by its lower and upper corner in the world, in m.
-
-    `origin` is where the shape itself is.
-    """
+class _BoundingBox:
+    """The axis-aligned box around a shape in the world: two corners and the shape's origin, m."""
 
     least: Vector
     greatest: Vector
     origin: Vector
 
     def distance(self, x: float, y: float) -> float:
-        """Return how far (m) a point of the floor is from it, 0 below it."""
+        """Return the horizontal distance (m) of a point; 0 inside the box."""
         dx = max(self.least[0] - x, 0.0, x - self.greatest[0])
         dy = max(self.least[1] - y, 0.0, y - self.greatest[1])
         return math.hypot(dx, dy)
 
 
 class StandingModels:
-    """Keeps the shapes of all models, by the markers' namespaces and numbers; thread-safe."""
+    """Keeps the bounding boxes of all shapes, by model and marker number; thread-safe."""
 
     def __init__(self):
         self._lock = threading.Lock()
-        self._shapes: Dict[Tuple[str, int], Standing] = {}
+        self._shapes: Dict[Tuple[str, int], _BoundingBox] = {}
         self._known = False
         self._refusals = Refusals()
 
     def take(self, message: MarkerArray) -> None:
-        """Take note of shapes that came, moved or went."""
+        """Add, move and remove the shapes of a message."""
         with self._lock:
             self._known = True
             for marker in message.markers:
@@ -94,16 +91,13 @@ class StandingModels:
                 elif marker.action == Marker.DELETE:
                     self._shapes.pop((marker.ns, marker.id), None)
                 else:
-                    self._note(marker)
-
-    def _note(self, marker: Marker) -> None:
-        try:
-            self._shapes[marker.ns, marker.id] = standing(marker)
-        except InputError as error:
-            self._refusals.refuse(WORLD, str(error))
+                    try:
+                        self._shapes[marker.ns, marker.id] = _bounding_box(marker)
+                    except InputError as error:
+                        self._refusals.refuse(WORLD, str(error))
 
     def is_known(self) -> bool:
-        """Return whether anything has been told yet."""
+        """Return whether a message has arrived."""
         return self._known
 
     def names(self) -> Tuple[str, ...]:
@@ -112,7 +106,7 @@ class StandingModels:
             return tuple(sorted({name for name, _ in self._shapes}))
 
     def origin(self, name: str) -> Optional[Vector]:
-        """Return where (m) a model's first shape is; None if there is no such model."""
+        """Return the position (m) of a model's first shape; None if there is no such model."""
         with self._lock:
             numbers = [number for model, number in self._shapes if model == name]
             return self._shapes[name, min(numbers)].origin if numbers else None
@@ -129,17 +123,17 @@ class StandingModels:
         return name, distance
 
 
-def standing(marker: Marker) -> Standing:
-    """Return the box around a marker's shape; that around its origin if nobody knows its size."""
+def _bounding_box(marker: Marker) -> _BoundingBox:
+    """Return the box around a marker's shape; its origin alone if the size is unknown."""
     pose = pose_of(marker.pose.position, marker.pose.orientation)
     corners = np.array([pose.rotate(corner) for corner in product(*_bounds(marker).T.tolist())])
     corners += np.array(pose.position)
     least, greatest = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
-    return Standing(tuple(least), tuple(greatest), pose.position)
+    return _BoundingBox(tuple(least), tuple(greatest), pose.position)
 
 
 def _bounds(marker: Marker) -> np.ndarray:
-    """Return the least and the greatest corner of a shape in its own frame, (2, 3)."""
+    """Return the lower and upper corner of a shape in its own frame, (2, 3)."""
     scale = (marker.scale.x, marker.scale.y, marker.scale.z)
     if marker.type != Marker.MESH_RESOURCE:
         return Box(scale).bounds()
@@ -147,5 +141,5 @@ def _bounds(marker: Marker) -> np.ndarray:
         path = ResourceFinder.anywhere().find(marker.mesh_resource)
         return Mesh(path, marker.mesh_resource, scale).bounds()
     except LabError as error:
-        rospy.logwarn_once("a mesh whose size nobody knows: %s", error)
+        rospy.logwarn_once("a mesh of unknown size: %s", error)
         return np.zeros((2, 3))

@@ -1,7 +1,7 @@
-"""What packages export for Gazebo: folders with models and with media.
+"""The folders with models and media that packages export for Gazebo.
 
 `<export><gazebo_ros gazebo_model_path="${prefix}/models"/></export>` in a package.xml adds a folder
-to GAZEBO_MODEL_PATH; gazebo_media_path is one of GAZEBO_RESOURCE_PATH.
+to GAZEBO_MODEL_PATH; gazebo_media_path adds one to GAZEBO_RESOURCE_PATH.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.resources import listed_folders
 from bullet_lab.simulation.world.xml import parse_text, read_text
 
-# What packages export, and the variables that it goes into.
+# Environment variables by the attributes that extend them.
 VARIABLES = {
     "gazebo_model_path": "GAZEBO_MODEL_PATH",
     "gazebo_media_path": "GAZEBO_RESOURCE_PATH",
@@ -26,7 +26,7 @@ EXPORTER = "gazebo_ros"
 
 
 def add_exported_paths() -> None:
-    """Add what all packages export to the environment of this process."""
+    """Add the folders that all packages export to the environment of this process."""
     packages = rospkg.RosPack()
     folders = (Path(packages.get_path(name)) for name in sorted(packages.list()))
     for variable, paths in exported_paths(folders).items():
@@ -40,7 +40,7 @@ def exported_paths(folders: Iterable[Path]) -> Dict[str, List[str]]:
     """Return the folders that packages export, by the names of environment variables.
 
     Args:
-        folders: of the packages; a package.xml that makes no sense is passed over.
+        folders: of the packages; an invalid package.xml is ignored.
     """
     found: Dict[str, List[str]] = {variable: [] for variable in VARIABLES.values()}
     for folder in folders:
@@ -54,7 +54,7 @@ def exported_paths(folders: Iterable[Path]) -> Dict[str, List[str]]:
 def _exports(manifest: Path) -> List[Element]:
     try:
         text = read_text(manifest)
-        # There may be hundreds of packages, and few of them know Gazebo.
+        # A quick test first: of hundreds of packages, few export anything for Gazebo.
         if EXPORTER not in text:
             return []
         return parse_text(text, str(manifest)).findall(f"export/{EXPORTER}")

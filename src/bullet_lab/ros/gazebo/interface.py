@@ -1,102 +1,113 @@
-"""All that the bridge offers under /gazebo, with what is about the whole world.
+"""All services and topics of Gazebo, and the services and topics that describe the whole world.
 
-The latter are /bullet_lab/save_world, the running world as an SDF file, and the topics
-/gazebo/model_states, link_states and performance_metrics.
+The latter are /bullet_lab/save_world, /bullet_lab/describe_models, /gazebo/model_states,
+/gazebo/link_states and /gazebo/performance_metrics.
 """
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import threading
 import time
 from pathlib import Path
-from typing import Any, Callable, Dict
+from typing import Any, Callable, Dict, Iterator, List, Tuple
 
 import rospy
+from geometry_msgs.msg import Point
 
-from bullet_lab.core.confined import ConfinedFolder
-from bullet_lab.core.files import FileError
+from bullet_lab.core.files import ConfinedFolder, FileError
+from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
+from bullet_lab.msg import ModelDescription, PluginDescription
 from bullet_lab.ros.bridge.running_world import RunningWorld
-from bullet_lab.ros.bridge.stepper import StepperError
-from bullet_lab.ros.bridge.world_topics import WorldMarkers
+from bullet_lab.ros.bridge.world_topics import PresentState, WorldMarkers
+from bullet_lab.ros.gazebo import properties, services
 from bullet_lab.ros.gazebo.cameras import SensorServices
-from bullet_lab.ros.gazebo.lights import GazeboLights
-from bullet_lab.ros.gazebo.performance import Performance
-from bullet_lab.ros.gazebo.physics import GazeboPhysics
-from bullet_lab.ros.gazebo.properties import GazeboProperties
-from bullet_lab.ros.gazebo.services import GazeboServices
+from bullet_lab.ros.gazebo.properties import GazeboPhysics
+from bullet_lab.ros.gazebo.services import Answer, offer
 from bullet_lab.ros.messages.gazebo_types import msg
-from bullet_lab.ros.messages.poses import pose_message, time_of, twist_message
-from bullet_lab.simulation.models import Entity, ModelInstance, link_entities, model_entity
+from bullet_lab.ros.messages.poses import pose_message, set_time, time_of, twist_message
+from bullet_lab.simulation.models import (
+    Entity,
+    ModelInstance,
+    find_model,
+    link_entities,
+    model_entity,
+)
+from bullet_lab.simulation.plugins import Plugin
+from bullet_lab.simulation.plugins.camera import Camera
+from bullet_lab.simulation.survey import PluginSurvey, bounds, survey
 from bullet_lab.simulation.world.sdf_writer import world_text
-from bullet_lab.srv import SaveWorld, SaveWorldResponse
+from bullet_lab.srv import DescribeModels, SaveWorld
+
+# Hz of checks in simulated time, and of messages in wall time, of /gazebo/performance_metrics.
+PERFORMANCE_CHECK_RATE = 100.0
+PERFORMANCE_RATE = 5.0
+MOST_WARNINGS = 1000
+# z of the normal of the steepest ground that a robot stands on (60°); a wall is steeper.
+STEEPEST = 0.5
 
 
 class SaveError(LabError):
-    """A world cannot be saved there."""
+    """A world cannot be saved in the requested file."""
 
 
 class WorldSaver:
-    """Offers the service; only the look at where everything is holds the simulation up.
+    """Offers /bullet_lab/save_world; the simulation is held up only while it is copied.
 
-    The bridge writes below one folder only. Whoever wants a file elsewhere takes the text and
-    writes it with rights of their own, as `save_world.py` does.
+    The bridge writes in one folder and below only. To save a file elsewhere, a client requests
+    the text and writes it itself, as `save_world.py` does.
     """
 
     def __init__(self, world: RunningWorld, folder: Path):
         self._world = world
         self._folder = ConfinedFolder(folder)
         self._lock = threading.Lock()
-        self._service = rospy.Service("/bullet_lab/save_world", SaveWorld, self._save)
+        self._service = offer("/bullet_lab/save_world", SaveWorld, self._save)
 
-    def _save(self, request: Any) -> SaveWorldResponse:
+    def _save(self, request: Any) -> Answer:
         start = time.perf_counter()
         try:
             if not request.path or "\0" in request.path:
                 raise SaveError("no file is named")
             if request.return_text:
-                response = self._describe(self._folder.path / request.path)
+                values = self._describe(self._folder.path / request.path)
             else:
-                # One at a time, or the later file could be put in place before the earlier one.
+                # One at a time: the file of the later request replaces that of the earlier one.
                 with self._lock:
-                    response = self._write(request.path)
-        except (LabError, OSError, RuntimeError) as error:
-            # Of the latter, names that are too long and links in circles.
-            return SaveWorldResponse(success=False, status_message=str(LabError(error)))
-        response.seconds = time.perf_counter() - start
-        return response
+                    values = self._write(request.path)
+        except (OSError, RuntimeError) as error:
+            # pathlib raises them for names that are too long and for circular links.
+            raise LabError(error) from error
+        return {**values, "seconds": time.perf_counter() - start}
 
-    def _write(self, name: str) -> SaveWorldResponse:
+    def _write(self, name: str) -> Dict[str, Any]:
         try:
             path = self._folder.place(name)
         except FileError as error:
             hint = "~save_folder is the bridge's; save_world.py writes anywhere"
             raise SaveError(f"{error}; {hint}") from error
-        response = self._describe(path)
-        text, response.text = response.text, ""
-        self._folder.write(path, text)
-        return response
+        values = self._describe(path)
+        self._folder.write(path, values.pop("text"))
+        return values
 
-    def _describe(self, path: Path) -> SaveWorldResponse:
+    def _describe(self, path: Path) -> Dict[str, Any]:
         snapshot = self._world.do(self._world.simulation.snapshot)
         text, notes = world_text(snapshot, path.parent)
-        return SaveWorldResponse(
-            success=True,
-            status_message="; ".join(notes),
-            path=str(path),
-            text=text,
-            models=len(snapshot.models),
-            saved_at=time_of(snapshot.step),
-        )
+        return {
+            "status_message": "; ".join(notes),
+            "path": str(path),
+            "text": text,
+            "models": len(snapshot.models),
+            "saved_at": time_of(snapshot.step),
+        }
 
 
-class _States(rospy.SubscribeListener):
-    """A topic that says where things are.
+class _States:
+    """Publishes the poses and twists of entities, `rate` times per simulated second.
 
-    Its messages are made while somebody listens, `rate` times per simulated second. In between,
-    whoever subscribes is told at once how things are, and everybody when something was added,
-    taken away or put elsewhere: so it is of use while time stands still, too.
+    A new subscriber receives the present states at once, and all subscribers do when a model was
+    added, removed or moved by a service: so the topic is up to date while time is paused, too.
     """
 
     def __init__(
@@ -107,23 +118,13 @@ class _States(rospy.SubscribeListener):
         entities: Callable[[ModelInstance], Dict[str, Entity]],
         rate: float,
     ):
-        super().__init__()
         self._world = world
         self._kind = kind
         self._entities = entities
         self._publisher = world.topics.publisher(topic, kind)
-        self._publisher.impl.add_subscriber_listener(self)
+        self._publisher.impl.add_subscriber_listener(PresentState(world, self._message))
         world.changed.append(self._changed)
         world.simulation.every(rate, self._publish)
-
-    def peer_subscribe(
-        self, _topic: str, _publish: Callable[[Any], None], peer_publish: Callable[[Any], None]
-    ) -> None:
-        """Tell a new subscriber how things are."""
-        # What a bridge that ends can no longer tell, nobody needs. In the thread of the others
-        # that write to this subscriber, or messages would mix.
-        with contextlib.suppress(StepperError, rospy.ROSException):
-            self._world.do(lambda: peer_publish(self._message()))
 
     def _publish(self, _step: int = 0) -> None:
         if self._publisher.has_connections():
@@ -152,11 +153,58 @@ def _links(instance: ModelInstance) -> Dict[str, Entity]:
     return {f"{instance.name}::{link.link}": link for link in link_entities(instance)}
 
 
-class Gazebo:
-    """Gazebo's services and topics on a running world, and its markers in a frame of RViz.
+class _Performance:
+    """Publishes the real-time factor and the update rates of sensors while somebody listens."""
 
-    RViz shows the model `hidden` as a robot. `states_rate` is that of /gazebo/model_states and
-    link_states, in messages per simulated second. Worlds are saved in `folder`.
+    def __init__(self, world: RunningWorld):
+        self._world = world
+        self._publisher = world.topics.publisher(
+            "/gazebo/performance_metrics", msg.PerformanceMetrics
+        )
+        self._last = (time.monotonic(), world.simulation.step)
+        world.simulation.every(PERFORMANCE_CHECK_RATE, self._check)
+
+    def _check(self, step: int) -> None:
+        then, before = self._last
+        now = time.monotonic()
+        if now - then < 1.0 / PERFORMANCE_RATE:
+            return
+        self._last = (now, step)
+        # A reset may have set time back.
+        if self._publisher.has_connections() and step > before:
+            self._send(step, (step - before) / STEPS_PER_SECOND / (now - then))
+
+    def _send(self, step: int, factor: float) -> None:
+        message = msg.PerformanceMetrics(real_time_factor=factor)
+        set_time(message.header.stamp, step)
+        for name, plugin in self._sensors():
+            rate = 1.0 / plugin.schedule.period
+            drawn = any(output.wanted for output in plugin.outputs)
+            pictures = (rate * factor if drawn else 0.0) if isinstance(plugin, Camera) else -1.0
+            sensor = msg.SensorPerformanceMetric(name, rate, rate * factor, pictures)
+            message.sensors.append(sensor)
+        self._publisher.publish(message)
+
+    def _sensors(self) -> Iterator[Tuple[str, Plugin]]:
+        """Yield the full names of all <sensor>s with a plugin, and the plugins."""
+        world = self._world.simulation.world.name
+        for instance in self._world.models.values():
+            for plugin in instance.plugins:
+                tag = plugin.mount.plugin
+                if tag.sensor is not None and plugin.schedule is not None:
+                    link = instance.keeper(tag.link) or instance.model.canonical_link().name
+                    yield f"{world}::{instance.name}::{link}::{tag.sensor.get('name', '')}", plugin
+
+
+class Gazebo:
+    """Gazebo's services and topics on a running world, and the markers of its shapes.
+
+    Args:
+        world: that they are about.
+        frame: of the markers in RViz.
+        hidden: name of the model without markers, which RViz shows as a robot.
+        states_rate: messages on /gazebo/model_states and link_states per simulated second.
+        folder: in which worlds are saved.
     """
 
     def __init__(
@@ -167,15 +215,79 @@ class Gazebo:
             WorldMarkers(world, frame, hidden),
             _States(world, "/gazebo/model_states", msg.ModelStates, _model, states_rate),
             _States(world, "/gazebo/link_states", msg.LinkStates, _links, states_rate),
-            Performance(world),
-            GazeboServices(world),
-            GazeboProperties(world),
-            GazeboLights(world),
+            _Performance(world),
+            services.offer_services(world),
+            properties.offer_services(world),
             GazeboPhysics(world),
             WorldSaver(world, folder),
             SensorServices(world),
         ]
+        services.subscribe_to_states(world)
 
     def everything_moved(self) -> None:
-        """Show that models were put elsewhere, by somebody else."""
-        self._world.change(lambda: "")
+        """Publish the new poses of all models after a reset."""
+        self._world.do(lambda: self._world.notify(""))
+
+
+class Warnings(logging.Handler):
+    """Keeps the library's warnings from now on in `lines`, each once."""
+
+    def __init__(self):
+        super().__init__(logging.WARNING)
+        self.lines: List[str] = []
+        logging.getLogger("bullet_lab").addHandler(self)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Add the message of a record, called by the library's logger."""
+        line = record.getMessage()
+        if line not in self.lines and len(self.lines) < MOST_WARNINGS:
+            self.lines.append(line)
+
+
+class ModelDescriptions:
+    """Offers /bullet_lab/describe_models: which plugins and tags are simulated, and warnings."""
+
+    def __init__(self, world: RunningWorld, warnings: Warnings):
+        self._world, self._warnings = world, warnings
+        self._service = offer("/bullet_lab/describe_models", DescribeModels, self._answer)
+
+    def _answer(self, request: Any) -> Answer:
+        models = self._world.do(lambda: self._describe(request.model_name))
+        return {"models": models, "said": self._warnings.lines}
+
+    def _describe(self, name: str) -> List[ModelDescription]:
+        models = self._world.models
+        chosen = [find_model(models, name)] if name else models.values()
+        return [self._described(instance) for instance in chosen]
+
+    def _described(self, instance: ModelInstance) -> ModelDescription:
+        model = instance.model
+        least, greatest = bounds(instance)
+        touches = list(self._world.simulation.touches(model.name))
+        of_world_file = {one.name for one in self._world.simulation.world.models}
+        return ModelDescription(
+            name=model.name,
+            is_static=model.static,
+            of_world_file=model.name in of_world_file,
+            links=[link.name for link in model.own_links()],
+            joints=[joint.name for joint in model.joints],
+            plugins=[_described_plugin(one) for one in survey(instance)],
+            least=Point(*least),
+            greatest=Point(*greatest),
+            stands_on=sorted({own for own, _, up in touches if up > STEEPEST}),
+            touches=sorted({other for _, other, up in touches if up <= STEEPEST}),
+        )
+
+
+def _described_plugin(plugin: PluginSurvey) -> PluginDescription:
+    return PluginDescription(
+        name=plugin.tag.name,
+        filename=plugin.tag.filename,
+        link=plugin.tag.link,
+        acts=plugin.acts,
+        rate=plugin.rate,
+        inputs=[rospy.resolve_name(topic) for topic in plugin.inputs],
+        outputs=[rospy.resolve_name(topic) for topic in plugin.outputs],
+        tags_not_simulated=plugin.unread,
+        refused=plugin.refused,
+    )

@@ -1,6 +1,6 @@
-"""Parameters that are changed while a node runs, through dynamic_reconfigure.
+"""Settings that clients change while a node runs, through dynamic_reconfigure.
 
-Where python3-dynamic-reconfigure is not installed, none are offered.
+Without python3-dynamic-reconfigure, no settings are offered.
 """
 
 from __future__ import annotations
@@ -19,16 +19,20 @@ try:
 except ImportError:
     Server = None
 
-KINDS = {bool: "bool", int: "int", float: "double", str: "str"}
-# What a server calls its first configuration, which nobody has asked for.
+TYPES = {bool: "bool", int: "int", float: "double", str: "str"}
+# Level of a server's first configuration, which no client has requested.
 AT_START = -1
 
 Values = Dict[str, Any]
 
 
+class SettingError(LabError):
+    """A setting has an invalid value."""
+
+
 @dataclass(frozen=True)
 class Setting:
-    """A parameter: its default, whose type is its own, and its limits; `choices` of a text."""
+    """A setting with its default, which has the setting's type, limits, and choices of a text."""
 
     name: str
     default: Any
@@ -38,8 +42,8 @@ class Setting:
     choices: Tuple[str, ...] = ()
 
     def described(self) -> Dict[str, Any]:
-        """Return it as dynamic_reconfigure has it."""
-        kind = KINDS[type(self.default)]
+        """Return the description of the setting for dynamic_reconfigure."""
+        kind = TYPES[type(self.default)]
         entries = [
             {"name": choice, "value": choice, "type": kind, "description": choice}
             for choice in self.choices
@@ -49,22 +53,21 @@ class Setting:
 
 
 class Reconfigurable:
-    """Offers settings below a namespace; nothing where dynamic_reconfigure is missing.
+    """Offers settings in a namespace; does nothing without dynamic_reconfigure.
 
-    `change(values)` is called, in the thread of whoever changes something, with all that is asked
-    for, and returns what holds. Where a number is not finite, or `change` raises LabError, all
-    stays as it is.
+    `change(values)` is called with all requested values, in the thread of the service, and returns
+    the resulting ones. If a number is not finite or `change` raises LabError, nothing is changed.
     """
 
     def __init__(
         self, namespace: str, settings: Sequence[Setting], change: Callable[[Values], Values]
     ):
         self._namespace, self._change = namespace, change
-        self._held: Values = {}
-        self._server = Server and _server_of_one_group()(_type_of(settings), self._take, namespace)
+        self._values: Values = {}
+        self._server = Server and _server_class()(_type_of(settings), self._take, namespace)
 
     def shutdown(self) -> None:
-        """Offer it no longer."""
+        """Shut down the service and the topics."""
         if self._server:
             self._server.set_service.shutdown()
             self._server.descr_topic.unregister()
@@ -73,29 +76,24 @@ class Reconfigurable:
     def _take(self, values: Values, level: int) -> Values:
         if level != AT_START:
             try:
-                values.update(self._change(_finite(values)))
+                _check_finite(values)
+                values.update(self._change(dict(values)))
             except LabError as error:
                 rospy.logwarn("%s: %s; nothing is changed", self._namespace, error)
-                values.update(self._held)
-        self._held = dict(values)
+                values.update(self._values)
+        self._values = dict(values)
         return values
 
 
-class SettingError(LabError):
-    """A setting that cannot be."""
-
-
-def _finite(values: Values) -> Values:
-    """Return a copy of settings; raises SettingError for a number that is not finite."""
+def _check_finite(values: Values) -> None:
     for name, value in values.items():
         if isinstance(value, float) and not math.isfinite(value):
             raise SettingError(f"{name} is {value}, which is not finite")
-    return dict(values)
 
 
-def _server_of_one_group() -> Any:
+def _server_class() -> Any:
     class OneGroup(Server):
-        """Passes over what a call says of groups: there is one, and the library fails without."""
+        """Ignores the groups of a request, which make the library fail: there is one group."""
 
         def _set_callback(self, request: Any) -> Any:
             request.config.groups = []
@@ -105,16 +103,12 @@ def _server_of_one_group() -> Any:
 
 
 def _type_of(settings: Sequence[Setting]) -> Any:
-    """Return what the generator of dynamic_reconfigure would make of settings."""
+    """Return the module that dynamic_reconfigure would generate for the settings."""
     group = {"name": "Default", "type": "", "state": True, "id": 0, "parent": 0, "groups": []}
-    parts = {
-        "defaults": {setting.name: setting.default for setting in settings},
-        "min": {setting.name: _limit(setting, setting.min, False) for setting in settings},
-        "max": {setting.name: _limit(setting, setting.max, True) for setting in settings},
-    }
-    listed = [setting.described() for setting in settings]
-    return SimpleNamespace(config_description={**group, "parameters": listed}, **parts)
-
-
-def _limit(setting: Setting, limit: Any, of_a_switch: bool) -> Any:
-    return of_a_switch if isinstance(setting.default, bool) else limit
+    booleans = [setting for setting in settings if isinstance(setting.default, bool)]
+    return SimpleNamespace(
+        config_description={**group, "parameters": [setting.described() for setting in settings]},
+        defaults={setting.name: setting.default for setting in settings},
+        min={s.name: False if s in booleans else s.min for s in settings},
+        max={s.name: True if s in booleans else s.max for s in settings},
+    )

@@ -1,9 +1,9 @@
-"""The controller manager of each robot that has libgazebo_ros_control.so, with its parameters.
+"""The controller manager of each robot with libgazebo_ros_control.so, and its parameters.
 
 :ROS Services: in the robot's namespace, controller_manager/
     list_controllers, list_controller_types, load_controller, unload_controller,
     switch_controller, reload_controller_libraries (controller_manager_msgs)
-    and below the name of a controller that can be adjusted, set_parameters of dynamic_reconfigure
+    and below the name of an adjustable controller, set_parameters of dynamic_reconfigure
 """
 
 from __future__ import annotations
@@ -23,73 +23,70 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
-from bullet_lab.ros.messages.control_types import msg, srv
+from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv
 from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
 from bullet_lab.simulation.plugins.controllers.controller import Controller, known_controllers
 from bullet_lab.simulation.plugins.controllers.parameters import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.ros_control import RosControl
+from bullet_lab.simulation.simulation import ModelInstance
 
 LOG = logging.getLogger(__name__)
 
 BASE_CLASS = "controller_interface::ControllerBase"
 INTERFACE_SPACE = "hardware_interface::"
-# Wall seconds between two looks for a description, and until it is said that there is none yet.
-LOOK_SECONDS = 0.1
+# Wall seconds between two retries.
+RETRY_SECONDS = 0.1
+# Wall seconds until a warning that the robot's description is missing, and until a service that
+# exists already is an error.
 PATIENCE = 3.0
 
 
 class ControllerManagers:
-    """Keeps a controller manager for each robot with controllers, as robots come and go."""
+    """Starts a controller manager for each robot with controllers, as robots come and go."""
 
     def __init__(self, world: RunningWorld):
         self._world = world
-        self._managers: Dict[RosControl, _Manager] = {}
-        world.changed.append(self._look)
-        self._look("")
+        self._managers: Dict[str, List[_Manager]] = {}
+        world.follow(self._begin, self._end)
 
-    def _look(self, _name: str) -> None:
-        """Note who has come and who has gone; in the thread that steps the simulation."""
-        there = {
-            plugin
-            for instance in self._world.models.values()
-            for plugin in instance.plugins
-            if isinstance(plugin, RosControl)
-        }
-        for plugin in there - set(self._managers):
-            self._managers[plugin] = _Manager(self._world, plugin)
-        for plugin in set(self._managers) - there:
-            self._managers.pop(plugin).end()
+    def _begin(self, instance: ModelInstance) -> None:
+        plugins = [plugin for plugin in instance.plugins if isinstance(plugin, RosControl)]
+        self._managers[instance.name] = [_Manager(self._world, plugin) for plugin in plugins]
+
+    def _end(self, model: str) -> None:
+        for manager in self._managers.pop(model):
+            manager.end()
 
 
 class _Manager:
-    """Offers the services of one robot, once there is a description of it.
+    """Offers the services of one robot once its description is on the parameter server.
 
-    What talks to the master does so in a thread of its own: the simulation does not wait for it.
+    All calls of the master are made in threads of their own: the simulation does not wait.
     """
 
     def __init__(self, world: RunningWorld, plugin: RosControl):
         self._world, self._plugin = world, plugin
         self._ended = threading.Event()
         self._services: List[rospy.Service] = []
-        self._adjusted: Dict[str, Reconfigurable] = {}
-        # Of one client at a time.
+        self._adjustable: Dict[str, Reconfigurable] = {}
+        # Serves one client at a time.
         self._lock = threading.Lock()
         threading.Thread(target=self._begin, daemon=True).start()
 
     def end(self) -> None:
-        """Give up what it has on ROS; in the thread that steps the simulation."""
+        """Shut down all topics and services; in the thread of the simulation."""
         self._ended.set()
         manager = self._plugin.manager
         if manager is not None:
             self._world.topics.disconnect_devices(tuple(manager.controllers.values()))
-        threading.Thread(target=self._withdraw, daemon=True).start()
+        threading.Thread(target=self._shut_down, daemon=True).start()
 
-    def _withdraw(self) -> None:
+    def _shut_down(self) -> None:
         with self._lock:
-            for service in (*self._services, *self._adjusted.values()):
+            for service in (*self._services, *self._adjustable.values()):
                 service.shutdown()
             self._services.clear()
-            self._adjusted.clear()
+            self._adjustable.clear()
 
     def _begin(self) -> None:
         where = f"controller_manager in {self._plugin.namespace}"
@@ -98,44 +95,43 @@ class _Manager:
             if urdf is not None:
                 parameters = _parameters(self._plugin.namespace)
                 self._world.do(lambda: self._plugin.configure(urdf, parameters))
-                self._offer()
+                self._offer_services()
         except StepperError:
             return
         except (LabError, rospy.ServiceException, *MASTER_ERRORS) as error:
             LOG.error("%s: %s; it is left out", where, error)
 
     def _wait_for_description(self) -> Optional[str]:
-        """Return the robot's URDF, once the parameter is there; None if the robot has gone."""
+        """Return the robot's URDF once the parameter is set; None if the robot was removed."""
         name, waited = self._plugin.description, 0.0
         while not (self._ended.is_set() or rospy.is_shutdown()):
             with contextlib.suppress(NodeError):
                 text = search_parameter(name, self._plugin.namespace)
                 if text:
                     return text
-            if waited <= PATIENCE < waited + LOOK_SECONDS:
+            if waited <= PATIENCE < waited + RETRY_SECONDS:
                 LOG.warning("controllers in %s wait for %s", self._plugin.namespace, name)
-            waited += LOOK_SECONDS
-            self._ended.wait(LOOK_SECONDS)
+            waited += RETRY_SECONDS
+            self._ended.wait(RETRY_SECONDS)
         return None
 
-    def _offer(self) -> None:
-        space = f"{self._plugin.namespace}controller_manager"
-        answers = {
-            "list_controllers": (srv.ListControllers, self._list),
-            "list_controller_types": (srv.ListControllerTypes, self._list_types),
-            "load_controller": (srv.LoadController, self._ok(self._load)),
-            "unload_controller": (srv.UnloadController, self._ok(self._unload)),
-            "switch_controller": (srv.SwitchController, self._ok(self._switch)),
-            "reload_controller_libraries": (
-                srv.ReloadControllerLibraries,
+    def _offer_services(self) -> None:
+        for name, kind, answer in (
+            ("list_controllers", control_srv.ListControllers, self._list),
+            ("list_controller_types", control_srv.ListControllerTypes, self._list_types),
+            ("load_controller", control_srv.LoadController, self._ok(self._load)),
+            ("unload_controller", control_srv.UnloadController, self._ok(self._unload)),
+            ("switch_controller", control_srv.SwitchController, self._ok(self._switch)),
+            (
+                "reload_controller_libraries",
+                control_srv.ReloadControllerLibraries,
                 self._ok(self._reload),
             ),
-        }
-        for name, (kind, answer) in answers.items():
-            self._offer_one(f"{space}/{name}", kind, answer)
+        ):
+            self._offer(f"{self._plugin.namespace}controller_manager/{name}", kind, answer)
 
-    def _offer_one(self, name: str, kind: Any, answer: Callable[[Any], Any]) -> None:
-        """Offer a service, once that of a robot that has gone is away; raises ServiceException."""
+    def _offer(self, name: str, kind: Any, answer: Callable[[Any], Any]) -> None:
+        """Offer a service; retry while a removed robot still has it. Raises ServiceException."""
         end = time.monotonic() + PATIENCE
         while not self._ended.is_set():
             try:
@@ -145,10 +141,10 @@ class _Manager:
             except rospy.ServiceException:
                 if time.monotonic() > end:
                     raise
-                self._ended.wait(LOOK_SECONDS)
+                self._ended.wait(RETRY_SECONDS)
 
     def _ok(self, act: Callable[[Any], None]) -> Callable[[Any], bool]:
-        """Return what answers whether something could be done, and says why it could not."""
+        """Return a service that returns whether an action succeeded, and logs its error."""
 
         def answer(request: Any) -> bool:
             try:
@@ -166,7 +162,7 @@ class _Manager:
     def _load(self, request: Any) -> None:
         where = f"{self._plugin.namespace}{request.name}"
         if not request.name or not rosgraph.names.is_legal_name(where):
-            raise ControlError(f"no controller can be called '{request.name}'")
+            raise ControlError(f"invalid controller name '{request.name}'")
         parameters = ControlParameters(_parameters(where), where)
         refused = self._plugin.refused
         if request.name not in self._manager().controllers:
@@ -176,7 +172,7 @@ class _Manager:
         settings = [Setting(*astuple(one)) for one in controller.adjustables]
         if settings:
             change = partial(self._adjust, controller)
-            self._adjusted[request.name] = Reconfigurable(where, settings, change)
+            self._adjustable[request.name] = Reconfigurable(where, settings, change)
 
     def _adjust(self, controller: Controller, values: Values) -> Values:
         with contextlib.suppress(StepperError):
@@ -194,57 +190,56 @@ class _Manager:
         return controller
 
     def _unload(self, request: Any) -> None:
-        self._world.do(lambda: self._take_out(request.name))
-        self._keep_adjusted({*self._adjusted} - {request.name})
+        self._world.do(lambda: self._remove(request.name))
+        self._shut_down_settings([request.name])
 
-    def _keep_adjusted(self, names: Collection[str]) -> None:
-        """Offer settings of the controllers of these names alone."""
-        for name in {*self._adjusted} - {*names}:
-            self._adjusted.pop(name).shutdown()
+    def _shut_down_settings(self, names: Collection[str]) -> None:
+        for name in self._adjustable.keys() & names:
+            self._adjustable.pop(name).shutdown()
 
-    def _take_out(self, name: str) -> None:
+    def _remove(self, name: str) -> None:
         self._world.topics.disconnect_devices((self._manager().unload(name),))
 
     def _switch(self, request: Any) -> None:
-        strict = request.strictness == srv.SwitchControllerRequest.STRICT
+        strict = request.strictness == control_srv.SwitchControllerRequest.STRICT
         wanted = (request.start_controllers, request.stop_controllers, strict)
         self._world.do(lambda: self._manager().switch(*wanted))
 
     def _reload(self, request: Any) -> None:
-        self._world.do(lambda: self._unload_all(request.force_kill))
-        self._keep_adjusted(())
+        self._world.do(lambda: self._remove_all(request.force_kill))
+        self._shut_down_settings(tuple(self._adjustable))
 
-    def _unload_all(self, by_force: bool) -> None:
+    def _remove_all(self, by_force: bool) -> None:
         manager = self._manager()
         names = tuple(manager.controllers)
         if names and not by_force:
             raise ControlError(f"{len(names)} controllers are loaded, and force_kill is not set")
         manager.switch((), names, strict=False)
         for name in names:
-            self._take_out(name)
+            self._remove(name)
 
     def _list(self, _request: Any) -> Any:
         loaded = self._world.do(lambda: [_state(c) for c in self._manager().controllers.values()])
-        return srv.ListControllersResponse(controller=loaded)
+        return control_srv.ListControllersResponse(controller=loaded)
 
     def _list_types(self, _request: Any) -> Any:
         known = known_controllers()
-        return srv.ListControllerTypesResponse(known, [BASE_CLASS] * len(known))
+        return control_srv.ListControllerTypesResponse(known, [BASE_CLASS] * len(known))
 
     def _manager(self) -> Any:
         if self._ended.is_set():
-            raise ControlError("the robot was taken away")
+            raise ControlError("the robot was removed from the world")
         return self._plugin.manager
 
 
 def _state(controller: Controller) -> Any:
-    resources = msg.HardwareInterfaceResources(
+    resources = control_msg.HardwareInterfaceResources(
         INTERFACE_SPACE + controller.interface, sorted(joint.name for joint in controller.joints)
     )
     setup = controller.setup
-    return msg.ControllerState(setup.name, controller.state, setup.kind, [resources])
+    return control_msg.ControllerState(setup.name, controller.state, setup.kind, [resources])
 
 
 def _parameters(namespace: str) -> Any:
-    """Return the tree of parameters in a namespace, None where there is none."""
+    """Return the tree of parameters in a namespace; None if there is none."""
     return rospy.get_param(namespace.rstrip("/") or "/", None)

@@ -1,10 +1,11 @@
-"""Gazebo's services on models, links and joints, and its topics that put them elsewhere."""
+"""Gazebo's services on models, links and joints, and the topics that set their states."""
 
 from __future__ import annotations
 
+import traceback
 from dataclasses import replace
 from functools import partial
-from typing import Any, Callable
+from typing import Any, Callable, Dict, List, Optional
 
 import rospy
 
@@ -12,7 +13,6 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld, tf_prefixes
 from bullet_lab.ros.bridge.stepper import StepperError
-from bullet_lab.ros.gazebo.offers import Answer, offer, offer_between_steps
 from bullet_lab.ros.messages.gazebo_types import msg, srv
 from bullet_lab.ros.messages.poses import (
     InputError,
@@ -40,209 +40,263 @@ from bullet_lab.simulation.world.description import FrameState, Light, Model
 from bullet_lab.simulation.world.sdf import read_spawned
 
 QUEUE_SIZE = 10
+# Status message of a getter that succeeded, after the type's name.
+GOT = "got properties"
+
+# Fields of a response besides success and status_message; None for no others.
+Answer = Optional[Dict[str, Any]]
 
 
 class SpawnError(LabError):
-    """A model cannot be put into the world."""
+    """A model cannot be added to the world."""
 
 
-class GazeboServices:
-    """Offers the services and listens to the topics /gazebo/set_model_state and set_link_state."""
+def offer(
+    name: str, kind: Any, answer: Callable[[Any], Answer], done: str = "", failed: str = ""
+) -> rospy.Service:
+    """Offer a service whose response to an error has no success and the error as status message.
 
-    def __init__(self, world: RunningWorld):
-        self._world = world
-        self._refusals = Refusals()
-        offered = partial(offer_between_steps, world)
-        spawn = (srv.SpawnModel, self._spawn, "SpawnModel: Successfully spawned entity")
-        set_model, set_link = self._change(self._set_model), self._change(self._set_link)
-        self._services = [
-            # As in Gazebo, the text and not the service decides what is read.
-            offer("spawn_sdf_model", *spawn, "SpawnModel: Failure - "),
-            offer("spawn_urdf_model", *spawn, "SpawnModel: Failure - "),
-            offer(
-                "delete_model",
-                srv.DeleteModel,
-                self._change(self._delete),
-                "DeleteModel: successfully deleted model",
-            ),
-            offer(
-                "set_model_state",
-                srv.SetModelState,
-                lambda request: set_model(request.model_state),
-                "SetModelState: set model state done",
-            ),
-            offer(
-                "set_link_state",
-                srv.SetLinkState,
-                lambda request: set_link(request.link_state),
-                "SetLinkState: success",
-            ),
-            offer(
-                "set_model_configuration",
-                srv.SetModelConfiguration,
-                self._change(self._configure),
-                "SetModelConfiguration: success",
-            ),
-            offered("get_world_properties", srv.GetWorldProperties, self._world_properties),
-            offered("get_model_properties", srv.GetModelProperties, self._model_properties),
-            offered("get_model_state", srv.GetModelState, self._model_state),
-            offered("get_link_state", srv.GetLinkState, self._link_state, "got state"),
-            offered("apply_body_wrench", srv.ApplyBodyWrench, self._apply_wrench, ""),
-            offered("clear_body_wrenches", srv.BodyRequest, self._clear_wrenches, ""),
-            offered("apply_joint_effort", srv.ApplyJointEffort, self._apply_effort, "effort set"),
-            offered("clear_joint_forces", srv.JointRequest, self._clear_efforts, ""),
-            # Gazebo knows it by this name, too.
-            offered("clear_joint_efforts", srv.JointRequest, self._clear_efforts, ""),
-        ]
-        self._listen("set_model_state", msg.ModelState, set_model)
-        self._listen("set_link_state", msg.LinkState, set_link)
+    Args:
+        name: of the service.
+        kind: its type.
+        answer: returns fields of the response to a request.
+        done: status message after a success.
+        failed: text before an error in the status message.
+    """
+    fields = kind._response_class.__slots__
 
-    def _change(self, change: Callable[[Any], str]) -> Callable[[Any], Answer]:
-        """Return what answers by a change between two steps, which names the changed model."""
+    def handle(request: Any) -> Any:
+        values: Dict[str, Any] = {"success": True, "status_message": done}
+        try:
+            values.update(answer(request) or {})
+        except LabError as error:
+            values = {"success": False, "status_message": f"{failed}{error}"}
+        except rospy.ROSInterruptException:
+            raise
+        except Exception as error:
+            # The client gets an answer whatever it sends, and the simulation continues.
+            rospy.logerr("%s: %s", name, traceback.format_exc())
+            values = {"success": False, "status_message": f"{failed}{error!r}"}
+        if not values["success"] and "success" not in fields:
+            rospy.logwarn("%s", values["status_message"])
+        known = {key: value for key, value in values.items() if key in fields}
+        return kind._response_class(**known)
 
-        def answer(request: Any) -> Answer:
-            self._world.change(partial(change, request))
-            return {}
+    return rospy.Service(name, kind, handle)
 
-        return answer
 
-    def _listen(self, name: str, kind: type, take: Callable[[Any], Answer]) -> None:
-        topic = f"/gazebo/{name}"
+def offer_between_steps(
+    world: RunningWorld,
+    name: str,
+    kind: Any,
+    answer: Callable[[RunningWorld, Any], Answer],
+    done: str,
+) -> rospy.Service:
+    """Offer a service of /gazebo that the thread of the simulation answers between two steps.
 
+    Its status messages begin with the name of its type, as Gazebo's do.
+    """
+    prefix = f"{kind.__name__}: "
+
+    def between_steps(request: Any) -> Answer:
+        return world.do(partial(answer, world, request))
+
+    return offer(f"/gazebo/{name}", kind, between_steps, done and prefix + done, prefix)
+
+
+def _spawn(world: RunningWorld, request: Any) -> None:
+    name = request.model_name
+    pose = normalised_pose(request.initial_pose)
+    # Parsed in the service's own thread: the simulation does not wait for it.
+    model = read_spawned(request.model_xml, f"model_xml of '{name}'")
+    if isinstance(model, Light):
+        world.do(lambda: _add_light(world, replace(model, name=name or model.name)))
+    else:
+        prefixes = tf_prefixes(model, request.robot_namespace, name)
+        world.do(lambda: _add(world, model, pose, request, prefixes))
+
+
+def _add(
+    world: RunningWorld, model: Model, pose: Pose, request: Any, prefixes: Callable[[str], str]
+) -> None:
+    name = request.model_name or model.name
+    if name in world.models:
+        raise SpawnError("entity already exists.")
+    frame = frame_state(world.models, request.reference_frame).pose
+    instance = world.simulation.add(
+        model, name, frame * pose * model.pose, request.robot_namespace, prefixes
+    )
+    try:
+        world.topics.connect(instance)
+    except (LabError, ValueError, rospy.ROSException) as error:
+        world.simulation.remove(name)
+        raise SpawnError(f"cannot connect its topics: {error}") from error
+    world.notify(name)
+
+
+def _add_light(world: RunningWorld, light: Light) -> None:
+    simulation = world.simulation
+    if light.name in (*simulation.models, *(one.name for one in simulation.world.lights)):
+        raise SpawnError("entity already exists.")
+    # As in Gazebo, the pose in the SDF counts and not the one in the request.
+    simulation.set_light(light)
+
+
+def _delete(world: RunningWorld, request: Any) -> None:
+    instance = find_model(world.models, request.model_name)
+    world.topics.disconnect_devices(instance.plugins)
+    world.simulation.remove(request.model_name)
+    world.notify(request.model_name)
+
+
+def _set_model(world: RunningWorld, request: Any) -> None:
+    _move_model(world, request.model_state)
+
+
+def _move_model(world: RunningWorld, message: Any) -> None:
+    instance = find_model(world.models, message.model_name)
+    state = _state_in_world(world, message)
+    instance.move(state.pose, state.linear, state.angular)
+    world.notify(instance.name)
+
+
+def _set_link(world: RunningWorld, request: Any) -> None:
+    _move_link(world, request.link_state)
+
+
+def _move_link(world: RunningWorld, message: Any) -> None:
+    link = find_link(world.models, message.link_name)
+    move_link(link, _state_in_world(world, message))
+    world.notify(link.instance.name)
+
+
+def _state_in_world(world: RunningWorld, message: Any) -> FrameState:
+    """Return the requested pose and twist in the world frame; raises InputError."""
+    state = FrameState(normalised_pose(message.pose), *twist_of(message.twist))
+    return in_world(frame_state(world.models, message.reference_frame), state)
+
+
+def _configure(world: RunningWorld, request: Any) -> None:
+    if len(request.joint_names) != len(request.joint_positions):
+        raise InputError("joint name and position list have different lengths")
+    positions = dict(zip(request.joint_names, request.joint_positions))
+    find_model(world.models, request.model_name).configure(positions)
+    world.notify(request.model_name)
+
+
+def _world_properties(world: RunningWorld, _request: Any) -> Answer:
+    simulation = world.simulation
+    names = list(simulation.models)
+    return {"sim_time": simulation.seconds, "model_names": names, "rendering_enabled": True}
+
+
+def _model_properties(world: RunningWorld, request: Any) -> Answer:
+    model = find_model(world.models, request.model_name).model
+    return {
+        "canonical_body_name": model.canonical_link().name,
+        "body_names": [link.name for link in model.own_links()],
+        "geom_names": [shape.name for link in model.links for shape in link.collisions],
+        "joint_names": [joint.name for joint in model.joints],
+        "is_static": model.static,
+    }
+
+
+def _model_state(world: RunningWorld, request: Any) -> Answer:
+    entity = model_entity(find_model(world.models, request.model_name))
+    header = srv.GetModelStateResponse().header
+    set_time(header.stamp, world.simulation.step)
+    header.frame_id = request.relative_entity_name or "world"
+    frame = frame_state(world.models, request.relative_entity_name)
+    state = relative_to(frame, entity.state())
+    return {"header": header, "pose": pose_message(state.pose), "twist": twist_message(state)}
+
+
+def _link_state(world: RunningWorld, request: Any) -> Answer:
+    link, name = find_link(world.models, request.link_name), request.reference_frame
+    state = relative_to(frame_state(world.models, name), link.state())
+    place = (pose_message(state.pose), twist_message(state))
+    return {"link_state": msg.LinkState(request.link_name, *place, name or "world")}
+
+
+def _apply_wrench(world: RunningWorld, request: Any) -> None:
+    force = vector_of(request.wrench.force, "the force")
+    torque = vector_of(request.wrench.torque, "the torque")
+    point = vector_of(request.reference_point, "the reference point")
+    link = find_link(world.models, request.body_name)
+    frame = frame_state(world.models, request.reference_frame)
+    if request.reference_frame in WORLD_FRAMES:
+        # As in Gazebo: force and torque in the world frame, the point relative to the body.
+        frame = FrameState(Pose(link.frame.pose().position))
+    wrench = Wrench.at_point(frame, link, force, torque, point, _period(world, request))
+    world.simulation.forces.add(wrench)
+
+
+def _clear_wrenches(world: RunningWorld, request: Any) -> None:
+    link = find_link(world.models, request.body_name)
+    world.simulation.forces.clear(Wrench, (link.instance, link.link))
+
+
+def _apply_effort(world: RunningWorld, request: Any) -> None:
+    joint = find_joint(world.models, request.joint_name)
+    effort = Effort(*joint, request.effort, _period(world, request))
+    world.simulation.forces.add(effort)
+
+
+def _clear_efforts(world: RunningWorld, request: Any) -> None:
+    joint = find_joint(world.models, request.joint_name)
+    world.simulation.forces.clear(Effort, joint)
+
+
+def _period(world: RunningWorld, request: Any) -> Period:
+    now = world.simulation.step
+    return Period.after(now, request.start_time.to_sec(), request.duration.to_sec())
+
+
+# Name, type, function and status message of the services that are answered between two steps.
+SERVICES = (
+    ("delete_model", srv.DeleteModel, _delete, "successfully deleted model"),
+    ("set_model_state", srv.SetModelState, _set_model, "set model state done"),
+    ("set_link_state", srv.SetLinkState, _set_link, "success"),
+    ("set_model_configuration", srv.SetModelConfiguration, _configure, "success"),
+    ("get_world_properties", srv.GetWorldProperties, _world_properties, GOT),
+    ("get_model_properties", srv.GetModelProperties, _model_properties, GOT),
+    ("get_model_state", srv.GetModelState, _model_state, GOT),
+    ("get_link_state", srv.GetLinkState, _link_state, "got state"),
+    ("apply_body_wrench", srv.ApplyBodyWrench, _apply_wrench, ""),
+    ("clear_body_wrenches", srv.BodyRequest, _clear_wrenches, ""),
+    ("apply_joint_effort", srv.ApplyJointEffort, _apply_effort, "effort set"),
+    ("clear_joint_forces", srv.JointRequest, _clear_efforts, ""),
+    # Gazebo has both names for it.
+    ("clear_joint_efforts", srv.JointRequest, _clear_efforts, ""),
+)
+
+
+def offer_services(world: RunningWorld) -> List[rospy.Service]:
+    """Offer the services on models, links and joints."""
+    spawn = partial(_spawn, world)
+    messages = ("SpawnModel: Successfully spawned entity", "SpawnModel: Failure - ")
+    return [
+        # As in Gazebo, both services accept SDF and URDF.
+        offer("/gazebo/spawn_sdf_model", srv.SpawnModel, spawn, *messages),
+        offer("/gazebo/spawn_urdf_model", srv.SpawnModel, spawn, *messages),
+        *(offer_between_steps(world, *row) for row in SERVICES),
+    ]
+
+
+def subscribe_to_states(world: RunningWorld) -> None:
+    """Subscribe to /gazebo/set_model_state and set_link_state."""
+    refusals = Refusals()
+
+    def subscribe(topic: str, kind: type, move: Callable[[RunningWorld, Any], None]) -> None:
         def receive(message: Any) -> None:
             try:
-                take(message)
+                world.do(partial(move, world, message))
             except StepperError:
                 raise
             except LabError as error:
-                self._refusals.refuse(topic, str(error))
+                refusals.refuse(topic, str(error))
 
-        self._world.topics.subscribe(topic, kind, receive, QUEUE_SIZE)
+        world.topics.subscribe(topic, kind, receive, QUEUE_SIZE)
 
-    def _spawn(self, request: Any) -> Answer:
-        name = request.model_name
-        pose = normalised_pose(request.initial_pose)
-        # Read in this thread, so that the simulation does not wait for it.
-        model = read_spawned(request.model_xml, f"model_xml of '{name}'")
-        if isinstance(model, Light):
-            self._world.do(lambda: self._add_light(replace(model, name=name or model.name)))
-            return {}
-        prefixes = tf_prefixes(model, request.robot_namespace, name)
-        self._world.change(lambda: self._add(model, pose, request, prefixes))
-        return {}
-
-    def _add(self, model: Model, pose: Pose, request: Any, prefixes: Callable[[str], str]) -> str:
-        name = request.model_name or model.name
-        if name in self._world.models:
-            raise SpawnError("entity already exists.")
-        frame = frame_state(self._world.models, request.reference_frame).pose
-        instance = self._world.simulation.add(
-            model, name, frame * pose * model.pose, request.robot_namespace, prefixes
-        )
-        try:
-            self._world.topics.connect(instance)
-        except (LabError, ValueError, rospy.ROSException) as error:
-            self._take_out(name)
-            raise SpawnError(f"cannot connect its topics: {error}") from error
-        return name
-
-    def _add_light(self, light: Light) -> None:
-        simulation = self._world.simulation
-        if light.name in (*simulation.models, *(one.name for one in simulation.world.lights)):
-            raise SpawnError("entity already exists.")
-        # It stays where its text has it, as in Gazebo.
-        simulation.set_light(light)
-
-    def _delete(self, request: Any) -> str:
-        find_model(self._world.models, request.model_name)
-        self._take_out(request.model_name)
-        return request.model_name
-
-    def _take_out(self, name: str) -> None:
-        self._world.topics.disconnect(name)
-        self._world.simulation.remove(name)
-
-    def _set_model(self, message: Any) -> str:
-        instance, state = find_model(self._world.models, message.model_name), self._asked(message)
-        instance.move(state.pose, state.linear, state.angular)
-        return instance.name
-
-    def _set_link(self, message: Any) -> str:
-        link, state = find_link(self._world.models, message.link_name), self._asked(message)
-        move_link(link, state)
-        return link.instance.name
-
-    def _asked(self, message: Any) -> FrameState:
-        """Return the state in the world that a message asks for; raises InputError."""
-        state = FrameState(normalised_pose(message.pose), *twist_of(message.twist))
-        return in_world(frame_state(self._world.models, message.reference_frame), state)
-
-    def _configure(self, request: Any) -> str:
-        if len(request.joint_names) != len(request.joint_positions):
-            raise InputError("joint name and position list have different lengths")
-        positions = dict(zip(request.joint_names, request.joint_positions))
-        find_model(self._world.models, request.model_name).configure(positions)
-        return request.model_name
-
-    def _world_properties(self, _request: Any) -> Answer:
-        simulation = self._world.simulation
-        names = list(simulation.models)
-        return {"sim_time": simulation.seconds, "model_names": names, "rendering_enabled": True}
-
-    def _model_properties(self, request: Any) -> Answer:
-        model = find_model(self._world.models, request.model_name).model
-        return {
-            "canonical_body_name": model.canonical_link().name,
-            "body_names": [link.name for link in model.own_links()],
-            "geom_names": [shape.name for link in model.links for shape in link.collisions],
-            "joint_names": [joint.name for joint in model.joints],
-            "is_static": model.static,
-        }
-
-    def _model_state(self, request: Any) -> Answer:
-        entity = model_entity(find_model(self._world.models, request.model_name))
-        header = srv.GetModelStateResponse().header
-        set_time(header.stamp, self._world.simulation.step)
-        header.frame_id = request.relative_entity_name or "world"
-        frame = frame_state(self._world.models, request.relative_entity_name)
-        state = relative_to(frame, entity.state())
-        return {"header": header, "pose": pose_message(state.pose), "twist": twist_message(state)}
-
-    def _link_state(self, request: Any) -> Answer:
-        link, name = find_link(self._world.models, request.link_name), request.reference_frame
-        state = relative_to(frame_state(self._world.models, name), link.state())
-        place = (pose_message(state.pose), twist_message(state))
-        return {"link_state": msg.LinkState(request.link_name, *place, name or "world")}
-
-    def _apply_wrench(self, request: Any) -> Answer:
-        force = vector_of(request.wrench.force, "the force")
-        torque = vector_of(request.wrench.torque, "the torque")
-        point = vector_of(request.reference_point, "the reference point")
-        link = find_link(self._world.models, request.body_name)
-        frame = frame_state(self._world.models, request.reference_frame)
-        if request.reference_frame in WORLD_FRAMES:
-            # As in Gazebo: the axes are the world's, the point is seen from the body.
-            frame = FrameState(Pose(link.frame.pose().position))
-        wrench = Wrench.at_point(frame, link, force, torque, point, self._period(request))
-        self._world.simulation.forces.add(wrench)
-        return {}
-
-    def _clear_wrenches(self, request: Any) -> Answer:
-        link = find_link(self._world.models, request.body_name)
-        self._world.simulation.forces.clear(Wrench, (link.instance, link.link))
-        return {}
-
-    def _apply_effort(self, request: Any) -> Answer:
-        joint = find_joint(self._world.models, request.joint_name)
-        effort = Effort(*joint, request.effort, self._period(request))
-        self._world.simulation.forces.add(effort)
-        return {}
-
-    def _clear_efforts(self, request: Any) -> Answer:
-        joint = find_joint(self._world.models, request.joint_name)
-        self._world.simulation.forces.clear(Effort, joint)
-        return {}
-
-    def _period(self, request: Any) -> Period:
-        now = self._world.simulation.step
-        return Period.after(now, request.start_time.to_sec(), request.duration.to_sec())
+    subscribe("/gazebo/set_model_state", msg.ModelState, _move_model)
+    subscribe("/gazebo/set_link_state", msg.LinkState, _move_link)

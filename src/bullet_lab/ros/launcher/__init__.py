@@ -1,1 +1,1 @@
-"""The launcher behind scripts/run.sh: lists jobs, checks their arguments, runs and stops them."""
+"""The launcher behind scripts/run.sh: it lists jobs, checks arguments, runs and stops jobs."""

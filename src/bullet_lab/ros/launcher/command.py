@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Callable, TextIO
 
 import rospkg
 
@@ -39,13 +38,14 @@ from bullet_lab.simulation.world.xml import parse_text, read_text
 _HELP = ("-h", "--help")
 STATUS_FAILED = 1
 STATUS_BAD_VALUE = 2
+_POLL_PERIOD = 0.05
 
 
 class StopSignals:
-    """Remembers the first signal that asks to stop, instead of being interrupted by it.
+    """Remembers the first signal that asks to stop; no signal interrupts this process any more.
 
-    What was started half is stopped the more surely for it. The signals are taken over for
-    good: a second Ctrl-C may not interrupt the last lines.
+    So the launcher stops its nodes even if the signal comes while it starts them, and a second
+    Ctrl-C does not cut off its last lines.
     """
 
     NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -61,14 +61,14 @@ class StopSignals:
 
 
 def main() -> None:
-    """Do what the command line asks for, and exit.
+    """Run the command line, and exit.
 
-    The status is 0 at success; 2 for a wrong command line; 128 + n after a signal n; otherwise
-    that of the first node that failed, or 1.
+    The exit status is 0 for success, 2 for a wrong command line, 128 + n after a signal n, and
+    otherwise that of the first node that failed, or 1.
     """
-    # Until a job's `StopSignals` take over.
+    # Until a job's `StopSignals` replace this handler.
     end_at_once_when_interrupted()
-    # ROS would take them for its own.
+    # ROS would read them as its own.
     words, sys.argv[1:] = sys.argv[1:], []
     try:
         status = _dispatch(words)
@@ -76,7 +76,7 @@ def main() -> None:
         print(f"run.sh: {error}", file=sys.stderr)
         wrong = isinstance(error, (UsageError, ParameterError))
         status = STATUS_BAD_VALUE if wrong else STATUS_FAILED
-    # Python takes handlers away before it is at its end: what comes after that would kill it.
+    # Python removes its handlers before it has ended: a signal after that would kill it.
     for number in StopSignals.NUMBERS:
         signal.signal(number, signal.SIG_IGN)
     sys.exit(status)
@@ -92,9 +92,8 @@ def _dispatch(words: list[str]) -> int:
     if any(word in _HELP for word in words[1:]):
         from bullet_lab.ros.launcher.supervision import resolved_defaults
 
-        # As they would be from here; a run's results go below this folder.
-        defaults = {**resolved_defaults(job.path), "out": f"results/{job.name}"}
-        print(help_on(job, defaults))
+        # Relative to this folder, in which a run writes its results.
+        print(help_on(job, {**resolved_defaults(job.path), "out": f"results/{job.name}"}))
         return 0
     values = read_assignments(job, words[1:])
     out = Path.cwd() / values.get("out", f"results/{job.name}")
@@ -115,7 +114,7 @@ def make_package_known(file: Path) -> None:
 
 
 def _package_name(folder: Path) -> str:
-    """Return the name in a package.xml, the folder's where there is none: it may differ."""
+    """Return the name in a package.xml; that of the folder if it has none."""
     try:
         manifest = folder / "package.xml"
         name = parse_text(read_text(manifest), str(manifest)).findtext("name")
@@ -125,26 +124,39 @@ def _package_name(folder: Path) -> str:
 
 
 def _run(job: Job, values: dict[str, str], package: Path, signals: StopSignals) -> int:
+    """Run a job, print its results, and return the exit status."""
     started = time.monotonic()
     with OutputFolder(Path(values["out"])) as out:
         rviz = job.arguments.get("rviz")
         with_rviz = rviz is not None and values.get("rviz", rviz.default) == "true"
         if with_rviz and not _set_up_rviz(package / "scripts" / "setup.sh", signals):
             return 128 + signals.received if signals.received else STATUS_FAILED
-        status = _supervise(job, values, with_rviz, out, signals)
-        # A node that refused a value has said why: that line shall stand alone.
-        if status != STATUS_BAD_VALUE:
-            seconds = time.monotonic() - started
-            stopped = signals.received and status == 128 + signals.received
-            how = "stopped" if stopped else "failed" if status else "done"
-            print(f"{job.name}: {how} after {seconds:.1f} s")
-            for path in out.written():
-                print(f"  {shown(path)}")
-    return status
+        with contextlib.ExitStack() as stack:
+            # Nodes run in this folder, so that their leftovers are removed with it.
+            os.environ["ROS_HOME"] = stack.enter_context(temporary_folder())
+            os.environ["ROS_LOG_DIR"] = str(out.log)
+            # Qt needs it, and it is missing if nobody has logged in.
+            os.environ.setdefault("XDG_RUNTIME_DIR", os.environ["ROS_HOME"])
+            screen = None
+            if with_rviz and not os.environ.get("DISPLAY"):
+                screen = VirtualScreen(out.log / "xvfb.log", out.path / "rviz.png")
+                stack.enter_context(screen)
+            verdict = _launch(job, values, out, signals, screen)
+        # A node that refuses a value prints why: that line shall stand alone.
+        if verdict.status == STATUS_BAD_VALUE:
+            return verdict.status
+        if verdict.status:
+            print(f"{job.name}: {verdict.reason}, see {shown(out.log)}", file=sys.stderr)
+        stopped = signals.received and verdict.status == 128 + signals.received
+        how = "stopped" if stopped else "failed" if verdict.status else "done"
+        print(f"{job.name}: {how} after {time.monotonic() - started:.1f} s")
+        for path in out.written():
+            print(f"  {shown(path)}")
+    return verdict.status
 
 
 def _set_up_rviz(setup: Path, signals: StopSignals) -> bool:
-    """Install RViz where that is missing; an installed package has no setup.sh and needs none."""
+    """Install RViz if it is missing; an installed package has no setup.sh and needs none."""
     if not setup.is_file():
         return True
     process = subprocess.Popen([str(setup), "--with", "rviz"])
@@ -155,57 +167,33 @@ def _set_up_rviz(setup: Path, signals: StopSignals) -> bool:
     return process.wait() == 0 and not signals.received
 
 
-def _supervise(
-    job: Job, values: dict[str, str], with_rviz: bool, out: OutputFolder, signals: StopSignals
-) -> int:
-    with contextlib.ExitStack() as stack:
-        # Also the folder that nodes run in: what they drop there belongs to nobody.
-        os.environ["ROS_HOME"] = stack.enter_context(temporary_folder())
-        os.environ["ROS_LOG_DIR"] = str(out.log)
-        # Qt asks for it, and has none where nobody has logged in.
-        os.environ.setdefault("XDG_RUNTIME_DIR", os.environ["ROS_HOME"])
-        screen = None
-        if with_rviz and not os.environ.get("DISPLAY"):
-            screen = VirtualScreen(out.log / "xvfb.log", out.path / "rviz.png")
-            stack.enter_context(screen)
-        verdict = _launch(job, values, out, signals, screen)
-    if verdict.status not in (0, STATUS_BAD_VALUE):
-        print(f"{job.name}: {verdict.reason}, see {shown(out.log)}", file=sys.stderr)
-    return verdict.status
-
-
 def _launch(job, values, out: OutputFolder, signals: StopSignals, screen: VirtualScreen | None):
-    """Run the nodes with roslaunch's own words in a log; theirs go to the terminal."""
+    """Run the nodes and return the verdict; roslaunch prints to a log, nodes to the terminal."""
     terminal = sys.stdout
     with words_to(out.log / "roslaunch.log"):
-        # Not before now: these set up logging on import and look at the environment.
+        # Imported late: these set up logging when they are imported, and read the environment.
         from bullet_lab.ros.launcher.supervision import Launch, Verdict, prepare_master
 
         master = prepare_master()
         whose = "its own master" if master.own else "the master"
         print(f"{job.name}: running on {whose} {master.uri}", file=terminal, flush=True)
+        # The page in a browser stays after the job has finished.
+        stays = values.get("view") == "browser"
+        announced = not stays
         with Launch(job, values, master) as launch:
-            stays = values.get("view") == "browser"
-            meanwhile = screen.picture_now_and_then if screen else lambda: None
-            if stays:
-                meanwhile = _tell_once_finished(job, out, terminal)
-            verdict = launch.wait(out.has_summary, lambda: signals.received, meanwhile)
+            while True:
+                verdict = launch.verdict(out.has_summary, signals.received)
+                if verdict is not None:
+                    break
+                if screen:
+                    screen.picture_now_and_then()
+                if not announced and out.is_finished():
+                    announced = True
+                    where = f"{job.name}: the results are in {shown(out.path)}"
+                    print(f"{where}; the page stays until Ctrl-C", file=terminal, flush=True)
+                time.sleep(_POLL_PERIOD)
             if screen:
                 screen.picture()
-        # Ctrl-C is the end of a job that stays to be looked at.
+        # Then Ctrl-C is its normal end.
         well = stays and verdict.status == 128 + (signals.received or 0) and out.is_finished()
         return Verdict(0) if well else verdict
-
-
-def _tell_once_finished(job: Job, out: OutputFolder, terminal: TextIO) -> Callable[[], None]:
-    """Return what tells, once, that the results are there and that the job goes on all the same."""
-    told = False
-
-    def look() -> None:
-        nonlocal told
-        if not told and out.is_finished():
-            told = True
-            line = f"{job.name}: the results are in {shown(out.path)}; the page stays until Ctrl-C"
-            print(line, file=terminal, flush=True)
-
-    return look

@@ -1,15 +1,25 @@
-"""The jobs of the lab, as their launch files and the nodes in them describe themselves.
+"""Jobs: each is declared by its launch file, and by the nodes whose parameters that sets.
 
-An argument that is handed to a node is described by the node's declaration of that parameter:
-what is allowed and, where the launch file's default is empty, the default and the sentence. For
-any other argument, the bracket that ends its ``doc`` says what is allowed::
+This is the one declaration of a job. The launcher, its help, `verify` and `scripts/faults.sh` read
+it here; roslaunch reads the same file::
+
+    <!-- This sentence is shown in the list of jobs. -->
+    <arg name="x" default="2.5" doc="Goal in m [number]"/>
+    <arg name="std" default=""/>
+    <arg name="smallest" value="x:=1 std:=0"/>
+
+An argument that becomes a parameter of a node is described by the node's declaration of that
+parameter: it gives the allowed values and, if the default here is empty, also the default and the
+sentence. For other arguments, the bracket at the end of ``doc`` gives the allowed values::
 
     [text]               anything; the same as no bracket
     [folder]             a path, relative to the caller's folder
-    [file]               likewise, of what exists; or package://; or empty
+    [file]               an existing file, or a package:// URI, or empty
     [true|false]         one of the words; two or more, or true or false alone
     [integer >= 0]       a whole number, with or without bounds: >= <=
     [number > 0 <= 1]    a finite number, with or without bounds: > >= <=
+
+The constant ``smallest`` holds the arguments of the smallest useful run.
 """
 
 from __future__ import annotations
@@ -18,50 +28,47 @@ import difflib
 import importlib
 import os
 import re
+import runpy
 from dataclasses import MISSING, is_dataclass
 from pathlib import Path
-from typing import Any, Iterable, NamedTuple
-from xml.dom import minidom
-from xml.parsers.expat import ExpatError
-
-import defusedxml.minidom
-from defusedxml import DefusedXmlException
+from typing import Any, Iterable, Iterator, NamedTuple
+from xml.etree.ElementTree import Element
 
 from bullet_lab.core import parameters
 from bullet_lab.core.parameters import Declaration, declarations, declared
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.xml import parse_text, read_text
 
 _PACKAGE = "bullet_lab"
 FILE = "file"
+SMALLEST = "smallest"
+_COMMENT = re.compile(r"<!--(.*?)-->", re.DOTALL)
 _DOC = re.compile(r"(.*?)(\s*\[([^\[\]]+)\])?")
-_NUMERIC = re.compile(r"(number|integer)((?: (?:>=|<=) [-+.\d]+| > [-+.\d]+)*)")
-_BOUND = re.compile(r"(>=|<=|>) ([-+.\d]+)")
 _BOUNDS = {">=": "minimum", "<=": "maximum", ">": "above"}
 _WORDS = re.compile(r"true|false|[\w.-]+(\|[\w.-]+)+")
 _ARGUMENT = re.compile(r"\$\(arg (\w+)\)")
 _OPTION = re.compile(r"--?([\w-]+)[= ]'?\$\(arg (\w+)\)")
-_MODULE = re.compile(r"""\brun\(["']([\w.]+)(?::\w+)?["']\)""")
 
 
 class UsageError(LabError):
-    """The command line asks for something that does not exist or cannot be."""
+    """A wrong command line or a wrong launch file."""
 
 
 class Target(NamedTuple):
-    """A parameter of a node that an argument is handed to: its name, and the node's module."""
+    """A parameter that an argument sets: its name, and the module of the node that has it."""
 
     module: str
     parameter: str
 
     def declaration(self) -> Declaration | None:
-        """How the node declares it; None where the node cannot be asked."""
+        """Return the node's declaration; None if the node cannot be imported or has none."""
         try:
-            found = vars(importlib.import_module(self.module)).values()
+            members = vars(importlib.import_module(self.module)).values()
         except ImportError:
-            # The node will say so itself, and better.
+            # The node reports that itself, with the library that is missing.
             return None
-        kinds = (entry for entry in found if isinstance(entry, type) and is_dataclass(entry))
+        kinds = (member for member in members if isinstance(member, type) and is_dataclass(member))
         known = (declarations(kind).get(self.parameter) for kind in kinds)
         return next((declaration for declaration in known if declaration), None)
 
@@ -70,12 +77,12 @@ class Argument(NamedTuple):
     """An argument of a job.
 
     Attributes:
-        name: in the launch file.
-        default: as written there, unresolved; empty for the node's own, None where there is none.
-        doc: what the launch file says of it, without the bracket at the end.
-        bracket: what stands in that.
-        own: the check that the bracket describes, if any.
-        targets: the parameters that it is handed to.
+        name: its name.
+        default: its default in the launch file, not resolved; None if it has none.
+        doc: its sentence in the launch file, without the bracket.
+        bracket: the text in the bracket.
+        own: the check that the bracket declares, if any.
+        targets: the parameters that it sets.
     """
 
     name: str
@@ -86,25 +93,25 @@ class Argument(NamedTuple):
     targets: tuple[Target, ...]
 
     def declarations(self) -> list[Declaration]:
-        """All that a value has to suit; imports the nodes in question, if any."""
+        """Return all declarations that a value must satisfy; imports the nodes, if any."""
         if self.own is not None:
             return [self.own]
         found = (target.declaration() for target in self.targets)
         return [entry for entry in found if entry is not None]
 
+    def check(self, value: str) -> None:
+        """Raise ParameterError if a value is not allowed."""
+        for declaration in self.declarations():
+            declaration.read(value, self.name)
+
     def resolved(self, value: str) -> str:
-        """Return a value as the launch file takes it: that of a file with its whole path."""
+        """Return a value as roslaunch gets it: the name of a file as an absolute path."""
         if self.bracket != FILE or not value:
             return value
         return str(ResourceFinder.anywhere().find(value))
 
-    def check(self, value: str) -> None:
-        """Raise ParameterError, with one line that says what is allowed, for a wrong value."""
-        for declaration in self.declarations():
-            declaration.read(value, self.name)
-
     def help(self, default: str) -> tuple[str, str]:
-        """The argument with its default, and what it is; `default` is the resolved one."""
+        """Return "name:=default" and the sentence with the allowed values."""
         doc, allowed = self.doc, self.bracket
         declarations = [] if allowed else self.declarations()
         if declarations:
@@ -112,8 +119,8 @@ class Argument(NamedTuple):
             allowed = check.allowed
             if not self.default:
                 default = declarations[0].default_text
-                # A sentence may begin with a unit.
                 doc = check.doc
+                # A sentence may begin with a unit, such as m.
                 if doc[1:2].isalpha():
                     doc = doc[:1].upper() + doc[1:]
         limits = f" [{allowed}]" if allowed not in ("", "text") else ""
@@ -121,151 +128,150 @@ class Argument(NamedTuple):
 
 
 class Job(NamedTuple):
-    """A launch file that can be run by its name; its arguments by theirs."""
+    """A launch file: its arguments by their names, and those of its smallest useful run."""
 
     name: str
     path: Path
     summary: str
     arguments: dict[str, Argument]
+    smallest: str
 
 
 def find_jobs(package: Path) -> dict[str, Job]:
-    """All jobs of a package by name, in alphabetical order."""
+    """Return all jobs of a package by name, in alphabetical order."""
     paths = sorted((package / "launch").glob("*.launch"))
     return {path.stem: read_job(path, package) for path in paths}
 
 
 def read_job(path: Path, package: Path) -> Job:
-    """Read what a launch file of a package says about its job; raise UsageError if wrong."""
-    document = _parse(path)
-    targets = _targets(path, package)
+    """Read the declaration of a job from a launch file of a package; raise UsageError."""
+    text, root = _parsed(path)
+    targets: dict[str, list[Target]] = {}
+    for argument, target in _targets(root, package, (path,)):
+        targets.setdefault(argument, []).append(target)
     arguments = {}
-    for node in document.documentElement.childNodes:
-        # An <arg> with a value is a constant, which roslaunch lets nobody change.
-        if node.nodeName == "arg" and not node.hasAttribute("value"):
-            name = node.getAttribute("name")
-            default = node.getAttribute("default") if node.hasAttribute("default") else None
-            doc, _, bracket = _DOC.fullmatch(" ".join(node.getAttribute("doc").split())).groups()
-            try:
-                own = _bracket_check(name, bracket or "")
-            except UsageError as error:
-                raise UsageError(f"{path}: {error}") from error
+    smallest = ""
+    for element in root.findall("arg"):
+        name = element.get("name", "")
+        # An <arg> with a value is a constant.
+        if "value" not in element.attrib:
             handed = tuple(targets.get(name, ()))
-            arguments[name] = Argument(name, default, doc, bracket or "", own, handed)
-    return Job(path.stem, path, _first_sentence(document), arguments)
+            arguments[name] = _argument(name, element, handed, path)
+        elif name == SMALLEST:
+            smallest = element.get("value", "")
+    return Job(path.stem, path, _first_sentence(text), arguments, smallest)
 
 
-def _parse(path: Path) -> minidom.Document:
+def _parsed(path: Path) -> tuple[str, Element]:
     try:
-        return defusedxml.minidom.parse(str(path))
-    except (OSError, ExpatError, DefusedXmlException) as error:
-        raise UsageError(f"{path}: {error}") from error
+        text = read_text(path)
+        return text, parse_text(text, str(path))
+    except LabError as error:
+        raise UsageError(str(error)) from error
 
 
-def _bracket_check(name: str, bracket: str) -> Declaration | None:
-    """What a bracket allows; None for anything. Raises UsageError for an unknown bracket."""
+def _first_sentence(text: str) -> str:
+    """Return the first sentence of the first comment of a launch file."""
+    comment = _COMMENT.search(text)
+    sentence, end, _ = " ".join(comment[1].split() if comment else ()).partition(". ")
+    return f"{sentence}{end}".strip()
+
+
+def _argument(name: str, element: Element, targets: tuple[Target, ...], path: Path) -> Argument:
+    doc, _, bracket = _DOC.fullmatch(" ".join(element.get("doc", "").split())).groups("")
     try:
-        return _declared_by(name, bracket)
-    except ValueError as error:
-        raise UsageError(f"the doc of {name} ends with [{bracket}]: {error}") from None
+        own = declared(name, _bracket_check(bracket)) if bracket not in ("", "text") else None
+    except (LookupError, ValueError, TypeError) as error:
+        raise UsageError(
+            f"{path}: the doc of {name} ends with [{bracket}]; a bracket is text, folder, file, "
+            "words with | between them, or number or integer with bounds (>= <=, number: >)"
+        ) from error
+    return Argument(name, element.get("default"), doc, bracket, own, targets)
 
 
-def _declared_by(name: str, bracket: str) -> Declaration | None:
+def _bracket_check(bracket: str) -> Any:
+    """Return what a bracket declares; raise LookupError, ValueError or TypeError if unknown."""
     missing: Any = MISSING
-    numeric = _NUMERIC.fullmatch(bracket)
-    if bracket in ("", "text"):
-        return None
     if bracket == "folder":
-
-        def filled(value: str) -> str:
-            if not value:
-                raise ValueError
-            return value
-
-        entry = parameters.checked(missing, "", "a folder", filled)
-    elif bracket == FILE:
-
-        def existing(value: str) -> str:
-            # A Path raises OSError where a name is too long.
-            if value and "://" not in value and not os.path.isfile(value):
-                raise ValueError
-            return value
-
-        entry = parameters.checked(missing, "", "a file that exists", existing)
-    elif numeric:
-        kind: Any = {"number": (parameters.number, float), "integer": (parameters.integer, int)}
-        declare, convert = kind[numeric[1]]
-        bounds = {_BOUNDS[sign]: convert(limit) for sign, limit in _BOUND.findall(numeric[2])}
-        entry = declare(missing, "", **bounds)
-    elif _WORDS.fullmatch(bracket):
-        entry = parameters.choice(missing, "", bracket.split("|"))
-    else:
-        raise UsageError(f"the doc of {name} ends with an unknown kind of values: [{bracket}]")
-    return declared(name, entry)
+        return parameters.checked(missing, "", "a folder", _filled)
+    if bracket == FILE:
+        return parameters.checked(missing, "", "a file that exists", _existing)
+    if _WORDS.fullmatch(bracket):
+        return parameters.choice(missing, "", bracket.split("|"))
+    kinds: Any = {"number": (parameters.number, float), "integer": (parameters.integer, int)}
+    kind, *limits = bracket.split()
+    declare, convert = kinds[kind]
+    if len(limits) % 2:
+        raise ValueError("a bound is a sign and a number")
+    bounds = zip(limits[::2], limits[1::2])
+    return declare(missing, "", **{_BOUNDS[sign]: convert(limit) for sign, limit in bounds})
 
 
-def _targets(path: Path, package: Path, seen: tuple[Path, ...] = ()) -> dict[str, list[Target]]:
-    """The parameters that each argument of a launch file is handed to, by the argument's name."""
-    found: dict[str, list[Target]] = {}
-    root = _parse(path).documentElement
-    for node in root.getElementsByTagName("node"):
-        module = _module_of(node.getAttribute("type"), package)
-        if node.getAttribute("pkg") != _PACKAGE or module is None:
-            continue
-        handed = [
-            (p.getAttribute("name"), _argument(p)) for p in node.getElementsByTagName("param")
-        ]
-        handed += [(o.replace("-", "_"), a) for o, a in _OPTION.findall(node.getAttribute("args"))]
-        for parameter, argument in handed:
-            found.setdefault(argument, []).append(Target(module, parameter))
-    for include in root.getElementsByTagName("include"):
-        file = Path(include.getAttribute("file").replace(f"$(find {_PACKAGE})", str(package)))
-        # One that includes itself hands on the same.
-        if file in (path, *seen) or not os.path.isfile(file):
-            continue
-        inner = _targets(file, package, (path, *seen))
-        for node in include.getElementsByTagName("arg"):
-            found.setdefault(_argument(node), []).extend(inner.get(node.getAttribute("name"), []))
-    return found
+def _filled(value: str) -> str:
+    if not value:
+        raise ValueError
+    return value
 
 
-def _argument(node: minidom.Element) -> str:
-    """The argument whose value an element hands on as it is; empty for none."""
-    whole = _ARGUMENT.fullmatch(node.getAttribute("value"))
+def _existing(value: str) -> str:
+    # Of a Path, `is_file` raises OSError for a name that is too long.
+    if value and "://" not in value and not os.path.isfile(value):
+        raise ValueError
+    return value
+
+
+def _targets(root: Element, package: Path, files: tuple[Path, ...]) -> Iterator[tuple[str, Target]]:
+    """Yield each argument of a launch file with each parameter that it sets.
+
+    `files` are this file and those that include it: one that includes itself adds nothing.
+    """
+    for node in root.iter("node"):
+        module = _module_of(node.get("type", ""), package)
+        if node.get("pkg") == _PACKAGE and module:
+            for param in node.iter("param"):
+                yield _argument_of(param), Target(module, param.get("name", ""))
+            for option, argument in _OPTION.findall(node.get("args", "")):
+                yield argument, Target(module, option.replace("-", "_"))
+    for include in root.iter("include"):
+        path = Path(include.get("file", "").replace(f"$(find {_PACKAGE})", str(package)))
+        if path not in files and os.path.isfile(path):
+            inner = list(_targets(_parsed(path)[1], package, (path, *files)))
+            for handed in include.iter("arg"):
+                for name, target in inner:
+                    if name == handed.get("name"):
+                        yield _argument_of(handed), target
+
+
+def _argument_of(element: Element) -> str:
+    """Return the argument whose value an element hands on unchanged; empty if there is none."""
+    whole = _ARGUMENT.fullmatch(element.get("value", ""))
     return whole[1] if whole else ""
 
 
-def _module_of(executable: str, package: Path) -> str | None:
-    """The module that an executable of the package runs, None for an executable of others."""
-    # Where it is in the sources, and where it is installed.
+def _module_of(executable: str, package: Path) -> str:
+    """Return the module that an executable of the package runs; empty for other executables."""
+    # In the sources, and where it is installed.
     for folder in (package / "scripts", package.parent.parent / "lib" / _PACKAGE):
-        if (folder / executable).is_file():
-            found = _MODULE.search((folder / executable).read_text())
-            return found[1] if found else None
-    return None
-
-
-def _first_sentence(document: minidom.Document) -> str:
-    """The first sentence of the leading comment, before or inside the root element."""
-    nodes = [*document.childNodes, *document.documentElement.childNodes]
-    comment = next((node.data for node in nodes if node.nodeName == "#comment"), "")
-    text = " ".join(comment.split())
-    end = text.find(". ")
-    return text if end < 0 else text[: end + 1]
+        path = folder / os.path.basename(executable)
+        # Of a Path, `is_file` raises OSError for a name that is too long.
+        if path.suffix == ".py" and os.path.isfile(path):
+            return runpy.run_path(str(path)).get("MAIN", "").partition(":")[0]
+    return ""
 
 
 def choose_job(jobs: dict[str, Job], name: str) -> Job:
-    """The job of that name; raises UsageError where there is none."""
+    """Return the job with that name; raise UsageError if there is none."""
     if name not in jobs:
         raise UsageError(f"there is no job {name!r}{_hint(name, jobs)}; jobs: {', '.join(jobs)}")
     return jobs[name]
 
 
 def read_assignments(job: Job, words: list[str]) -> dict[str, str]:
-    """The checked values from words like ``std:=0.1``; the last of a name counts.
+    """Return the checked values from words such as ``std:=0.1``; the last of a name counts.
 
-    Raises UsageError for a word that is no assignment or a name that the job does not have, and
-    LabError for a value that is not allowed.
+    Raises:
+        UsageError: a word is no assignment, or the job has no argument of that name.
+        LabError: a value is not allowed.
     """
     known = job.arguments
     values = {}
@@ -292,7 +298,7 @@ def _hint(name: str, known: Iterable[str]) -> str:
 
 
 def list_of_jobs(jobs: dict[str, Job]) -> str:
-    """The overview that is printed when no job is named."""
+    """Return the list of jobs that is printed if no job is named."""
     width = max((len(name) for name in jobs), default=0)
     usage = (
         "usage: scripts/run.sh <job> [name:=value ...]\n"
@@ -302,7 +308,7 @@ def list_of_jobs(jobs: dict[str, Job]) -> str:
 
 
 def help_on(job: Job, defaults: dict[str, str]) -> str:
-    """The help on a job; defaults are the launch file's by the argument's name, resolved."""
+    """Return the help on a job; `defaults` are those of its launch file, resolved."""
     rows = [a.help(defaults.get(a.name, a.default or "")) for a in job.arguments.values()]
     width = max((len(left) for left, _ in rows), default=0)
     lines = [f"  {left:{width}}  {doc}".rstrip() for left, doc in rows]

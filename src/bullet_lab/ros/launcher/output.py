@@ -1,4 +1,4 @@
-"""What a run leaves behind and shows: folder, log, and a screen where there is none."""
+"""The output of a run: its folder, its logs, and a virtual screen if there is no screen."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _PICTURE_PERIOD = 3.0
 
 
 class OutputFolder:
-    """A folder for the results of one run, locked against a second one.
+    """A folder for the results of one run, locked against a second run.
 
-    The lock is on the folder itself and goes with the process, however that ends.
+    The lock is on the folder itself and ends with the process, however that ends.
     """
 
     def __init__(self, path: Path):
@@ -46,7 +46,7 @@ class OutputFolder:
         return self.path / "log"
 
     def __enter__(self) -> OutputFolder:
-        """Create and lock the folder, forget the summary of an earlier run; raise UsageError."""
+        """Create and lock the folder, delete the summary of an earlier run; raise UsageError."""
         try:
             make_folder(self.path)
             self.log.mkdir(exist_ok=True)
@@ -65,9 +65,9 @@ class OutputFolder:
         return self
 
     def __exit__(self, *_) -> None:
-        """Let others use the folder, without what a program that was killed has left half.
+        """Delete partial files of killed programs, and unlock the folder.
 
-        Not below it: another run may be at work in a folder of its own there.
+        Subfolders but log/ are left alone: another run may write to one of them.
         """
         for part in (*self.path.glob(f"{PART}*"), *self.log.glob(f"{PART}*")):
             if part.is_dir():
@@ -82,11 +82,11 @@ class OutputFolder:
             self._descriptor = -1
 
     def has_summary(self) -> bool:
-        """Whether this run has written its summary."""
+        """Return whether this run has written its summary."""
         return (self.path / SUMMARY).is_file()
 
     def is_finished(self) -> bool:
-        """Whether the summary of this run is there, and says nothing else than that all is in."""
+        """Return whether the summary of this run exists and does not have "finished": false."""
         try:
             summary = json.loads((self.path / SUMMARY).read_text())
         except (OSError, ValueError):
@@ -94,7 +94,7 @@ class OutputFolder:
         return summary.get("finished", True)
 
     def written(self) -> list[Path]:
-        """The files that this run has written, logs left out."""
+        """Return the files that this run has written, without logs."""
         return [path for path, time in self._files().items() if self._before.get(path) != time]
 
     def _files(self) -> dict[Path, int]:
@@ -103,7 +103,7 @@ class OutputFolder:
 
 
 def shown(path: Path) -> str:
-    """A path as the user would write it: relative where it is below the current folder."""
+    """Return a path for messages: relative if it is below the current folder."""
     try:
         return str(path.relative_to(Path.cwd()))
     except ValueError:
@@ -111,18 +111,18 @@ def shown(path: Path) -> str:
 
 
 def tied(*command: str) -> list[str]:
-    """Return a command that ends when the thread does that starts it, here the launcher's main one.
+    """Return a command that gets SIGTERM when the thread ends that starts it.
 
-    Whoever kills the launcher with SIGKILL leaves nothing behind then. Without setpriv it does.
+    So no process stays behind if the launcher is killed by SIGKILL, unless setpriv is missing.
     """
     return [*(("setpriv", "--pdeathsig", "TERM") if shutil.which("setpriv") else ()), *command]
 
 
 @contextlib.contextmanager
 def temporary_folder() -> Iterator[str]:
-    """Yield a folder that is gone afterwards, even where this process is killed by SIGKILL."""
+    """Yield a folder that is deleted afterwards, even if this process is killed by SIGKILL."""
     with tempfile.TemporaryDirectory(prefix="lab-") as name:
-        # The end of its input is that of this process; what runs in the folder ends then, too.
+        # Its input ends when this process ends; the nodes in the folder need a while to end, too.
         command = ["sh", "-c", 'read -r _; sleep 2; rm -rf "$0"', name]
         pipe = subprocess.PIPE
         with subprocess.Popen(command, stdin=pipe, start_new_session=True) as sweeper:
@@ -133,25 +133,25 @@ def temporary_folder() -> Iterator[str]:
 
 
 class PlainText:
-    """A text file that gets no terminal colours, and loses what finds no room on the disk."""
+    """A text file without terminal colours; text is lost while the disk is full."""
 
     def __init__(self, file: BinaryIO):
         self._file = file
 
     def write(self, text: str) -> int:
-        """Write what there is room for."""
+        """Write text, if the disk has room."""
         plain = re.sub(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)", "", text)
         with contextlib.suppress(OSError):
             self._file.write(plain.encode(errors="replace"))
         return len(text)
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: each write is immediate."""
 
 
 @contextlib.contextmanager
 def words_to(path: Path):
-    """Send what this process (not its nodes) prints and logs to a file; raises FileError."""
+    """Redirect output and log of this process, not of its nodes, to a file; raise FileError."""
     try:
         file = path.open("wb", buffering=0)
     except OSError as error:
@@ -160,18 +160,18 @@ def words_to(path: Path):
         plain = PlainText(file)
         # At the level of INFO, roslaunch would write the user's whole environment to it.
         logging.basicConfig(stream=plain, level=logging.WARNING, force=True)
-        # The master complains at length about each node that leaves before it is told of others.
+        # The master logs a long error for each node that ends before it is notified of others.
         logging.getLogger("rosmaster.threadpool").setLevel(logging.CRITICAL)
         with contextlib.redirect_stdout(plain), contextlib.redirect_stderr(plain):
             yield
 
 
 class ScreenError(LabError):
-    """There is no screen to show something on."""
+    """The virtual screen cannot be started."""
 
 
 class VirtualScreen:
-    """An Xvfb on a free display, which DISPLAY names from then on; its words go to a log file."""
+    """An Xvfb on a free display, which is set as DISPLAY; its output goes to a log file."""
 
     def __init__(self, log: Path, picture: Path):
         self._log, self._picture = log, picture
@@ -180,9 +180,9 @@ class VirtualScreen:
         self._display = ""
 
     def __enter__(self) -> VirtualScreen:
-        """Start the screen, for everything that is started later; raise ScreenError."""
-        # Xvfb looks for a free display itself and tells its number. In a session of its own
-        # it gets no Ctrl-C from the terminal: it has to outlive RViz.
+        """Start the screen, for all programs that are started later; raise ScreenError."""
+        # Xvfb finds a free display and prints its number. A new session keeps Ctrl-C in the
+        # terminal from it: it must outlive RViz.
         command = tied("Xvfb", "-displayfd", "1", "-screen", "0", _SIZE, "-nolisten", "tcp")
         streams = {"stdout": subprocess.PIPE, "text": True, "start_new_session": True}
         try:
@@ -199,7 +199,7 @@ class VirtualScreen:
         self._display = f":{number}"
         os.environ["DISPLAY"] = self._display
         os.environ["LIBGL_ALWAYS_SOFTWARE"] = "1"
-        # For launch files: nobody sits before this screen.
+        # For launch files: nobody can see this screen.
         os.environ["BULLET_LAB_VIRTUAL_SCREEN"] = self._display
         return self
 
@@ -215,12 +215,12 @@ class VirtualScreen:
             self._server.wait()
 
     def picture_now_and_then(self) -> None:
-        """Save a picture if it is time for one, so that there is one however the run ends."""
+        """Save a picture every few seconds, so that there is one however the run ends."""
         if time.monotonic() >= self._next:
             self.picture()
 
     def picture(self) -> None:
-        """Save what is on the screen, cut to the windows; nothing while there are none."""
+        """Save a picture of the screen, cropped to the windows; none while it is empty."""
         self._next = time.monotonic() + _PICTURE_PERIOD
         with contextlib.suppress(OSError):
             image = ImageGrab.grab(xdisplay=self._display).convert("RGB")

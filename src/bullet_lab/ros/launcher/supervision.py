@@ -1,4 +1,4 @@
-"""A run of a launch file: its master, its nodes, and how it went."""
+"""A run of a launch file: its ROS master, its nodes, and how it ended."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import os
 import signal
 import socket
-import time
 import xmlrpc.client
 from pathlib import Path
 from typing import Callable, NamedTuple
@@ -28,20 +27,19 @@ from bullet_lab.ros.launcher.jobs import Job
 from bullet_lab.ros.launcher.output import tied
 from bullet_lab.ros.node.node import MASTER_ERRORS
 
-_POLL_PERIOD = 0.05
 _SIGINT_TIMEOUT = 6.0
 _SIGTERM_TIMEOUT = 2.0
-# What the setup files of ROS put into every shell, so that it says nothing by itself.
+# The setup files of ROS set this in every shell: it does not mean that the user chose it.
 STOCK_URI = "http://localhost:11311"
 _CONNECT_TIMEOUT = 2.0
 
 
 class SupervisionError(LabError):
-    """The launch file cannot be run, or the master that the environment names is of no use."""
+    """The launch file cannot be run, or no master answers at ROS_MASTER_URI."""
 
 
 class RunMaster(NamedTuple):
-    """A running master: its URI, the run id that nodes log under, and whether it is ours."""
+    """A running master: its URI, the run id of its logs, and whether this process started it."""
 
     uri: str
     run_id: str
@@ -51,18 +49,17 @@ class RunMaster(NamedTuple):
 def prepare_master() -> RunMaster:
     """Find the master that ROS_MASTER_URI names, or start one in this process.
 
-    A master of our own listens on a free port of the loopback, and so do the nodes; it
-    ends with this process. The environment is set for all that is started later.
+    The master that is started here listens on a free port of the loopback, as the nodes do, and
+    ends with this process. The environment is set for all processes that are started later.
 
     Raises:
-        SupervisionError: the variable is set to something other than the stock value of ROS's
-            setup files, and no master answers there.
+        SupervisionError: the variable has another value than STOCK_URI, and no master answers.
     """
     uri = os.environ.get("ROS_MASTER_URI", "").strip()
     is_stock = uri.rstrip("/") == STOCK_URI
-    # What ROS's setup files set by themselves is no wish to join another user's nodes.
+    # A value from the setup files does not ask to join another user's nodes.
     if uri and _answers(uri) and not (is_stock and is_of_another_user(uri)):
-        # The id that the master's first launch gave it; roslaunch insists on the same.
+        # Set by the first launch on this master; roslaunch refuses any other.
         code, _, run_id = Master(uri=uri).get().getParam("/roslaunch", "/run_id")
         return RunMaster(uri, str(run_id) if code == 1 else "nodes", own=False)
     if uri and not is_stock:
@@ -89,7 +86,7 @@ def is_of_another_user(uri: str) -> bool:
 def _answers(uri: str) -> bool:
     try:
         address = urlsplit(uri)
-        # Quickly, where roslaunch's own check may take a minute.
+        # roslaunch's own check may take a minute.
         socket.create_connection((address.hostname, address.port), _CONNECT_TIMEOUT).close()
     except (OSError, ValueError, TypeError):
         return False
@@ -97,14 +94,14 @@ def _answers(uri: str) -> bool:
 
 
 class Death(NamedTuple):
-    """The end of a node; a negative status is the number of the signal that killed it."""
+    """The end of a node; a negative status is the negated number of the signal that killed it."""
 
     process: str
     status: int
 
 
 class Verdict(NamedTuple):
-    """The exit status of a run, and in one line why, when it is not 0."""
+    """The exit status of a run, and the reason if it is not 0."""
 
     status: int
     reason: str = ""
@@ -117,10 +114,14 @@ def judge(
     has_summary: bool,
     stopped_by: int | None,
 ) -> Verdict | None:
-    """What has become of a run so far, None while it goes on.
+    """Return how a run has ended; None while it goes on.
 
-    `names` are those of the nodes by their processes, `required` those whose end is that of the
-    job; deaths are in order.
+    Args:
+        deaths: the ends of nodes, in order.
+        names: names of the nodes by those of their processes.
+        required: names of the nodes whose end is the end of the job.
+        has_summary: whether the summary has been written.
+        stopped_by: number of the signal that asks to stop, if any.
     """
     for death in deaths:
         name = names.get(death.process, death.process)
@@ -140,24 +141,24 @@ def judge(
 
 
 class Deaths(roslaunch.pmon.ProcessListener):
-    """Collects the ends of nodes in their order, from roslaunch's monitor thread."""
+    """Collects the ends of nodes in order, from roslaunch's monitor thread."""
 
     def __init__(self):
         self.list: list[Death] = []
 
     def process_died(self, process_name, exit_code):
-        """Note the end of a node; called by roslaunch."""
+        """Add the end of a node; called by roslaunch."""
         self.list.append(Death(process_name, 1 if exit_code is None else exit_code))
 
 
 class Launch:
-    """A launch file whose nodes have been started; all of them are stopped at the end."""
+    """The running nodes of a launch file; leaving the context stops them."""
 
     def __init__(self, job: Job, values: dict[str, str], master: RunMaster):
         self._config = _load(job.path, values)
         self.required = {node.name for node in self._config.nodes if node.required}
-        # roslaunch would tear down by itself at the end of a required node, and lose
-        # track of nodes that it is about to start.
+        # At the end of a required node, roslaunch would shut down, and lose track of nodes
+        # that it is about to start.
         for node in self._config.nodes:
             node.required = False
             node.launch_prefix = " ".join(tied(node.launch_prefix or "")).strip()
@@ -173,9 +174,9 @@ class Launch:
 
     def __enter__(self) -> Launch:
         """Start the nodes; raise SupervisionError if one of them cannot be started."""
-        # What is ended early by somebody else says so by its status: others may wait for it.
+        # Nodes that are ended early report that by their status.
         os.environ[JOB] = "1"
-        # Interactive programs keep their signal handlers.
+        # roslib keeps the signal handlers of interactive programs.
         roslib.set_interactive(True)
         try:
             self._start()
@@ -186,7 +187,7 @@ class Launch:
 
     def _start(self) -> None:
         self._parent.config = self._config
-        # The listener that ROSLaunchParent takes would miss nodes that end at once.
+        # A listener that is given to ROSLaunchParent would miss nodes that end at once.
         self._parent.pm = roslaunch.pmon.start_process_monitor()
         self._parent.pm.add_process_listener(self._deaths)
         self._parent.start(auto_terminate=False)
@@ -198,8 +199,8 @@ class Launch:
     def __exit__(self, *_) -> None:
         """Stop all nodes: by SIGINT, then SIGTERM, then SIGKILL.
 
-        Nodes that the master does not know yet are ended by SIGTERM at once: they may still be
-        importing, where Python answers SIGINT with a traceback.
+        Nodes that have not registered yet get SIGTERM at once: they may still be importing
+        modules, and Python would answer SIGINT with a traceback.
         """
         names = {node.process_name: node for node in self._config.nodes}
         alive = list(self._parent.pm.procs) if self._parent.pm else []
@@ -212,7 +213,7 @@ class Launch:
         self._parent.shutdown()
 
     def _end_orphans(self, alive: set[int]) -> None:
-        """End what nodes that were killed have started: roslaunch made each a group of its own."""
+        """Kill the children of dead nodes: roslaunch starts each node in a process group."""
         for group in set(self._groups) - alive:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(group, signal.SIGKILL)
@@ -225,27 +226,18 @@ class Launch:
             return False
         return code == 1
 
-    def wait(
-        self,
-        has_summary: Callable[[], bool],
-        stopped_by: Callable[[], int | None],
-        meanwhile: Callable[[], None],
-    ) -> Verdict:
-        """Wait for the end of the job, calling `meanwhile` again and again; see `judge`."""
+    def verdict(self, has_summary: Callable[[], bool], stopped_by: int | None) -> Verdict | None:
+        """Return how the job has ended; None while it runs. See `judge`."""
         names = {node.process_name: node.name for node in self._config.nodes}
-        while True:
-            deaths = list(self._deaths.list)
-            verdict = judge(deaths, names, self.required, has_summary(), stopped_by())
-            if verdict is not None:
-                return verdict
-            meanwhile()
-            time.sleep(_POLL_PERIOD)
+        # Read before the summary is looked for, which a node writes before it ends.
+        deaths = list(self._deaths.list)
+        return judge(deaths, names, self.required, has_summary(), stopped_by)
 
 
 def _load(path: Path, values: dict[str, str]) -> roslaunch.config.ROSLaunchConfig:
-    # roslaunch passes over a word that it could cut in more than two.
+    # roslaunch ignores a word with a second ':='.
     words = [f"{name}:={value.replace(':=', '=')}" for name, value in values.items()]
-    # Signals wait: programs that roslaunch asks for values would die of Ctrl-C, loudly.
+    # Signals wait: Ctrl-C would end programs that roslaunch runs for values, with tracebacks.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
     try:
         with _as_supervision_error():
@@ -255,7 +247,7 @@ def _load(path: Path, values: dict[str, str]) -> roslaunch.config.ROSLaunchConfi
 
 
 def resolved_defaults(path: Path) -> dict[str, str]:
-    """The defaults of a launch file's arguments, resolved; raises SupervisionError."""
+    """Return the resolved defaults of a launch file's arguments; raise SupervisionError."""
     import roslaunch.arg_dump
 
     with _as_supervision_error():

@@ -1,1 +1,1 @@
-"""Every conversion between messages and the library's own data."""
+"""Conversions between messages and the data of the library."""

@@ -1,10 +1,10 @@
-"""From the simulation's samples to ROS messages and back; the only place that does it."""
+"""Conversions of the simulation's samples to messages, and of messages to commands."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Callable, Dict, List, Mapping, Type
+from typing import Any, Callable, Dict, List, Mapping, Type, Union
 
 import cv2
 import numpy as np
@@ -24,8 +24,7 @@ from sensor_msgs.msg import (
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from tf2_msgs.msg import TFMessage
 
-from bullet_lab.ros.messages.control_types import JointControllerState
-from bullet_lab.ros.messages.gazebo_types import msg
+from bullet_lab.ros.messages.gazebo_types import JointControllerState, msg
 from bullet_lab.ros.messages.poses import set_pose, set_quaternion, set_time, set_vector
 from bullet_lab.simulation.plugins.samples import (
     CameraInfoSample,
@@ -48,7 +47,7 @@ from bullet_lab.simulation.plugins.samples import (
     VelocitySample,
 )
 
-# As PCL's PointXYZRGB lies in memory, and Gazebo's messages; the colour is 0x00rrggbb.
+# The memory layout of PCL's PointXYZRGB, as in Gazebo's messages; the colour is 0x00rrggbb.
 POINT = np.dtype(
     {
         "names": ["x", "y", "z", "rgb"],
@@ -57,8 +56,7 @@ POINT = np.dtype(
         "itemsize": 32,
     }
 )
-TO_BGR = {"rgb8": cv2.COLOR_RGB2BGR}
-# OpenCV's parameters of each format, by what image_transport calls them.
+# OpenCV's parameters of each format, with their names in image_transport.
 COMPRESSIONS = {
     "jpeg": {
         cv2.IMWRITE_JPEG_QUALITY: "jpeg_quality",
@@ -70,10 +68,10 @@ COMPRESSIONS = {
 
 
 class Converter:
-    """Turns samples of one kind into messages of the class `message_kind`, with a header.
+    """Converts samples of one kind to messages of the class `message_kind`, with a header.
 
-    It keeps its message: rospy serialises in `publish`, so the next sample may reuse it, which
-    matters at a hundred times real time.
+    All samples share one message, which saves time at a hundred times real time: rospy serialises
+    it in `publish`.
     """
 
     def __init__(self, message_kind: Type[Any], fill: Callable[[Any, Any], None]):
@@ -81,12 +79,12 @@ class Converter:
         self._message = self._stamped = message_kind()
         self._fill = fill
         if message_kind is TFMessage:
-            # It has the header, and the message has nothing else.
+            # The transform has the header.
             self._stamped = TransformStamped()
             self._message.transforms.append(self._stamped)
 
     def convert(self, sample: Any) -> Any:
-        """Return the message, which the next call overwrites."""
+        """Return a sample as a message, which the next call overwrites."""
         header = self._stamped.header
         set_time(header.stamp, sample.step)
         header.frame_id = sample.frame
@@ -101,13 +99,14 @@ def _odometry(message: Odometry, sample: OdometrySample) -> None:
         message.pose.covariance[7 * axis] = variance
     for axis, variance in enumerate(sample.twist_variances):
         message.twist.covariance[7 * axis] = variance
-    twist = message.twist.twist
-    twist.linear.x, twist.linear.y = sample.velocity.vx, sample.velocity.vy
-    twist.angular.z = sample.velocity.wz
+    _set_planar_twist(message.twist.twist, sample)
 
 
 def _velocity(message: TwistStamped, sample: VelocitySample) -> None:
-    twist = message.twist
+    _set_planar_twist(message.twist, sample)
+
+
+def _set_planar_twist(twist: Twist, sample: Union[OdometrySample, VelocitySample]) -> None:
     twist.linear.x, twist.linear.y = sample.velocity.vx, sample.velocity.vy
     twist.angular.z = sample.velocity.wz
 
@@ -147,15 +146,18 @@ def _image(message: Image, sample: ImageSample) -> None:
 
 
 def compressed_message(sample: ImageSample, settings: Mapping[str, Any]) -> CompressedImage:
-    """Return a picture as compressed_image_transport sends it, with its settings by their names."""
-    kind, code = settings["format"], TO_BGR.get(sample.encoding)
-    pixels = sample.pixels if code is None else cv2.cvtColor(sample.pixels, code)
-    choices = [value for key, name in COMPRESSIONS[kind].items() for value in (key, settings[name])]
+    """Return an image as compressed_image_transport publishes it with the same settings."""
+    kind, pixels = settings["format"], sample.pixels
+    if sample.encoding == "rgb8":
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
+    options: List[int] = []
+    for key, name in COMPRESSIONS[kind].items():
+        options += [key, int(settings[name])]
     message = CompressedImage(format=f"{sample.encoding}; {kind} compressed ")
     message.format += "" if pixels.ndim == 2 else "bgr8"
     set_time(message.header.stamp, sample.step)
     message.header.frame_id = sample.frame
-    message.data = cv2.imencode(f".{kind}", pixels, list(map(int, choices)))[1].tobytes()
+    message.data = cv2.imencode(f".{kind}", pixels, options)[1].tobytes()
     return message
 
 
@@ -176,7 +178,7 @@ def _points(message: PointCloud2, sample: PointsSample) -> None:
     message.height, message.width = shape = sample.points.shape[:2]
     message.point_step, message.row_step = POINT.itemsize, shape[1] * POINT.itemsize
     message.is_dense = bool(np.isfinite(sample.points[..., 2]).all())
-    # The colour is declared as a float, as PCL has it.
+    # As in PCL, the colour is declared as a float.
     message.fields = [
         PointField(name, POINT.fields[name][1], PointField.FLOAT32, 1) for name in POINT.names
     ]
@@ -189,11 +191,11 @@ def _points(message: PointCloud2, sample: PointsSample) -> None:
 
 
 def _scan(message: LaserScan, sample: LaserSample) -> None:
-    # `time_increment` and `scan_time` stay 0: all rays are of one time, as Gazebo has it.
+    # As in Gazebo, `time_increment` and `scan_time` are 0: all rays have the same time.
     message.angle_min, message.angle_max = sample.angle_min, sample.angle_max
     message.angle_increment = sample.angle_increment
     message.range_min, message.range_max = sample.range_min, sample.range_max
-    # Lists are written four times as fast as arrays.
+    # Lists are serialised four times as fast as arrays.
     message.ranges = sample.ranges.tolist()
     message.intensities = sample.intensities.tolist()
 
@@ -236,13 +238,13 @@ def _sum(vectors: tuple) -> Vector3:
 
 
 def _diagonal(value: float, size: int) -> List[float]:
-    """Return a square matrix, row by row, with one value along its diagonal."""
+    """Return a diagonal matrix, row by row, with the same value along the diagonal."""
     matrix = [0.0] * (size * size)
     matrix[:: size + 1] = [value] * size
     return matrix
 
 
-# What makes the converter for a kind of samples.
+# Functions that make the converter for a kind of samples.
 OUTPUT_CONVERTERS: Dict[type, Callable[[], Converter]] = {
     OdometrySample: partial(Converter, Odometry, _odometry),
     TransformSample: partial(Converter, TFMessage, _transform),
@@ -262,7 +264,7 @@ OUTPUT_CONVERTERS: Dict[type, Callable[[], Converter]] = {
 
 @dataclass(frozen=True)
 class CommandConverter:
-    """Turns messages of the class `message_kind` into commands, by `convert`."""
+    """Converts messages of the class `message_kind` to commands, by `convert`."""
 
     message_kind: Type[Any]
     convert: Callable[[Any], Any]

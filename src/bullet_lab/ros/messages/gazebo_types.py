@@ -1,17 +1,31 @@
-"""Gazebo's message and service types, under the name that clients know them by.
+"""The message and service types of Gazebo and ros_control, under the names that clients use.
 
-Where gazebo_msgs can be imported (Gazebo's own, or the stand-in that scripts/setup.sh builds),
-its classes are used, so that topics have the type names that Gazebo's have. Elsewhere the same
-definitions of this package are: services are answered all the same, since a service client
-checks the md5 sum alone.
+If gazebo_msgs, control_msgs and controller_manager_msgs can be imported (the real packages, or the
+stand-ins that scripts/setup.sh builds), their classes are used, so that topics have their type
+names. Otherwise the same definitions of this package are used: a service client compares only the
+md5 sum.
 """
 
 try:
     from gazebo_msgs import msg, srv
 
-    # Not a folder that happens to be called so.
+    # An unrelated folder of that name has no such attributes.
     msg.ModelStates, srv.SpawnModel  # noqa: B018
 except (ImportError, AttributeError):
     from bullet_lab import msg, srv
 
-__all__ = ["msg", "srv"]
+try:
+    from control_msgs.msg import JointControllerState
+except ImportError:
+    from bullet_lab.msg import JointControllerState
+
+try:
+    from controller_manager_msgs import msg as control_msg
+    from controller_manager_msgs import srv as control_srv
+
+    control_msg.ControllerState, control_srv.SwitchController  # noqa: B018
+except (ImportError, AttributeError):
+    from bullet_lab import msg as control_msg
+    from bullet_lab import srv as control_srv
+
+__all__ = ["JointControllerState", "control_msg", "control_srv", "msg", "srv"]

@@ -1,4 +1,4 @@
-"""Images, their geometry and what was found in them: to arrays and cameras, and to messages."""
+"""Conversions of images, camera geometry and detections to messages and back."""
 
 from __future__ import annotations
 
@@ -27,21 +27,23 @@ from bullet_lab.vision.images import LEAST_EDGE
 from bullet_lab.vision.marker_detector import DetectedMarker
 from bullet_lab.vision.marker_pose import MarkerPose, ObservedMarker
 
+# px
 _LARGEST_EDGE = 16384
 _BRIDGE = cv_bridge.CvBridge()
 _NO_DISTORTION = (0.0,) * 5
+# As a share of the focal length.
 _ALLOWED_SKEW = 1e-6
 
 
 class ImageError(LabError):
-    """An image message that holds no image to use."""
+    """An image message has an invalid size or encoding."""
 
 
 def pixels_of(message: Image, encoding: str) -> np.ndarray:
     """Return the image of a message as (h, w) for mono8 or (h, w, 3) for bgr8, uint8.
 
     Raises:
-        ImageError: its sizes do not fit together, or its encoding is no image to look at.
+        ImageError: its sizes are inconsistent, or its encoding cannot be converted.
     """
     _check_sizes(message)
     try:
@@ -61,7 +63,8 @@ def image_message(header: Header, pixels: np.ndarray, encoding: str) -> Image:
 def _check_sizes(message: Image) -> None:
     width, height = message.width, message.height
     if not (LEAST_EDGE <= width <= _LARGEST_EDGE and LEAST_EDGE <= height <= _LARGEST_EDGE):
-        raise ImageError(f"an image of {width} x {height} px")
+        allowed = f"{LEAST_EDGE} to {_LARGEST_EDGE} px are allowed"
+        raise ImageError(f"an image of {width} x {height} px; {allowed}")
     try:
         kind, channels = _BRIDGE.encoding_to_dtype_with_channels(message.encoding)
         row = width * channels * np.dtype(kind).itemsize
@@ -80,17 +83,17 @@ def points_message(header: Header, shape: Tuple[int, int], points: np.ndarray) -
 
 
 class CameraGeometryError(LabError):
-    """A camera_info message that says nothing of use about the image."""
+    """A camera_info message does not describe the image, or has unsupported values."""
 
 
 def camera_of(info: CameraInfo, width: int, height: int, rectified: bool = False) -> PinholeCamera:
-    """Return the geometry of an image of a size in px.
+    """Return the camera geometry of an image of a size in px.
 
-    Of a `rectified` one, P holds, and there is no distortion.
+    A `rectified` image has the geometry P and no distortion.
 
     Raises:
-        CameraGeometryError: nothing there (a zero K), not finite, of another size, binned, or
-            with a lens that the pinhole camera has no numbers for.
+        CameraGeometryError: not calibrated (a zero K), not finite, another size, binning, or an
+            unsupported distortion model.
     """
     numbers = info.P if rectified else info.K
     name = "P" if rectified else "K"
@@ -101,7 +104,7 @@ def camera_of(info: CameraInfo, width: int, height: int, rectified: bool = False
     row = 4 if rectified else 3
     fx, skew, cx, fy, cy = numbers[0], numbers[1], numbers[2], numbers[row + 1], numbers[row + 2]
     if abs(skew) > _ALLOWED_SKEW * abs(fx) or numbers[row] or numbers[2 * row + 2] != 1.0:
-        raise CameraGeometryError(f"camera_info has a {name} that is no pinhole camera's")
+        raise CameraGeometryError(f"camera_info has a {name} that is no pinhole camera's matrix")
     left, top = _region(info, width, height)
     distortion = _NO_DISTORTION if rectified else _distortion(info)
     try:
@@ -111,14 +114,12 @@ def camera_of(info: CameraInfo, width: int, height: int, rectified: bool = False
 
 
 def _region(info: CameraInfo, width: int, height: int) -> Tuple[int, int]:
-    """Return where the image begins in what K is about, px."""
+    """Return the offset (px) of the image in the full image that K describes."""
     if info.binning_x > 1 or info.binning_y > 1:
         binning = f"{info.binning_x} x {info.binning_y}"
         raise CameraGeometryError(f"camera_info has {binning} binning, which is not supported")
     region = info.roi
-    size = (info.width, info.height)
-    if region.width or region.height:
-        size = (region.width or info.width, region.height or info.height)
+    size = (region.width or info.width, region.height or info.height)
     if size != (width, height):
         described = f"{size[0]} x {size[1]}"
         raise CameraGeometryError(f"camera_info is about {described} px, not {width} x {height}")
@@ -146,7 +147,7 @@ def covariance_message(pose: MarkerPose) -> PoseWithCovariance:
 
 
 def detection_message(marker: DetectedMarker, dictionary: str) -> MarkerDetection:
-    """Return a marker without a pose, for want of a camera_info, as a message."""
+    """Return a marker without a pose as a message, when there is no camera_info."""
     message = MarkerDetection(id=marker.id, dictionary=dictionary, bit_errors=marker.bit_errors)
     message.corners = np.asarray(marker.corners, dtype=float).ravel().tolist()
     message.deviations = marker.deviations.ravel().tolist()
@@ -155,7 +156,7 @@ def detection_message(marker: DetectedMarker, dictionary: str) -> MarkerDetectio
 
 
 def located_message(marker: ObservedMarker, dictionary: str, pose: MarkerPose) -> MarkerDetection:
-    """Return a marker with the pose that was chosen of the two as a message."""
+    """Return a marker with the chosen one of its two poses as a message."""
     message = detection_message(marker, dictionary)
     estimate = marker.pose
     other = estimate.alternative if pose is estimate.best else estimate.best

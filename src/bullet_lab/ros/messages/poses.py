@@ -1,4 +1,4 @@
-"""Times, poses and velocities in messages: written from plain data, and read with care."""
+"""Conversions of times, poses and velocities to messages and back, with checks of the input."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import FrameState
 
 NANOSECONDS_PER_STEP = 1_000_000_000 // STEPS_PER_SECOND
-# A quaternion that is off by more than this is no rotation but a mistake, such as all zeros.
+# Largest deviation of a quaternion's length from 1; a larger one is an error, such as all zeros.
 NORM_TOLERANCE = 1e-2
 
 
 class InputError(LabError):
-    """A message that cannot be used."""
+    """A message has invalid values."""
 
 
 def set_time(stamp: genpy.Time, step: int) -> None:
@@ -65,10 +65,10 @@ def pose_message(pose: Pose) -> PoseMessage:
     return message
 
 
-def pose_of(place: Any, turn: Any) -> Pose:
-    """Return a pose of a position and a quaternion; raises InputError if they make none."""
-    position = (place.x, place.y, place.z)
-    quaternion = (turn.x, turn.y, turn.z, turn.w)
+def pose_of(point: Any, orientation: Any) -> Pose:
+    """Return the pose of a position and a quaternion; raises InputError."""
+    position = (point.x, point.y, point.z)
+    quaternion = (orientation.x, orientation.y, orientation.z, orientation.w)
     if not all(map(math.isfinite, position + quaternion)):
         raise InputError("a pose that is not finite")
     norm = math.sqrt(sum(value * value for value in quaternion))
@@ -78,7 +78,7 @@ def pose_of(place: Any, turn: Any) -> Pose:
 
 
 def vector_of(message: Any, what: str) -> Vector:
-    """Return x, y and z of a message; raises InputError for what is not finite."""
+    """Return x, y and z of a message; raises InputError if one is not finite."""
     values = (message.x, message.y, message.z)
     if not all(map(math.isfinite, values)):
         raise InputError(f"{what} is not finite: {values}")
@@ -86,18 +86,18 @@ def vector_of(message: Any, what: str) -> Vector:
 
 
 def normalised_pose(message: PoseMessage) -> Pose:
-    """Return a pose with its quaternion normalised, as Gazebo does it.
+    """Return a pose with its quaternion normalised, as Gazebo does.
 
-    (0, 0, 0, 0), which messages start with, means no rotation.
+    (0, 0, 0, 0), the default of a message, means no rotation.
 
     Raises:
         InputError: a number is not finite.
     """
-    turn = message.orientation
-    quaternion = (turn.x, turn.y, turn.z, turn.w)
+    orientation = message.orientation
+    quaternion = (orientation.x, orientation.y, orientation.z, orientation.w)
     if not all(map(math.isfinite, quaternion)):
         raise InputError(f"the orientation is not finite: {quaternion}")
-    # Scaled first: the squares of huge numbers overflow.
+    # Scaled first: the squares of large numbers overflow.
     largest = max(map(abs, quaternion))
     position = vector_of(message.position, "the position")
     if largest == 0.0:
@@ -109,9 +109,10 @@ def normalised_pose(message: PoseMessage) -> Pose:
 
 
 def twist_of(message: Twist) -> Tuple[Vector, Vector]:
-    """Return linear and angular velocity; raises InputError for what is not finite."""
+    """Return linear and angular velocity; raises InputError if one is not finite."""
     linear = vector_of(message.linear, "the linear velocity")
-    return linear, vector_of(message.angular, "the angular velocity")
+    angular = vector_of(message.angular, "the angular velocity")
+    return linear, angular
 
 
 def twist_message(state: FrameState) -> Twist:

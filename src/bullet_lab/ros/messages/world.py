@@ -1,7 +1,7 @@
-"""The world's shapes as markers, so that RViz shows what Gazebo's window would.
+"""The world's shapes as markers, so that RViz shows them as Gazebo's window would.
 
-What markers have no field for stands in their text, which RViz passes over on all that is no text:
-as JSON, the textures, and what shines by itself.
+A marker has no fields for textures and emissive colours. They are in its text as JSON; RViz
+displays the text of text markers only.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ from bullet_lab.simulation.world.description import BLACK, Material, Texture, Vi
 from bullet_lab.simulation.world.mesh_parts import has_own_looks
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
-# A plane is drawn as a slab just below the floor, or it would flicker with RViz's grid.
+# m; a plane is a slab just below the floor, or it would flicker with RViz's grid.
 SLAB_THICKNESS = 0.01
 SLAB_DEPTH = 0.005
+# m; longest side of a plane without texture.
 LARGEST_PLANE = 20.0
 # Type and scale of the marker of each shape.
 MARKERS: Dict[type, Callable[[Any], Tuple[int, Tuple[float, ...]]]] = {
@@ -41,7 +42,7 @@ MARKERS: Dict[type, Callable[[Any], Tuple[int, Tuple[float, ...]]]] = {
 
 
 def world_markers(models: Iterable[ModelInstance], frame: str) -> MarkerArray:
-    """Return the visible shapes of models in the world's frame, in namespaces of their names."""
+    """Return the visible shapes of models as markers; their namespace is the model's name."""
     markers = []
     for instance in models:
         for number, (pose, visual) in enumerate(_visuals(instance)):
@@ -55,7 +56,7 @@ def world_markers(models: Iterable[ModelInstance], frame: str) -> MarkerArray:
 
 
 def deleted_markers(model: str, count: int, frame: str) -> MarkerArray:
-    """Return what takes the `count` markers of a model away."""
+    """Return markers that delete the `count` markers of a model."""
     array = MarkerArray()
     for number in range(count):
         marker = Marker(action=Marker.DELETE, ns=model, id=number)
@@ -65,27 +66,27 @@ def deleted_markers(model: str, count: int, frame: str) -> MarkerArray:
 
 
 class Look(NamedTuple):
-    """What a shape looks like beyond its marker's colour, and whether its slab is a plane."""
+    """The appearance of a shape besides its colour, and whether its slab is a plane."""
 
     material: Material = Material()
     is_plane: bool = False
 
 
 def _look_text(visual: Visual) -> str:
-    """Return what `look_of` reads of a visual; empty for one that is all told by its colour."""
+    """Return the text of a visual's marker for `look_of`; empty if it has only a colour."""
     material = visual.material
-    said: Dict[str, Any] = {}
+    look: Dict[str, Any] = {}
     if material.texture is not None:
-        said = {"texture": asdict(material.texture), "plane": isinstance(visual.geometry, Plane)}
+        look = {"texture": asdict(material.texture), "plane": isinstance(visual.geometry, Plane)}
     if material.emissive != BLACK:
-        said["emissive"] = material.emissive
+        look["emissive"] = material.emissive
     if not material.lit:
-        said["lit"] = False
-    return json.dumps(said, default=str) if said else ""
+        look["lit"] = False
+    return json.dumps(look, default=str) if look else ""
 
 
 def look_of(text: str) -> Look:
-    """Return the look that the text of a shape's marker tells; a plain one where it tells none.
+    """Return the look in the text of a shape's marker; the default look if there is none.
 
     >>> look_of('{"texture": {"path": "/wood.png"}, "lit": false}').material.texture.path.name
     'wood.png'
@@ -93,26 +94,22 @@ def look_of(text: str) -> Look:
     True
     """
     try:
-        said = json.loads(text) if text else {}
-        texture = _texture(said["texture"]) if "texture" in said else None
-        emissive = _numbers(said.get("emissive", BLACK), 4)
-        lit = bool(said.get("lit", True))
-        return Look(Material(None, emissive, texture, lit), bool(said.get("plane")))
+        look = json.loads(text) if text else {}
+        texture = _texture(**look["texture"]) if "texture" in look else None
+        emissive = _numbers(look.get("emissive", BLACK), 4)
+        lit = bool(look.get("lit", True))
+        return Look(Material(None, emissive, texture, lit), bool(look.get("plane")))
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
         return Look()
 
 
-def _texture(said: Dict[str, Any]) -> Texture:
-    scale = _numbers(said.get("scale", (1.0, 1.0)), 2)
-    scroll = _numbers(said.get("scroll", (0.0, 0.0)), 2)
+def _texture(path: Any, **values: Any) -> Texture:
+    texture = Texture(Path(path), **values)
+    scale, scroll = _numbers(texture.scale, 2), _numbers(texture.scroll, 2)
     if not all(scale):
         raise ValueError(scale)
-    (rotation,) = _numbers((said.get("rotation", 0.0),), 1)
-    repeats, blends, sharp = (
-        bool(said.get(key, usual))
-        for key, usual in (("repeats", True), ("blends", False), ("sharp", False))
-    )
-    return Texture(Path(said["path"]), scale, scroll, rotation, repeats, blends, sharp)
+    flags = (bool(flag) for flag in (texture.repeats, texture.blends, texture.sharp))
+    return Texture(texture.path, scale, scroll, *_numbers([texture.rotation], 1), *flags)
 
 
 def _numbers(values: Iterable[Any], count: int) -> Tuple[Any, ...]:
@@ -139,13 +136,13 @@ def _marker(visual: Visual) -> Marker:
     marker.color = ColorRGBA(*visual.colour)
     marker.text = _look_text(visual)
     if isinstance(shape, Plane) and visual.material.texture is not None:
-        # As large as the picture on it has it.
+        # The full size, which the texture depends on.
         marker.scale = Vector3(*shape.size, SLAB_THICKNESS)
     if isinstance(shape, Mesh):
-        # RViz knows package:// itself, and file:// for the rest.
+        # RViz resolves package:// itself.
         in_package = shape.uri.startswith("package://")
         marker.mesh_resource = shape.uri if in_package else shape.path.absolute().as_uri()
         if not visual.material.covers and has_own_looks(shape):
-            # Where there is no colour at all, a mesh keeps its own.
+            # Without a colour of the marker, a mesh has its own colours.
             marker.mesh_use_embedded_materials, marker.color = True, ColorRGBA()
     return marker

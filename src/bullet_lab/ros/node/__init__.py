@@ -1,1 +1,1 @@
-"""What every node is made of: start, parameters, publishers, lock step, transforms."""
+"""Start, parameters, publishers, lock step and transforms of all nodes."""

@@ -1,7 +1,7 @@
-"""How a node fares, on /diagnostics once a second of wall time.
+"""The state of a node on /diagnostics, once a second of wall time.
 
-diagnostic_updater counts its period and its rates in ROS time, which at full speed passes a
-hundred times as fast, and stands still while a simulation is paused.
+diagnostic_updater measures its period and its rates in ROS time, which passes a hundred times as
+fast at full speed, and not at all while the simulation is paused.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from bullet_lab.ros.node.publishers import Publisher
 
+# Wall seconds between two messages.
 PERIOD = 1.0
 # Wall seconds over which rates are counted.
 _WINDOW = 2.0
 
 
 class Health(NamedTuple):
-    """A level of DiagnosticStatus, a line, and figures."""
+    """A level of DiagnosticStatus, a message, and values by name."""
 
     level: int
     message: str
@@ -31,7 +32,7 @@ class Health(NamedTuple):
 
 
 class Diagnostics:
-    """Publishes how a node fares at its task; `health` is called from a thread of its own."""
+    """Publishes the health of a node; a separate thread calls `health`."""
 
     def __init__(self, task: str, health: Callable[[], Health]):
         self._name = f"{rospy.get_name().lstrip('/')}: {task}"
@@ -39,7 +40,7 @@ class Diagnostics:
         self._publisher = Publisher("/diagnostics", DiagnosticArray, queue_size=10)
 
     def start(self) -> None:
-        """Report from now on."""
+        """Start to publish."""
         threading.Thread(target=self._report, daemon=True).start()
 
     def _report(self) -> None:
@@ -54,7 +55,7 @@ class Diagnostics:
 
 
 class Traffic:
-    """Rate and latency of what a node works on, over the last two seconds of wall time."""
+    """Rate and latency of a node's results over the last two seconds of wall time."""
 
     def __init__(self):
         self._lock = threading.Lock()
@@ -62,14 +63,14 @@ class Traffic:
         self.total = 0
 
     def note(self, seconds: float) -> None:
-        """Note that one was done just now, so many seconds after it had come."""
+        """Count a result, `seconds` after its input had arrived."""
         with self._lock:
             self.total += 1
             self._done.append((time.monotonic(), seconds))
             self._forget()
 
     def figures(self) -> Dict[str, str]:
-        """Return the figures as text."""
+        """Return the number of results, their rate and latency as text."""
         with self._lock:
             self._forget()
             latencies = [seconds for _, seconds in self._done]
@@ -81,7 +82,7 @@ class Traffic:
 
     @property
     def silence(self) -> float:
-        """Wall seconds since the last one, at most those of the window."""
+        """Wall seconds since the last result, at most two."""
         with self._lock:
             self._forget()
             return time.monotonic() - self._done[-1][0] if self._done else _WINDOW

@@ -1,4 +1,4 @@
-"""What nodes that drive share: commands that can be stopped at any moment, goals by actionlib."""
+"""Commands that can be stopped at any moment, and action servers, for nodes that drive."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from bullet_lab.ros.node.publishers import Publisher
 
 
 class StoppableSender:
-    """Sends commands; a stop takes effect at once and voids those that were on their way.
+    """Sends commands; a stop takes effect at once and voids the command being computed.
 
-    All methods may be called from any thread.
+    Thread-safe.
     """
 
     def __init__(self, publisher: Publisher):
@@ -27,24 +27,24 @@ class StoppableSender:
         self._ended = False
 
     def ticket(self) -> int:
-        """Return what `send` wants to see, from before the command was thought of."""
+        """Return a ticket for `send`; called before a command is computed."""
         return self._stops
 
     def send(self, command: Tuple[float, float], ticket: Optional[int] = None) -> None:
-        """Send a command (m/s, rad/s), unless there was a stop after the ticket that is given."""
+        """Send a command (m/s, rad/s), unless there was a stop after its ticket."""
         with self._lock:
             if ticket in (None, self._stops) and not self._ended:
                 self._publish(command)
 
     def stop(self) -> None:
-        """Have the robot stand still."""
+        """Stop the robot."""
         with self._lock:
             self._stops += 1
             if not self._ended:
                 self._publish((0.0, 0.0))
 
     def end(self) -> None:
-        """Have the robot stand still, and send nothing ever after."""
+        """Stop the robot and send no further commands."""
         with self._lock:
             self.stop()
             self._ended = True
@@ -56,18 +56,18 @@ class StoppableSender:
 
 
 class GoalServer(SimpleActionServer):
-    """A SimpleActionServer that is polled, and for which the goal that comes last counts.
+    """A SimpleActionServer that is polled, and in which the newest goal to arrive counts.
 
-    actionlib's own drops goals that are stamped before the last one. That is all of them once
-    simulated time was set back, and those of machines whose clock is late.
+    actionlib's drops goals with an earlier stamp than the last one: all goals after a reset of
+    time, and those of machines whose clock is late.
 
     Args:
         name: of the action.
         kind: its class, such as MoveBaseAction.
-        on_goal: called when a goal has come, with its handle, before the loop takes it up.
-        on_cancel: called when the goal that is pursued is cancelled.
+        on_goal: called with the handle of a new goal, before the loop accepts it.
+        on_cancel: called when the current goal is cancelled.
 
-    Both are called from threads of rospy, which hold actionlib's lock.
+    Threads of rospy that hold actionlib's lock call both functions.
     """
 
     def __init__(
@@ -85,10 +85,7 @@ class GoalServer(SimpleActionServer):
         self.action_server.internal_cancel_callback = self._cancel
 
     def start(self) -> None:
-        """Serve, and go on saying how goals stand where time is set back.
-
-        actionlib's own timer ends there.
-        """
+        """Start the server, with a timer for the status that survives a reset of time."""
         super().start()
         server = self.action_server
         if server.status_frequency > 0.0:
@@ -98,14 +95,14 @@ class GoalServer(SimpleActionServer):
 
     @property
     def is_cancelled(self) -> bool:
-        """Whether the goal that is pursued was cancelled, and not for a new one."""
-        # In this order: a new goal is noted before the request to give up the old one.
+        """Whether the current goal was cancelled, and not replaced by a new one."""
+        # In this order: actionlib stores a new goal before it requests to preempt the old one.
         return self.is_active() and self.is_preempt_requested() and not self.is_new_goal_available()
 
     def tell(self, feedback: Any, stamp: rospy.Time) -> None:
-        """Publish feedback of the goal that is pursued, as of a time.
+        """Publish feedback on the current goal, with a stamp.
 
-        actionlib's own has the time of the last /clock that has come, which may be one before.
+        actionlib's stamp is the time of the last message on /clock, which may be out of date.
         """
         server, status = self.action_server, self.current_goal.get_goal_status()
         message = server.ActionFeedback(status=status, feedback=feedback)
@@ -115,7 +112,7 @@ class GoalServer(SimpleActionServer):
                 server.feedback_pub.publish(message)
 
     def end(self, status: int, result: Optional[Any] = None, text: str = "") -> None:
-        """End the goal that is pursued, with one of these three states, and a text for people."""
+        """End the current goal with one of these three states and a text for the user."""
         ends = {
             GoalStatus.SUCCEEDED: self.set_succeeded,
             GoalStatus.PREEMPTED: self.set_preempted,
@@ -124,11 +121,11 @@ class GoalServer(SimpleActionServer):
         ends[status](result, text)
 
     def forget_cancels(self) -> None:
-        """Take goals from before the last cancellation as well: time was set back."""
+        """Accept goals with stamps before the last cancellation, after a reset of time."""
         self.action_server.last_cancel = rospy.Time()
 
     def internal_goal_callback(self, goal: ServerGoalHandle) -> None:
-        """Take a goal, whatever its stamp; called by actionlib."""
+        """Accept a goal whatever its stamp; called by actionlib."""
         with self.lock:
             for earlier in (self.current_goal, self.next_goal):
                 if earlier.get_goal():
@@ -136,14 +133,14 @@ class GoalServer(SimpleActionServer):
                     goal_id.stamp = min(goal_id.stamp, goal.get_goal_id().stamp)
         super().internal_goal_callback(goal)
         if in_lock_step():
-            # actionlib itself answers as ROS time passes, and that may stand meanwhile.
+            # actionlib publishes the status by ROS time, which may be held.
             self.action_server.publish_status()
 
     def _cancel(self, goal_id: GoalID) -> None:
-        """Cancel goals, as actionlib does.
+        """Cancel goals as actionlib does.
 
-        It remembers the cancellation of a goal that has not come yet without a goal, and logs an
-        error for it at each later cancellation: such an entry gets an empty goal.
+        actionlib stores the cancellation of a goal that has not arrived yet without a goal, and
+        logs an error at each later cancellation: such an entry gets an empty goal here.
         """
         server = self.action_server
         with server.lock:

@@ -1,12 +1,12 @@
-"""Working in step with simulated time, whatever its speed.
+"""Lock step: simulated time waits for nodes while they work, whatever its speed.
 
-A node that drives a robot with `rospy.Rate` is late by a millisecond or so of wall time; at a
-hundred times real time that is a tenth of a simulated second, and a square with crooked
-corners. A node in lock step holds simulated time back while it works: `Rate.sleep` lets the
-bridge go on to the node's next tick, and returns when it is there.
+A node that drives a robot with `rospy.Rate` is late by a millisecond or so of wall time. At a
+hundred times real time that is a tenth of a simulated second, and the corners of a square are
+wrong. A node in lock step holds simulated time back while it works: `Rate.sleep` lets the bridge
+advance to the node's next tick, and returns when it is reached.
 
-A node is in lock step if its private parameter ~lock_step is true. Publishers, subscribers and
-rates of this package see to the rest; what nodes do is the same with and without.
+A node is in lock step if its private parameter ~lock_step is true. The publishers, subscribers and
+rates of this package do the rest; the code of a node is the same with and without lock step.
 """
 
 from __future__ import annotations
@@ -26,21 +26,22 @@ from bullet_lab.srv import Advance, AdvanceRequest, AdvanceResponse
 
 SERVICE = "/bullet_lab/advance"
 WAIT_FOR_BRIDGE_SECONDS = 60.0
-# Wall seconds for commands to find their way to the bridge, and between two looks.
+# Wall seconds within which commands must reach the bridge, and between two checks.
 WAIT_FOR_ROUTE_SECONDS = 2.0
 ROUTE_CHECK_SECONDS = 0.1
 END_OF_TIME = rospy.Time(2**31 - 1)
 # Wall seconds for a latched message to reach subscribers that are still connecting.
 GOODBYE_SECONDS = 0.5
-# Directions as of the slave API's getBusInfo.
-INBOUND, OUTBOUND = "i", "o"
+# Directions of connections in the slave API's getBusInfo.
+INBOUND = "i"
+OUTBOUND = "o"
 
 
 @functools.lru_cache(maxsize=None)
 def in_lock_step() -> bool:
     """Return whether this node is in lock step; raises ParameterError.
 
-    Outside of a node, as in a test, it is not.
+    Outside of a node, as in a test, it returns False.
     """
     if not rospy.core.is_initialized():
         return False
@@ -50,10 +51,10 @@ def in_lock_step() -> bool:
 
 
 class Member:
-    """What the bridge's lock step knows of this process.
+    """The membership of this process in the bridge's lock step.
 
     Attributes:
-        publishers: whose messages to the bridge are awaited before time goes on.
+        publishers: time advances only when the bridge has received their messages.
     """
 
     def __init__(self):
@@ -63,9 +64,9 @@ class Member:
         self._now = rospy.Time(0)
 
     def join(self) -> rospy.Time:
-        """Hold simulated time back from now on; return what time it is.
+        """Hold simulated time back from now on; return the simulated time.
 
-        Returns when commands that are published reach the bridge, be it through a relay. Raises
+        Waits until published commands reach the bridge, directly or through a relay. Raises
         ROSInterruptException if ROS or the bridge shuts down, NodeError if there is no bridge.
         """
         try:
@@ -78,24 +79,33 @@ class Member:
         deadline = time.monotonic() + WAIT_FOR_ROUTE_SECONDS
         while True:
             heard = self._ask(0, rospy.Time(0)).heard
-            commands = [p for p in self.publishers if p.data_class is Twist and p.impl is not None]
-            unheard = [p for p in commands if p.resolved_name not in heard]
+            unheard = [
+                publisher
+                for publisher in self.publishers
+                if publisher.data_class is Twist
+                and publisher.impl is not None
+                and publisher.resolved_name not in heard
+            ]
             if not unheard:
                 return self._now
             if time.monotonic() > deadline:
                 names = ", ".join(publisher.resolved_name for publisher in unheard)
-                rospy.logwarn("nothing leads from %s to the bridge: going on all the same", names)
+                rospy.logwarn(
+                    "no subscriber connects %s to the bridge; continuing without counting its "
+                    "commands",
+                    names,
+                )
                 return self._now
-            # A relay of topic_tools passes nothing on before it knows what it is to pass on.
+            # A relay of topic_tools connects to the bridge after its first message.
             for publisher in unheard:
                 publisher.publish(Twist())
             rospy.rostime.wallsleep(ROUTE_CHECK_SECONDS)
 
     def advance(self, until: rospy.Time) -> rospy.Time:
-        """Let simulated time go on and wait until it is there; return what time it is.
+        """Let simulated time advance, wait until it is reached, and return the simulated time.
 
-        It is less where time was set back. Where only the world was reset, time goes on. Errors
-        are those of `join`.
+        It is less than `until` after a reset of time. A reset of the world alone does not matter.
+        Raises the errors of `join`.
         """
         if self._call is None:
             self.join()
@@ -106,7 +116,7 @@ class Member:
                 return answer.now
 
     def leave(self) -> None:
-        """Hold simulated time back no longer."""
+        """Stop holding simulated time back."""
         self.advance(END_OF_TIME)
 
     def _ask(self, epoch: int, until: rospy.Time) -> AdvanceResponse:
@@ -120,7 +130,7 @@ class Member:
         return answer
 
     def _sent(self) -> Tuple[Sequence[str], Sequence[str], Sequence[int]]:
-        """Return topic, receiver and number of messages of all connections."""
+        """Return the topics, the receivers and the numbers of messages of all connections."""
         sent = [
             (publisher.resolved_name, connection.endpoint_id, connection.stat_num_msg)
             for publisher in self.publishers
@@ -132,25 +142,32 @@ class Member:
 
 @functools.lru_cache(maxsize=None)
 def member() -> Member:
-    """Return the one membership that a process has."""
+    """Return the membership of this process."""
     return Member()
 
 
 class Rate:
-    """Ticks by simulated time, which a node in lock step holds back between them.
+    """Ticks by simulated time, which a node in lock step holds back between the ticks.
 
     Args:
         hz: ticks per simulated second.
-        is_ready: in lock step, what is waited for before time may begin.
-        what: is waited for then, in the log.
+        is_ready: in lock step, condition to wait for before time starts.
+        what: what that waits for, for the log.
+        always: whether to be in lock step whatever ~lock_step is.
 
     Attributes:
-        now: ROS time at the last tick. It may have been set back.
+        now: ROS time at the last tick; a reset may have set it back.
     """
 
-    def __init__(self, hz: float, is_ready: Optional[Callable[[], bool]] = None, what: str = ""):
+    def __init__(
+        self,
+        hz: float,
+        is_ready: Optional[Callable[[], bool]] = None,
+        what: str = "",
+        always: bool = False,
+    ):
         self._hz = hz
-        self._member: Optional[Member] = self._membership()
+        self._member: Optional[Member] = member() if always or in_lock_step() else None
         if self._member is None:
             self._rate = rospy.Rate(hz)
             self.now = rospy.Time.now()
@@ -158,9 +175,6 @@ class Rate:
         if is_ready is not None:
             wait_until(is_ready, what)
         self.now = self._member.join()
-
-    def _membership(self) -> Optional[Member]:
-        return member() if in_lock_step() else None
 
     def sleep(self) -> None:
         """Wait for the next tick; raises ROSInterruptException when ROS shuts down."""
@@ -171,13 +185,13 @@ class Rate:
             self._rate.sleep()
         except rospy.exceptions.ROSTimeMovedBackwardsException:
             self._rate = rospy.Rate(self._hz)
-        # rospy.Rate says nothing of a shutdown where time is the wall clock's.
+        # Without simulated time, rospy.Rate raises nothing at a shutdown.
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException("shutdown")
         self.now = rospy.Time.now()
 
     def leave(self) -> None:
-        """Let the world go on without this node, which has said all that it has to say."""
+        """Let time advance without this node, after its last message."""
         if self._member is not None:
             self._member.leave()
         else:
@@ -185,13 +199,15 @@ class Rate:
 
 
 rate = Rate
+LockStepRate = functools.partial(Rate, always=True)
+"""A rate for nodes without the parameter ~lock_step; commands need the package's `publisher`."""
 
 
 def join_when(is_connected: Callable[[], bool], what: str) -> None:
-    """Tell the bridge that a node which only listens is ready, so that it misses no message.
+    """In lock step, hold time until a node that only subscribes is connected.
 
-    Without lock step, nothing is waited for. In lock step the node never holds time back later.
-    `is_connected` says whether somebody publishes all that it listens to; `what` is for the log.
+    The node misses no message, and does not hold time back afterwards. `is_connected` returns
+    whether all topics have a publisher; `what` describes that in the log.
     """
     if in_lock_step():
         wait_until(is_connected, what)
@@ -200,7 +216,7 @@ def join_when(is_connected: Callable[[], bool], what: str) -> None:
 
 @contextlib.contextmanager
 def time_held_at(when: rospy.Time) -> Iterator[None]:
-    """In lock step, let time come to a moment, and stand there while something is done."""
+    """In lock step, let time advance to a moment and hold it there within the context."""
     if not in_lock_step():
         yield
         return
@@ -210,46 +226,38 @@ def time_held_at(when: rospy.Time) -> Iterator[None]:
 
 
 def _leave() -> None:
-    wait_until(publishers_know_this_node, "the publishers to take note of this node")
+    wait_until(publishers_know_this_node, "the publishers to connect to this node")
     member().leave()
 
 
 def publishers_know_this_node(topic: str = "") -> bool:
-    """Return whether the publishers of all that this node listens to have it on their lists.
+    """Return whether the publishers on all topics of this node have completed the connection.
 
-    Of one topic, by its whole name: whether any of its publishers has.
+    With a topic, by its resolved name: whether any of its publishers has.
 
-    A rospy subscriber counts a connection as soon as it begins to make it. What is published
-    before the publisher has noted it never comes.
+    A rospy subscriber counts a connection as soon as it begins to make it. A message that is
+    published before the publisher has the connection, too, is lost.
     """
-    name, own = rospy.get_name(), _connections(rospy.get_node_uri())
-    heard = {(uri, one) for uri, direction, one in own if direction == INBOUND}
-    if topic:
-        heard = {(uri, one) for uri, one in heard if one == topic}
-    sent = {
+    name = rospy.get_name()
+    inbound = {
         (uri, one)
-        for uri in {uri for uri, _ in heard}
-        for listener, direction, one in _connections(uri)
-        if (listener, direction) == (name, OUTBOUND)
+        for uri, direction, one in _connections(rospy.get_node_uri())
+        if direction == INBOUND and topic in ("", one)
     }
-    return bool(heard & sent) if topic else heard <= sent
+    outbound = {
+        (uri, one)
+        for uri in {uri for uri, _ in inbound}
+        for subscriber, direction, one in _connections(uri)
+        if (subscriber, direction) == (name, OUTBOUND)
+    }
+    return bool(inbound & outbound) if topic else inbound <= outbound
 
 
 def _connections(uri: str) -> List[Tuple[str, str, str]]:
-    """Return other end, direction and topic of a node's connections; none if it is silent."""
+    """Return other end, direction and topic of a node's connections; none if it is dead."""
     try:
         with xmlrpc.client.ServerProxy(uri) as node:
             code, _, entries = node.getBusInfo(rospy.get_name())
     except (OSError, xmlrpc.client.Error):
         return []
     return [(entry[1], entry[2], entry[4]) for entry in entries] if code == 1 else []
-
-
-class LockStepRate(Rate):
-    """A rate that is in lock step, whatever ~lock_step says; commands go by `publisher`."""
-
-    def __init__(self, hz: float):
-        super().__init__(hz)
-
-    def _membership(self) -> Member:
-        return member()

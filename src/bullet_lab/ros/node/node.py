@@ -1,4 +1,4 @@
-"""What all nodes share: start, parameters, refusals on topics, the end."""
+"""Functions for all nodes: start and end, parameters, refused messages."""
 
 from __future__ import annotations
 
@@ -29,25 +29,29 @@ from bullet_lab.errors import LabError
 
 STATUS_CANNOT_GO_ON = 1
 STATUS_BAD_PARAMETER = 2
+# Wall seconds between two checks of the master.
 MASTER_CHECK_SECONDS = 2.0
+# Wall seconds within which rospy has registered a node.
 LONGEST_REGISTRATION = 10.0
+# Wall seconds between two garbage collections.
 GARBAGE_SECONDS = 10.0
 LOCK_STEP = "lock_step"
-# The parameter that keeps the frames of several robots apart, as the tf library finds it.
+# Parameter with the prefix of a robot's frames, which the tf library searches for.
 TF_PREFIX = "tf_prefix"
+# Wall seconds of waiting before it is reported.
 REPORT_WAIT_SECONDS = 3.0
-# Wall seconds that the main thread waits for the thread that ends the node.
+# Wall seconds for which the main thread waits for the shutdown by a signal.
 LONGEST_END = 10.0
 _ROSOUT_PARAMETER = "/rosout_disable_topics_generation"
 
 MASTER_ERRORS = (rosgraph.MasterException, OSError, HTTPException, xmlrpc.client.Error)
-"""What calls of the master, or of other nodes, raise: it is refused, or there is no answer."""
+"""Exceptions of calls of the master or of other nodes: an error response, or no response."""
 
 T = TypeVar("T")
 
 
 class NodeError(LabError):
-    """A node cannot start or go on."""
+    """A node cannot start or continue."""
 
 
 def run_node(
@@ -55,14 +59,14 @@ def run_node(
 ) -> None:
     """Run a node and exit: status 0 at a clean end or Ctrl-C, 2 on a bad parameter, else 1.
 
-    As part of a job it is 128 + n after a signal n, and 1 where another node has ended it.
+    As part of a job, the status is 128 + n after a signal n, and 1 if another node has ended it.
 
     Args:
         name: the node's name.
-        body: the node's work; LabError from it ends the node with that one line.
-        before: is run before the node registers with the master.
+        body: the node's work; a LabError ends the node with its message on standard error.
+        before: called before the node registers with the master.
     """
-    # What a node says is of use while it runs, in a file or a pipe as well.
+    # Lines appear at once in a file or a pipe as well.
     sys.stdout.reconfigure(line_buffering=True)
     master_is_gone = threading.Event()
     signals = Signals()
@@ -76,20 +80,19 @@ def run_node(
         library.propagate = False
         threading.Thread(target=_watch_master, args=(master_is_gone,), daemon=True).start()
         threading.Thread(target=_collect_garbage, daemon=True).start()
-        # Raised by Ctrl-C, or where another node asked this one to end: a clean end.
+        # Ctrl-C, or another node ended this one: a clean end.
         with contextlib.suppress(rospy.ROSInterruptException):
             body()
-    except ParameterError as error:
-        _end(name, error, STATUS_BAD_PARAMETER)
-    except FileError as error:
-        _end(name, error, STATUS_CANNOT_GO_ON)
     except Exception as error:
-        if not is_ending():
-            if not isinstance(error, (LabError, rospy.ROSInitException)):
-                raise
+        if is_ending() and not isinstance(error, (ParameterError, FileError)):
+            # Another thread has closed the topics that the main thread uses.
+            logging.getLogger("rospy").info("%s was ended", name, exc_info=True)
+        elif isinstance(error, ParameterError):
+            _end(name, error, STATUS_BAD_PARAMETER)
+        elif isinstance(error, (LabError, rospy.ROSInitException)):
             _end(name, error, STATUS_CANNOT_GO_ON)
-        # Whoever ends a node does so beside the main thread, which finds topics closed.
-        logging.getLogger("rospy").info("%s was ended", name, exc_info=True)
+        else:
+            raise
     finally:
         signals.wait()
         _leave_master()
@@ -100,27 +103,26 @@ def run_node(
 
 
 def is_ending() -> bool:
-    """Return whether the node is about to end, its topics closed or not."""
+    """Return whether the shutdown of the node has been requested."""
     return rospy.core.is_shutdown_requested()
 
 
-def _wait_no_longer(_reason: str) -> None:
-    """Have all see that the node ends before rospy closes its topics, not after it.
+def _set_shutdown_flag(_reason: str) -> None:
+    """Let `rospy.is_shutdown` return true before rospy closes the topics, not afterwards.
 
-    It takes a lock for that which the main thread holds while it tries to register a topic with
-    a master that is gone, until the node ends.
+    To close topics, rospy takes a lock. The main thread holds it while it tries to register a
+    topic with a master that is gone, until `rospy.is_shutdown` returns true.
     """
     rospy.core._shutdown_flag = True
 
 
 def _leave_master() -> None:
-    """Unsubscribe from the parameter that rospy subscribes to where a node logs, and never leaves.
+    """Unsubscribe from the parameter that rospy subscribes to when a node logs.
 
-    A master would know the node for ever, as one that still runs.
+    rospy does not, and the master would list the node for ever.
     """
     if rospy.get_node_uri() is None:
         return
-    # A master that is gone has nothing to forget.
     with contextlib.suppress(*MASTER_ERRORS):
         rosgraph.Master(rospy.get_name()).unsubscribeParam(rospy.get_node_uri(), _ROSOUT_PARAMETER)
 
@@ -128,8 +130,8 @@ def _leave_master() -> None:
 class Signals(threading.Thread):
     """Ends the node at the first SIGINT or SIGTERM.
 
-    rospy's own handlers do it in the main thread, wherever that is, and wait for ever for a lock
-    that it holds, as where it asks the master something.
+    rospy's own handlers interrupt the main thread, and wait for ever if it holds a certain lock,
+    as during a call of the master.
 
     Attributes:
         number: of that signal, 0 before.
@@ -137,32 +139,32 @@ class Signals(threading.Thread):
 
     def __init__(self):
         super().__init__(name="signals", daemon=True)
-        self._come: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._received: queue.SimpleQueue[int] = queue.SimpleQueue()
         self.number = 0
         for number in (signal.SIGINT, signal.SIGTERM):
-            # A shell's background job is not to be interrupted.
+            # A shell's background job ignores SIGINT.
             if signal.getsignal(number) != signal.SIG_IGN:
-                # A handler may do no more: what it interrupts may hold any lock.
-                signal.signal(number, lambda number, _: self._come.put(number))
-        rospy.core.add_preshutdown_hook(_wait_no_longer)
+                # A handler may take no lock: the interrupted thread may hold it.
+                signal.signal(number, lambda number, _: self._received.put(number))
+        rospy.core.add_preshutdown_hook(_set_shutdown_flag)
         self.start()
 
     def run(self) -> None:  # noqa: D102 - inherited
-        self.number = self._come.get()
+        self.number = self._received.get()
         rospy.signal_shutdown(f"signal-{self.number}")
 
     def wait(self) -> None:
-        """Wait until the node has ended, if it is being ended by a signal."""
+        """Wait for the shutdown if a signal has started it."""
         if self.number:
             self.join(LONGEST_END)
 
 
 def _watch_master(is_gone: threading.Event) -> None:
-    """End the node when the master is gone, which rospy itself never notices.
+    """End the node when the master is gone, which rospy itself does not notice.
 
-    So it is where another one has taken its place, which knows nothing of this node's topics.
+    A new master in its place does not know this node's topics: the node ends, too.
     """
-    # rospy registers in a thread of its own.
+    # rospy registers the node in another thread.
     end = time.monotonic() + LONGEST_REGISTRATION
     while not _is_known_to_master() and time.monotonic() < end and not rospy.is_shutdown():
         time.sleep(0.1)
@@ -170,7 +172,7 @@ def _watch_master(is_gone: threading.Event) -> None:
     while not rospy.is_shutdown():
         time.sleep(MASTER_CHECK_SECONDS)
         misses = 0 if _is_known_to_master() else misses + 1
-        # One miss may be a busy machine.
+        # A busy machine may cause a single miss.
         if misses >= 2 and not rospy.is_shutdown():
             is_gone.set()
             rospy.signal_shutdown("the ROS master is gone")
@@ -184,12 +186,12 @@ def _is_known_to_master() -> bool:
 
 
 def _collect_garbage() -> None:
-    """Free what rospy leaves where a subscriber or a topic goes, every now and then.
+    """Free the closed connections of rospy from time to time.
 
-    Its connections and pollers hold themselves: images and descriptors stay until all objects are
-    looked through, which Python does less and less often as they get more.
+    Their objects refer to each other: buffers and file descriptors stay until Python collects all
+    garbage, which it does less and less often as the number of objects grows.
     """
-    # What was imported stays, and need not be looked through each time.
+    # Imported modules are never garbage: they need no check.
     gc.freeze()
     while not rospy.is_shutdown():
         time.sleep(GARBAGE_SECONDS)
@@ -198,9 +200,9 @@ def _collect_garbage() -> None:
 
 
 def node(body: Callable[[Any], None]) -> Callable[[], None]:
-    """Make a program of a node's work, whose name is the node's, and which takes its parameters.
+    """Make the main function of a node from its work, which takes the node's parameters.
 
-    Their dataclass is what `parameters` is annotated with.
+    The node has the function's name, and the type of its argument `parameters` declares them.
     """
 
     @functools.wraps(body)
@@ -222,34 +224,34 @@ def private_parameters(kind: Type[T]) -> T:
 
 
 def search_parameter(name: str, namespace: str) -> str:
-    """Return what a parameter says in a namespace, or in the nearest around it; empty without one.
+    """Return a parameter as text, searched for from a namespace upwards; empty if there is none.
 
-    Raises NodeError where no master answers.
+    Raises NodeError if no master answers.
     """
-    # The search begins in the namespace of whoever asks.
-    asking = f"/{namespace.strip('/')}/node".replace("//", "/")
-    if not rosgraph.names.is_legal_name(asking):
+    # The search begins in the namespace of the caller's name.
+    caller = f"/{namespace.strip('/')}/node".replace("//", "/")
+    if not rosgraph.names.is_legal_name(caller):
         return ""
-    master = rosgraph.Master(asking)
+    master = rosgraph.Master(caller)
     try:
         found = master.searchParam(name)
         return str(master.getParam(found)) if found else ""
     except rosgraph.MasterException:
-        # It is gone meanwhile.
+        # The parameter was deleted in between.
         return ""
     except MASTER_ERRORS as error:
         raise NodeError(f"no ROS master answers: {error}") from error
 
 
 def ignore_clock() -> None:
-    """Spare this node the messages on /clock, all of which rospy takes whoever asks the time."""
+    """Unsubscribe this node from /clock, to which rospy subscribes in every node."""
     own = getattr(rospy.impl.simtime, "_clock_sub", None)
     if own is not None:
         own.unregister()
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:
-    """Wait in wall time until a condition holds, and say after a while what is waited for.
+    """Wait in wall time until a condition holds; log `what` after `REPORT_WAIT_SECONDS`.
 
     Raises ROSInterruptException if ROS shuts down first.
     """
@@ -264,14 +266,14 @@ def wait_until(condition: Callable[[], bool], what: str) -> None:
 
 
 class Refusals:
-    """Counts refused messages and reports them, once a second at most."""
+    """Counts refused messages and logs them, once a second at most."""
 
     def __init__(self):
         self.counts: Counter = Counter()
         self._last_report = -math.inf
 
     def refuse(self, topic: str, reason: str) -> None:
-        """Count one refused message on a topic and say why."""
+        """Count a refused message on a topic, and log the reason."""
         self.counts[topic] += 1
         now = time.monotonic()
         if now - self._last_report >= 1.0:
@@ -292,7 +294,7 @@ def _end(name: str, error: object, status: int) -> None:
 
 
 class _RosLog(logging.Handler):
-    """Hands what the library logs to ROS."""
+    """Passes the library's log records on to rospy."""
 
     def emit(self, record: logging.LogRecord) -> None:
         log = rospy.logerr if record.levelno >= logging.ERROR else rospy.logwarn

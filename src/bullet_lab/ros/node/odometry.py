@@ -1,4 +1,4 @@
-"""Reading nav_msgs/Odometry with care, and the newest pose for those who drive by it."""
+"""Checks of nav_msgs/Odometry, and the newest pose for nodes that drive."""
 
 from __future__ import annotations
 
@@ -18,12 +18,18 @@ from bullet_lab.ros.node.lock_step import in_lock_step
 from bullet_lab.ros.node.node import NodeError, Refusals
 from bullet_lab.ros.node.publishers import subscriber
 
-# m; beyond any place on Earth in any of its grids. Squares of what is nearer stay finite.
+# m; larger than all coordinates on Earth in any grid. Squares of smaller numbers stay finite.
 FARTHEST = 1e8
+# Seconds of ROS time after which odometry is out of date.
+STALE_SECONDS = 0.5
+# Wall seconds to wait for odometry.
+ODOMETRY_TIMEOUT = 5.0
+# Wall seconds between two checks for a shutdown.
+POLL_SECONDS = 0.2
 
 
 class OdometryError(LabError):
-    """An odometry message that cannot be used."""
+    """An odometry message is invalid."""
 
 
 def planar_pose(message: Odometry) -> Tuple[float, float, float]:
@@ -33,20 +39,21 @@ def planar_pose(message: Odometry) -> Tuple[float, float, float]:
         OdometryError: not finite, farther than `FARTHEST` from the origin, or an orientation that
             is no unit quaternion.
     """
-    place, turn = message.pose.pose.position, message.pose.pose.orientation
-    quaternion = (turn.x, turn.y, turn.z, turn.w)
-    if not all(map(math.isfinite, (place.x, place.y, *quaternion))):
+    position, orientation = message.pose.pose.position, message.pose.pose.orientation
+    x, y = position.x, position.y
+    quaternion = (orientation.x, orientation.y, orientation.z, orientation.w)
+    if not all(map(math.isfinite, (x, y, *quaternion))):
         raise OdometryError("a pose that is not finite")
-    if max(abs(place.x), abs(place.y)) > FARTHEST:
-        raise OdometryError(f"a pose at ({place.x:.3g}, {place.y:.3g}) m is out of this world")
+    if max(abs(x), abs(y)) > FARTHEST:
+        raise OdometryError(f"position ({x:.3g}, {y:.3g}) m exceeds {FARTHEST:.0e} m")
     norm = math.sqrt(sum(value * value for value in quaternion))
     if abs(norm - 1.0) > NORM_TOLERANCE:
         raise OdometryError(f"an orientation of length {norm:.3g} is no unit quaternion")
-    return place.x, place.y, yaw_from_quaternion(*quaternion)
+    return x, y, yaw_from_quaternion(*quaternion)
 
 
 def check_numbers(message: Odometry) -> None:
-    """Raise OdometryError if a number of a message that is passed on is not finite."""
+    """Raise OdometryError if a number that `planar_pose` does not check is not finite."""
     twist = message.twist.twist
     motion = (*_vector(twist.linear), *_vector(twist.angular))
     covariances = (*message.pose.covariance, *message.twist.covariance)
@@ -59,13 +66,13 @@ def _vector(value: Vector3) -> Tuple[float, float, float]:
 
 
 class FrameGuard:
-    """Holds a stream of odometry to the frames of its first message."""
+    """Checks that all odometry messages have the frames of the first one."""
 
     def __init__(self):
         self._frames: Optional[Tuple[str, str]] = None
 
     def check(self, message: Odometry) -> None:
-        """Raise OdometryError if the frames of a message are not those of the first."""
+        """Raise OdometryError if the frames of a message differ from those of the first."""
         frames = (message.header.frame_id, message.child_frame_id)
         if self._frames is None:
             self._frames = frames
@@ -75,19 +82,13 @@ class FrameGuard:
             )
 
 
-# Seconds of ROS time without odometry after which it is out of date.
-STALE_SECONDS = 0.5
-# Wall seconds to wait for odometry, and between two looks whether Ctrl-C was pressed.
-ODOMETRY_TIMEOUT, POLL_SECONDS = 5.0, 0.2
-
-
 class NewestOdometry:
-    """The newest usable pose on an odometry topic.
+    """The newest valid pose on an odometry topic.
 
     Args:
         topic: its name.
-        subscribed: whether to subscribe to it; else whoever has done so calls `take`. (rospy has
-            one type of messages for each topic of a node: no second one beside AnyMsg.)
+        subscribed: whether to subscribe to it; otherwise the caller passes the messages to
+            `take`. (In rospy, a node cannot subscribe to a topic both with AnyMsg and with a type.)
     """
 
     def __init__(self, topic: str, subscribed: bool = True):
@@ -103,9 +104,9 @@ class NewestOdometry:
     def newest(
         self, now: Optional[rospy.Time], patience: float = ODOMETRY_TIMEOUT
     ) -> Tuple[float, float, float]:
-        """Return the newest pose (m, m, rad), of the last `STALE_SECONDS`.
+        """Return the newest pose (m, m, rad), not older than `STALE_SECONDS`.
 
-        In lock step, all that was sent up to `now` is awaited. Raises NodeError if none comes for
+        In lock step, wait for all messages up to `now`. Raises NodeError if none comes for
         `patience` wall seconds.
         """
         deadline = time.monotonic() + patience
@@ -119,7 +120,7 @@ class NewestOdometry:
             return self._pose
 
     def is_stale(self) -> bool:
-        """Return whether the newest pose came long ago; in lock step it never has."""
+        """Return whether the newest pose is out of date; in lock step it never is."""
         if in_lock_step():
             return False
         return rospy.Time.now() - self._received > rospy.Duration(STALE_SECONDS)
@@ -132,7 +133,7 @@ class NewestOdometry:
         return self._period is None or self._stamp + self._period > now
 
     def take(self, message: Odometry) -> None:
-        """Take a message; one that cannot be used is refused and counted."""
+        """Store the pose of a message; an invalid message is refused and counted."""
         try:
             pose = planar_pose(message)
         except OdometryError as error:

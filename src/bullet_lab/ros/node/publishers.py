@@ -1,4 +1,4 @@
-"""Publishers, subscribers and queues, which know by themselves whether a node is in lock step."""
+"""Publishers, subscribers and queues that lose no messages in lock step."""
 
 from __future__ import annotations
 
@@ -19,15 +19,18 @@ from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node.lock_step import in_lock_step, member
 from bullet_lab.ros.node.node import Refusals
 
-# Wall seconds between two looks at a queue that is full.
+# Wall seconds between two checks of a full queue.
 ROOM_CHECK_SECONDS = 0.001
-# Wall seconds between two looks for listeners that have gone without a word.
+# Wall seconds between two checks for subscribers that have died.
 LISTENERS_CHECK_SECONDS = 0.5
-# Messages of a queue, and wall seconds that one may take which is due, in lock step.
-MOST_WAITING, LATEST = 1000, 10.0
+# Messages in a MessageQueue.
+MOST_WAITING = 1000
+# Wall seconds that lock step waits for a message that is due.
+LATEST = 10.0
+# Wall seconds between two checks for a shutdown.
 SHUTDOWN_CHECK_SECONDS = 0.2
-# In the header of a publisher's connection: wall seconds after which the bridge takes a command of
-# its to be over.
+# Field in the connection header of a publisher of commands: wall seconds after which the bridge
+# stops the robot if no further command arrives.
 COMMAND_TIMEOUT = "command_timeout"
 _MILLISECOND = 1_000_000
 
@@ -35,19 +38,19 @@ T = TypeVar("T")
 
 
 class Publisher(rospy.Publisher):
-    """A publisher that falls silent, and raises nothing, once the node is shutting down.
+    """A publisher that does nothing, and raises nothing, while the node shuts down.
 
-    Without a `queue_size` it writes to its subscribers at once and drops nothing.
+    Without a `queue_size` it writes to its subscribers at once and drops no message.
     """
 
     def __init__(self, *args: Any, **kwds: Any):
         with warnings.catch_warnings():
-            # rospy takes a missing queue size for an oversight.
+            # rospy warns about a missing queue size.
             warnings.simplefilter("ignore", SyntaxWarning)
             super().__init__(*args, **kwds)
 
     def has_connections(self) -> bool:
-        """Return whether anybody listens."""
+        """Return whether anybody subscribes."""
         return self.impl is not None and self.impl.has_connections()
 
     def publish(self, *args: Any, **kwds: Any) -> None:
@@ -60,10 +63,10 @@ class Publisher(rospy.Publisher):
 
 
 class BatchPublisher(Publisher):
-    """Collects messages and writes them to each subscriber in one go.
+    """Collects messages, and sends them to each subscriber in one call.
 
     At a hundred times real time, waking the subscribers for each message costs more than the
-    physics between two of them. For one thread only.
+    physics between two messages. Not thread-safe.
     """
 
     def __init__(self, *args: Any, **kwds: Any):
@@ -71,22 +74,19 @@ class BatchPublisher(Publisher):
         self._batch = BytesIO()
 
     def publish(self, message: genpy.Message) -> None:
-        """Put a message into the batch; it may be changed afterwards."""
+        """Add a message to the batch; it may be changed afterwards."""
         if self.has_connections():
             self.impl.seq += 1
             serialize_message(self._batch, self.impl.seq, message)
 
     def flush(self, lossless: bool = False) -> None:
-        """Write what has come together.
-
-        If `lossless`, full queues of subscribers are waited for, which would lose messages.
-        """
+        """Send the batch; if `lossless`, wait for full queues instead of dropping messages."""
         data = self._batch.getvalue()
         if not data:
             return
         self._batch.seek(0)
         self._batch.truncate()
-        # Once the node shuts down there is neither implementation nor anybody to write to.
+        # While the node shuts down, there is no implementation.
         connections = () if self.impl is None else self.impl.connections
         for connection in connections:
             if lossless:
@@ -94,13 +94,13 @@ class BatchPublisher(Publisher):
             try:
                 connection.write_data(data)
             except (OSError, ValueError, rospy.exceptions.ROSInternalException):
-                # The subscriber is gone; rospy forgets the connection when it is closed.
+                # The subscriber is gone; rospy removes a closed connection.
                 connection.close()
 
 
 def await_room(connection: Any, size: Optional[int]) -> None:
-    """Wait until the queue of one of rospy's connections, if it has one, has room for a message."""
-    # The queue is no part of rospy's interface: without it, there is nothing to wait for.
+    """Wait until the queue of a rospy connection has room for a message."""
+    # The queue is not part of rospy's interface and may be missing.
     while size and len(getattr(connection, "_queue", ())) >= size:
         if connection.done or rospy.is_shutdown():
             return
@@ -110,21 +110,20 @@ def await_room(connection: Any, size: Optional[int]) -> None:
 def publisher(
     topic: str, kind: type, queue_size: Optional[int] = None, latch: bool = False
 ) -> Publisher:
-    """Return a publisher of what somebody computes with.
+    """Return a publisher of messages that other nodes compute with.
 
-    In lock step it has no queue: a subscriber that falls behind slows the publisher down instead
-    of losing messages, which is what a simulation at full speed needs. (Besides, it takes a
-    twentieth of the time of rospy's queues, which hand each message to a thread.) The bridge has
-    got what was sent to it before time goes on.
+    In lock step it has no queue: a slow subscriber slows the publisher down instead of losing
+    messages. (Besides, rospy's queues take twenty times as long, since they pass each message to
+    a thread.) Time advances only when the bridge has received the messages that were sent to it.
 
-    What is only looked at, as in RViz, has a plain `Publisher`, which nobody waits for.
+    For messages that are only displayed, as in RViz, use `Publisher`, which lock step ignores.
 
     Args:
         topic: its name.
         kind: class of its messages.
-        queue_size: out of lock step, messages that wait for a slow subscriber before the oldest
+        queue_size: without lock step, messages that wait for a slow subscriber before the oldest
             is dropped; None for no queue.
-        latch: whether to keep the last message for those who subscribe later.
+        latch: whether later subscribers receive the last message.
     """
     size = None if in_lock_step() else queue_size
     made = Publisher(topic, kind, queue_size=size, latch=latch, tcp_nodelay=True)
@@ -139,15 +138,15 @@ def subscriber(
     queue_size: Optional[int] = None,
     buffer_bytes: int = rospy.topics.DEFAULT_BUFF_SIZE,
 ) -> rospy.Subscriber:
-    """Return a subscriber to what somebody computes with; in lock step it drops nothing.
+    """Return a subscriber that drops no message in lock step.
 
     Args:
         topic: its name.
         kind: class of its messages.
-        receive: is called with each of them, in a thread of the topic's own.
-        queue_size: out of lock step, messages that wait before the oldest is dropped; None to
-            drop nothing.
-        buffer_bytes: more than a large message has, lest old ones pile up in the socket.
+        receive: called with each message, in the topic's thread.
+        queue_size: without lock step, messages that wait before the oldest is dropped; None to
+            drop none.
+        buffer_bytes: larger than a large message, or old messages stay in the socket.
     """
     size = None if in_lock_step() else queue_size
     return rospy.Subscriber(
@@ -156,9 +155,10 @@ def subscriber(
 
 
 class Demand(rospy.SubscribeListener):
-    """Publishers of results, and whether anybody listens to one of them.
+    """Publishers of results that are computed only while somebody subscribes.
 
-    A thread calls `start` when there is somebody, or `always`, and `stop` when nobody is left.
+    A thread calls `start` when the first subscriber comes, or at once if `always`, and `stop`
+    when the last one has gone.
     """
 
     def __init__(self, start: Callable[[], None], stop: Callable[[], None], always: bool = False):
@@ -170,23 +170,21 @@ class Demand(rospy.SubscribeListener):
         self.is_there = False
 
     def publisher(self, topic: str, kind: type, queue_size: int = 10) -> Publisher:
-        """Return a publisher of results, as of `publisher`."""
+        """Return a publisher of results, see the function `publisher`."""
         made = publisher(topic, kind, queue_size)
         self._publishers.append(made)
         made.impl.add_subscriber_listener(self)
         return made
 
     def watch(self) -> None:
-        """Start and stop the work from now on."""
+        """Start the thread that starts and stops the work."""
         threading.Thread(target=self._watch, daemon=True).start()
 
     def peer_subscribe(self, *_: Any) -> None:
-        """Note that somebody has come."""
+        """Check the subscribers; called by rospy when one has come or gone."""
         self._wake.set()
 
-    def peer_unsubscribe(self, *_: Any) -> None:
-        """Note that somebody has gone."""
-        self._wake.set()
+    peer_unsubscribe = peer_subscribe
 
     def _watch(self) -> None:
         while not rospy.is_shutdown():
@@ -199,25 +197,25 @@ class Demand(rospy.SubscribeListener):
 
 
 def _has_listeners(publisher: Publisher) -> bool:
-    """Return whether anybody listens still; rospy itself only notices when it writes."""
+    """Return whether a subscriber is alive; rospy itself checks that only when it writes."""
     if publisher.has_connections():
         publisher.impl.check()
     return publisher.has_connections()
 
 
 class MessageQueue(Generic[T]):
-    """The messages of one topic, to be taken in the order of their stamps as time goes on.
+    """The messages of one topic, in the order of their stamps.
 
-    In lock step it is open from the beginning to the end, since what is due is waited for.
+    In lock step it is always open, and waits for the messages that are due.
 
     Args:
-        topic: to listen to while open.
+        topic: to subscribe to while open.
         kind: class of the messages, which have a header.
-        read: makes something useful of a message, or raises LabError to refuse it.
-        rate: messages per simulated second, at the steps where the bridge sends them.
+        read: converts a message, or raises LabError to refuse it.
+        rate: messages of the bridge per simulated second.
 
     Attributes:
-        trouble: why the last message was refused; empty if it was not.
+        trouble: the error of the last message; empty if it was not refused.
     """
 
     def __init__(self, topic: str, kind: type, read: Callable[[Any], T], rate: float):
@@ -225,7 +223,8 @@ class MessageQueue(Generic[T]):
         self._kind, self._read, self._rate = kind, read, rate
         self._new = threading.Condition()
         self._waiting: Deque[Tuple[int, T]] = deque(maxlen=MOST_WAITING)
-        self._newest: Optional[int] = None
+        # ns
+        self._newest = 0
         self._patience = LATEST
         self._refusals = Refusals()
         self._subscriber: Optional[rospy.Subscriber] = None
@@ -233,7 +232,7 @@ class MessageQueue(Generic[T]):
             self.open()
 
     def open(self) -> bool:
-        """Listen from now on; return whether it was closed."""
+        """Subscribe; return whether the queue was closed before."""
         if self._subscriber is not None:
             return False
         self.clear()
@@ -241,25 +240,25 @@ class MessageQueue(Generic[T]):
         return True
 
     def close(self) -> None:
-        """Listen no longer."""
+        """Unsubscribe."""
         if self._subscriber is not None and not in_lock_step():
             self._subscriber.unregister()
             self._subscriber = None
 
     def clear(self) -> None:
-        """Forget what has come."""
+        """Remove all messages."""
         with self._new:
             self.trouble = ""
             self._waiting.clear()
-            self._newest = None
+            self._newest = 0
             self._patience = LATEST
 
     def is_connected(self) -> bool:
-        """Return whether somebody publishes."""
+        """Return whether the topic has a publisher."""
         return self._subscriber is not None and self._subscriber.get_num_connections() > 0
 
     def take(self, now: rospy.Time) -> List[T]:
-        """Take what is stamped up to now."""
+        """Remove and return the messages with stamps up to now."""
         taken = []
         with self._new:
             while self._waiting and self._waiting[0][0] <= now.to_nsec():
@@ -267,9 +266,9 @@ class MessageQueue(Generic[T]):
         return taken
 
     def wait(self, now: rospy.Time) -> None:
-        """In lock step, wait in wall time for what is due by now: time stands meanwhile.
+        """In lock step, wait in wall time for the messages that are due by now.
 
-        What is late by `LATEST` is waited for no longer, until something comes again.
+        After `LATEST` seconds without a message it does not wait until the next one arrives.
         """
         if not in_lock_step():
             return
@@ -284,28 +283,23 @@ class MessageQueue(Generic[T]):
                 self._new.wait(SHUTDOWN_CHECK_SECONDS)
 
     def _next_due(self) -> int:
-        """Return the stamp in ns of the message after the newest: the first step at k/rate."""
-        newest = 0 if self._newest is None else self._newest
-        number = math.floor(newest * self._rate * 1e-9 + 1e-6) + 1
+        """Return the stamp in ns of the message after the newest: the first step at k / rate."""
+        number = math.floor(self._newest * self._rate * 1e-9 + 1e-6) + 1
         return math.ceil(1000.0 * number / self._rate - 1e-6) * _MILLISECOND
 
     def _receive(self, message: Any) -> None:
         stamp = message.header.stamp.to_nsec()
+        items: List[T] = []
         try:
-            if self._newest is not None and stamp < self._newest:
-                raise InputError("a stamp before that of the message before")
-            item = self._read(message)
+            if stamp < self._newest:
+                raise InputError(f"out-of-order stamp {1e-9 * stamp:.9f} s")
+            items.append(self._read(message))
+            self.trouble = ""
         except LabError as error:
             self.trouble = str(error)
             self._refusals.refuse(self.topic, self.trouble)
-            self._note(stamp)
-            return
-        self.trouble = ""
-        self._note(stamp, item)
-
-    def _note(self, stamp: int, *items: T) -> None:
         with self._new:
             self._waiting.extend((stamp, item) for item in items)
-            self._newest = max(stamp, self._newest or 0)
+            self._newest = max(stamp, self._newest)
             self._patience = LATEST
             self._new.notify_all()

@@ -1,4 +1,4 @@
-"""Frames: their names in a fleet, by tf_prefix, and poses brought from one into another."""
+"""Frame names with tf_prefix, and transforms of poses from one frame to another."""
 
 from __future__ import annotations
 
@@ -16,32 +16,33 @@ from bullet_lab.ros.messages.poses import InputError, pose_of
 from bullet_lab.ros.node.lock_step import in_lock_step
 from bullet_lab.ros.node.node import TF_PREFIX, Refusals
 
-# s; over stamps from there on, which stand for "no time" in it, tf2 ends the process.
+# s; tf2 ends the process if a stamp is as large: it means "no time" there.
 END_OF_TIME = 2**31 - 1
-# Wall seconds for a transform that nobody has sent yet.
+# Wall seconds to wait for a missing transform.
 PATIENCE = 2.0
-# Likewise in lock step for the thread that drives: time stands meanwhile.
+# Likewise for the thread that drives, in lock step: simulated time does not advance meanwhile.
 LOCK_STEP_PATIENCE = 5.0
+# Wall seconds between two attempts.
 POLL_SECONDS = 0.02
 
 
 class FrameError(LabError):
-    """A pose cannot be brought into the wanted frame."""
+    """There is no transform between two frames."""
 
 
 class CarefulListener(tf2_ros.TransformListener):
-    """Fills a buffer from /tf and /tf_static, but for stamps that tf2 cannot bear."""
+    """Fills a buffer from /tf and /tf_static; ignores transforms that would end the process."""
 
     def __init__(self, buffer: tf2_ros.Buffer):
         self._refusals = Refusals()
         super().__init__(buffer)
 
     def callback(self, data: TFMessage) -> None:
-        """Take transforms from /tf."""
+        """Store the transforms of a message on /tf."""
         super().callback(self._usable("/tf", data))
 
     def static_callback(self, data: TFMessage) -> None:
-        """Take transforms from /tf_static."""
+        """Store the transforms of a message on /tf_static."""
         super().static_callback(self._usable("/tf_static", data))
 
     def _usable(self, topic: str, message: TFMessage) -> TFMessage:
@@ -53,10 +54,10 @@ class CarefulListener(tf2_ros.TransformListener):
 
 
 class FrameFinder:
-    """Brings poses from one frame into another, by the newest transforms of TF.
+    """Transforms poses from one frame to another by the newest transforms of TF.
 
-    With `wait`, a transform that nobody has sent yet is waited for: that is not for the thread
-    that drives. It waits in lock step only, where time stands meanwhile.
+    With `wait`, a missing transform is waited for. The thread that drives uses `wait=False`: it
+    waits in lock step only, where simulated time does not advance meanwhile.
     """
 
     def __init__(self):
@@ -64,15 +65,15 @@ class FrameFinder:
         self._listener = CarefulListener(self._buffer)
 
     def clear(self) -> None:
-        """Forget what was known: time was set back."""
+        """Remove all transforms after a reset of time."""
         self._buffer.clear()
 
     def bring(self, pose: Pose, source: str, target: str, wait: bool = True) -> Pose:
-        """Return a pose in another frame; leading slashes of their names, as of old, do not count.
+        """Return a pose in another frame; leading slashes of frame names are ignored.
 
         Raises:
             FrameError: no transform between the two.
-            InputError: a frame without a name.
+            InputError: an invalid frame name.
         """
         source, target = source.lstrip("/"), target.lstrip("/")
         if not source:
@@ -86,14 +87,14 @@ class FrameFinder:
     ) -> Tuple[float, float, float]:
         """Return a message's pose in another frame as x (m), y (m) and yaw (rad).
 
-        It raises LabError if that is not finite or no rotation, or as of `bring`.
+        Raises InputError for an invalid pose, and the errors of `bring`.
         """
         pose = pose_of(message.pose.position, message.pose.orientation)
         placed = self.bring(pose, message.header.frame_id, target, wait)
         return placed.position[0], placed.position[1], placed.yaw
 
     def pose_in(self, target: str, source: str, wait: bool = True) -> Pose:
-        """Return the pose of the frame `source` in another; errors as of `bring`."""
+        """Return the pose of the frame `source` in the frame `target`; errors as of `bring`."""
         if "\0" in source + target:
             raise InputError("a frame's name has a NUL")
         patience = PATIENCE if wait else LOCK_STEP_PATIENCE if in_lock_step() else 0.0
@@ -110,17 +111,17 @@ class FrameFinder:
 
 
 def own_tf_prefix() -> str:
-    """Return what stands before the frames of the node that asks, with its slash, or nothing."""
+    """Return this node's tf_prefix with a slash at the end; empty without one."""
     found = rospy.search_param(TF_PREFIX)
     prefix = str(rospy.get_param(found)).strip("/") if found else ""
     return f"{prefix}/" if prefix else ""
 
 
 def own_frame(frame: str) -> str:
-    """Return the full name of a frame that the node that asks means.
+    """Return a frame name with this node's tf_prefix.
 
-    As with the tf library, its tf_prefix goes before names that do not begin with a slash; a
-    name that has it already stays.
+    As in the tf library, a name with a leading slash has no prefix. A name that has the prefix
+    already is returned unchanged.
     """
     prefix = own_tf_prefix()
     if not frame or frame.startswith(("/", prefix)):

@@ -50,6 +50,7 @@ from bullet_lab.core.parameters import (
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
+from bullet_lab.ros.bridge.commands import Sent
 from bullet_lab.ros.bridge.running_world import (
     DeviceTopics,
     RunningWorld,
@@ -58,11 +59,10 @@ from bullet_lab.ros.bridge.running_world import (
     tf_prefixes,
 )
 from bullet_lab.ros.bridge.stepper import Reached, Stepper, StepperError
-from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, Sent, TimeGate
+from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, TimeGate
 from bullet_lab.ros.bridge.world_topics import OdometryFrames, TouchCounter
-from bullet_lab.ros.gazebo.descriptions import ModelDescriptions, Warnings
 from bullet_lab.ros.gazebo.exports import add_exported_paths
-from bullet_lab.ros.gazebo.interface import Gazebo
+from bullet_lab.ros.gazebo.interface import Gazebo, ModelDescriptions, Warnings
 from bullet_lab.ros.gazebo.ros_control import ControllerManagers
 from bullet_lab.ros.messages.poses import (
     NANOSECONDS_PER_STEP,

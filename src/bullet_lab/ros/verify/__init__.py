@@ -1,1 +1,1 @@
-"""Whether jobs repeat: on this machine to the byte, elsewhere as a page says."""
+"""The job `verify`: do the results of all jobs repeat, on this machine and on others?"""

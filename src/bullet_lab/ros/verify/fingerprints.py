@@ -1,4 +1,4 @@
-"""What a result is, in a hash and a few numbers that are small enough for a repository."""
+"""Fingerprints: a result file as a hash and a few numbers, small enough for a repository."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from PIL import Image
 
 from bullet_lab.errors import LabError
 
-OF_THE_CLOCK = ("wall_time_s", "real_time_factor")
-"""Keys of JSON files whose values tell how fast it went: those are left out."""
+WALL_CLOCK_KEYS = ("wall_time_s", "real_time_factor")
+"""Keys of JSON files whose values depend on the speed of the run; they are left out."""
 
 MOST_COLUMNS = 100
-"""Of a table with more, such as a laser's, all of them are one."""
+"""A table with more columns, such as a laser's, is summarized as one column."""
 
 _DIGITS = 9
 _HASH_DIGITS = 16
+_TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.])")
 
 
@@ -33,39 +34,39 @@ class FingerprintError(LabError):
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """What is known of a result.
+    """A summary of a result file.
 
     Attributes:
-        hash: of all its bytes; of JSON, of all but the keys that are left out.
-        numbers: of it by their names, to nine digits. Of tables, the rows, and the mean and the
-            standard deviation of each column; of JSON, each number, those of lists as a column;
-            of pictures, width, height, and mean and standard deviation of each channel; of other
-            files, all that look like numbers in them as a column.
+        hash: hash of its bytes; for JSON, without the keys that are left out.
+        numbers: numbers by their names, to nine digits. For tables: row count, mean and standard
+            deviation of each column. For JSON: each number, and each list as a column. For
+            pictures: width, height, mean and standard deviation of each channel. For other
+            files: all their numbers as one column.
     """
 
     hash: str
     numbers: Mapping[str, float]
 
     @staticmethod
-    def of(path: Path, left_out: Sequence[str] = OF_THE_CLOCK) -> Fingerprint:
+    def of(path: Path, left_out: Sequence[str] = WALL_CLOCK_KEYS) -> Fingerprint:
         """Read a file.
 
         Raises:
-            FingerprintError: it is not what its name says, or cannot be read.
+            FingerprintError: the file cannot be read, or its content does not fit its suffix.
         """
-        reader = _READERS.get(path.suffix, _text)
         try:
-            content, numbers = reader(path, left_out)
+            content, columns = _content(path, left_out)
         except (OSError, ValueError, csv.Error) as error:
             raise FingerprintError(f"cannot read {path}: {error}") from error
-        rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in numbers.items()}
+        numbers = _summary(columns).items()
+        rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in numbers}
         return Fingerprint(hashlib.sha256(content).hexdigest()[:_HASH_DIGITS], rounded)
 
     def difference(self, reference: Fingerprint) -> Tuple[float, str]:
-        """How far these numbers are from those of a reference, and the one that is farthest.
+        """Return the largest difference from the numbers of a reference, and that number's name.
 
-        Differences are relative for numbers beyond 1, absolute below; infinite where one of the
-        two does not have a number.
+        Differences are relative for numbers beyond 1, absolute below, and infinite for a number
+        that only one of the two has.
 
         >>> a, b = Fingerprint("", {"x": 2.5, "y": 0.1}), Fingerprint("", {"x": 2.0, "y": 0.0})
         >>> a.difference(b)
@@ -73,53 +74,46 @@ class Fingerprint:
         >>> a.difference(Fingerprint("", {"x": 2.5}))
         (inf, 'y')
         """
-        apart = [(0.0, "")]
+        differences = [(0.0, "")]
         for name in {*self.numbers, *reference.numbers}:
-            mine, theirs = self.numbers.get(name, math.inf), reference.numbers.get(name, 0.0)
-            known = name in reference.numbers
-            apart.append((abs(mine - theirs) / max(1.0, abs(theirs)) if known else math.inf, name))
-        return max(apart)
+            difference = math.inf
+            if name in self.numbers and name in reference.numbers:
+                theirs = reference.numbers[name]
+                difference = abs(self.numbers[name] - theirs) / max(1.0, abs(theirs))
+            differences.append((difference, name))
+        return max(differences)
 
 
-_Content = Tuple[bytes, Dict[str, float]]
+def _content(path: Path, left_out: Sequence[str]) -> Tuple[bytes, Dict[str, Iterable[Any]]]:
+    """Return the bytes of a file that are hashed, and its columns by their names."""
+    data = path.read_bytes()
+    if path.suffix == ".png":
+        return data, _channels(path)
+    if path.suffix == ".csv":
+        header, *rows = csv.reader(path.read_text().splitlines())
+        return data, {name: [row[i] for row in rows] for i, name in enumerate(header)}
+    if path.suffix == ".tum":
+        return data, dict(zip(_TUM, zip(*(line.split() for line in path.read_text().splitlines()))))
+    if path.suffix not in (".json", ".jsonl"):
+        return data, {"numbers": _NUMBER.findall(data.decode(errors="replace"))}
+    text = path.read_text()
+    texts = text.splitlines() if path.suffix == ".jsonl" else [text]
+
+    def without(value: Dict[str, Any]) -> Dict[str, Any]:
+        return {key: entry for key, entry in value.items() if key not in left_out}
+
+    values = [json.loads(entry, object_hook=without) for entry in texts]
+    columns: Dict[str, List[float]] = {}
+    for name, number in _leaves(values, ""):
+        columns.setdefault(name, []).append(number)
+    return json.dumps(values).encode(), columns
 
 
-def _text(path: Path, _left_out: Sequence[str]) -> _Content:
-    content = path.read_bytes()
-    return content, _columns({"numbers": _NUMBER.findall(content.decode(errors="replace"))})
-
-
-def _csv(path: Path, _left_out: Sequence[str]) -> _Content:
-    header, *rows = csv.reader(path.read_text().splitlines())
-    return path.read_bytes(), _columns({n: [row[i] for row in rows] for i, n in enumerate(header)})
-
-
-def _tum(path: Path, _left_out: Sequence[str]) -> _Content:
-    columns = zip(*(line.split() for line in path.read_text().splitlines()))
-    names = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
-    return path.read_bytes(), _columns(dict(zip(names, columns)))
-
-
-def _json(path: Path, left_out: Sequence[str]) -> _Content:
-    return _of_values([json.loads(path.read_text())], left_out)
-
-
-def _json_lines(path: Path, left_out: Sequence[str]) -> _Content:
-    return _of_values(list(map(json.loads, path.read_text().splitlines())), left_out)
-
-
-def _of_values(values: List[Any], left_out: Sequence[str]) -> _Content:
-    values = [_without(value, left_out) for value in values]
-    columns: Dict[str, List[Any]] = {}
-    for name, leaf in _leaves(values, ""):
-        columns.setdefault(name, []).append(leaf)
-    return json.dumps(values).encode(), _columns(columns)
-
-
-def _without(value: Any, left_out: Sequence[str]) -> Any:
-    if isinstance(value, dict):
-        return {k: _without(v, left_out) for k, v in value.items() if k not in left_out}
-    return [_without(v, left_out) for v in value] if isinstance(value, list) else value
+def _channels(path: Path) -> Dict[str, Iterable[Any]]:
+    with Image.open(path) as image:
+        pixels = np.asarray(image.convert("RGB"), dtype=float).reshape(-1, 3)
+        size = {"width": [image.width], "height": [image.height]}
+    return {**size, **dict(zip(("red", "green", "blue"), pixels.T))}
 
 
 def _leaves(value: Any, name: str) -> Iterator[Tuple[str, Any]]:
@@ -133,15 +127,8 @@ def _leaves(value: Any, name: str) -> Iterator[Tuple[str, Any]]:
         yield name, float(value)
 
 
-def _picture(path: Path, _left_out: Sequence[str]) -> _Content:
-    with Image.open(path) as image:
-        pixels = np.asarray(image.convert("RGB"), dtype=float).reshape(-1, 3)
-        numbers = {"width": image.width, "height": image.height}
-    return path.read_bytes(), {**numbers, **_columns(dict(zip(("red", "green", "blue"), pixels.T)))}
-
-
-def _columns(columns: Mapping[str, Iterable[Any]]) -> Dict[str, float]:
-    """Summaries of columns by their names; entries that are no finite numbers are left out."""
+def _summary(columns: Mapping[str, Iterable[Any]]) -> Dict[str, float]:
+    """Summarize columns by their names; ignore entries that are not finite numbers."""
     if len(columns) > MOST_COLUMNS:
         columns = {"all columns": [entry for column in columns.values() for entry in column]}
     numbers: Dict[str, float] = {}
@@ -161,12 +148,3 @@ def _number(entry: Any) -> float:
         return float(entry)
     except ValueError:
         return math.nan
-
-
-_READERS = {
-    ".csv": _csv,
-    ".json": _json,
-    ".jsonl": _json_lines,
-    ".png": _picture,
-    ".tum": _tum,
-}

@@ -1,1 +1,1 @@
-"""The view: what topics and TF tell, in the page's scene, and what is asked for there, on ROS."""
+"""The view's node: it shows topics and TF on the web page and publishes what the user commands."""

@@ -1,6 +1,6 @@
-"""What of a topic is seen in the scene: a class for each type of message.
+"""Displays: each shows the messages of one topic in the scene, with a class for each message type.
 
-A display listens from when it is made until it is closed. `tick` reads what has come and shows it.
+A display subscribes when it is made, and until it is closed. `tick` reads and shows new messages.
 """
 
 from __future__ import annotations
@@ -8,93 +8,84 @@ from __future__ import annotations
 import functools
 import logging
 import math
+import struct
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Callable, Dict, Iterable, List, Optional, Set, Tuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from sensor_msgs.msg import Range
+from nav_msgs.msg import Odometry, Path
+from sensor_msgs.msg import LaserScan, Range
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.errors import LabError
-from bullet_lab.ros.view import raw
-from bullet_lab.ros.view.feeds import Feed, reader_of
-from bullet_lab.view.frames import FrameTree
-from bullet_lab.view.scene import Polyline, Shown, rgb, segments_node, wxyz
+from bullet_lab.ros.messages.poses import normalised_pose
+from bullet_lab.ros.view.frames import DisplayContext
+from bullet_lab.ros.view.subscription import MessageError, Subscription, reader_of
+from bullet_lab.view.scene import PointsNode, Polyline, rgb, segments, segments_node, wxyz
 
 LOG = logging.getLogger(__name__)
-# As in all figures: perfect paths are orange, noisy ones blue, and plans green.
-PERFECT, NOISY, PLAN = (0.90, 0.62, 0.0), (0.0, 0.45, 0.70), (0.0, 0.62, 0.45)
-LASER, SONAR = (0.84, 0.37, 0.0), (0.8, 0.47, 0.65)
-# m above the floor.
-PERFECT_HEIGHT, NOISY_HEIGHT, PLAN_HEIGHT = 0.02, 0.025, 0.03
-# m between two points of a trail, and how many are kept.
-TRAIL_STEP, LONGEST_TRAIL = 0.02, 20000
-POINT_SIZE, AXES_LENGTH, AXES_RADIUS = 0.03, 0.25, 0.008
-MOST_RAYS = 1440
-# Markers that have the paths of all robots.
+# The colours of all figures: perfect paths are orange, noisy ones blue, and plans green.
+PERFECT = (0.90, 0.62, 0.0)
+NOISY = (0.0, 0.45, 0.70)
+PLAN = (0.0, 0.62, 0.45)
+LASER = (0.84, 0.37, 0.0)
+SONAR = (0.8, 0.47, 0.65)
+# m above the floor, so that lines on top of each other are all visible.
+PERFECT_HEIGHT = 0.02
+NOISY_HEIGHT = 0.025
+PLAN_HEIGHT = 0.03
+# m between two points of a trail, and how many points are kept.
+TRAIL_STEP = 0.02
+MAX_TRAIL = 20000
+# Sizes in m.
+POINT_SIZE = 0.03
+AXES_LENGTH = 0.25
+AXES_RADIUS = 0.008
+MAX_RAYS = 1440
+# Markers with the paths of all robots.
 FLEET_PATHS = "/fleet_paths"
-ARC_POINTS, ELLIPSE_POINTS = 12, 37
-
-
-@dataclass
-class Stage:
-    """Where displays put what they show.
-
-    Attributes:
-        scene: viser's.
-        frames: where they are, by TF.
-        fixed: frame that the scene is in.
-        guessed: roots of TF that nothing connects with it, and that are taken for it.
-    """
-
-    scene: Any
-    frames: FrameTree = field(default_factory=FrameTree)
-    fixed: str = "world"
-    guessed: Set[str] = field(default_factory=set)
-
-    def where(self, frame: str) -> Pose:
-        """Return where a frame is in the scene."""
-        frame = frame.lstrip("/")
-        pose = self.frames.pose(frame, self.fixed)
-        if pose is None:
-            root = self.frames.root(frame)
-            self.guessed.add(root)
-            pose = self.frames.pose(frame, root) or Pose()
-        return pose
+ARC_POINTS = 12
+ELLIPSE_POINTS = 37
+NO_POINTS = np.zeros((0, 3))
 
 
 class Display(ABC):
-    """What is seen of one topic; `read` and `large` as of `Feed`."""
+    """Shows one topic; `read` and `large` are those of `Subscription`."""
 
-    # Whether it is still of use when nobody publishes the topic any more.
+    # Whether it stays on the page after the publisher has exited.
     stays = False
 
-    def __init__(self, stage: Stage, topic: str, read: Callable[[bytes], Any], large: bool = False):
-        self.stage = stage
+    def __init__(
+        self,
+        context: DisplayContext,
+        topic: str,
+        read: Callable[[bytes], Any],
+        large: bool = False,
+    ):
+        self.context = context
         self.node = f"/topics{topic}"
-        self._feed = Feed(topic, read, large=large)
+        self._subscription = Subscription(topic, read, large=large)
+        # All that it shows, which `set` of no points hides.
+        self._parts: List[Any] = []
 
     def tick(self) -> None:
-        """Show what has come."""
-        message = self._feed.newest()
+        """Show the newest message; raises LabError if it cannot be shown."""
+        message = self._subscription.newest()
         if message is not None:
             self.show(message)
 
     @abstractmethod
     def show(self, message: Any) -> None:
-        """Show what `read` has made of a message."""
-
-    @abstractmethod
-    def hide(self) -> None:
-        """Show nothing any more."""
+        """Show a message as `read` returns it."""
 
     def close(self) -> None:
-        """Listen no longer, and show nothing."""
-        self._feed.close()
-        self.hide()
+        """Unsubscribe, and show nothing."""
+        self._subscription.close()
+        for part in self._parts:
+            part.set(NO_POINTS)
 
 
 def is_noisy(topic: str) -> bool:
@@ -103,77 +94,104 @@ def is_noisy(topic: str) -> bool:
 
 
 class PathDisplay(Display):
-    """A path, or a plan with the points that it leads to: there may be a single one left."""
+    """A path, or a plan and its waypoints, of which there may be only one."""
 
     stays = True
 
-    def __init__(self, stage: Stage, topic: str):
-        super().__init__(stage, topic, raw.read_path)
-        is_plan = "plan" in topic
-        colour = PLAN if is_plan else NOISY if is_noisy(topic) else PERFECT
-        self._line = Polyline(stage.scene, self.node, colour)
-        self._height = PLAN_HEIGHT if is_plan else height_of(topic)
-        self._points = _cloud(stage, f"{self.node}/points", colour, 2.0 * POINT_SIZE)
-        self._is_plan = is_plan
+    def __init__(self, context: DisplayContext, topic: str):
+        super().__init__(context, topic, read_path)
+        self._is_plan = "plan" in topic
+        colour = PLAN if self._is_plan else colour_of(topic)
+        self._height = PLAN_HEIGHT if self._is_plan else height_of(topic)
+        self._line = Polyline(context.scene, self.node, colour)
+        self._waypoints = _cloud(context, f"{self.node}/points", colour, 2.0 * POINT_SIZE)
+        self._parts = [self._line, self._waypoints]
 
-    def show(self, message: Tuple[str, np.ndarray]) -> None:  # noqa: D102 - as `Display` has it
-        frame, places = message
-        points = placed(self.stage.where(frame), places) + (0.0, 0.0, self._height)
+    def show(self, message: Tuple[str, np.ndarray]) -> None:  # noqa: D102 - inherited
+        frame, positions = message
+        points = placed(self.context.pose_of(frame), positions) + (0.0, 0.0, self._height)
         self._line.set(points)
-        self._points.set(points if self._is_plan else points[:0])
+        self._waypoints.set(points if self._is_plan else NO_POINTS)
 
-    def hide(self) -> None:  # noqa: D102
-        self._line.set(np.zeros((0, 3)))
-        self._points.set(np.zeros((0, 3)))
+
+def read_path(data: bytes) -> Tuple[str, np.ndarray]:
+    """Return frame and positions (n, 3), m, of a serialised nav_msgs/Path; raises MessageError.
+
+    The positions are read from the bytes, as a path may have thousands of poses, and genpy makes
+    four objects for each. This needs poses of one size: the names of their frames are equally long.
+    """
+    try:
+        (length,) = struct.unpack_from("<I", data, 12)
+        (count,) = struct.unpack_from("<I", data, 16 + length)
+        rows = np.frombuffer(data, np.uint8, offset=20 + length).reshape(count, -1)
+        # A pose has 12 bytes of sequence number and stamp, a name after its length, and 7 numbers.
+        name_length = rows.shape[1] - 72
+        lengths = rows[:, 12:16].copy().view("<u4")
+        is_regular = name_length >= 0 and bool((lengths == name_length).all())
+    except (struct.error, ValueError):
+        is_regular = False
+    if is_regular:
+        frame = data[16 : 16 + length].decode("utf-8", "replace")
+        positions = rows[:, -56:-32].copy().view("<f8")
+    else:
+        message = reader_of(Path)(data)
+        frame = message.header.frame_id
+        places = [one.pose.position for one in message.poses]
+        positions = np.array([(p.x, p.y, p.z) for p in places]).reshape(-1, 3)
+    return frame, finite(positions, "the path")
+
+
+def finite(values: np.ndarray, name: str) -> np.ndarray:
+    """Return an array; raises MessageError if a number is not finite."""
+    if not np.isfinite(values).all():
+        raise MessageError(f"{name} has numbers that are not finite")
+    return values
 
 
 class OdometryDisplay(Display):
-    """Where a robot has said that it is, and the ellipse that it is in with 95 % probability."""
+    """The trail of a robot's odometry, and the ellipse of its position at 95 % probability."""
 
-    def __init__(self, stage: Stage, topic: str):
-        super().__init__(stage, topic, raw.read_odometry)
-        colour, self._height = (NOISY if is_noisy(topic) else PERFECT), height_of(topic)
-        self._line = Polyline(stage.scene, f"{self.node}/trail", colour)
-        ellipse = f"{self.node}/ellipse"
-        self._ellipse = Shown(lambda s: segments_node(stage.scene, ellipse, s, rgb(colour)))
-        self._trail = np.zeros((256, 3), np.float32)
+    def __init__(self, context: DisplayContext, topic: str):
+        super().__init__(context, topic, reader_of(Odometry))
+        colour = colour_of(topic)
+        self._height = height_of(topic)
+        self._line = Polyline(context.scene, f"{self.node}/trail", colour)
+        self._ellipse = _segments(context, f"{self.node}/ellipse", colour)
+        self._parts = [self._line, self._ellipse]
+        self._trail = np.zeros((MAX_TRAIL, 3), np.float32)
         self._count = 0
-        self._last: Optional[raw.Odometry] = None
+        self._last: Any = None
 
-    def show(self, message: raw.Odometry) -> None:  # noqa: D102
-        if message == self._last:
+    def show(self, message: Odometry) -> None:  # noqa: D102 - inherited
+        frame, covariance = message.header.frame_id, message.pose.covariance
+        pose = normalised_pose(message.pose.pose)
+        shown = (frame, pose, covariance)
+        if shown == self._last:
             return
-        self._last = message
-        place = self.stage.where(message.frame)
-        x, y, _ = (place * message.pose).position
-        self._note((x, y, self._height))
-        around = placed(Pose((x, y, self._height), place.quaternion), _around(*message.covariance))
-        self._ellipse.set(np.stack((around[:-1], around[1:]), axis=1))
+        self._last = shown
+        frame_pose = self.context.pose_of(frame)
+        x, y, _ = (frame_pose * pose).position
+        position = (x, y, self._height)
+        self._extend_trail(position)
+        ellipse = _ellipse(covariance[0], covariance[1], covariance[7])
+        self._ellipse.set(segments(placed(Pose(position, frame_pose.quaternion), ellipse)))
 
-    def hide(self) -> None:  # noqa: D102
-        self._count = 0
-        self._line.set(self._trail[:0])
-        self._ellipse.set(self._trail[:0])
-
-    def _note(self, point: Vector) -> None:
+    def _extend_trail(self, point: Vector) -> None:
         if self._count and math.dist(self._trail[self._count - 1].tolist(), point) < TRAIL_STEP:
             return
-        if self._count == LONGEST_TRAIL:
-            self._trail[: LONGEST_TRAIL // 2] = self._trail[LONGEST_TRAIL // 2 : self._count]
-            self._count = LONGEST_TRAIL // 2
-        elif self._count == len(self._trail):
-            longer = min(2 * self._count, LONGEST_TRAIL)
-            self._trail = np.resize(self._trail, (longer, 3))
+        if self._count == MAX_TRAIL:
+            self._count //= 2
+            self._trail[: self._count] = self._trail[self._count :].copy()
         self._trail[self._count] = point
         self._count += 1
         self._line.set(self._trail[: self._count])
 
 
 @functools.lru_cache(maxsize=256)
-def _around(xx: float, xy: float, yy: float) -> np.ndarray:
-    """Return the points (n, 3) of the ellipse of a covariance (m²); none, if it is none."""
+def _ellipse(xx: float, xy: float, yy: float) -> np.ndarray:
+    """Return points (n, 3) of the ellipse of a covariance (m²); none if it is not definite."""
     if not math.isfinite(xx + xy + yy) or xx <= 0.0 or xx * yy <= xy * xy:
-        return np.zeros((0, 3))
+        return NO_POINTS
     points = ellipse_points(np.array(((xx, xy), (xy, yy))), ELLIPSE_POINTS)
     return np.column_stack((points, np.zeros(len(points))))
 
@@ -181,86 +199,84 @@ def _around(xx: float, xy: float, yy: float) -> np.ndarray:
 class ScanDisplay(Display):
     """The points that a laser hits."""
 
-    def __init__(self, stage: Stage, topic: str):
-        super().__init__(stage, topic, raw.read_scan)
-        self._points = _cloud(stage, self.node, LASER, POINT_SIZE)
+    def __init__(self, context: DisplayContext, topic: str):
+        super().__init__(context, topic, reader_of(LaserScan))
+        self._points = _cloud(context, self.node, LASER, POINT_SIZE)
+        self._parts = [self._points]
 
-    def show(self, message: raw.Scan) -> None:  # noqa: D102
+    def show(self, message: LaserScan) -> None:  # noqa: D102 - inherited
+        start, step = message.angle_min, message.angle_increment
+        finite(np.array((start, step, message.range_min)), "the scan")
         count = len(message.ranges)
-        every = max(1, math.ceil(count / MOST_RAYS))
-        rays = _rays(message.start, message.step, count, every)
-        ranges = message.ranges[::every]
-        seen = (ranges >= message.least) & (ranges < message.greatest)
-        points = rays[seen] * ranges[seen, None]
-        self._points.set(placed(self.stage.where(message.frame), points))
-
-    def hide(self) -> None:  # noqa: D102
-        self._points.set(np.zeros((0, 3)))
+        every = max(1, math.ceil(count / MAX_RAYS))
+        ranges = np.array(message.ranges[::every])
+        hits = (ranges >= message.range_min) & (ranges < message.range_max)
+        points = _rays(start, step, count, every)[hits] * ranges[hits, None]
+        self._points.set(placed(self.context.pose_of(message.header.frame_id), points))
 
 
 @functools.lru_cache(maxsize=64)
 def _rays(start: float, step: float, count: int, every: int) -> np.ndarray:
-    """Return unit vectors (n, 3) along every so-manieth ray of a laser."""
-    angles = start + step * np.arange(0, count, every)
+    """Return unit vectors (n, 3) along one in `every` rays of a laser."""
+    return _directions(start + step * np.arange(0, count, every))
+
+
+def _directions(angles: np.ndarray) -> np.ndarray:
     return np.column_stack((np.cos(angles), np.sin(angles), np.zeros(len(angles))))
 
 
 class RangeDisplay(Display):
-    """The outline of the cone that a sonar or an infrared sensor looks into, up to what it sees."""
+    """The outline of the cone of a sonar or an infrared sensor, up to the measured range."""
 
-    def __init__(self, stage: Stage, topic: str):
-        super().__init__(stage, topic, reader_of(Range))
-        self._lines = Shown(lambda s: segments_node(stage.scene, self.node, s, rgb(SONAR)))
+    def __init__(self, context: DisplayContext, topic: str):
+        super().__init__(context, topic, reader_of(Range))
+        self._lines = _segments(context, self.node, SONAR)
+        self._parts = [self._lines]
 
-    def show(self, message: Any) -> None:  # noqa: D102
+    def show(self, message: Range) -> None:  # noqa: D102 - inherited
         reach = min(message.range, message.max_range)
-        # What tells a distance and no direction has no cone.
+        # A sensor that measures in all directions has no cone.
         if not (math.isfinite(reach) and reach > 0.0 and message.field_of_view > 0.0):
-            self.hide()
+            self._lines.set(NO_POINTS)
             return
         half = 0.5 * min(message.field_of_view, math.pi)
-        angles = np.linspace(-half, half, ARC_POINTS)
-        level = np.column_stack((np.cos(angles), np.sin(angles), np.zeros(ARC_POINTS)))
+        level = _directions(np.linspace(-half, half, ARC_POINTS))
         upright = level[:, (0, 2, 1)]
         tip = np.zeros((1, 3))
+        pose = self.context.pose_of(message.header.frame_id)
         outlines = [np.concatenate((tip, arc * reach, tip)) for arc in (level, upright)]
-        place = self.stage.where(message.header.frame_id)
-        points = [placed(place, outline) for outline in outlines]
-        self._lines.set(np.concatenate([np.stack((p[:-1], p[1:]), axis=1) for p in points]))
-
-    def hide(self) -> None:  # noqa: D102
-        self._lines.set(np.zeros((0, 2, 3)))
+        self._lines.set(np.concatenate([segments(placed(pose, line)) for line in outlines]))
 
 
 class PoseDisplay(Display):
     """A pose, as the axes of its frame."""
 
-    def __init__(self, stage: Stage, topic: str):
-        super().__init__(stage, topic, reader_of(PoseStamped))
+    def __init__(self, context: DisplayContext, topic: str):
+        super().__init__(context, topic, reader_of(PoseStamped))
         self._axes: Any = None
 
-    def show(self, message: Any) -> None:  # noqa: D102
-        place, turn = message.pose.position, message.pose.orientation
-        values = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
-        if not all(map(math.isfinite, values)) or not any(values[3:]):
+    def show(self, message: PoseStamped) -> None:  # noqa: D102 - inherited
+        turn = message.pose.orientation
+        if not any((turn.x, turn.y, turn.z, turn.w)):
             return
-        pose = self.stage.where(message.header.frame_id) * Pose(values[:3], values[3:])
+        pose = self.context.pose_of(message.header.frame_id) * normalised_pose(message.pose)
         if self._axes is None:
-            self._axes = self.stage.scene.add_frame(
+            self._axes = self.context.scene.add_frame(
                 self.node, axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS
             )
-        self._axes.position, self._axes.wxyz = pose.position, wxyz(pose)
+        self._axes.position = pose.position
+        self._axes.wxyz = wxyz(pose)
 
-    def hide(self) -> None:  # noqa: D102
+    def close(self) -> None:  # noqa: D102 - inherited
+        super().close()
         if self._axes is not None:
             self._axes.remove()
-            self._axes = None
 
 
-def _cloud(stage: Stage, name: str, colour: Vector, size: float) -> Shown:
-    """Return points of a size in m, in a node of a name."""
-    return Shown(
-        lambda points: stage.scene.add_point_cloud(
+def _cloud(context: DisplayContext, name: str, colour: Vector, size: float) -> PointsNode:
+    """Return a node of points of a size in m."""
+    return PointsNode(
+        lambda points: context.scene.add_point_cloud(
             name,
             points,
             rgb(colour),
@@ -272,38 +288,54 @@ def _cloud(stage: Stage, name: str, colour: Vector, size: float) -> Shown:
     )
 
 
+def _segments(context: DisplayContext, name: str, colour: Vector) -> PointsNode:
+    """Return a node of segments (n, 2, 3)."""
+    return PointsNode(lambda ends: segments_node(context.scene, name, ends, rgb(colour)))
+
+
+def colour_of(topic: str) -> Vector:
+    """Return the colour of a path or an odometry."""
+    return NOISY if is_noisy(topic) else PERFECT
+
+
 def height_of(topic: str) -> float:
-    """Return how high above the floor (m) a path is drawn, so that both are seen."""
+    """Return how high above the floor (m) a path is drawn."""
     return NOISY_HEIGHT if is_noisy(topic) else PERFECT_HEIGHT
 
 
 def placed(pose: Pose, points: np.ndarray) -> np.ndarray:
-    """Return points (n, 3) of a frame as seen from the one that the pose is given in."""
+    """Transform points (n, 3) from a frame, given by its pose, to the frame that the pose is in."""
     return points @ pose.rotation_matrix().T + pose.position
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Displays that are switched on and off together, by the types of messages that they show."""
+    """Displays that are switched on and off together.
+
+    Attributes:
+        name: of the switch.
+        displays: by message type.
+        wanted: whether a topic is shown, from its name and all published topics with their types.
+        every: one in so many ticks updates these displays.
+    """
 
     name: str
-    displays: Dict[str, Callable[[Stage, str], Any]]
-    # Which of the topics of those types, with all that are published by their types.
+    displays: Dict[str, Callable[[DisplayContext, str], Any]]
     wanted: Callable[[str, Dict[str, str]], bool] = lambda topic, others: True
-    # Of so many ticks of displays, one is for these.
     every: int = 1
 
 
 class Displays:
-    """The displays of a kind, one for each topic that there is."""
+    """The displays of a kind, one for each topic."""
 
-    def __init__(self, kind: Kind, stage: Stage):
-        self.kind, self._stage = kind, stage
+    def __init__(self, kind: Kind, context: DisplayContext):
+        self.kind = kind
+        self._context = context
         self._shown: Dict[str, Any] = {}
         self._failed: Set[str] = set()
 
     def follow(self, topics: Dict[str, str]) -> None:
-        """Show these topics, by their types, as far as they are of the kind; none, if empty."""
+        """Show those of these topics, with their types, that are of the kind; none if empty."""
         found = {
             topic: self.kind.displays[type_name]
             for topic, type_name in topics.items()
@@ -313,36 +345,32 @@ class Displays:
             if not (topics and topic not in topics and self._shown[topic].stays):
                 self._shown.pop(topic).close()
         for topic in sorted(set(found) - set(self._shown)):
-            self._shown[topic] = found[topic](self._stage, topic)
+            self._shown[topic] = found[topic](self._context, topic)
 
     def tick(self) -> None:
-        """Show what has come."""
+        """Show new messages."""
         for topic, display in self._shown.items():
             try:
                 display.tick()
             except LabError as error:
-                # Once each: what cannot be shown comes again and again.
+                # One warning a topic: its next messages are probably just as bad.
                 if topic not in self._failed:
                     self._failed.add(topic)
                     LOG.warning("%s: %s", topic, error)
 
-    def close(self) -> None:
-        """Show nothing of the kind."""
-        self.follow({})
-
     @property
     def topics(self) -> List[str]:
-        """Those that are shown."""
+        """Topics that are shown."""
         return sorted(self._shown)
 
 
 def has_no_path(topic: str, others: Iterable[str]) -> bool:
-    """Return whether nobody publishes the path of an odometry's topic, which has its beginning."""
+    """Return whether no topic has the path of an odometry, which begins with the same name."""
     known = (f"{topic}_path", FLEET_PATHS)
     return not any(other.endswith(known) for other in others)
 
 
 def closest(options: List[str], endings: Iterable[str]) -> Optional[str]:
-    """Return the first option with the first of these endings that there is, else the first."""
+    """Return the first option with the first ending that any option has, else the first option."""
     found = (option for ending in endings for option in options if option.endswith(ending))
     return next(found, next(iter(options), None))

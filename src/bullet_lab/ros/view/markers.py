@@ -1,333 +1,380 @@
-"""Markers in the scene: those of visualization_msgs, the world's shapes among them."""
+"""Markers of visualization_msgs in the scene, among them the shapes of the world."""
 
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
-from io import BytesIO
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, FrozenSet, List, Optional, Set, Tuple
+from typing import Any, Callable, Dict, FrozenSet, List, Sequence, Set, Tuple
 
 import numpy as np
-from visualization_msgs.msg import Marker as Kinds
+from visualization_msgs.msg import Marker as MarkerMessage
 from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import WORLD
 from bullet_lab.ros.messages.gazebo_types import msg
+from bullet_lab.ros.messages.poses import normalised_pose, vector_of
 from bullet_lab.ros.messages.world import look_of
 from bullet_lab.ros.nodes.show_sensors import contact_markers
-from bullet_lab.ros.view import raw
-from bullet_lab.ros.view.displays import Stage, placed
-from bullet_lab.ros.view.feeds import Feed, reader_of
+from bullet_lab.ros.view.displays import finite, placed
+from bullet_lab.ros.view.frames import DisplayContext
+from bullet_lab.ros.view.subscription import Subscription, reader_of
 from bullet_lab.simulation.world.description import WHITE, Colour, Geometry, Mesh, Visual
 from bullet_lab.simulation.world.report import ReportOnce
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Plane, Sphere
-from bullet_lab.view.looks import glb_of
-from bullet_lab.view.scene import Copies, Labels, Polyline, Solids, glb_copies, rgb
+from bullet_lab.view.scene import CopyGroups, Labels, Polyline, Solids, rgb, visual_copies
 
-SOLIDS = {Kinds.CUBE: "box", Kinds.SPHERE: "sphere", Kinds.CYLINDER: "cylinder"}
-LISTS = {Kinds.CUBE_LIST: "box", Kinds.SPHERE_LIST: "sphere"}
-# Of an arrow that says nothing of it, shares of its length; and m for each N of a contact.
-HEAD_LENGTH, HEAD_WIDTH, CONTACT_SCALE = 0.25, 2.0, 0.02
+SOLIDS = {
+    MarkerMessage.CUBE: "box",
+    MarkerMessage.SPHERE: "sphere",
+    MarkerMessage.CYLINDER: "cylinder",
+}
+LISTS = {MarkerMessage.CUBE_LIST: "box", MarkerMessage.SPHERE_LIST: "sphere"}
+# Defaults of an arrow's head: length per length of the arrow, width per width of the shaft.
+HEAD_LENGTH = 0.25
+HEAD_WIDTH = 2.0
+# m of an arrow for each N of a contact.
+CONTACT_SCALE = 0.02
+# Points are drawn at least this large, in m.
+MIN_POINT_SIZE = 0.01
 
-# Of a marker, what says how it looks.
-LOOK = ("kind", "scale", "colour", "text", "mesh", "own_looks")
-
+# Namespace and id.
 Key = Tuple[str, int]
 
 
-class MarkersDisplay:
-    """All markers of one topic, kept as visualization_msgs says.
+@dataclass(frozen=True)
+class Marker:
+    """A marker as visualization_msgs has it.
 
-    Args:
-        stage: to show them on.
-        topic: to listen to.
-        read: makes markers of the bytes of a message.
+    Attributes:
+        points: shape (n, 3), m.
+        colours: of the points, shape (n, 4).
+        embedded: whether a mesh keeps its own materials.
+        locked: whether it moves with its frame; otherwise it stays where it was received.
     """
 
-    # As in RViz: whoever has drawn them says when they are to go.
+    frame: str
+    key: Key
+    kind: int
+    action: int
+    pose: Pose
+    scale: Vector
+    colour: Colour
+    points: np.ndarray
+    colours: np.ndarray
+    text: str
+    mesh: str
+    embedded: bool
+    locked: bool
+
+
+def read_marker(message: MarkerMessage) -> Marker:
+    """Return a marker from its message; raises LabError if a number is not finite."""
+    colours = [(one.r, one.g, one.b, one.a) for one in (message.color, *message.colors)]
+    colours = _rows(colours, 4)
+    return Marker(
+        frame=message.header.frame_id.lstrip("/"),
+        key=(message.ns, message.id),
+        kind=message.type,
+        action=message.action,
+        pose=normalised_pose(message.pose),
+        scale=vector_of(message.scale, "the scale"),
+        colour=tuple(colours[0].tolist()),
+        points=_rows([(point.x, point.y, point.z) for point in message.points], 3),
+        colours=colours[1:],
+        text=message.text,
+        mesh=message.mesh_resource,
+        embedded=message.mesh_use_embedded_materials,
+        locked=bool(message.frame_locked),
+    )
+
+
+def _rows(values: Sequence[Tuple[float, ...]], columns: int) -> np.ndarray:
+    return finite(np.array(values, float).reshape(-1, columns), "the marker")
+
+
+def read_markers(message: MarkerArray) -> List[Marker]:
+    """Return the markers of an array; raises LabError if a number is not finite."""
+    return [read_marker(one) for one in message.markers]
+
+
+class MarkersDisplay:
+    """Shows all markers of one topic, as visualization_msgs defines it.
+
+    Args:
+        context: what displays share.
+        topic: to subscribe to.
+        read: makes markers from the bytes of a message.
+    """
+
+    # As in RViz, markers stay until they are deleted.
     stays = True
 
     def __init__(
         self,
-        stage: Stage,
+        context: DisplayContext,
         topic: str,
-        read: Callable[[bytes], List[raw.Marker]] = raw.read_markers,
+        read: Callable[[bytes], List[Marker]] = reader_of(MarkerArray, read_markers),
     ):
-        self._stage, self._node = stage, f"/topics{topic}"
-        self._feed = Feed(topic, read, every=True)
-        self._markers: Dict[Key, raw.Marker] = {}
-        self._places: Dict[Key, Pose] = {}
+        self._context = context
+        self._node = f"/topics{topic}"
+        self._subscription = Subscription(topic, read, every=True)
+        self._markers: Dict[Key, Marker] = {}
+        self._frame_poses: Dict[Key, Pose] = {}
         self._report = ReportOnce()
-        self._solids = Solids(stage.scene, f"{self._node}/solids")
-        self._labels = Labels(stage.scene, f"{self._node}/labels")
-        self._meshes: Dict[Visual, Copies] = {}
+        self._solids = Solids(context.scene, f"{self._node}/solids")
+        self._meshes = CopyGroups(
+            lambda visual, number: visual_copies(
+                context.scene, f"{self._node}/meshes/{number}", [visual], self._report
+            )
+        )
+        self._labels = Labels(context.scene, f"{self._node}/labels")
         self._nodes: Dict[Key, Any] = {}
-        self._lines: Dict[Key, Polyline] = {}
         # Number of the solids of each marker that is a list of them.
         self._listed: Dict[Key, int] = {}
 
     def tick(self) -> None:
-        """Show what has come, and what has moved with its frame."""
+        """Show new markers, and those that have moved with their frames."""
         touched: Set[Key] = set()
-        for markers in self._feed.take():
+        for markers in self._subscription.take():
             for marker in markers:
-                touched |= self._take(marker)
+                self._take(marker)
+                touched.add(marker.key)
         for key, marker in self._markers.items():
-            if marker.locked and marker.frame != self._stage.fixed:
-                touched.add(key)
-        for key in touched:
-            if key in self._markers:
-                self._show(key, self._markers[key])
-        for copies in (self._solids, *self._meshes.values()):
-            copies.flush()
+            if key in touched or (marker.locked and marker.frame != self._context.fixed):
+                self._show(key, marker)
+        self._flush()
 
     def close(self) -> None:
-        """Listen no longer, and show nothing."""
-        self._feed.close()
-        for key in list(self._markers):
-            self._drop(key)
-        for copies in (self._solids, *self._meshes.values()):
-            copies.flush()
+        """Unsubscribe, and show nothing."""
+        self._subscription.close()
+        self._drop_all()
+        self._flush()
 
-    def is_hidden(self, marker: raw.Marker) -> bool:
-        """Return whether a marker is not to be shown."""
+    def is_hidden(self, marker: Marker) -> bool:
+        """Return whether a marker is not shown."""
         return False
 
-    def has_look(self, marker: raw.Marker) -> bool:
-        """Return whether a solid looks like more than its colour."""
+    def is_textured(self, marker: Marker) -> bool:
+        """Return whether a solid has more than its colour."""
         return False
 
     def frames(self) -> Set[str]:
-        """Return the frames that markers are in."""
+        """Return the frames of the markers."""
         return {marker.frame for marker in self._markers.values()}
 
-    def _take(self, marker: raw.Marker) -> Set[Key]:
-        key = (marker.space, marker.number)
-        if marker.action == Kinds.DELETEALL:
-            for other in list(self._markers):
-                self._drop(other)
-            return set()
-        if marker.action == Kinds.DELETE:
+    def _take(self, marker: Marker) -> None:
+        key = marker.key
+        if marker.action == MarkerMessage.DELETEALL:
+            self._drop_all()
+        elif marker.action == MarkerMessage.DELETE:
             self._drop(key)
-            return set()
-        before = self._markers.get(key)
-        if before is not None and before.kind != marker.kind:
-            self._drop(key)
-        self._markers[key] = marker
-        self._places.pop(key, None)
-        return {key}
+        else:
+            if key in self._markers and self._markers[key].kind != marker.kind:
+                self._drop(key)
+            self._markers[key] = marker
+            self._frame_poses.pop(key, None)
 
     def _drop(self, key: Key) -> None:
         self._markers.pop(key, None)
-        self._places.pop(key, None)
+        self._frame_poses.pop(key, None)
         self._hide(key)
+
+    def _drop_all(self) -> None:
+        for key in list(self._markers):
+            self._drop(key)
+
+    def _flush(self) -> None:
+        self._solids.flush()
+        self._meshes.flush()
 
     def _hide(self, key: Key) -> None:
         self._solids.drop(key)
         for number in range(self._listed.pop(key, 0)):
             self._solids.drop((*key, number))
         self._labels.drop(key)
-        for copies in self._meshes.values():
-            copies.drop(key)
+        self._meshes.drop(key)
         if key in self._nodes:
             self._nodes.pop(key).remove()
-        if key in self._lines:
-            self._lines.pop(key).set(np.zeros((0, 3)))
 
-    def _show(self, key: Key, marker: raw.Marker) -> None:
+    def _show(self, key: Key, marker: Marker) -> None:
         if self.is_hidden(marker):
             self._hide(key)
             return
-        if marker.locked or key not in self._places:
-            self._places[key] = self._stage.where(marker.frame)
-        place = self._places[key] * marker.pose
+        if marker.locked or key not in self._frame_poses:
+            self._frame_poses[key] = self._context.pose_of(marker.frame)
+        pose = self._frame_poses[key] * marker.pose
         try:
-            if marker.kind in SOLIDS and not self.has_look(marker):
-                self._put_visual(key, None, place)
-                self._solids.put(key, SOLIDS[marker.kind], place, marker.scale, marker.colour)
-            elif marker.kind in SOLIDS or marker.kind == Kinds.MESH_RESOURCE:
+            if marker.kind in SOLIDS and not self.is_textured(marker):
+                self._meshes.drop(key)
+                self._solids.put_solid(key, SOLIDS[marker.kind], pose, marker.scale, marker.colour)
+            elif marker.kind in SOLIDS or marker.kind == MarkerMessage.MESH_RESOURCE:
                 self._solids.drop(key)
-                self._put_visual(key, _visual(*(getattr(marker, name) for name in LOOK)), place)
+                self._meshes.put(_visual_of(marker), key, pose)
             elif marker.kind in SHOW:
-                SHOW[marker.kind](self, key, marker, place)
+                SHOW[marker.kind](self, key, marker, pose)
         except LabError as error:
-            self._report(f"{marker.space}: {error}")
+            self._report(f"{key[0]}: {error}")
 
-    def _list(self, key: Key, marker: raw.Marker, place: Pose) -> None:
+    def _show_list(self, key: Key, marker: Marker, pose: Pose) -> None:
         self._hide(key)
         self._listed[key] = len(marker.points)
+        has_colours = len(marker.colours) == len(marker.points)
         for number, point in enumerate(marker.points.tolist()):
-            colour = marker.colours[number] if len(marker.colours) else marker.colour
-            pose = place * Pose(tuple(point))
+            colour = tuple(marker.colours[number].tolist()) if has_colours else marker.colour
+            place = pose * Pose(tuple(point))
             kind = LISTS[marker.kind]
-            self._solids.put((*key, number), kind, pose, marker.scale, tuple(map(float, colour)))
+            self._solids.put_solid((*key, number), kind, place, marker.scale, colour)
 
-    def _put_visual(self, key: Key, visual: Optional[Visual], place: Pose) -> None:
-        for shown, copies in self._meshes.items():
-            if shown != visual:
-                copies.drop(key)
-        if visual is None:
-            return
-        if visual not in self._meshes:
-            name = f"{self._node}/meshes/{len(self._meshes)}"
-            glb = glb_of([visual], self._report)
-            made = glb_copies(self._stage.scene, name, glb) if glb else Copies(lambda _: None, ())
-            self._meshes[visual] = made
-        self._meshes[visual].put(key, place)
+    def _show_label(self, key: Key, marker: Marker, pose: Pose) -> None:
+        self._labels.put(key, marker.text, pose.position)
 
-    def _label(self, key: Key, marker: raw.Marker, place: Pose) -> None:
-        self._labels.put(key, marker.text, place.position)
+    def _show_strip(self, key: Key, marker: Marker, pose: Pose) -> None:
+        if key not in self._nodes:
+            self._nodes[key] = Polyline(self._context.scene, self._name(key), marker.colour)
+        self._nodes[key].set(placed(pose, marker.points))
 
-    def _strip(self, key: Key, marker: raw.Marker, place: Pose) -> None:
-        if key not in self._lines:
-            self._lines[key] = Polyline(self._stage.scene, self._name(key), marker.colour)
-        self._lines[key].set(placed(place, marker.points))
+    def _show_segments(self, key: Key, marker: Marker, pose: Pose) -> None:
+        ends = placed(pose, _whole(marker.points, 2)).reshape(-1, 2, 3)
+        make = self._context.scene.add_line_segments
+        self._replace(key, make, ends, rgb(marker.colour), thickness_units="screen")
 
-    def _segments(self, key: Key, marker: raw.Marker, place: Pose) -> None:
-        points = placed(place, marker.points[: len(marker.points) // 2 * 2])
-        self._replace(
-            key,
-            len(points),
-            lambda name: self._stage.scene.add_line_segments(
-                name, points.reshape(-1, 2, 3), rgb(marker.colour), thickness_units="screen"
-            ),
-        )
-
-    def _points(self, key: Key, marker: raw.Marker, place: Pose) -> None:
-        points = placed(place, marker.points)
+    def _show_points(self, key: Key, marker: Marker, pose: Pose) -> None:
+        points = placed(pose, marker.points)
         colours = np.array(rgb(marker.colour))
         if len(marker.colours) == len(points):
             colours = np.round(255.0 * np.clip(marker.colours[:, :3], 0.0, 1.0)).astype(np.uint8)
-        self._replace(
-            key,
-            len(points),
-            lambda name: self._stage.scene.add_point_cloud(
-                name, points, colours, point_size=max(marker.scale[0], 0.01), precision="float32"
-            ),
-        )
+        size = max(marker.scale[0], MIN_POINT_SIZE)
+        make = self._context.scene.add_point_cloud
+        self._replace(key, make, points, colours, point_size=size, precision="float32")
 
-    def _arrow(self, key: Key, marker: raw.Marker, place: Pose) -> None:
+    def _show_arrow(self, key: Key, marker: Marker, pose: Pose) -> None:
         if len(marker.points) >= 2:
-            ends, shaft, head = marker.points[:2], marker.scale[0], marker.scale[1]
-            length = marker.scale[2]
+            ends = marker.points[:2]
+            shaft, head, length = marker.scale
         else:
-            ends, shaft = np.array(((0.0, 0.0, 0.0), (marker.scale[0], 0.0, 0.0))), marker.scale[1]
+            ends = np.array(((0.0, 0.0, 0.0), (marker.scale[0], 0.0, 0.0)))
+            shaft = marker.scale[1]
             head, length = HEAD_WIDTH * shaft, 0.0
-        ends = placed(place, ends)
+        ends = placed(pose, ends)
         reach = float(np.linalg.norm(ends[1] - ends[0]))
         self._replace(
             key,
-            reach > 0.0,
-            lambda name: self._stage.scene.add_arrows(
-                name,
-                ends[None],
-                rgb(marker.colour),
-                shaft_radius=0.5 * shaft,
-                head_radius=0.5 * head,
-                head_length=length or HEAD_LENGTH * reach,
-            ),
+            self._context.scene.add_arrows,
+            ends[None] if reach > 0.0 else (),
+            rgb(marker.colour),
+            shaft_radius=0.5 * shaft,
+            head_radius=0.5 * head,
+            head_length=length or HEAD_LENGTH * reach,
         )
 
-    def _triangles(self, key: Key, marker: raw.Marker, place: Pose) -> None:
-        corners = placed(place, marker.points[: len(marker.points) // 3 * 3] * marker.scale)
+    def _show_triangles(self, key: Key, marker: Marker, pose: Pose) -> None:
+        corners = placed(pose, _whole(marker.points, 3) * marker.scale)
         faces = np.arange(len(corners)).reshape(-1, 3)
-        self._replace(
-            key,
-            len(corners),
-            lambda name: self._stage.scene.add_mesh_simple(
-                name, corners, faces, color=rgb(marker.colour), side="double", flat_shading=True
-            ),
-        )
+        make = self._context.scene.add_mesh_simple
+        colour = rgb(marker.colour)
+        self._replace(key, make, corners, faces, color=colour, side="double", flat_shading=True)
 
-    def _replace(self, key: Key, there_is: Any, make: Callable[[str], Any]) -> None:
-        """Make the node of a marker anew, or take it away where there is nothing of it."""
-        if there_is:
-            self._nodes[key] = make(self._name(key))
+    def _replace(
+        self, key: Key, make: Callable[..., Any], points: Sequence, *others: Any, **options: Any
+    ) -> None:
+        """Make the node of a marker anew, or remove it if there are no points."""
+        if len(points):
+            self._nodes[key] = make(self._name(key), points, *others, **options)
         elif key in self._nodes:
             self._nodes.pop(key).remove()
 
     def _name(self, key: Key) -> str:
-        space, number = key
-        return f"{self._node}/{space or '_'}/{number}"
+        namespace, number = key
+        return f"{self._node}/{namespace or '_'}/{number}"
+
+
+def _whole(points: np.ndarray, size: int) -> np.ndarray:
+    """Return points less those at the end that make no whole group of a size."""
+    return points[: len(points) // size * size]
+
+
+def _visual_of(marker: Marker) -> Visual:
+    return _visual(
+        marker.kind, marker.scale, marker.colour, marker.text, marker.mesh, marker.embedded
+    )
 
 
 @functools.lru_cache(maxsize=1024)
 def _visual(
-    kind: int, scale: Vector, colour: Colour, text: str, mesh: str, own_looks: bool
+    kind: int, scale: Vector, colour: Colour, text: str, mesh: str, embedded: bool
 ) -> Visual:
-    """Return what is seen of a solid or a mesh; raises ResourceError."""
+    """Return the appearance of a solid or a mesh; raises ResourceError."""
     look = look_of(text)
-    if kind == Kinds.MESH_RESOURCE:
+    if kind == MarkerMessage.MESH_RESOURCE:
         path = ResourceFinder.anywhere().find(mesh)
-        material = replace(look.material, covers=not own_looks)
+        material = replace(look.material, covers=not embedded)
         colour = colour if colour[3] > 0.0 else WHITE
         return Visual(Mesh(Path(path), mesh, scale), colour=colour, material=material)
     shape = Plane(size=scale[:2]) if look.is_plane else SHAPES[kind](scale)
     return Visual(shape, colour=colour, material=look.material)
 
 
-# The shape of a solid of a size; a mesh has its own.
+# The shape of a solid of a size.
 SHAPES: Dict[int, Callable[[Vector], Geometry]] = {
-    Kinds.CUBE: Box,
-    Kinds.SPHERE: lambda size: Sphere(0.5 * size[0]),
-    Kinds.CYLINDER: lambda size: Cylinder(0.5 * size[0], size[2]),
+    MarkerMessage.CUBE: Box,
+    MarkerMessage.SPHERE: lambda size: Sphere(0.5 * size[0]),
+    MarkerMessage.CYLINDER: lambda size: Cylinder(0.5 * size[0], size[2]),
 }
 # How each other kind is shown.
-SHOW: Dict[int, Callable[[MarkersDisplay, Key, raw.Marker, Pose], None]] = {
-    Kinds.ARROW: MarkersDisplay._arrow,
-    Kinds.LINE_STRIP: MarkersDisplay._strip,
-    Kinds.LINE_LIST: MarkersDisplay._segments,
-    Kinds.CUBE_LIST: MarkersDisplay._list,
-    Kinds.SPHERE_LIST: MarkersDisplay._list,
-    Kinds.POINTS: MarkersDisplay._points,
-    Kinds.TEXT_VIEW_FACING: MarkersDisplay._label,
-    Kinds.TRIANGLE_LIST: MarkersDisplay._triangles,
+SHOW: Dict[int, Callable[[MarkersDisplay, Key, Marker, Pose], None]] = {
+    MarkerMessage.ARROW: MarkersDisplay._show_arrow,
+    MarkerMessage.LINE_STRIP: MarkersDisplay._show_strip,
+    MarkerMessage.LINE_LIST: MarkersDisplay._show_segments,
+    MarkerMessage.CUBE_LIST: MarkersDisplay._show_list,
+    MarkerMessage.SPHERE_LIST: MarkersDisplay._show_list,
+    MarkerMessage.POINTS: MarkersDisplay._show_points,
+    MarkerMessage.TEXT_VIEW_FACING: MarkersDisplay._show_label,
+    MarkerMessage.TRIANGLE_LIST: MarkersDisplay._show_triangles,
 }
 
 
 class WorldDisplay(MarkersDisplay):
-    """The shapes of the world, less the models that are shown as robots."""
+    """Shows the shapes of the world, except models that are shown as robots."""
 
-    def __init__(self, stage: Stage):
-        super().__init__(stage, WORLD)
+    def __init__(self, context: DisplayContext):
+        super().__init__(context, WORLD)
         self._robots: FrozenSet[str] = frozenset()
 
-    def is_hidden(self, marker: raw.Marker) -> bool:  # noqa: D102 - as `MarkersDisplay` has it
-        return marker.space in self._robots
+    def is_hidden(self, marker: Marker) -> bool:  # noqa: D102 - inherited
+        return marker.key[0] in self._robots
 
-    def has_look(self, marker: raw.Marker) -> bool:  # noqa: D102
+    def is_textured(self, marker: Marker) -> bool:  # noqa: D102 - inherited
         return bool(marker.text)
 
     def leave_out(self, robots: FrozenSet[str]) -> None:
         """Show all models but these."""
-        changed, self._robots = robots ^ self._robots, robots
+        changed = robots ^ self._robots
+        self._robots = robots
         for key, marker in self._markers.items():
-            if marker.space in changed:
+            if key[0] in changed:
                 self._show(key, marker)
 
     def models(self) -> Set[str]:
-        """Return the names of all models, those that are left out among them."""
-        return {marker.space for marker in self._markers.values()}
+        """Return the names of all models, with those that are left out."""
+        return {model for model, _ in self._markers}
 
 
-def single_marker_display(stage: Stage, topic: str) -> MarkersDisplay:
+def single_marker_display(context: DisplayContext, topic: str) -> MarkersDisplay:
     """Return a display of a topic of single markers."""
-    return MarkersDisplay(stage, topic, raw.read_marker)
+    read = reader_of(MarkerMessage, lambda message: [read_marker(message)])
+    return MarkersDisplay(context, topic, read)
 
 
-def contacts_display(stage: Stage, topic: str) -> MarkersDisplay:
-    """Return a display of what a bumper feels: points, normals and forces."""
-    read = reader_of(msg.ContactsState)
+def contacts_display(context: DisplayContext, topic: str) -> MarkersDisplay:
+    """Return a display of the contacts of a bumper: points, normals and forces."""
 
-    def markers(data: bytes) -> List[raw.Marker]:
-        array = BytesIO()
-        MarkerArray(list(contact_markers(read(data), CONTACT_SCALE))).serialize(array)
-        return raw.read_markers(array.getvalue())
+    def read(message: Any) -> List[Marker]:
+        return [read_marker(one) for one in contact_markers(message, CONTACT_SCALE)]
 
-    display = MarkersDisplay(stage, topic, markers)
+    display = MarkersDisplay(context, topic, reader_of(msg.ContactsState, read))
     display.stays = False
     return display

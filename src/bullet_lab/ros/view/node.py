@@ -1,15 +1,15 @@
-"""The node that shows the world in a browser, and takes commands and goals from there.
+"""The node that shows the world in a browser, and publishes the user's commands and goals.
 
-It listens on this machine only, to whoever has the URL that it prints; for another machine, the
-port is forwarded (`ssh -L 8080:127.0.0.1:8080`). While nobody looks, it subscribes to nothing.
+It serves the page on this machine only, at the URL that it prints; from another machine, forward
+the port (`ssh -L 8080:127.0.0.1:8080`). While no page is open, it subscribes to nothing.
 
 :ROS Parameters: see `ViewParameters`.
-:ROS Subscribers, while somebody looks: /tf, /tf_static, /clock, and every topic of a type that
-    there is a display for (see `show.KINDS`)
+:ROS Subscribers, while a page is open: /tf, /tf_static, /clock, and every topic of a type with a
+    display (see `show.KINDS`)
 :ROS Publishers, from the first command or goal on:
-    - the topic of geometry_msgs/Twist that is chosen on the page; zero once it is let go
-    - move_base_simple/goal (geometry_msgs/PoseStamped) in the namespace of that, or move_base/goal
-      (move_base_msgs/MoveBaseActionGoal) where that alone is listened to
+    - the topic of geometry_msgs/Twist that is chosen on the page; zero when the user lets go
+    - move_base_simple/goal (geometry_msgs/PoseStamped) in its namespace, or move_base/goal
+      (move_base_msgs/MoveBaseActionGoal) if only that has a subscriber
 """
 
 from __future__ import annotations
@@ -25,20 +25,22 @@ import rospy
 from bullet_lab.core import parameters
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.node.node import ignore_clock, private_parameters, run_node
-from bullet_lab.ros.view.driver import Driver
-from bullet_lab.ros.view.panel import Panel, TabControls
+from bullet_lab.ros.view.panel import Driver, Panel, TabControls
 from bullet_lab.ros.view.show import OFF_AT_FIRST, SWITCHES, Show
 from bullet_lab.view.pad import Wheel
 from bullet_lab.view.page import Page
 from bullet_lab.view.scene import floor_point
 
-# Wall seconds for which a page may be reloaded before all that is shown is given up.
+# Wall seconds in which a page may be reloaded before the node unsubscribes.
 LINGER_SECONDS = 2.0
-# And between the first page and the simulation that waits for it: a page has much to take in.
-FIRST_SIGHT_SECONDS = 1.5
-# For so long after the first page, it is turned to the robot as soon as that is there.
-LOOK_FOR_SECONDS = 15.0
-CAMERA_FROM, GRID_SIZE = (-2.5, -2.5, 2.5), 40.0
+# Wall seconds between the first page and the start of simulated time: the page loads the world.
+LOADING_SECONDS = 1.5
+# Wall seconds after the first page in which the cameras turn to the robot once it appears.
+SEARCH_SECONDS = 15.0
+# m from the point that the camera looks at.
+CAMERA_OFFSET = (-2.5, -2.5, 2.5)
+# m.
+GRID_SIZE = 40.0
 
 
 @dataclass(frozen=True)
@@ -61,23 +63,23 @@ class ViewParameters:
 
 
 class View:
-    """The page, and what happens while somebody looks at it."""
+    """The page, and all that is shown while it is open."""
 
     def __init__(self, given: ViewParameters):
         self._given = given
         self._driver = Driver()
-        # By the number of viser's client, in their order.
+        # By the id of viser's client, in the order in which they were opened.
         self._tabs: Dict[int, TabControls] = {}
         self._wheel = Wheel(lambda tab, shares: self._driver.drive(self._controls(tab), shares))
         self._page = Page(given.port, self._wheel)
         server = self._page.server
         self._panel = Panel(server.gui, SWITCHES, OFF_AT_FIRST)
         self._show: Optional[Show] = None
-        self._somebody = threading.Event()
-        self._holds = given.unpause
+        self._opened = threading.Event()
+        self._is_paused = given.unpause
         rospy.on_shutdown(self._driver.stop)
-        rospy.on_shutdown(self._somebody.set)
-        server.initial_camera.position = CAMERA_FROM
+        rospy.on_shutdown(self._opened.set)
+        server.initial_camera.position = CAMERA_OFFSET
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.world_axes.visible = False
@@ -85,70 +87,74 @@ class View:
         server.scene.on_click()(self._send_goal)
         self._page.on_connect(self._open)
         server.on_client_disconnect(self._close)
-        # Whoever has the URL can drive: rosout and its log are for all.
+        # All who have the URL can drive, so it is not logged to rosout, which all can read.
         print(f"the view is at {self._page.url}", flush=True)
-        if self._holds:
+        if self._is_paused:
             rospy.loginfo("simulated time begins when it is opened")
 
     def run(self) -> None:
         """Serve until ROS shuts down."""
         while not rospy.is_shutdown():
-            self._somebody.wait()
-            self._somebody.clear()
+            self._opened.wait()
+            self._opened.clear()
             if not rospy.is_shutdown():
-                self._show_to_somebody()
+                self._show_until_closed()
         self._page.close()
 
     def _open(self, tab: str, client: Any) -> None:
         given = self._given
         controls = TabControls(client.gui, tab, given.speed, given.turn_rate)
         self._tabs[client.client_id] = controls
-        self._somebody.set()
+        self._opened.set()
 
     def _close(self, client: Any) -> None:
         self._tabs.pop(client.client_id, None)
 
     def _controls(self, tab: str) -> Optional[TabControls]:
-        """Return the controls of a tab; those that it has opened last, if it has come again."""
+        """Return the controls of a tab; the last ones if it was reloaded."""
         return next((one for one in reversed(self._open_tabs()) if one.tab == tab), None)
 
     def _open_tabs(self) -> List[TabControls]:
         return list(self._tabs.values())
 
-    def _show_to_somebody(self) -> None:
+    def _show_until_closed(self) -> None:
         server, given = self._page.server, self._given
         self._show = Show(server.scene, self._panel, self._open_tabs, given.frame, given.image_rate)
-        due = gone = time.monotonic()
-        go_on, looks_for = due + FIRST_SIGHT_SECONDS, due + LOOK_FOR_SECONDS
+        due = time.monotonic()
+        end = due
+        start = due + LOADING_SECONDS
+        search_end = due + SEARCH_SECONDS
         while not rospy.is_shutdown():
             if server.get_clients():
-                gone = time.monotonic() + LINGER_SECONDS
-            elif time.monotonic() > gone:
+                end = time.monotonic() + LINGER_SECONDS
+            elif time.monotonic() > end:
                 break
             with server.atomic():
                 self._show.tick()
-            if looks_for > time.monotonic():
-                looks_for = self._look_at_robot(looks_for)
-            if self._holds and time.monotonic() > go_on:
-                go_on = time.monotonic() + FIRST_SIGHT_SECONDS
-                self._holds = not self._panel.go_on()
+            if search_end > time.monotonic() and self._turn_to_robot():
+                search_end = 0.0
+            if self._is_paused and time.monotonic() > start:
+                start = time.monotonic() + LOADING_SECONDS
+                self._is_paused = not self._panel.go_on()
             due = max(due + 1.0 / self._given.rate, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
         self._show.close()
         self._show = None
 
-    def _look_at_robot(self, until: float) -> float:
-        """Turn all eyes to the robot; return until when it is to be looked for, wall seconds."""
+    def _turn_to_robot(self) -> bool:
+        """Turn the cameras of all pages to the robot; return whether there is one."""
         places = (self._show.place(tab.drive_topic) for tab in self._open_tabs())
         place = next((place for place in places if place is not None), None)
         if place is None:
-            return until
+            return False
         x, y, _ = place.position
-        seen_from = (x + CAMERA_FROM[0], y + CAMERA_FROM[1], CAMERA_FROM[2])
+        seen_from = (x + CAMERA_OFFSET[0], y + CAMERA_OFFSET[1], CAMERA_OFFSET[2])
         server = self._page.server
-        for who in (server.initial_camera, *(c.camera for c in server.get_clients().values())):
-            who.position, who.look_at = seen_from, (x, y, 0.0)
-        return 0.0
+        cameras = [client.camera for client in server.get_clients().values()]
+        for camera in (server.initial_camera, *cameras):
+            camera.position = seen_from
+            camera.look_at = (x, y, 0.0)
+        return True
 
     def _send_goal(self, event: Any) -> None:
         show, point = self._show, floor_point(event.ray_origin, event.ray_direction)
@@ -158,11 +164,12 @@ class View:
         if controls is None:
             return
         if not self._wheel.claim(controls.tab):
-            controls.say("another page drives: take over by a click on the pad first")
+            controls.status.show("another page drives: click on the pad to take over")
             return
         topic = controls.drive_topic
         pose = Pose.from_rpy((*point, 0.0), (0.0, 0.0, show.heading_to(topic, point)))
-        controls.say(self._driver.send_goal(topic, show.graph.heard, show.stage.fixed, pose))
+        frame = show.context.fixed
+        controls.status.show(self._driver.send_goal(topic, show.graph.heard, frame, pose))
 
 
 def main() -> None:
@@ -171,17 +178,17 @@ def main() -> None:
 
 
 def window() -> None:
-    """Run the node in the place of gzclient, Gazebo's window."""
+    """Run the node in place of gzclient, Gazebo's window."""
     run_view("gazebo_gui")
 
 
 def run_view(name: str) -> None:
-    """Run the node by a name."""
+    """Run the node under a name."""
 
     def body() -> None:
         given = private_parameters(ViewParameters)
         ignore_clock()
-        # The simulator has said what is wrong with the world.
+        # The simulator has already reported what is wrong with the world.
         logging.getLogger("bullet_lab.simulation").setLevel(logging.ERROR)
         View(given).run()
 

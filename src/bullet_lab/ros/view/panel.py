@@ -1,41 +1,76 @@
-"""The page's controls: simulated time, noise and what is shown for all; driving and camera for one.
+"""The page's controls, and the commands and goals that they publish.
 
-Their callbacks come in threads of viser's. What changes the scene is left to the view's loop. What
-a control says is checked where it is read: a page may send what its own controls do not offer.
+All tabs share the controls of simulated time, noise and displays; each tab has its own for driving
+and for the camera. viser calls callbacks in its own threads; only the view's loop changes the
+scene. A page may send values that its controls do not offer, so each value is checked when read.
 """
 
 from __future__ import annotations
 
 import html
 import math
-from typing import Any, Callable, Collection, List, Optional, Sequence
+import threading
+from typing import Any, Callable, Collection, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 import rospy
+from geometry_msgs.msg import PoseStamped, Twist
+from move_base_msgs.msg import MoveBaseActionGoal
 from std_srvs.srv import Empty
 
+from bullet_lab.core.pose import Pose
+from bullet_lab.ros.messages.poses import pose_message
+from bullet_lab.ros.node.publishers import COMMAND_TIMEOUT, Publisher
 from bullet_lab.srv import SetNoise, SetRtf, Step
+from bullet_lab.view.pad import HOLD, STILL, Shares
 
-PAUSE, GO_ON, RESET = "/gazebo/pause_physics", "/gazebo/unpause_physics", "/gazebo/reset_world"
-STEP, SPEED = "/bullet_lab/step", "/bullet_lab/set_rtf"
+GO_ON = "/gazebo/unpause_physics"
+STEP = "/bullet_lab/step"
+SPEED = "/bullet_lab/set_rtf"
 SET_NOISE = "set_noise"
-# Steps of 1 ms of the button.
-STEPS, STEP_BUTTON = 100, "100 ms"
+# Physics steps of 1 ms of the step button.
+STEPS = 100
+STEP_BUTTON = "100 ms"
+# Services without arguments, by the labels of their buttons.
+BUTTONS = {"Pause": "/gazebo/pause_physics", "Go on": GO_ON, "Reset": "/gazebo/reset_world"}
 AS_STARTED = "as started"
 SPEEDS = {"0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "5 x": 5.0}
-NOBODY, NOTHING = "(nobody listens)", "(none)"
-USUAL_NOISE, LARGEST_NOISE, FASTEST, FASTEST_TURN = 0.1, 1.0, 2.0, 3.0
+NOBODY = "(nobody listens)"
+NOTHING = "(none)"
+USUAL_NOISE = 0.1
+LARGEST_NOISE = 1.0
+# m/s and rad/s.
+FASTEST = 2.0
+FASTEST_TURN = 3.0
 DARK = np.full((120, 160, 3), 40, np.uint8)
+# The bridge stops the robot unless the next command of the view comes within this time.
+COMMAND_HEADERS = {COMMAND_TIMEOUT: str(HOLD)}
+SIMPLE_GOAL = "move_base_simple/goal"
+ACTION_GOAL = "move_base/goal"
+
+
+class Status:
+    """A line of text on the page."""
+
+    def __init__(self, gui: Any):
+        self._text = gui.add_html("")
+
+    def show(self, text: str) -> None:
+        """Show a text in place of the one before."""
+        self._text.content = html.escape(text)
 
 
 class TabControls:
-    """Driving and the camera's image, which each tab has for itself.
+    """Controls of one tab, for driving and for the camera.
 
     Args:
         gui: of viser's client.
         tab: its name.
         speed: full speed forward, m/s.
-        turn_rate: full speed of turning, rad/s.
+        turn_rate: full turn rate, rad/s.
+
+    Attributes:
+        status: of driving.
     """
 
     def __init__(self, gui: Any, tab: str, speed: float, turn_rate: float):
@@ -45,19 +80,19 @@ class TabControls:
             self._robot = gui.add_dropdown("Robot", (NOBODY,))
             self._full = _slider(gui, "m/s", 0.05, FASTEST, speed)
             self._turn = _slider(gui, "rad/s", 0.1, FASTEST_TURN, turn_rate)
-            self._said = gui.add_html("")
+            self.status = Status(gui)
         with gui.add_folder("Camera"):
             self._source = gui.add_dropdown("Image", (NOTHING,))
             self._image = gui.add_image(DARK, visible=False, jpeg_quality=80)
 
     @property
     def drive_topic(self) -> str:
-        """Topic of commands that is driven on; empty for none."""
+        """Topic of the commands; empty for none."""
         return _chosen(self._robot, NOBODY)
 
     @property
     def image_topic(self) -> str:
-        """Topic of the image that is shown; empty for none."""
+        """Topic of the image; empty for none."""
         return _chosen(self._source, NOTHING)
 
     @property
@@ -67,15 +102,15 @@ class TabControls:
 
     @property
     def full_turn_rate(self) -> float:
-        """Full speed of turning, rad/s."""
+        """Full turn rate, rad/s."""
         return _within(self._turn)
 
     def offer_robots(self, topics: List[str], default: Optional[str]) -> None:
-        """Offer topics to drive on."""
+        """Offer topics of commands."""
         _offer(self._robot, topics, NOBODY, default)
 
     def offer_images(self, topics: List[str], default: Optional[str]) -> None:
-        """Offer images to look at."""
+        """Offer topics of images."""
         _offer(self._source, [*topics, NOTHING], NOTHING, default)
         if self._image.visible != bool(self.image_topic):
             self._image.visible = bool(self.image_topic)
@@ -84,55 +119,65 @@ class TabControls:
         """Show an image, (h, w, 3) uint8 RGB."""
         self._image.image = pixels
 
-    def say(self, text: str) -> None:
-        """Tell something, until something else is told."""
-        self._said.content = html.escape(text)
-
 
 class Panel:
     """The controls that all tabs share.
 
     Args:
         gui: viser's.
-        kinds: what can be shown, each switched on or off by its name.
-        off: kinds that are not shown at first.
+        kinds: names of what can be shown, with a switch each.
+        off: those that are off at first.
     """
 
     def __init__(self, gui: Any, kinds: Sequence[str], off: Sequence[str] = ()):
         self._noise_services: List[str] = []
         with gui.add_folder("Simulation"):
             self._time = gui.add_html("…")
-            self._speed = gui.add_dropdown("Speed", (AS_STARTED, *SPEEDS))
-            self._buttons = gui.add_button_group("Time", ("Pause", "Go on", STEP_BUTTON, "Reset"))
-            self._said = gui.add_html("")
+            speed = gui.add_dropdown("Speed", (AS_STARTED, *SPEEDS))
+            buttons = gui.add_button_group("Time", ("Pause", "Go on", STEP_BUTTON, "Reset"))
+            self._status = Status(gui)
         self._noise_folder = gui.add_folder("Noise of the odometry")
         with self._noise_folder:
             self._noise = _slider(gui, "std", 0.0, LARGEST_NOISE, USUAL_NOISE)
         with gui.add_folder("Show", expand_by_default=False):
             self._switches = {name: gui.add_checkbox(name, name not in off) for name in kinds}
-        self._listen()
-
-    # What is asked for
+        speed.on_update(_by_user(lambda event: self._set_speed(event.target.value)))
+        self._noise.on_update(_by_user(lambda event: self._set_noise(_within(event.target))))
+        buttons.on_click(lambda event: self._press(event.target.value))
 
     def is_on(self, kind: str) -> bool:
-        """Return whether something is to be shown."""
+        """Return whether a kind is to be shown."""
         return self._switches[kind].value
 
     def go_on(self) -> bool:
-        """Let simulated time go on; return whether there was somebody to do so."""
+        """Unpause the simulation; return whether a simulator has answered."""
         return self._call(GO_ON, Empty)
 
-    def _listen(self) -> None:
-        self._speed.on_update(_of_people(lambda e: self._set_speed(e.target.value)))
-        self._noise.on_update(_of_people(lambda e: self._set_noise(_within(e.target))))
-        self._buttons.on_click(lambda e: self._press(e.target.value))
+    def show_time(self, seconds: Optional[float], speed: float, notes: Sequence[str]) -> None:
+        """Show the simulated time, the real-time factor (NaN if unknown), and notes."""
+        if seconds is None:
+            text = "no simulated time"
+        elif math.isnan(speed):
+            text = f"{seconds:.2f} s"
+        else:
+            text = f"{seconds:.2f} s, " + (f"{speed:.2f} x" if speed else "stands still")
+        content = "<br>".join(map(html.escape, [text, *notes]))
+        if self._time.content != content:
+            self._time.content = content
+
+    def offer_noise(self, services: Collection[str]) -> None:
+        """Offer to change the noise, if one of these services does."""
+        found = [name for name in services if name.rpartition("/")[2] == SET_NOISE]
+        if found and not self._noise_services:
+            self._noise.value = _present_noise(found[0])
+        self._noise_services = found
+        self._noise_folder.visible = bool(found)
 
     def _press(self, label: str) -> None:
-        services = {"Pause": PAUSE, "Go on": GO_ON, "Reset": RESET}
         if label == STEP_BUTTON:
             self._call(STEP, Step, STEPS)
-        elif label in services:
-            self._call(services[label], Empty)
+        elif label in BUTTONS:
+            self._call(BUTTONS[label], Empty)
 
     def _set_speed(self, label: str) -> None:
         if label in SPEEDS:
@@ -143,46 +188,20 @@ class Panel:
             self._call(service, SetNoise, "", std, [])
 
     def _call(self, service: str, kind: type, *arguments: Any) -> bool:
-        """Call a service; say so on the page, and return False, if it answers otherwise."""
+        """Call a service; return whether it succeeds, and show on the page why it does not."""
         try:
             rospy.wait_for_service(service, 1.0)
             answer = rospy.ServiceProxy(service, kind)(*arguments)
         except rospy.ROSException as error:
-            self.say(f"{service}: {error}")
+            self._status.show(f"{service}: {error}")
             return False
         success = getattr(answer, "success", True)
-        self.say("" if success else f"{service}: {answer.status_message}")
+        self._status.show("" if success else f"{service}: {answer.status_message}")
         return success
-
-    # What is told
-
-    def say(self, text: str) -> None:
-        """Tell something, until something else is told."""
-        self._said.content = html.escape(text)
-
-    def tell_time(self, seconds: Optional[float], speed: float, notes: Sequence[str]) -> None:
-        """Tell the simulated time, how fast it goes, and what is to be known besides."""
-        if seconds is None:
-            told = "no simulated time"
-        elif math.isnan(speed):
-            told = f"{seconds:.2f} s"
-        else:
-            told = f"{seconds:.2f} s, " + (f"{speed:.2f} x" if speed else "stands still")
-        content = "<br>".join(map(html.escape, [told, *notes]))
-        if self._time.content != content:
-            self._time.content = content
-
-    def offer_noise(self, services: Collection[str]) -> None:
-        """Offer to change the noise, where one of these services does."""
-        found = [name for name in services if name.rpartition("/")[2] == SET_NOISE]
-        if found and not self._noise_services:
-            self._noise.value = _present_noise(found[0])
-        self._noise_services = found
-        self._noise_folder.visible = bool(found)
 
 
 def _present_noise(service: str) -> float:
-    """Return the noise of the node that offers a service, as far as it was told."""
+    """Return the std parameter of the node that offers a service, or the default."""
     std = rospy.get_param(f"{service.rpartition('/')[0]}/std", USUAL_NOISE)
     return float(std) if isinstance(std, (int, float)) else USUAL_NOISE
 
@@ -193,17 +212,17 @@ def _slider(gui: Any, label: str, least: float, most: float, value: float) -> An
 
 
 def _within(slider: Any) -> float:
-    """Return what a slider says, within its limits."""
+    """Return the value of a slider, clipped to its limits."""
     return min(max(slider.value, slider.min), slider.max)
 
 
 def _chosen(menu: Any, empty: str) -> str:
-    """Return what is chosen in a menu, if it offers that; empty where nothing is."""
+    """Return the choice in a menu, if the menu offers it; empty if it is the entry for none."""
     return menu.value if menu.value in menu.options and menu.value != empty else ""
 
 
 def _offer(menu: Any, options: List[str], empty: str, default: Optional[str]) -> None:
-    """Put options into a menu; what is chosen stays, if it can."""
+    """Set the options of a menu; the choice is kept if it is still an option."""
     options = options or [empty]
     if list(menu.options) == options:
         return
@@ -212,11 +231,76 @@ def _offer(menu: Any, options: List[str], empty: str, default: Optional[str]) ->
     menu.value = chosen if chosen in options else options[0]
 
 
-def _of_people(handle: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Pass on what somebody has done on the page, and not what this program has set."""
+def _by_user(handle: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return a handler of the events that a user causes, not this program."""
 
-    def pass_on(event: Any) -> None:
+    def handle_user(event: Any) -> None:
         if event.client is not None:
             handle(event)
 
-    return pass_on
+    return handle_user
+
+
+class Driver:
+    """Publishes commands and goals, each on the topic chosen on the tab that drives."""
+
+    def __init__(self) -> None:
+        self._publishers: Dict[Tuple[str, type], Publisher] = {}
+        self._driven = ""
+        self._lock = threading.Lock()
+
+    def drive(self, controls: Optional[TabControls], shares: Shares) -> None:
+        """Drive with shares of a tab's full speeds, on its topic; from any thread.
+
+        Without controls, as the tab is closed, the robot that was driven is stopped.
+        """
+        with self._lock:
+            topic = "" if controls is None or shares == STILL else controls.drive_topic
+            if self._driven and self._driven != topic:
+                self._publish(self._driven, Twist())
+            self._driven = topic
+            if topic:
+                twist = Twist()
+                twist.linear.x = shares[0] * controls.full_speed
+                twist.angular.z = shares[1] * controls.full_turn_rate
+                self._publish(topic, twist)
+
+    def stop(self) -> None:
+        """Stop the robot that is driven, if one is."""
+        self.drive(None, STILL)
+
+    def send_goal(self, drive_topic: str, heard: Collection[str], frame: str, pose: Pose) -> str:
+        """Send a goal in the namespace of a command topic; return a line about it for the page.
+
+        Args:
+            drive_topic: topic of the robot's commands.
+            heard: topics that have subscribers.
+            frame: of the pose.
+            pose: of the goal.
+        """
+        namespace = drive_topic.rpartition("/")[0]
+        goal = PoseStamped(pose=pose_message(pose))
+        goal.header.frame_id = frame
+        action = MoveBaseActionGoal(header=goal.header)
+        action.goal.target_pose = goal
+        for name, message in ((SIMPLE_GOAL, goal), (ACTION_GOAL, action)):
+            topic = f"{namespace}/{name}"
+            if topic in heard:
+                self._publish(topic, message)
+                x, y, _ = pose.position
+                return f"goal: ({x:.2f}, {y:.2f}) m"
+        return f"nobody listens to {namespace}/{SIMPLE_GOAL}"
+
+    def _publish(self, topic: str, message: Any) -> None:
+        key = (topic, type(message))
+        if key not in self._publishers:
+            is_goal = not isinstance(message, Twist)
+            # Goals are latched, as the subscriber connects a moment later.
+            self._publishers[key] = Publisher(
+                topic,
+                type(message),
+                queue_size=10,
+                latch=is_goal,
+                headers=None if is_goal else COMMAND_HEADERS,
+            )
+        self._publishers[key].publish(message)

@@ -1,38 +1,35 @@
-"""Robots as their descriptions on the parameter server say, where TF says that their links are."""
+"""Robots: their links as described on the parameter server, at the poses that TF gives."""
 
 from __future__ import annotations
 
-import logging
-import xmlrpc.client
 from dataclasses import dataclass
 from typing import Any, Dict, FrozenSet, List, Optional, Set, Tuple
 
 import rospy
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.errors import LabError
-from bullet_lab.ros.node.node import TF_PREFIX, NodeError, search_parameter
-from bullet_lab.ros.view.displays import Stage
+from bullet_lab.ros.node.node import MASTER_ERRORS, TF_PREFIX, NodeError, search_parameter
+from bullet_lab.ros.view.frames import DisplayContext
 from bullet_lab.simulation.world.description import Model, Visual
-from bullet_lab.simulation.world.report import ReportOnce
+from bullet_lab.simulation.world.report import ReportOnce, leaving_out
 from bullet_lab.simulation.world.urdf import read_urdf
 from bullet_lab.srv import DescribeModels
-from bullet_lab.view.looks import glb_of
-from bullet_lab.view.scene import Copies, glb_copies
+from bullet_lab.view.scene import Copies, CopyGroups, visual_copies
 
-LOG = logging.getLogger(__name__)
 DESCRIPTION = "robot_description"
 MODELS = "/bullet_lab/describe_models"
+# What a request to the parameter server raises if there is no answer.
+ERRORS = (*MASTER_ERRORS, rospy.ROSException)
 
 
 @dataclass(frozen=True)
 class Description:
-    """A robot's description, and what stands before its frames on TF.
+    """A robot's description, and the prefix of its frames on TF.
 
     Attributes:
-        namespace: that the parameter is in, without slashes.
+        namespace: of the parameter, without slashes.
         prefix: with its slash, or empty.
-        model: what the text says.
+        model: what the description defines.
     """
 
     namespace: str
@@ -40,7 +37,7 @@ class Description:
     model: Model
 
     def bodies(self) -> List[Tuple[str, Tuple[Visual, ...]]]:
-        """Return the frame of each link that is seen, and what is seen of it."""
+        """Return frame and visuals of each link that has any."""
         return [
             (self.prefix + link.name, link.visuals) for link in self.model.links if link.visuals
         ]
@@ -51,85 +48,85 @@ class Description:
 
 
 class Robots:
-    """All robots that there is a description of, each with its links where TF has them.
+    """Shows all robots that have a description, with their links at their poses on TF.
 
-    Links that look the same are copies of one another, whatever their number.
+    Links with the same visuals are copies in one node, whatever their number.
     """
 
-    def __init__(self, stage: Stage):
-        self._stage = stage
+    def __init__(self, context: DisplayContext):
+        self._context = context
         self._texts: Dict[str, str] = {}
         self._robots: Dict[str, Description] = {}
-        self._looks: Dict[Tuple[Visual, ...], Copies] = {}
+        self._report = ReportOnce()
+        self._copies = CopyGroups(
+            lambda visuals, number: visual_copies(
+                context.scene, f"/robots/{number}", visuals, self._report
+            )
+        )
         self._shown: FrozenSet[str] = frozenset()
         self._links: List[Tuple[str, Copies]] = []
-        self._looks_taken = 0
+        self._updates = 0
         self._asked: Tuple[FrozenSet[str], FrozenSet[str]] = (frozenset(), frozenset())
         self._found: FrozenSet[str] = frozenset()
-        self._report = ReportOnce()
 
     def follow(self) -> None:
-        """Take up the descriptions that there are now."""
+        """Show the robots of the present descriptions."""
         names = _descriptions()
         if names is not None:
-            self._take_up(names)
+            self._update(names)
         shown = frozenset(n for n, robot in self._robots.items() if self._is_placed(robot))
         for name in self._shown - shown:
             self._drop(self._robots[name])
         self._shown = shown
         self._links = [
-            (frame, self._look(visuals))
+            (frame, self._copies.group(visuals))
             for name in sorted(shown)
             for frame, visuals in self._robots[name].bodies()
         ]
 
     def tick(self) -> None:
-        """Put all links where they are."""
+        """Move all links to their poses."""
         for frame, copies in self._links:
-            copies.put(frame, self._stage.where(frame))
-        for copies in self._looks.values():
-            copies.flush()
+            copies.put(frame, self._context.pose_of(frame))
+        self._copies.flush()
 
     def clear(self) -> None:
         """Show no robots."""
         for name in list(self._texts):
             self._forget(name)
         self._links = []
-        for copies in self._looks.values():
-            copies.flush()
+        self._copies.flush()
 
     def models(self, names: Set[str]) -> FrozenSet[str]:
-        """Return those models of the world that are shown as robots.
+        """Return the names of the world's models that are shown as robots.
 
-        They have the name of the robot's namespace or description; elsewhere, and where there is
-        one of them, the one with the robot's links is meant.
+        A robot's model has the name of its namespace or description. If no model has, it is the
+        model with the same links, if there is exactly one.
         """
         asked = (self._shown, frozenset(names))
         if asked != self._asked:
             found: Set[str] = set()
             for name in self._shown:
                 robot = self._robots[name]
-                alike = {robot.namespace, robot.model.name} & names
-                if robot.namespace in names:
-                    alike = {robot.namespace}
-                found |= alike or _with_links(robot, names)
+                by_name = [n for n in (robot.namespace, robot.model.name) if n in names]
+                found |= set(by_name[:1]) or _with_links(robot, names)
             self._asked, self._found = asked, frozenset(found)
         return self._found
 
     def place_of(self, namespace: str) -> Optional[Pose]:
-        """Return where the robot of a namespace is; None where none is shown."""
+        """Return the pose of the robot of a namespace; None if none is shown."""
         for name in self._shown:
             if self._robots[name].namespace == namespace:
-                return self._stage.where(self._robots[name].frames()[0])
+                return self._context.pose_of(self._robots[name].frames()[0])
         return None
 
-    def _take_up(self, names: FrozenSet[str]) -> None:
+    def _update(self, names: FrozenSet[str]) -> None:
         for name in set(self._texts) - names:
             self._forget(name)
-        # Of those that are known, one is read again at each look: it may be another text by now.
+        # One of the known descriptions is read again at each update, as it may have changed.
         known = sorted(self._texts)
-        self._looks_taken += 1
-        again = known[self._looks_taken % len(known) :][:1] if known else []
+        self._updates += 1
+        again = known[self._updates % len(known) :][:1] if known else []
         for name in (*sorted(names - set(known)), *again):
             text = _text(name)
             if text and self._texts.get(name) != text:
@@ -139,12 +136,9 @@ class Robots:
 
     def _take(self, name: str, text: str) -> None:
         namespace = name.rpartition("/")[0].strip("/")
-        try:
+        with leaving_out(self._report):
             model = read_urdf(text, name)
-        except LabError as error:
-            self._report(str(error))
-            return
-        self._robots[name] = Description(namespace, tf_prefix(namespace), model)
+            self._robots[name] = Description(namespace, tf_prefix(namespace), model)
 
     def _forget(self, name: str) -> None:
         self._texts.pop(name, None)
@@ -154,27 +148,19 @@ class Robots:
             self._drop(robot)
 
     def _drop(self, robot: Description) -> None:
-        for frame, visuals in robot.bodies():
-            if visuals in self._looks:
-                self._looks[visuals].drop(frame)
+        for frame, _ in robot.bodies():
+            self._copies.drop(frame)
 
     def _is_placed(self, robot: Description) -> bool:
-        """Return whether TF connects a link of the robot with something else than the robot."""
+        """Return whether TF connects a link of the robot with a frame outside the robot."""
         own = set(robot.frames())
-        known = set(self._stage.frames.frames())
-        return any(f in known and self._stage.frames.root(f) not in own for f in own)
-
-    def _look(self, visuals: Tuple[Visual, ...]) -> Copies:
-        if visuals not in self._looks:
-            name, glb = f"/robots/{len(self._looks)}", glb_of(visuals, self._report)
-            scene = self._stage.scene
-            made = glb_copies(scene, name, glb) if glb else Copies(lambda _: None, ())
-            self._looks[visuals] = made
-        return self._looks[visuals]
+        tree = self._context.frames
+        known = set(tree.frames())
+        return any(frame in known and tree.root(frame) not in own for frame in own)
 
 
 def tf_prefix(namespace: str) -> str:
-    """Return the tf_prefix that holds in a namespace, with its slash; empty without one."""
+    """Return the tf_prefix of a namespace, with its slash; empty if there is none."""
     try:
         prefix = search_parameter(TF_PREFIX, namespace).strip("/")
     except NodeError:
@@ -183,10 +169,10 @@ def tf_prefix(namespace: str) -> str:
 
 
 def _descriptions() -> Optional[FrozenSet[str]]:
-    """Return the names of all descriptions; None while the master does not answer."""
+    """Return the names of all descriptions; None if the master does not answer."""
     try:
         names = rospy.get_param_names()
-    except (OSError, xmlrpc.client.Error, rospy.ROSException):
+    except ERRORS:
         return None
     return frozenset(name for name in names if name.rpartition("/")[2] == DESCRIPTION)
 
@@ -194,7 +180,7 @@ def _descriptions() -> Optional[FrozenSet[str]]:
 def _text(name: str) -> str:
     try:
         return str(rospy.get_param(name, ""))
-    except (OSError, xmlrpc.client.Error, rospy.ROSException):
+    except ERRORS:
         return ""
 
 

@@ -1,4 +1,4 @@
-"""What is shown while somebody looks: which topics there are, and what is made of each."""
+"""All that is shown while a page is open: the topics that exist, and a display for each."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any, Callable, Collection, Dict, FrozenSet, List, Optional, S
 
 import rosgraph
 import rospy
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.gazebo.client import WORLD
 from bullet_lab.ros.node.node import MASTER_ERRORS
-from bullet_lab.ros.view import raw
-from bullet_lab.ros.view.camera import CameraDisplay
+from bullet_lab.ros.view.cameras import CameraDisplay, PointsDisplay
 from bullet_lab.ros.view.displays import (
     Displays,
     Kind,
@@ -23,11 +23,10 @@ from bullet_lab.ros.view.displays import (
     PoseDisplay,
     RangeDisplay,
     ScanDisplay,
-    Stage,
     closest,
     has_no_path,
 )
-from bullet_lab.ros.view.feeds import Feed
+from bullet_lab.ros.view.frames import DisplayContext, Frames
 from bullet_lab.ros.view.markers import (
     MarkersDisplay,
     WorldDisplay,
@@ -35,17 +34,20 @@ from bullet_lab.ros.view.markers import (
     single_marker_display,
 )
 from bullet_lab.ros.view.panel import Panel, TabControls
-from bullet_lab.ros.view.points import PointsDisplay
 from bullet_lab.ros.view.robots import Robots
-from bullet_lab.view.scene import Copies, Labels
+from bullet_lab.ros.view.subscription import Subscription, reader_of
 
-WORLD_SHAPES, ROBOTS, FRAMES, NAMES = "World", "Robots", "Frames", "Names of frames"
+WORLD_SHAPES = "World"
+ROBOTS = "Robots"
+FRAMES = "Frames"
+NAMES = "Names of frames"
 POINTS = "Clouds of points"
+PATH = "nav_msgs/Path"
 KINDS = (
     Kind(
         "Paths and ellipses",
-        {"nav_msgs/Path": PathDisplay, "nav_msgs/Odometry": OdometryDisplay},
-        lambda topic, topics: topics[topic] == "nav_msgs/Path" or has_no_path(topic, topics),
+        {PATH: PathDisplay, "nav_msgs/Odometry": OdometryDisplay},
+        lambda topic, topics: topics[topic] == PATH or has_no_path(topic, topics),
         every=2,
     ),
     Kind("Laser", {"sensor_msgs/LaserScan": ScanDisplay}),
@@ -53,7 +55,10 @@ KINDS = (
     Kind(POINTS, {"sensor_msgs/PointCloud2": PointsDisplay}, every=2),
     Kind(
         "Contacts",
-        dict.fromkeys(("gazebo_msgs/ContactsState", "bullet_lab/ContactsState"), contacts_display),
+        {
+            "gazebo_msgs/ContactsState": contacts_display,
+            "bullet_lab/ContactsState": contacts_display,
+        },
     ),
     Kind("Goals and docks", {"geometry_msgs/PoseStamped": PoseDisplay}),
     Kind(
@@ -66,35 +71,39 @@ KINDS = (
     ),
 )
 SWITCHES = (WORLD_SHAPES, ROBOTS, *(kind.name for kind in KINDS), FRAMES, NAMES)
-# A cloud is sent as nothing else that large, and a depth camera draws it for whoever listens.
+# Clouds are the largest messages to the page, and a depth camera renders for each subscriber.
 OFF_AT_FIRST = (NAMES, POINTS)
-IMAGE, TWIST = "sensor_msgs/Image", "geometry_msgs/Twist"
-# Of several images, the ones with what was found in them come first.
+IMAGE = "sensor_msgs/Image"
+TWIST = "geometry_msgs/Twist"
+# The image that is shown at first: annotated ones come before others.
 BEST_IMAGES = ("aruco/image_annotated", "/image_annotated", "rgb/image_raw", "/image_raw")
-# Wall seconds between two looks at which topics there are.
-LOOK_SECONDS = 1.0
-# Of every so many ticks, one for what need not be smooth.
+# Wall seconds between two updates of the list of topics.
+UPDATE_SECONDS = 1.0
+# One in so many ticks updates what need not be smooth.
 SLOW = 3
 
 
 @dataclass(frozen=True)
 class Graph:
-    """Which topics there are, and services: the types of those published, and of those heard."""
+    """The ROS graph without the view: message types by published and subscribed topics."""
 
     published: Dict[str, str]
     heard: Dict[str, str]
     services: List[str]
 
 
-def look_at_graph() -> Graph:
-    """Return what the master knows; nothing, while it does not answer."""
-    master = rosgraph.Master(rospy.get_name())
+NO_GRAPH = Graph({}, {}, [])
+
+
+def read_graph() -> Graph:
+    """Return the present graph; an empty one if the master does not answer."""
+    own = rospy.get_name()
+    master = rosgraph.Master(own)
     try:
         publishers, subscribers, services = master.getSystemState()
         types = dict(master.getTopicTypes())
     except MASTER_ERRORS:
-        return NOTHING
-    own = rospy.get_name()
+        return NO_GRAPH
 
     def of_others(listed: List[Any]) -> Dict[str, str]:
         return {t: types[t] for t, nodes in listed if t in types and set(nodes) - {own}}
@@ -102,91 +111,54 @@ def look_at_graph() -> Graph:
     return Graph(of_others(publishers), of_others(subscribers), [name for name, _ in services])
 
 
-NOTHING = Graph({}, {}, [])
-
-
 class Clock:
-    """Simulated time, and how fast it goes, as /clock says."""
+    """Simulated time and real-time factor, from /clock.
+
+    Attributes:
+        seconds: the time; None before the first message.
+        speed: the real-time factor between the last two calls of `measure`; NaN before them.
+    """
 
     def __init__(self) -> None:
-        self._feed = Feed("/clock", raw.read_clock)
-        self._since: Optional[Tuple[float, float]] = None
+        self._subscription = Subscription("/clock", reader_of(ClockMessage))
+        self._last: Optional[Tuple[float, float]] = None
         self.seconds: Optional[float] = None
         self.speed = math.nan
 
     def tick(self) -> None:
-        """Look at the time."""
-        seconds = self._feed.newest()
-        self.seconds = self.seconds if seconds is None else seconds
+        """Read the time."""
+        message = self._subscription.newest()
+        if message is not None:
+            self.seconds = message.clock.to_sec()
 
-    def look(self) -> None:
-        """Work out the speed since the last look."""
+    def measure(self) -> None:
+        """Measure the real-time factor since the last call."""
+        if self.seconds is None:
+            return
         now = time.monotonic()
-        if self.seconds is not None:
-            if self._since is not None:
-                wall, then = self._since
-                self.speed = max(0.0, (self.seconds - then) / (now - wall))
-            self._since = (now, self.seconds)
+        if self._last is not None:
+            wall, seconds = self._last
+            self.speed = max(0.0, (self.seconds - seconds) / (now - wall))
+        self._last = (now, self.seconds)
 
     def close(self) -> None:
-        """Listen no longer."""
-        self._feed.close()
-
-
-class Frames:
-    """TF, and the axes and names of all frames."""
-
-    def __init__(self, stage: Stage):
-        self._stage = stage
-        self._feeds = [Feed(t, raw.read_transforms, every=True) for t in ("/tf_static", "/tf")]
-        make = lambda arrays: stage.scene.add_batched_axes(  # noqa: E731
-            "/frames/axes", axes_length=0.2, axes_radius=0.006, **arrays
-        )
-        self._axes = Copies(make, ("batched_positions", "batched_wxyzs"))
-        self._names = Labels(stage.scene, "/frames/names")
-
-    def read(self) -> None:
-        """Take up what has come."""
-        for feed in self._feeds:
-            for transforms in feed.take():
-                for parent, child, pose in transforms:
-                    self._stage.frames.put(child, parent, pose)
-
-    def show(self, axes: bool, names: bool) -> None:
-        """Show the frames that there are, or do not."""
-        frames = self._stage.frames.frames() if axes or names else []
-        if not axes:
-            self._axes.clear()
-        self._names.keep(frames if names else [])
-        for frame in frames:
-            pose = self._stage.where(frame)
-            if axes:
-                self._axes.put(frame, pose)
-            if names:
-                self._names.put(frame, frame, pose.position)
-        self._axes.flush()
-
-    def close(self) -> None:
-        """Listen no longer, and show nothing."""
-        for feed in self._feeds:
-            feed.close()
-        self.show(axes=False, names=False)
-        self._stage.frames.clear()
+        """Unsubscribe."""
+        self._subscription.close()
 
 
 class Show:
-    """What is shown while somebody looks: made when the first one comes, closed after the last.
+    """All that is shown, from the first page that opens to the last one that closes.
 
     Args:
         scene: viser's.
-        panel: to tell and to ask.
-        tabs: returns the controls of each tab that is open.
-        frame: that all is seen in; to be found out, if empty.
-        image_rate: images of the camera per second.
+        panel: controls of all tabs.
+        tabs: returns the controls of each open tab.
+        frame: that the scene is in; chosen from TF if empty.
+        image_rate: camera images per second.
 
     Attributes:
-        stage: what the scene is made on.
-        graph: the topics that there are.
+        context: what displays share.
+        graph: the ROS graph.
     """
 
     def __init__(
@@ -197,30 +169,32 @@ class Show:
         frame: str,
         image_rate: float,
     ):
-        self._panel, self._tabs, self._frame = panel, tabs, frame
-        self.stage = Stage(scene, fixed=frame or "world")
-        self.graph = NOTHING
+        self._panel = panel
+        self._tabs = tabs
+        self._frame = frame
+        self._image_rate = image_rate
+        self.context = DisplayContext(scene, fixed=frame or "world")
+        self.graph = NO_GRAPH
         self._clock = Clock()
-        self._frames = Frames(self.stage)
+        self._frames = Frames(self.context)
         self._world: Optional[WorldDisplay] = None
         self._robots: Optional[Robots] = None
-        self._displays = [Displays(kind, self.stage) for kind in KINDS]
-        self._image_rate = image_rate
+        self._displays = [Displays(kind, self.context) for kind in KINDS]
         self._cameras: Dict[TabControls, CameraDisplay] = {}
         self._ticks = 0
-        self._next_look = -math.inf
+        self._next_update = -math.inf
 
     def tick(self) -> None:
-        """Show what has come."""
+        """Show new messages."""
         self._frames.read()
         self._clock.tick()
-        now = time.monotonic()
-        if now >= self._next_look:
-            self._look()
-            self._next_look = time.monotonic() + LOOK_SECONDS
-        for part in (self._robots, self._world):
-            if part is not None:
-                part.tick()
+        if time.monotonic() >= self._next_update:
+            self._update()
+            self._next_update = time.monotonic() + UPDATE_SECONDS
+        if self._robots is not None:
+            self._robots.tick()
+        if self._world is not None:
+            self._world.tick()
         self._ticks += 1
         if self._ticks % SLOW == 0:
             for displays in self._displays:
@@ -232,40 +206,40 @@ class Show:
             camera.tick()
 
     def close(self) -> None:
-        """Listen to nothing, and show nothing."""
+        """Unsubscribe from all topics, and show nothing."""
         for displays in self._displays:
-            displays.close()
-        for part in (self._world, self._frames, self._clock, *self._cameras.values()):
-            if part is not None:
-                part.close()
-        if self._robots is not None:
-            self._robots.clear()
+            displays.follow({})
+        self._show_world(False)
+        self._show_robots(False)
+        for part in (self._frames, self._clock, *self._cameras.values()):
+            part.close()
 
     def heading_to(self, drive_topic: str, point: Tuple[float, float]) -> float:
-        """Return the direction, rad, that a point of the floor is in from a robot."""
+        """Return the direction, rad, from a robot to a point of the floor."""
         x, y, _ = (self.place(drive_topic) or Pose()).position
         return math.atan2(point[1] - y, point[0] - x)
 
     def place(self, drive_topic: str) -> Optional[Pose]:
-        """Return where the robot is that is driven on a topic; None while it is not shown."""
+        """Return the pose of the robot with a command topic; None if it is not shown."""
         namespace = drive_topic.rpartition("/")[0].strip("/")
         return None if self._robots is None else self._robots.place_of(namespace)
 
-    def _look(self) -> None:
-        """Look at what there is, and take it up."""
-        self.graph = look_at_graph()
-        self._clock.look()
+    def _update(self) -> None:
+        """Read the graph, and follow its changes."""
+        self.graph = read_graph()
+        self._clock.measure()
         self._choose_frame()
-        self._follow_models()
+        self._show_robots(self._panel.is_on(ROBOTS))
+        self._show_world(self._panel.is_on(WORLD_SHAPES) and WORLD in self.graph.published)
         for displays in self._displays:
             on = self._panel.is_on(displays.kind.name)
             displays.follow(self.graph.published if on else {})
         self._follow_tabs()
         self._panel.offer_noise(self.graph.services)
-        self._panel.tell_time(self._clock.seconds, self._clock.speed, self._notes())
+        self._panel.show_time(self._clock.seconds, self._clock.speed, self._notes())
 
     def _follow_tabs(self) -> None:
-        """Offer each tab what there is, and give it a camera."""
+        """Offer each tab the topics, and give it a camera."""
         images = sorted(t for t, kind in self.graph.published.items() if kind == IMAGE)
         driven = sorted(t for t, kind in self.graph.heard.items() if kind == TWIST)
         tabs = self._tabs()
@@ -274,39 +248,40 @@ class Show:
             tab.offer_robots(driven, closest(driven, ("/cmd_vel",)))
             if tab not in self._cameras:
                 self._cameras[tab] = CameraDisplay(tab.show_image, self._image_rate)
-        for gone in [tab for tab in self._cameras if tab not in tabs]:
-            self._cameras.pop(gone).close()
+        for closed in set(self._cameras) - set(tabs):
+            self._cameras.pop(closed).close()
 
     def _notes(self) -> List[str]:
-        guessed = sorted(self.stage.guessed)
-        self.stage.guessed.clear()
-        return [f"{name} is taken for {self.stage.fixed}: TF has no way" for name in guessed]
+        assumed = sorted(self.context.assumed)
+        self.context.assumed.clear()
+        fixed = self.context.fixed
+        return [f"{name} is taken for {fixed}: TF does not connect them" for name in assumed]
 
-    def _follow_models(self) -> None:
-        if not self._panel.is_on(ROBOTS):
-            if self._robots is not None:
-                self._robots.clear()
+    def _show_robots(self, on: bool) -> None:
+        if self._robots is not None and not on:
+            self._robots.clear()
             self._robots = None
-        elif self._robots is None:
-            self._robots = Robots(self.stage)
-        if self._robots is not None:
+        elif on:
+            self._robots = self._robots or Robots(self.context)
             self._robots.follow()
-        on = self._panel.is_on(WORLD_SHAPES) and WORLD in self.graph.published
+
+    def _show_world(self, on: bool) -> None:
         if self._world is not None and not on:
             self._world.close()
             self._world = None
-        elif self._world is None and on:
-            self._world = WorldDisplay(self.stage)
-        if self._world is not None:
-            shown = self._robots
-            models: FrozenSet[str] = frozenset()
-            if shown is not None:
-                models = shown.models(self._world.models())
-            self._world.leave_out(models)
+        elif on:
+            self._world = self._world or WorldDisplay(self.context)
+            robots: FrozenSet[str] = frozenset()
+            if self._robots is not None:
+                robots = self._robots.models(self._world.models())
+            self._world.leave_out(robots)
 
     def _choose_frame(self) -> None:
-        """See all in the frame that is asked for, else the world's, else TF's largest tree's."""
+        """Choose the frame of the scene: the parameter, else the world's, else the largest tree's.
+
+        The frame is kept while it exists.
+        """
         frames: Set[str] = set() if self._world is None else self._world.frames()
-        roots = self.stage.frames.roots()
-        if not self._frame and self.stage.fixed not in (*frames, *roots):
-            self.stage.fixed = next(iter([*sorted(frames), *roots]), self.stage.fixed)
+        roots = self.context.frames.roots()
+        if not self._frame and self.context.fixed not in (*frames, *roots):
+            self.context.fixed = next(iter([*sorted(frames), *roots]), self.context.fixed)

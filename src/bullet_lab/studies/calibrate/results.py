@@ -10,11 +10,10 @@ import numpy as np
 
 from bullet_lab.core.parameters import declarations
 from bullet_lab.errors import LabError
-from bullet_lab.noise.calibration import Fit, Problem, fit, intervals
+from bullet_lab.noise.calibration import Fit, Problem, covariance, fit, intervals
 from bullet_lab.noise.goodness import Goodness, goodness
 from bullet_lab.noise.likelihood import PARTS
 from bullet_lab.noise.odometry_noise import MODELS
-from bullet_lab.noise.search import covariance
 from bullet_lab.noise.systematic import SystematicErrors
 
 _ALIKE = 0.99  # correlation of two estimates that the steps cannot tell apart

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.core.se2 import LEVEL, ellipse_points, straightening
-from bullet_lab.noise.exact_moments import Moments
-from bullet_lab.noise.exponential_moments import exponential_moments
+from bullet_lab.noise.exact_moments import Moments, exponential_moments
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.figures import (

@@ -17,8 +17,7 @@ from scipy.special import betaincinv, chdtri, ndtri
 
 from bullet_lab.core.se2 import logarithm, wrap
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.noise.exact_moments import Moments
-from bullet_lab.noise.exponential_moments import exponential_moments
+from bullet_lab.noise.exact_moments import Moments, exponential_moments
 from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps
 from bullet_lab.studies.noise_study.theory import Theory, inverse_of
 

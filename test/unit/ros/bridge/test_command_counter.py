@@ -2,8 +2,10 @@ import threading
 
 import pytest
 
-from bullet_lab.ros.bridge import timing
-from bullet_lab.ros.bridge.timing import Arrival, CommandCounter, Sent
+pytest.importorskip("rospy")
+
+from bullet_lab.ros.bridge import commands
+from bullet_lab.ros.bridge.commands import Arrival, CommandCounter, Sent
 
 STRAIGHT = Arrival("/cmd_vel", "/a")
 RELAYED = Arrival("/cmd_vel", "/relay")
@@ -11,7 +13,7 @@ RELAYED = Arrival("/cmd_vel", "/relay")
 
 @pytest.fixture(autouse=True)
 def _no_settling(monkeypatch):
-    monkeypatch.setattr(timing, "SETTLE_SECONDS", 0.0)
+    monkeypatch.setattr(commands, "SETTLE_SECONDS", 0.0)
 
 
 class Waiting(threading.Condition):
@@ -131,7 +133,7 @@ def test_a_multiplexer_that_drops_commands_is_waited_for_once():
     for number in range(1, 201):
         sender.sent = number
         assert sender.wait() == (number > 1)
-    assert sender.waiting.patience == [timing.FIRST_PATIENCE]
+    assert sender.waiting.patience == [commands.FIRST_PATIENCE]
 
 
 def test_a_multiplexer_that_passes_commands_on_again_is_waited_for_again():
@@ -139,7 +141,7 @@ def test_a_multiplexer_that_passes_commands_on_again_is_waited_for_again():
     sender.join()
     sender.sent = 1
     assert not sender.wait()
-    for _ in range(timing.STREAK):
+    for _ in range(commands.STREAK):
         sender.sent += 1
         sender.arrive()
         assert sender.wait()
@@ -175,7 +177,7 @@ def test_what_comes_after_it_was_given_up_is_not_taken_for_the_next():
 
 
 def test_what_another_thread_notes_ends_the_waiting(monkeypatch):
-    monkeypatch.setattr(timing, "PATIENCE", 60.0)
+    monkeypatch.setattr(commands, "PATIENCE", 60.0)
     counter = CommandCounter(lambda *_: {STRAIGHT})
     counter.heard("/a", [Sent("/cmd_vel", "/bridge", 0)])
     late = threading.Thread(target=counter.note, args=(STRAIGHT,))

@@ -23,7 +23,7 @@ def watch(clock):
 
 def after(clock, watch, seconds, step, wanted=1.0):
     clock.now += seconds
-    return watch.look(step, wanted)
+    return watch.measure(step, wanted)
 
 
 def test_time_that_keeps_its_speed(clock, watch):
@@ -61,7 +61,7 @@ def test_enough_is_due_once_in_a_window(clock, watch):
     assert not watch.due
     clock.now += WINDOW
     assert watch.due
-    watch.look(0, 1.0)
+    watch.measure(0, 1.0)
     assert not watch.due
 
 

@@ -125,7 +125,7 @@ def test_who_advances_far_stops_nobody_else(running):
     run.stepper.pause()
     assert_stands(run)
     thread.join(PATIENCE)
-    assert ["time was stopped with" in str(error) for error in errors] == [True]
+    assert ["paused with" in str(error) for error in errors] == [True]
 
 
 def test_slow_steps_come_in_short_strides(running, monkeypatch):
@@ -360,13 +360,13 @@ def test_the_speed_can_be_changed_on_the_way(running):
 def test_steps_that_are_asked_for_are_in_a_hurry(running):
     run = running(rtf=0.001, paused=True)
     seen = []
-    assert not run.stepper.hurried
-    run.stepper._after_steps = lambda: seen.append(run.stepper.hurried)
+    assert not run.stepper.lossless
+    run.stepper._after_steps = lambda: seen.append(run.stepper.lossless)
     run.stepper.advance_by(500)
     assert seen == [True, True, True]
-    assert not run.stepper.hurried
+    assert not run.stepper.lossless
     run.stepper.set_real_time_factor(0.0)
-    assert run.stepper.hurried
+    assert run.stepper.lossless
 
 
 class SlowWorld:

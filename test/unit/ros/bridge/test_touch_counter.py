@@ -6,6 +6,7 @@ import pytest
 pytest.importorskip("rospy")
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.world_topics import TouchCounter
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
@@ -30,10 +31,7 @@ def test_touches_are_counted_anew_each_time_and_the_floor_is_none():
     with Simulation.of("package://bullet_lab/worlds/docking.world") as simulation:
         robot = simulation.spawn("package://bullet_lab/urdf/camera_robot.urdf")
         topics = SimpleNamespace(publisher=lambda topic, kind: listener)
-        world = SimpleNamespace(
-            simulation=simulation, models=simulation.models, topics=topics, changed=[]
-        )
-        TouchCounter(world)
+        TouchCounter(RunningWorld(SimpleNamespace(simulation=simulation), topics))
         simulation.run_for(0.5)
         assert listener.messages[-1].models == []
         assert len(listener.messages) == 5

@@ -1,4 +1,4 @@
-"""Each expectation holds for what is so, and says what is wrong for what is not."""
+"""Each kind of expectation holds for right values, and names what is wrong for wrong ones."""
 
 from types import SimpleNamespace
 
@@ -6,8 +6,7 @@ import pytest
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 
-from bullet_lab.ros.contract.evidence import Evidence, Heard, Scene
-from bullet_lab.ros.contract.judges import JUDGES, judge
+from bullet_lab.ros.contract.judges import JUDGES, Evidence, Heard, Scene, judge
 
 MD5 = Odometry._md5sum
 TYPES = {"nav_msgs/Odometry": MD5, "std_srvs/Empty": "d41d8cd98f00b204e9800998ecf8427e"}
@@ -31,7 +30,7 @@ def odometry(stamp, x=0.0, frame="odom"):
 
 
 def scene(**changes):
-    """Of a topic that said 21 messages, 20 a second, in which x went from 5 to 6."""
+    """A topic with 21 messages, 20 per second, in which x goes from 5 to 6."""
     given = {
         "buffers": [odometry(0.05 * number, 5.0 + 0.05 * number) for number in range(21)],
         "type": "nav_msgs/Odometry",
@@ -116,16 +115,16 @@ BREAK = [
 
 
 @pytest.mark.parametrize(("word", "expected", "changes"), HOLD)
-def test_what_is_so_holds(word, expected, changes):
+def test_right_values_hold(word, expected, changes):
     assert judge(word, expected, scene(**changes)) == ""
 
 
-@pytest.mark.parametrize(("word", "expected", "changes", "said"), BREAK)
-def test_what_is_not_so_is_said(word, expected, changes, said):
-    assert said in judge(word, expected, scene(**changes))
+@pytest.mark.parametrize(("word", "expected", "changes", "found"), BREAK)
+def test_wrong_values_are_named(word, expected, changes, found):
+    assert found in judge(word, expected, scene(**changes))
 
 
-def test_each_word_is_seen_to_hold_and_to_break():
+def test_each_word_is_tested_to_hold_and_to_break():
     assert {word for word, *_ in HOLD} == {word for word, *_ in BREAK} == set(JUDGES)
 
 
@@ -135,7 +134,7 @@ def test_stamps_between_those_of_the_other_topic_are_found():
     assert "no twin at" in judge("stamped", "twin", other)
 
 
-def test_what_has_no_stamps_is_counted():
+def test_messages_without_stamps_are_counted():
     counted = scene()
     heard = counted.evidence.heard["/a/odom"]
     heard.kind, heard.buffers = TransformStamped().transform.__class__, [b""] * 50

@@ -1,5 +1,6 @@
 """Settings as dynamic_reconfigure's generator would describe them."""
 
+import contextlib
 import math
 from types import SimpleNamespace
 
@@ -11,8 +12,9 @@ from dynamic_reconfigure.encoding import decode_description, encode_description
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo import reconfigure
-from bullet_lab.ros.gazebo.cameras import COMPRESSION, wrong_calibration
+from bullet_lab.ros.gazebo.cameras import COMPRESSION, check_calibration
 from bullet_lab.ros.gazebo.reconfigure import Setting, _type_of
+from bullet_lab.ros.messages.poses import InputError
 
 
 def test_clients_read_names_kinds_limits_and_choices():
@@ -78,8 +80,9 @@ def test_what_is_refused_changes_nothing(monkeypatch, rate):
 )
 def test_a_calibration_has_numbers_and_a_usual_size(part, wrong):
     usual = {"D": [0.1] * 5, "K": [1.0] * 9, "R": [1.0] * 9, "P": [1.0] * 12}
-    said = wrong_calibration({**usual, "distortion_model": "plumb_bob", **part})
-    assert wrong in said and bool(said) == bool(wrong)
+    calibration = {**usual, "distortion_model": "plumb_bob", **part}
+    with pytest.raises(InputError, match=wrong) if wrong else contextlib.nullcontext():
+        check_calibration(calibration)
 
 
 def test_without_the_package_nothing_is_offered(monkeypatch):
@@ -87,7 +90,7 @@ def test_without_the_package_nothing_is_offered(monkeypatch):
     reconfigure.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz")], dict).shutdown()
 
 
-def test_what_a_call_says_of_groups_is_passed_over(monkeypatch):
+def test_groups_of_a_request_are_ignored(monkeypatch):
     class Server:
         def __init__(self, kind, take, namespace):
             pass

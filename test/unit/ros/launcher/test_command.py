@@ -1,4 +1,4 @@
-"""run.sh's launcher as a process, and the packages of the files that it is given."""
+"""The launcher as a process, and the packages of files among its arguments."""
 
 import os
 import subprocess
@@ -27,7 +27,7 @@ def test_ctrl_c_while_python_ends_changes_no_status():
 
 
 @pytest.mark.parametrize("known", ["", "/somewhere"])
-def test_an_unknown_package_is_made_known_with_those_beside_it(known, tmp_path, monkeypatch):
+def test_the_folder_of_an_unknown_package_is_added_to_the_path(known, tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_PACKAGE_PATH", known)
     (tmp_path / "checkout/launch").mkdir(parents=True)
     (tmp_path / "checkout/package.xml").write_text("<package><name>nobodys</name></package>")
@@ -36,8 +36,8 @@ def test_an_unknown_package_is_made_known_with_those_beside_it(known, tmp_path, 
     assert listed == [*filter(None, [known]), str(tmp_path)]
 
 
-def test_a_package_is_known_by_its_name_whatever_its_folder_is_called(tmp_path, monkeypatch):
-    # All that lies beside the folder would be searched, a whole home or /tmp.
+def test_a_package_is_known_by_its_name_not_by_its_folder(tmp_path, monkeypatch):
+    # Otherwise rospack would search all folders beside it, in a home or in /tmp.
     monkeypatch.setenv("ROS_PACKAGE_PATH", "")
     (tmp_path / "package.xml").write_text("<package><name>bullet_lab</name></package>")
     make_package_known(tmp_path / "launch/squares.launch")

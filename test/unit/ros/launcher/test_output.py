@@ -34,7 +34,7 @@ def test_summary_of_an_earlier_run_does_not_count(tmp_path):
         assert out.has_summary()
 
 
-def test_a_run_has_finished_when_its_summary_does_not_say_otherwise(tmp_path):
+def test_a_run_has_finished_unless_its_summary_denies_it(tmp_path):
     with OutputFolder(tmp_path) as out:
         assert not out.is_finished()
         for text, finished in (('{"a', False), ('{"finished": false}', False), ("{}", True)):
@@ -53,25 +53,25 @@ def test_only_files_of_this_run_are_listed(tmp_path):
         assert [path.name for path in out.written()] == ["again.csv", "new.png"]
 
 
-def test_what_was_left_half_by_a_program_that_was_killed_is_cleared_away(tmp_path):
+def test_partial_files_of_a_killed_program_are_deleted(tmp_path):
     with OutputFolder(tmp_path / "out") as out:
         (out.path / ".part_1" / "deeper").mkdir(parents=True)
         (out.log / ".part_2.png").write_text("")
         with pytest.raises(UsageError):
             OutputFolder(out.path).__enter__()
-        # That of another run, which is at work below.
+        # The partial file of another run, which writes to a subfolder.
         (out.path / "other").mkdir()
         (out.path / "other" / ".part_3").write_text("")
         assert len(list(out.path.rglob(".part_*"))) == 3
     assert [path.name for path in out.path.rglob(".part_*")] == [".part_3"]
 
 
-def test_words_for_a_full_disk_are_lost_and_nothing_is_raised():
+def test_text_for_a_full_disk_is_lost_without_an_error():
     with open("/dev/full", "wb", buffering=0) as full:
         print("lost", file=PlainText(full), flush=True)
 
 
-def test_a_file_in_the_way_is_refused(tmp_path):
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file", tmp_path / "file" / "deeper"):
         with pytest.raises(UsageError, match=f"cannot make the folder {path}"):

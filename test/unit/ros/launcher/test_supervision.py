@@ -1,4 +1,4 @@
-"""Whose master a run joins."""
+"""The ROS master that a run joins."""
 
 import os
 

@@ -12,12 +12,12 @@ def judged(*deaths, has_summary=True, stopped_by=None):
     return judge(deaths, NAMES, {"bridge", "plot"}, has_summary, stopped_by)
 
 
-def test_run_goes_on_while_nothing_has_ended_or_only_what_may():
+def test_run_goes_on_until_a_required_node_ends():
     assert judged() is None
     assert judged(("drive-2", 0)) is None
 
 
-def test_required_node_ends_the_run_well_only_with_a_summary():
+def test_required_node_ends_the_run_successfully_only_with_a_summary():
     assert judged(("drive-2", 0), ("plot-3", 0)) == Verdict(0)
     assert judged(("plot-3", 0), has_summary=False) == Verdict(
         1, "plot ended before there was a summary"

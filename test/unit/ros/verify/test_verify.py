@@ -1,25 +1,27 @@
-"""Results are told apart by their bytes, and compared with references by their numbers."""
+"""Two runs are compared by their bytes, and with references by their numbers."""
 
 import json
-import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from PIL import Image
 
-from bullet_lab.ros.launcher.jobs import find_jobs, read_assignments
+from bullet_lab.ros.launcher.jobs import find_jobs
+from bullet_lab.ros.verify import study
 from bullet_lab.ros.verify.fingerprints import Fingerprint, FingerprintError
-from bullet_lab.ros.verify.references import (
-    PLAN,
+from bullet_lab.ros.verify.study import (
+    LEFT_OUT,
+    NAME,
     REFERENCES,
-    Plan,
+    TOLERANCES,
     References,
     ReferencesError,
+    Row,
+    compared,
+    table,
     this_machine,
 )
-from bullet_lab.ros.verify.study import NAME, Row, compared, table
 
 PACKAGE = Path(__file__).resolve().parents[4]
 JOBS = find_jobs(PACKAGE)
@@ -48,7 +50,7 @@ def test_a_path_is_its_columns(tmp_path):
     assert (found.numbers["x mean"], found.numbers["y std"], found.numbers["qw mean"]) == (2, 0, 1)
 
 
-def test_json_is_compared_but_for_what_the_clock_says(tmp_path):
+def test_json_is_compared_without_keys_of_the_wall_clock(tmp_path):
     def of_run(**more):
         run = {"docked": True, "run": {"sim_time_s": 2, **more}, "world": "w", "at": [1, 3]}
         return of(tmp_path, "a.json", json.dumps(run))
@@ -76,7 +78,7 @@ def test_any_other_file_is_the_numbers_in_it(tmp_path):
     assert found.numbers["numbers mean"] == -0.4
 
 
-def test_what_is_no_json_is_refused(tmp_path):
+def test_invalid_json_is_refused(tmp_path):
     with pytest.raises(FingerprintError, match=r"cannot read .*a\.json"):
         of(tmp_path, "a.json", "{")
 
@@ -94,11 +96,12 @@ def test_what_is_no_json_is_refused(tmp_path):
         (None, None, ("a", 1.0), 0.0, (False, "differs", None, False)),
     ],
 )
-def test_a_result_is_compared(first, second, reference, tolerance, row):
+def test_a_result_is_compared(first, second, reference, tolerance, row, monkeypatch):
     def results(of_one):
         return {"x.csv": Fingerprint(of_one[0], {"x": of_one[1]})} if of_one else {}
 
-    found = list(compared("j", Plan("", tolerance), *map(results, (first, second, reference))))
+    monkeypatch.setattr(study, "TOLERANCES", {"j": tolerance})
+    found = list(compared("j", *map(results, (first, second, reference))))
     assert [(r.twice, r.reference, r.difference, r.good) for r in found] == [row]
 
 
@@ -122,9 +125,7 @@ def test_references_are_read_as_written(tmp_path):
         References.read(tmp_path / "a.json")
 
 
-def test_each_plan_and_reference_has_a_job_that_takes_its_words():
+def test_each_exception_and_reference_has_a_job():
     others = set(JOBS) - {NAME}
     assert set(References.read(PACKAGE / REFERENCES).files) <= others
-    assert set(yaml.safe_load((PACKAGE / PLAN).read_text())) <= others
-    for job in others:
-        read_assignments(JOBS[job], shlex.split(Plan.of(job, PACKAGE).words))
+    assert {*TOLERANCES, *LEFT_OUT} <= others

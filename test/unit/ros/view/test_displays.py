@@ -15,19 +15,19 @@ class Shown:
         self.closed = True
 
 
-def test_what_stays_goes_when_it_is_switched_off_and_not_with_its_publisher():
+def test_a_display_that_stays_outlives_its_publisher_until_switched_off():
     made = {}
 
     def display(stays):
-        return lambda stage, topic: made.setdefault(topic, Shown(stays))
+        return lambda context, topic: made.setdefault(topic, Shown(stays))
 
     kind = Kind("Things", {"a/Path": display(True), "a/Scan": display(False)})
-    displays = Displays(kind, stage=None)
+    displays = Displays(kind, context=None)
     displays.follow({"/path": "a/Path", "/scan": "a/Scan", "/other": "b/Other"})
     displays.follow({"/other": "b/Other"})
     assert displays.topics == ["/path"]
     assert made["/scan"].closed
     displays.follow({"/path": "a/Path"})
-    displays.close()
+    displays.follow({})
     assert made["/path"].closed
     assert not displays.topics

@@ -1,4 +1,4 @@
-"""How often the view asks which topics there are."""
+"""How often the view reads the list of topics."""
 
 from types import SimpleNamespace
 from unittest import mock
@@ -10,26 +10,27 @@ from bullet_lab.ros.view import show
 TICK = 1.0 / 30.0
 
 
-@pytest.mark.parametrize("seconds_of_a_look", [0.01, 1.0, 2.0])
-def test_new_topics_are_looked_for_each_second_however_long_a_look_takes(
-    monkeypatch, seconds_of_a_look
+@pytest.mark.parametrize("seconds_of_an_update", [0.01, 1.0, 2.0])
+def test_topics_are_updated_each_second_however_long_an_update_takes(
+    monkeypatch, seconds_of_an_update
 ):
     clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
     begins, ends = [], []
 
-    def look(_show):
+    def update(_show):
         begins.append(clock.now)
-        clock.now += seconds_of_a_look
+        clock.now += seconds_of_an_update
         ends.append(clock.now)
 
     monkeypatch.setattr(show, "time", clock)
-    monkeypatch.setattr(show, "Feed", mock.MagicMock())
-    monkeypatch.setattr(show.Show, "_look", look)
+    monkeypatch.setattr(show, "Subscription", mock.MagicMock())
+    monkeypatch.setattr(show, "Frames", mock.MagicMock())
+    monkeypatch.setattr(show.Show, "_update", update)
     shown = show.Show(mock.MagicMock(), mock.MagicMock(), list, "world", 10.0)
     while clock.now < 60.0:
         shown.tick()
         clock.now += TICK
-    # A topic that comes just after a look is seen at the end of the next one.
+    # A topic that is advertised just after an update is seen at the end of the next one.
     waits = [end - begin for begin, end in zip(begins, ends[1:])]
     assert len(waits) > 10
-    assert max(waits) < 2 * seconds_of_a_look + 1.0 + 2 * TICK
+    assert max(waits) < 2 * seconds_of_an_update + 1.0 + 2 * TICK

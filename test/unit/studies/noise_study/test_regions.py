@@ -13,7 +13,7 @@ from scipy import stats
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import logarithm, wrap
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.noise.exponential_moments import exponential_moments
+from bullet_lab.noise.exact_moments import exponential_moments
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import MODELS, NoisyPath
 from bullet_lab.studies.noise_study.regions import (

@@ -1,11 +1,13 @@
-"""Frames, by the newest word on each."""
+"""Frames, by the newest pose of each."""
 
 from math import pi
 
 import pytest
 
+pytest.importorskip("rospy")
+
 from bullet_lab.core.pose import Pose
-from bullet_lab.view.frames import FrameTree
+from bullet_lab.ros.view.frames import FrameTree
 
 
 def test_poses_are_chained_up_and_down():
@@ -20,14 +22,14 @@ def test_poses_are_chained_up_and_down():
     assert tree.pose("base", "world").position == (1.0, 2.0, 0.0)
 
 
-def test_what_nothing_connects_has_no_pose():
+def test_frames_that_are_not_connected_have_no_pose():
     tree = FrameTree()
     tree.put("a", "b", Pose())
     assert tree.pose("a", "world") is None
     assert tree.pose("world", "world") == Pose()
 
 
-def test_a_circle_comes_to_an_end():
+def test_a_cycle_ends():
     tree = FrameTree()
     tree.put("a", "b", Pose())
     tree.put("b", "a", Pose())

@@ -5,8 +5,8 @@ pytest.importorskip("rospy")
 
 from sensor_msgs.msg import PointCloud2, PointField
 
-from bullet_lab.ros.view.points import GREY, points_of
-from bullet_lab.ros.view.raw import RawError
+from bullet_lab.ros.view.cameras import GREY, points_of
+from bullet_lab.ros.view.subscription import MessageError
 
 PLACES = [[1.0, 2.0, 3.0], [np.nan, 0.0, 0.0], [4.0, 5.0, 6.0], [7.0, 8.0, np.inf]]
 COLOURED = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("pad", "f4"), ("rgb", "u4")]
@@ -34,7 +34,7 @@ def places(columns):
 
 
 @pytest.mark.parametrize("order", "<>")
-def test_points_that_are_somewhere_are_read(order):
+def test_finite_points_are_read(order):
     found, colours = points_of(cloud(places(COLOURED[:3]), order))
     assert found.tolist() == [PLACES[0], PLACES[2]]
     assert (colours == GREY).all()
@@ -54,9 +54,9 @@ def test_a_large_cloud_is_thinned_out():
     assert found[:, 0].tolist() == list(range(0, 1000, 4))
 
 
-def test_what_is_no_cloud_is_refused():
+def test_an_invalid_cloud_is_refused():
     short = cloud(places(COLOURED))
     short.data = short.data[:-1]
     for message in (PointCloud2(), cloud(np.zeros(3, COLOURED[:2])), short):
-        with pytest.raises(RawError):
+        with pytest.raises(MessageError):
             points_of(message)
