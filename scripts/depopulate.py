@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.populate:depopulate_main"
+MAIN = "bullet_lab.ros.nodes.populate:depopulate"
 
 if __name__ == "__main__":
     run(MAIN)

@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.dock"
+MAIN = "bullet_lab.ros.nodes.dock:dock"
 
 if __name__ == "__main__":
     run(MAIN)

@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.drive_squares"
+MAIN = "bullet_lab.ros.nodes.drive_squares:drive_squares"
 
 if __name__ == "__main__":
     run(MAIN)

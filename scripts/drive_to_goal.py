@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.drive_to_goal"
+MAIN = "bullet_lab.ros.nodes.drive_to_goal:drive_to_goal"
 
 if __name__ == "__main__":
     run(MAIN)

@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.drive_squares:fleet_main"
+MAIN = "bullet_lab.ros.nodes.drive_squares:fleet"
 
 if __name__ == "__main__":
     run(MAIN)

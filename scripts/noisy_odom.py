@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.noisy_odom"
+MAIN = "bullet_lab.ros.nodes.noisy_odom:noisy_odom_node"
 
 if __name__ == "__main__":
     run(MAIN)

@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.place_beacon"
+MAIN = "bullet_lab.ros.nodes.place_beacon:place_beacon"
 
 if __name__ == "__main__":
     run(MAIN)

@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.populate"
+MAIN = "bullet_lab.ros.nodes.populate:populate"
 
 if __name__ == "__main__":
     run(MAIN)

@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.save_world"
+MAIN = "bullet_lab.ros.nodes.save_world:save_world"
 
 if __name__ == "__main__":
     run(MAIN)

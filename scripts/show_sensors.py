@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.show_sensors"
+MAIN = "bullet_lab.ros.nodes.show_sensors:show_sensors"
 
 if __name__ == "__main__":
     run(MAIN)

@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.track_robot"
+MAIN = "bullet_lab.ros.nodes.track_robot:track_robot"
 
 if __name__ == "__main__":
     run(MAIN)

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.nodes.view_camera."""
+"""Run the node; see bullet_lab.ros.nodes.image_node."""
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.view_camera"
+MAIN = "bullet_lab.ros.nodes.image_node:view_camera"
 
 if __name__ == "__main__":
     run(MAIN)

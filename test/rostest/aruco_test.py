@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The marker detector: its answers, when it works, what it refuses and what it says of itself."""
+"""The marker detector: its results, when it works, what it refuses, and its diagnostics."""
 
 import dataclasses
 import math
@@ -185,7 +185,7 @@ class ArucoTest(unittest.TestCase):
             self.camera.send(stamp, picture(VIEW))
         stamps = [m.header.stamp.to_sec() for m in self.topics["detections"].wait(3)]
         self.assertEqual([5.0, 6.0, 1.0], stamps)
-        wait_for(lambda: "a second image of" in self.node.err, "a warning")
+        wait_for(lambda: "duplicate image with stamp" in self.node.err, "a warning")
 
     def test_cameras_that_are_none(self):
         zero, other, nan = info(0.0), info(0.0), info(0.0)
@@ -218,12 +218,12 @@ class ArucoTest(unittest.TestCase):
         self.assertEqual(2, node.wait(), node.err)
         self.assertIn("no marker 50", node.err)
 
-    # What it says of itself
+    # Diagnostics
 
     def test_diagnostics_of_each_kind(self):
         self.start("detections", with_info=False)
         diagnosis = self.diagnosis()
-        diagnosis.wait(WARN, "nothing comes")
+        diagnosis.wait(WARN, "no messages")
         said = lambda words: lambda: any(words in line for line in diagnosis.said())  # noqa: E731
         self.send_until(said("no camera_info"), picture(VIEW))
         diagnosis.wait(WARN, "no camera_info")

@@ -391,8 +391,8 @@ class LockStepTest(BridgeCase):
         advance(500, node="/other")
         ahead.join(60)
         self.assertFalse(ahead.is_alive())
-        # Who is not there may be spoken for; who lives speaks for itself, or holds time for ever.
-        with self.assertRaisesRegex(rospy.ServiceException, "speaks for /pybullet_bridge"):
+        # Time is advanced for a node that does not exist, but not for one that lives.
+        with self.assertRaisesRegex(rospy.ServiceException, "/pybullet_bridge is alive"):
             advance(0, node="/pybullet_bridge")
 
     def test_commands_act_from_exactly_their_step(self):
@@ -461,7 +461,7 @@ class LockStepTest(BridgeCase):
             sleeper.wait()
             sleeper.stdout.close()
             wait_for(lambda topic=clock: len(topic.messages) > 100, f"time to pass {granted} s")
-            self.assertIn("/sleeper holds simulated time back and is gone", bridge.err)
+            self.assertIn("lock-step member /sleeper has died", bridge.err)
             clock.close()
             bridge.end()
 

@@ -80,7 +80,7 @@ class DockFailuresTest(unittest.TestCase):
         return self.result_of(self.dock)
 
     def result_of(self, client):
-        """Wait for it: the state of a goal is told by another topic than its result."""
+        """Wait for it: the state of a goal comes on another topic than its result."""
         wait_for(lambda: self.is_over(client) and client.get_result(), "a result")
         return client.get_result()
 
@@ -112,7 +112,7 @@ class DockFailuresTest(unittest.TestCase):
         message.pose.orientation.w = math.cos(0.5 * yaw)
         return message
 
-    # Goals that make no sense
+    # Invalid goals
 
     def test_unknown_dock(self):
         self.send("kitchen")
@@ -157,12 +157,12 @@ class DockFailuresTest(unittest.TestCase):
     def test_no_odometry(self):
         self.robot.does.discard("odom")
         self.send()
-        self.assert_failed(DockResult.ODOMETRY_LOST, "odom: nothing comes")
+        self.assert_failed(DockResult.ODOMETRY_LOST, "odom: no messages")
 
     def test_no_camera_info(self):
         self.robot.does.discard("camera_info")
         self.send()
-        self.assert_failed(DockResult.CAMERA_LOST, "camera_info: nothing comes")
+        self.assert_failed(DockResult.CAMERA_LOST, "camera_info: no messages")
 
     def test_camera_that_is_not_calibrated(self):
         matrix = self.robot.matrix
@@ -186,7 +186,7 @@ class DockFailuresTest(unittest.TestCase):
         self.send(search=False)
         self.assert_failed(DockResult.NOT_DETECTED, "")
 
-    # What fails on the way
+    # Failures during the docking
 
     def test_camera_stops(self):
         self.send()

@@ -27,7 +27,7 @@ def velocities(topic):
 
 
 class FakeRobot:
-    """Does as it is told, and says so 50 times a second of wall time."""
+    """Follows the commands, and publishes its pose 50 times a second of wall time."""
 
     def __init__(self):
         self.x = self.y = self.yaw = 0.0

@@ -28,7 +28,7 @@ TOLERANCE = 0.05
 
 
 class FakeRobot:
-    """Does as it is told, and says so 50 times a second of wall time."""
+    """Follows the commands, and publishes its pose 50 times a second of wall time."""
 
     def __init__(self, topic="odom"):
         self.pose = (0.0, 0.0, 0.0)
@@ -289,7 +289,7 @@ class DriveToGoalTest(unittest.TestCase):
         self.start(odom="nowhere")
         client = self.client()
         client.send_goal(MoveBaseGoal(goal(1.0, 0.0)))
-        self.assert_ends(client, GoalStatus.ABORTED, "no odometry on nowhere: nothing comes")
+        self.assert_ends(client, GoalStatus.ABORTED, "no odometry on nowhere: no messages")
 
     def test_the_goal_that_comes_last_counts_whatever_its_stamp(self):
         self.start()
@@ -332,7 +332,7 @@ class DriveToGoalTest(unittest.TestCase):
         self.start(odom="nowhere")
         self.goals.publish(goal(1.0, 0.0))
         why = self.wait_for_status(GoalStatus.REJECTED).text
-        self.assertEqual("refused: no odometry on nowhere: nothing comes", why)
+        self.assertEqual("refused: no odometry on nowhere: no messages", why)
 
     def test_bad_odometry_is_refused(self):
         self.start()

@@ -82,7 +82,7 @@ class PlotNoiseTest(unittest.TestCase):
             self.assertAlmostEqual(0.001 * k, row["noisy_yaw"], 9)
 
     def end(self, node, status=0):
-        """Ctrl-C; return what summary.json says."""
+        """Send Ctrl-C; return summary.json."""
         node.signal()
         self.assertEqual(status, node.wait(), node.err)
         self.assertNotIn("Traceback", node.err)

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The robot job says what of somebody's robot acts, and drives it a metre and a turn."""
+"""The robot job lists what of a robot is simulated, and drives it a metre and a turn."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from lab_testing import PACKAGE, run_job
 
 FOLDER = tempfile.TemporaryDirectory()
 TUTORIALS = PACKAGE / "test" / "tutorials"
-# Two driven wheels with their own odometry, a sonar of somebody else's make, and a tag too many.
+# Two driven wheels with their own odometry, a sonar that is not simulated, and a tag too many.
 CART = """<robot name="cart" xmlns:xacro="http://www.ros.org/wiki/xacro">
   <xacro:arg name="rate" default="10"/>
   <xacro:macro name="part" params="name mass size radius z">

@@ -428,7 +428,7 @@ class TutorialsTest(unittest.TestCase):
     def test_spawn_model_says_what_is_wrong(self):
         for line, wanted, said in (
             ("-urdf -file /nix.urdf -model m", 1, "/nix.urdf"),
-            ("-urdf -param /nix -model m", 1, "-param /nix: there is nothing in it"),
+            ("-urdf -param /nix -model m", 1, "-param /nix: it is empty"),
             ("-sdf -database crate -model wall", 1, "entity already exists"),
             ("-urdf -model m", 2, "-file -param -database -stdin is required"),
         ):

@@ -1,27 +1,30 @@
-"""What each job leaves behind: what is recorded, its summary and its figures, without ROS.
+"""The reports of the jobs: what is recorded, the summary and the figures, without ROS.
 
-A report names the topics that it wants; `bullet_lab.ros.record` runs any of them. A new job's
-report is one class here.
+A report names the topics that it records; `bullet_lab.ros.record` runs any report. The report of
+a new job is one class here.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, Mapping, NamedTuple, Optional, Sequence
+from typing import Any, Callable, Iterable, Mapping, NamedTuple, Sequence
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bullet_lab.core.figures import BLACK
 from bullet_lab.core.files import NANOSECONDS, PathSeries, Series, make_folder
 
 
 class Reading(NamedTuple):
-    """What a message says.
+    """The content of a message.
 
     Attributes:
         stamp: ns of simulated time.
         values: numbers for a row; x (m), y (m) and yaw (rad) of a pose.
-        detail: what else it says, see the readers in `bullet_lab.ros.record.recorder`.
+        detail: further content, see the readers in `bullet_lab.ros.record.recorder`.
     """
 
     stamp: int
@@ -35,48 +38,52 @@ class Reading(NamedTuple):
 
 
 class Report(ABC):
-    """What one job leaves behind in a folder.
+    """The files that one job writes into a folder.
 
-    This one keeps a series for each topic, until all have come to the end; a subclass says
-    otherwise where need be. Its methods are called by one thread at a time.
+    By default, each topic has a series, and the recording is complete when all series have reached
+    the end; a subclass may override that. The methods are called by one thread at a time.
+
+    Args:
+        folder: for the files; it is made if need be.
 
     Attributes:
-        about: what else summary.json says.
-        topics: what is recorded: the type of each topic's messages, such as sensor_msgs/Imu, of
-            those that `bullet_lab.ros.record.recorder` knows.
-        series: where rows go, by topic.
-        until: the time in ns that is recorded up to; None while that is not known.
-        begins_anew: called with the namespace of a robot for whom time was set back, and the
-            folder that what was recorded before is in now.
+        folder: as given.
+        about: first entries of summary.json.
+        topics: type of the messages by topic, such as sensor_msgs/Imu; the types are those that
+            `bullet_lab.ros.record.recorder` reads.
+        series: files of rows, by topic.
+        until: end of the recording in ns; None while it is not known.
+        on_reset: called when simulated time was set back, with the namespace of the robot and
+            the folder into which the earlier files were moved.
 
-    The folder is made if need be. FileError is raised where a file cannot be written, here and in
-    all that adds to files.
+    Raises:
+        FileError: a file cannot be written; so do the methods that write.
     """
 
     def __init__(self, folder: Path):
         self.folder = make_folder(folder)
         self.about: Mapping[str, Any] = {}
-        self.topics: Dict[str, str] = {}
-        self.series: Dict[str, Series] = {}
-        self.until: Optional[int] = None
-        self.begins_anew: Callable[[str, Path], None] = lambda namespace, old: None
+        self.topics: dict[str, str] = {}
+        self.series: dict[str, Series] = {}
+        self.until: int | None = None
+        self.on_reset: Callable[[str, Path], None] = lambda namespace, old: None
 
     def take(self, topic: str, reading: Reading) -> bool:
-        """Record what came on a topic, or raise LabError; return whether a row was recorded."""
+        """Record a message, or raise LabError; return whether a row was recorded."""
         self.series[topic].add(reading.stamp, reading.values)
         return True
 
-    def newest(self) -> Optional[int]:
-        """Return the stamp in ns that all series have come to; None before that."""
+    def newest(self) -> int | None:
+        """Return the stamp in ns that all series have reached; None before that."""
         return earliest(series.last for series in self.series.values())
 
     def is_complete(self) -> bool:
-        """Return whether all has come up to the end."""
+        """Return whether all series have reached the end."""
         newest = self.newest()
         return None not in (self.until, newest) and newest >= self.until
 
-    def finish(self, until: Optional[int] = None) -> None:
-        """Write the files once more, whole; leave out what came after a stamp in ns, if given."""
+    def finish(self, until: int | None = None) -> None:
+        """Write the files once more, without the rows after a stamp in ns, if one is given."""
         for series in self.series.values():
             series.finish(until)
 
@@ -86,29 +93,31 @@ class Report(ABC):
         return float(stamps[-1] - stamps[0]) if len(stamps) else 0.0
 
     @abstractmethod
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
-        """Return what summary.json says after `about`, with times and refusals of the run itself.
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the entries of summary.json after those of `about`.
 
-        `finished` says whether all came up to the end.
+        Args:
+            finished: whether the recording is complete.
+            run: entries with the times and the refused messages of the run.
         """
 
     @abstractmethod
-    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
-        """Return the pictures by the names of their files."""
+    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
+        """Return the figures by their file names."""
 
     def line(self, summary: Mapping[str, Any]) -> str:
-        """Return in a line for people what came of it."""
-        return f"all of it is in {self.folder}"
+        """Return the outcome in one line."""
+        return f"results are in {self.folder}"
 
     def has_failed(self, summary: Mapping[str, Any]) -> bool:
-        """Return whether the line says that the job came to an end, but not to its goal."""
+        """Return whether the job ended without reaching its goal."""
         return False
 
 
 class DriveReport(Report):
-    """The true path of a robot that is sent somewhere, in truth.tum.
+    """The true path of a robot that is sent to a goal, in truth.tum.
 
-    What comes before it is sent, at 0.5 s, is not recorded: somebody may not be connected yet.
+    Nothing is recorded before 0.5 s, when the goal is sent: not all subscribers are connected yet.
     """
 
     BEGINNING = NANOSECONDS // 2
@@ -123,7 +132,34 @@ class DriveReport(Report):
         return reading.stamp >= self.BEGINNING and super().take(topic, reading)
 
 
-def earliest(stamps: Iterable[Optional[int]]) -> Optional[int]:
-    """Return the least of some stamps; None if one of them is None."""
+def draw_path(
+    axes: Axes,
+    poses: np.ndarray,
+    colour: str,
+    width: float,
+    start: str,
+    end: str = "",
+    label: str | None = None,
+) -> None:
+    """Draw a path seen from above, with its start and its end.
+
+    Args:
+        axes: to draw on.
+        poses: m, m, rad, shape (n, 3), at least one.
+        colour: of the path.
+        width: of the path, in points.
+        start: colour of the start.
+        end: colour of the end; empty for no end.
+        label: of the path, in the legend.
+    """
+    x, y, _ = poses.T
+    axes.plot(x, y, color=colour, linewidth=width, label=label)
+    axes.plot(x[0], y[0], "o", color=start, markeredgecolor=BLACK, label="start")
+    if end:
+        axes.plot(x[-1], y[-1], "s", color=end, markeredgecolor=BLACK, label="end")
+
+
+def earliest(stamps: Iterable[int | None]) -> int | None:
+    """Return the smallest stamp; None if one of them is None."""
     found = list(stamps)
     return None if None in found else min(found)

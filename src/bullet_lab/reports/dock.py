@@ -1,11 +1,11 @@
-"""One docking: the true path, what it comes down to, and its figures."""
+"""The report of the job `dock`: the true path of one docking, its errors, and two figures."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 from pathlib import Path
-from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Iterable, Mapping, NamedTuple, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from bullet_lab.core import figures
+from bullet_lab.core import figures, se2
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, Outline
 from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose
@@ -30,8 +30,9 @@ from bullet_lab.docking.verdict import (
 )
 from bullet_lab.reports import DriveReport, Reading, earliest
 
-# ns that are recorded after the end: a robot that should stand, stands.
+# ns that are recorded after the end, while the robot should stand.
 REST = NANOSECONDS // 2
+# px; the camera's pictures are kept in this size.
 PICTURE_WIDTH = 320
 UNFINISHED = DockingResult(False, DockingError.UNKNOWN, "the docking was not finished")
 STATES = {
@@ -42,23 +43,25 @@ STATES = {
     "retreating": VERMILION,
     "docked": BLACK,
 }
-"""Colours of what the robot is doing."""
+"""Colours of the states of docking."""
 
-# m: of the robot, and around all that is drawn.
-HALF_LENGTH, HALF_WIDTH, MARGIN = 0.20, 0.20, 0.6
+# m; half the edge of the robot, which is drawn as a square.
+HALF_SIDE = 0.20
+# m around all that is drawn.
+MARGIN = 0.6
 
 StateChange = Tuple[float, str]
-"""From which second on the robot did what."""
+"""The time (s) at which a state began, and its name."""
 
 
 class Station(NamedTuple):
-    """Where a robot docks.
+    """The surroundings of a docking.
 
     Attributes:
-        outlines: of all that stands there, in m.
+        outlines: of all objects, in m.
         dock: true pose (m, m, rad) of the floor below the marker's face.
         camera_ahead: m, of the camera from the robot's middle.
-        entry: what the robot is told of the dock: of the database, with a rough pose.
+        entry: the dock in the database, with the rough pose that the robot gets.
     """
 
     outlines: Sequence[Outline]
@@ -68,13 +71,15 @@ class Station(NamedTuple):
 
 
 class DockReport(DriveReport):
-    """The true path, in truth.tum, pictures of the camera, and how it ended.
+    """The true path, in truth.tum, pictures of the camera, and the outcome.
 
-    What an earlier docking has left in the folder is removed.
+    Args:
+        folder: for the files; those of an earlier docking are removed.
+        station: where the robot docks.
+        pictures: how many pictures of the camera are kept.
 
     Attributes:
-        sent: whether the robot has been sent to its dock: the camera's pictures, of which so
-            many are kept, count from then on.
+        sent: whether the goal was sent; pictures of the camera are kept from then on.
         result: of the action; None before its end.
     """
 
@@ -93,22 +98,22 @@ class DockReport(DriveReport):
             "dock/finished": "std_msgs/Time",
         }
         self.sent = False
-        self.result: Optional[DockingResult] = None
+        self.result: DockingResult | None = None
         self._frames = Sampler(pictures)
-        self._states: List[StateChange] = []
-        self._plan: Sequence[Tuple[float, float]] = ()
-        self._touched: Optional[Reading] = None
+        self._states: list[StateChange] = []
+        self._plan: Sequence[tuple[float, float]] = ()
+        self._touched: Reading | None = None
 
     def take(self, topic: str, reading: Reading) -> bool:
         if topic == "odom":
             return super().take(topic, reading)
         if topic == "aruco/image_annotated":
-            # Whether one of before the goal comes before it is sent is a matter of luck.
+            # An earlier picture may come before or after the goal is sent, by chance.
             is_over = self.until is not None and reading.stamp > self.until - REST
             if self.sent and reading.stamp > self.BEGINNING and not is_over:
                 self._frames.add((reading.seconds, _small(reading.detail)))
         elif topic == "bullet_lab/touched":
-            # What is touched after the end is no part of the docking.
+            # Contacts after the end do not count.
             if None in (self.until, self._touched) or self._touched.stamp < self.until:
                 self._touched = reading
         elif topic == "dock/feedback":
@@ -120,20 +125,17 @@ class DockReport(DriveReport):
             self.until = reading.stamp + REST
         return False
 
-    def newest(self) -> Optional[int]:
+    def newest(self) -> int | None:
         return earliest((self.truth.last, self._touched and self._touched.stamp))
 
     def is_complete(self) -> bool:
         return self.result is not None and super().is_complete()
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
-        truth, result = self.truth.path(), self.result or UNFINISHED
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+        result, dock = self.result or UNFINISHED, self._station.entry
         touches: Mapping[str, int] = self._touched.detail if self._touched else {}
-        station, errors = self._station, dict.fromkeys(ERRORS, math.nan)
-        dock, contacts = station.entry, sum(touches.values())
-        if truth is not None:
-            where = truth.poses[-1], station.dock, station.camera_ahead
-            errors = docking_errors(*where, dock.docked_distance)
+        contacts = sum(touches.values())
+        errors = self._errors()
         verdict = judge(result.error, errors, dock.tolerance, contacts)
         return {
             "finished": self.until is not None,
@@ -147,19 +149,34 @@ class DockReport(DriveReport):
             "wall_contacts": contacts,
             "touched": dict(touches),
             "retries": result.retries if self.result else None,
-            "calibration": result.calibration and _in_numbers(result.calibration),
+            "calibration": _calibration_figures(result.calibration),
             "images": self._frames.seen,
             **run,
         }
 
-    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
-        station, title = self._station, self.line(summary)
-        docks = station.dock, station.entry.pose
+    def _errors(self) -> dict[str, float]:
+        """Return the errors at the end, by the truth; NaN without a pose."""
+        truth, station = self.truth.path(), self._station
+        if truth is None:
+            return dict.fromkeys(ERRORS, math.nan)
+        return docking_errors(
+            truth.poses[-1], station.dock, station.camera_ahead, station.entry.docked_distance
+        )
+
+    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
+        station = self._station
+        docks = (station.dock, station.entry.pose)
         path = docking_figure(
-            self.truth.path(), self._states, self._plan, station.outlines, docks, title
+            self.truth.path(),
+            self._states,
+            self._plan,
+            station.outlines,
+            docks,
+            self.line(summary),
         )
         frames = [(at, self._state_at(at), picture) for at, picture in self._frames.chosen()]
-        return {"path.png": path, **({"camera.png": strip_figure(frames)} if frames else {})}
+        strip = {"camera.png": strip_figure(frames)} if frames else {}
+        return {"path.png": path, **strip}
 
     def line(self, summary: Mapping[str, Any]) -> str:
         if summary["error_name"] != "NONE":
@@ -182,95 +199,98 @@ class DockReport(DriveReport):
         return before[-1] if before else "at rest"
 
 
-def _in_numbers(calibration: Calibration) -> Dict[str, Dict[str, float]]:
+def _calibration_figures(calibration: Calibration | None) -> dict[str, dict[str, float]] | None:
+    if calibration is None:
+        return None
     return {name: learned._asdict() for name, learned in vars(calibration).items()}
 
 
 def _small(picture: np.ndarray) -> np.ndarray:
-    """Return a picture (h, w, 3), blue green red, as a small one, red green blue."""
+    """Return a picture (h, w, 3) in BGR as a small one in RGB."""
     height = round(PICTURE_WIDTH * picture.shape[0] / picture.shape[1])
     coloured = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     return cv2.resize(coloured, (PICTURE_WIDTH, height), interpolation=cv2.INTER_AREA)
 
 
 class Sampler:
-    """Keeps `count` of many things, spread evenly over their number `seen`, and the last one."""
+    """Keeps `count` of many items, spread evenly, and the last one; `seen` is their number."""
 
     def __init__(self, count: int):
         self._count = max(2, count)
-        self._kept: List[Any] = []
+        self._kept: list[Any] = []
         self._last: Any = None
-        self.seen = 0
         self._stride = 1
+        self.seen = 0
 
-    def add(self, thing: Any) -> None:
-        """Take the next one."""
+    def add(self, item: Any) -> None:
+        """Take the next item."""
         if self.seen % self._stride == 0:
             if len(self._kept) >= 4 * self._count:
                 self._kept = self._kept[::2]
                 self._stride *= 2
             if self.seen % self._stride == 0:
-                self._kept.append(thing)
+                self._kept.append(item)
         self.seen += 1
-        self._last = thing
+        self._last = item
 
-    def chosen(self) -> List[Any]:
-        """Return as many as wanted, or all if there are fewer; the last is the last one seen."""
-        things = list(self._kept)
-        if things and things[-1] is not self._last:
-            things.append(self._last)
-        if len(things) <= self._count:
-            return things
-        picked = np.linspace(0, len(things) - 1, self._count).round().astype(int)
-        return [things[index] for index in picked]
+    def chosen(self) -> list[Any]:
+        """Return `count` items, or all if there are fewer; the last is the last one seen."""
+        items = list(self._kept)
+        if items and items[-1] is not self._last:
+            items.append(self._last)
+        if len(items) <= self._count:
+            return items
+        picked = np.linspace(0, len(items) - 1, self._count).round().astype(int)
+        return [items[index] for index in picked]
 
 
 def docking_figure(
-    truth: Optional[Trajectory],
+    truth: Trajectory | None,
     states: Sequence[StateChange],
-    plan: Sequence[Tuple[float, float]],
+    plan: Sequence[tuple[float, float]],
     outlines: Iterable[Outline],
-    docks: Tuple[Sequence[float], Sequence[float]],
+    docks: tuple[Sequence[float], Sequence[float]],
     title: str,
 ) -> Figure:
-    """Draw the true path over the plan of the station, in the colours of what was done.
+    """Draw the true path over the plan of the station, in the colours of the states.
 
     Args:
-        truth: None for nothing yet.
-        states: what was done, by the names in `STATES`.
-        plan: points (m) of the last plan; may be empty.
-        outlines: as of `Station`.
-        docks: x, y (m) and yaw (rad) of the dock, in truth and as the robot was told.
-        title: above all.
+        truth: the path; None for none.
+        states: of docking, by the names in `STATES`.
+        plan: points (m) of the last planned path; may be empty.
+        outlines: as in `Station`.
+        docks: x, y (m) and yaw (rad) of the dock, the true ones and those that the robot got.
+        title: of the figure.
     """
     figure = figures.new_figure(9.0, 6.6)
     axes = figure.add_axes((0.08, 0.09, 0.89, 0.81))
     figure.suptitle(title)
-    outlines = [np.asarray(outline, dtype=float) for outline in outlines]
-    figures.draw_plan(axes, outlines, docks[0])
+    shown = [np.asarray(outline, dtype=float) for outline in outlines]
+    figures.draw_plan(axes, shown, docks[0])
     (x, y, yaw), half = docks[1], 0.5 * figures.MARKER_SIDE
     across = np.array([-half, half])
-    told = (x - across * math.sin(yaw), y + across * math.cos(yaw))
-    axes.plot(*told, color=PURPLE, linewidth=2.0, linestyle=":", label="marker, as told")
+    rough = (x - across * math.sin(yaw), y + across * math.cos(yaw))
+    axes.plot(*rough, color=PURPLE, linewidth=2.0, linestyle=":", label="marker, as told")
     if plan:
         axes.plot(*np.transpose(plan), color=GREY, linewidth=2.4, alpha=0.6, label="plan")
     if truth is not None:
         _draw_path(axes, truth, states)
         _draw_robot(axes, truth.poses[0], GREEN, "start")
         _draw_robot(axes, truth.poses[-1], VERMILION, "end")
-    way = [] if truth is None else [truth.poses[:, :2]]
-    figures.show_around(axes, [*outlines, *way], MARGIN)
+        shown.append(truth.poses[:, :2])
+    figures.show_around(axes, shown, MARGIN)
     axes.set_aspect("equal", adjustable="datalim")
     axes.legend(loc="best", fontsize="small")
     return figure
 
 
 def _draw_path(axes: Axes, truth: Trajectory, states: Sequence[StateChange]) -> None:
-    """Draw each stretch in the colour of what was done on it."""
+    """Draw each stretch of the path in the colour of its state."""
+    names = ["at rest", *(name for _, name in states)]
     begins = np.searchsorted(truth.stamps, [seconds for seconds, _ in states])
     edges = [0, *begins, len(truth) - 1]
     shown = set()
-    for begin, end, name in zip(edges, edges[1:], ["at rest", *(name for _, name in states)]):
+    for begin, end, name in zip(edges, edges[1:], names):
         if end > begin:
             label = None if name in shown else name
             shown.add(name)
@@ -279,22 +299,19 @@ def _draw_path(axes: Axes, truth: Trajectory, states: Sequence[StateChange]) -> 
 
 
 def _draw_robot(axes: Axes, pose: Sequence[float], colour: str, label: str) -> None:
-    """Draw the outline of the robot with a line ahead."""
-    x, y, yaw = pose
-    cosine, sine = math.cos(yaw), math.sin(yaw)
-    signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
-    sides = [(HALF_LENGTH * ahead, HALF_WIDTH * left) for ahead, left in signs]
-    corners = [(x + cosine * a - sine * b, y + sine * a + cosine * b) for a, b in sides]
+    """Draw the outline of the robot and a line from its middle to the front."""
+    square = HALF_SIDE * np.array([(1, 1), (-1, 1), (-1, -1), (1, -1), (1, 0)])
+    *corners, front = se2.compose(pose, np.insert(square, 2, 0.0, axis=1))[:, :2]
     outline = Polygon(corners, fill=False, edgecolor=colour, linewidth=1.6, label=label, zorder=3)
     axes.add_patch(outline)
-    ahead = (x + HALF_LENGTH * cosine, y + HALF_LENGTH * sine)
-    axes.plot((x, ahead[0]), (y, ahead[1]), color=colour, linewidth=1.6, zorder=3)
+    axes.plot(*zip(pose[:2], front), color=colour, linewidth=1.6, zorder=3)
 
 
-def strip_figure(frames: Sequence[Tuple[float, str, np.ndarray]]) -> Figure:
-    """Draw pictures of the camera in a row or two, each with its time and what was done.
+def strip_figure(frames: Sequence[tuple[float, str, np.ndarray]]) -> Figure:
+    """Draw pictures of the camera in a row or two, each with its time and the state.
 
-    A frame is a time in s, a state, and a picture as (h, w, 3) uint8 RGB; there is one at least.
+    Args:
+        frames: at least one; each is a time (s), a state, and a picture, (h, w, 3) uint8 RGB.
     """
     columns = min(4, len(frames))
     rows = -(-len(frames) // columns)

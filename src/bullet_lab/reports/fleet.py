@@ -1,11 +1,11 @@
-"""The squares of a fleet: their paths, what they come down to, and all of them side by side."""
+"""The report of the job `fleet`: the squares of several robots, and their paths side by side."""
 
 from __future__ import annotations
 
 import contextlib
 import itertools
 from pathlib import Path
-from typing import Any, Collection, Dict, Mapping, Optional, Sequence, Tuple
+from typing import Any, Collection, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,8 +20,9 @@ from bullet_lab.reports.squares import (
     squares_summary,
 )
 
-# Neighbours differ; the numbers tell the rest apart.
+# Robots beside each other differ in colour; their numbers tell the others apart.
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, "#56B4E9")
+# Inches of the figure; its height depends on the paths, within limits.
 WIDTH = 9.0
 HEIGHTS = (4.0, 11.0)
 # Inches around the paths for title, labels and legend: left, right, below, above.
@@ -30,16 +31,18 @@ FRAME = (0.7, 0.2, 1.0, 0.75)
 MARGIN = 0.3
 
 Paths = Tuple[Optional[Trajectory], Optional[Trajectory]]
-"""The perfect and the noisy path of a robot; None for what is not there yet."""
+"""The perfect and the noisy path of a robot; None for none."""
 
-# Of each robot, and in the mean over all of them.
+# Figures of each robot that summary.json also has for the whole fleet.
 ERRORS = ("final_error_m", "final_heading_error_deg", "ape_rmse_m")
 
 
 class FleetReport(OdometryReport):
     """The perfect and the noisy path of each robot, in a folder of its own.
 
-    The seeds are those of the robots' noise, by their names, which are their namespaces as well.
+    Args:
+        folder: for the files.
+        seeds: of the robots' noise, by their names, which are also their namespaces.
     """
 
     def __init__(self, folder: Path, seeds: Mapping[str, int]):
@@ -47,16 +50,18 @@ class FleetReport(OdometryReport):
         super().__init__(folder, seeds)
         self._seeds = dict(seeds)
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
-        robots = [
-            {"name": name, "seed": seed, **squares_summary(paths.perfect(), paths.pairs())}
-            for (name, paths), seed in zip(self.robots.items(), self._seeds.values())
-        ]
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+        robots = []
+        for name, paths in self.robots.items():
+            figures = squares_summary(paths.perfect(), paths.pairs())
+            robots.append({"name": name, "seed": self._seeds[name], **figures})
         return {"finished": finished, **run, **fleet_summary(robots)}
 
-    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
-        paths = {name: (its.perfect(), its.pairs()) for name, its in self.robots.items()}
-        drawn = {name: (perfect, pairs and pairs[1]) for name, (perfect, pairs) in paths.items()}
+    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
+        drawn = {}
+        for name, paths in self.robots.items():
+            pairs = paths.pairs()
+            drawn[name] = (paths.perfect(), pairs and pairs[1])
         title = f"{len(drawn)} robots with noisy odometry{settings_line(self.about)}"
         return {"fleet.png": fleet_figure(drawn, title)}
 
@@ -75,24 +80,24 @@ class FleetReport(OdometryReport):
 
 
 def clear_away(folder: Path, names: Collection[str]) -> None:
-    """Remove what an earlier, larger fleet has left in a folder, and nothing else."""
+    """Remove the files of an earlier, larger fleet from a folder, and no other files."""
     for old in folder.glob("robot*"):
         if old.name in names or not old.name[len("robot") :].isdigit():
             continue
         for path in PathsRecording.FILES:
             with contextlib.suppress(FileNotFoundError):
                 (old / path).unlink()
-        # Somebody may keep files of their own there.
+        # The folder stays if there are files of the user in it.
         with contextlib.suppress(OSError):
             old.rmdir()
 
 
-def fleet_summary(robots: Sequence[Mapping[str, Any]]) -> Dict[str, Any]:
-    """Return what `squares_summary` says of each robot, and figures of all.
+def fleet_summary(robots: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the entries of the robots, and the root mean square and the largest of each error.
 
-    These are root mean squares and the largest of the errors; null where a robot has none.
+    Those are None if a robot has no error.
     """
-    values: Dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name in ERRORS:
         errors = [robot[name] for robot in robots]
         complete = bool(errors) and None not in errors
@@ -106,22 +111,15 @@ def fleet_figure(robots: Mapping[str, Paths], title: str) -> Figure:
     drawn = [path.poses[:, :2] for paths in robots.values() for path in paths if path is not None]
     places = np.concatenate(drawn) if drawn else np.zeros((1, 2))
     low, high = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
-    # To one scale in both directions, in inches.
-    left, right, below, above = FRAME
-    across, along = high - low
-    scale = (WIDTH - left - right) / across
-    height = float(np.clip(scale * along + below + above, *HEIGHTS))
-    figure = new_figure(WIDTH, height)
+    figure, axes = _figure_for(high - low)
     figure.suptitle(title)
-    place = (left, below, WIDTH - left - right, height - below - above)
-    axes = figure.add_axes(np.divide(place, (WIDTH, height, WIDTH, height)))
     axes.set(xlabel="x Distance (m)", ylabel="y Distance (m)")
     axes.set_aspect("equal")
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.grid(alpha=0.3)
     for (name, paths), colour in zip(robots.items(), itertools.cycle(COLOURS)):
         _draw(axes, name, paths, colour)
-    # What is what, in no robot's colour.
+    # The legend has no robot's colour.
     axes.plot([], [], color=BLACK, linewidth=0.8, label="Perfect odom")
     axes.plot([], [], color=GREY, linewidth=1.8, label="Noisy odom, a colour for each robot")
     axes.plot([], [], "s", color=GREY, markeredgecolor=BLACK, markersize=5, label="its end")
@@ -129,13 +127,25 @@ def fleet_figure(robots: Mapping[str, Paths], title: str) -> Figure:
     return figure
 
 
+def _figure_for(size: np.ndarray) -> tuple[Figure, Axes]:
+    """Return a figure, and axes in it for an area (m, m) with one scale in both directions."""
+    left, right, below, above = FRAME
+    across, along = size
+    width = WIDTH - left - right
+    height = float(np.clip(width / across * along + below + above, *HEIGHTS))
+    figure = new_figure(WIDTH, height)
+    place = (left, below, width, height - below - above)
+    return figure, figure.add_axes(np.divide(place, (WIDTH, height, WIDTH, height)))
+
+
 def _draw(axes: Axes, name: str, paths: Paths, colour: str) -> None:
     perfect, noisy = paths
     if noisy is not None:
-        axes.plot(*noisy.poses[:, :2].T, color=colour, linewidth=1.8)
-        x, y = noisy.poses[-1, :2]
-        axes.plot(x, y, "s", color=colour, markeredgecolor=BLACK, markersize=5)
+        x, y, _ = noisy.poses.T
+        axes.plot(x, y, color=colour, linewidth=1.8)
+        axes.plot(x[-1], y[-1], "s", color=colour, markeredgecolor=BLACK, markersize=5)
     if perfect is not None:
-        axes.plot(*perfect.poses[:, :2].T, color=BLACK, linewidth=0.8)
-        x, y = perfect.poses[:, :2].min(axis=0) + perfect.poses[:, :2].max(axis=0)
-        axes.text(0.5 * x, 0.5 * y, name, color=colour, ha="center", va="center")
+        x, y, _ = perfect.poses.T
+        axes.plot(x, y, color=BLACK, linewidth=0.8)
+        middle = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
+        axes.text(*middle, name, color=colour, ha="center", va="center")

@@ -1,11 +1,11 @@
-"""Drives to goals: the true path, what they come down to, and their figure."""
+"""The report of the job `goal`: the true path of a robot that drives to goals, and its errors."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,31 +17,40 @@ from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.reports import DriveReport, Reading
+from bullet_lab.reports import DriveReport, Reading, draw_path
 
-# ns that are recorded after the end: a robot that should stand, stands.
+# ns that are recorded after the end, while the robot should stand.
 REST = NANOSECONDS
-# m: of an arrow, of a beacon, and around the way that the picture shows.
-ARROW, BEACON_RADIUS, MARGIN = 0.25, 0.25, 0.6
+# m; length of the arrows.
+ARROW = 0.25
+# m; radius of the beacons.
+BEACON_RADIUS = 0.25
+# m around the path.
+MARGIN = 0.6
 Beacon = Tuple[str, float, float]
 """Name, x and y (m)."""
 
 
 @dataclass
 class GoalRecord:
-    """One goal (m, m, rad), when (s) it was begun and ended, and what the driver says of it."""
+    """One goal (m, m, rad), the times (s) of its start and end, and the outcome."""
 
     goal: PlanarPose
     begun: float
-    ended: Optional[float] = None
+    ended: float | None = None
     reached: bool = False
     text: str = ""
 
 
 class GoalAnswer(NamedTuple):
-    """What the driver says of the goal `id`; if it is rejected, the driver does not drive there.
+    """What the driver reports about a goal.
 
-    It is `over` where the driver has nothing more to say of it.
+    Attributes:
+        id: of the goal.
+        text: for people.
+        rejected: whether the driver never drove to it.
+        reached: whether the robot is at the goal.
+        over: whether this is the last report about the goal.
     """
 
     id: str
@@ -52,31 +61,33 @@ class GoalAnswer(NamedTuple):
 
 
 class GoalReport(DriveReport):
-    """The true path, in truth.tum, and the goals, whoever gave them.
+    """The true path, in truth.tum, and all goals, of any sender.
 
     Args:
-        folder: where the files go.
-        tolerance: m from the goals that the robot may stop, for the picture.
-        stay: whether the first goal's end is not that of the recording.
-        beacons: returns what stands there.
+        folder: for the files.
+        tolerance: m around the goals, for the figure.
+        stay: whether the recording goes on after the first goal.
+        beacons: returns the beacons of the world.
     """
 
     def __init__(
-        self, folder: Path, tolerance: float, stay: bool, beacons: Callable[[], List[Beacon]]
+        self, folder: Path, tolerance: float, stay: bool, beacons: Callable[[], list[Beacon]]
     ):
         super().__init__(folder)
-        self._tolerance, self._stay, self._beacons = tolerance, stay, beacons
+        self._tolerance = tolerance
+        self._stay = stay
+        self._beacons = beacons
         self.topics = {
             **self.topics,
             "drive_to_goal/current_goal": "geometry_msgs/PoseStamped",
             "drive_to_goal/status": "actionlib_msgs/GoalStatus",
             "drive_to_goal/finished": "std_msgs/Time",
         }
-        # What the driver says of its goals, in their order.
-        self._poses: List[Reading] = []
-        self._ends: List[Reading] = []
-        self._answers: Dict[str, GoalAnswer] = {}
-        self._refused: List[str] = []
+        # In the order of the goals.
+        self._poses: list[Reading] = []
+        self._ends: list[Reading] = []
+        self._answers: dict[str, GoalAnswer] = {}
+        self._refused: list[str] = []
 
     def take(self, topic: str, reading: Reading) -> bool:
         if topic == "odom":
@@ -88,7 +99,7 @@ class GoalReport(DriveReport):
             if not self._stay:
                 self.until = self._ends[0].stamp + REST
         elif reading.detail.rejected:
-            # Taken up perhaps, but never driven to.
+            # It may have been accepted before, but the robot never drove to it.
             self._answers.pop(reading.detail.id, None)
             self._refused.append(reading.detail.text)
         else:
@@ -96,19 +107,21 @@ class GoalReport(DriveReport):
         return False
 
     def is_answered(self) -> bool:
-        """Return whether the driver has taken or refused a goal."""
+        """Return whether the driver has accepted or refused a goal."""
         return bool(self._answers or self._refused)
 
     def is_complete(self) -> bool:
-        # The robot has come to rest after the first goal, or will not drive.
-        return not self._stay and (bool(self._refused) or self._is_told() and super().is_complete())
+        # The robot stands after the first goal, or does not drive to it.
+        if self._stay:
+            return False
+        return bool(self._refused) or (self._first_is_over() and super().is_complete())
 
-    def _is_told(self) -> bool:
-        """Return whether all topics have told of the first goal, each in its own time."""
+    def _first_is_over(self) -> bool:
+        """Return whether pose and last status of the first goal have come, in any order."""
         first = next(iter(self._answers.values()), None)
         return bool(self._poses) and first is not None and first.over
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
         truth = self.truth.path()
         goals = [goal_figures(record, truth) for record in self._records()]
         return {
@@ -124,28 +137,29 @@ class GoalReport(DriveReport):
         return self._refused[0] if self._refused and not goals else title_of(goals)
 
     def has_failed(self, summary: Mapping[str, Any]) -> bool:
-        # A goal was refused or not reached, where it was to be the only one.
+        # The only goal was refused or not reached.
         missed = any(one.ended is not None and not one.reached for one in self._records())
         return not self._stay and (missed or bool(self._refused))
 
-    def _records(self) -> List[GoalRecord]:
-        """Return the goals: the k-th id, pose and end belong together, one goal at a time."""
+    def _records(self) -> list[GoalRecord]:
+        """Return the goals: the k-th id, pose and end belong to the k-th goal."""
         records = []
         for index, (pose, answer) in enumerate(zip(self._poses, self._answers.values())):
             record = GoalRecord(tuple(pose.values), pose.seconds)
             if index < len(self._ends):
-                record.ended, record.text = self._ends[index].seconds, answer.text
+                record.ended = self._ends[index].seconds
+                record.text = answer.text
                 record.reached = answer.reached
             records.append(record)
         return records
 
-    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
+    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
         truth, goals = self.truth.path(), self._records()
         figure = figures.new_figure(10.5, 5.6)
         figure.suptitle(self.line(summary))
         grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0))
         figure.subplots_adjust(left=0.07, right=0.98, top=0.9, bottom=0.1, hspace=0.28, wspace=0.2)
-        self._draw_way(figure.add_subplot(grid[:, 0]), truth, goals)
+        self._draw_path(figure.add_subplot(grid[:, 0]), truth, goals)
         left, speed = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
         left.set(ylabel="distance to the goal (m)")
         speed.set(xlabel="simulated time (s)", ylabel="speed (m/s)")
@@ -157,25 +171,24 @@ class GoalReport(DriveReport):
             speed.set_ylim(bottom=0.0)
         return {"path.png": figure}
 
-    def _draw_way(
-        self, axes: Axes, truth: Optional[Trajectory], goals: Sequence[GoalRecord]
+    def _draw_path(
+        self, axes: Axes, truth: Trajectory | None, goals: Sequence[GoalRecord]
     ) -> None:
         figures.plan_axes(axes)
+        shown = [[record.goal[:2]] for record in goals]
         for name, x, y in self._beacons():
             axes.add_patch(Circle((x, y), BEACON_RADIUS, facecolor="#d5d5d5", edgecolor=GREY))
             axes.annotate(name, (x, y), ha="center", va="center", fontsize=7, annotation_clip=True)
         if truth is not None:
-            x, y = truth.poses[:, 0], truth.poses[:, 1]
-            axes.plot(x, y, color=ORANGE, linewidth=1.8, label="true path")
-            axes.plot(x[0], y[0], "o", color="white", markeredgecolor=BLACK, label="start")
+            shown.append(truth.poses[:, :2])
+            draw_path(axes, truth.poses, ORANGE, 1.8, start="white", label="true path")
             _arrow(axes, truth.poses[-1], BLACK, "end")
         for number, record in enumerate(goals):
             colour = GREEN if record.reached else VERMILION
             axes.add_patch(Circle(record.goal[:2], self._tolerance, fill=False, edgecolor=colour))
             _arrow(axes, record.goal, colour, f"goal {number + 1}" if len(goals) > 1 else "goal")
-        way = [] if truth is None else [truth.poses[:, :2]]
-        # What stands far from the way is left out.
-        figures.show_around(axes, [*way, *([one.goal[:2]] for one in goals)], MARGIN)
+        # Beacons far from the path are not shown.
+        figures.show_around(axes, shown, MARGIN)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="best")
 
@@ -183,7 +196,7 @@ class GoalReport(DriveReport):
         for record in goals:
             end = truth.stamps[-1] if record.ended is None else record.ended
             chosen = (truth.stamps >= record.begun) & (truth.stamps <= end + 0.5)
-            x, y = truth.poses[chosen, 0], truth.poses[chosen, 1]
+            x, y, _ = truth.poses[chosen].T
             away = np.hypot(x - record.goal[0], y - record.goal[1])
             axes.plot(truth.stamps[chosen], away, color=BLUE, linewidth=1.2)
         axes.axhline(self._tolerance, color=GREY, linewidth=0.8, linestyle="--", label="tolerance")
@@ -199,14 +212,13 @@ def _arrow(axes: Axes, pose: Sequence[float], colour: str, label: str) -> None:
     axes.plot(x, y, "s", color=colour, markersize=4, label=label)
 
 
-def goal_figures(record: GoalRecord, truth: Optional[Trajectory]) -> Dict[str, Any]:
-    """Return what summary.json says of a goal; `truth` is None while nothing is known.
+def goal_figures(record: GoalRecord, truth: Trajectory | None) -> dict[str, Any]:
+    """Return the entry of a goal in summary.json; `truth` is None without a pose.
 
-    Where the robot stood at the end is its last pose before the next second is over, when it has
-    come to rest.
+    The errors are those of the last pose within a second after the end, when the robot stands.
     """
     x, y, yaw = record.goal
-    found: Dict[str, Any] = {
+    found: dict[str, Any] = {
         "x_m": x,
         "y_m": y,
         "yaw_deg": math.degrees(yaw),
@@ -217,7 +229,7 @@ def goal_figures(record: GoalRecord, truth: Optional[Trajectory]) -> Dict[str, A
     if truth is None or record.ended is None:
         return found
     times = np.array([record.begun, record.ended, record.ended + 1.0])
-    # The last pose up to each time, the first one if there is none.
+    # The last pose up to each time; the first pose if there is none.
     first, last, rest = np.maximum(0, np.searchsorted(truth.stamps, times + 1e-9) - 1)
     driven, stood = truth.travelled(), truth.poses[rest]
     found.update(
@@ -230,7 +242,7 @@ def goal_figures(record: GoalRecord, truth: Optional[Trajectory]) -> Dict[str, A
 
 
 def greatest_speed(truth: Trajectory) -> float:
-    """Return the greatest speed (m/s) between two poses of a path; 0 for a single one."""
+    """Return the greatest speed (m/s) between two poses of a path; 0 for a single pose."""
     return float(np.max(_speeds(truth), initial=0.0))
 
 
@@ -238,8 +250,8 @@ def _speeds(truth: Trajectory) -> np.ndarray:
     return np.hypot(*np.diff(truth.poses[:, :2], axis=0).T) / np.diff(truth.stamps)
 
 
-def title_of(goals: Sequence[Dict[str, Any]]) -> str:
-    """Return in a line how the drives ended, by `goal_figures` of each."""
+def title_of(goals: Sequence[dict[str, Any]]) -> str:
+    """Return the outcome of the drives in one line, from the `goal_figures` of each."""
     if not goals:
         return "no goal was given"
     last, count = goals[-1], sum(one["reached"] for one in goals)

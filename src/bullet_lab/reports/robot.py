@@ -1,11 +1,11 @@
-"""Somebody's robot: what of it acts, what it sends, and how it drives a metre and a turn."""
+"""The report of the job `robot`: what of a robot is simulated, what it publishes, how it drives."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,28 +13,40 @@ from matplotlib.figure import Figure
 
 from bullet_lab.core.figures import BLUE, ORANGE, new_figure, plan_axes
 from bullet_lab.core.files import NANOSECONDS, PathSeries, replace_file
-from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.se2 import PlanarPose, between
 from bullet_lab.reports import Reading, Report
 
-TRUTH, ODOMETRY = "truth", "odometry"
+# Names of the two paths.
+TRUTH = "truth"
+ODOMETRY = "odometry"
 TABLE = "robot.md"
-# A robot that has come less far than this share of what was asked for has not moved.
+# A robot that has driven less than this share of the target has not moved.
 STANDING = 0.05
-# The share of what was asked for that a robot must have come, really. Wheels that slip as they turn
-# lose a tenth (docs/contact_model.md); half as much again is allowed.
+# The share of the target that a robot must reach by the truth. Wheels that slip in a turn lose a
+# tenth (docs/contact_model.md); half as much again is allowed.
 DONE = 0.85
-# Names in a line.
+# How many links that were touched a line names.
 MOST_NAMES = 3
-# Of the rate that a topic is to have.
+# Relative deviation of a topic's rate that is allowed.
 RATE_TOLERANCE = 0.05
-# Messages, before a rate is made of them.
+# A rate needs at least this many messages.
 FEWEST = 3
 
 
-class PluginRow(NamedTuple):
-    """A `<plugin>`: its topics, its rate in Hz (0: none of its own), the tags that do nothing.
+@dataclass(frozen=True)
+class PluginRow:
+    """A `<plugin>` of a model.
 
-    `refused` are the controllers, with their types, that it could not load.
+    Attributes:
+        name: of the plugin.
+        filename: of its library.
+        link: that it is mounted on.
+        acts: whether it is simulated.
+        rate: Hz; 0 if it has none.
+        inputs: topics that it subscribes to.
+        outputs: topics that it publishes.
+        tags_not_simulated: tags that have no effect.
+        refused: controllers that it could not load, each with its type.
     """
 
     name: str
@@ -48,7 +60,8 @@ class PluginRow(NamedTuple):
     refused: Tuple[str, ...] = ()
 
 
-class Controller(NamedTuple):
+@dataclass(frozen=True)
+class Controller:
     """A controller of ros_control."""
 
     name: str
@@ -58,9 +71,18 @@ class Controller(NamedTuple):
 
 @dataclass(frozen=True)
 class Robot:
-    """What a robot is made of; `drive` and `odometry` are topics, empty where it has none.
+    """The parts and topics of a robot.
 
-    `said` is what the simulation has warned of, `choice` the names of all that could be driven.
+    Attributes:
+        name: of its model.
+        links: their names.
+        joints: their names.
+        plugins: of its model.
+        controllers: that are loaded.
+        drive: topic of its velocity commands; empty if it has none.
+        odometry: topic of its odometry; empty if it has none.
+        said: warnings of the simulation about it.
+        choice: names of all models that can be driven.
     """
 
     name: str
@@ -75,26 +97,43 @@ class Robot:
 
 
 class Count:
-    """Messages on a topic: how many, and the stamps in ns of the first and the last."""
+    """Counts the messages on a topic, and keeps the stamps (ns) of the first and the last.
+
+    Args:
+        kind: type of the messages.
+        rate: that is declared, in Hz; 0 for none.
+    """
 
     def __init__(self, kind: str, rate: float):
-        self.kind, self.declared = kind, rate
-        self.messages, self._first, self._last = 0, 0, 0
+        self.kind = kind
+        self.declared = rate
+        self.messages = 0
+        self._first = 0
+        self._last = 0
 
     def note(self, stamp: int) -> None:
         """Count a message."""
         if not self.messages:
             self._first = stamp
-        self.messages, self._last = self.messages + 1, stamp
+        self.messages += 1
+        self._last = stamp
 
     def rate(self) -> Optional[float]:
-        """Return the rate in Hz of simulated time; None of too few."""
+        """Return the rate in Hz of simulated time; None if there are too few messages."""
         span = self._last - self._first
-        enough = self.messages >= FEWEST and span > 0
-        return (self.messages - 1) * NANOSECONDS / span if enough else None
+        if self.messages < FEWEST or span <= 0:
+            return None
+        return (self.messages - 1) * NANOSECONDS / span
+
+    def is_off(self) -> bool:
+        """Return whether the rate is not the declared one."""
+        seen = self.rate()
+        if seen is None or not self.declared:
+            return False
+        return abs(seen / self.declared - 1.0) > RATE_TOLERANCE
 
     def figures(self) -> Dict[str, Any]:
-        """Return what summary.json says of it."""
+        """Return the topic's entry in summary.json."""
         seen = self.rate()
         return {
             "type": self.kind,
@@ -103,9 +142,19 @@ class Count:
             "messages": self.messages,
         }
 
+    def cells(self) -> Sequence[str]:
+        """Return the topic's cells in the table."""
+        seen = self.rate()
+        return (
+            self.kind,
+            f"{self.declared:g}" if self.declared else "",
+            "" if seen is None else f"{seen:.2f}",
+            str(self.messages),
+        )
+
 
 def declared_rates(rows: Sequence[PluginRow]) -> Dict[str, float]:
-    """Return the rate (Hz) of each topic: those of all that speak on it, 0 if one has none."""
+    """Return the rate (Hz) of each topic: the sum of its plugins', 0 if one of them has none."""
     shares: Dict[str, List[float]] = {}
     for row in rows:
         for topic in row.outputs:
@@ -113,50 +162,52 @@ def declared_rates(rows: Sequence[PluginRow]) -> Dict[str, float]:
     return {topic: sum(rates) if all(rates) else 0.0 for topic, rates in shares.items()}
 
 
-class Way:
-    """How far a robot has come since it was first seen: m along and across its first heading."""
+class Displacement:
+    """Measures how far a robot has moved since its first pose, along and across its heading there.
+
+    Whole turns are counted.
+    """
 
     def __init__(self):
         self._start: Optional[PlanarPose] = None
         self._last: PlanarPose = (0.0, 0.0, 0.0)
-        self.turned = 0.0
-        """rad, whole turns counted."""
+        self._turned = 0.0
 
     def add(self, pose: PlanarPose) -> None:
-        """Go on to a pose (m, m, rad)."""
+        """Take the next pose (m, m, rad)."""
         if self._start is None:
             self._start = self._last = pose
-        self.turned += math.remainder(pose[2] - self._last[2], math.tau)
+        self._turned += math.remainder(pose[2] - self._last[2], math.tau)
         self._last = pose
 
-    def ahead_and_aside(self) -> Tuple[float, float]:
-        """Return how far it has come, m."""
-        if self._start is None:
-            return 0.0, 0.0
-        dx, dy = (b - a for a, b in zip(self._start[:2], self._last[:2]))
-        cosine, sine = math.cos(self._start[2]), math.sin(self._start[2])
-        return cosine * dx + sine * dy, cosine * dy - sine * dx
-
     def figures(self) -> Optional[Dict[str, float]]:
-        """Return what summary.json says of it."""
+        """Return the figures for summary.json; None without a pose."""
         if self._start is None:
             return None
-        ahead, aside = self.ahead_and_aside()
-        return {"ahead_m": ahead, "aside_m": aside, "turned_deg": math.degrees(self.turned)}
+        x, y, yaw = self._start
+        dx, dy = self._last[0] - x, self._last[1] - y
+        cosine, sine = math.cos(yaw), math.sin(yaw)
+        return {
+            "ahead_m": cosine * dx + sine * dy,
+            "aside_m": cosine * dy - sine * dx,
+            "turned_deg": math.degrees(self._turned),
+        }
 
 
 @dataclass(frozen=True)
 class Leg:
-    """A part of the drive: what was asked for, what odometry and truth say, and how long it took.
+    """A part of the drive: the target, how far odometry and truth report, and the time it took.
 
     Attributes:
-        name: what is driven, such as "metre".
-        quantity: the figure of `Way.figures` that it is about.
-        asked: that much of it.
+        name: of the part, such as "metre".
+        quantity: the figure of `Displacement.figures` that has the target.
+        asked: the target.
+        odometry: figures by the odometry; None without any.
+        truth: figures by the truth.
         seconds: simulated.
-        late: whether it was given up because it took too long.
-        touched: model::link, what it touched from the side.
-        causes: what is known of why it stands.
+        late: whether it was aborted because it took too long.
+        touched: model::link of what the robot has touched from the side.
+        causes: known reasons why it stands.
     """
 
     name: str
@@ -170,41 +221,42 @@ class Leg:
     causes: Tuple[str, ...] = ()
 
     def has_failed(self) -> bool:
-        """Return whether the robot did not do what it was asked, by the truth.
+        """Return whether the robot missed the target, by the truth.
 
-        One that is slow to brake comes too far, and its odometry says so.
+        A robot that brakes slowly goes too far, and its odometry reports that.
         """
         share, error = self.truth[self.quantity] / self.asked, self.error()
         is_off = error is not None and error > 100.0 * (1.0 - DONE)
         return self.late or share < DONE or (is_off and share > 2.0 - DONE)
 
     def reasons(self) -> List[str]:
-        """Return what is known of why the robot did not do what it was asked."""
-        verb = "turned" if self.quantity == "turned_deg" else "drove"
-        backwards = [f"{verb} the other way"] if self.truth[self.quantity] < 0.0 else []
-        found = backwards if self.has_moved() else list(self.causes)
+        """Return the known reasons why the robot missed the target."""
+        if not self.has_failed():
+            return []
+        found = [] if self.has_moved() else list(self.causes)
+        if self.has_moved() and self.truth[self.quantity] < 0.0:
+            verb = "turned" if self.quantity == "turned_deg" else "drove"
+            found.append(f"{verb} the other way")
         if self.touched:
             found.append(f"touches {', '.join(self.touched[:MOST_NAMES])}")
         if self.late:
             found.append(f"out of time after {self.seconds:.0f} s")
-        return found if self.has_failed() else []
+        return found
 
     def has_moved(self) -> bool:
-        """Return whether the robot has really moved."""
+        """Return whether the robot has moved, by the truth."""
         return abs(self.truth[self.quantity]) >= STANDING * abs(self.asked)
 
     def error(self) -> Optional[float]:
-        """Return by how many percent of the truth the odometry is off; None without either."""
+        """Return the odometry's error in percent of the truth; None without odometry or motion."""
         if self.odometry is None or not self.has_moved():
             return None
-        true = self.truth[self.quantity]
-        if self.quantity == "turned_deg":
-            return 100.0 * abs(self.odometry[self.quantity] - true) / abs(true)
-        parts = ("ahead_m", "aside_m")
-        return 100.0 * math.hypot(*(self.odometry[p] - self.truth[p] for p in parts)) / abs(true)
+        names = ("turned_deg",) if self.quantity == "turned_deg" else ("ahead_m", "aside_m")
+        off = math.hypot(*(self.odometry[name] - self.truth[name] for name in names))
+        return 100.0 * off / abs(self.truth[self.quantity])
 
     def figures(self) -> Dict[str, Any]:
-        """Return what summary.json says of it."""
+        """Return the part's entry in summary.json."""
         return {
             "asked": self.asked,
             "odometry": self.odometry,
@@ -217,7 +269,7 @@ class Leg:
         }
 
     def line(self) -> str:
-        """Return it in a few words."""
+        """Return the outcome in one line."""
         unit = "m" if self.quantity == "ahead_m" else "°"
         true, reasons = self.truth[self.quantity], ", ".join(self.reasons())
         why = f": {reasons}" if reasons else ""
@@ -235,19 +287,21 @@ class Leg:
 class RobotReport(Report):
     """The table robot.md, truth.tum, odom.tum, robot.png and summary.json of one robot.
 
+    Args:
+        folder: of the files.
+        robot: its parts.
+        kinds: types of its topics.
+        others: plugins of other models, which may publish on the same topics.
+
     Attributes:
-        robot: what it is made of.
-        counts: messages by topic.
-        legs: of the drive.
-        picture: of the robot, (h, w, 3) uint8, blue green red.
+        robot: as given.
+        counts: of messages, by topic.
+        legs: parts of the drive.
+        picture: of the robot, (h, w, 3) uint8, BGR.
         seen: the first picture of each of its cameras, likewise, by topic.
-        tilt_deg: how far from upright it was in the end.
+        tilt_deg: angle between the robot's z axis and the vertical at the end.
         not_started: nodes of its launch file that could not start or died.
         pauses: how often its odometry paused.
-
-    Args:
-        kinds: types of its topics.
-        others: plugins of other models, which may speak on the same topics.
     """
 
     def __init__(
@@ -269,43 +323,35 @@ class RobotReport(Report):
         self.pauses = 0
 
     def take(self, topic: str, reading: Reading) -> bool:
-        """Take a pose of `TRUTH` or `ODOMETRY`."""
-        series = self.series[topic]
-        if series.last is not None and reading.stamp <= series.last:
-            return False
-        series.add(reading.stamp, reading.values)
-        return True
+        """Record a pose of `TRUTH` or `ODOMETRY`; ignore out-of-order ones."""
+        last = self.series[topic].last
+        return (last is None or reading.stamp > last) and super().take(topic, reading)
 
     def finish(self, until: Optional[int] = None) -> None:
         super().finish(until)
         replace_file(self.folder / TABLE, lambda part: part.write_text(self.table()))
 
+    def refused(self) -> List[str]:
+        """Return the controllers that could not be loaded, each with its type."""
+        return [controller for row in self.robot.plugins for controller in row.refused]
+
     def left_out(self) -> List[str]:
-        """Return the plugins that do nothing, and the controllers that were refused."""
-        plugins = self.robot.plugins
-        idle = [f"{row.name} ({row.filename})" for row in plugins if not row.acts]
-        return idle + [controller for row in plugins for controller in row.refused]
+        """Return the plugins that are not simulated, and the controllers that were refused."""
+        idle = [f"{row.name} ({row.filename})" for row in self.robot.plugins if not row.acts]
+        return idle + self.refused()
 
     def silent(self) -> List[str]:
-        """Return the topics with a rate that nothing came on."""
+        """Return the topics that have a declared rate and no message."""
         return [t for t, count in self.counts.items() if count.declared and not count.messages]
 
     def off_rate(self) -> List[str]:
-        """Return the topics whose rate was not the declared one."""
-        pairs = [(t, c.declared, c.rate()) for t, c in self.counts.items()]
-        return [
-            topic
-            for topic, declared, seen in pairs
-            if declared and seen is not None and abs(seen / declared - 1.0) > RATE_TOLERANCE
-        ]
+        """Return the topics whose rate is not the declared one."""
+        return [topic for topic, count in self.counts.items() if count.is_off()]
 
     def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
-        robot = asdict(self.robot)
-        robot["plugins"] = [row._asdict() for row in self.robot.plugins]
-        robot["controllers"] = [row._asdict() for row in self.robot.controllers]
         return {
             "finished": finished,
-            "robot": robot,
+            "robot": asdict(self.robot),
             "left_out": self.left_out(),
             "not_started": self.not_started,
             "topics": {topic: count.figures() for topic, count in self.counts.items()},
@@ -329,11 +375,11 @@ class RobotReport(Report):
         return any(leg.has_failed() for leg in self.legs)
 
     def table(self) -> str:
-        """Return what acts and what does not, in Markdown."""
+        """Return robot.md: plugins, controllers, topics, the drive and warnings, in Markdown."""
         return "\n".join(_lines(self)) + "\n"
 
     def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
-        pictures = [(f"{self.robot.name}", self.picture)] if self.picture is not None else []
+        pictures = [] if self.picture is None else [(self.robot.name, self.picture)]
         pictures += list(self.seen.items())[:2]
         figure = new_figure(5.6 * (len(pictures) + 1), 5.0)
         panels = figure.subplots(1, len(pictures) + 1, squeeze=False)[0]
@@ -350,17 +396,11 @@ class RobotReport(Report):
         for name, colour, width in ((TRUTH, ORANGE, 3.0), (ODOMETRY, BLUE, 1.2)):
             _, rows = self.series[name].table()
             if len(rows):
-                # Odometry begins at its own zero: it is laid on the start of the truth.
-                axes.plot(*_from_the_start(rows), color=colour, linewidth=width, label=name)
+                # Odometry begins at its own zero, so both are drawn from their first pose.
+                x, y, _ = between(rows[0], rows).T
+                axes.plot(x, y, color=colour, linewidth=width, label=name)
         if axes.lines:
             axes.legend(loc="best")
-
-
-def _from_the_start(rows: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return x and y (m) of a path as seen from its first pose."""
-    x, y, yaw = rows[0]
-    dx, dy = rows[:, 0] - x, rows[:, 1] - y
-    return math.cos(yaw) * dx + math.sin(yaw) * dy, math.cos(yaw) * dy - math.sin(yaw) * dx
 
 
 def _lines(report: RobotReport) -> Iterator[str]:
@@ -370,61 +410,48 @@ def _lines(report: RobotReport) -> Iterator[str]:
     yield f"{len(robot.links)} links: {', '.join(robot.links)}"
     yield ""
     yield f"{len(robot.joints)} joints: {', '.join(robot.joints) or 'none'}"
-    yield from _rows(
-        ("plugin", "file", "acts", "listens to", "speaks on", "Hz", "tags not simulated"),
-        [
-            (
-                row.name,
-                row.filename,
-                "yes" if row.acts else "**no**",
-                " ".join(row.inputs),
-                " ".join(row.outputs),
-                f"{row.rate:g}" if row.rate else "",
-                " ".join(row.tags_not_simulated),
-            )
-            for row in robot.plugins
-        ],
-    )
-    refused = [name for row in robot.plugins for name in row.refused]
-    yield from _rows(
-        ("controller", "type", "state"),
-        [*robot.controllers, *((*name[:-1].split(" (", 1), "**refused**") for name in refused)],
-    )
-    yield from _rows(
-        ("topic", "type", "Hz declared", "Hz seen", "messages"),
-        [
-            (
-                topic,
-                count.kind,
-                f"{count.declared:g}" if count.declared else "",
-                "" if count.rate() is None else f"{count.rate():.2f}",
-                str(count.messages),
-            )
-            for topic, count in report.counts.items()
-        ],
-    )
+    header = ("plugin", "file", "acts", "listens to", "speaks on", "Hz", "tags not simulated")
+    yield from _rows(header, [_plugin_cells(row) for row in robot.plugins])
+    controllers = [astuple(controller) for controller in robot.controllers]
+    controllers += [(*name[:-1].split(" (", 1), "**refused**") for name in report.refused()]
+    yield from _rows(("controller", "type", "state"), controllers)
+    topics = [(topic, *count.cells()) for topic, count in report.counts.items()]
+    yield from _rows(("topic", "type", "Hz declared", "Hz seen", "messages"), topics)
     yield ""
     if len(robot.choice) > 1:
         yield f"- drives {robot.name} of {', '.join(robot.choice)}: model:=NAME chooses another"
     yield f"- velocities: {robot.drive or 'nothing listens to any'}"
     yield f"- odometry: {robot.odometry or 'none'}" + f" (pauses: {pauses})" * bool(pauses)
     yield from (f"- {leg.line()}" for leg in report.legs)
-    for title, lines in (
-        ("Could not start, or died:", report.not_started),
-        ("What the simulation said of it:", robot.said),
-    ):
-        if lines:
-            yield from ("", title, "", *(f"- {line}" for line in lines))
+    yield from _bullets("Could not start, or died:", report.not_started)
+    yield from _bullets("What the simulation said of it:", robot.said)
+
+
+def _plugin_cells(row: PluginRow) -> Sequence[str]:
+    return (
+        row.name,
+        row.filename,
+        "yes" if row.acts else "**no**",
+        " ".join(row.inputs),
+        " ".join(row.outputs),
+        f"{row.rate:g}" if row.rate else "",
+        " ".join(row.tags_not_simulated),
+    )
 
 
 def _rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """A table with columns of even width; nothing without rows."""
+    """Yield a table with columns of even width; nothing without rows."""
     if not rows:
         return
-    table = [list(header), *map(list, rows)]
+    table = [header, *rows]
     widths = [max(map(len, column)) for column in zip(*table)]
     yield ""
     for number, row in enumerate(table):
         yield "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths)) + " |"
         if not number:
             yield "|" + "|".join("-" * (width + 2) for width in widths) + "|"
+
+
+def _bullets(title: str, lines: Sequence[str]) -> Iterator[str]:
+    if lines:
+        yield from ("", title, "", *(f"- {line}" for line in lines))

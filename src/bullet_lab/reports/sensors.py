@@ -1,10 +1,10 @@
-"""What a robot's sensors and its distances to beacons were on a drive: recorded and drawn."""
+"""The reports of the jobs `sensors` and `beacons`: measurements of a robot on a drive."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, Dict, Iterator, Mapping, Optional, Set, Tuple
+from typing import Any, Callable, Iterator, Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,9 +22,9 @@ from bullet_lab.core.figures import (
     plan_axes,
 )
 from bullet_lab.core.files import Join, Series, SeriesError, Values
-from bullet_lab.reports import Reading, Report
+from bullet_lab.reports import Reading, Report, draw_path
 
-# A push below this (N) is a touch that has just ended.
+# N; a smaller force is a touch that has just ended.
 TOUCH = 0.1
 DISTANCES = "distances.csv"
 BEACON_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE)
@@ -33,11 +33,11 @@ BEACON_RADIUS = 0.25
 
 
 class SensorsReport(Report):
-    """Series of all sensors: odom.csv, scan.csv (of so many rays), range.csv, imu.csv, bumper.csv.
+    """A CSV file for each sensor: odom, scan (with a number of rays), range, imu and bumper.
 
     Attributes:
-        angles: rad, of the first ray of the newest scan, and the step to the next.
-        touched: names of what the bumper touched.
+        angles: rad, of the first ray of the newest scan, and the step to the next ray.
+        touched: names of the models that the bumper touched.
     """
 
     def __init__(self, folder: Path, rays: int):
@@ -57,7 +57,7 @@ class SensorsReport(Report):
         every = (self.odom, self.scan, self.range, self.imu, self.bumper)
         self.series = dict(zip(self.topics, every))
         self.angles = (0.0, 0.0)
-        self.touched: Set[str] = set()
+        self.touched: set[str] = set()
 
     def take(self, topic: str, reading: Reading) -> bool:
         super().take(topic, reading)
@@ -67,10 +67,16 @@ class SensorsReport(Report):
             self.touched.update(reading.detail)
         return True
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
-        (_, ranges), (_, scans) = self.range.table(), self.scan.table()
-        (_, inertial), (stamps, bumps) = self.imu.table(), self.bumper.table()
-        force = np.hypot(bumps[:, 1], bumps[:, 2])
+    def push(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the stamps (s) of the bumper's messages and the horizontal forces (N)."""
+        stamps, rows = self.bumper.table()
+        return stamps, np.hypot(rows[:, 1], rows[:, 2])
+
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+        _, ranges = self.range.table()
+        _, scans = self.scan.table()
+        _, inertial = self.imu.table()
+        stamps, force = self.push()
         pushed = force > TOUCH
         rows = {topic: len(series) for topic, series in self.series.items()}
         return {
@@ -86,7 +92,7 @@ class SensorsReport(Report):
             **run,
         }
 
-    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
+    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
         figure = new_figure(12.5, 7.6)
         figure.suptitle("What the sensors measured")
         grid = figure.add_gridspec(5, 2, width_ratios=(1.0, 1.1))
@@ -95,20 +101,7 @@ class SensorsReport(Report):
         )
         _draw_plan(figure.add_subplot(grid[:, 0]), self)
         panels = [figure.add_subplot(grid[row, 1]) for row in range(5)]
-        (scanned, scans), (ranged, ranges) = self.scan.table(), self.range.table()
-        # A ray that meets nothing is +inf; one that meets something too near is -inf.
-        nearest = [row[np.isfinite(row)].min(initial=np.inf) for row in scans]
-        panels[0].plot(scanned, nearest, color=VERMILION, linewidth=1.0)
-        panels[1].plot(ranged, ranges, color=GREEN, linewidth=1.0)
-        stamps, inertial = self.imu.table()
-        for column, (name, colour) in enumerate(zip("xyz", (BLUE, ORANGE, PURPLE))):
-            panels[2].plot(stamps, inertial[:, column], color=colour, linewidth=0.8, label=name)
-            panels[3].plot(stamps, inertial[:, 3 + column], color=colour, linewidth=0.8, label=name)
-        for panel in panels[2:4]:
-            panel.legend(loc="upper left", ncol=3, fontsize=7)
-        stamps, bumps = self.bumper.table()
-        panels[4].plot(stamps, np.hypot(bumps[:, 1], bumps[:, 2]), color=VERMILION, linewidth=1.0)
-        panels[4].set(xlabel="simulated time (s)")
+        self._draw_curves(panels)
         units = ("nearest ray (m)", "range (m)", "IMU (m/s²)", "IMU (rad/s)", "bumper (N)")
         times = np.concatenate([series.table()[0] for series in self.series.values()])
         for panel, unit in zip(panels, units):
@@ -116,16 +109,34 @@ class SensorsReport(Report):
             panel.grid(alpha=0.3)
             if times.size:
                 panel.set_xlim(times.min(), times.max())
-            if panel is not panels[-1]:
-                panel.set_xticklabels([])
+        for panel in panels[:-1]:
+            panel.set_xticklabels([])
         return {"sensors.png": figure}
+
+    def _draw_curves(self, panels: list[Axes]) -> None:
+        scan, sonar, acceleration, rotation, bumper = panels
+        stamps, scans = self.scan.table()
+        # A ray without an obstacle is +inf, one with an obstacle that is too near is -inf.
+        nearest = [row[np.isfinite(row)].min(initial=np.inf) for row in scans]
+        scan.plot(stamps, nearest, color=VERMILION, linewidth=1.0)
+        stamps, ranges = self.range.table()
+        sonar.plot(stamps, ranges, color=GREEN, linewidth=1.0)
+        stamps, inertial = self.imu.table()
+        for first, panel in ((0, acceleration), (3, rotation)):
+            for column, (name, colour) in enumerate(zip("xyz", (BLUE, ORANGE, PURPLE)), first):
+                values = inertial[:, column]
+                panel.plot(stamps, values, color=colour, linewidth=0.8, label=name)
+            panel.legend(loc="upper left", ncol=3, fontsize=7)
+        stamps, force = self.push()
+        bumper.plot(stamps, force, color=VERMILION, linewidth=1.0)
+        bumper.set(xlabel="simulated time (s)")
 
 
 def scan_points(report: SensorsReport) -> np.ndarray:
-    """Return what the scans saw, in the odometry's frame.
+    """Return the points of all scans in the frame of the odometry.
 
-    A scan is placed by the pose of the same stamp, or the last one before it; the scanner is
-    taken to stand above the robot's origin.
+    The pose of a scan is that of its stamp, or the last one before. The scanner is taken to be at
+    the origin of the robot.
 
     Returns:
         Points in m, shape (n, 2).
@@ -145,31 +156,29 @@ def scan_points(report: SensorsReport) -> np.ndarray:
     return points[seen]
 
 
-def _of(figure: Any, values: np.ndarray) -> Optional[float]:
-    """Return a figure of some values; None where a sensor said nothing."""
+def _of(figure: Callable[[np.ndarray], Any], values: np.ndarray) -> float | None:
+    """Return a figure of some values; None without a value."""
     return float(figure(values)) if values.size else None
 
 
 def _draw_plan(axes: Axes, report: SensorsReport) -> None:
     plan_axes(axes, title="laser scans, placed by the odometry")
-    points = scan_points(report)
-    axes.plot(points[:, 0], points[:, 1], ".", color=VERMILION, markersize=1.0, alpha=0.3)
+    x, y = scan_points(report).T
+    axes.plot(x, y, ".", color=VERMILION, markersize=1.0, alpha=0.3)
     _, poses = report.odom.table()
     if len(poses):
-        axes.plot(poses[:, 0], poses[:, 1], color=BLACK, linewidth=1.4)
-        axes.plot(*poses[0, :2], "o", color="white", markeredgecolor=BLACK, label="start")
-        axes.plot(*poses[-1, :2], "s", color=BLACK, label="end")
+        draw_path(axes, poses, BLACK, 1.4, start="white", end=BLACK)
         axes.legend(loc="best")
 
 
 class BeaconsReport(Report):
     """Rows `x,y,yaw,<beacon>…,true_<beacon>…` in m and rad, in distances.csv.
 
-    A row is written once the robot's pose and the distances to all beacons are there for one
-    stamp. The true distances follow from the pose and from where the beacons stand (m, m).
+    A row is written once the robot's pose and the distances to all beacons have come for one
+    stamp. The true distances follow from the pose and from the places of the beacons (m, m).
     """
 
-    def __init__(self, folder: Path, beacons: Mapping[str, Tuple[float, float]]):
+    def __init__(self, folder: Path, beacons: Mapping[str, tuple[float, float]]):
         super().__init__(folder)
         self.beacons = dict(beacons)
         ranges = {f"{name}/range": "sensor_msgs/Range" for name in self.beacons}
@@ -185,31 +194,29 @@ class BeaconsReport(Report):
         self._join.add(topic, reading.stamp, reading.values)
         return True
 
-    def _complete(self, stamp: int, found: Dict[str, Values]) -> None:
+    def _complete(self, stamp: int, found: dict[str, Values]) -> None:
         x, y, _ = pose = found["odom"]
         measured = [value for name in self.beacons for value in found[f"{name}/range"]]
         true = [math.hypot(x - bx, y - by) for bx, by in self.beacons.values()]
         self._rows.add(stamp, [*pose, *measured, *true])
 
-    def _distances(self) -> Tuple[np.ndarray, np.ndarray]:
+    def _distances(self) -> list[np.ndarray]:
         """Return the measured and the true distances in m, shape (n, beacons)."""
-        return tuple(np.hsplit(self._rows.table()[1][:, 3:], 2))
+        return np.hsplit(self._rows.table()[1][:, 3:], 2)
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
         path, (measured, true) = self._rows.path(), self._distances()
-        figures = {"rows": len(measured), "beacons": list(self.beacons)}
-        if path is None:
-            return {"finished": finished, **figures, "closest_m": [], "largest_error_m": [], **run}
-        return {
-            "finished": finished,
-            **figures,
-            "closest_m": measured.min(axis=0).tolist(),
-            "largest_error_m": np.abs(measured - true).max(axis=0).tolist(),
-            "path_length_m": path.length(),
-            **run,
-        }
+        figures: dict[str, Any] = {"closest_m": [], "largest_error_m": []}
+        if path is not None:
+            figures = {
+                "closest_m": measured.min(axis=0).tolist(),
+                "largest_error_m": np.abs(measured - true).max(axis=0).tolist(),
+                "path_length_m": path.length(),
+            }
+        counts = {"rows": len(measured), "beacons": list(self.beacons)}
+        return {"finished": finished, **counts, **figures, **run}
 
-    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
+    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
         figure = new_figure(9.5, 7.0)
         figure.suptitle("Distances to the beacons")
         above, below = figure.subplots(2, 1, gridspec_kw={"height_ratios": (1.0, 1.8)})
@@ -218,7 +225,7 @@ class BeaconsReport(Report):
         for name, (x, y), colour in self._coloured():
             above.add_patch(Circle((x, y), BEACON_RADIUS, facecolor=colour, edgecolor=BLACK))
             above.annotate(name, (x, y + 1.2 * BEACON_RADIUS), ha="center", va="bottom")
-            # A patch does not count for the limits of the axes.
+            # Matplotlib ignores patches when it computes the limits of the axes.
             above.plot(x, y, ".", color=colour)
         below.set(xlabel="simulated time (s)", ylabel="distance (m)")
         below.grid(alpha=0.3)
@@ -228,18 +235,15 @@ class BeaconsReport(Report):
                 axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return {"distances.png": figure}
 
-    def _draw_rows(self, way: Axes, curves: Axes) -> None:
+    def _draw_rows(self, plan: Axes, curves: Axes) -> None:
         path, (measured, true) = self._rows.path(), self._distances()
-        x, y = path.poses[:, 0], path.poses[:, 1]
-        way.plot(x, y, color=BLACK, linewidth=1.4)
-        way.plot(x[0], y[0], "o", color=GREEN, markeredgecolor=BLACK, label="start")
-        way.plot(x[-1], y[-1], "s", color="white", markeredgecolor=BLACK, label="end")
+        draw_path(plan, path.poses, BLACK, 1.4, start=GREEN, end="white")
         for column, (name, _, colour) in enumerate(self._coloured()):
             curves.plot(path.stamps, true[:, column], color=colour, linewidth=6.0, alpha=0.3)
             curves.plot(path.stamps, measured[:, column], color=colour, linewidth=1.5, label=name)
         curves.plot([], [], color=BLACK, linewidth=6.0, alpha=0.3, label="truth")
         curves.set_ylim(0.0, 1.05 * max(measured.max(), true.max()))
 
-    def _coloured(self) -> Iterator[Tuple[str, Tuple[float, float], str]]:
+    def _coloured(self) -> Iterator[tuple[str, tuple[float, float], str]]:
         for number, (name, place) in enumerate(self.beacons.items()):
             yield name, place, BEACON_COLOURS[number % len(BEACON_COLOURS)]

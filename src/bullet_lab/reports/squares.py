@@ -1,4 +1,4 @@
-"""A driven square: its paths as files, what it comes down to, and its figure."""
+"""The report of the job `squares`: perfect and noisy path, sides, turns and errors, a figure."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import textwrap
 from functools import partial
 from pathlib import Path
-from typing import Any, Callable, Iterable, Mapping, NamedTuple, Optional, Sequence
+from typing import Any, Callable, Iterable, Mapping, NamedTuple, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,12 +21,14 @@ from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.reports import Reading, Report, earliest
 
-# How many ellipses are drawn along the noisy path.
+# Number of ellipses that are drawn along the noisy path.
 ELLIPSES = 12
-_TITLE_WIDTH = 130  # letters, when they are small
-_SMALL_FROM = 95  # letters in a line
-_FIXED = "\xa0"  # a space at which no line ends
-# Of `path_error`, in summary.json.
+# Characters in a line of a title, in a small font; longer lines than the second need that font.
+_TITLE_WIDTH = 130
+_SMALL_FROM = 95
+# A no-break space.
+_FIXED = "\xa0"
+# Figures of `path_error` in summary.json.
 ERRORS = (
     "final_error_m",
     "final_heading_error_deg",
@@ -36,20 +38,20 @@ ERRORS = (
 )
 
 TURNING_RADIUS = 0.1
-"""m; a message is part of a drive if the curve it lies on is at least this wide."""
+"""m; a message is part of a drive if the radius of its curve is at least this large."""
 
 MIN_SIDE = 0.05
-"""m; a shorter drive is no side but a disturbance of the turns beside it."""
+"""m; a shorter drive is not a side and is merged into the turns beside it."""
 
 MIN_TURN = math.radians(5.0)
-"""rad; a smaller turn is no corner but a disturbance of the drives beside it."""
+"""rad; a smaller turn is not a corner and is merged into the drives beside it."""
 
 MIN_STRAIGHTNESS = 0.9
-"""Distance between the ends of a side over the way driven; below, the path is a curve."""
+"""Distance between the ends of a side over the distance driven; below, the path is a curve."""
 
 
 class SquarePath(NamedTuple):
-    """What a path of straight drives and turns on the spot is made of.
+    """The sides and turns of a path of straight drives and turns on the spot.
 
     Attributes:
         side_lengths_m: distance between the ends of each side, in the order driven.
@@ -66,43 +68,39 @@ class SquarePath(NamedTuple):
 def analyse(trajectory: Trajectory) -> SquarePath:
     """Cut a path into its sides and the turn after each.
 
-    Rests belong to what they interrupt, and so do crawls and stray messages: only drives of at
-    least `MIN_SIDE` and turns of at least `MIN_TURN` count. A path that stops half way gives as
-    many sides and turns as it has; one that does not move or is not made of straight drives
-    gives none.
+    Only drives of at least `MIN_SIDE` and turns of at least `MIN_TURN` count; rests and shorter
+    pieces belong to the drive or turn that they interrupt. An unfinished square gives the sides
+    and turns that it has. A path that does not move, or has a curved side, gives none.
     """
     positions = trajectory.poses[:, :2]
     headings = np.unwrap(trajectory.poses[:, 2])
     drives, turns = _cut(positions, headings)
     if not all(_is_straight(positions[start : end + 1]) for start, end in drives):
         drives, turns = [], []
-    # The message in which a drive and a turn meet has a share of both, hence one more at each
-    # end; of a message that is all drive or all turn this adds nothing to the other.
+    # The message between a drive and a turn has a share of both, hence one more at each end.
     last = len(trajectory) - 1
-    return SquarePath(
-        [
-            float(np.hypot(*(positions[min(end + 1, last)] - positions[max(start - 1, 0)])))
-            for start, end in drives
-        ],
-        [
-            float(np.degrees(abs(headings[min(end + 1, last)] - headings[start - 1])))
-            for start, end in turns
-        ],
-        closure_error(trajectory),
-    )
+    sides = [
+        float(np.hypot(*(positions[min(end + 1, last)] - positions[max(start - 1, 0)])))
+        for start, end in drives
+    ]
+    angles = [
+        float(np.degrees(abs(headings[min(end + 1, last)] - headings[start - 1])))
+        for start, end in turns
+    ]
+    return SquarePath(sides, angles, closure_error(trajectory))
 
 
 def _cut(positions: np.ndarray, headings: np.ndarray):
     """Return the drives, and the turns after the first of them, as pairs of pose indices."""
-    ways = np.hypot(*np.diff(positions, axis=0).T)
-    is_drive = ways >= TURNING_RADIUS * np.abs(np.diff(headings))
+    distances = np.hypot(*np.diff(positions, axis=0).T)
+    is_drive = distances >= TURNING_RADIUS * np.abs(np.diff(headings))
     if not is_drive.size:
         return [], []
     edges = np.concatenate([[0], np.flatnonzero(np.diff(is_drive)) + 1, [is_drive.size]])
     first_is_drive = bool(is_drive[0])
 
-    # Pieces alternate. The least significant one is given to its neighbours, which become one
-    # piece then, until all that are left matter.
+    # Drives and turns alternate. The least significant piece is merged with its neighbours, until
+    # all that are left are significant.
     while True:
         drive = (np.arange(len(edges) - 1) % 2 == 0) == first_is_drive
         distance = np.hypot(*np.diff(positions[edges], axis=0).T)
@@ -124,14 +122,14 @@ def _cut(positions: np.ndarray, headings: np.ndarray):
 
 
 def _is_straight(positions: np.ndarray) -> bool:
-    way = np.hypot(*np.diff(positions, axis=0).T).sum()
-    return bool(np.hypot(*(positions[-1] - positions[0])) >= MIN_STRAIGHTNESS * way)
+    driven = np.hypot(*np.diff(positions, axis=0).T).sum()
+    return bool(np.hypot(*(positions[-1] - positions[0])) >= MIN_STRAIGHTNESS * driven)
 
 
 def squares_summary(
-    perfect: Optional[Trajectory], pairs: Optional[tuple[Trajectory, Trajectory]]
+    perfect: Trajectory | None, pairs: tuple[Trajectory, Trajectory] | None
 ) -> dict[str, Any]:
-    """Return the figures of a driven square, of what `PathsRecording` gives; null for unknown."""
+    """Return the figures of a square, from the paths of `PathsRecording`; None for unknown."""
     summary: dict[str, Any] = {"side_lengths_m": [], "turns_deg": []}
     summary.update(dict.fromkeys(("closure_error_m", "path_length_m", *ERRORS)), pairs=0)
     if perfect is not None:
@@ -145,27 +143,40 @@ def squares_summary(
 class PathsRecording:
     """Writes odom.tum, noisy_odom.tum and paths.csv while poses come in.
 
-    Poses of the two paths are paired where their stamps are the same to the nanosecond. Each row
-    is in the file as soon as it is known; `finish` writes the files once more, whole. Where time
-    is set back, what was recorded before is moved to a folder run_1, run_2 and so on, and
-    `begins_anew` is called with that. FileError is raised where a file cannot be written.
+    Poses of the two paths are paired if their stamps agree to the nanosecond. Each row is written
+    at once; `finish` writes the files once more. If simulated time is set back, the earlier files
+    are moved to a folder run_1, run_2 and so on.
+
+    Args:
+        folder: for the files.
+        on_reset: called with the folder of the earlier files when time was set back.
+
+    Raises:
+        FileError: a file cannot be written; so do the methods.
     """
 
     PERFECT, NOISY = "odom", "noisy_odom"
     FILES = ("odom.tum", "noisy_odom.tum", "paths.csv")
 
-    def __init__(self, folder: Path, begins_anew: Callable[[Path], None] = lambda old: None):
+    def __init__(self, folder: Path, on_reset: Callable[[Path], None] = lambda old: None):
         self.folder = folder
-        self._begins_anew = begins_anew
+        self._on_reset = on_reset
         self._runs = 0
-        self._left_behind: Optional[str] = None
-        self._left_at: Optional[int] = None
+        # The path that may still get messages of the old run, and the last stamp before them.
+        self._late: str | None = None
+        self._late_after: int | None = None
         self._open()
 
     def take(self, name: str, stamp: int, pose: Sequence[float]) -> bool:
-        """Record a pose (m, m, rad) of PERFECT or NOISY at a stamp in ns; return whether it was.
+        """Record a pose of PERFECT or NOISY; return False if it was sent before time was set back.
 
-        It raises SeriesError for one that is not finite, or at the stamp of the one before.
+        Args:
+            name: of the path.
+            stamp: ns.
+            pose: m, m, rad.
+
+        Raises:
+            SeriesError: the pose is not finite, or its stamp that of the pose before.
         """
         if not self._belongs_to_this_run(name, stamp):
             return False
@@ -173,28 +184,28 @@ class PathsRecording:
         return True
 
     def add(self, name: str, stamp: int, pose: Sequence[float]) -> None:
-        """Record a pose as `take` does, or raise SeriesError where time was set back."""
+        """Record a pose as `take` does, or raise SeriesError for an out-of-order stamp."""
         self._series[name].add(stamp, pose)
         self._join.add(name, stamp, pose)
 
-    def last(self, name: str) -> Optional[int]:
+    def last(self, name: str) -> int | None:
         """Return the last stamp in ns of PERFECT or NOISY, or None."""
         return self._series[name].last
 
-    def newest(self) -> Optional[int]:
-        """Return the stamp in ns that both have come to; None before that."""
+    def newest(self) -> int | None:
+        """Return the stamp in ns that both paths have reached; None before that."""
         return earliest(self.last(name) for name in (self.PERFECT, self.NOISY))
 
-    def perfect(self) -> Optional[Trajectory]:
+    def perfect(self) -> Trajectory | None:
         """Return the whole perfect path, or None while there is none."""
         return self._series[self.PERFECT].path()
 
-    def pairs(self) -> Optional[tuple[Trajectory, Trajectory]]:
+    def pairs(self) -> tuple[Trajectory, Trajectory] | None:
         """Return the paired poses of both paths, or None while there are none."""
         return (self._pairs.path(0), self._pairs.path(3)) if len(self._pairs) else None
 
-    def finish(self, until: Optional[int] = None) -> None:
-        """Close the files; leave out what came after the stamp `until` in ns, if given."""
+    def finish(self, until: int | None = None) -> None:
+        """Close the files, without the poses after the stamp `until` in ns, if it is given."""
         for series in (*self._series.values(), self._pairs):
             series.finish(until)
 
@@ -208,23 +219,23 @@ class PathsRecording:
         self._pairs.add(stamp, (*poses[self.PERFECT], *poses[self.NOISY]))
 
     def _belongs_to_this_run(self, name: str, stamp: int) -> bool:
-        """Begin a new run where time was set back; drop what the old run still sends after."""
+        """Start a new run if time was set back; return False for late messages of the old run."""
         last = self.last(name)
-        if self._left_behind == name:
-            if self._left_at is not None and stamp > self._left_at:
+        if self._late == name:
+            if self._late_after is not None and stamp > self._late_after:
                 return False
-            self._left_behind = None
+            self._late = None
         elif last is not None and stamp < last:
             other = self.NOISY if name == self.PERFECT else self.PERFECT
-            # Its messages of the old run may come yet, all of them later than its last one.
-            self._left_behind, self._left_at = other, self.last(other)
+            # Late messages of the old run have stamps after the last one of the other path.
+            self._late, self._late_after = other, self.last(other)
             self.finish()
             self._runs += 1
             old = make_folder(self.folder / f"run_{self._runs}")
             for file in self.FILES:
                 move_file(self.folder / file, old)
             self._open()
-            self._begins_anew(old)
+            self._on_reset(old)
         return True
 
 
@@ -235,7 +246,7 @@ class OdometryReport(Report):
         super().__init__(folder)
         self.robots: dict[str, PathsRecording] = {}
         for name in namespaces:
-            self.robots[name] = PathsRecording(folder / name, partial(self._begin_anew, name))
+            self.robots[name] = PathsRecording(folder / name, partial(self._reset, name))
             for path in (PathsRecording.NOISY, PathsRecording.PERFECT):
                 self.topics[f"{name}/{path}".lstrip("/")] = "nav_msgs/Odometry"
 
@@ -243,10 +254,10 @@ class OdometryReport(Report):
         namespace, _, name = topic.rpartition("/")
         return self.robots[namespace].take(name, reading.stamp, reading.values)
 
-    def newest(self) -> Optional[int]:
+    def newest(self) -> int | None:
         return earliest(paths.newest() for paths in self.robots.values())
 
-    def finish(self, until: Optional[int] = None) -> None:
+    def finish(self, until: int | None = None) -> None:
         for paths in self.robots.values():
             paths.finish(until)
 
@@ -254,8 +265,8 @@ class OdometryReport(Report):
         found = [paths.perfect() for paths in self.robots.values()]
         return max((p.stamps[-1] - p.stamps[0] for p in found if p is not None), default=0.0)
 
-    def _begin_anew(self, namespace: str, old: Path) -> None:
-        self.begins_anew(namespace, old)
+    def _reset(self, namespace: str, old: Path) -> None:
+        self.on_reset(namespace, old)
 
 
 class SquaresReport(OdometryReport):
@@ -264,7 +275,7 @@ class SquaresReport(OdometryReport):
     def __init__(self, folder: Path):
         super().__init__(folder, [""])
         self._paths = self.robots[""]
-        # Of the noisy position, m², by stamp in ns.
+        # Covariance (m²) of the noisy position by stamp in ns.
         self._covariances: dict[int, Any] = {}
 
     def take(self, topic: str, reading: Reading) -> bool:
@@ -280,9 +291,9 @@ class SquaresReport(OdometryReport):
     def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
         perfect, pairs = self._paths.perfect(), self._paths.pairs()
         title = f"Noise generated by /noisy_odom{settings_line(self.about)}"
-        # The report's algorithm leaves the odometry's own covariances as they are.
-        says_nothing = pairs is None or self.about.get("as_published")
-        ellipses = [] if says_nothing else self._ellipses(pairs[1])
+        # The algorithm of the report does not change the covariances of the odometry.
+        has_covariances = pairs is not None and not self.about.get("as_published")
+        ellipses = self._ellipses(pairs[1]) if has_covariances else []
         return {"paths.png": noise_figure(perfect, pairs, title, ellipses)}
 
     def line(self, summary: Mapping[str, Any]) -> str:
@@ -312,13 +323,13 @@ class SquaresReport(OdometryReport):
             if covariance is not None
         ]
 
-    def _begin_anew(self, namespace: str, old: Path) -> None:
+    def _reset(self, namespace: str, old: Path) -> None:
         self._covariances.clear()
-        super()._begin_anew(namespace, old)
+        super()._reset(namespace, old)
 
 
 def settings_line(about: Mapping[str, Any]) -> str:
-    """Return what a title says below its first line of how the noise was made; may be empty."""
+    """Return the settings of the noise as further lines of a title; may be empty."""
     model = None if about.get("as_published") else about.get("model")
     own = declarations(MODELS[model]) if model in MODELS else ("std",)
     keys = [key for key in (*own, "model", "mode", "seed") if key in about]
@@ -327,23 +338,23 @@ def settings_line(about: Mapping[str, Any]) -> str:
     parts = [f"{key} = {about[key]}" for key in keys]
     if about.get("as_published"):
         parts.append("as published")
-    # Lines end between settings only.
+    # A line may end between two settings, but not within one.
     lines = textwrap.wrap(" ".join(f"{part.replace(' ', _FIXED)}," for part in parts), _TITLE_WIDTH)
     return "".join(f"\n{line}" for line in lines).replace(_FIXED, " ").rstrip(",")
 
 
 def noise_figure(
-    perfect: Optional[Trajectory],
-    pairs: Optional[tuple[Trajectory, Trajectory]],
+    perfect: Trajectory | None,
+    pairs: tuple[Trajectory, Trajectory] | None,
     title: str = "Noise generated by /noisy_odom",
     ellipses: Sequence[np.ndarray] = (),
 ) -> Figure:
     """Draw both paths, each coordinate against time, and the error against distance.
 
     Args:
-        perfect: as of `PathsRecording`; None for nothing yet.
+        perfect: path, as `PathsRecording` returns it; None for none.
         pairs: likewise.
-        title: above all.
+        title: of the figure.
         ellipses: outlines around noisy poses, (n, 2) arrays in m.
     """
     figure = new_figure(11.0, 6.6)

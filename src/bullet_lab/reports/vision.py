@@ -1,10 +1,10 @@
-"""What the detectors see in one image, side by side as in figure 7."""
+"""The report of the job `vision`: the results of all detectors for one image, as in figure 7."""
 
 from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from typing import Any, Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ from bullet_lab.core.files import FileError, replace_file
 from bullet_lab.reports import Reading, Report
 from bullet_lab.vision.drawing import enlarged
 
-# Pictures by the name of their detector, in the order of figure 7.
+# Topics of the pictures by the name of their detector, in the order of figure 7.
 PICTURES = {
     "view_camera": "view_camera/image_annotated",
     "canny_edges": "canny_edges/edges",
@@ -27,15 +27,15 @@ FEATURES = ("good_features", "harris_corners")
 DETECTIONS = "aruco/detections"
 _COLUMNS = 3
 _LINE_LENGTH = 58
-# Edge of the picture of the marker alone, px.
+# px; edge of the enlarged picture of the marker.
 _ENLARGED = 480
 
 
 class VisionReport(Report):
-    """A picture for each detector, marker.png if there is one, and what was found.
+    """A picture of each detector, marker.png if a marker was found, and the results as text.
 
     Attributes:
-        found: a line for each picture, once all answers are there.
+        found: a line for each picture, once all results have come.
     """
 
     def __init__(self, folder: Path):
@@ -45,9 +45,9 @@ class VisionReport(Report):
             **{f"{name}/points": "bullet_lab/ImagePoints" for name in FEATURES},
             DETECTIONS: "bullet_lab/MarkerDetectionArray",
         }
-        self.found: Dict[str, str] = {}
-        self._answers: Dict[str, Reading] = {}
-        self._pictures: Dict[str, np.ndarray] = {}
+        self.found: dict[str, str] = {}
+        self._answers: dict[str, Reading] = {}
+        self._pictures: dict[str, np.ndarray] = {}
 
     def take(self, topic: str, reading: Reading) -> bool:
         self._answers[topic] = reading
@@ -56,7 +56,7 @@ class VisionReport(Report):
     def is_complete(self) -> bool:
         return len(self._answers) == len(self.topics)
 
-    def finish(self, until: Any = None) -> None:
+    def finish(self, until: int | None = None) -> None:
         self._pictures = {name: self._answers[topic].detail for name, topic in PICTURES.items()}
         self.found = self._found()
         if self._markers():
@@ -66,37 +66,38 @@ class VisionReport(Report):
         for name, picture in self._pictures.items():
             replace_file(self.folder / f"{name}.png", lambda path, p=picture: _write(path, p))
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
         markers = [marker_figures(marker) for marker in self._markers()]
-        return {"stamp_s": self._stamp().seconds, "found": self.found, "markers": markers}
+        return {"stamp_s": self._stamp_s(), "found": self.found, "markers": markers}
 
-    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
+    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
         figure = new_figure(14.0, 8.6)
-        figure.suptitle(f"What the detectors make of one image ({self._stamp().seconds:.3f} s)")
+        figure.suptitle(f"What the detectors make of one image ({self._stamp_s():.3f} s)")
         rows = -(-len(self._pictures) // _COLUMNS)
         grid = figure.subplots(rows, _COLUMNS, squeeze=False)
-        lines = {name: textwrap.fill(self.found[name], _LINE_LENGTH) for name in self._pictures}
-        room = max(0.06, 0.025 + 0.018 * max(line.count("\n") + 1 for line in lines.values()))
+        lines = [textwrap.fill(self.found[name], _LINE_LENGTH) for name in self._pictures]
+        room = max(0.06, 0.025 + 0.018 * max(line.count("\n") + 1 for line in lines))
         figure.subplots_adjust(
             left=0.02, right=0.98, top=0.92, bottom=room, hspace=0.28, wspace=0.05
         )
         for axes in grid.ravel():
             axes.set_axis_off()
-        for axes, (name, picture) in zip(grid.ravel(), self._pictures.items()):
+        for axes, (name, picture), line in zip(grid.ravel(), self._pictures.items(), lines):
             axes.imshow(picture[:, :, ::-1])
             axes.set_title(name, fontsize=11, fontweight="bold")
-            where = {"transform": axes.transAxes, "va": "top", "ha": "center"}
-            axes.text(0.5, -0.03, lines[name], fontsize=9, **where)
+            axes.text(
+                0.5, -0.03, line, fontsize=9, transform=axes.transAxes, va="top", ha="center"
+            )
         return {"side_by_side.png": figure}
 
-    def _stamp(self) -> Reading:
-        return self._answers[PICTURES["view_camera"]]
+    def _stamp_s(self) -> float:
+        return self._answers[PICTURES["view_camera"]].seconds
 
     def _markers(self) -> Sequence[Any]:
         return self._answers[DETECTIONS].detail
 
-    def _found(self) -> Dict[str, str]:
-        """Return a line on what each detector found, by its name."""
+    def _found(self) -> dict[str, str]:
+        """Return the result of each detector in one line, by its name."""
         view = self._pictures["view_camera"]
         height, width = view.shape[:2]
         grey = cv2.cvtColor(view, cv2.COLOR_BGR2GRAY)
@@ -110,8 +111,8 @@ class VisionReport(Report):
         }
 
 
-def marker_figures(marker: Any) -> Dict[str, Any]:
-    """Return what summary.json says of a marker, which is as bullet_lab/MarkerDetection."""
+def marker_figures(marker: Any) -> dict[str, Any]:
+    """Return the entry of a bullet_lab/MarkerDetection in summary.json."""
     place = marker.pose.pose.position
     return {
         "id": marker.id,
@@ -123,7 +124,7 @@ def marker_figures(marker: Any) -> Dict[str, Any]:
     }
 
 
-def _points_line(points: List[Tuple[float, float]]) -> str:
+def _points_line(points: list[tuple[float, float]]) -> str:
     if not points:
         return "no corner"
     x, y = points[0]

@@ -51,8 +51,8 @@ def report(tmp_path):
 def drive(report, count, end=DOCKED):
     """Send a path past its beginning, at which nothing is recorded."""
     for number in range(1, count + 1):
-        way = (0.1 * number, 0.0, 0.0) if number < 20 else end
-        report.take("odom", Reading(STEP * number, way))
+        pose = (0.1 * number, 0.0, 0.0) if number < 20 else end
+        report.take("odom", Reading(STEP * number, pose))
 
 
 def test_the_path_begins_with_the_goal_and_ends_half_a_second_after_it(report):
@@ -75,19 +75,19 @@ def test_the_path_begins_with_the_goal_and_ends_half_a_second_after_it(report):
 
 
 @pytest.mark.parametrize(
-    ("end", "touched", "said"),
+    ("end", "touched", "line"),
     [
         ((3.44, 0.0031, 0.0), {}, "not within the dock's tolerance: docked after"),
         (DOCKED, {"wall": 1}, "not without a contact: docked after"),
     ],
 )
-def test_docked_is_within_the_docks_tolerance_and_without_a_contact(report, end, touched, said):
+def test_docked_is_within_the_docks_tolerance_and_without_a_contact(report, end, touched, line):
     drive(report, 40, end)
     report.take("dock/finished", Reading(20 * STEP))
     report.take("bullet_lab/touched", Reading(29 * STEP, (), touched))
     report.result = DockingResult(True, DockingError.NONE, "docked", 0)
     summary = report.summary(True, RUN)
-    assert report.line(summary).startswith(said)
+    assert report.line(summary).startswith(line)
     assert report.has_failed(summary)
 
 
@@ -103,7 +103,7 @@ def test_a_docking_that_fails_and_one_that_is_broken_off(report):
     assert report.has_failed(summary)
 
 
-def test_pictures_are_those_on_the_way_each_with_its_state(report):
+def test_pictures_are_those_of_the_docking_each_with_its_state(report):
     picture = np.zeros((48, 64, 3), dtype=np.uint8)
 
     def see(number):
@@ -116,7 +116,7 @@ def test_pictures_are_those_on_the_way_each_with_its_state(report):
     see(12)
     report.take("dock/feedback", Reading(13 * STEP, (), "staging"))
     report.take("dock/finished", Reading(15 * STEP))
-    # On its way still, and after the end.
+    # Late, and after the end.
     see(14)
     see(16)
     summary = report.summary(True, RUN)

@@ -54,9 +54,9 @@ def test_the_picture_leaves_out_what_is_far(tmp_path):
     drive(report, True)
     report.take("drive_to_goal/current_goal", Reading(2100 * MS, (2.0, 1.0, 1.0)))
     report.take("drive_to_goal/status", Reading(0, (), GoalAnswer("b", "driving")))
-    way = report.figures(report.summary(True, {}))["path.png"].axes[0]
-    assert way.get_xlim()[1] < 5.0
-    assert len(way.patches) == 4
+    plan = report.figures(report.summary(True, {}))["path.png"].axes[0]
+    assert plan.get_xlim()[1] < 5.0
+    assert len(plan.patches) == 4
 
 
 def drive(report, reached):

@@ -9,11 +9,11 @@ from bullet_lab.reports.robot import (
     TRUTH,
     Controller,
     Count,
+    Displacement,
     Leg,
     PluginRow,
     Robot,
     RobotReport,
-    Way,
     declared_rates,
 )
 
@@ -32,32 +32,32 @@ ROBOT = Robot(
 KINDS = {"/odom": "nav_msgs/Odometry", "/joint_states": "sensor_msgs/JointState"}
 
 
-def way(*poses):
-    made = Way()
+def displacement(*poses):
+    made = Displacement()
     for pose in poses:
         made.add(pose)
     return made
 
 
-def leg(said, true, quantity="ahead_m", asked=1.0):
+def leg(reported, true, quantity="ahead_m", asked=1.0):
     figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": 0.0}
-    odometry = None if said is None else {**figures, **said}
+    odometry = None if reported is None else {**figures, **reported}
     return Leg("metre", quantity, asked, odometry, {**figures, **true}, 5.0)
 
 
-def test_a_way_is_measured_along_the_first_heading():
-    figures = way((1.0, 2.0, math.pi / 2), (1.1, 2.5, 1.0)).figures()
+def test_a_displacement_is_measured_along_the_first_heading():
+    figures = displacement((1.0, 2.0, math.pi / 2), (1.1, 2.5, 1.0)).figures()
     assert figures["ahead_m"] == pytest.approx(0.5)
     assert figures["aside_m"] == pytest.approx(-0.1)
 
 
 def test_whole_turns_are_counted():
-    turning = way(*((0.0, 0.0, math.remainder(0.1 * k, math.tau)) for k in range(100)))
+    turning = displacement(*((0.0, 0.0, math.remainder(0.1 * k, math.tau)) for k in range(100)))
     assert turning.figures()["turned_deg"] == pytest.approx(math.degrees(9.9))
 
 
-def test_a_way_of_nothing_has_no_figures():
-    assert Way().figures() is None
+def test_a_displacement_without_a_pose_has_no_figures():
+    assert Displacement().figures() is None
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_the_error_of_odometry(one, error):
     assert one.error() == (error if error is None else pytest.approx(error))
 
 
-def test_a_robot_that_stands_is_said_to():
+def test_the_line_of_a_robot_that_stands():
     assert "it does not move" in leg({"ahead_m": 1.0}, {"ahead_m": 0.01}).line()
     assert "turned by 3.00° on the way" in leg(None, {"ahead_m": 1.0, "turned_deg": 3.0}).line()
 
@@ -95,7 +95,7 @@ def report(tmp_path):
     return RobotReport(tmp_path, ROBOT, KINDS)
 
 
-def test_the_table_says_what_acts_and_what_does_not(report):
+def test_the_table_lists_what_is_simulated(report):
     for stamp in range(4):
         report.counts["/odom"].note(stamp * 100_000_000)
     report.legs.append(leg({"ahead_m": 1.0}, {"ahead_m": 1.0}))
@@ -140,7 +140,7 @@ def test_rates_of_plugins_that_share_a_topic_add_up(tmp_path):
     fast = PluginRow("fast", "b.so", "", True, 100.0, (), ("/joint_states",), ())
     own = PluginRow("own", "c.so", "", True, 0.0, (), ("/odom",), ())
     assert declared_rates((slow, fast, own)) == {"/joint_states": 120.0, "/odom": 0.0}
-    # The other robot's plugin speaks on the topic, too.
+    # The other robot's plugin publishes on the topic, too.
     shared = RobotReport(tmp_path, Robot("cart", plugins=(slow,)), KINDS, (fast,))
     for stamp in range(12):
         shared.counts["/joint_states"].note(stamp * 10**9 // 120)
@@ -151,7 +151,7 @@ WALL = ("house::wall_3",)
 
 
 @pytest.mark.parametrize(
-    ("said", "true", "asked", "late", "touched", "line"),
+    ("reported", "true", "asked", "late", "touched", "line"),
     [
         (0.71, 0.71, 1.0, True, WALL, "metre: 0.71 of 1 m: touches house::wall_3, out of time"),
         (1.0, 0.61, 1.0, False, ("r1::base",), "metre: 0.61 of 1 m: touches r1::base"),
@@ -162,9 +162,9 @@ WALL = ("house::wall_3",)
         (0.4, 1.5, 1.0, False, (), "metre: 1.50 of 1 m, turned by"),
     ],
 )
-def test_a_robot_that_did_not_do_what_it_was_asked(said, true, asked, late, touched, line):
+def test_a_robot_that_did_not_do_what_it_was_asked(reported, true, asked, late, touched, line):
     figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": 0.0}
-    odometry = None if said is None else {**figures, "ahead_m": said}
+    odometry = None if reported is None else {**figures, "ahead_m": reported}
     truth = {**figures, "ahead_m": true}
     one = Leg("metre", "ahead_m", asked, odometry, truth, 5.0, late, touched)
     assert one.has_failed()
@@ -197,7 +197,7 @@ def test_a_robot_that_did_what_it_was_asked(one, report):
     assert not report.has_failed({})
 
 
-def test_why_it_stands_is_said():
+def test_the_line_has_the_reasons():
     figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": 0.0}
     causes = ("none of its joints turn", "it stands on base")
     one = Leg("metre", "ahead_m", 1.0, None, figures, 16.0, True, (), causes)

@@ -132,11 +132,11 @@ def test_a_place_that_cannot_be_written_to(tmp_path):
 def test_time_set_back_begins_a_new_run(recording):
     fill(recording)
     old = []
-    recording._begins_anew = old.append
+    recording._on_reset = old.append
     assert recording.take("odom", 3 * TICK, POSES[0])
     assert old == [recording.folder / "run_1"]
     assert len(read_paths_csv(old[0] / "paths.csv")[0]) == 15
-    # Of the old run, on its way still.
+    # A late message of the old run.
     assert not recording.take("noisy_odom", 16 * TICK, POSES[1])
     assert recording.take("noisy_odom", 3 * TICK, POSES[1])
     assert recording.pairs()[0].stamps.tolist() == [0.15]
@@ -145,12 +145,12 @@ def test_time_set_back_begins_a_new_run(recording):
 
 def test_the_report_forgets_the_covariances_of_the_old_run(tmp_path):
     report = SquaresReport(tmp_path)
-    anew = []
-    report.begins_anew = lambda *what: anew.append(what)
+    resets = []
+    report.on_reset = lambda *what: resets.append(what)
     for stamp in (2 * TICK, TICK):
         for topic in ("odom", "noisy_odom"):
             assert report.take(topic, Reading(stamp, POSES[0], ((0.01, 0.0), (0.0, 0.01))))
-    assert anew == [("", tmp_path / "run_1")]
+    assert resets == [("", tmp_path / "run_1")]
     assert list(report._covariances) == [TICK]
     report.about = {"std": 0.1, "seed": 2}
     figure = report.figures({})["paths.png"]
@@ -209,5 +209,5 @@ def test_the_summary_of_a_square(recording):
         ),
     ],
 )
-def test_the_title_says_what_acts(about, line):
+def test_the_title_has_the_settings_that_act(about, line):
     assert settings_line(about) == line

@@ -1,11 +1,11 @@
-"""Detector of markers and of where they are.
+"""Detects markers and computes their poses.
 
 :ROS Parameters: see `ArucoParameters`.
-:ROS Subscribers, while somebody listens to a result or ~publish_tf is true:
+:ROS Subscribers, while a result has a subscriber or ~publish_tf is true:
     - ~image (sensor_msgs/Image), mono8 or any colour, raw or rectified
     - ~camera_info (sensor_msgs/CameraInfo), by default beside the image
 :ROS Publishers:
-    - ~detections (bullet_lab/MarkerDetectionArray), for every image, without a marker as well;
+    - ~detections (bullet_lab/MarkerDetectionArray), for every image, also without a marker;
       without a usable camera_info the markers have no poses, and a size of 0
     - ~pose (geometry_msgs/PoseStamped) and ~pose_with_covariance
       (geometry_msgs/PoseWithCovarianceStamped) of the marker that is largest in the image
@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Iterable, List, Mapping, Sequence, Tuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -27,8 +27,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from bullet_lab.core import parameters
-from bullet_lab.core.parameters import ParameterError
+from bullet_lab.core.parameters import ParameterError, boolean, checked, number
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.msg import MarkerDetectionArray
 from bullet_lab.ros.messages.images import (
@@ -56,20 +55,20 @@ from bullet_lab.vision.marker_detector import (
 from bullet_lab.vision.marker_pose import MarkerObserver, MarkerPose, ObservedMarker, PoseMemory
 
 DEFAULTS = DetectorSettings()
-# The markers of an image with their poses, the largest first.
+# The markers of an image with their poses, the largest marker first.
 Located = List[Tuple[ObservedMarker, MarkerPose]]
 
 
 def accept_tags(value: Any) -> str:
-    """Return OpenCV's name of a dictionary; raises ValueError."""
+    """Return the name of a dictionary in OpenCV; raises ValueError."""
     try:
         return dictionary_named(value if isinstance(value, str) else "").name
     except VisionError as error:
         raise ValueError(str(error)) from error
 
 
-def accept_ids(value: Any) -> Tuple[int, ...]:
-    """Turn "0 5", [0, 5] or 0 into ids; raises ValueError or TypeError."""
+def accept_ids(value: Any) -> tuple[int, ...]:
+    """Return the ids of "0 5", [0, 5] or 0; raises ValueError or TypeError."""
     parts = value.split() if isinstance(value, str) else value
     parts = parts if isinstance(parts, list) else [parts]
     if any(isinstance(part, (bool, float)) for part in parts):
@@ -81,7 +80,7 @@ def accept_ids(value: Any) -> Tuple[int, ...]:
 
 
 def accept_sizes(value: Any) -> Mapping[int, float]:
-    """Turn "7=0.1 9=0.05" or a dictionary into sizes by id; raises ValueError or TypeError."""
+    """Return the sizes by id of "7=0.1 9=0.05" or a dictionary; raises ValueError or TypeError."""
     if not isinstance(value, dict):
         value = dict(part.split("=", 1) for part in str(value).split())
     sizes = {int(number): float(size) for number, size in value.items()}
@@ -94,45 +93,45 @@ def accept_sizes(value: Any) -> Mapping[int, float]:
 class ArucoParameters(ImageParameters):
     """Private parameters of aruco."""
 
-    tags: str = parameters.checked(
+    tags: str = checked(
         "DICT_APRILTAG_36h10",
         "dictionary of the markers",
         "one of " + ", ".join(name[5:].lower() for name in DICTIONARY_NAMES),
         accept_tags,
     )
-    width: float = parameters.number(0.2, "edge of the markers' black square, m", above=0.0)
-    ids: Tuple[int, ...] = parameters.checked(
+    width: float = number(0.2, "edge of the black square of the markers, m", above=0.0)
+    ids: tuple[int, ...] = checked(
         (), "markers to report; none: all", "ids with spaces between them", accept_ids
     )
-    sizes: Optional[Mapping[int, float]] = parameters.checked(
+    sizes: Mapping[int, float] | None = checked(
         None,
-        "edges of those markers that are not of ~width, m",
+        "edges of markers with another size than ~width, m",
         "like 7=0.1 9=0.05: ids and edges in metres",
         accept_sizes,
     )
-    rectified: bool = parameters.boolean(False, "the images are rectified ones")
-    upright: bool = parameters.boolean(
-        True, "markers hang upright before a level camera, where the image does not tell"
+    rectified: bool = boolean(False, "the images are rectified")
+    upright: bool = boolean(
+        True, "assume upright markers and a level camera if the image allows two poses"
     )
-    publish_tf: bool = parameters.boolean(False, "send transforms, and so work always")
-    pixel_sigma: float = parameters.number(
-        0.02, "standard deviation of corners beside what the image's noise explains, px", 0.0
+    publish_tf: bool = boolean(False, "publish transforms, and process all images")
+    pixel_sigma: float = number(
+        0.02, "standard deviation of corners in addition to that of the image's noise, px", 0.0
     )
-    border: float = parameters.number(
-        DEFAULTS.border, "markers nearer to the edge of the image are cropped, px", 0.0
+    border: float = number(
+        DEFAULTS.border, "px to the edge of the image; nearer markers are cropped", 0.0
     )
-    min_side: float = parameters.number(
-        DEFAULTS.min_side, "edge of the smallest marker to look for, px", 5.0
+    min_side: float = number(
+        DEFAULTS.min_side, "edge of the smallest marker, px", 5.0
     )
-    contrast: float = parameters.number(
-        DEFAULTS.contrast, "grey levels that black is darker", 0.0, maximum=255.0
+    contrast: float = number(
+        DEFAULTS.contrast, "least difference of black and white in grey levels", 0.0, maximum=255.0
     )
-    correction: float = parameters.number(
-        DEFAULTS.correction, "part of the correctable bits to correct", 0.0, maximum=1.0
+    correction: float = number(
+        DEFAULTS.correction, "share of the correctable bits to correct", 0.0, maximum=1.0
     )
-    inverted: bool = parameters.boolean(DEFAULTS.inverted, "find white markers on black as well")
-    second_pass: bool = parameters.boolean(
-        DEFAULTS.second_pass, "look twice where nothing is found"
+    inverted: bool = boolean(DEFAULTS.inverted, "find white markers on black as well")
+    second_pass: bool = boolean(
+        DEFAULTS.second_pass, "search once more if no marker is found"
     )
 
     def settings(self) -> DetectorSettings:
@@ -146,7 +145,7 @@ class ArucoParameters(ImageParameters):
 
 
 class Aruco(ImageNode):
-    """Answers images with the markers in them."""
+    """Publishes the markers of each image."""
 
     task = "marker detection"
     outputs = {
@@ -167,28 +166,28 @@ class Aruco(ImageNode):
 
     def process(self, image: CameraImage) -> Mapping[str, Any]:
         """Publish the markers."""
-        camera, trouble = self._camera(image)
+        camera, problem = self._camera(image)
         detections = self._observer.detector.detect(image.grey, camera)
         located = self._locate(detections, camera, image)
         self._publish_markers(image.header, detections.markers, located)
         self.annotate(image, lambda canvas: self._draw(canvas, detections, located, camera))
-        self._health = self._judge(detections, located, trouble)
+        self._health = self._judge(detections, located, problem)
         return _figures(detections)
 
     def process_unusable(self, image: CameraImage) -> None:
-        """Publish that there are no markers."""
+        """Publish an empty list of markers."""
         self.publish("detections", MarkerDetectionArray(header=image.header))
 
     def reset(self) -> None:
-        """Forget where markers were."""
+        """Forget the earlier poses of markers."""
         self._memory.forget()
 
     def health(self) -> Health:
-        """Return what was found in the last image, or why nothing was."""
+        """Return the markers of the last image, or the reason why there are none."""
         return self._health
 
-    def _camera(self, image: CameraImage) -> Tuple[Optional[PinholeCamera], str]:
-        """Return the camera, or None and why there is none."""
+    def _camera(self, image: CameraImage) -> tuple[PinholeCamera | None, str]:
+        """Return the camera, or None and the reason."""
         topic = self.parameters.info_topic
         if image.info is None:
             return None, f"no camera_info on {topic}: markers have no poses"
@@ -200,7 +199,7 @@ class Aruco(ImageNode):
             return None, str(error)
 
     def _locate(
-        self, detections: Detections, camera: Optional[PinholeCamera], image: CameraImage
+        self, detections: Detections, camera: PinholeCamera | None, image: CameraImage
     ) -> Located:
         if camera is None:
             return []
@@ -224,7 +223,7 @@ class Aruco(ImageNode):
         covariance = PoseWithCovarianceStamped(header, covariance_message(pose))
         self.publish("pose_with_covariance", covariance)
         if self._tf is not None:
-            # Of several markers of one id, the largest in the image.
+            # Of several markers with one id, the largest in the image.
             by_id = {observed.id: pose for observed, pose in reversed(located)}
             transforms = [
                 marker_transform(header, f"{self._prefix}fiducial_{marker}", pose)
@@ -237,7 +236,7 @@ class Aruco(ImageNode):
         canvas: np.ndarray,
         detections: Detections,
         located: Located,
-        camera: Optional[PinholeCamera],
+        camera: PinholeCamera | None,
     ) -> None:
         labels = [f"id {marker.id}" for marker in detections.markers]
         for index, (observed, pose) in enumerate(located):
@@ -248,10 +247,10 @@ class Aruco(ImageNode):
         if not detections.markers:
             draw_text(canvas, why_nothing(detections.report, self.parameters.tags), (8, 16))
 
-    def _judge(self, detections: Detections, located: Located, trouble: str) -> Health:
-        if trouble:
-            missing = trouble.startswith("no ")
-            return Health(DiagnosticStatus.WARN if missing else DiagnosticStatus.ERROR, trouble)
+    def _judge(self, detections: Detections, located: Located, problem: str) -> Health:
+        if problem:
+            is_missing = problem.startswith("no ")
+            return Health(DiagnosticStatus.WARN if is_missing else DiagnosticStatus.ERROR, problem)
         if not detections.markers:
             reason = why_nothing(detections.report, self.parameters.tags)
             return Health(DiagnosticStatus.WARN, f"no marker: {reason}")
@@ -259,7 +258,7 @@ class Aruco(ImageNode):
         return Health(DiagnosticStatus.OK, found)
 
 
-def _figures(detections: Detections) -> Dict[str, Any]:
+def _figures(detections: Detections) -> dict[str, Any]:
     report = detections.report
     sides = [marker.side for marker in detections.markers]
     return {
@@ -277,7 +276,7 @@ def _figures(detections: Detections) -> Dict[str, Any]:
     }
 
 
-def _words(ids: Any) -> str:
+def _words(ids: Iterable[int]) -> str:
     return " ".join(str(number) for number in sorted(set(ids)))
 
 

@@ -1,22 +1,22 @@
-"""The node that stands in for Gazebo: it steps the simulation and speaks its topics.
+"""Replaces Gazebo: steps the simulation and offers its topics and services.
 
 :ROS Parameters: see `BridgeParameters`.
 :ROS Publishers:
     - /clock (rosgraph_msgs/Clock), 100 Hz of simulated time
     - /bullet_lab/world (visualization_msgs/MarkerArray): the shapes of the world, all of them
-      for a new subscriber, then those that change
-    - /gazebo/model_states, /gazebo/link_states, while somebody listens
-    - /bullet_lab/touched, in each robot's namespace (bullet_lab/TouchedModels): what it has
-      run into
-    - /tf, and /tf_static if asked for
-    - whatever the plugins of the robots name, such as odom (nav_msgs/Odometry)
-:ROS Subscribers: whatever the plugins of the robots name, such as cmd_vel (geometry_msgs/Twist)
+      for a new subscriber, then the changes
+    - /gazebo/model_states, /gazebo/link_states, while there is a subscriber
+    - /bullet_lab/touched, in each robot's namespace (bullet_lab/TouchedModels): the models that it
+      has touched
+    - /tf, and with ~publish_world_tf also /tf_static
+    - the topics of the robots' plugins, such as odom (nav_msgs/Odometry)
+:ROS Subscribers: the topics of the robots' plugins, such as cmd_vel (geometry_msgs/Twist)
 :ROS Services:
     - /gazebo/pause_physics, unpause_physics, reset_world, reset_simulation (std_srvs/Empty)
     - the other services of /gazebo: see `bullet_lab.ros.gazebo`
     - controller_manager/… of robots with controllers: see `bullet_lab.ros.gazebo.ros_control`
     - /bullet_lab/save_world (bullet_lab/SaveWorld): write the running world to a file
-    - /bullet_lab/describe_models (bullet_lab/DescribeModels): what of the models acts
+    - /bullet_lab/describe_models (bullet_lab/DescribeModels): which plugins and tags are simulated
     - /bullet_lab/set_rtf (bullet_lab/SetRtf): change the speed of simulated time
     - /bullet_lab/step (bullet_lab/Step): advance by exactly n steps of 1 ms, paused or not
     - /bullet_lab/advance (bullet_lab/Advance): lock step, see `bullet_lab.ros.node.lock_step`
@@ -31,14 +31,22 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, List, Optional, Sequence, Set, Tuple
+from typing import Any, Callable, Sequence
 
 import rospy
 import rospy.rostime
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty, EmptyResponse
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import (
+    boolean,
+    choice,
+    integer,
+    name_list,
+    number,
+    number_list,
+    text,
+)
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
@@ -73,15 +81,15 @@ from bullet_lab.srv import Advance, AdvanceResponse, Step, StepResponse
 
 LOG = logging.getLogger(__name__)
 
-# Hz; setting the time of this node's log costs more than a message on /clock.
+# Hz; setting the time of this node's log takes longer than a message on /clock.
 LOG_TIME_RATE = 5.0
-# A member of the lock step that has not answered so many times in a row is dead.
+# A member of the lock step that fails to answer this often in a row is dead.
 SILENCES = 3
-# Wall seconds between two looks at whether the loop is stuck.
+# Wall seconds between two checks whether the loop is stuck.
 LOOP_CHECK_SECONDS = 1.0
-LOST = "commands of %s were lost on the way (%s to %s)"
-NOT_REACHED = "the world or time was reset since, or the bridge shuts down"
-# A grant up to here, the end of ROS time, means "for ever".
+LOST = "commands of %s were lost (%s to %s)"
+NOT_REACHED = "the world or time was reset, or the bridge shuts down"
+# s; a grant up to the end of ROS time is for ever.
 END_OF_TIME = 2**31 - 1
 
 
@@ -89,61 +97,61 @@ END_OF_TIME = 2**31 - 1
 class BridgeParameters:
     """Private parameters of the bridge."""
 
-    world: str = parameters.text(
+    world: str = text(
         "package://bullet_lab/worlds/empty.world", "SDF world: a path, package:// or model://"
     )
-    robot: str = parameters.text(
-        "", "URDF robot: a path or package://; empty for the parameter ~robot_description names"
+    robot: str = text(
+        "", "URDF robot: a path or package://; empty for that of ~robot_description"
     )
-    robot_description: str = parameters.text(
+    robot_description: str = text(
         "robot_description", "parameter that holds the robot's URDF; empty for no robot"
     )
-    robot_name: str = parameters.text("", "name of the robot's model; its own if empty")
-    robot_namespace: str = parameters.text("", "robotNamespace of plugins that have none")
-    robot_pose: Tuple[float, ...] = parameters.number_list(
-        (0.0,) * 6, "where the robot starts: x y z in metres, roll pitch yaw in radians"
+    robot_name: str = text("", "name of the robot's model; empty for that of the URDF")
+    robot_namespace: str = text("", "robotNamespace of plugins that have none")
+    robot_pose: tuple[float, ...] = number_list(
+        (0.0,) * 6, "pose of the robot at the start: x y z in metres, roll pitch yaw in radians"
     )
-    rtf: float = parameters.number(
-        1.0, "simulated seconds per wall second; 0 for as fast as it goes", minimum=0.0
+    rtf: float = number(
+        1.0, "simulated seconds per wall second; 0 for as fast as possible", minimum=0.0
     )
-    clock_rate: float = parameters.number(
+    clock_rate: float = number(
         100.0, "messages on /clock per simulated second", above=0.0, maximum=1000.0
     )
-    renderer: str = parameters.choice(
-        AUTO, "passed over: Panda3D draws the cameras' pictures, through EGL", CHOICES
+    renderer: str = choice(
+        AUTO, "ignored: cameras are always rendered by Panda3D through EGL", CHOICES
     )
-    camera_rate: float = parameters.number(
+    camera_rate: float = number(
         0.0,
-        "images per second of the robot's cameras; 0: as the robot says",
+        "images per second of the robot's cameras; 0: as in its description",
         minimum=0.0,
         maximum=1000.0,
     )
-    seed: int = parameters.integer(0, "seed of the noise of all sensors", minimum=0)
-    states_rate: float = parameters.number(
+    seed: int = integer(0, "seed of the noise of all sensors", minimum=0)
+    states_rate: float = number(
         100.0,
         "messages on /gazebo/model_states and link_states per simulated second",
         above=0.0,
         maximum=1000.0,
     )
-    paused: bool = parameters.boolean(False, "start paused")
-    lock_step: Tuple[str, ...] = parameters.name_list("nodes that time waits for")
-    save_folder: str = parameters.text(
-        "results", "folder in which /bullet_lab/save_world may write, for whoever calls it"
+    paused: bool = boolean(False, "start paused")
+    lock_step: tuple[str, ...] = name_list("nodes that time waits for")
+    save_folder: str = text(
+        "results", "the only folder into which /bullet_lab/save_world writes"
     )
-    world_frame: str = parameters.text("world", "frame of the markers on /bullet_lab/world")
-    publish_world_tf: bool = parameters.boolean(
-        False, "say on /tf_static that the odometry frames lie in the world frame"
+    world_frame: str = text("world", "frame of the markers on /bullet_lab/world")
+    publish_world_tf: bool = boolean(
+        False, "publish on /tf_static that the odometry frames are at the world frame"
     )
 
 
 class PyBulletBridge:
-    """Wires a simulation to ROS."""
+    """Connects a simulation with ROS."""
 
     def __init__(self, parameters: BridgeParameters):
         self._parameters = parameters
         check_choice(parameters.renderer)
         warnings = Warnings()
-        self._failures: Set[Tuple[str, str]] = set()
+        self._failures: set[tuple[str, str]] = set()
         self.simulation = Simulation.of(parameters.world, parameters.seed)
         self.simulation.go_on_after(self._report_failure)
         self.stepper = Stepper(
@@ -191,7 +199,7 @@ class PyBulletBridge:
             self.simulation.close()
 
     def _watch_the_loop(self) -> None:
-        """Say so when the loop is stuck, which it cannot say itself."""
+        """Warn when the loop is stuck; runs in a thread."""
         while not rospy.is_shutdown():
             stuck = self.stepper.watch.stuck()
             if stuck:
@@ -204,14 +212,14 @@ class PyBulletBridge:
 
     # The robot
 
-    def _add_robot(self) -> Optional[ModelInstance]:
+    def _add_robot(self) -> ModelInstance | None:
         model = self._read_robot()
         if model is None:
             return None
         x, y, z, roll, pitch, yaw = self._parameters.robot_pose
         pose = Pose.from_rpy((x, y, z), (roll, pitch, yaw))
         name = self._parameters.robot_name
-        # As spawn_model has it, so that no plugin is named by its model.
+        # As in spawn_model; the plugins' topics are not in a namespace of the model's name.
         namespace = self._parameters.robot_namespace or "/"
         prefixes = tf_prefixes(model, namespace, name)
         robot = self.simulation.add(model, name, pose, namespace, prefixes)
@@ -220,7 +228,7 @@ class PyBulletBridge:
             _set_camera_rate(robot, self._parameters.camera_rate)
         return robot
 
-    def _read_robot(self) -> Optional[Model]:
+    def _read_robot(self) -> Model | None:
         if self._parameters.robot:
             return read_urdf_file(ResourceFinder.anywhere().find(self._parameters.robot))
         name = self._parameters.robot_description
@@ -229,24 +237,20 @@ class PyBulletBridge:
 
     # Services
 
-    def _offer_services(self) -> List[rospy.Service]:
+    def _offer_services(self) -> list[rospy.Service]:
         actions = {
             "pause_physics": self.stepper.pause,
             "unpause_physics": self.stepper.unpause,
-            "reset_world": self._reset_world,
-            "reset_simulation": self._reset_simulation,
+            "reset_world": lambda: self._reset(self.stepper.reset_world),
+            "reset_simulation": lambda: self._reset(self.stepper.reset_simulation),
         }
         services = [_service(f"/gazebo/{name}", Empty, actions[name]) for name in actions]
         services.append(_service("/bullet_lab/step", Step, self._handle_step))
         services.append(_service("/bullet_lab/advance", Advance, self._handle_advance))
         return services
 
-    def _reset_world(self) -> None:
-        self.stepper.reset_world()
-        self._gazebo.everything_moved()
-
-    def _reset_simulation(self) -> None:
-        self.stepper.reset_simulation()
+    def _reset(self, reset: Callable[[], None]) -> None:
+        reset()
         self._gazebo.everything_moved()
 
     def _handle_step(self, request: Any) -> StepResponse:
@@ -257,10 +261,11 @@ class PyBulletBridge:
         return StepResponse(now=time_of(reached), success=True, status_message="")
 
     def _handle_advance(self, request: Any) -> AdvanceResponse:
-        """Let a member of the lock step join, or let time go on for it."""
+        """Let a member join the lock step, or advance time for it."""
         caller = request._connection_header["callerid"]
         if request.node != caller and answers(request.node):
-            raise NodeError(f"{caller} speaks for {request.node}, which speaks for itself")
+            line = f"{request.node} is alive and advances time itself"
+            raise NodeError(f"{line}; request of {caller} refused")
         sent = [Sent(*one) for one in zip(request.topics, request.receivers, request.messages)]
         if not request.epoch and request.until.secs < END_OF_TIME:
             heard = self._topics.commands.heard(request.node, sent)
@@ -280,27 +285,27 @@ class PyBulletBridge:
         )
 
     def _report_failure(self, device: str, error: LabError) -> None:
-        """Say once what a device cannot measure, and why."""
+        """Log once per reason that a device fails."""
         failure = (device, str(error))
         if failure not in self._failures:
             self._failures.add(failure)
-            LOG.error("%s: %s; the rest goes on", *failure)
+            LOG.error("%s: %s; the simulation continues", *failure)
 
     def _report_stall(self, holding: Sequence[str]) -> None:
-        """Say who holds time back; go on without members that have died."""
+        """Log the members that hold time back; drop those that have died."""
         for member in holding:
             joined = self.stepper.gate.has_joined(member)
             self._silences[member] = 0 if answers(member) else self._silences[member] + 1
-            # One silence may be a busy machine, and time must not run away from a living member.
+            # A single silence may come from a busy machine; a living member must not be dropped.
             if joined and self._silences[member] >= SILENCES:
-                rospy.logwarn("%s holds simulated time back and is gone: going on", member)
+                rospy.logwarn("lock-step member %s has died; continuing without it", member)
                 self.stepper.gate.leave(member)
             else:
                 rospy.loginfo("simulated time waits for %s", member)
 
 
 def _service(name: str, kind: type, handle: Callable[..., Any]) -> rospy.Service:
-    """Offer a service that answers an error made for the user with its line."""
+    """Offer a service that answers a LabError with its message."""
 
     def answer(request: Any) -> Any:
         try:
@@ -321,14 +326,14 @@ def _set_camera_rate(robot: ModelInstance, rate: float) -> None:
 
 
 def _set_log_time(step: int) -> None:
-    """Give this node's log messages the simulated time, since it does not hear /clock."""
+    """Set the time of this node's log messages, as it does not subscribe to /clock."""
     rospy.rostime._set_rostime(rospy.Time(*divmod(step * NANOSECONDS_PER_STEP, 10**9)))
 
 
 def serve(name: str, read: Callable[[], BridgeParameters]) -> None:
-    """Run the bridge as a node; `read` gives its parameters once the node is there."""
+    """Run the bridge as a node; `read` returns its parameters once the node has started."""
     add_exported_paths()
-    # A waiting thread gets its turn after this long instead of 5 ms: many steps at full speed.
+    # A waiting thread waits for 0.5 ms instead of 5 ms, which are many steps at full speed.
     sys.setswitchinterval(5e-4)
     run_node(name, lambda: PyBulletBridge(read()).spin(), before=refuse_second_simulator)
 

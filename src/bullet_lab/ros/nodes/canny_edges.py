@@ -1,7 +1,7 @@
 """Edge detector (Canny).
 
 :ROS Parameters: see `CannyParameters`.
-:ROS Subscribers, while somebody listens: ~image and its camera_info
+:ROS Subscribers, while a result has a subscriber: ~image and its camera_info
 :ROS Publishers:
     - ~edges (sensor_msgs/Image), mono8: 255 on an edge, as in figure 7a
     - ~image_annotated (the edges in blue), ~camera_info, /diagnostics, see `image_node`
@@ -15,7 +15,7 @@ from typing import Any, Mapping
 import cv2
 from sensor_msgs.msg import Image
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import number, odd
 from bullet_lab.ros.messages.images import image_message
 from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
 from bullet_lab.vision.drawing import draw_area
@@ -26,13 +26,13 @@ from bullet_lab.vision.features import canny_edges
 class CannyParameters(ImageParameters):
     """Private parameters of canny_edges."""
 
-    low: float = parameters.number(100.0, "gradient below which there is no edge", minimum=0.0)
-    high: float = parameters.number(200.0, "gradient from which there is one", minimum=0.0)
-    aperture: int = parameters.odd(3, "size of the Sobel operator, px", 3, 7)
+    low: float = number(100.0, "least gradient of an edge pixel", minimum=0.0)
+    high: float = number(200.0, "least gradient of a strong edge pixel", minimum=0.0)
+    aperture: int = odd(3, "size of the Sobel operator, px", 3, 7)
 
 
 class CannyEdges(ImageNode):
-    """Answers images with their edges."""
+    """Publishes the edges of each image."""
 
     task = "edge detection"
     outputs = {"edges": Image}

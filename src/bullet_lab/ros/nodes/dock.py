@@ -1,26 +1,26 @@
-"""The node that drives a robot into a dock and out of it again, on request.
+"""Drives a robot into a dock and out of it, on request.
 
 :ROS Parameters: see `DockParameters`.
 :ROS Actions:
     - dock (bullet_lab/DockAction): drive into a dock
     - undock (bullet_lab/UndockAction): drive out of it
-    A new goal of either takes the place of the one before.
+    A new goal of either replaces the one before.
 :ROS Publishers:
-    - cmd_vel (geometry_msgs/Twist), or what ~cmd_vel says
-    - ~dock_pose (geometry_msgs/PoseStamped): where the dock is, in the frame of the odometry
-    - ~plan (nav_msgs/Path), latched: the way that is planned
-    - ~finished (std_msgs/Time), latched: when the last goal came to its end
+    - cmd_vel (geometry_msgs/Twist), or the topic ~cmd_vel
+    - ~dock_pose (geometry_msgs/PoseStamped): pose of the dock in the frame of the odometry
+    - ~plan (nav_msgs/Path), latched: the planned path
+    - ~finished (std_msgs/Time), latched: when the last goal ended
     - /tf: the frame of the dock in that of the odometry
 :ROS Subscribers, while there is a goal (in lock step: always):
-    - odom (nav_msgs/Odometry), or what ~odom says
-    - aruco/detections (bullet_lab/MarkerDetectionArray), or what ~detections says
-    - mycamera/camera_info (sensor_msgs/CameraInfo), or what ~camera_info says
+    - odom (nav_msgs/Odometry), or the topic ~odom
+    - aruco/detections (bullet_lab/MarkerDetectionArray), or the topic ~detections
+    - mycamera/camera_info (sensor_msgs/CameraInfo), or the topic ~camera_info
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Union
+from dataclasses import astuple, dataclass, replace
+from typing import Any, Callable, NamedTuple
 
 import rospy
 import tf2_ros
@@ -31,8 +31,7 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header, Time
 
-from bullet_lab.core import parameters
-from bullet_lab.core.parameters import ParameterError
+from bullet_lab.core.parameters import ParameterError, integer, number, text
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import (
@@ -63,7 +62,7 @@ from bullet_lab.msg import (
 from bullet_lab.ros.messages.poses import InputError, stamped_pose
 from bullet_lab.ros.node.driving import GoalServer, StoppableSender
 from bullet_lab.ros.node.lock_step import rate
-from bullet_lab.ros.node.node import private_parameters, run_node
+from bullet_lab.ros.node.node import node
 from bullet_lab.ros.node.publishers import MessageQueue, Publisher, publisher
 from bullet_lab.ros.node.transforms import FrameError, FrameFinder, own_frame
 from bullet_lab.ros.nodes.dock_messages import (
@@ -91,62 +90,62 @@ USUAL = DockingSettings()
 class DockParameters:
     """Private parameters of dock."""
 
-    docks: str = parameters.text(
+    docks: str = text(
         "package://bullet_lab/config/docks.yaml", "dock database: a path or package://"
     )
-    dock: str = parameters.text("dock", "what a dock is like that is given by its pose alone")
-    odom: str = parameters.text("odom", "topic of the odometry, perfect or noisy")
-    cmd_vel: str = parameters.text("cmd_vel", "topic of the commands")
-    detections: str = parameters.text("aruco/detections", "topic of the markers seen")
-    camera_info: str = parameters.text("mycamera/camera_info", "topic of the camera's geometry")
-    base_frame: str = parameters.text("base_footprint", "frame of the robot on the floor")
-    dock_frame: str = parameters.text("dock", "frame of the dock on TF; empty: none is published")
-    rate: float = parameters.number(
+    dock: str = text("dock", "dock of the database for goals that have only a pose")
+    odom: str = text("odom", "topic of the odometry, perfect or noisy")
+    cmd_vel: str = text("cmd_vel", "topic of the commands")
+    detections: str = text("aruco/detections", "topic of the detected markers")
+    camera_info: str = text("mycamera/camera_info", "topic of the camera's calibration")
+    base_frame: str = text("base_footprint", "frame of the robot on the floor")
+    dock_frame: str = text("dock", "frame of the dock on TF; empty: not published")
+    rate: float = number(
         20.0, "commands per simulated second", minimum=10.0, maximum=100.0
     )
-    odom_rate: float = parameters.number(
+    odom_rate: float = number(
         20.0, "lock step: messages of odometry per second", above=0.0, maximum=1000.0
     )
-    image_rate: float = parameters.number(
+    image_rate: float = number(
         30.0, "lock step: images per second", above=0.0, maximum=1000.0
     )
-    patience: float = parameters.number(
-        3.0, "s that odometry, camera and transforms may be missing at the start", above=0.0
+    patience: float = number(
+        3.0, "s to wait for odometry, camera and transforms at the start", above=0.0
     )
-    time_limit: float = parameters.number(USUAL.time_limit, "s for a docking", above=0.0)
-    max_retries: int = parameters.integer(
+    time_limit: float = number(USUAL.time_limit, "s for a docking", above=0.0)
+    max_retries: int = integer(
         USUAL.max_retries, "how often to retreat and try again", minimum=0, maximum=1000
     )
-    drive_speed: float = parameters.number(
-        USUAL.drive_speed, "m/s in the open", above=0.0, maximum=1.0
+    drive_speed: float = number(
+        USUAL.drive_speed, "m/s, far from the dock", above=0.0, maximum=1.0
     )
-    approach_speed: float = parameters.number(
+    approach_speed: float = number(
         USUAL.approach_speed, "m/s on the dock's axis", above=0.0, maximum=1.0
     )
-    turn_speed: float = parameters.number(
+    turn_speed: float = number(
         USUAL.turn_speed, "rad/s on the spot", above=0.0, maximum=2.0
     )
-    tolerance_distance: float = parameters.number(
-        0.0, "m, what counts as docked along the axis; 0: as the database says", minimum=0.0
+    tolerance_distance: float = number(
+        0.0, "m, of the docked pose along the axis; 0: that of the database", minimum=0.0
     )
-    tolerance_lateral: float = parameters.number(
-        0.0, "m, across the axis; 0: as the database says", minimum=0.0
+    tolerance_lateral: float = number(
+        0.0, "m, across the axis; 0: that of the database", minimum=0.0
     )
-    tolerance_yaw: float = parameters.number(
-        0.0, "rad, against the axis; 0: as the database says", minimum=0.0
+    tolerance_yaw: float = number(
+        0.0, "rad, of the yaw; 0: that of the database", minimum=0.0
     )
-    seed: int = parameters.integer(0, "of what is random in docking", minimum=0)
+    seed: int = integer(0, "of the random draws of docking", minimum=0)
 
     def settings(self) -> DockingSettings:
         """Return the settings of docking."""
         names = ("time_limit", "max_retries", "drive_speed", "approach_speed", "turn_speed")
         return replace(USUAL, **{name: getattr(self, name) for name in names})
 
-    def database(self) -> Dict[str, Dock]:
-        """Return the docks, with their frames and tolerances for this node.
+    def database(self) -> dict[str, Dock]:
+        """Return the docks, with the frames and tolerances of this node.
 
         Raises:
-            ParameterError: they cannot be read, or ~dock is none of them.
+            ParameterError: they cannot be read, or ~dock is not one of them.
         """
         try:
             docks = read_docks(ResourceFinder.anywhere().find(self.docks))
@@ -154,19 +153,18 @@ class DockParameters:
             raise ParameterError(f"~docks: {error}") from error
         if self.dock not in docks:
             known = ", ".join(sorted(docks))
-            raise ParameterError(f"~dock is '{self.dock}': the database has {known}")
+            raise ParameterError(f"~dock is '{self.dock}': it must be one of {known}")
         tolerances = (self.tolerance_distance, self.tolerance_lateral, self.tolerance_yaw)
-        return {
-            name: with_tolerances(replace(dock, frame=own_frame(dock.frame)), *tolerances)
-            for name, dock in docks.items()
-        }
+        for name, dock in docks.items():
+            own = replace(dock, frame=own_frame(dock.frame))
+            docks[name] = with_tolerances(own, *tolerances)
+        return docks
 
 
 def with_tolerances(dock: Dock, *tolerances: float) -> Dock:
-    """Return a dock with other tolerances (m along it, m across it, rad) where they are not 0."""
-    names = (field.name for field in fields(DockTolerance))
-    given = {name: value for name, value in zip(names, tolerances) if value}
-    return replace(dock, tolerance=replace(dock.tolerance, **given))
+    """Return a dock with other tolerances (m along its axis, m across, rad); 0 changes nothing."""
+    pairs = zip(tolerances, astuple(dock.tolerance))
+    return replace(dock, tolerance=DockTolerance(*(given or own for given, own in pairs)))
 
 
 class DockTopics:
@@ -181,10 +179,10 @@ class DockTopics:
         self._pose = Publisher("~dock_pose", PoseStamped, queue_size=10)
         self._plan = Publisher("~plan", Path, queue_size=1, latch=True)
         self._tf = tf2_ros.TransformBroadcaster() if child else None
-        self._shown: Optional[Tuple[Tuple[float, float], ...]] = None
+        self._shown: Any = None
 
     def publish(self, stamp: rospy.Time, frame: str, status: DockingStatus) -> None:
-        """Show the dock, if it was seen, and the way that is planned, in the odometry's frame."""
+        """Publish the pose of the dock, if it is known, and the planned path if it has changed."""
         if status.dock_pose is not None:
             message = stamped_pose(stamp, frame, status.dock_pose)
             self._pose.publish(message)
@@ -202,35 +200,35 @@ class DockTopics:
 
 
 class Action(NamedTuple):
-    """What the node does with the goals of one of its two actions.
+    """One of the two actions of the node.
 
     Attributes:
         server: of the action.
-        needs_camera: whether there is no task without a camera.
-        check: raises GoalError for a goal that makes no sense by itself.
-        make_task: returns the task of a goal and where the camera is, or raises GoalError.
-        feedback: of a task, as the action sends it.
-        result: likewise.
+        needs_camera: whether a task needs the pose of the camera.
+        check: raises GoalError for an invalid goal.
+        make_task: returns the task for a goal and a camera, or raises GoalError.
+        feedback: returns the action's feedback for a task.
+        result: returns the action's result.
     """
 
     server: GoalServer
     needs_camera: bool
     check: Callable[[Any], None]
-    make_task: Callable[[Any, Optional[CameraMount]], Union[DockingTask, UndockingTask]]
+    make_task: Callable[[Any, CameraMount | None], DockingTask | UndockingTask]
     feedback: Callable[[Any], Any]
     result: Callable[[DockingResult], Any]
 
 
 def _queue(topic: str, kind: type, read: Callable[[Any], Any], rate: float) -> MessageQueue:
-    """Return the messages of a topic, each as its header and what is read of it."""
+    """Return a queue of the messages of a topic, each as its header and its content."""
     return MessageQueue(topic, kind, lambda message: (message.header, read(message)), rate)
 
 
 class DockNode:
     """Pursues one goal of the two actions at a time.
 
-    Goals and cancellations come in threads of actionlib, where they stop the robot; the loop
-    takes them up and ends them.
+    Goals and cancellations come in threads of actionlib, where they only stop the robot; the loop
+    starts and ends them.
     """
 
     def __init__(self, parameters: DockParameters):
@@ -253,14 +251,15 @@ class DockNode:
         self._topics = DockTopics(own_frame(parameters.dock_frame))
         self._frames = FrameFinder()
         self._frame = ""
-        self._camera: Optional[Tuple[str, PinholeCamera]] = None
-        self._last_dock: Optional[PlanarPose] = None
-        # The action whose goal is pursued, the goal, and the task once all is there for it.
-        self._action: Optional[Action] = None
+        # The frame of the camera, and its calibration.
+        self._camera: tuple[str, PinholeCamera] | None = None
+        self._last_dock: PlanarPose | None = None
+        # The action whose goal is pursued, the goal, and the task once its messages have come.
+        self._action: Action | None = None
         self._goal: Any = None
         self._task: Any = None
         self._begun = 0.0
-        callbacks = (self._stop_for_another, self._sender.stop)
+        callbacks = (self._stop_for_new_goal, self._sender.stop)
         docking = GoalServer("dock", DockAction, *callbacks)
         undocking = GoalServer("undock", UndockAction, *callbacks)
         self._actions = (
@@ -288,7 +287,7 @@ class DockNode:
             queue.is_connected() for queue in self._queues
         )
 
-    def _stop_for_another(self, _: ServerGoalHandle) -> None:
+    def _stop_for_new_goal(self, _: ServerGoalHandle) -> None:
         if self._action is not None:
             self._sender.stop()
 
@@ -296,7 +295,7 @@ class DockNode:
 
     def _tick(self, now: rospy.Time) -> None:
         ticket = self._sender.ticket()
-        self._look_at_requests(now)
+        self._handle_requests(now)
         for queue in self._queues:
             queue.wait(now)
         odometry = self._take_odometry(now)
@@ -320,17 +319,19 @@ class DockNode:
         if self._task.result is not None:
             self._end(now, self._task.result)
 
-    def _look_at_requests(self, now: rospy.Time) -> None:
-        """Take up what is new, of several the newest, and end what was cancelled."""
+    def _handle_requests(self, now: rospy.Time) -> None:
+        """Accept new goals, the newest last, and end a cancelled goal."""
         new = [one for one in self._actions if one.server.is_new_goal_available()]
         for action in sorted(new, key=lambda one: one.server.next_goal.get_goal_id().stamp):
-            self._give_up("another goal has taken its place", now)
-            self._take_up(action, now)
+            self._preempt("replaced by another goal", now)
+            self._accept(action, now)
         if self._action is not None and self._action.server.is_cancelled:
-            self._give_up("stopped on request", now)
+            self._preempt("cancelled on request", now)
 
-    def _take_up(self, action: Action, now: rospy.Time) -> None:
-        self._action, self._goal, self._task = action, action.server.accept_new_goal(), None
+    def _accept(self, action: Action, now: rospy.Time) -> None:
+        self._action = action
+        self._goal = action.server.accept_new_goal()
+        self._task = None
         self._begun = now.to_sec()
         try:
             action.check(self._goal)
@@ -341,7 +342,7 @@ class DockNode:
         if any(opened):
             self._frame, self._camera = "", None
 
-    def _give_up(self, why: str, now: rospy.Time) -> None:
+    def _preempt(self, why: str, now: rospy.Time) -> None:
         if self._action is not None:
             self._end(now, DockingResult(False, DockingError.PREEMPTED, why))
 
@@ -351,7 +352,7 @@ class DockNode:
             self._frame = taken[-1][0].frame_id
         return [message for _, message in taken]
 
-    def _take_observations(self, now: rospy.Time) -> List[Observation]:
+    def _take_observations(self, now: rospy.Time) -> list[Observation]:
         cameras = self._camera_info.take(now)
         if cameras:
             header, camera = cameras[-1]
@@ -363,25 +364,25 @@ class DockNode:
         return [Observation(header.stamp.to_sec(), camera, seen) for header, seen in taken]
 
     def _start(self, now: rospy.Time) -> bool:
-        """Make the task, if all is there; raises GoalError if it has not come in time."""
-        patient = now.to_sec() - self._begun < self._parameters.patience
+        """Make the task once its messages have come; raises GoalError after ~patience."""
+        may_wait = now.to_sec() - self._begun < self._parameters.patience
         try:
             if not self._frame:
-                what = self._odometry.trouble or "nothing comes"
+                what = self._odometry.trouble or "no messages"
                 raise NotYetError(DockingError.ODOMETRY_LOST, f"{self._odometry.topic}: {what}")
-            mount = self._mount(patient or self._action.needs_camera)
+            mount = self._mount(may_wait or self._action.needs_camera)
             self._task = self._action.make_task(self._goal, mount)
         except NotYetError:
-            if patient:
+            if may_wait:
                 return False
             raise
         return True
 
-    def _mount(self, needed: bool) -> Optional[CameraMount]:
-        """Return where the camera is on the robot; None if it is not needed and not there."""
+    def _mount(self, needed: bool) -> CameraMount | None:
+        """Return the pose of the camera on the robot; None if it is unknown and not needed."""
         try:
             if self._camera is None:
-                what = self._camera_info.trouble or "nothing comes"
+                what = self._camera_info.trouble or "no messages"
                 raise InputError(f"{self._camera_info.topic}: {what}")
             return mount_of(self._lookup(self._base_frame, self._camera[0]))
         except (FrameError, InputError) as error:
@@ -389,7 +390,7 @@ class DockNode:
                 raise NotYetError(DockingError.CAMERA_LOST, str(error)) from None
             return None
 
-    def _docking(self, goal: DockGoal, mount: Optional[CameraMount]) -> DockingTask:
+    def _docking(self, goal: DockGoal, mount: CameraMount | None) -> DockingTask:
         """Return the task that drives into a dock; raises GoalError."""
         try:
             dock = find_dock(self._docks, goal.dock_id or self._parameters.dock)
@@ -405,8 +406,8 @@ class DockNode:
             seed=self._parameters.seed,
         )
 
-    def _undocking(self, goal: UndockGoal, mount: Optional[CameraMount]) -> UndockingTask:
-        """Return the task that drives backwards out of a dock, on its axis where it is seen."""
+    def _undocking(self, goal: UndockGoal, mount: CameraMount | None) -> UndockingTask:
+        """Return the task that drives backwards out of a dock, on its axis if it is visible."""
         dock = self._docks[self._parameters.dock]
         pose = self._last_dock or rough_pose(DockGoal(), dock, self._frame, self._lookup)
         return UndockingTask(
@@ -424,13 +425,13 @@ class DockNode:
             self._last_dock = status.dock_pose or self._last_dock
 
     def _end(self, now: rospy.Time, result: DockingResult) -> None:
-        """Stop, and tell how it ended."""
+        """Stop the robot and report the result."""
         action, self._action = self._action, None
         self._sender.stop()
         for queue in self._queues:
             queue.close()
-        say = rospy.loginfo if result.success else rospy.logwarn
-        say("%s: %s (%s)", action.server.name, result.message, result.error.name)
+        log = rospy.loginfo if result.success else rospy.logwarn
+        log("%s: %s (%s)", action.server.name, result.message, result.error.name)
         action.server.end(status_of(result), action.result(result), result.message)
         self._finished.publish(Time(now))
 
@@ -446,6 +447,7 @@ class DockNode:
             self._end(rospy.Time(0), DockingResult(False, DockingError.UNKNOWN, message))
 
 
-def main() -> None:
-    """Run the node."""
-    run_node("dock", lambda: DockNode(private_parameters(DockParameters)).run())
+@node
+def dock(parameters: DockParameters) -> None:
+    """Run until ROS shuts down."""
+    DockNode(parameters).run()

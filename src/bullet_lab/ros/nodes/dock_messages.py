@@ -1,10 +1,10 @@
-"""Conversions of the dock node: between messages of ROS and what bullet_lab.docking takes."""
+"""Conversions between ROS messages and the types of bullet_lab.docking, for the dock node."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import fields
-from typing import Callable, Optional, Tuple
+from typing import Callable
 
 import numpy as np
 from actionlib_msgs.msg import GoalStatus
@@ -41,19 +41,20 @@ from bullet_lab.ros.messages import images
 from bullet_lab.ros.messages.poses import InputError, pose_of
 from bullet_lab.ros.node.odometry import planar_pose
 
-# Where vx, vy and wz stand in the 6x6 covariances of ROS (REP 103).
+# Indices of vx, vy and wz in the 6x6 covariances of ROS (REP 103).
 _PLANAR = (0, 1, 5)
-# Of the optical frame in the camera's own, x ahead and z up (REP 103).
+# Pose of the optical frame in the camera's frame, x ahead and z up (REP 103).
 OPTICAL = Pose.from_rpy((0.0, 0.0, 0.0), (-math.pi / 2, 0.0, -math.pi / 2))
-# A robot on a floor: a dock pose that leans by more than this (rad) is a mistake.
-LARGEST_LEAN = 0.2
+# rad; a dock on the floor is upright, and a larger tilt is a mistake.
+LARGEST_TILT = 0.2
+# m.
 LONGEST_UNDOCK = 10.0
 
 Lookup = Callable[[str, str], Pose]
 
 
 def odometry_of(message: OdometryMessage) -> Odometry:
-    """Return a message of odometry as docking takes it; raises OdometryError."""
+    """Convert a message of odometry; raises OdometryError."""
     twist = message.twist.twist
     covariance = np.asarray(message.twist.covariance, dtype=float).reshape(6, 6)
     return Odometry(
@@ -65,15 +66,12 @@ def odometry_of(message: OdometryMessage) -> Odometry:
 
 
 def camera_of(message: CameraInfo) -> PinholeCamera:
-    """Return the geometry of raw images; raises CameraGeometryError."""
+    """Return the camera of raw images; raises CameraGeometryError."""
     return images.camera_of(message, message.width, message.height)
 
 
-def sightings_of(message: MarkerDetectionArray) -> Tuple[Sighting, ...]:
-    """Return the markers in an image; those with corners that are not finite are left out.
-
-    So are those of which it is told how far off they may be, but not by finite numbers.
-    """
+def sightings_of(message: MarkerDetectionArray) -> tuple[Sighting, ...]:
+    """Return the markers in an image whose corners and deviations are finite."""
     found = []
     for detection in message.detections:
         corners = np.array(detection.corners, dtype=float).reshape(4, 2)
@@ -84,13 +82,13 @@ def sightings_of(message: MarkerDetectionArray) -> Tuple[Sighting, ...]:
 
 
 def mount_of(optical: Pose) -> CameraMount:
-    """Return where the camera is, of the pose of its optical frame in the robot's base."""
+    """Return the pose of the camera on the robot, from that of its optical frame."""
     mount = optical * OPTICAL.inverse()
     return CameraMount(*mount.position, *mount.rpy())
 
 
 class GoalError(LabError):
-    """A goal that cannot be pursued; `error` says why."""
+    """A goal cannot be pursued; `error` is the reason."""
 
     def __init__(self, error: DockingError, message: str):
         super().__init__(message)
@@ -98,23 +96,25 @@ class GoalError(LabError):
 
 
 class NotYetError(GoalError):
-    """What a goal needs has not come so far."""
+    """A message or transform that a goal needs has not come yet."""
 
 
 def check_dock_goal(goal: DockGoal) -> None:
-    """Raise GoalError for a goal that makes no sense by itself."""
+    """Raise GoalError for an invalid goal."""
     if goal.max_retries < -1:
-        raise GoalError(DockingError.NOT_VALID, f"max_retries is {goal.max_retries}")
+        what = f"max_retries is {goal.max_retries}; it must be -1 or more"
+        raise GoalError(DockingError.NOT_VALID, what)
     if not goal.dock_id and not goal.dock_pose.header.frame_id:
-        raise GoalError(DockingError.NOT_VALID, "neither dock_id nor the frame of dock_pose")
+        what = "neither dock_id nor the frame of dock_pose is set"
+        raise GoalError(DockingError.NOT_VALID, what)
     if goal.dock_pose.header.frame_id:
         _given_pose(goal.dock_pose)
 
 
 def check_undock_goal(goal: UndockGoal) -> None:
-    """Raise GoalError for a goal that makes no sense by itself."""
+    """Raise GoalError for an invalid goal."""
     if not 0.0 <= goal.distance <= LONGEST_UNDOCK:
-        what = f"a distance of {goal.distance:g} m is not from 0 to {LONGEST_UNDOCK:g}"
+        what = f"distance is {goal.distance:g} m; it must be from 0 to {LONGEST_UNDOCK:g} m"
         raise GoalError(DockingError.NOT_VALID, what)
 
 
@@ -122,13 +122,14 @@ def rough_pose(goal: DockGoal, dock: Dock, frame: str, lookup: Lookup) -> Planar
     """Return the rough pose of the dock in the odometry frame.
 
     Args:
-        goal: its dock_pose counts where it has a frame, otherwise that of the database.
+        goal: its dock_pose, if it has a frame, replaces that of the database.
         dock: of the database.
         frame: of the odometry.
         lookup: returns the pose of its second frame in its first, or raises LabError.
 
     Raises:
-        GoalError: the pose is none of a dock; NotYetError: nobody knows its frame so far.
+        GoalError: the dock is not upright.
+        NotYetError: no transform to the frame of the pose has come yet.
     """
     if goal.dock_pose.header.frame_id:
         given, pose = _given_pose(goal.dock_pose)
@@ -140,12 +141,12 @@ def rough_pose(goal: DockGoal, dock: Dock, frame: str, lookup: Lookup) -> Planar
             pose = lookup(frame, given) * pose
         except LabError as error:
             raise NotYetError(DockingError.NOT_VALID, str(error)) from None
-    if pose.rotate((0.0, 0.0, 1.0))[2] < math.cos(LARGEST_LEAN):
-        raise GoalError(DockingError.NOT_VALID, "the pose of the dock does not stand upright")
+    if pose.rotate((0.0, 0.0, 1.0))[2] < math.cos(LARGEST_TILT):
+        raise GoalError(DockingError.NOT_VALID, "the pose of the dock is not upright")
     return pose.position[0], pose.position[1], pose.yaw
 
 
-def _given_pose(message: PoseStamped) -> Tuple[str, Pose]:
+def _given_pose(message: PoseStamped) -> tuple[str, Pose]:
     try:
         pose = pose_of(message.pose.position, message.pose.orientation)
     except InputError as error:
@@ -154,21 +155,22 @@ def _given_pose(message: PoseStamped) -> Tuple[str, Pose]:
 
 
 def dock_result(result: DockingResult) -> DockResult:
-    """Return a result as the action sends it."""
-    said = {field.name: getattr(result, field.name) for field in fields(result)}
-    error, calibration = said.pop("error"), said.pop("calibration")
-    told = _calibration_message(calibration)
-    return DockResult(error_code=int(error), calibration=told, **said)
+    """Convert a result into a message of the action dock."""
+    values = {field.name: getattr(result, field.name) for field in fields(result)}
+    error, calibration = values.pop("error"), values.pop("calibration")
+    calibration = _calibration_message(calibration)
+    return DockResult(error_code=int(error), calibration=calibration, **values)
 
 
 def docking_result(message: DockResult) -> DockingResult:
-    """Return a result that the action has sent, as docking knows it."""
-    said = {name: getattr(message, name) for name in DockResult.__slots__ if name != "error_code"}
-    said["calibration"] = _calibration_of(message.calibration)
-    return DockingResult(error=DockingError(message.error_code), **said)
+    """Convert a message of the action dock into a result."""
+    values = {name: getattr(message, name) for name in DockResult.__slots__}
+    values["error"] = DockingError(values.pop("error_code"))
+    values["calibration"] = _calibration_of(message.calibration)
+    return DockingResult(**values)
 
 
-def _calibration_message(calibration: Optional[Calibration]) -> DockCalibration:
+def _calibration_message(calibration: Calibration | None) -> DockCalibration:
     values = {}
     for field in fields(Calibration):
         learned = getattr(calibration, field.name, Learned(math.nan, math.nan))
@@ -176,21 +178,22 @@ def _calibration_message(calibration: Optional[Calibration]) -> DockCalibration:
     return DockCalibration(**values)
 
 
-def _calibration_of(message: DockCalibration) -> Optional[Calibration]:
+def _calibration_of(message: DockCalibration) -> Calibration | None:
     if math.isnan(message.roll):
         return None
     names = [field.name for field in fields(Calibration)]
-    pairs = ((getattr(message, n), getattr(message, f"{n}_deviation")) for n in names)
-    return Calibration(*(Learned(*pair) for pair in pairs))
+    return Calibration(
+        *(Learned(getattr(message, n), getattr(message, f"{n}_deviation")) for n in names)
+    )
 
 
 def undock_result(result: DockingResult) -> UndockResult:
-    """Return a result as the action sends it."""
+    """Convert a result into a message of the action undock."""
     return UndockResult(result.success, int(result.error), result.message)
 
 
 def status_of(result: DockingResult) -> int:
-    """Return what a result is as a GoalStatus of actionlib."""
+    """Return the status of actionlib for a result."""
     if result.success:
         return GoalStatus.SUCCEEDED
     preempted = result.error == DockingError.PREEMPTED
@@ -198,7 +201,7 @@ def status_of(result: DockingResult) -> int:
 
 
 def dock_feedback(task: DockingTask) -> DockFeedback:
-    """Return how it goes as the action sends it."""
+    """Return the feedback of the action."""
     status = task.status
     return DockFeedback(
         int(status.state), status.distance, status.lateral, status.yaw, status.retries
@@ -206,5 +209,5 @@ def dock_feedback(task: DockingTask) -> DockFeedback:
 
 
 def undock_feedback(task: UndockingTask) -> UndockFeedback:
-    """Return how it goes as the action sends it."""
+    """Return the feedback of the action."""
     return UndockFeedback(task.remaining)

@@ -1,16 +1,15 @@
-"""The nodes that drive robots in squares, by the clock or by their odometry.
+"""Drives robots in squares, in open loop or by their odometry.
 
-drive_squares drives the robot that is there.
+drive_squares drives one robot.
 
 :ROS Parameters: see `DriveSquaresParameters`.
 :ROS Publishers:
-    - cmd_vel (geometry_msgs/Twist), or what ~cmd_vel says
+    - cmd_vel (geometry_msgs/Twist), or the topic ~cmd_vel
     - drive_squares/finished (std_msgs/Time), latched: when the square was finished
-:ROS Subscribers: odom (nav_msgs/Odometry), or what ~odom says; in closed loop only
+:ROS Subscribers: odom (nav_msgs/Odometry), or the topic ~odom; in closed loop only
 
-fleet puts several robots into the running world first, and drives all of them. Robot k is the
-model robot<k> with the namespace robot<k> and, if none is set there, the tf_prefix robot<k>; k
-counts from 1.
+fleet spawns several robots and drives all of them. Robot k, counted from 1, is the model robot<k>
+with the namespace robot<k> and, if none is set there, the tf_prefix robot<k>.
 
 :ROS Parameters: see `FleetParameters`.
 :ROS Publishers: robot<k>/cmd_vel and fleet/finished, as above
@@ -22,14 +21,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, List, Sequence, Tuple
+from typing import Any, Sequence
 
 import rospy
 from geometry_msgs.msg import Twist
 from std_msgs.msg import Time
 from tqdm import tqdm
 
-from bullet_lab.core import parameters, se2
+from bullet_lab.core import se2
+from bullet_lab.core.parameters import checked, choice, integer, number, text
 from bullet_lab.core.pose import Pose
 from bullet_lab.drive.square import MODES, OPEN_LOOP, Square, SquareDriver
 from bullet_lab.ros.gazebo.client import call
@@ -37,14 +37,14 @@ from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.ros.node.driving import StoppableSender
 from bullet_lab.ros.node.lock_step import rate
-from bullet_lab.ros.node.node import TF_PREFIX, private_parameters, run_node, wait_until
+from bullet_lab.ros.node.node import TF_PREFIX, node, wait_until
 from bullet_lab.ros.node.odometry import NewestOdometry
 from bullet_lab.ros.node.publishers import publisher
 from bullet_lab.ros.nodes.populate import description_of
 
 SPAWN_SERVICE = "/gazebo/spawn_urdf_model"
 MOST_ROBOTS = 100
-# At rest before and after, so that a recording shows where the robots stood.
+# Simulated seconds at rest before and after the drive, for recordings.
 REST_SECONDS = 0.5
 PROGRESS_FORMAT = "{desc} {percentage:3.0f}%|{bar:30}| {n:.1f} of {total:.1f} m, {elapsed}"
 
@@ -59,57 +59,57 @@ def _accept_turn_speed(value: Any) -> float:
 class SquareParameters:
     """Private parameters of both nodes."""
 
-    mode: str = parameters.choice(OPEN_LOOP, "what ends a side", MODES)
-    sides: int = parameters.integer(4, "number of sides", minimum=1)
-    side: float = parameters.number(2.0, "length of a side in m", above=0.0)
+    mode: str = choice(OPEN_LOOP, "what ends a side", MODES)
+    sides: int = integer(4, "number of sides", minimum=1)
+    side: float = number(2.0, "length of a side in m", above=0.0)
 
 
 @dataclass(frozen=True)
 class DriveSquaresParameters(SquareParameters):
     """Private parameters of drive_squares."""
 
-    cmd_vel: str = parameters.text("cmd_vel", "topic of the commands")
-    odom: str = parameters.text("odom", "topic of the odometry that closes the loop")
-    speed: float = parameters.number(0.2, "on the sides, m/s", above=0.0)
-    turn_speed: float = parameters.checked(
+    cmd_vel: str = text("cmd_vel", "topic of the commands")
+    odom: str = text("odom", "topic of the odometry that closes the loop")
+    speed: float = number(0.2, "on the sides, m/s", above=0.0)
+    turn_speed: float = checked(
         -0.5236,
         "at the corners, rad/s; negative is clockwise",
         "a number other than 0",
         _accept_turn_speed,
     )
-    turn_commands: int = parameters.integer(34, "open loop: commands of a turn at 10 Hz", minimum=0)
+    turn_commands: int = integer(34, "open loop: commands of a turn at 10 Hz", minimum=0)
 
 
 @dataclass(frozen=True)
 class FleetParameters(SquareParameters):
     """Private parameters of fleet."""
 
-    robots: int = parameters.integer(8, "how many there are", 1, MOST_ROBOTS)
-    robot: str = parameters.text(
+    robots: int = integer(8, "how many there are", 1, MOST_ROBOTS)
+    robot: str = text(
         "package://bullet_lab/urdf/block_robot.urdf", "URDF of each: a path or package://"
     )
-    spacing: float = parameters.number(2.5, "m from one start to the next, in a grid", above=0.0)
+    spacing: float = number(2.5, "m from one start to the next, in a grid", above=0.0)
 
 
 class _Robot:
-    """One of the robots that are driven, by its topics of commands and of odometry."""
+    """One robot, with the topics of its commands and its odometry."""
 
     def __init__(self, driver: SquareDriver, cmd_vel: str, odom: str):
         self.driver = driver
         self.done = False
-        # Written out at once, so that the last command is on its way before the node ends.
+        # Without a queue, so that the last command is sent before the node ends.
         commands = publisher(cmd_vel, Twist)
         self._sender = StoppableSender(commands)
         self._odometry = NewestOdometry(odom) if driver.needs_pose else None
         rospy.on_shutdown(self._sender.end)
-        wait_until(commands.has_connections, f"somebody to listen to {cmd_vel}")
+        wait_until(commands.has_connections, f"a subscriber to {cmd_vel}")
 
     def tick(self, now: rospy.Time) -> None:
-        """Send the next command; with the one to stand still, the robot is done."""
+        """Send the next command; after the last one, stop."""
         pose = None
         if self._odometry is not None:
             if self._odometry.is_stale():
-                # Time goes on while it is waited for the next one.
+                # `newest` waits, and time may run meanwhile.
                 self._sender.stop()
             pose = self._odometry.newest(now)
         command = self.driver.command(pose)
@@ -121,15 +121,15 @@ class _Robot:
 
 
 class DriveSquares:
-    """Drives robots in squares, all at once, tick by tick.
+    """Drives several robots in squares at the same time.
 
     Args:
-        square: that each of them drives.
-        mode: what ends a side.
-        robots: (cmd_vel, odom) of each, their topics.
+        square: of each robot.
+        mode: of `MODES`: what ends a side.
+        robots: topics (cmd_vel, odom) of each robot.
     """
 
-    def __init__(self, square: Square, mode: str, robots: Sequence[Tuple[str, str]]):
+    def __init__(self, square: Square, mode: str, robots: Sequence[tuple[str, str]]):
         self._square = square
         self._robots = [_Robot(SquareDriver(square, mode), *topics) for topics in robots]
         self._finished = publisher("~finished", Time, latch=True)
@@ -138,7 +138,7 @@ class DriveSquares:
         self._rate = rate(self._hz)
 
     def drive(self) -> None:
-        """Drive all sides, stop, say that it is done, and let the world go on."""
+        """Drive all sides, stop, publish the end, and leave the lock step."""
         self._rest()
         driving = list(self._robots)
         with self._progress_bar() as progress:
@@ -158,10 +158,11 @@ class DriveSquares:
         return tqdm(total=total, unit="m", desc="driving", disable=None, bar_format=PROGRESS_FORMAT)
 
     def _report(self, progress: tqdm) -> None:
-        """Say where the drive is, on the progress bar or, without a terminal, in the log."""
+        """Report the progress on the bar or, without a terminal, in the log."""
         side = 1 + min(robot.driver.sides_done for robot in self._robots)
         if self._side < side <= self._square.sides:
-            self._side, where = side, f"side {side} of {self._square.sides}"
+            self._side = side
+            where = f"side {side} of {self._square.sides}"
             if progress.disable:
                 rospy.loginfo(where)
             else:
@@ -173,13 +174,14 @@ class DriveSquares:
             self._rate.sleep()
 
 
-def robot_names(count: int) -> List[str]:
-    """Return the names of so many robots, which are their namespaces as well; from robot1 on."""
+def robot_names(count: int) -> list[str]:
+    """Return the names of the robots of a fleet, robot1 and so on; they are also namespaces."""
     return [f"robot{number}" for number in range(1, count + 1)]
 
 
-def drive_fleet(parameters: FleetParameters) -> None:
-    """Put the robots into the world and drive them; raises LabError."""
+@node
+def fleet(parameters: FleetParameters) -> None:
+    """Spawn the robots and drive them; raises LabError."""
     text = description_of(parameters.robot)
     names = robot_names(parameters.robots)
     for name, (x, y, _) in zip(names, se2.grid(parameters.robots, parameters.spacing)):
@@ -193,7 +195,8 @@ def drive_fleet(parameters: FleetParameters) -> None:
     DriveSquares(square, parameters.mode, topics).drive()
 
 
-def drive_robot(parameters: DriveSquaresParameters) -> None:
+@node
+def drive_squares(parameters: DriveSquaresParameters) -> None:
     """Drive one robot."""
     square = Square(
         parameters.sides,
@@ -203,13 +206,3 @@ def drive_robot(parameters: DriveSquaresParameters) -> None:
         parameters.turn_commands,
     )
     DriveSquares(square, parameters.mode, [(parameters.cmd_vel, parameters.odom)]).drive()
-
-
-def fleet_main() -> None:
-    """Run the node fleet."""
-    run_node("fleet", lambda: drive_fleet(private_parameters(FleetParameters)))
-
-
-def main() -> None:
-    """Run the node drive_squares."""
-    run_node("drive_squares", lambda: drive_robot(private_parameters(DriveSquaresParameters)))

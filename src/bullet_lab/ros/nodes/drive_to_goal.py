@@ -1,17 +1,17 @@
-"""The node that drives a robot to goals, as move_base does, such as RViz's "2D Nav Goal".
+"""Drives a robot to goals, as move_base does, such as those of RViz's "2D Nav Goal".
 
 :ROS Parameters: see `DriveToGoalParameters`.
 :ROS Actions:
-    - move_base (move_base_msgs/MoveBaseAction): drive to a goal. A new goal takes the place of
-      the one before; one that cannot be reached is aborted, and the text says why
+    - move_base (move_base_msgs/MoveBaseAction): drive to a goal. A new goal replaces the one
+      before; a goal that cannot be reached is aborted with a reason
 :ROS Subscribers:
-    - move_base_simple/goal (geometry_msgs/PoseStamped): a goal as well; if it makes no sense, the
-      one before goes on
-    - odom (nav_msgs/Odometry), or what ~odom says
+    - move_base_simple/goal (geometry_msgs/PoseStamped): likewise; an invalid goal is refused, and
+      the robot goes on to the one before
+    - odom (nav_msgs/Odometry), or the topic ~odom
 :ROS Publishers:
-    - cmd_vel (geometry_msgs/Twist), or what ~cmd_vel says
-    - ~status (actionlib_msgs/GoalStatus), latched: what has become of the newest goal
-    - ~finished (std_msgs/Time), latched: when the last goal came to its end
+    - cmd_vel (geometry_msgs/Twist), or the topic ~cmd_vel
+    - ~status (actionlib_msgs/GoalStatus), latched: status of the newest goal
+    - ~finished (std_msgs/Time), latched: when the last goal ended
     - ~current_goal (geometry_msgs/PoseStamped), latched: the goal in the odometry's frame
     - ~remaining (std_msgs/Float64): m to the goal
     - ~markers (visualization_msgs/MarkerArray), ~plan, ~path (nav_msgs/Path), latched: for RViz
@@ -24,7 +24,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass, fields
-from typing import Deque, List, Optional, Tuple
+from typing import Deque
 
 import rospy
 from actionlib import GoalIDGenerator, ServerGoalHandle
@@ -35,7 +35,7 @@ from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import ColorRGBA, Float64, Header, Time
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import boolean, number, text
 from bullet_lab.drive.goal import (
     LEAST_TOLERANCE,
     STANDSTILL,
@@ -48,27 +48,29 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.node.driving import GoalServer, StoppableSender
 from bullet_lab.ros.node.lock_step import rate
-from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
+from bullet_lab.ros.node.node import Refusals, node
 from bullet_lab.ros.node.odometry import OdometryError, planar_pose
 from bullet_lab.ros.node.publishers import MessageQueue, Publisher, publisher
 from bullet_lab.ros.node.transforms import FrameError, FrameFinder
 
 USUAL = GoalLimits()
-ACTION, SIMPLE_GOAL = "move_base", "move_base_simple/goal"
-# Wall seconds that a goal waits for the first odometry, which names the frame, and for TF.
+ACTION = "move_base"
+SIMPLE_GOAL = "move_base_simple/goal"
+# Wall seconds that a goal waits for the first odometry, which has the frame, and for TF.
 PATIENCE = 5.0
 POLL_SECONDS = 0.02
-# Of the path that was driven: m between two points, and how many are kept.
+# m between two points of the driven path.
 PATH_STEP = 0.02
+# Points of the driven path that are kept.
 MOST_POINTS = 5000
-# Messages for RViz per tick of the driver.
+# Messages for RViz are published at every fourth tick.
 SHOW_EVERY = 4
 COLOURS = {
     GoalStatus.ACTIVE: ColorRGBA(0.0, 0.45, 0.7, 0.9),
     GoalStatus.SUCCEEDED: ColorRGBA(0.0, 0.62, 0.45, 0.9),
 }
-GIVEN_UP = ColorRGBA(0.84, 0.37, 0.0, 0.9)
-# How ~status calls the end of a goal that was never driven to.
+FAILED = ColorRGBA(0.84, 0.37, 0.0, 0.9)
+# The final status of a goal that the robot never drove to.
 NOT_BEGUN = {
     GoalStatus.ABORTED: GoalStatus.REJECTED,
     GoalStatus.PREEMPTED: GoalStatus.RECALLED,
@@ -79,42 +81,41 @@ NOT_BEGUN = {
 class DriveToGoalParameters:
     """Private parameters of drive_to_goal."""
 
-    cmd_vel: str = parameters.text("cmd_vel", "topic of the commands")
-    odom: str = parameters.text("odom", "topic of the odometry, perfect or noisy")
-    speed: float = parameters.number(USUAL.speed, "at most, m/s", above=0.0)
-    turn_speed: float = parameters.number(USUAL.turn_speed, "at most, rad/s", above=0.0)
-    acceleration: float = parameters.number(USUAL.acceleration, "at most, m/s²", above=0.0)
-    turn_acceleration: float = parameters.number(
+    cmd_vel: str = text("cmd_vel", "topic of the commands")
+    odom: str = text("odom", "topic of the odometry, perfect or noisy")
+    speed: float = number(USUAL.speed, "at most, m/s", above=0.0)
+    turn_speed: float = number(USUAL.turn_speed, "at most, rad/s", above=0.0)
+    acceleration: float = number(USUAL.acceleration, "at most, m/s²", above=0.0)
+    turn_acceleration: float = number(
         USUAL.turn_acceleration, "at most, rad/s²", above=0.0
     )
-    gain: float = parameters.number(USUAL.gain, "m/s for each m to the goal", above=0.0)
-    turn_gain: float = parameters.number(USUAL.turn_gain, "rad/s for each rad", above=0.0)
-    tolerance: float = parameters.number(
+    gain: float = number(USUAL.gain, "m/s for each m to the goal", above=0.0)
+    turn_gain: float = number(USUAL.turn_gain, "rad/s for each rad", above=0.0)
+    tolerance: float = number(
         USUAL.tolerance, "m from the goal to stop within", minimum=LEAST_TOLERANCE
     )
-    yaw_tolerance: float = parameters.number(
+    yaw_tolerance: float = number(
         USUAL.yaw_tolerance, "rad from its heading to stop within", minimum=LEAST_TOLERANCE
     )
-    heading: bool = parameters.boolean(True, "turn to the goal's heading at the end")
-    rate: float = parameters.number(20.0, "commands per second", minimum=5.0, maximum=100.0)
-    odom_rate: float = parameters.number(
+    heading: bool = boolean(True, "turn to the goal's heading at the end")
+    rate: float = number(20.0, "commands per second", minimum=5.0, maximum=100.0)
+    odom_rate: float = number(
         20.0, "lock step: messages of odometry per second", above=0.0, maximum=1000.0
     )
-    stale: float = parameters.number(
+    stale: float = number(
         0.5, "s without odometry after which the robot is stopped", above=0.0
     )
-    patience: float = parameters.number(
-        5.0, "s without odometry after which the goal is given up", above=0.0
+    patience: float = number(
+        5.0, "s without odometry after which the goal is aborted", above=0.0
     )
 
     def limits(self) -> GoalLimits:
-        """Return how fast and how exactly to drive."""
-        names = (field.name for field in fields(GoalLimits))
-        return GoalLimits(**{name: getattr(self, name) for name in names})
+        """Return the limits of the drive."""
+        return GoalLimits(*(getattr(self, field.name) for field in fields(GoalLimits)))
 
 
 class GoalTopics:
-    """Publishes what becomes of goals: for machines at once, for RViz some times a second."""
+    """Publishes the status of goals, and the drive for RViz a few times a second."""
 
     def __init__(self, tolerance: float):
         self._tolerance = tolerance
@@ -125,70 +126,71 @@ class GoalTopics:
         self._markers = Publisher("~markers", MarkerArray, queue_size=1, latch=True)
         self._plan = Publisher("~plan", Path, queue_size=1, latch=True)
         self._path = Publisher("~path", Path, queue_size=1, latch=True)
-        self._saying = threading.Lock()
-        self._active: Optional[GoalStatus] = None
+        self._lock = threading.Lock()
+        self._active: GoalStatus | None = None
         self._frame = ""
-        self._place: PlanarPose = (0.0, 0.0, 0.0)
+        self._target: PlanarPose = (0.0, 0.0, 0.0)
         self._driven: Deque[PoseStamped] = deque(maxlen=MOST_POINTS)
         self._ticks = 0
 
-    def say(self, goal_id: GoalID, status: int, text: str) -> None:
-        """Tell what has become of a goal; `status` is one of actionlib's. From any thread."""
+    def report(self, goal_id: GoalID, status: int, text: str) -> None:
+        """Publish the status of a goal; may be called from any thread."""
         message = GoalStatus(goal_id, status, text)
-        with self._saying:
+        with self._lock:
             self._status.publish(message)
             if status == GoalStatus.ACTIVE:
                 self._active = message
             elif self._active is not None and self._active.goal_id.id == goal_id.id:
                 self._active = None
             elif self._active is not None and status == GoalStatus.REJECTED:
-                # What is latched is about the goal that is still driven to.
+                # The latched status is that of the goal that is still pursued.
                 self._status.publish(self._active)
 
     def begin(self, stamp: rospy.Time, frame: str, goal: PlanarPose) -> None:
-        """Tell which goal is driven to."""
-        self._frame, self._place = frame, goal
+        """Publish the goal that is driven to."""
+        self._frame = frame
+        self._target = goal
         self._goal.publish(stamped_pose(stamp, frame, goal))
         self._driven.clear()
         self._ticks = 0
 
     def progress(self, stamp: rospy.Time, pose: PlanarPose) -> None:
-        """Tell how far it is, and show it now and then."""
-        left = self._tell_remaining(pose)
-        self._note(stamped_pose(stamp, self._frame, pose))
+        """Publish the distance to the goal, and every few ticks the drive."""
+        left = self._publish_remaining(pose)
+        self._extend_path(stamped_pose(stamp, self._frame, pose))
         if self._ticks % SHOW_EVERY == 0:
-            self._show(stamp, GoalStatus.ACTIVE, left, [pose, self._place])
+            self._show(stamp, GoalStatus.ACTIVE, left, [pose, self._target])
         self._ticks += 1
 
-    def end(self, stamp: rospy.Time, status: int, pose: Optional[PlanarPose]) -> None:
-        """Show how it ended and tell when."""
-        left = math.nan if pose is None else self._tell_remaining(pose)
+    def end(self, stamp: rospy.Time, status: int, pose: PlanarPose | None) -> None:
+        """Publish the outcome and the time of the end."""
+        left = math.nan if pose is None else self._publish_remaining(pose)
         self._show(stamp, status, left, [])
         self._finished.publish(Time(stamp))
 
-    def _tell_remaining(self, pose: PlanarPose) -> float:
-        left = math.dist(self._place[:2], pose[:2])
+    def _publish_remaining(self, pose: PlanarPose) -> float:
+        left = math.dist(self._target[:2], pose[:2])
         self._remaining.publish(Float64(left))
         return left
 
-    def _note(self, place: PoseStamped) -> None:
+    def _extend_path(self, pose: PoseStamped) -> None:
         if self._driven:
-            last, new = self._driven[-1].pose.position, place.pose.position
+            last, new = self._driven[-1].pose.position, pose.pose.position
             if math.hypot(new.x - last.x, new.y - last.y) < PATH_STEP:
                 return
-        self._driven.append(place)
+        self._driven.append(pose)
 
-    def _show(self, stamp: rospy.Time, status: int, left: float, ahead: List[PlanarPose]) -> None:
+    def _show(self, stamp: rospy.Time, status: int, left: float, ahead: list[PlanarPose]) -> None:
         header = Header(0, stamp, self._frame)
         plan = [stamped_pose(stamp, self._frame, pose) for pose in ahead]
         self._plan.publish(Path(header, plan))
         self._path.publish(Path(header, list(self._driven)))
-        # Not frame_locked: odometry frames stand still.
-        self._markers.publish(MarkerArray(self._draw(header, COLOURS.get(status, GIVEN_UP), left)))
+        # Not frame_locked, as odometry frames do not move.
+        self._markers.publish(MarkerArray(self._draw(header, COLOURS.get(status, FAILED), left)))
 
-    def _draw(self, header: Header, colour: ColorRGBA, left: float) -> List[Marker]:
-        """Return an arrow at the goal, its tolerance as a disc and the m left as a label."""
-        pose = stamped_pose(header.stamp, header.frame_id, self._place).pose
+    def _draw(self, header: Header, colour: ColorRGBA, left: float) -> list[Marker]:
+        """Return an arrow at the goal, a disc for its tolerance and a label with the distance."""
+        pose = stamped_pose(header.stamp, header.frame_id, self._target).pose
         arrow = Marker(header=header, ns="goal", id=0, type=Marker.ARROW, color=colour)
         arrow.scale = Vector3(0.4, 0.05, 0.05)
         disc = Marker(header=header, ns="goal", id=1, type=Marker.CYLINDER, color=colour)
@@ -199,15 +201,15 @@ class GoalTopics:
         label.text = "" if math.isnan(left) else f"{left:.2f} m"
         for marker, height in ((arrow, 0.1), (disc, 0.0), (label, 0.4)):
             marker.pose = Pose(Point(pose.position.x, pose.position.y, height), pose.orientation)
-        # RViz complains of a label without text.
+        # RViz warns of a label without text.
         return [arrow, disc, label] if label.text else [arrow, disc]
 
 
 class DriveToGoal:
     """Drives to one goal at a time.
 
-    Goals and cancellations come in threads of rospy; the loop takes them up and ends them. Only
-    stopping is not left to the loop.
+    Goals and cancellations come in threads of rospy; the loop starts and ends them. A cancellation
+    stops the robot at once.
     """
 
     def __init__(self, parameters: DriveToGoalParameters):
@@ -219,19 +221,23 @@ class DriveToGoal:
         self._refusals = Refusals()
         self._frames = FrameFinder()
         self._frame = ""
-        self._pose: Optional[PlanarPose] = None
+        # The newest odometry, when it came, and whether the robot waits for the next one.
+        self._pose: PlanarPose | None = None
         self._seen = rospy.Time(0)
         self._waiting = False
-        self._target: Optional[PoseStamped] = None
+        # The goal that was accepted, and the wall time until which it waits for its frame.
+        self._target: PoseStamped | None = None
         self._deadline = 0.0
+        # The command at the end of the goal before.
         self._moving = STANDSTILL
-        self._driver: Optional[GoalDriver] = None
-        self._announced: Deque[GoalID] = deque()
+        self._driver: GoalDriver | None = None
+        # Goals that have come, but are not accepted yet.
+        self._pending: Deque[GoalID] = deque()
         self._odometry: MessageQueue = MessageQueue(
             parameters.odom, Odometry, _read_odometry, parameters.odom_rate
         )
         self._odometry.open()
-        self._server = GoalServer(ACTION, MoveBaseAction, self._announce, self._sender.stop)
+        self._server = GoalServer(ACTION, MoveBaseAction, self._receive_goal, self._sender.stop)
         self._server.start()
         self._goals = rospy.Subscriber(
             SIMPLE_GOAL, PoseStamped, self._receive_simple_goal, queue_size=10
@@ -252,12 +258,12 @@ class DriveToGoal:
     def _is_connected(self) -> bool:
         return self._commands.has_connections() and self._odometry.is_connected()
 
-    # From rospy's threads
+    # In threads of rospy
 
-    def _announce(self, handle: ServerGoalHandle) -> None:
+    def _receive_goal(self, handle: ServerGoalHandle) -> None:
         goal_id = handle.get_goal_id()
-        self._topics.say(goal_id, GoalStatus.PENDING, "taken up at the next tick")
-        self._announced.append(goal_id)
+        self._topics.report(goal_id, GoalStatus.PENDING, "waits for the next tick")
+        self._pending.append(goal_id)
 
     def _receive_simple_goal(self, message: PoseStamped) -> None:
         try:
@@ -265,13 +271,13 @@ class DriveToGoal:
         except LabError as error:
             self._refusals.refuse(SIMPLE_GOAL, str(error))
             goal_id = GoalIDGenerator().generate_ID()
-            self._topics.say(goal_id, GoalStatus.REJECTED, f"refused: {error}")
+            self._topics.report(goal_id, GoalStatus.REJECTED, f"refused: {error}")
             return
         goal = MoveBaseActionGoal(header=message.header, goal=MoveBaseGoal(message))
         self._server.action_server.internal_goal_callback(goal)
 
     def _await_frame(self) -> str:
-        """Return the frame of the odometry; raises OdometryError if none comes."""
+        """Wait for the frame of the odometry; raises OdometryError if none comes."""
         deadline = time.monotonic() + PATIENCE
         while not self._frame and time.monotonic() < deadline and not rospy.is_shutdown():
             time.sleep(POLL_SECONDS)
@@ -279,7 +285,7 @@ class DriveToGoal:
 
     def _known_frame(self) -> str:
         if not self._frame:
-            what = self._odometry.trouble or "nothing comes"
+            what = self._odometry.trouble or "no messages"
             raise OdometryError(f"no odometry on {self._parameters.odom}: {what}")
         return self._frame
 
@@ -287,12 +293,12 @@ class DriveToGoal:
 
     def _tick(self, now: rospy.Time, seconds: float) -> None:
         ticket = self._sender.ticket()
-        self._look_at_requests(now)
+        self._handle_requests(now)
         self._odometry.wait(now)
         self._take_odometry(now)
         if self._driver is None and self._server.is_active():
             self._begin(now)
-        if self._driver is None or not self._knows_where_it_is(now):
+        if self._driver is None or not self._has_fresh_odometry(now):
             return
         self._sender.send(self._driver.command(self._pose, seconds), ticket)
         self._topics.progress(now, self._pose)
@@ -303,48 +309,48 @@ class DriveToGoal:
             text = f"there, {left:.3f} m and {abs(turn):.1f} degrees from the goal"
             self._end(now, GoalStatus.SUCCEEDED, text)
 
-    def _look_at_requests(self, now: rospy.Time) -> None:
+    def _handle_requests(self, now: rospy.Time) -> None:
         if self._server.is_new_goal_available():
-            self._take_up(now)
+            self._accept(now)
         if self._server.is_cancelled:
-            self._end(now, GoalStatus.PREEMPTED, "given up on request")
+            self._end(now, GoalStatus.PREEMPTED, "cancelled on request")
 
-    def _take_up(self, now: rospy.Time) -> None:
-        another = "another goal has taken its place"
+    def _accept(self, now: rospy.Time) -> None:
+        why = "replaced by another goal"
         self._moving = STANDSTILL if self._driver is None else self._driver.moving
         if self._server.is_active():
-            self._end(now, GoalStatus.PREEMPTED, another, stop=False)
+            self._end(now, GoalStatus.PREEMPTED, why, stop=False)
         self._target = self._server.accept_new_goal().target_pose
         accepted = self._server.current_goal.get_goal_id().id
-        while self._announced:
-            goal_id = self._announced.popleft()
+        while self._pending:
+            goal_id = self._pending.popleft()
             if goal_id.id == accepted:
                 break
-            self._topics.say(goal_id, GoalStatus.RECALLED, another)
+            self._topics.report(goal_id, GoalStatus.RECALLED, why)
         self._deadline = time.monotonic() + PATIENCE
 
     def _begin(self, now: rospy.Time) -> None:
-        """Begin to drive, as soon as it is known where the goal is in the odometry's frame."""
+        """Start to drive, once the goal is known in the frame of the odometry."""
         try:
             frame = self._known_frame()
             goal = self._frames.planar(self._target, frame, wait=False)
         except LabError as error:
             if self._moving != STANDSTILL:
-                # On its way to the goal before.
+                # The robot still moves towards the goal before.
                 self._moving = STANDSTILL
                 self._sender.stop()
-            may_come = isinstance(error, (OdometryError, FrameError))
-            if not may_come or time.monotonic() > self._deadline:
+            may_wait = isinstance(error, (OdometryError, FrameError))
+            if not may_wait or time.monotonic() > self._deadline:
                 self._end(now, GoalStatus.ABORTED, str(error))
             return
         self._driver = GoalDriver(goal, self._parameters.limits(), self._moving)
-        # Odometry may have paused while nobody asked for it.
+        # A pause of the odometry before the goal does not count.
         self._seen = now
         self._waiting = False
         x, y, yaw = goal
         rospy.loginfo("driving to (%.2f, %.2f) m, %.0f degrees", x, y, math.degrees(yaw))
         goal_id = self._server.current_goal.get_goal_id()
-        self._topics.say(goal_id, GoalStatus.ACTIVE, "driving")
+        self._topics.report(goal_id, GoalStatus.ACTIVE, "driving")
         self._topics.begin(now, frame, goal)
 
     def _take_odometry(self, now: rospy.Time) -> None:
@@ -356,8 +362,8 @@ class DriveToGoal:
                 self._waiting = False
                 rospy.loginfo("odometry is back")
 
-    def _knows_where_it_is(self, now: rospy.Time) -> bool:
-        """Return whether there is fresh odometry; stop the robot, or give up, where not."""
+    def _has_fresh_odometry(self, now: rospy.Time) -> bool:
+        """Return whether the odometry is recent; if not, stop the robot, or abort the goal."""
         odom, patience = self._parameters.odom, self._parameters.patience
         silence = (now - self._seen).to_sec()
         if self._pose is not None and silence <= self._parameters.stale:
@@ -372,36 +378,39 @@ class DriveToGoal:
         return False
 
     def _end(self, now: rospy.Time, status: int, text: str, stop: bool = True) -> None:
-        """Stop, and tell how it ended."""
-        begun, self._driver = self._driver is not None, None
+        """End the goal, stop the robot, and report the outcome."""
+        begun = self._driver is not None
+        self._driver = None
         if stop:
             self._sender.stop()
-        say = rospy.loginfo if status == GoalStatus.SUCCEEDED else rospy.logwarn
-        say("%s", text)
+        log = rospy.loginfo if status == GoalStatus.SUCCEEDED else rospy.logwarn
+        log("%s", text)
         goal_id = self._server.current_goal.get_goal_id()
         if begun:
-            self._topics.say(goal_id, status, text)
+            self._topics.report(goal_id, status, text)
             self._topics.end(now, status, self._pose)
         else:
-            self._topics.say(goal_id, NOT_BEGUN[status], text)
+            self._topics.report(goal_id, NOT_BEGUN[status], text)
         self._server.end(status, text=text)
 
     def _time_was_set_back(self) -> None:
         self._odometry.clear()
         self._frames.clear()
         self._server.forget_cancels()
-        self._pose, self._seen = None, rospy.Time(0)
+        self._pose = None
+        self._seen = rospy.Time(0)
         if self._server.is_active():
             self._end(rospy.Time(0), GoalStatus.ABORTED, "simulated time was set back")
 
 
-def _read_odometry(message: Odometry) -> Tuple[str, PlanarPose]:
+def _read_odometry(message: Odometry) -> tuple[str, PlanarPose]:
     frame = message.header.frame_id.lstrip("/")
     if not frame:
-        raise OdometryError("it has no frame_id")
+        raise OdometryError("no frame_id")
     return frame, planar_pose(message)
 
 
-def main() -> None:
-    """Run the node."""
-    run_node("drive_to_goal", lambda: DriveToGoal(private_parameters(DriveToGoalParameters)).run())
+@node
+def drive_to_goal(parameters: DriveToGoalParameters) -> None:
+    """Run until ROS shuts down."""
+    DriveToGoal(parameters).run()

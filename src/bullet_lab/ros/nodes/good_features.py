@@ -1,7 +1,7 @@
 """Detector of good features to track (Shi and Tomasi).
 
 :ROS Parameters: see `GoodFeaturesParameters`.
-:ROS Subscribers, while somebody listens: ~image and its camera_info
+:ROS Subscribers, while a result has a subscriber: ~image and its camera_info
 :ROS Publishers:
     - ~points (bullet_lab/ImagePoints), the strongest first
     - ~image_annotated (blue discs, as in figure 7c), ~camera_info, /diagnostics, see `image_node`
@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Mapping
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import integer, number
 from bullet_lab.msg import ImagePoints
 from bullet_lab.ros.messages.images import points_message
 from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
@@ -24,15 +24,15 @@ from bullet_lab.vision.features import good_features
 class GoodFeaturesParameters(ImageParameters):
     """Private parameters of good_features."""
 
-    max_corners: int = parameters.integer(25, "at most so many", 1, 100000)
-    quality: float = parameters.number(
-        0.01, "least strength, as part of the strongest", above=0.0, maximum=1.0
+    max_corners: int = integer(25, "greatest number of features", 1, 100000)
+    quality: float = number(
+        0.01, "least strength, as a share of the strongest", above=0.0, maximum=1.0
     )
-    min_distance: float = parameters.number(10.0, "between two of them, px", minimum=0.0)
+    min_distance: float = number(10.0, "px between two features", minimum=0.0)
 
 
 class GoodFeatures(ImageNode):
-    """Answers images with their good features."""
+    """Publishes the good features of each image."""
 
     task = "feature detection"
     outputs = {"points": ImagePoints}

@@ -1,8 +1,8 @@
-"""The bridge as gazebo_ros's executables gzserver and gazebo start it.
+"""The bridge with the command line of gazebo_ros's executables gzserver and gazebo.
 
 :ROS Parameters:
     - /gazebo/pub_clock_frequency (number, 100): messages on /clock per simulated second
-:Everything else: see `bullet_lab.ros.nodes.bridge`. The robot comes by the spawn services.
+:Everything else: see `bullet_lab.ros.nodes.bridge`. Robots are spawned by the services.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Optional, Sequence, Tuple
+from typing import Sequence
 
 import rospy
 
@@ -24,30 +24,32 @@ from bullet_lab.ros.nodes.bridge import BridgeParameters, serve
 from bullet_lab.simulation.world.resources import listed_folders, package_share
 
 CLOCK_RATE = "/gazebo/pub_clock_frequency"
-# They give Gazebo its ROS interface, which the bridge has.
+# Beginning of the file names of Gazebo's ROS interface, which the bridge has.
 ROS_PLUGINS = "libgazebo_ros_"
 
-# Options without a meaning here that are followed by a value.
-IDLE_VALUES = (
-    ("-e", "--physics"),
-    ("-g", "--gui-plugin"),
-    ("-o", "--profile"),
-    ("--record_encoding",),
-    ("--record_path",),
-    ("--record_period",),
-    ("--record_filter",),
-    ("--gui-client-plugin",),
+# Options with a value that are ignored, by their short and long names.
+IGNORED_VALUES = (
+    "-e --physics",
+    "-g --gui-plugin",
+    "-o --profile",
+    "--record_encoding",
+    "--record_path",
+    "--record_period",
+    "--record_filter",
+    "--gui-client-plugin",
 )
-IDLE_FLAGS = (
-    ("-r", "--record"),
-    ("--record_resources",),
-    ("-q", "--quiet"),
-    ("--verbose",),
-    ("--minimal_comms",),
-    ("--lockstep",),
+# Options without a value that are ignored.
+IGNORED_FLAGS = (
+    "-r --record",
+    "--record_resources",
+    "-q --quiet",
+    "--verbose",
+    "--minimal_comms",
+    "--lockstep",
 )
-# What others do with these would be missed.
-REFUSED = (("-p", "--play"), ("--iters",), ("--initial_sim_time",))
+# Options that are refused, as a user would miss their effect.
+REFUSED = ("-p --play", "--iters", "--initial_sim_time")
+
 
 @dataclass(frozen=True)
 class ServerArguments:
@@ -56,46 +58,44 @@ class ServerArguments:
     Attributes:
         world: name of the world file, as given.
         paused: whether to start paused.
-        seed: of all that is random.
+        seed: of the random draws.
         plugins: server plugins that are not simulated, by the names of their files.
     """
 
     world: str = "worlds/empty.world"
     paused: bool = False
     seed: int = 0
-    plugins: Tuple[str, ...] = ()
+    plugins: tuple[str, ...] = ()
 
 
 def parse_server_arguments(words: Sequence[str]) -> ServerArguments:
-    """Read gzserver's arguments, less those of ROS.
+    """Read the arguments of gzserver, without those of ROS.
 
-    Options that have no meaning here (recording, the choice of a physics engine, …) are passed
-    over.
+    Options without a meaning here (recording, the choice of a physics engine, …) are ignored.
 
     Raises:
-        ArgumentsError: an option that is unknown, or one whose effect would be missed.
+        ArgumentsError: an option that is unknown or refused.
     """
     parser = ArgumentParser(prog="gzserver", add_help=False, allow_abbrev=False)
     parser.add_argument("world", nargs="?", default=ServerArguments.world)
     parser.add_argument("-u", "--pause", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-s", "--server-plugin", action="append", default=[])
-    for names in IDLE_FLAGS:
-        parser.add_argument(*names, action="store_true")
-    for names in IDLE_VALUES:
-        parser.add_argument(*names, action="append")
-    for names in REFUSED:
-        parser.add_argument(*names, dest=names[-1].lstrip("-"))
-    # Launch files leave empty words where an argument of theirs is empty.
+    for names in IGNORED_FLAGS:
+        parser.add_argument(*names.split(), action="store_true")
+    for names in (*IGNORED_VALUES, *REFUSED):
+        parser.add_argument(*names.split(), action="append")
+    # Launch files have empty words for empty arguments.
     found = parser.parse_args([word for word in words if word])
     for names in REFUSED:
-        if getattr(found, names[-1].lstrip("-")) is not None:
-            raise ArgumentsError(f"{names[-1]} is not simulated")
+        option = names.split()[-1]
+        if getattr(found, option.lstrip("-")) is not None:
+            raise ArgumentsError(f"{option} is not simulated")
     if found.seed < 0:
         raise ArgumentsError(f"--seed {found.seed} is negative")
     plugins = (Path(name).name for name in found.server_plugin)
-    strange = tuple(name for name in plugins if not name.startswith(ROS_PLUGINS))
-    return ServerArguments(found.world, found.pause, found.seed, strange)
+    others = tuple(name for name in plugins if not name.startswith(ROS_PLUGINS))
+    return ServerArguments(found.world, found.pause, found.seed, others)
 
 
 def bridge_parameters(arguments: ServerArguments) -> BridgeParameters:
@@ -115,28 +115,27 @@ def bridge_parameters(arguments: ServerArguments) -> BridgeParameters:
         raise ParameterError(str(error).replace("~clock_rate", CLOCK_RATE)) from error
 
 
-def find_world(name: str, folder: Optional[Path] = None) -> str:
-    """Return what names a world file for the bridge.
+def find_world(name: str, folder: Path | None = None) -> str:
+    """Return the path or URI of a world file.
 
     As in Gazebo, a relative name is looked up in the working folder, then in the folders of
-    GAZEBO_RESOURCE_PATH; the last of them is this package's, which has worlds/empty.world.
+    GAZEBO_RESOURCE_PATH, then in this package, which has worlds/empty.world.
 
     Args:
-        name: a path, or a URI, which is returned as it is.
-        folder: the working folder.
+        name: a path, or a URI, which is returned unchanged.
+        folder: the working folder, by default that of the process.
 
     Raises:
         ArgumentsError: there is no such file.
     """
     if "://" in name or Path(name).is_absolute():
         return name
-    listed = listed_folders("GAZEBO_RESOURCE_PATH")
-    folders = [folder or Path.cwd(), *listed, package_share()]
+    folders = [folder or Path.cwd(), *listed_folders("GAZEBO_RESOURCE_PATH"), package_share()]
     for place in folders:
         if (place / name).is_file():
             return str((place / name).absolute())
-    looked = ", ".join(map(str, folders))
-    raise ArgumentsError(f"world '{name}' is in none of {looked} (GAZEBO_RESOURCE_PATH)")
+    searched = ", ".join(map(str, folders))
+    raise ArgumentsError(f"world '{name}' is in none of {searched} (GAZEBO_RESOURCE_PATH)")
 
 
 def main() -> None:

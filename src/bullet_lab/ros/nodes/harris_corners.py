@@ -1,7 +1,7 @@
 """Corner detector (Harris).
 
 :ROS Parameters: see `HarrisParameters`.
-:ROS Subscribers, while somebody listens: ~image and its camera_info
+:ROS Subscribers, while a result has a subscriber: ~image and its camera_info
 :ROS Publishers:
     - ~points (bullet_lab/ImagePoints), the strongest first
     - ~image_annotated (blue squares, as in figure 7d), ~camera_info, /diagnostics, see
@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Mapping
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import integer, number, odd
 from bullet_lab.msg import ImagePoints
 from bullet_lab.ros.messages.images import points_message
 from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
@@ -25,16 +25,16 @@ from bullet_lab.vision.features import harris_corners
 class HarrisParameters(ImageParameters):
     """Private parameters of harris_corners."""
 
-    block_size: int = parameters.integer(2, "size of the neighbourhood, px", 1, 31)
-    aperture: int = parameters.odd(3, "size of the Sobel operator, px", 1, 31)
-    k: float = parameters.number(0.04, "Harris' free parameter", above=0.0, maximum=0.25)
-    threshold: float = parameters.number(
-        0.01, "least response, as part of the largest", above=0.0, maximum=1.0
+    block_size: int = integer(2, "size of the neighbourhood, px", 1, 31)
+    aperture: int = odd(3, "size of the Sobel operator, px", 1, 31)
+    k: float = number(0.04, "Harris' free parameter", above=0.0, maximum=0.25)
+    threshold: float = number(
+        0.01, "least response, as a share of the largest", above=0.0, maximum=1.0
     )
 
 
 class HarrisCorners(ImageNode):
-    """Answers images with their corners."""
+    """Publishes the corners of each image."""
 
     task = "corner detection"
     outputs = {"points": ImagePoints}

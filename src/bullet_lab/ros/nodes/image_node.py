@@ -1,24 +1,27 @@
-"""The base of the nodes that process images: when they work, what they take, how they fare.
+"""The base class of nodes that process images, and the smallest of them, view_camera.
 
-A node subscribes to the image and its camera_info only while somebody listens to one of its
-results. Each image that comes is processed once, in order.
+A node subscribes to the image and its camera_info only while one of its results has a subscriber.
+It processes each image once, in order.
 
-A new detector is a subclass of `ImageNode` with its parameters, and the 7 lines in scripts/ that
-run it; `bullet_lab.ros.nodes.harris_corners` is one to begin with.
+A new detector is a subclass of `ImageNode` with its parameters, and an executable in scripts/;
+`bullet_lab.ros.nodes.harris_corners` is a short example.
 
-:ROS Publishers, beside the node's own:
-    - ~image_annotated (sensor_msgs/Image): what was found, drawn into the image
-    - ~camera_info (sensor_msgs/CameraInfo): that of the image, for each annotated one
+:ROS Parameters: see `ImageParameters` and those of the node
+:ROS Subscribers, while a result has a subscriber: ~image and its camera_info
+:ROS Publishers, beside those of the node:
+    - ~image_annotated (sensor_msgs/Image): the image with the results drawn into it
+    - ~camera_info (sensor_msgs/CameraInfo): of each annotated image
     - /diagnostics (diagnostic_msgs/DiagnosticArray), once a second of wall time
 """
 
 from __future__ import annotations
 
+import functools
 import threading
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Mapping, Optional
+from typing import Any, Callable, Mapping
 
 import cv2
 import numpy as np
@@ -26,55 +29,54 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import text
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.images import image_message, pixels_of
 from bullet_lab.ros.node.diagnostics import Diagnostics, Health, Traffic
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
 from bullet_lab.ros.node.publishers import Demand, Publisher, subscriber
+from bullet_lab.vision.drawing import draw_text
 
-# Larger than an image, so that old ones do not pile up in the socket.
+# Larger than an image, so that old images do not collect in the socket.
 _BUFFER_BYTES = 2**24
 # Wall seconds that the first image waits for its camera_info.
 _INFO_PATIENCE = 1.0
-# Wall seconds without an image after which that is a warning.
+# Wall seconds without an image until the diagnostics warn.
 _SILENCE = 1.5
 
 
-class RepeatedImageError(LabError):
-    """An image whose stamp came before."""
+class DuplicateImageError(LabError):
+    """An image has the stamp of the image before."""
 
 
 @dataclass(frozen=True)
 class ImageParameters:
     """Private parameters of all nodes that process images."""
 
-    image: str = parameters.text("/mycamera/image_raw", "topic of the images")
-    camera_info: str = parameters.text("", "topic of their camera_info; empty: beside the image")
+    image: str = text("/mycamera/image_raw", "topic of the images")
+    camera_info: str = text("", "topic of their camera_info; empty: beside the image")
 
     @property
     def info_topic(self) -> str:
-        """Where camera_info comes from."""
+        """The topic of camera_info."""
         return self.camera_info or f"{self.image.rpartition('/')[0]}/camera_info".replace("//", "/")
 
 
 class CameraImage:
-    """An image that has come, decoded when it is asked for; `info` is the newest camera_info."""
+    """An image, which is decoded on demand; `info` is the newest camera_info."""
 
-    def __init__(self, message: Image, info: Optional[CameraInfo]):
+    def __init__(self, message: Image, info: CameraInfo | None):
         self.header = message.header
         self.info = info
-        self.width, self.height = message.width, message.height
+        self.width = message.width
+        self.height = message.height
         self._message = message
-        self._grey: Optional[np.ndarray] = None
 
-    @property
+    @functools.cached_property
     def grey(self) -> np.ndarray:
         """The image in grey levels, (height, width) uint8; raises ImageError."""
-        if self._grey is None:
-            self._grey = pixels_of(self._message, "mono8")
-        return self._grey
+        return pixels_of(self._message, "mono8")
 
     def colour(self) -> np.ndarray:
         """Return a copy to draw into, (height, width, 3) uint8 BGR; raises ImageError."""
@@ -82,15 +84,15 @@ class CameraImage:
 
 
 class ImageNode(ABC):
-    """The base of the nodes that process images.
+    """The base class of nodes that process images.
 
     Args:
-        parameters: those of the node.
-        always: whether to work even if nobody listens.
+        parameters: of the node.
+        always: whether to process images even without a subscriber to a result.
 
     Attributes:
-        task: what the node does, for the diagnostics.
-        outputs: its private topics and their types; to listen to one is to ask for work.
+        task: of the node, for the diagnostics.
+        outputs: its private topics and their types; the node works while one has a subscriber.
         parameters: as given.
     """
 
@@ -98,48 +100,46 @@ class ImageNode(ABC):
     outputs: Mapping[str, type] = {}
 
     def __init__(self, parameters: Any, always: bool = False):
-        # One thread is enough, and leaves the other cores to the simulation.
+        # One thread is enough and leaves the other cores to the simulation.
         cv2.setNumThreads(1)
         self.parameters = parameters
         self._lock = threading.Condition()
-        self._info: Optional[CameraInfo] = None
+        self._info: CameraInfo | None = None
         self._waits_for_info = True
-        self._last_stamp: Optional[rospy.Time] = None
-        # To camera_info and to images, while there is work.
-        self._subscribers: List[rospy.Subscriber] = []
+        self._last_stamp: rospy.Time | None = None
+        # To camera_info and to the images, while there is demand.
+        self._subscribers: list[rospy.Subscriber] = []
         self._demand = Demand(self._start, self._stop, always)
         self._traffic = Traffic()
         self._refusals = Refusals()
         self._trouble = ""
         self._figures: Mapping[str, Any] = {}
         topics = {"image_annotated": Image, "camera_info": CameraInfo, **self.outputs}
-        self._publishers: Dict[str, Publisher] = {
-            # An old image is of no use; of anything else, 10 may wait.
-            topic: self._demand.publisher(
-                f"~{topic}", kind, 1 if kind in (Image, CameraInfo) else 10
-            )
-            for topic, kind in topics.items()
-        }
+        self._publishers: dict[str, Publisher] = {}
+        for topic, kind in topics.items():
+            # Old images are of no use.
+            queue_size = 1 if kind in (Image, CameraInfo) else 10
+            self._publishers[topic] = self._demand.publisher(f"~{topic}", kind, queue_size)
         self._diagnostics = Diagnostics(self.task, self._diagnose)
 
-    # For the nodes
+    # For subclasses
 
     @abstractmethod
     def process(self, image: CameraImage) -> Mapping[str, Any]:
-        """Publish what is found and return figures for the diagnostics; raises LabError."""
+        """Publish the results and return figures for the diagnostics; raises LabError."""
 
     def process_unusable(self, image: CameraImage) -> None:
-        """Publish an answer to an image that cannot be used, where an answer is due."""
+        """Publish an empty result for an image that cannot be used."""
 
     def reset(self) -> None:
-        """Forget all that was before, as time was set back or the work was interrupted."""
+        """Forget earlier images, as time was set back or some are missing."""
 
     def health(self) -> Health:
-        """Return how the node fares while images come."""
+        """Return the health of the node while images come."""
         return Health(DiagnosticStatus.OK, "images come")
 
     def has_listeners(self, topic: str) -> bool:
-        """Return whether somebody listens to an output."""
+        """Return whether an output has a subscriber."""
         return self._publishers[topic].has_connections()
 
     def publish(self, topic: str, message: Any) -> None:
@@ -147,26 +147,25 @@ class ImageNode(ABC):
         self._publishers[topic].publish(message)
 
     def annotate(self, image: CameraImage, draw: Callable[[np.ndarray], None]) -> None:
-        """Publish the image, if somebody listens; `draw` gets (height, width, 3) uint8 BGR."""
+        """Publish the image if it has a subscriber; `draw` gets (height, width, 3) uint8 BGR."""
         if self.has_listeners("image_annotated"):
             canvas = image.colour()
             draw(canvas)
             self.publish("image_annotated", image_message(image.header, canvas, "bgr8"))
 
     def refuse(self, topic: str, reason: str) -> None:
-        """Count something that cannot be used and say why, once a second at most."""
+        """Count a message that cannot be used, and log the reason at most once a second."""
         self._trouble = reason
         self._refusals.refuse(topic, reason)
 
-    # The work
+    # Images
 
     def start(self) -> None:
-        """Begin to work when somebody listens."""
+        """Start; images are processed while a result has a subscriber."""
         self._diagnostics.start()
         self._demand.watch()
-        join_when(
-            self._is_connected, f"a listener, and somebody to publish {self.parameters.image}"
-        )
+        what = f"a subscriber to a result and a publisher of {self.parameters.image}"
+        join_when(self._is_connected, what)
 
     def _is_connected(self) -> bool:
         with self._lock:
@@ -175,7 +174,9 @@ class ImageNode(ABC):
 
     def _start(self) -> None:
         with self._lock:
-            self._info, self._waits_for_info, self._last_stamp = None, True, None
+            self._info = None
+            self._waits_for_info = True
+            self._last_stamp = None
             self.reset()
             info = subscriber(self.parameters.info_topic, CameraInfo, self._receive_info)
             images = subscriber(
@@ -199,7 +200,7 @@ class ImageNode(ABC):
         start = time.monotonic()
         try:
             self._check_time(message)
-        except RepeatedImageError as error:
+        except DuplicateImageError as error:
             self.refuse(self.parameters.image, str(error))
             return
         image = CameraImage(message, self._info_now())
@@ -214,8 +215,8 @@ class ImageNode(ABC):
             self.publish("camera_info", image.info)
         self._traffic.note(time.monotonic() - start)
 
-    def _info_now(self) -> Optional[CameraInfo]:
-        """Return the newest camera_info; the first image waits for it a little."""
+    def _info_now(self) -> CameraInfo | None:
+        """Return the newest camera_info; the first image waits for it."""
         with self._lock:
             if self._info is None and self._waits_for_info:
                 self._lock.wait_for(lambda: self._info is not None, _INFO_PATIENCE)
@@ -226,14 +227,14 @@ class ImageNode(ABC):
         stamp, last = message.header.stamp, self._last_stamp
         if last is not None and not stamp.is_zero():
             if stamp == last:
-                raise RepeatedImageError(f"a second image of {stamp.to_sec():.3f} s")
+                raise DuplicateImageError(f"duplicate image with stamp {stamp.to_sec():.3f} s")
             if stamp < last:
-                rospy.loginfo("%s: time was set back: starting anew", self.parameters.image)
+                rospy.loginfo("%s: time was set back: resetting", self.parameters.image)
                 self.reset()
         self._last_stamp = stamp
 
     def _diagnose(self) -> Health:
-        figures: Dict[str, str] = self._traffic.figures()
+        figures = self._traffic.figures()
         figures.update({key: str(value) for key, value in dict(self._figures).items()})
         figures["refused"] = str(self._refusals.total)
         health = self._verdict()
@@ -241,11 +242,11 @@ class ImageNode(ABC):
 
     def _verdict(self) -> Health:
         if not self._demand.is_there:
-            return Health(DiagnosticStatus.OK, "idle: nobody listens")
+            return Health(DiagnosticStatus.OK, "idle: no subscriber")
         if self._traffic.silence > _SILENCE:
             with self._lock:
                 known = any(one.get_num_connections() for one in self._subscribers[1:])
-            reason = "nothing comes" if known else "nobody publishes it"
+            reason = "no messages" if known else "no publisher"
             topic = self.parameters.image
             return Health(DiagnosticStatus.WARN, f"no image on {topic}: {reason}")
         if self._trouble:
@@ -253,11 +254,29 @@ class ImageNode(ABC):
         return self.health()
 
 
+class ViewCamera(ImageNode):
+    """Publishes images with their time and size written into them."""
+
+    task = "camera view"
+
+    def process(self, image: CameraImage) -> Mapping[str, Any]:
+        """Publish the image."""
+        size = f"{image.width} x {image.height}"
+        stamp = image.header.stamp.to_sec()
+        self.annotate(image, lambda canvas: draw_text(canvas, f"{size}  {stamp:.2f} s", (8, 16)))
+        return {"size": size, "mean grey level": f"{image.grey.mean():.0f}"}
+
+
 def run_image_node(name: str, kind: type, node: Callable[[Any], ImageNode]) -> None:
-    """Run a node that processes images, made by `node` of parameters of a kind."""
+    """Run a node that processes images; `kind` is the class of its parameters."""
 
     def body() -> None:
         node(private_parameters(kind)).start()
         rospy.spin()
 
     run_node(name, body)
+
+
+def view_camera() -> None:
+    """Run the node view_camera."""
+    run_image_node("view_camera", ImageParameters, ViewCamera)

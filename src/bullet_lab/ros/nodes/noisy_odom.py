@@ -1,29 +1,37 @@
-"""The node that makes perfect odometry noisy, as real odometry is.
+"""Adds noise and systematic errors to perfect odometry, so that it is like real odometry.
 
 :ROS Parameters: see `NoisyOdomParameters`.
 :ROS Subscribers: odom (nav_msgs/Odometry)
 :ROS Publishers:
     - noisy_odom (nav_msgs/Odometry), one message for each on odom, with its stamp
-    - noisy_odom_ellipse (visualization_msgs/Marker): where the robot is with 95 % probability
-:ROS Services: noisy_odom_node/set_noise (bullet_lab/SetNoise): another noise from now on
+    - noisy_odom_ellipse (visualization_msgs/Marker): 95 % ellipse of the position
+:ROS Services: noisy_odom_node/set_noise (bullet_lab/SetNoise): change the noise
 
-With ~robots, one node does this for as many robots, each in its namespace: robot1 and so on.
+With ~robots, one node serves that many robots, each in its namespace: robot1 and so on.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, make_dataclass, replace
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Sequence
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+)
 from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
-from bullet_lab.core import parameters
-from bullet_lab.core.se2 import ellipse_points, quaternion_from_yaw
+from bullet_lab.core.parameters import boolean, choice, integer, number
+from bullet_lab.core.se2 import PlanarPose, ellipse_points, quaternion_from_yaw
 from bullet_lab.noise.odometry_noise import (
     MODELS,
     NoiseError,
@@ -37,13 +45,13 @@ from bullet_lab.noise.odometry_noise import (
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, SystematicStep
 from bullet_lab.ros.node.lock_step import join_when
-from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
+from bullet_lab.ros.node.node import Refusals, node
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_numbers, planar_pose
 from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
 
-# Where x, y and yaw stand in the 6x6 covariances of ROS (REP 103).
+# Indices of x, y and yaw in the 6x6 covariances of ROS (REP 103).
 PLANAR_AXES = (0, 1, 5)
 QUEUE_SIZE = 100
 
@@ -53,24 +61,24 @@ _NoiseParameters: Any = make_dataclass("_NoiseParameters", noise_fields(), froze
 
 @dataclass(frozen=True)
 class NoisyOdomParameters(_NoiseParameters, SystematicErrors):
-    """Private parameters of noisy_odom, beside ~std and so on of the noise models.
+    """Private parameters of noisy_odom, with those of the noise models and systematic errors.
 
-    Systematic errors, ~scale_error and so on, come first; the noise goes on top.
+    The noise is added to the odometry with the systematic errors.
     """
 
-    model: str = parameters.choice("report", "rule of the noise", MODELS)
-    seed: int = parameters.integer(0, "of the random draws", minimum=0)
-    robots: int = parameters.integer(
+    model: str = choice("report", "rule of the noise", MODELS)
+    seed: int = integer(0, "of the random draws", minimum=0)
+    robots: int = integer(
         0, "serve robot1 … robot<n>, each with a seed of its own derived from ~seed", 0, MOST_ROBOTS
     )
-    as_published: bool = parameters.boolean(False, "run the report's algorithm, defects and all")
-    rate: float = parameters.number(
+    as_published: bool = boolean(False, "run the report's algorithm with its defects")
+    rate: float = number(
         PUBLISHED_RATE, "Hz at which as_published samples the odometry", above=0.0
     )
 
 
 class NoisyOdometry:
-    """Puts noise on odom and publishes noisy_odom.
+    """Adds noise to odom and publishes noisy_odom.
 
     Args:
         parameters: of this robot.
@@ -79,9 +87,9 @@ class NoisyOdometry:
 
     def __init__(self, parameters: NoisyOdomParameters, namespace: str = ""):
         self.std = parameters.std
-        self.msg: Optional[Odometry] = None
-        self.last_odom: Optional[Odometry] = None
-        self.pose = [0.0, 0.0, 0.0]
+        self.msg: Odometry | None = None
+        self.last_odom: Odometry | None = None
+        self.pose: PlanarPose = (0.0, 0.0, 0.0)
         self._sampler = Sampler(parameters.rate) if parameters.as_published else None
         self._published = PublishedNoise(parameters.std, parameters.seed)
         self._model = parameters.model
@@ -94,11 +102,11 @@ class NoisyOdometry:
         self._ellipse = Publisher(f"{namespace}noisy_odom_ellipse", Marker, queue_size=1)
         self._service = rospy.Service(_service_name(namespace), SetNoise, self.set_noise)
         self._topic = f"{namespace}odom"
-        # No queue size: a message that is dropped here would be missing in the noisy path.
+        # No queue size: each message is a step of the noisy path.
         self.sub = subscriber(self._topic, Odometry, self.odom_callback)
 
     def odom_callback(self, msg: Odometry) -> None:
-        """Take the next message; refuse it if it is no pose in the frames of the first."""
+        """Take the next message; refuse one that is invalid or has other frames than the first."""
         try:
             pose = planar_pose(msg)
             check_numbers(msg)
@@ -114,16 +122,16 @@ class NoisyOdometry:
             self.compute_noise(msg, reported)
 
     def compute_noise(self, msg: Odometry, reported: SystematicStep) -> None:
-        """Publish the noisy version of a message, of which systematic errors leave `reported`."""
-        noisy = _copy(msg)
+        """Publish a message with noise, from its pose with systematic errors, `reported`."""
         if self._sampler is not None:
-            self.pose = list(self._published.update(*reported.pose))
+            self.pose = self._published.update(*reported.pose)
+            noisy = _at(msg, self.pose)
         else:
             step = self._path.update(*reported.pose)
-            self.pose = list(step.pose)
+            self.pose = step.pose
+            noisy = _at(msg, self.pose)
             errors = (reported.motion_error, step.motion_error)
-            _set_uncertainty(noisy, step, errors, self._seconds_since_last(msg))
-        _set_pose(noisy, self.pose)
+            _add_noise(noisy, step, errors, self._seconds_since_last(msg))
         self.last_odom = msg
         self.pub.publish(noisy)
         if self._sampler is None and self._ellipse.has_connections():
@@ -132,7 +140,7 @@ class NoisyOdometry:
     def set_noise(self, request: SetNoiseRequest) -> SetNoiseResponse:
         """Change the noise from the next message on."""
         if self._sampler is not None:
-            return SetNoiseResponse(False, "as_published runs the report's noise as it was")
+            return SetNoiseResponse(False, "set_noise: as_published has the report's noise only")
         model, noise = request.model or self._model, {**self._noise, "std": request.std}
         try:
             if request.alphas:
@@ -140,17 +148,19 @@ class NoisyOdometry:
             self._path.change_rule(rule_of(model, noise))
         except NoiseError as error:
             return SetNoiseResponse(False, str(error))
-        self._model, self.std, self._noise = model, request.std, noise
+        self.std = request.std
+        self._model = model
+        self._noise = noise
         rospy.loginfo("noise is now %s with std %g", model, request.std)
         return SetNoiseResponse(True, "")
 
     def _check_time(self, msg: Odometry) -> None:
-        """Start anew where time was set back; raises OdometryError on a repeated stamp."""
+        """Start a new path if time was set back; raises OdometryError for a duplicate stamp."""
         stamp, last = msg.header.stamp, self.msg.header.stamp
         if stamp == last:
-            raise OdometryError(f"the stamp {stamp.to_sec():.9f} s came before")
+            raise OdometryError(f"duplicate stamp {stamp.to_sec():.9f} s")
         if stamp < last:
-            rospy.loginfo("time was set back: the noisy path starts anew")
+            rospy.loginfo("time was set back: starting a new noisy path")
             self.last_odom = None
             self._systematic.restart()
             self._path.restart()
@@ -158,21 +168,21 @@ class NoisyOdometry:
             if self._sampler is not None:
                 self._sampler.restart()
 
-    def _seconds_since_last(self, msg: Odometry) -> Optional[float]:
+    def _seconds_since_last(self, msg: Odometry) -> float | None:
         if self.last_odom is None:
             return None
         return (msg.header.stamp - self.last_odom.header.stamp).to_sec()
 
 
 def _service_name(namespace: str) -> str:
-    """Return the name that set_noise would have if a node ran in each namespace."""
+    """Return the name of set_noise, as if a node ran in each namespace."""
     if not namespace:
         return "~set_noise"
-    node = rospy.get_name().rsplit("/", 1)[-1]
-    return f"{namespace}{node}/set_noise"
+    own = rospy.get_name().rsplit("/", 1)[-1]
+    return f"{namespace}{own}/set_noise"
 
 
-def robots_of(parameters: NoisyOdomParameters) -> Dict[str, NoisyOdomParameters]:
+def robots_of(parameters: NoisyOdomParameters) -> dict[str, NoisyOdomParameters]:
     """Return the parameters of each robot by its namespace, with a slash at its end."""
     if not parameters.robots:
         return {"": parameters}
@@ -182,35 +192,33 @@ def robots_of(parameters: NoisyOdomParameters) -> Dict[str, NoisyOdomParameters]
     }
 
 
-def _copy(msg: Odometry) -> Odometry:
-    """Return a message with the same content that shares nothing that will be changed.
+def _at(msg: Odometry, pose: PlanarPose) -> Odometry:
+    """Return a copy of a message at another pose; nothing that may change is shared.
 
-    (The published node overwrote the message that it also kept as the last perfect one.)
+    The node in the report changed the message that it also kept as the last perfect one.
     """
-    header = Header(0, msg.header.stamp, msg.header.frame_id)
-    copy = Odometry(header=header, child_frame_id=msg.child_frame_id)
-    copy.pose.pose.position.z = msg.pose.pose.position.z
-    copy.pose.covariance = list(msg.pose.covariance)
-    copy.twist.covariance = list(msg.twist.covariance)
+    x, y, yaw = pose
+    place = Point(x, y, msg.pose.pose.position.z)
+    turn = Quaternion(*quaternion_from_yaw(yaw))
     linear, angular = msg.twist.twist.linear, msg.twist.twist.angular
-    copy.twist.twist.linear = Vector3(linear.x, linear.y, linear.z)
-    copy.twist.twist.angular = Vector3(angular.x, angular.y, angular.z)
-    return copy
+    twist = Twist(
+        Vector3(linear.x, linear.y, linear.z), Vector3(angular.x, angular.y, angular.z)
+    )
+    return Odometry(
+        Header(0, msg.header.stamp, msg.header.frame_id),
+        msg.child_frame_id,
+        PoseWithCovariance(Pose(place, turn), list(msg.pose.covariance)),
+        TwistWithCovariance(twist, list(msg.twist.covariance)),
+    )
 
 
-def _set_pose(message: Odometry, pose: List[float]) -> None:
-    position, turn = message.pose.pose.position, message.pose.pose.orientation
-    position.x, position.y = pose[0], pose[1]
-    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(pose[2])
-
-
-def _set_uncertainty(
+def _add_noise(
     message: Odometry,
     step: NoisyStep,
-    errors: Sequence[Tuple[float, float, float]],
-    seconds: Optional[float],
+    errors: Sequence[tuple[float, float, float]],
+    seconds: float | None,
 ) -> None:
-    """Add the errors of the step to the twist, and covariances to those of the odometry."""
+    """Add the errors of a step to the twist, and its covariances to those of the odometry."""
     _add_covariance(message.pose.covariance, step.covariance, 1.0)
     if seconds is None:
         return
@@ -222,7 +230,7 @@ def _set_uncertainty(
     _add_covariance(message.twist.covariance, step.motion_covariance, 1.0 / seconds**2)
 
 
-def _add_covariance(entries: List[float], covariance, factor: float) -> None:
+def _add_covariance(entries: list[float], covariance, factor: float) -> None:
     values = covariance.tolist()
     for i, row in enumerate(PLANAR_AXES):
         for j, column in enumerate(PLANAR_AXES):
@@ -240,16 +248,11 @@ def ellipse_marker(noisy: Odometry, covariance: np.ndarray) -> Marker:
     return marker
 
 
-def main() -> None:
-    """Run the node."""
-
-    def body() -> None:
-        parameters = private_parameters(NoisyOdomParameters)
-        robots = [NoisyOdometry(its, name) for name, its in robots_of(parameters).items()]
-        join_when(
-            lambda: all(robot.sub.get_num_connections() > 0 for robot in robots),
-            "somebody to publish odom",
-        )
-        rospy.spin()
-
-    run_node("noisy_odom_node", body)
+@node
+def noisy_odom_node(parameters: NoisyOdomParameters) -> None:
+    """Run until ROS shuts down."""
+    robots = [NoisyOdometry(its, name) for name, its in robots_of(parameters).items()]
+    join_when(
+        lambda: all(robot.sub.get_num_connections() > 0 for robot in robots), "a publisher of odom"
+    )
+    rospy.spin()

@@ -1,15 +1,16 @@
-"""The node that places a beacon where RViz's "Publish Point" says.
+"""Spawns a beacon at each point that is clicked with RViz's "Publish Point".
 
 :ROS Parameters: see `PlaceBeaconParameters`.
 :ROS Subscribers:
-    - /clicked_point (geometry_msgs/PointStamped): where, in any frame; its height is passed over
-    - /bullet_lab/world (visualization_msgs/MarkerArray): what stands there already
+    - /clicked_point (geometry_msgs/PointStamped): in any frame; the height is ignored
+    - /bullet_lab/world (visualization_msgs/MarkerArray): the models of the world
 :ROS Publishers: ~placed (std_msgs/String), latched: name of the last beacon
 :ROS Service clients: /gazebo/spawn_sdf_model, get_world_properties, get_model_state
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Collection
@@ -19,13 +20,13 @@ from geometry_msgs.msg import PointStamped
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import number, text
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import InputError, pose_message
-from bullet_lab.ros.node.node import Refusals, private_parameters, run_node, wait_until
+from bullet_lab.ros.node.node import Refusals, node, wait_until
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.node.transforms import FrameFinder
 from bullet_lab.ros.nodes.populate import SERVICE, description_of
@@ -34,34 +35,32 @@ CLICKED = "/clicked_point"
 
 
 class OccupiedError(LabError):
-    """Something stands there already."""
+    """The place is too near to a model."""
 
 
 @dataclass(frozen=True)
 class PlaceBeaconParameters:
     """Private parameters of place_beacon."""
 
-    model: str = parameters.text(
+    model: str = text(
         "model://beacon", "what to place: model://…, or an SDF or URDF file, a path or package://"
     )
-    prefix: str = parameters.text("beacon", "first part of the names: beacon_0, beacon_1 …")
-    world_frame: str = parameters.text("world", "frame of the world")
-    clearance: float = parameters.number(
-        0.3, "m from the point to what stands there: a beacon's radius, and some more", above=0.0
+    prefix: str = text("beacon", "first part of the names: beacon_0, beacon_1 …")
+    world_frame: str = text("world", "frame of the world")
+    clearance: float = number(
+        0.3, "m from the point to other models: a beacon's radius and a margin", above=0.0
     )
-    robot_radius: float = parameters.number(0.3, "m that a robot takes up", above=0.0)
+    robot_radius: float = number(0.3, "m, radius of a robot", above=0.0)
 
 
 def free_name(prefix: str, taken: Collection[str]) -> str:
     """Return the first of prefix_0, prefix_1 … that is not taken."""
-    number = 0
-    while f"{prefix}_{number}" in taken:
-        number += 1
-    return f"{prefix}_{number}"
+    names = (f"{prefix}_{number}" for number in itertools.count())
+    return next(name for name in names if name not in taken)
 
 
 class PlaceBeacon:
-    """Places beacons, one for each click."""
+    """Spawns a beacon for each click."""
 
     def __init__(self, parameters: PlaceBeaconParameters):
         self._parameters = parameters
@@ -70,9 +69,9 @@ class PlaceBeacon:
         self._frames = FrameFinder()
         self._standing = StandingModels()
         self._placed = Publisher("~placed", String, queue_size=10, latch=True)
-        # Everything that stands there comes first, then what changes.
+        # The first message has all models, later ones have changes.
         self._world = rospy.Subscriber(WORLD, MarkerArray, self._standing.take)
-        wait_until(self._standing.is_known, f"somebody to publish {WORLD}")
+        wait_until(self._standing.is_known, f"a publisher of {WORLD}")
         self._clicks = rospy.Subscriber(CLICKED, PointStamped, self._receive, queue_size=10)
 
     def _receive(self, message: PointStamped) -> None:
@@ -105,18 +104,15 @@ class PlaceBeacon:
         if distance < self._parameters.clearance:
             raise OccupiedError(f"({x:.2f}, {y:.2f}) m is too near to {nearest}")
         room = self._parameters.clearance + self._parameters.robot_radius
-        # The robot is no part of what the bridge draws: RViz does, of its description.
+        # The markers leave out the robot, which RViz draws from its description.
         for name in set(names) - set(self._standing.names()):
             place = call("/gazebo/get_model_state", srv.GetModelState, name, "").pose.position
             if math.hypot(place.x - x, place.y - y) < room:
                 raise OccupiedError(f"({x:.2f}, {y:.2f}) m is too near to {name}")
 
 
-def main() -> None:
-    """Run the node."""
-
-    def body() -> None:
-        PlaceBeacon(private_parameters(PlaceBeaconParameters))
-        rospy.spin()
-
-    run_node("place_beacon", body)
+@node
+def place_beacon(parameters: PlaceBeaconParameters) -> None:
+    """Run until ROS shuts down."""
+    PlaceBeacon(parameters)
+    rospy.spin()

@@ -1,4 +1,4 @@
-"""The node that writes the running world, as the bridge tells it, to an SDF file.
+"""Writes the running world to an SDF file.
 
 Usage: rosrun bullet_lab save_world.py FILE
 
@@ -15,12 +15,12 @@ from pathlib import Path
 
 import rospy
 
-from bullet_lab.core import parameters
 from bullet_lab.core.files import make_folder, replace_file, write_json
+from bullet_lab.core.parameters import integer, number, text
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.node.lock_step import time_held_at
-from bullet_lab.ros.node.node import NodeError, private_parameters, run_node, wait_until
+from bullet_lab.ros.node.node import NodeError, node, wait_until
 from bullet_lab.srv import SaveWorld
 
 
@@ -28,24 +28,25 @@ from bullet_lab.srv import SaveWorld
 class SaveWorldParameters:
     """Private parameters of save_world."""
 
-    path: str = parameters.text("", "file to write; the argument FILE if empty")
-    summary: str = parameters.text("", "JSON file to write about it; none if empty")
-    models: int = parameters.integer(0, "wait until there are so many models", minimum=0)
-    at: float = parameters.number(
+    path: str = text("", "file to write; the argument FILE if empty")
+    summary: str = text("", "JSON file for figures about it; none if empty")
+    models: int = integer(0, "wait until there are this many models", minimum=0)
+    at: float = number(
         0.0, "s; in lock step, the simulated time to save at", minimum=0.0
     )
 
 
+@node
 def save_world(parameters: SaveWorldParameters) -> None:
     """Save the world; raises LabError."""
     names = [name for name in (parameters.path, *rospy.myargv(sys.argv)[1:]) if name]
     if len(names) != 1:
         raise NodeError("usage: save_world.py FILE")
-    # Relative to where the user is, not to where the bridge runs.
+    # Relative to the working folder of this node, not of the bridge.
     path = Path(names[0]).expanduser().absolute()
     make_folder(path.parent)
     wait_until(lambda: _count() >= parameters.models, f"{parameters.models} models")
-    # The bridge writes into its own folder only; this is the user's file.
+    # This node writes the file, as the bridge writes into its own folder only.
     with time_held_at(rospy.Time(parameters.at)):
         saved = call("/bullet_lab/save_world", SaveWorld, str(path), True)
     replace_file(path, lambda part: part.write_text(saved.text, encoding="utf-8"))
@@ -66,8 +67,3 @@ def save_world(parameters: SaveWorldParameters) -> None:
 
 def _count() -> int:
     return len(call("/gazebo/get_world_properties", srv.GetWorldProperties).model_names)
-
-
-def main() -> None:
-    """Run the node."""
-    run_node("save_world", lambda: save_world(private_parameters(SaveWorldParameters)))

@@ -1,20 +1,20 @@
-"""The node that shows in RViz what it has no display for: contacts of a bumper, inertial units.
+"""Converts contacts of a bumper and accelerations of an IMU into messages that RViz can show.
 
 :ROS Parameters: see `ShowSensorsParameters`.
-:ROS Subscribers, while somebody listens to what comes of them:
+:ROS Subscribers, while the results have a subscriber:
     - bumper (gazebo_msgs/ContactsState)
     - imu (sensor_msgs/Imu)
 :ROS Publishers:
     - ~contacts (visualization_msgs/MarkerArray): points of contact with their forces and normals
     - ~wrench (geometry_msgs/WrenchStamped): force and torque of all contacts together
-    - ~acceleration (geometry_msgs/AccelStamped): specific force, and no angular acceleration
+    - ~acceleration (geometry_msgs/AccelStamped): specific force, without angular acceleration
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Callable, Iterable, Iterator, Optional
+from typing import Any, Callable, Iterable, Iterator
 
 import numpy as np
 import rospy
@@ -23,17 +23,19 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import number, text
 from bullet_lab.core.pose import Vector
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import InputError, vector_of
-from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
+from bullet_lab.ros.node.node import Refusals, node
 from bullet_lab.ros.node.publishers import Demand
 
-POINT, FORCE = ColorRGBA(0.9, 0.1, 0.1, 1.0), ColorRGBA(0.9, 0.4, 0.0, 1.0)
+POINT = ColorRGBA(0.9, 0.1, 0.1, 1.0)
+FORCE = ColorRGBA(0.9, 0.4, 0.0, 1.0)
 NORMAL = ColorRGBA(0.1, 0.3, 0.9, 1.0)
+# m.
 NORMAL_LENGTH = 0.1
-# Forces of less (N) are not drawn as arrows: RViz refuses one without a length.
+# N; smaller forces have no arrow, as RViz refuses an arrow without a length.
 LEAST_FORCE = 0.01
 
 
@@ -41,18 +43,20 @@ LEAST_FORCE = 0.01
 class ShowSensorsParameters:
     """Private parameters of show_sensors."""
 
-    bumper: str = parameters.text("bumper", "topic of the contacts")
-    imu: str = parameters.text("imu", "topic of the inertial unit")
-    scale: float = parameters.number(0.02, "m of an arrow for each N of a contact", above=0.0)
+    bumper: str = text("bumper", "topic of the contacts")
+    imu: str = text("imu", "topic of the inertial unit")
+    scale: float = number(0.02, "m of an arrow for each N of a contact", above=0.0)
 
 
-class _Feed:
-    """Listens to one topic while somebody wants what is made of its messages."""
+class _Input:
+    """Subscribes to a topic while the results from its messages have a subscriber."""
 
     def __init__(self, topic: str, kind: type, show: Callable[[Any], None]):
-        self._topic, self._kind, self._show = topic, kind, show
+        self._topic = topic
+        self._kind = kind
+        self._show = show
         self._refusals = Refusals()
-        self._subscriber: Optional[rospy.Subscriber] = None
+        self._subscriber: rospy.Subscriber | None = None
         self.demand = Demand(self._start, self._stop)
 
     def _start(self) -> None:
@@ -71,17 +75,17 @@ class _Feed:
 
 
 class ShowSensors:
-    """Turns messages into others that RViz shows."""
+    """Converts the messages of a bumper and an IMU."""
 
     def __init__(self, parameters: ShowSensorsParameters):
         self._scale = parameters.scale
-        bumper = _Feed(parameters.bumper, msg.ContactsState, self._show_contacts)
+        bumper = _Input(parameters.bumper, msg.ContactsState, self._show_contacts)
         self._contacts = bumper.demand.publisher("~contacts", MarkerArray)
         self._wrench = bumper.demand.publisher("~wrench", WrenchStamped)
-        imu = _Feed(parameters.imu, Imu, self._show_imu)
+        imu = _Input(parameters.imu, Imu, self._show_imu)
         self._acceleration = imu.demand.publisher("~acceleration", AccelStamped)
-        for feed in (bumper, imu):
-            feed.demand.watch()
+        bumper.demand.watch()
+        imu.demand.watch()
 
     def _show_contacts(self, message: msg.ContactsState) -> None:
         total = total_wrench(message)
@@ -96,18 +100,18 @@ class ShowSensors:
 
 
 def total_wrench(message: msg.ContactsState) -> Wrench:
-    """Return force and torque of all contacts together; raises InputError."""
+    """Return the sum of the forces and torques of all contacts; raises InputError."""
     totals = [state.total_wrench for state in message.states]
     force = _sum(vector_of(total.force, "a force") for total in totals)
     return Wrench(force, _sum(vector_of(total.torque, "a torque") for total in totals))
 
 
 def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker]:
-    """Yield what shows all points of contact, in place of those of the message before.
+    """Yield markers for all contact points, which replace those of the message before.
 
     Args:
         message: of a bumper.
-        scale: m of an arrow for each N.
+        scale: length in m of an arrow for each N.
 
     Raises:
         InputError: a number is not finite, or a point has no normal or force.
@@ -117,7 +121,7 @@ def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker
     for state in message.states:
         count = len(state.contact_positions)
         if count != len(state.contact_normals) or count != len(state.wrenches):
-            raise InputError("points of contact without a normal or a force")
+            raise InputError("a contact point without a normal or a force")
         for place, normal, wrench in zip(
             state.contact_positions, state.contact_normals, state.wrenches
         ):
@@ -160,11 +164,8 @@ def _sum(vectors: Iterable[Vector]) -> Vector3:
     return Vector3(*np.sum([(0.0, 0.0, 0.0), *vectors], axis=0).tolist())
 
 
-def main() -> None:
-    """Run the node."""
-
-    def body() -> None:
-        ShowSensors(private_parameters(ShowSensorsParameters))
-        rospy.spin()
-
-    run_node("show_sensors", body)
+@node
+def show_sensors(parameters: ShowSensorsParameters) -> None:
+    """Run until ROS shuts down."""
+    ShowSensors(parameters)
+    rospy.spin()

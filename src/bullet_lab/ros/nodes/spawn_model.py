@@ -1,10 +1,10 @@
-"""gazebo_ros's spawn_model: puts a model into the running world, as launch files have it.
+"""Spawns a model with the command line of gazebo_ros's spawn_model, as in launch files.
 
 Usage: spawn_model -urdf|-sdf -file FILE|-param NAME|-database MODEL|-stdin -model NAME
     [-x -y -z -R -P -Y NUMBER] [-reference_frame NAME] [-robot_namespace NAME]
     [-gazebo_namespace NAME] [-wait MODEL] [-unpause] [-J JOINT POSITION] [-package_to_model] [-b]
 
-There is no database on the network: -database looks in the simulation's GAZEBO_MODEL_PATH.
+-database looks in the GAZEBO_MODEL_PATH of the simulation; there is no database on the network.
 
 :ROS Service clients: /gazebo/spawn_urdf_model or spawn_sdf_model (gazebo_msgs/SpawnModel),
     set_model_configuration, unpause_physics, delete_model
@@ -18,8 +18,9 @@ import contextlib
 import math
 import re
 import sys
+import threading
 from pathlib import Path
-from typing import Any, List, Sequence
+from typing import Any, Sequence
 
 import rospy
 from std_srvs.srv import Empty
@@ -39,35 +40,36 @@ USAGE_STATUS = 2
 
 
 def parse_spawn_arguments(words: Sequence[str], namespace: str = "/") -> argparse.Namespace:
-    """Read spawn_model's arguments, those of gazebo_ros for Noetic, less those of ROS.
+    """Read the arguments of spawn_model, as in gazebo_ros for Noetic, without those of ROS.
 
     Args:
         words: the arguments.
-        namespace: of the node; the robot's, if nothing else is said.
+        namespace: of the node; it is also the robot's by default.
 
     Returns:
-        What was said under the options' names, and besides
-            source, source_name: where the description is, such as "file" and the file's name.
+        The values of the options by their names, and
+            source, source_name: of the description, such as "file" and the file's name.
             pose: in the reference frame.
-            joints: positions to begin with by name, in rad or m.
+            joints: initial positions by name, in rad or m.
             bond: whether the model is deleted when this process ends.
 
     Raises:
-        ArgumentsError: something is unknown, missing, said twice or no number.
+        ArgumentsError: an option is unknown, missing or given twice, or its value invalid.
     """
-    told = _parser(namespace).parse_args(words)
-    told.source = next(key for key in ("file", "param", "database", "stdin") if vars(told)[key])
-    told.source_name = "" if told.stdin else vars(told)[told.source]
-    x, y, z, roll, pitch, yaw = (vars(told)[name] for name in NUMBERS)
-    told.pose = Pose.from_rpy((x, y, z), (roll, pitch, yaw))
-    told.gazebo_namespace = told.gazebo_namespace.rstrip("/")
-    told.joints = {joint: _finite(position) for joint, position in told.J}
-    return told
+    found = _parser(namespace).parse_args(words)
+    values = vars(found)
+    found.source = next(key for key in ("file", "param", "database", "stdin") if values[key])
+    found.source_name = "" if found.stdin else values[found.source]
+    x, y, z, roll, pitch, yaw = (values[name] for name in NUMBERS)
+    found.pose = Pose.from_rpy((x, y, z), (roll, pitch, yaw))
+    found.gazebo_namespace = found.gazebo_namespace.rstrip("/")
+    found.joints = {joint: _finite(position) for joint, position in found.J}
+    return found
 
 
 def _parser(namespace: str) -> ArgumentParser:
     parser = ArgumentParser(prog="spawn_model", add_help=False, allow_abbrev=False)
-    # argparse's own takes -1e-3 for an option.
+    # By default, argparse takes -1e-3 for an option.
     parser._negative_number_matcher = re.compile(r"-(\d|\.|inf|nan)", re.IGNORECASE)
     kind = parser.add_mutually_exclusive_group(required=True)
     kind.add_argument("-urdf", action="store_true")
@@ -104,7 +106,7 @@ def _filled(text: str) -> str:
 
 
 def spawn(arguments: argparse.Namespace) -> str:
-    """Put the model into the world and return what was answered; raises LabError."""
+    """Spawn the model and return the answer of the service; raises LabError."""
     gazebo = arguments.gazebo_namespace
     if arguments.wait:
         _wait_for(arguments.wait, f"{gazebo}/model_states")
@@ -128,7 +130,7 @@ def spawn(arguments: argparse.Namespace) -> str:
 
 
 def description_of(arguments: argparse.Namespace) -> str:
-    """Return the text that describes the model; raises LabError where there is none."""
+    """Return the description of the model; raises LabError if it is empty."""
     if arguments.source == "file":
         text = read_text(Path(arguments.source_name))
     elif arguments.source == "param":
@@ -138,12 +140,12 @@ def description_of(arguments: argparse.Namespace) -> str:
     else:
         text = sys.stdin.read()
     if not text.strip():
-        raise NodeError(f"-{arguments.source} {arguments.source_name}: there is nothing in it")
+        raise NodeError(f"-{arguments.source} {arguments.source_name}: it is empty")
     return packages_to_models(text) if arguments.package_to_model else text
 
 
 def packages_to_models(text: str) -> str:
-    """Return a URDF whose meshes are looked up in model:// instead of package://."""
+    """Replace package:// by model:// in the meshes of a URDF."""
     return PACKAGE_MESH.sub(r"\1model://", text)
 
 
@@ -157,22 +159,22 @@ def _unpause(service: str) -> None:
 
 def _wait_for(model: str, topic: str) -> None:
     """Wait until a model is in the world; in wall time, since simulated time may stand still."""
-    seen: List[Any] = []
+    is_there = threading.Event()
 
-    def look(states: Any) -> None:
+    def receive(states: Any) -> None:
         if model in states.name:
-            seen.append(model)
+            is_there.set()
 
-    subscriber = rospy.Subscriber(topic, msg.ModelStates, look, queue_size=1)
-    wait_until(lambda: seen, f"model '{model}'")
+    subscriber = rospy.Subscriber(topic, msg.ModelStates, receive, queue_size=1)
+    wait_until(is_there.is_set, f"model '{model}'")
     subscriber.unregister()
 
 
 def _delete_at_the_end(arguments: argparse.Namespace) -> None:
-    """Wait until ROS shuts down, then take the model out again."""
+    """Wait until ROS shuts down, then delete the model."""
 
     def delete() -> None:
-        # The simulation may be gone already.
+        # The simulation may have ended already.
         with contextlib.suppress(rospy.ServiceException, rospy.ROSException):
             rospy.ServiceProxy(f"{arguments.gazebo_namespace}/delete_model", srv.DeleteModel)(
                 arguments.model

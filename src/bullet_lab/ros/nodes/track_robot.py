@@ -1,12 +1,12 @@
-"""The node that says how far the robot is from each beacon.
+"""Publishes the distance of the robot from each beacon.
 
 :ROS Parameters: see `TrackRobotParameters`.
 :ROS Subscribers:
     - odom (nav_msgs/Odometry)
-    - /bullet_lab/world (visualization_msgs/MarkerArray), if ~watch: beacons that come and go
-:ROS Publishers, for each beacon, named as the beacon:
-    - beacon_0 (std_msgs/String): the report's line
-    - beacon_0/range (sensor_msgs/Range): the same distance as a number, stamped as the odometry
+    - /bullet_lab/world (visualization_msgs/MarkerArray), if ~watch: the beacons of the world
+:ROS Publishers:
+    - beacon_0 … (std_msgs/String), the name of each beacon: the line of the report
+    - beacon_0/range … (sensor_msgs/Range): the same distance, with the stamp of the odometry
     - beacon_markers (visualization_msgs/MarkerArray): the distances for RViz
 """
 
@@ -15,33 +15,34 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import dataclass
-from typing import Any, List, Tuple, Union
+from typing import Any, Tuple, Union
 
 import rosgraph.names
 import rospy
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Point
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Range
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.core import parameters
+from bullet_lab.core.parameters import boolean, checked, text
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.node.lock_step import join_when
-from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
+from bullet_lab.ros.node.node import Refusals, node
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
 from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 
 Number = Union[int, float]
 DEFAULT_BEACONS = (("beacon_0", 1, 1), ("beacon_1", 5, 1), ("beacon_2", -5, 1))
 QUEUE_SIZE = 10
-# Height of the beacons of meshes/beacon.dae, in m; the labels float above it.
-LABEL_HEIGHT, LABEL_SIZE = 2.3, 0.25
+# m; the labels are above the beacons of meshes/beacon.dae.
+LABEL_HEIGHT = 2.3
+LABEL_SIZE = 0.25
 
 
 @dataclass(frozen=True)
 class Beacon:
-    """A beacon in the frame of the odometry; x and y in m, as whole numbers where given so."""
+    """A beacon in the frame of the odometry; x and y are in m, and may be whole numbers."""
 
     name: str
     x: Number
@@ -49,7 +50,7 @@ class Beacon:
 
 
 def accept_beacons(value: Any) -> Tuple[Beacon, ...]:
-    """Turn a list of [name, x, y] into beacons; raises ValueError or TypeError."""
+    """Return the beacons of a list of [name, x, y]; raises ValueError or TypeError."""
     beacons = tuple(Beacon(str(name), x, y) for name, x, y in value)
     for beacon in beacons:
         if not rosgraph.names.is_legal_name(beacon.name) or not beacon.name:
@@ -57,7 +58,7 @@ def accept_beacons(value: Any) -> Tuple[Beacon, ...]:
         if any(isinstance(v, (bool, str)) or not math.isfinite(v) for v in (beacon.x, beacon.y)):
             raise ValueError(beacon.name)
     if len({beacon.name for beacon in beacons}) != len(beacons):
-        raise ValueError("a name twice")
+        raise ValueError("duplicate beacon name")
     return beacons
 
 
@@ -65,20 +66,20 @@ def accept_beacons(value: Any) -> Tuple[Beacon, ...]:
 class TrackRobotParameters:
     """Private parameters of track_robot."""
 
-    beacons: Tuple[Beacon, ...] = parameters.checked(
+    beacons: Tuple[Beacon, ...] = checked(
         accept_beacons(DEFAULT_BEACONS),
-        "where the beacons stand",
+        "names and places of the beacons",
         "a list of [name, x, y] with names that topics can have and finite x and y in metres",
         accept_beacons,
     )
-    watch: bool = parameters.boolean(
-        False, "take up beacons that are placed in the world, and drop those taken away"
+    watch: bool = boolean(
+        False, "add the beacons that are spawned in the world, and remove those that are deleted"
     )
-    prefix: str = parameters.text("beacon", "first part of those beacons' names: beacon_0 …")
+    prefix: str = text("beacon", "first part of the names of those beacons: beacon_0 …")
 
 
 def report_line(beacon: Beacon, dist: float) -> str:
-    """Return what the report publishes for a beacon, to the letter."""
+    """Return the line that the report publishes for a beacon."""
     return f"source: {beacon.name}, position: x:{beacon.x} y:{beacon.y}, distance: {dist}"
 
 
@@ -91,20 +92,18 @@ class _BeaconTopics:
         self._range = publisher(f"{beacon.name}/range", Range, QUEUE_SIZE)
 
     def publish(self, header: Header, dist: float) -> None:
-        """Publish a distance in m, measured at a stamp in the frame of a header."""
+        """Publish a distance in m, with a header."""
         self._line.publish(String(report_line(self.beacon, dist)))
-        message = Range(header=header, radiation_type=Range.INFRARED)
-        message.min_range, message.max_range, message.range = 0.0, math.inf, dist
-        self._range.publish(message)
+        self._range.publish(Range(header, Range.INFRARED, 0.0, 0.0, math.inf, dist))
 
     def close(self) -> None:
-        """Publish nothing more."""
+        """Unregister the publishers."""
         self._line.unregister()
         self._range.unregister()
 
 
 class TrackRobot:
-    """Measures the distances whenever the robot says where it is."""
+    """Computes the distances for each message of odometry."""
 
     def __init__(self, parameters: TrackRobotParameters):
         self._parameters = parameters
@@ -119,7 +118,7 @@ class TrackRobot:
         self.sub = subscriber("odom", Odometry, self.callback)
 
     def callback(self, msg: Odometry) -> None:
-        """Publish the distances from where the message says the robot is."""
+        """Publish the distances from the pose of a message."""
         try:
             x, y, _ = planar_pose(msg)
             self._frames.check(msg)
@@ -142,57 +141,54 @@ class TrackRobot:
             self._follow_the_world()
 
     def _follow_the_world(self) -> None:
-        """Keep to the beacons that stand in the world, each where it stands now."""
-        names = set(numbered(self._standing.names(), self._parameters.prefix))
-        kept, gone = [], []
-        for topics in self._beacons:
-            listed = topics.beacon in self._parameters.beacons
-            (kept if listed or topics.beacon.name in names else gone).append(topics)
+        """Add, move and remove the beacons of the world; those of ~beacons stay."""
+        listed = {beacon.name for beacon in self._parameters.beacons}
+        found = {}
+        for name in numbered(self._standing.names(), self._parameters.prefix):
+            if name not in listed:
+                x, y, _ = self._standing.origin(name)
+                found[name] = Beacon(name, x, y)
+        remaining = listed.union(found)
+        gone = [topics for topics in self._beacons if topics.beacon.name not in remaining]
+        kept = [topics for topics in self._beacons if topics.beacon.name in remaining]
         for topics in kept:
-            names.discard(topics.beacon.name)
-            place = self._standing.origin(topics.beacon.name)
-            if place is not None and topics.beacon not in self._parameters.beacons:
-                topics.beacon = Beacon(topics.beacon.name, *place[:2])
-        for name in sorted(names):
-            x, y, _ = self._standing.origin(name)
-            kept.append(_BeaconTopics(Beacon(name, x, y)))
-            rospy.loginfo("%s stands at (%.2f, %.2f) m", name, x, y)
+            topics.beacon = found.pop(topics.beacon.name, topics.beacon)
+        for beacon in found.values():
+            kept.append(_BeaconTopics(beacon))
+            rospy.loginfo("new beacon %s at (%.2f, %.2f) m", beacon.name, beacon.x, beacon.y)
         self._beacons = tuple(kept)
         for topics in gone:
-            rospy.loginfo("%s is gone", topics.beacon.name)
+            rospy.loginfo("beacon %s was deleted", topics.beacon.name)
             topics.close()
         if gone:
-            # Fewer labels than before: those that stay are drawn anew.
+            # Delete the old labels; the next message draws the others.
             self._markers.publish(MarkerArray([Marker(action=Marker.DELETEALL)]))
 
-    def _draw(self, msg: Odometry, distances: List[float]) -> MarkerArray:
+    def _draw(self, msg: Odometry, distances: list[float]) -> MarkerArray:
+        """Return a label above each beacon, and a line to it from the robot."""
+        header = Header(0, msg.header.stamp, msg.header.frame_id)
+        robot = msg.pose.pose.position
         markers = []
         for number, (topics, dist) in enumerate(zip(self._beacons, distances)):
             beacon = topics.beacon
-            header = Header(0, msg.header.stamp, msg.header.frame_id)
             label = Marker(header=header, ns="label", id=number, type=Marker.TEXT_VIEW_FACING)
             label.pose.position = Point(beacon.x, beacon.y, LABEL_HEIGHT)
-            label.pose.orientation.w = 1.0
             label.scale.z = LABEL_SIZE
             label.color = ColorRGBA(1.0, 0.55, 0.1, 1.0)
             label.text = f"{beacon.name}: {dist:.2f} m"
             ray = Marker(header=header, ns="ray", id=number, type=Marker.LINE_LIST)
-            ray.pose.orientation.w = 1.0
-            robot = msg.pose.pose.position
             ray.points = [Point(robot.x, robot.y, 0.1), Point(beacon.x, beacon.y, 0.1)]
-            ray.scale = Vector3(0.03, 0.0, 0.0)
+            ray.scale.x = 0.03
             ray.color = ColorRGBA(0.84, 0.37, 0.0, 1.0)
             markers += [label, ray]
+        for marker in markers:
+            marker.pose.orientation.w = 1.0
         return MarkerArray(markers)
 
 
-def main() -> None:
-    """Run the node."""
-
-    def body() -> None:
-        parameters = private_parameters(TrackRobotParameters)
-        tracker = TrackRobot(parameters)
-        join_when(lambda: tracker.sub.get_num_connections() > 0, "somebody to publish odom")
-        rospy.spin()
-
-    run_node("track_robot", body)
+@node
+def track_robot(parameters: TrackRobotParameters) -> None:
+    """Run until ROS shuts down."""
+    tracker = TrackRobot(parameters)
+    join_when(lambda: tracker.sub.get_num_connections() > 0, "a publisher of odom")
+    rospy.spin()

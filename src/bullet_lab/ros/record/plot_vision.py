@@ -1,4 +1,4 @@
-"""Saves what the five detectors make of one image, side by side as in figure 7, and ends.
+"""Saves the results of the five detectors for one image, side by side as in figure 7.
 
 :ROS Parameters: see `PlotVisionParameters`.
 :ROS Subscribers:
@@ -7,7 +7,7 @@
     - good_features/points, harris_corners/points (bullet_lab/ImagePoints)
     - aruco/detections (bullet_lab/MarkerDetectionArray)
 
-Leaves a picture for each detector, marker.png if there is one, side_by_side.png and summary.json.
+Writes a picture of each detector, marker.png if one is found, side_by_side.png and summary.json.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Dict, Mapping, Optional
+from typing import Any, Mapping
 
 import rospy
 from message_filters import SimpleFilter, TimeSynchronizer
@@ -27,17 +27,11 @@ from bullet_lab.reports.vision import VisionReport
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.publishers import subscriber
-from bullet_lab.ros.record.recorder import (
-    POLL_SECONDS,
-    RecordParameters,
-    reader_of,
-    save_figures,
-    save_summary,
-)
+from bullet_lab.ros.record.recorder import POLL_SECONDS, RecordParameters, reader_of, save_all
 
-# Wall seconds that results of one image are waited for, once there is one of each.
+# Wall seconds to wait for results of one image, once each detector has sent a result.
 _PATIENCE = 5.0
-# Images that the quickest detector may be ahead of the slowest.
+# Number of images that the fastest detector may be ahead of the slowest.
 _QUEUE = 100
 
 
@@ -51,20 +45,22 @@ class PlotVisionParameters(RecordParameters):
 
 
 class SameImage:
-    """Brings the answers of all detectors to one image together, after `settle` simulated seconds.
+    """Collects the results of all detectors for one image.
 
-    The topics have their types of messages.
+    Args:
+        topics: of the results, with the types of their messages.
+        settle: simulated seconds; earlier images are ignored.
     """
 
     def __init__(self, topics: Mapping[str, str], settle: float):
         self._settle = settle
         self._lock = threading.Lock()
-        self._newest: Dict[str, Any] = {}
-        self._found: Optional[Dict[str, Any]] = None
+        self._newest: dict[str, Any] = {}
+        self._found: dict[str, Any] | None = None
         self._filters = {topic: SimpleFilter() for topic in topics}
         self._synchronizer = TimeSynchronizer(list(self._filters.values()), _QUEUE)
         self._synchronizer.registerCallback(self._take)
-        # Not before the synchronizer is ready for what they bring.
+        # After the synchronizer, which needs their messages.
         self._subscribers = [
             subscriber(topic, reader_of(kind)[0], partial(self._receive, topic))
             for topic, kind in topics.items()
@@ -75,9 +71,9 @@ class SameImage:
         return all(subscriber.get_num_connections() > 0 for subscriber in self._subscribers)
 
     def wait(self, timeout: float) -> Mapping[str, Any]:
-        """Return a message for each topic, those of one image if they come.
+        """Return a message of each topic, all for one image if such messages come.
 
-        Raises NodeError if a topic brings nothing within `timeout`, in wall seconds.
+        Raises NodeError if a topic has no message after `timeout` wall seconds.
         """
         deadline, whole_since = time.monotonic() + timeout, None
         while not rospy.is_shutdown():
@@ -88,7 +84,7 @@ class SameImage:
                     return self._found
                 whole_since = None if missing else whole_since or now
                 if whole_since is not None and now - whole_since > _PATIENCE:
-                    rospy.logwarn("the detectors never answered the same image")
+                    rospy.logwarn("no image has results of all detectors; using the newest ones")
                     return dict(self._newest)
             if now > deadline:
                 what = ", ".join(missing) or "results of one image"
@@ -97,7 +93,7 @@ class SameImage:
         raise rospy.ROSInterruptException("shutdown")
 
     def close(self) -> None:
-        """Listen no longer."""
+        """Unsubscribe."""
         for one in self._subscribers:
             one.unregister()
 
@@ -115,7 +111,7 @@ class SameImage:
 
 @node
 def plot_vision(parameters: PlotVisionParameters) -> None:
-    """Wait for the answers to one image and save them."""
+    """Wait for the results for one image and save them."""
     report = VisionReport(Path(parameters.out))
     report.about = parameters.about
     answers = SameImage(report.topics, parameters.settle)
@@ -124,10 +120,7 @@ def plot_vision(parameters: PlotVisionParameters) -> None:
     answers.close()
     for topic, kind in report.topics.items():
         report.take(topic, reader_of(kind)[1](messages[topic]))
-    report.finish()
-    summary = report.summary(True, {})
-    save_figures(report, report.figures(summary))
-    save_summary(report, summary)
+    summary = save_all(report, True)
     for name, line in report.found.items():
         rospy.loginfo("%s: %s", name, line)
     rospy.loginfo("%s", report.line(summary))

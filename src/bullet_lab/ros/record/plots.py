@@ -1,9 +1,9 @@
-"""The nodes that record a job and plot it, but for plot_vision; each runs one report.
+"""The nodes that record and plot a job, except plot_vision; each runs one report.
 
 :ROS Parameters: see the dataclass of each.
 
-What each leaves behind is written row by row, its pictures and summary.json are renewed while it
-runs, if it goes on for long.
+Files of rows are written row by row. Figures and summary.json are written at the end, and by most
+nodes also every ~plot_period.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Tuple
+from typing import Any, Mapping, Tuple
 
 import rospy
 from actionlib import ActionClient, ClientGoalHandle, CommState
@@ -38,7 +38,7 @@ from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, DriveSquaresParamete
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.record.recorder import (
-    Errand,
+    GoalRequest,
     Recorder,
     RecordParameters,
     RenewedParameters,
@@ -50,8 +50,11 @@ from bullet_lab.simulation.world.floor_plan import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
 
+# Wall seconds for the markers of the world.
 WORLD_TIMEOUT_SECONDS = 60.0
+# The beacons of the report.
 BEACONS = ("beacon_0", "beacon_1", "beacon_2")
+# m; the plan of the station has only objects that the robot can touch.
 ROBOT_HEIGHT = 0.55
 
 
@@ -71,7 +74,7 @@ def plot_noise(parameters: PlotNoiseParameters) -> None:
     :ROS Subscribers: odom, noisy_odom (nav_msgs/Odometry)
     :ROS Publishers: odom_path, noisy_odom_path (nav_msgs/Path), latched
 
-    Leaves odom.tum, noisy_odom.tum, paths.csv, paths.png and summary.json.
+    Writes odom.tum, noisy_odom.tum, paths.csv, paths.png and summary.json.
     """
     folder = Path(parameters.out)
     view = PathTopics({"odom": "odom_path", "noisy_odom": "noisy_odom_path"})
@@ -81,9 +84,9 @@ def plot_noise(parameters: PlotNoiseParameters) -> None:
 
 
 def show(path: Path) -> None:
-    """Show a picture in a window and wait until it is closed."""
+    """Show a figure in a window and wait until it is closed."""
     if not os.environ.get("DISPLAY"):
-        rospy.logwarn("~show: there is no screen (DISPLAY is not set); see %s", path.name)
+        rospy.logwarn("~show: no screen, as DISPLAY is not set; see %s", path.name)
         return
     try:
         from matplotlib import pyplot
@@ -94,7 +97,7 @@ def show(path: Path) -> None:
         pyplot.axis("off")
         pyplot.show()
     except ImportError as error:
-        rospy.logwarn("~show: matplotlib has no window toolkit here: %s", error)
+        rospy.logwarn("~show: matplotlib has no window toolkit: %s", error)
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ def plot_fleet(parameters: PlotFleetParameters) -> None:
     :ROS Subscribers, for each robot: <robot>/odom, <robot>/noisy_odom (nav_msgs/Odometry)
     :ROS Publishers: fleet_paths (visualization_msgs/MarkerArray), latched
 
-    Leaves the files of plot_noise in a folder for each robot, fleet.png and summary.json.
+    Writes the files of plot_noise in a folder for each robot, fleet.png and summary.json.
     """
     names = robot_names(parameters.robots)
     seeds = {name: derived_seed(parameters.seed, index) for index, name in enumerate(names)}
@@ -133,14 +136,14 @@ class PlotSensorsParameters(TimedParameters):
 
 @node
 def plot_sensors(parameters: PlotSensorsParameters) -> None:
-    """Record and plot what a robot's sensors measure.
+    """Record and plot the measurements of a robot's sensors.
 
     :ROS Subscribers:
         - odom (nav_msgs/Odometry)
         - scan (sensor_msgs/LaserScan), sonar (sensor_msgs/Range), imu (sensor_msgs/Imu)
         - bumper (gazebo_msgs/ContactsState)
 
-    Leaves odom.csv, scan.csv, range.csv, imu.csv, bumper.csv, sensors.png and summary.json.
+    Writes odom.csv, scan.csv, range.csv, imu.csv, bumper.csv, sensors.png and summary.json.
     """
     report = SensorsReport(Path(parameters.out), parameters.rays)
     Recorder(report, parameters, "the sensors").run()
@@ -156,28 +159,28 @@ class PlotBeaconsParameters(TimedParameters):
 
 @node
 def plot_beacons(parameters: PlotBeaconsParameters) -> None:
-    """Record and plot the distances that track_robot measures, over the true ones.
+    """Record and plot the distances that track_robot measures, and the true ones.
 
     :ROS Subscribers:
         - odom (nav_msgs/Odometry)
         - beacon_0/range … (sensor_msgs/Range)
-        - /bullet_lab/world (visualization_msgs/MarkerArray): where the beacons really stand
+        - /bullet_lab/world (visualization_msgs/MarkerArray): the true places of the beacons
 
-    Leaves distances.csv, distances.png and summary.json.
+    Writes distances.csv, distances.png and summary.json.
     """
     report = BeaconsReport(Path(parameters.out), true_beacons(parameters.beacons or BEACONS))
     Recorder(report, parameters, "odom and the distances").run()
 
 
-def true_beacons(names: Tuple[str, ...]) -> Dict[str, Tuple[float, float]]:
-    """Return where models of the world stand (m, m), from the bridge's markers.
+def true_beacons(names: Tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    """Return the places (m, m) of models of the world, from the bridge's markers.
 
-    Raises NodeError if no markers come, or a name is not among them.
+    Raises NodeError if no markers come, or the world has no model of a name.
     """
     try:
         world = rospy.wait_for_message(WORLD, MarkerArray, WORLD_TIMEOUT_SECONDS)
     except rospy.ROSException as error:
-        raise NodeError(f"nobody publishes {WORLD}: is the bridge running?") from error
+        raise NodeError(f"no message on {WORLD}; is the bridge running?") from error
     places = {m.ns: (m.pose.position.x, m.pose.position.y) for m in reversed(world.markers)}
     missing = [name for name in names if name not in places]
     if missing:
@@ -199,19 +202,19 @@ class PlotGoalParameters(RenewedParameters):
 
 @node
 def plot_goal(parameters: PlotGoalParameters) -> None:
-    """Send a robot to a goal, record how it goes, and leave what came of it.
+    """Send a robot to a goal, and record and plot its drive.
 
     :ROS Publishers: move_base_simple/goal (geometry_msgs/PoseStamped): the first goal
     :ROS Subscribers:
         - odom (nav_msgs/Odometry): the true pose, as the simulation sends it
-        - drive_to_goal/current_goal, status, finished: what is driven to, whoever wants it
+        - drive_to_goal/current_goal, status, finished: the goals of all senders
         - /bullet_lab/world (visualization_msgs/MarkerArray): the beacons
 
-    Leaves truth.tum, path.png and summary.json.
+    Writes truth.tum, path.png and summary.json.
     """
     standing = StandingModels()
 
-    def beacons() -> List[Beacon]:
+    def beacons() -> list[Beacon]:
         names = numbered(standing.names(), "beacon")
         return [(name, *standing.origin(name)[:2]) for name in names]
 
@@ -222,8 +225,8 @@ def plot_goal(parameters: PlotGoalParameters) -> None:
     def send() -> None:
         first.publish(stamped_pose(rospy.Time.now(), parameters.frame, parameters.goal))
 
-    errand = Errand("drive_to_goal", first.has_connections, send, report.is_answered)
-    Recorder(report, parameters, "the bridge and drive_to_goal", errand=errand).run()
+    request = GoalRequest("drive_to_goal", first.has_connections, send, report.is_answered)
+    Recorder(report, parameters, "the bridge and drive_to_goal", request=request).run()
 
 
 @dataclass(frozen=True)
@@ -234,8 +237,8 @@ class PlotDockingParameters(RecordParameters):
     out: str = text("results/dock", "folder for the files")
     docks: str = text("package://bullet_lab/config/docks.yaml", "dock database, as of dock.py")
     dock_id: str = text("dock", "name of the dock in it")
-    search: bool = boolean(True, "look for the marker where it is not seen at once")
-    max_retries: int = integer(-1, "-1: as dock.py is configured", minimum=-1)
+    search: bool = boolean(True, "search for the marker if it is not visible at the start")
+    max_retries: int = integer(-1, "-1: as configured in dock.py", minimum=-1)
     world: str = text(
         "package://bullet_lab/worlds/docking.world", "world for the plan: a path or package://"
     )
@@ -245,7 +248,7 @@ class PlotDockingParameters(RecordParameters):
     camera_ahead: float = number(0.16, "m, of the camera from the robot's middle")
     database_error: float = number(
         1.0,
-        "how wrong a pose the robot is told, as a share of the dock's uncertainty",
+        "error of the pose that the robot gets, as a share of the dock's uncertainty",
         minimum=0.0,
         maximum=1.0,
     )
@@ -255,17 +258,17 @@ class PlotDockingParameters(RecordParameters):
 
 @node
 def plot_docking(parameters: PlotDockingParameters) -> None:
-    """Send a robot to its dock, record how it goes, and leave what came of it.
+    """Send a robot to its dock, and record and plot the docking.
 
     :ROS Actions: calls dock (bullet_lab/DockAction)
     :ROS Subscribers:
         - odom (nav_msgs/Odometry): the true pose, as the simulation sends it
-        - bullet_lab/touched (bullet_lab/TouchedModels): what the robot has run into
-        - aruco/image_annotated (sensor_msgs/Image): what the camera saw
+        - bullet_lab/touched (bullet_lab/TouchedModels): the models that the robot has touched
+        - aruco/image_annotated (sensor_msgs/Image): the camera's pictures
         - dock/feedback, dock/plan, dock/finished
     :ROS Publishers: ~path (nav_msgs/Path), latched: the true path
 
-    Leaves truth.tum, path.png, camera.png and summary.json.
+    Writes truth.tum, path.png, camera.png and summary.json.
     """
     world = read_world_file(ResourceFinder.anywhere().find(parameters.world))
     outlines = [one.corners() for one in footprints(world, below=ROBOT_HEIGHT)]
@@ -275,21 +278,23 @@ def plot_docking(parameters: PlotDockingParameters) -> None:
     dock = replace(dock, pose=tuple(map(sum, zip(dock.pose, error))))
     station = Station(outlines, parameters.true_dock, parameters.camera_ahead, dock)
     report = DockReport(Path(parameters.out), station, parameters.pictures)
-    view, errand = PathTopics({"odom": "~path"}), _docking_errand(parameters, dock, report)
-    told = {
+    view, request = PathTopics({"odom": "~path"}), _docking_request(parameters, dock, report)
+    drawn = {
         "database_error": parameters.database_error,
         "database_error_x_m": error[0],
         "database_error_y_m": error[1],
         "database_error_yaw_deg": math.degrees(error[2]),
     }
-    parameters = replace(parameters, about={**parameters.about, **told})
-    Recorder(report, parameters, "the bridge and dock", view, errand).run()
+    parameters = replace(parameters, about={**parameters.about, **drawn})
+    Recorder(report, parameters, "the bridge and dock", view, request).run()
 
 
-def _docking_errand(parameters: PlotDockingParameters, dock: Dock, report: DockReport) -> Errand:
-    """Return the call of the action, whose result goes to the report."""
+def _docking_request(
+    parameters: PlotDockingParameters, dock: Dock, report: DockReport
+) -> GoalRequest:
+    """Return the call of the action; the result goes to the report."""
     client = ActionClient("dock", DockAction)
-    handles: List[ClientGoalHandle] = []
+    handles: list[ClientGoalHandle] = []
 
     def is_connected() -> bool:
         ends = (client.pub_goal, client.result_sub, client.status_sub)
@@ -301,12 +306,12 @@ def _docking_errand(parameters: PlotDockingParameters, dock: Dock, report: DockR
             report.result = docking_result(result)
 
     def send() -> None:
-        told = stamped_pose(rospy.Time.now(), own_frame(dock.frame), dock.pose)
-        goal = DockGoal(dock.name, told, parameters.search, parameters.max_retries)
+        pose = stamped_pose(rospy.Time.now(), own_frame(dock.frame), dock.pose)
+        goal = DockGoal(dock.name, pose, parameters.search, parameters.max_retries)
         handles.append(client.send_goal(goal, note))
         report.sent = True
 
     def is_taken() -> bool:
         return handles[0].get_comm_state() != CommState.WAITING_FOR_GOAL_ACK
 
-    return Errand("dock", is_connected, send, is_taken)
+    return GoalRequest("dock", is_connected, send, is_taken)

@@ -1,7 +1,7 @@
-"""The recorder: a node's work that runs any report of `bullet_lab.reports`.
+"""The recorder, which runs any report of `bullet_lab.reports` in a node.
 
-It subscribes to what the report names, refuses and counts what cannot be used, has rows written
-as they come, renews the pictures while it runs, and ends where the report says that all is in.
+It subscribes to the report's topics, passes on the messages, refuses and counts those that cannot
+be used, renews the figures while it runs, and ends when the report is complete.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path as FilePath
-from typing import Any, Callable, Iterable, Mapping, NamedTuple, Optional
+from typing import Any, Callable, Iterable, Mapping, NamedTuple
 
 import rospy
 from actionlib_msgs.msg import GoalStatus
@@ -38,26 +38,25 @@ from bullet_lab.ros.node.node import NodeError, Refusals, wait_until
 from bullet_lab.ros.node.odometry import FrameGuard, planar_pose
 from bullet_lab.ros.node.publishers import subscriber
 
-# Wall seconds that messages may take after the end has been announced.
+# Wall seconds to wait for the last messages after the end was announced.
 PATIENCE = 5.0
 POLL_SECONDS = 0.02
-# Simulated time of an errand's goal: between two ticks of the server, which has seen the one
-# before.
+# Simulated time at which a goal is sent: between two ticks of the server.
 GOAL_TIME = rospy.Time(0, 525_000_000)
-# What is said of a goal that is not at its end.
+# States of a goal that may still change.
 UNDER_WAY = (
     GoalStatus.PENDING,
     GoalStatus.ACTIVE,
     GoalStatus.PREEMPTING,
     GoalStatus.RECALLING,
 )
-# Wall seconds for the server to take the goal.
+# Wall seconds for the server to accept the goal.
 ACCEPTANCE = 30.0
 
 
 def about(*kinds: type) -> Any:
-    """Declare ~about, with parameters of these dataclasses as they stand in a launch file."""
-    return mapping("what else summary.json shall say", *kinds)
+    """Declare ~about, which may have parameters of these dataclasses as texts of a launch file."""
+    return mapping("further entries of summary.json", *kinds)
 
 
 @dataclass(frozen=True)
@@ -66,24 +65,34 @@ class RecordParameters:
 
     out: str = text("results", "folder for the files")
     about: Mapping[str, Any] = about()
+    # Without annotations, as these are parameters of the subclasses only.
+    plot_period = math.inf
+    until = ""
 
 
 @dataclass(frozen=True)
 class RenewedParameters(RecordParameters):
-    """Private parameters of a node that renews its pictures while it runs."""
+    """Private parameters of a node that renews its figures while it runs."""
 
-    plot_period: float = number(10.0, "wall seconds between two versions of the picture", above=0.0)
+    plot_period: float = number(10.0, "wall seconds between two versions of the figure", above=0.0)
 
 
 @dataclass(frozen=True)
 class TimedParameters(RenewedParameters):
     """Private parameters of a node that records up to a time."""
 
-    until: str = text("", "topic (std_msgs/Time) that ends it; empty: Ctrl-C does")
+    until: str = text("", "topic (std_msgs/Time) that ends it; empty: until Ctrl-C")
 
 
-class Errand(NamedTuple):
-    """Where a robot is sent before its way is recorded: a goal, and the node that takes it."""
+class GoalRequest(NamedTuple):
+    """A goal that is sent before the recording begins.
+
+    Attributes:
+        server: node that accepts it.
+        is_connected: returns whether it can be sent.
+        send: sends it.
+        is_taken: returns whether the server has accepted or refused it.
+    """
 
     server: str
     is_connected: Callable[[], bool]
@@ -92,14 +101,14 @@ class Errand(NamedTuple):
 
 
 class Recorder:
-    """Records until all is in, or until ROS shuts down, and leaves everything behind.
+    """Records until the report is complete or ROS shuts down, then writes all files.
 
     Args:
-        report: what is recorded.
+        report: that is recorded.
         parameters: of the node.
-        topics: what is waited for, in the log.
-        view: of `bullet_lab.ros.record.rviz`, to show it.
-        errand: is run first.
+        topics: description of the topics, for the log.
+        view: of `bullet_lab.ros.record.rviz`, which shows the paths.
+        request: a goal to send first.
     """
 
     def __init__(
@@ -108,22 +117,23 @@ class Recorder:
         parameters: RecordParameters,
         topics: str,
         view: Any = None,
-        errand: Optional[Errand] = None,
+        request: GoalRequest | None = None,
     ):
-        self._report, self._topics = report, topics
-        self._view, self._errand = view, errand
+        self._report = report
+        self._topics = topics
+        self._view = view
+        self._request = request
         self._lock = threading.Lock()
         self._refusals = Refusals()
         # Wall seconds of the first and the last message.
-        self._first, self._last = math.inf, 0.0
-        self._failure: Optional[FileError] = None
+        self._first = math.inf
+        self._last = 0.0
+        self._failure: FileError | None = None
         self._finished = False
         report.about = parameters.about
-        report.begins_anew = self._begin_anew
-        self._period = math.inf
-        if isinstance(parameters, RenewedParameters):
-            self._period = parameters.plot_period
-        if isinstance(parameters, TimedParameters) and parameters.until:
+        report.on_reset = self._reset
+        self._period = parameters.plot_period
+        if parameters.until:
             self._end = rospy.Subscriber(parameters.until, Time, self._receive_end)
         self._subscribers: list[rospy.Subscriber] = []
         for topic, kind in report.topics.items():
@@ -132,16 +142,18 @@ class Recorder:
             self._subscribers.append(subscriber(topic, message_type, receive))
 
     def run(self) -> None:
-        """Record, and write everything, or raise FileError.
+        """Record, and write all files.
 
-        NodeError means that the errand was not taken, or did not come to its goal.
+        Raises:
+            FileError: a file cannot be written.
+            NodeError: the goal was not accepted or not reached.
         """
         complete = False
         try:
-            if self._errand is None:
+            if self._request is None:
                 join_when(self._is_connected, self._topics)
             else:
-                self._run_errand(self._errand)
+                self._send_goal(self._request)
             complete = self._wait()
         finally:
             summary = self._finish(complete)
@@ -151,24 +163,25 @@ class Recorder:
         if failed:
             raise NodeError(line)
 
-    def _run_errand(self, errand: Errand) -> None:
-        wait_until(lambda: self._is_connected() and errand.is_connected(), self._topics)
-        # In lock step, time stands until the server has the goal: it is taken up at its next tick.
+    def _send_goal(self, request: GoalRequest) -> None:
+        wait_until(lambda: self._is_connected() and request.is_connected(), self._topics)
+        # In lock step, time stands until the server has the goal, and starts at its next tick.
         with time_held_at(GOAL_TIME):
-            errand.send()
+            request.send()
             deadline = time.monotonic() + ACCEPTANCE
-            while not errand.is_taken():
+            while not request.is_taken():
                 if rospy.is_shutdown():
                     raise rospy.ROSInterruptException("shutdown")
                 if time.monotonic() > deadline:
-                    raise NodeError(f"{errand.server} has not taken the goal for {ACCEPTANCE:g} s")
+                    line = f"{request.server} has not accepted the goal within {ACCEPTANCE:g} s"
+                    raise NodeError(line)
                 time.sleep(POLL_SECONDS)
 
     def _is_connected(self) -> bool:
         return all(one.get_num_connections() > 0 for one in self._subscribers)
 
     def _wait(self) -> bool:
-        """Return whether all is in."""
+        """Wait for the end of the recording; return False if ROS shuts down first."""
         until, announced, drawn = None, 0.0, time.monotonic()
         while not rospy.is_shutdown():
             with self._lock:
@@ -181,7 +194,7 @@ class Recorder:
             if known != until:
                 until, announced = known, now
             if until is not None and now - announced > PATIENCE:
-                rospy.logwarn("the end was announced and nothing more comes: some may be missing")
+                rospy.logwarn("no data after the announced end; the recording may be incomplete")
                 return True
             if now - drawn >= self._period:
                 self._renew()
@@ -193,21 +206,21 @@ class Recorder:
         for one in self._subscribers:
             one.unregister()
         with self._lock:
-            # A message may be on its way in still.
+            # A callback may still be waiting for the lock.
             self._finished = True
             self._report.finish(self._report.until if complete else None)
             summary, figures = self._contents(finished=complete)
         if complete:
-            # Who sees that all is finished finds all of it.
+            # The summary last: programs that wait for it find all files.
             save_figures(self._report, figures)
             save_summary(self._report, summary)
         else:
-            # The numbers first: whoever shuts down may be in a hurry.
+            # The summary first: the process may be killed soon.
             save_summary(self._report, summary)
             save_figures(self._report, figures)
         return summary
 
-    # What comes in
+    # Messages
 
     def _receive(self, topic: str, read: Callable[[Any], Reading], message: Any) -> None:
         with self._lock:
@@ -230,26 +243,26 @@ class Recorder:
         with self._lock:
             self._report.until = message.data.to_nsec()
 
-    def _begin_anew(self, namespace: str, old: FilePath) -> None:
-        rospy.loginfo("time was set back: what was recorded before is in %s", old)
+    def _reset(self, namespace: str, old: FilePath) -> None:
+        rospy.loginfo("time was set back: the earlier recording is in %s", old)
         self._first = math.inf
         if self._view is not None:
             self._view.forget(namespace)
 
-    # What is left behind
+    # Files
 
     def _renew(self) -> None:
         try:
             with self._lock:
                 summary, figures = self._contents(finished=False)
-            # Who sees the summary finds the pictures of it.
+            # The summary last: programs that wait for it find its figures.
             save_figures(self._report, figures)
             save_summary(self._report, summary)
         except (FileError, OSError) as error:
             rospy.logerr_throttle(10.0, f"cannot write: {error}")
 
     def _contents(self, finished: bool) -> tuple[dict[str, Any], dict[str, Figure]]:
-        """Return summary and figures, which are drawn later, without the lock: it takes long."""
+        """Return the summary and the figures; those are rendered later, without the lock."""
         seconds, wall = self._report.seconds(), max(0.0, self._last - self._first)
         run = {
             "sim_time_s": seconds,
@@ -267,16 +280,25 @@ def save_summary(report: Report, summary: Mapping[str, Any]) -> None:
 
 
 def save_figures(report: Report, figures: Mapping[str, Figure]) -> None:
-    """Write the pictures; raises FileError."""
+    """Write the figures; raises FileError."""
     for name, figure in figures.items():
         save(figure, report.folder / name)
+
+
+def save_all(report: Report, finished: bool) -> Mapping[str, Any]:
+    """Write all files of a report that is not run by a recorder, and return the summary."""
+    report.finish()
+    summary = report.summary(finished, {})
+    save_figures(report, report.figures(summary))
+    save_summary(report, summary)
+    return summary
 
 
 Contents = Callable[[Any], tuple]
 
 
 def reader_of(kind: str) -> tuple[type, Callable[[Any], Reading]]:
-    """Return the class of a type of messages, and what reads those of one topic."""
+    """Return the class of a type of messages, and a function that reads those of one topic."""
     message_type, contents = READERS[kind]
     if message_type is Odometry:
         contents = partial(_odometry, FrameGuard())
@@ -290,7 +312,7 @@ def _stamp(message: Any) -> int:
 
 
 def _odometry(guard: FrameGuard, message: Odometry) -> tuple:
-    """The pose, in the frames of the first one; the detail is the covariance of x and y, m²."""
+    """Return the pose, and the covariance of x and y (m²); the frames must not change."""
     pose = planar_pose(message)
     guard.check(message)
     entries = message.pose.covariance
@@ -303,7 +325,7 @@ def _inertial(message: Imu) -> tuple:
 
 
 def _contacts(message: msg.ContactsState) -> tuple:
-    """Number of points and the sum of the forces; the detail is who was touched."""
+    """Return the number of points and the sum of the forces, and the models that were touched."""
     points = sum(len(state.contact_positions) for state in message.states)
     forces = [state.total_wrench.force for state in message.states]
     sums = (sum(getattr(force, axis) for force in forces) for axis in "xyz")
@@ -325,29 +347,29 @@ def _places(things: Iterable[Any]) -> tuple:
     return (), [(place.x, place.y) for place in things]
 
 
-# The class of each type of messages, and what its readings hold after the stamp: numbers, detail.
+# The class of each type of messages, and a function that returns values and detail of a reading.
 READERS: dict[str, tuple[type, Contents]] = {
     "nav_msgs/Odometry": (Odometry, planar_pose),
     "sensor_msgs/Range": (Range, lambda m: ((m.range,),)),
-    # The angle of the first ray and the step to the next, rad.
+    # Detail: the angle of the first ray and the step to the next, rad.
     "sensor_msgs/LaserScan": (LaserScan, lambda m: (m.ranges, (m.angle_min, m.angle_increment))),
     "sensor_msgs/Imu": (Imu, _inertial),
     "gazebo_msgs/ContactsState": (msg.ContactsState, _contacts),
     "geometry_msgs/PoseStamped": (PoseStamped, _goal),
     "actionlib_msgs/GoalStatus": (GoalStatus, _goal_status),
     "std_msgs/Time": (Time, lambda m: ()),
-    # How often each model was touched.
+    # Detail: the number of touches of each model.
     "bullet_lab/TouchedModels": (TouchedModels, lambda m: ((), dict(zip(m.models, m.touches)))),
-    # The picture, (h, w, 3) uint8, blue green red.
+    # Detail: the picture, (h, w, 3) uint8, BGR.
     "sensor_msgs/Image": (Image, lambda m: ((), pixels_of(m, "bgr8"))),
-    # What the robot is doing.
+    # Detail: the state of the docking.
     "bullet_lab/DockActionFeedback": (
         DockActionFeedback,
         lambda m: ((), DockingState(m.feedback.state).label),
     ),
-    # x and y of each pose (m), and of each point (px).
+    # Detail: x and y of each pose (m), and of each point (px).
     "nav_msgs/Path": (Path, lambda m: _places(stamped.pose.position for stamped in m.poses)),
     "bullet_lab/ImagePoints": (ImagePoints, lambda m: _places(m.points)),
-    # The detections as they are.
+    # Detail: the messages of the markers.
     "bullet_lab/MarkerDetectionArray": (MarkerDetectionArray, lambda m: ((), m.detections)),
 }

@@ -1,10 +1,10 @@
-"""Recorded paths for RViz: published twice a second at most, and only if somebody looks."""
+"""Recorded paths for RViz, published at most twice a second and only for subscribers."""
 
 from __future__ import annotations
 
 import threading
 from collections import defaultdict
-from typing import Callable, Dict, List, Mapping, Optional
+from typing import Callable, Mapping
 
 import rospy
 from geometry_msgs.msg import Point, PoseStamped
@@ -17,8 +17,8 @@ from bullet_lab.ros.node.publishers import Publisher
 PERIOD_SECONDS = 0.5
 
 
-def _often(publish: Callable[[], None]) -> None:
-    """Call a function from a thread of its own until ROS shuts down."""
+def _repeat(publish: Callable[[], None]) -> None:
+    """Call a function every `PERIOD_SECONDS`, in a thread, until ROS shuts down."""
 
     def run() -> None:
         while not rospy.is_shutdown():
@@ -29,7 +29,7 @@ def _often(publish: Callable[[], None]) -> None:
 
 
 class PathTopics:
-    """A latched nav_msgs/Path for each topic of odometry, by the names of both."""
+    """A latched nav_msgs/Path for each topic of odometry; `topics` has the names of both."""
 
     def __init__(self, topics: Mapping[str, str]):
         self._paths = {topic: Path() for topic in topics}
@@ -37,17 +37,17 @@ class PathTopics:
             topic: Publisher(path, Path, queue_size=1, latch=True) for topic, path in topics.items()
         }
         self._published = dict.fromkeys(topics, 0)
-        _often(self._publish)
+        _repeat(self._publish)
 
     def append(self, topic: str, message: Odometry) -> None:
-        """Add where a message says that the robot is."""
+        """Add the pose of a message to its path."""
         path = self._paths.get(topic)
         if path is not None:
             path.header = message.header
             path.poses.append(PoseStamped(message.header, message.pose.pose))
 
     def forget(self, namespace: str) -> None:
-        """Start new paths."""
+        """Start new paths, as time was set back."""
         for path in self._paths.values():
             path.poses = []
 
@@ -64,31 +64,34 @@ class PathTopics:
 COLOURS = {"odom": ColorRGBA(0.90, 0.62, 0.0, 1.0), "noisy_odom": ColorRGBA(0.0, 0.45, 0.70, 1.0)}
 # m above the floor.
 HEIGHTS = {"odom": 0.01, "noisy_odom": 0.015}
-LINE_WIDTH, LABEL_HEIGHT, LABEL_SIZE = 0.02, 0.4, 0.25
+# Sizes in m.
+LINE_WIDTH = 0.02
+LABEL_HEIGHT = 0.4
+LABEL_SIZE = 0.25
 WHITE = ColorRGBA(1.0, 1.0, 1.0, 1.0)
 
 
 class FleetMarkers:
-    """The paths of several robots, in one display whatever their number: fleet_paths."""
+    """The paths of any number of robots on one topic, fleet_paths."""
 
     def __init__(self):
         self._lock = threading.Lock()
         # By <robot>/odom and <robot>/noisy_odom.
-        self._frames: Dict[str, str] = {}
-        self._points: Dict[str, List[Point]] = defaultdict(list)
-        self._lengths: Dict[str, int] = {}
+        self._frames: dict[str, str] = {}
+        self._points: dict[str, list[Point]] = defaultdict(list)
+        self._lengths: dict[str, int] = {}
         self._publisher = Publisher("fleet_paths", MarkerArray, queue_size=1, latch=True)
-        _often(self._publish)
+        _repeat(self._publish)
 
     def append(self, topic: str, message: Odometry) -> None:
-        """Add where a message on <robot>/odom or <robot>/noisy_odom says that a robot is."""
+        """Add the position of a message on <robot>/odom or <robot>/noisy_odom."""
         place = message.pose.pose.position
         with self._lock:
             self._frames.setdefault(topic, message.header.frame_id)
             self._points[topic].append(Point(place.x, place.y, 0.0))
 
     def forget(self, namespace: str) -> None:
-        """Begin the paths of a robot anew."""
+        """Start new paths of a robot, as time was set back."""
         with self._lock:
             for which in COLOURS:
                 self._points[f"{namespace}/{which}"].clear()
@@ -102,30 +105,31 @@ class FleetMarkers:
                 return
             self._lengths = lengths
             paths = {topic: list(points) for topic, points in self._points.items() if points}
-        lines = [self._line(topic, points) for topic, points in paths.items()]
-        labels = [self._label(topic, points[-1]) for topic, points in paths.items()]
-        self._publisher.publish(MarkerArray(lines + [label for label in labels if label]))
+        markers = [self._line(topic, points) for topic, points in paths.items()]
+        for topic, points in paths.items():
+            if topic.endswith("/odom"):
+                markers.append(self._label(topic, points[-1]))
+        self._publisher.publish(MarkerArray(markers))
 
     def _marker(self, topic: str, name: str, kind: int, color: ColorRGBA) -> Marker:
         marker = Marker(ns=name, type=kind, color=color)
-        # Without a stamp, RViz takes the newest transform.
+        # Without a stamp, RViz uses the newest transform.
         marker.header.frame_id = self._frames[topic]
         marker.pose.orientation.w = 1.0
         return marker
 
-    def _line(self, topic: str, points: List[Point]) -> Marker:
+    def _line(self, topic: str, points: list[Point]) -> Marker:
         which = topic.rpartition("/")[2]
         marker = self._marker(topic, topic, Marker.LINE_STRIP, COLOURS[which])
-        marker.pose.position.z, marker.scale.x = HEIGHTS[which], LINE_WIDTH
+        marker.pose.position.z = HEIGHTS[which]
+        marker.scale.x = LINE_WIDTH
         marker.points = points
         return marker
 
-    def _label(self, topic: str, last: Point) -> Optional[Marker]:
-        """Return the name of a robot, where its perfect path has come to."""
-        robot, _, which = topic.rpartition("/")
-        if which != "odom":
-            return None
+    def _label(self, topic: str, last: Point) -> Marker:
+        """Return a label with the name of a robot, at the end of its perfect path."""
         marker = self._marker(topic, f"{topic}/label", Marker.TEXT_VIEW_FACING, WHITE)
-        marker.text, marker.scale.z = robot, LABEL_SIZE
+        marker.text, _, _ = topic.rpartition("/")
+        marker.scale.z = LABEL_SIZE
         marker.pose.position = Point(last.x, last.y, LABEL_HEIGHT)
         return marker

@@ -156,9 +156,9 @@ def test_a_result_comes_as_it_was_sent(calibration):
     result = DockingResult(
         True, DockingError.NONE, "docked", 2, 0.4, 0.01, -0.02, calibration=calibration
     )
-    told = dock_result(result)
-    fields = (told.success, told.error_code, told.message, told.retries)
+    message = dock_result(result)
+    fields = (message.success, message.error_code, message.message, message.retries)
     assert fields == (True, 0, "docked", 2)
-    assert (told.distance, told.lateral, told.yaw) == (0.4, 0.01, -0.02)
-    assert math.isnan(told.calibration.drift) == (calibration is None)
-    assert docking_result(told) == result
+    assert (message.distance, message.lateral, message.yaw) == (0.4, 0.01, -0.02)
+    assert math.isnan(message.calibration.drift) == (calibration is None)
+    assert docking_result(message) == result

@@ -22,7 +22,7 @@ def ros(monkeypatch):
     return ros
 
 
-def test_the_bridge_gets_what_gzserver_is_told(ros):
+def test_the_bridge_gets_the_arguments_of_gzserver(ros):
     ros.parameters["/gazebo/pub_clock_frequency"] = 250
     wanted = bridge_parameters(ServerArguments("worlds/beacons.world", True, 7))
     assert wanted.world == str(package_share() / "worlds" / "beacons.world")

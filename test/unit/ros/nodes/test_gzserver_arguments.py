@@ -18,12 +18,12 @@ def parse(line):
     return parse_server_arguments(line.split(" "))
 
 
-def test_what_empty_world_launch_says():
+def test_the_arguments_of_empty_world_launch():
     assert parse("-u    --verbose -e ode  worlds/empty.world") == ServerArguments(paused=True)
     assert parse("   -e ode  /a/b.world") == ServerArguments("/a/b.world")
 
 
-def test_nothing_said():
+def test_no_arguments():
     assert parse_server_arguments([]) == ServerArguments("worlds/empty.world", False, 0, ())
 
 
@@ -38,7 +38,7 @@ def test_seed_and_plugins():
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "reason"),
     [
         ("-p state.log", "--play is not simulated"),
         ("--iters 100 a.world", "--iters is not simulated"),
@@ -48,8 +48,8 @@ def test_seed_and_plugins():
         ("--nix", "unrecognized arguments: --nix"),
     ],
 )
-def test_refusals(line, said):
-    with pytest.raises(ArgumentsError, match=said):
+def test_refusals(line, reason):
+    with pytest.raises(ArgumentsError, match=reason):
         parse(line)
 
 
@@ -73,12 +73,12 @@ def test_worlds_that_need_no_search(name):
 
 
 @pytest.mark.parametrize(
-    ("said", "value"), [("true", True), ("false", False), ("0.1", 0.1), ("1", 1)]
+    ("text", "value"), [("true", True), ("false", False), ("0.1", 0.1), ("1", 1)]
 )
-def test_use_sim_time_has_the_type_of_its_value(said, value):
+def test_use_sim_time_has_the_type_of_its_value(text, value):
     """As in gazebo_ros's own launch file: use_sim_time:=0.1 is no mistake there."""
     launch = Path(__file__).parents[4] / "stand_ins/gazebo_ros/launch/empty_world.launch"
-    config, arguments = ROSLaunchConfig(), [f"use_sim_time:={said}", "use_clock_frequency:=1"]
+    config, arguments = ROSLaunchConfig(), [f"use_sim_time:={text}", "use_clock_frequency:=1"]
     XmlLoader().load(str(launch), config, argv=arguments, verbose=False)
     assert config.params["/use_sim_time"].value == value
     assert type(config.params["/use_sim_time"].value) is type(value)

@@ -10,37 +10,37 @@ def parse(line, namespace="/"):
 
 
 def test_the_line_of_most_launch_files():
-    told = parse("-urdf -param robot_description -model rover -x 1 -y -2.5 -z 0.1 -Y 1.57")
-    assert (told.urdf, told.source, told.source_name) == (True, "param", "robot_description")
-    assert (told.model, told.robot_namespace, told.gazebo_namespace) == ("rover", "/", "/gazebo")
-    assert told.pose.position == (1.0, -2.5, 0.1)
-    assert told.pose.rpy() == pytest.approx((0.0, 0.0, 1.57))
-    assert not (told.unpause or told.bond or told.package_to_model)
-    assert (told.wait, told.reference_frame, told.joints) == ("", "", {})
+    found = parse("-urdf -param robot_description -model rover -x 1 -y -2.5 -z 0.1 -Y 1.57")
+    assert (found.urdf, found.source, found.source_name) == (True, "param", "robot_description")
+    assert (found.model, found.robot_namespace, found.gazebo_namespace) == ("rover", "/", "/gazebo")
+    assert found.pose.position == (1.0, -2.5, 0.1)
+    assert found.pose.rpy() == pytest.approx((0.0, 0.0, 1.57))
+    assert not (found.unpause or found.bond or found.package_to_model)
+    assert (found.wait, found.reference_frame, found.joints) == ("", "", {})
 
 
 def test_all_of_it():
-    told = parse(
+    found = parse(
         "-sdf -file /a/b.sdf -model m -reference_frame other::link -robot_namespace left "
         "-gazebo_namespace /sim/ -wait ground_plane -unpause -package_to_model -b "
         "-R 0.1 -P -0.2 -Y 3 -J shoulder 0.5 -J elbow -1e-3"
     )
-    assert (told.urdf, told.source, told.source_name) == (False, "file", "/a/b.sdf")
-    assert (told.reference_frame, told.robot_namespace) == ("other::link", "left")
-    assert (told.gazebo_namespace, told.wait) == ("/sim", "ground_plane")
-    assert (told.unpause, told.package_to_model, told.bond) == (True, True, True)
-    assert told.pose.rpy() == pytest.approx((0.1, -0.2, 3.0))
-    assert told.joints == {"shoulder": 0.5, "elbow": -1e-3}
+    assert (found.urdf, found.source, found.source_name) == (False, "file", "/a/b.sdf")
+    assert (found.reference_frame, found.robot_namespace) == ("other::link", "left")
+    assert (found.gazebo_namespace, found.wait) == ("/sim", "ground_plane")
+    assert (found.unpause, found.package_to_model, found.bond) == (True, True, True)
+    assert found.pose.rpy() == pytest.approx((0.1, -0.2, 3.0))
+    assert found.joints == {"shoulder": 0.5, "elbow": -1e-3}
 
 
 @pytest.mark.parametrize("x", ["-1", "-1.5", "-.5", "-1e-3", "1e2", "+2", "-2E+1", "-3."])
 def test_numbers_in_any_spelling(x):
-    told = parse(f"-sdf -stdin -model m -x {x} -J j {x}")
-    assert told.pose == Pose((float(x), 0.0, 0.0))
-    assert told.joints["j"] == pytest.approx(float(x), abs=1e-15)
+    found = parse(f"-sdf -stdin -model m -x {x} -J j {x}")
+    assert found.pose == Pose((float(x), 0.0, 0.0))
+    assert found.joints["j"] == pytest.approx(float(x), abs=1e-15)
 
 
-def test_the_robot_is_in_the_namespace_of_the_node_if_nothing_else_is_said():
+def test_the_robot_is_in_the_namespace_of_the_node_by_default():
     assert parse("-urdf -stdin -model m", "/left/").robot_namespace == "/left/"
     assert parse("-urdf -stdin -model m -namespace /right", "/l/").robot_namespace == "/right"
 
@@ -52,7 +52,7 @@ def test_sources():
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "reason"),
     [
         ("-file f -model m", "one of the arguments -urdf -sdf/-gazebo is required"),
         ("-urdf -sdf -file f -model m", "not allowed with argument"),
@@ -70,10 +70,10 @@ def test_sources():
         ("-urdf -file f -model m -trimesh_mass 1", "unrecognized arguments: -trimesh_mass 1"),
     ],
 )
-def test_refusals(line, said):
+def test_refusals(line, reason):
     with pytest.raises(ArgumentsError) as caught:
         parse(line)
-    assert said in str(caught.value)
+    assert reason in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -28,7 +28,7 @@ def test_why_a_launch_file_has_ended():
     )
     assert reason_in("Error:\n") == "Error:"
     assert reason_in("done\n") == "done"
-    assert reason_in("") == "without a word"
+    assert reason_in("") == "no output"
 
 
 LOG = """started roslaunch server http://here:1/

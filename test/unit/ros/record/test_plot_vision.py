@@ -80,7 +80,7 @@ def test_answers_to_different_images_are_better_than_none(receive, monkeypatch):
     assert {t: m.of[1] for t, m in answers.wait(2.0).items()} == {"a": 4, "b": 2, "c": 3}
 
 
-def test_a_detector_that_says_nothing_is_named(receive):
+def test_a_silent_detector_is_named(receive):
     answers = plot_vision.SameImage(TOPICS, settle=0.0)
     receive["b"](answer("b", 1))
     with pytest.raises(NodeError, match=r"^nothing on a, c within 0\.05 s$"):

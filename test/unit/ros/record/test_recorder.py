@@ -14,7 +14,7 @@ from bullet_lab.core.files import PathSeries
 from bullet_lab.reports import Report
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import recorder
-from bullet_lab.ros.record.recorder import Errand, Recorder, TimedParameters
+from bullet_lab.ros.record.recorder import GoalRequest, Recorder, TimedParameters
 
 
 class PathReport(Report):
@@ -94,7 +94,7 @@ def test_what_cannot_be_used_is_counted_and_the_end_is_where_it_was_announced(tm
     assert summary["sim_time_s"] == pytest.approx(0.1)
     assert len((tmp_path / "path.tum").read_text().splitlines()) == 3
     assert (tmp_path / "path.png").is_file()
-    # On its way in still.
+    # A late message.
     receive["odom"](odometry(5))
     assert len((tmp_path / "path.tum").read_text().splitlines()) == 3
 
@@ -137,14 +137,14 @@ def test_pictures_are_renewed_before_the_summary(tmp_path, receive):
     assert seen == [True]
 
 
-def test_an_errand_that_fails_leaves_everything_and_one_line(tmp_path, receive):
+def test_a_goal_that_is_not_reached_leaves_everything_and_one_line(tmp_path, receive):
     report = PathReport(tmp_path)
     report.failed = True
     sent = []
-    errand = Errand("server", lambda: True, lambda: sent.append(1), lambda: bool(sent))
+    request = GoalRequest("server", lambda: True, lambda: sent.append(1), lambda: bool(sent))
     report.until = 50_000_000
     parameters = recorder.RecordParameters(out=str(tmp_path))
-    recording = Recorder(report, parameters, "server", errand=errand)
+    recording = Recorder(report, parameters, "server", request=request)
     receive["odom"](odometry(1))
     with pytest.raises(NodeError, match="^1 rows$"):
         recording.run()
@@ -152,11 +152,11 @@ def test_an_errand_that_fails_leaves_everything_and_one_line(tmp_path, receive):
     assert summary_of(tmp_path)["finished"] is True
 
 
-def test_a_goal_that_nobody_takes(tmp_path, receive, monkeypatch):
+def test_a_goal_that_is_not_accepted(tmp_path, receive, monkeypatch):
     monkeypatch.setattr(recorder, "ACCEPTANCE", 0.05)
-    errand = Errand("server", lambda: True, lambda: None, lambda: False)
+    request = GoalRequest("server", lambda: True, lambda: None, lambda: False)
     parameters = recorder.RecordParameters(out=str(tmp_path))
-    recording = Recorder(PathReport(tmp_path), parameters, "server", errand=errand)
-    with pytest.raises(NodeError, match=r"^server has not taken the goal for 0\.05 s$"):
+    recording = Recorder(PathReport(tmp_path), parameters, "server", request=request)
+    with pytest.raises(NodeError, match=r"^server has not accepted the goal within 0\.05 s$"):
         recording.run()
     assert summary_of(tmp_path)["rows"] == 0

@@ -1,5 +1,7 @@
-"""Which model is the robot, and which topics are its own."""
+"""Which model is the robot, which topics are its own, and where a camera sees the whole of it."""
 
+import math
+from itertools import product
 from types import SimpleNamespace
 
 import pytest
@@ -7,10 +9,14 @@ from bullet_lab.msg import ModelDescription, PluginDescription
 
 from bullet_lab.ros.record import robot_parts
 from bullet_lab.ros.record.robot_parts import (
+    CLEARANCE,
+    FIELD_OF_VIEW,
+    camera_pose,
     candidates,
     choose,
+    distance_to,
+    plugins_of,
     robot_of,
-    rows_of_others,
     topics_of,
     why_it_stands,
 )
@@ -26,8 +32,10 @@ def plugin(inputs=(), outputs=()):
     return PluginDescription(filename="lib.so", inputs=list(inputs), outputs=list(outputs))
 
 
-def master(heard=(), spoken=()):
-    return SimpleNamespace(heard=dict(heard), spoken=dict(spoken), services=set())
+def master(subscribed=(), published=()):
+    return SimpleNamespace(
+        subscribed=dict(subscribed), published=dict(published), services=set()
+    )
 
 
 CART = model("cart", plugin(["/go"], ["/odom"]))
@@ -56,18 +64,14 @@ def test_no_robot_yet(models, name):
     assert choose(models, name, ["/go"]) is None
 
 
-def answer(*models, said=()):
-    return SimpleNamespace(models=models, said=list(said))
-
-
 def test_topics_of_another_robot_are_not_its_own():
     now = master(
         {"/go": TWIST, "/rover/go": TWIST},
         {"/odom": ODOMETRY, "/rover/odom": ODOMETRY, "/joint_states": "sensor_msgs/JointState"},
     )
-    robot = robot_of(ROVER, answer(CART, ROVER), now)
+    robot = robot_of(ROVER, [CART], [], now)
     assert (robot.drive, robot.odometry) == ("/rover/go", "/rover/odom")
-    found = topics_of(CART, [CART, ROVER], now)
+    found = topics_of(CART, [ROVER], now)
     assert set(found) == {"/odom", "/joint_states"}
 
 
@@ -77,19 +81,19 @@ def test_a_controller_drives_where_no_plugin_names_a_topic():
         {"/base/cmd_vel": TWIST, "/light": "std_msgs/Bool"},
         {"/odom": ODOMETRY, "/truth": ODOMETRY, "/base/other": "std_msgs/Bool"},
     )
-    robot = robot_of(husky, answer(husky), now)
+    robot = robot_of(husky, [], [], now)
     assert (robot.drive, robot.odometry) == ("/base/cmd_vel", "/odom")
 
 
 def test_the_odometry_is_that_of_the_plugin_that_drives():
     rover = model("rover", plugin([], ["/cmd/odom"]), plugin(["/cmd/vel"], ["/driven"]))
     now = master({"/cmd/vel": TWIST}, {"/cmd/odom": ODOMETRY, "/driven": ODOMETRY})
-    assert robot_of(rover, answer(rover), now).odometry == "/driven"
+    assert robot_of(rover, [], [], now).odometry == "/driven"
 
 
-def test_what_was_said_of_the_world_is_left_out():
-    said = ["model 'wall': crooked", "model 'cart': odd", "model_xml of 'cart': odder"]
-    robot = robot_of(CART, answer(WALL, CART, said=said), master())
+def test_warnings_of_the_world_are_left_out():
+    warnings = ["model 'wall': crooked", "model 'cart': odd", "model_xml of 'cart': odder"]
+    robot = robot_of(CART, [WALL], warnings, master())
     assert robot.said == ("model 'cart': odd", "model_xml of 'cart': odder")
     assert (robot.drive, robot.odometry) == ("", "")
 
@@ -99,7 +103,7 @@ def test_of_several_robots_the_first_by_name_is_driven():
     drives = [f"/tb3_{n}/go" for n in range(3)]
     assert choose([LAMP, *tb], "", drives).name == "tb3_0"
     now = master(dict.fromkeys(drives, TWIST))
-    assert robot_of(tb[1], answer(LAMP, *tb), now).choice == ("tb3_0", "tb3_1", "tb3_2")
+    assert robot_of(tb[1], [LAMP, tb[0], tb[2]], [], now).choice == ("tb3_0", "tb3_1", "tb3_2")
 
 
 def test_a_robot_of_the_world_file_is_taken_where_nothing_else_came():
@@ -114,9 +118,9 @@ def test_a_robot_of_the_world_file_is_taken_where_nothing_else_came():
     # A controller may drive it, whose topic no plugin names.
     assert choose([WALL, statue, door], "", ["/base/go"], True).name == "a_door"
     assert choose(world, "", [], True) is None
-    # What is said of it is no matter of the world.
-    said = ["model 'robot': odd", "model 'wall': crooked"]
-    assert robot_of(robot, answer(*world, said=said), master()).said == ("model 'robot': odd",)
+    # Warnings about the robot are not those of the world.
+    warnings = ["model 'robot': odd", "model 'wall': crooked"]
+    assert robot_of(robot, world[:-1], warnings, master()).said == ("model 'robot': odd",)
 
 
 def test_whom_model_may_name():
@@ -126,8 +130,8 @@ def test_whom_model_may_name():
     assert candidates([BOX, wall, LAMP]) == "model:=NAME takes one of lamp, box"
 
 
-def test_the_plugins_of_others():
-    assert [row.outputs for row in rows_of_others(CART, [CART, ROVER])] == [("/rover/odom",)]
+def test_the_plugins_of_models():
+    assert [row.outputs for row in plugins_of([CART, ROVER])] == [("/odom",), ("/rover/odom",)]
 
 
 def test_why_a_robot_stands(monkeypatch):
@@ -143,3 +147,25 @@ def test_why_a_robot_stands(monkeypatch):
     assert why_it_stands(cart, "/go", True)[0] == "none of its joints turn"
     cart.is_static = True
     assert why_it_stands(cart, "/go", True) == ["the model is static"]
+
+
+BOXES = [
+    ((-0.1, -0.1, 0.0), (0.1, 0.1, 0.2)),
+    ((2.0, -5.0, 0.1), (4.0, -4.5, 0.4)),
+    ((-0.1, -0.1, 0.0), (0.1, 0.1, 3.0)),
+]
+
+
+@pytest.mark.parametrize("box", BOXES)
+def test_every_corner_is_in_the_picture(box):
+    eye = camera_pose(*box).inverse()
+    for corner in product(*zip(*box)):
+        x, y, z = (eye * type(eye)(corner)).position
+        assert x > CLEARANCE * distance_to(*box)
+        assert math.atan2(abs(y), x) < 0.5 * FIELD_OF_VIEW
+        # The picture is three quarters as high as wide.
+        assert abs(z) / x < 0.75 * math.tan(0.5 * FIELD_OF_VIEW)
+
+
+def test_a_point_is_looked_at_from_somewhere():
+    assert distance_to((1.0, 1.0, 1.0), (1.0, 1.0, 1.0)) > 0.1

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 from bullet_lab.msg import ModelDescription, PluginDescription
 
-from bullet_lab.reports.robot import ODOMETRY, TRUTH, Robot, RobotReport, Way
+from bullet_lab.reports.robot import ODOMETRY, TRUTH, Displacement, Robot, RobotReport
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import try_robot
 from bullet_lab.ros.record.robot_parts import SERVICE, VELOCITIES
@@ -35,8 +35,8 @@ def trial(tmp_path):
 
 
 def test_odometry_comes_again_after_a_pause(trial, monkeypatch):
-    said = []
-    monkeypatch.setattr(try_robot.rospy, "logwarn", lambda *words: said.append(words))
+    warnings = []
+    monkeypatch.setattr(try_robot.rospy, "logwarn", lambda *words: warnings.append(words))
     first, last = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)
     trial._odometry = Odometry(first, None, None, last, None)
     assert [trial._newest_odometry() for _ in range(5)] == [first, None, None, last, None]
@@ -44,18 +44,18 @@ def test_odometry_comes_again_after_a_pause(trial, monkeypatch):
     assert [patience > 0.0 for patience in trial._odometry.patience] == [
         True, True, False, False, True
     ]  # fmt: skip
-    assert (len(said), trial._report.pauses) == (2, 2)
+    assert (len(warnings), trial._report.pauses) == (2, 2)
 
 
 def test_the_truth_decides_while_odometry_pauses(trial):
-    ways = {TRUTH: Way(), ODOMETRY: Way()}
+    trial._moved = {TRUTH: Displacement(), ODOMETRY: Displacement()}
     for x in (0.0, 0.5):
-        ways[ODOMETRY].add((x, 0.0, 0.0))
+        trial._moved[ODOMETRY].add((x, 0.0, 0.0))
     for x in (0.0, 1.1):
-        ways[TRUTH].add((x, 0.0, 0.0))
-    assert not trial._is_enough(ways, "ahead_m", 1.0)
+        trial._moved[TRUTH].add((x, 0.0, 0.0))
+    assert not trial._is_enough("ahead_m", 1.0)
     trial._pauses = True
-    assert trial._is_enough(ways, "ahead_m", 1.0)
+    assert trial._is_enough("ahead_m", 1.0)
 
 
 class Clock:
@@ -90,12 +90,14 @@ def found(monkeypatch):
                 if clock.now >= at
             ]
 
-        def heard():
+        def subscribed():
             return {f"/{model.name}/go": VELOCITIES for model in models()}
 
         monkeypatch.setattr(try_robot, "time", clock)
         monkeypatch.setattr(
-            try_robot, "Master", lambda: SimpleNamespace(services={SERVICE}, heard=heard())
+            try_robot,
+            "Master",
+            lambda: SimpleNamespace(services={SERVICE}, subscribed=subscribed()),
         )
         monkeypatch.setattr(try_robot, "described", lambda: SimpleNamespace(models=models()))
         monkeypatch.setattr(try_robot.rospy, "ServiceProxy", lambda *_: lambda: None)
@@ -118,5 +120,6 @@ def test_a_robot_of_the_world_file_waits_for_others(found):
 
 
 def test_nothing_comes(found):
-    with pytest.raises(NodeError, match="no model 'cart' has come within 120 s: .* one of robot$"):
+    line = "no model 'cart' was spawned within 120 s; .* one of robot$"
+    with pytest.raises(NodeError, match=line):
         found("cart", robot=(0.0, True))
