@@ -87,4 +87,4 @@ def test_what_a_program_imports_and_runs_is_there(path):
             assert all(hasattr(module, alias.name) for alias in node.names)
     for name, function in re.findall(r'\b(?:run\(|MAIN = )"([\w.]+):?(\w*)"', text):
         source = Path(importlib.util.find_spec(name).origin).read_text()
-        assert f"def {function or 'main'}(" in source
+        assert re.search(rf"^(def )?{function or 'main'}\b", source, re.MULTILINE)
