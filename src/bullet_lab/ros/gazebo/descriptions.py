@@ -11,8 +11,13 @@ from geometry_msgs.msg import Point
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription, PluginDescription
 from bullet_lab.ros.bridge.running_world import RunningWorld
-from bullet_lab.simulation.models import ModelInstance, find_model
-from bullet_lab.simulation.survey import PluginSurvey, bounds, survey
+from bullet_lab.simulation.models import (
+    ModelInstance,
+    PluginSurvey,
+    bounds,
+    find_model,
+    survey,
+)
 from bullet_lab.srv import DescribeModels, DescribeModelsResponse
 
 MOST_LINES = 1000

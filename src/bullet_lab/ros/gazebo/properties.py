@@ -11,8 +11,7 @@ from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.gazebo.offers import Answer, offer_between_steps
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import InputError, pose_message, vector_of
-from bullet_lab.simulation.models import find_joint, find_link
-from bullet_lab.simulation.properties import change_joint, change_link
+from bullet_lab.simulation.models import change_joint, change_link, find_joint, find_link
 from bullet_lab.simulation.world.description import Inertia
 from bullet_lab.simulation.world.inertia import INERTIA_KEYS, matrix_from_elements
 

@@ -6,7 +6,7 @@ import pytest
 from conftest import complains
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.physics.physics import JointState
 from bullet_lab.simulation.plugins import PluginError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
