@@ -282,7 +282,7 @@ class SpawnTest(GazeboCase):
         for tag, told in (("Topic>odom", "Topic>no good name!"), ("Rate>20.0", "Rate>far")):
             spawn("odd", BLOCK.replace(f"<odometry{tag}<", f"<odometry{told}<"), at(0.0, 3.0, 0.0))
             call("/gazebo/delete_model", DeleteModel, "odd")
-        self.assertIn("no topic is called 'no good name!'", bridge.err)
+        self.assertIn("'no good name!' is not a valid topic name", bridge.err)
         self.assertIn("'far' is not a finite number", bridge.err)
         clock.wait(len(clock.messages) + 20)
         self.assertTrue(bridge.runs())

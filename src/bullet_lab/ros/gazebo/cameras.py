@@ -26,7 +26,7 @@ from bullet_lab.ros.messages.conversions import compressed_message
 from bullet_lab.ros.node.node import MASTER_ERRORS
 from bullet_lab.simulation.plugins import Plugin
 from bullet_lab.simulation.plugins.camera import Camera, DepthCamera
-from bullet_lab.simulation.plugins.imu import Imu
+from bullet_lab.simulation.plugins.motion_sensors import Imu
 from bullet_lab.simulation.plugins.samples import ImageSample
 
 # Those of compressed_image_transport, but what restarts a JPEG.

@@ -14,7 +14,7 @@ from bullet_lab.simulation.plugins.controllers.description import (
     RobotDescription,
 )
 from bullet_lab.simulation.plugins.controllers.hardware import joint_handles
-from bullet_lab.simulation.plugins.plugin import Input, Mount, Plugin, PluginError
+from bullet_lab.simulation.plugins.plugin import Input, Mount, Plugin
 from bullet_lab.simulation.plugins.samples import Stop
 
 LOG = logging.getLogger(__name__)
@@ -40,9 +40,7 @@ class RosControl(Plugin):
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
-        if mount.model.static:
-            where = f"model '{mount.model.name}'"
-            raise PluginError(f"{where}: ros_control needs a model that can move, but it is static")
+        mount.require_moving()
         # As in Gazebo, the default namespace is the model's name.
         space = (mount.text("robotNamespace") or mount.model.name).strip("/")
         self.namespace = f"/{space}/" if space else "/"
