@@ -17,9 +17,9 @@ from typing import (
     Any,
     Callable,
     Dict,
+    Iterable,
     List,
     Mapping,
-    NamedTuple,
     Optional,
     Protocol,
     Sequence,
@@ -126,17 +126,6 @@ class Partner:
     share: float = 1.0
 
 
-class WheelContact(NamedTuple):
-    """A contact point of a wheel: its place, directions, slip in m/s, and share of the friction."""
-
-    partner: Partner
-    place: Vector
-    rolling: Vector
-    lateral: Vector
-    slip: Pair
-    coefficients: Pair
-
-
 class WheelFriction:
     """The friction of one wheel.
 
@@ -202,7 +191,9 @@ class Traction:
             self._owners.update(dict.fromkeys(indices, wheel))
         self.update_gains()
         for index in self._owners:
-            self._call(pybullet.changeDynamics, body, index, lateralFriction=0.0)
+            pybullet.changeDynamics(
+                body.unique_id, index, lateralFriction=0.0, physicsClientId=body.client
+            )
         self._partners: Dict[Tuple[int, int, int], Partner] = {}
         self._points_are_valid = False
         indices = [wheel.index for wheel in self._wheels]
@@ -249,52 +240,49 @@ class Traction:
             load = sum([point[9] for point in points])
             wheel.update_load(load, bool(points))
             if points:
-                axle = Pose(quaternion=state[1]).rotate(wheel.axle)
                 weights = [point[9] / load if load else 1.0 / len(points) for point in points]
-                found = [self._contact_point(*pair, state, axle) for pair in zip(points, weights)]
-                self._apply(wheel, found)
+                self._apply_friction(wheel, state, zip(points, weights))
 
-    def _contact_point(
-        self, point: tuple, weight: float, state: tuple, axle: Vector
-    ) -> WheelContact:
-        """Return one of PyBullet's points, which carries a share `weight` of the wheel's load."""
-        partner, place = self._partner(point), point[5]
-        rolling, lateral = _directions(axle, point[7])
-        velocity = add(state[6], cross(state[7], subtract(place, state[0])))
-        if partner.link is not None:
-            velocity = subtract(velocity, _velocity_of(*partner.link, place))
-        slip = _dot(velocity, rolling), _dot(velocity, lateral)
-        coefficients = weight * partner.coefficients[0], weight * partner.coefficients[1]
-        return WheelContact(partner, place, rolling, lateral, slip, coefficients)
-
-    def _apply(self, wheel: WheelFriction, points: Sequence[WheelContact]) -> None:
-        """Push the wheel, and what it touches, at points that share the friction.
+    def _apply_friction(
+        self, wheel: WheelFriction, state: tuple, points: Iterable[Tuple[tuple, float]]
+    ) -> None:
+        """Push the wheel, and what it touches, at PyBullet's points, which have weights.
 
         The slip of the wheel is the mean over the points, weighted by their coefficients; each
         point gets a part of the friction in the same ratio.
         """
+        axle = Pose(quaternion=state[1]).rotate(wheel.axle)
         mu_along = mu_across = 0.0
         slip_along = slip_across = 0.0
         share = 1.0
-        for point in points:
-            mu_along += point.coefficients[0]
-            mu_across += point.coefficients[1]
-            slip_along += point.coefficients[0] * point.slip[0]
-            slip_across += point.coefficients[1] * point.slip[1]
-            share = min(share, point.partner.share)
+        parts = []
+        for point, weight in points:
+            partner, place = self._partner(point), point[5]
+            rolling, lateral = _directions(axle, point[7])
+            slip = _slip(state, place, partner)
+            part_along = weight * partner.coefficients[0]
+            part_across = weight * partner.coefficients[1]
+            mu_along += part_along
+            mu_across += part_across
+            slip_along += part_along * _dot(slip, rolling)
+            slip_across += part_across * _dot(slip, lateral)
+            share = min(share, partner.share)
+            parts.append((partner, place, rolling, lateral, part_along, part_across))
         mu_along = max(mu_along, LEAST_COEFFICIENT)
         mu_across = max(mu_across, LEAST_COEFFICIENT)
-        slip = slip_along / mu_along, slip_across / mu_across
-        along, across = wheel.force(slip, (mu_along, mu_across), share)
-        for point in points:
-            x = point.coefficients[0] / mu_along * along
-            y = point.coefficients[1] / mu_across * across
-            (rx, ry, rz), (lx, ly, lz) = point.rolling, point.lateral
-            force = (x * rx + y * lx, x * ry + y * ly, x * rz + y * lz)
-            self._push(self._body, wheel.index, force, point.place)
-            if point.partner.link is not None:
-                back = (-force[0], -force[1], -force[2])
-                self._push(*point.partner.link, back, point.place)
+        slips = slip_along / mu_along, slip_across / mu_across
+        along, across = wheel.force(slips, (mu_along, mu_across), share)
+        for partner, place, rolling, lateral, part_along, part_across in parts:
+            x = part_along / mu_along * along
+            y = part_across / mu_across * across
+            force = (
+                x * rolling[0] + y * lateral[0],
+                x * rolling[1] + y * lateral[1],
+                x * rolling[2] + y * lateral[2],
+            )
+            _push(self._body, wheel.index, force, place)
+            if partner.link is not None:
+                _push(*partner.link, (-force[0], -force[1], -force[2]), place)
 
     def _partner(self, point: tuple) -> Partner:
         key = (point[3], point[2], point[4])
@@ -314,11 +302,19 @@ class Traction:
         yields = YIELDING * len(self._wheels) * max(self._owners[index].gains) / STEPS_PER_SECOND
         return Partner((along, across), (other, other_index), mass / (mass + yields))
 
-    def _push(self, body: Body, index: int, force: Vector, place: Vector) -> None:
-        self._call(pybullet.applyExternalForce, body, index, force, place, pybullet.WORLD_FRAME)
 
-    def _call(self, function: Callable[..., Any], body: Body, *arguments: Any, **more: Any) -> None:
-        function(body.unique_id, *arguments, physicsClientId=body.client, **more)
+def _push(body: Body, index: int, force: Vector, place: Vector) -> None:
+    pybullet.applyExternalForce(
+        body.unique_id, index, force, place, pybullet.WORLD_FRAME, body.client
+    )
+
+
+def _slip(state: tuple, place: Vector, partner: Partner) -> Vector:
+    """Return the velocity (m/s) of a place on a wheel relative to what it touches there."""
+    slip = add(state[6], cross(state[7], subtract(place, state[0])))
+    if partner.link is None:
+        return slip
+    return subtract(slip, _velocity_of(*partner.link, place))
 
 
 def _directions(axle: Vector, normal: Vector) -> Tuple[Vector, Vector]:

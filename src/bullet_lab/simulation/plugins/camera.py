@@ -74,8 +74,8 @@ class Camera(Plugin):
         self._place = tag.place()
         self.lens = Lens(_geometry(mount, tag))
         if self.lens.black:
-            where, share = tag.where("camera/distortion"), f"{100.0 * self.lens.black:.0f} %"
-            LOG.warning("%s: %s of the picture is black; the lens shows nothing there", where, share)
+            where, share = tag.where("camera/distortion"), 100.0 * self.lens.black
+            LOG.warning("%s: %.0f %% of the picture is black: outside of the lens", where, share)
         self.near = tag.number("camera/clip/near", 0.1)
         self.far = tag.number("camera/clip/far", 100.0)
         self.encoding = ENCODINGS[tag.choice("camera/image/format", tuple(ENCODINGS))]
