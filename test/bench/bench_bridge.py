@@ -37,7 +37,7 @@ STOP_SECONDS = 10.0
 # velocity in the robot's frame before each step.
 BARE_LOOP = """
 import math, sys, time
-from bullet_lab.simulation.engine import pybullet as p
+from bullet_lab.simulation.physics import pybullet as p
 from bullet_lab.simulation.simulation import Simulation
 simulation = Simulation.of(sys.argv[1])
 robot = simulation.spawn(sys.argv[2])

@@ -33,7 +33,7 @@ from sensor_msgs.msg import CameraInfo
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.nodes.bridge import BridgeParameters, PyBulletBridge
-from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.rendering.graphics import driver_name
 from bullet_lab.simulation.simulation import Simulation

@@ -338,7 +338,7 @@ class SensorsTest(unittest.TestCase):
             robot=self.file("crate.urdf", bad),
         )
         self.addCleanup(bridge.end)
-        said = "plugin 'laser': <sensor>: <samples>: -5 is no whole number"
+        said = "plugin 'laser': <sensor>: <samples>: -5 is not a whole number"
         wait_for(lambda: said in bridge.err, "what is wrong")
         rospy.wait_for_message("imu_b", Imu, 10.0)
         self.assertEqual(1, bridge.err.count(said), bridge.err)

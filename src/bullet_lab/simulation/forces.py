@@ -1,4 +1,4 @@
-"""Forces from outside: on links and on joints, for a while of simulated time."""
+"""Forces from outside on links and joints, for a period of simulated time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bullet_lab.simulation.models import Entity, ModelInstance
 from bullet_lab.simulation.world.description import FrameState
 from bullet_lab.simulation.world.inertia import FARTHEST
 
-# Beyond this, in N or N m, numbers overflow rather than bodies move.
+# Greatest force (N) or torque (N m); beyond it, the engine's numbers overflow.
 STRONGEST = 1e9
 
 
@@ -23,17 +23,17 @@ class ForceError(LabError):
 
 @dataclass(frozen=True)
 class Period:
-    """Steps from `first` on, up to but without `end`."""
+    """The steps from `first` up to, but without, `end`."""
 
     first: int
     end: float
 
     @classmethod
     def after(cls, now: int, start: float, duration: float) -> Period:
-        """Return the steps of a period of simulated time, not before the step `now`.
+        """Return the steps of a period of simulated time, from the step `now` on.
 
-        A past `start` (s) means at once, a `duration` (s) of less than a step one step, and a
-        negative one for ever.
+        A `start` (s) in the past means at once. A `duration` (s) of less than a step is one step;
+        a negative one never ends.
         """
         first = max(now, math.ceil(round(start * STEPS_PER_SECOND, 6)))
         if duration < 0.0:
@@ -44,9 +44,9 @@ class Period:
 
 @dataclass(frozen=True)
 class Wrench:
-    """A force in N at the origin of a link's frame, a torque in N m, in the world's axes.
+    """A force in N at the origin of a link's frame and a torque in N m, in the world's axes.
 
-    `target` is the model and the link that it acts on, `numbers` how strong it is.
+    `target` is the model and the link that it acts on; `numbers` are the values to check.
     """
 
     link: Entity
@@ -66,16 +66,16 @@ class Wrench:
         point: Vector,
         period: Period,
     ) -> Wrench:
-        """Make a wrench from one that is given in a frame, at a point of that frame.
+        """Return the wrench of a force and torque that are given in a frame, at a point of it.
 
-        It is turned into the world's axes now, and keeps its directions there.
+        They are turned into the world's axes now, and keep their directions there.
 
         Raises:
-            ForceError: a number that is not finite or absurd.
+            ForceError: a number is not finite or too large.
         """
         _check(force + torque)
         if not max(map(abs, point)) <= FARTHEST:
-            raise ForceError(f"a force at {point} m is not within {FARTHEST:g} m")
+            raise ForceError(f"force at {point} m: not within {FARTHEST:g} m")
         turn = Pose(quaternion=given_in.pose.quaternion)
         push, twist = turn.rotate(force), turn.rotate(torque)
         at = (given_in.pose * Pose(point)).position
@@ -83,14 +83,14 @@ class Wrench:
         return cls(link, push, add(twist, cross(arm, push)), period)
 
     def apply(self) -> None:
-        """Push and turn in the coming step."""
+        """Act in the coming step."""
         frame = self.link.frame
         frame.body.push(frame.link, self.force, self.torque, frame.pose().position)
 
 
 @dataclass(frozen=True)
 class Effort:
-    """A torque in N m or a force in N of a joint; `target` and `numbers` as those of `Wrench`."""
+    """A torque (N m) or a force (N) of a joint; `target` and `numbers` are as in `Wrench`."""
 
     instance: ModelInstance
     joint: str
@@ -100,41 +100,41 @@ class Effort:
     numbers = property(lambda self: (self.effort,))
 
     def apply(self) -> None:
-        """Turn or push in the coming step."""
+        """Act in the coming step."""
         self.instance.body_of_joint(self.joint).exert(self.joint, self.effort)
 
 
 def _check(numbers: Tuple[float, ...]) -> None:
     for number in numbers:
         if not abs(number) <= STRONGEST:
-            raise ForceError(f"a force of {number:g} is not within {STRONGEST:g} N or N m")
+            raise ForceError(f"force of {number:g}: not within {STRONGEST:g} N or N m")
 
 
 class Forces:
-    """All forces that act or wait for their time. Belongs to the simulation's thread."""
+    """All forces that act now or later. Use it in the simulation's thread only."""
 
     def __init__(self) -> None:
         self._forces: List[Union[Wrench, Effort]] = []
 
     @property
     def active(self) -> bool:
-        """Whether there is anything to do before a step."""
+        """Whether there are forces, now or later."""
         return bool(self._forces)
 
     def add(self, force: Union[Wrench, Effort]) -> None:
-        """Let a force act in its period.
+        """Add a force, which acts in its period.
 
         Raises:
-            ForceError: a number that is not finite or absurd, or the model never moves.
+            ForceError: a number is not finite or too large, or the model is static.
         """
         _check(force.numbers)
         model = force.target[0].model
         if model.static:
-            raise ForceError(f"model '{model.name}' is static: nothing moves it")
+            raise ForceError(f"model '{model.name}' is static; it cannot be moved")
         self._forces.append(force)
 
     def before_step(self, step: int) -> None:
-        """Apply what acts during the coming step."""
+        """Apply the forces of the coming step, and remove those that have ended."""
         ended = False
         for force in self._forces:
             if force.period.end <= step:
@@ -145,7 +145,7 @@ class Forces:
             self._forces = [force for force in self._forces if force.period.end > step]
 
     def clear(self, kind: type = object, target: Tuple[Any, ...] = ()) -> None:
-        """End all forces of a kind on a model's link or joint, on a model, or anywhere."""
+        """End all forces of a kind on a model's link or joint, on a model, or on everything."""
         self._forces = [
             force
             for force in self._forces

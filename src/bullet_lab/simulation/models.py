@@ -1,4 +1,4 @@
-"""Models in a running simulation: where their parts are, by name, and putting them elsewhere.
+"""Models in a running simulation: their state, their properties, and finding them by name.
 
 Clients name models, and links as "model::link".
 """
@@ -6,8 +6,11 @@ Clients name models, and links as "model::link".
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Tuple
+
+import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.errors import LabError
@@ -18,19 +21,24 @@ from bullet_lab.simulation.world.description import (
     SEPARATOR,
     WORLD_LINK,
     FrameState,
+    Inertia,
     Model,
     ModelState,
+    PluginTag,
 )
 from bullet_lab.simulation.world.inertia import FARTHEST, FASTEST
+from bullet_lab.simulation.world.tree import check_proportions
 
 # Names of the world's own frame.
 WORLD_FRAMES = ("", "world", "map", "/map")
-# Of the length of a quaternion from outside, which may have been rounded.
+# Tolerance of the length of a quaternion from outside, which may have been rounded.
 QUATERNION_TOLERANCE = 1e-3
+# Corners farther away than this (m) belong to planes, which have no end.
+FARTHEST_CORNER = 1e3
 
 
 class SimulationError(LabError):
-    """Something is asked of the simulation that it cannot do."""
+    """A request that the simulation cannot fulfil."""
 
 
 class EntityError(LabError):
@@ -44,8 +52,8 @@ class ModelInstance:
     Attributes:
         model: its description.
         bodies: of it, by the names of their root links.
-        plugins: what its `<plugin>` tags do.
-        moves: how often it was put somewhere: what is static moves in no other way.
+        plugins: of its `<plugin>` tags.
+        moves: how often it was placed; static models move in no other way.
     """
 
     model: Model
@@ -67,23 +75,24 @@ class ModelInstance:
         return self.bodies[root.name].pose() * root.pose.inverse()
 
     def place(self, pose: Pose) -> None:
-        """Put the model somewhere, at rest; raises SimulationError for an impossible pose."""
+        """Place the model at rest; raises SimulationError for an invalid pose."""
         check_pose(pose, self.name)
         for root in self.model.root_links():
             self.bodies[root.name].place(pose * root.pose)
         self._note_move()
 
     def move(self, pose: Pose, linear: Vector, angular: Vector) -> None:
-        """Put the model somewhere in motion; its joints keep their positions and stand still.
+        """Place the model in motion; its joints keep their positions and stand still.
 
         Pose and velocities (m/s, rad/s) are those of the model's frame in the world.
 
         Raises:
-            SimulationError: a number that is not finite, or an impossible pose.
+            SimulationError: the pose or a velocity is invalid.
         """
         check_pose(pose, self.name)
         if not all(abs(value) <= FASTEST for value in linear + angular):
-            raise SimulationError(f"model '{self.name}': its velocity is out of all proportion")
+            limit = f"{FASTEST:g} m/s or rad/s"
+            raise SimulationError(f"model '{self.name}': its velocity exceeds {limit}")
         before = self.pose().inverse()
         for body in self.bodies.values():
             offset = before * body.pose()
@@ -92,21 +101,22 @@ class ModelInstance:
         self._note_move()
 
     def configure(self, positions: Mapping[str, float]) -> None:
-        """Put joints somewhere (rad or m), at rest.
+        """Place joints (rad or m), at rest.
 
         Raises:
-            SimulationError: an unknown joint or a position that is not finite; none is moved.
+            SimulationError: a joint is unknown or a position not finite; none is moved.
         """
         bodies = [self.body_of_joint(name) for name in positions]
         for name, position in positions.items():
             if not math.isfinite(position):
-                raise SimulationError(f"model '{self.name}': joint '{name}' at {position}")
+                where = f"model '{self.name}': joint '{name}'"
+                raise SimulationError(f"{where}: position {position} is not finite")
         for body, (name, position) in zip(bodies, positions.items()):
             body.set_joint(name, position)
         self.moves += 1
 
     def state(self) -> ModelState:
-        """Return where all parts of the model are and how they move."""
+        """Return pose and velocity of all links and joints."""
         links = {entity.link: entity.state() for entity in link_entities(self)}
         if WORLD_LINK in self.bodies:
             links[WORLD_LINK] = FrameState(self.bodies[WORLD_LINK].pose())
@@ -118,7 +128,7 @@ class ModelInstance:
         return ModelState(self.pose(), links, joints)
 
     def restore(self, state: ModelState) -> None:
-        """Put all parts of the model where a state has them; raises SimulationError."""
+        """Place all links and joints as in a state; raises SimulationError."""
         for root in self.model.root_links():
             link = state.links.get(root.name, FrameState(state.pose * root.pose))
             check_pose(link.pose, self.name)
@@ -135,7 +145,7 @@ class ModelInstance:
         raise SimulationError(f"model '{self.name}' has no movable joint '{name}'")
 
     def keeper(self, link: str) -> Optional[str]:
-        """Return the link that a link's frame is fixed to: itself, if it was not merged."""
+        """Return the link that a link was merged into, or itself; None for an unknown one."""
         if link in self.model.frames:
             return self.model.frames[link][0]
         return link if link in self.model.links_by_name() else None
@@ -149,11 +159,11 @@ class ModelInstance:
         return self._frames[link]
 
     def command(self, topic: str, command: Any) -> None:
-        """Give a command to the plugins that listen to a topic.
+        """Give a command to the plugins with this input topic.
 
         Raises:
-            SimulationError: no plugin does.
-            PluginError: the plugin refuses it.
+            SimulationError: no plugin has it.
+            PluginError: the plugin refuses the command.
         """
         listening = [i for plugin in self.plugins for i in plugin.inputs if i.topic == topic]
         if not listening:
@@ -162,7 +172,7 @@ class ModelInstance:
             entry.handle(command)
 
     def listen(self, topic: str, listener: Callable[[Any], None]) -> None:
-        """Call `listener(sample)` with what plugins send on a topic; raises SimulationError."""
+        """Call `listener(sample)` with a topic's samples; raises SimulationError if unknown."""
         sending = [o for plugin in self.plugins for o in plugin.outputs if o.topic == topic]
         if not sending:
             raise SimulationError(f"model '{self.name}' has no output '{topic}'")
@@ -176,21 +186,21 @@ class ModelInstance:
 
 
 def check_pose(pose: Pose, model: str) -> None:
-    """Refuse a pose that is not finite, absurdly far away or no rotation."""
+    """Refuse a pose that is not finite, too far away, or without a unit quaternion."""
     if not all(map(math.isfinite, pose.position + pose.quaternion)):
         raise SimulationError(f"model '{model}': its pose is not finite")
     if max(map(abs, pose.position)) > FARTHEST:
-        raise SimulationError(f"model '{model}': its pose is out of all proportion")
+        raise SimulationError(f"model '{model}': its position exceeds {FARTHEST:g} m")
     length = math.hypot(*pose.quaternion)
     if abs(length - 1.0) > QUATERNION_TOLERANCE:
-        raise SimulationError(f"model '{model}': a quaternion of length {length:g}, not 1")
+        raise SimulationError(f"model '{model}': a quaternion of length {length:g}; needs 1")
 
 
 @dataclass(frozen=True)
 class Entity:
-    """A frame of a model: that of the model itself, or of one of its links.
+    """A frame of a model: the model's own, or that of a link.
 
-    `link` names the link that carries the frame, if it was merged the one that stays.
+    `link` names the link that carries the frame, after merging.
     """
 
     instance: ModelInstance
@@ -211,12 +221,10 @@ def find_model(models: Mapping[str, ModelInstance], name: str) -> ModelInstance:
 
 
 def find_link(models: Mapping[str, ModelInstance], name: str) -> Entity:
-    """Return the link that "model::link" names, or "link" where only one model has it.
-
-    A link that was merged into another is found, too.
+    """Return the link "model::link", or "link" if only one model has it, merged or not.
 
     Raises:
-        EntityError: there is none, or there are several.
+        EntityError: no model or several models have it.
     """
     owner, own = _split(models, name)
     candidates = [models[owner]] if owner else models.values()
@@ -227,12 +235,12 @@ def find_link(models: Mapping[str, ModelInstance], name: str) -> Entity:
         raise EntityError(f"link [{name}] does not exist; {hint}")
     if len(found) > 1:
         owners = ", ".join(entity.instance.name for entity in found)
-        raise EntityError(f"link [{name}] is ambiguous: {owners} have it; say model::link")
+        raise EntityError(f"link [{name}] is ambiguous: {owners} have it; use model::link")
     return found[0]
 
 
 def _split(models: Mapping[str, ModelInstance], name: str) -> Tuple[str, str]:
-    """Return the model that a scoped name begins with, empty for none, and the rest of the name.
+    """Return the model that a scoped name begins with (empty if none), and the rest.
 
     The rest may be scoped itself, by the names of nested models.
     """
@@ -245,7 +253,7 @@ def _split(models: Mapping[str, ModelInstance], name: str) -> Tuple[str, str]:
 
 
 def find_entity(models: Mapping[str, ModelInstance], name: str) -> Entity:
-    """Return the model or link that a name means; raises EntityError."""
+    """Return the model or link of a name; raises EntityError."""
     if name in models:
         return model_entity(models[name])
     try:
@@ -266,12 +274,9 @@ def link_entities(instance: ModelInstance) -> List[Entity]:
 
 
 def find_joint(models: Mapping[str, ModelInstance], name: str) -> Tuple[ModelInstance, str]:
-    """Return model and name of the joint that "joint" or "model::joint" names.
+    """Return model and name of the joint "joint" or "model::joint"; raises EntityError.
 
     As in Gazebo, the first model that has it counts.
-
-    Raises:
-        EntityError: none has.
     """
     owner, own = _split(models, name)
     for instance in models.values():
@@ -289,10 +294,10 @@ def frame_state(models: Mapping[str, ModelInstance], frame: str) -> FrameState:
 
 
 def relative_to(frame: FrameState, state: FrameState) -> FrameState:
-    """Return a state of the world as a frame has it.
+    """Return a state of the world in a frame.
 
-    As in Gazebo, the velocity is the difference of the two, in the axes of the frame: what the
-    frame's rotation adds at a distance is not taken off.
+    As in Gazebo, the velocity is the difference of the two, in the axes of the frame, without the
+    part that the frame's rotation adds at a distance.
     """
     back = frame.pose.inverse()
     linear, angular = subtract(state.linear, frame.linear), subtract(state.angular, frame.angular)
@@ -300,18 +305,125 @@ def relative_to(frame: FrameState, state: FrameState) -> FrameState:
 
 
 def in_world(frame: FrameState, state: FrameState) -> FrameState:
-    """Return the state in the world that is asked for in a frame.
+    """Return the state in the world of a state that is given in a frame.
 
-    As in Gazebo, the velocity is turned into the axes of the world and is no velocity relative
-    to that of the frame.
+    As in Gazebo, the velocity is only turned into the axes of the world; the velocity of the
+    frame is not added.
     """
     turn = frame.pose.rotate
     return FrameState(frame.pose * state.pose, turn(state.linear), turn(state.angular))
 
 
 def move_link(entity: Entity, state: FrameState) -> None:
-    """Put a link somewhere, with all that hangs on it; raises SimulationError."""
+    """Place a link together with its model; raises SimulationError."""
     in_link = entity.frame.pose().inverse() * entity.instance.frame().pose()
     arm = state.pose.rotate(in_link.position)
     linear = add(state.linear, cross(state.angular, arm))
     entity.instance.move(state.pose * in_link, linear, state.angular)
+
+
+def change_joint(
+    instance: ModelInstance,
+    name: str,
+    damping: Optional[float] = None,
+    lower: Optional[float] = None,
+    upper: Optional[float] = None,
+) -> None:
+    """Change damping (N m s or N s/m) and limits (rad or m) of a joint; None keeps a value.
+
+    Raises:
+        SimulationError: there is no such movable joint.
+    """
+    body = instance.body_of_joint(name)
+    joint = next(joint for joint in instance.model.joints if joint.name == name)
+    given = {"lower": lower, "upper": upper}
+    limits = {key: value for key, value in given.items() if value is not None}
+    changed = replace(
+        joint,
+        # A continuous joint has no limits.
+        kind="revolute" if limits and joint.kind == "continuous" else joint.kind,
+        limits={**joint.limits, **limits},
+        damping=joint.damping if damping is None else damping,
+    )
+    body.change_joint(changed)
+    joints = tuple(changed if one is joint else one for one in instance.model.joints)
+    instance.model = replace(instance.model, joints=joints)
+
+
+def change_link(entity: Entity, inertia: Inertia, gravity: bool) -> None:
+    """Change mass and moments of a link, and whether gravity pulls it.
+
+    Raises:
+        LabError: the link never moves or was merged into another one; the inertia is not
+            physical; or its centre of mass or its principal axes would move.
+    """
+    instance, name = entity.instance, entity.link
+    link = instance.model.links_by_name()[name]
+    if instance.model.static or link.inertia is None:
+        raise SimulationError(f"link '{instance.name}::{name}' never moves")
+    changed = replace(link, inertia=inertia, gravity=gravity)
+    links = tuple(changed if one is link else one for one in instance.model.links)
+    model = replace(instance.model, links=links)
+    check_proportions(model)
+    entity.frame.body.change_link(name, inertia, gravity)
+    instance.model = model
+
+
+@dataclass(frozen=True)
+class PluginSurvey:
+    """The topics and tags of a `<plugin>` tag.
+
+    Attributes:
+        tag: the tag.
+        acts: whether the plugin is simulated.
+        rate: of its samples in Hz; 0 for none.
+        inputs: topics with commands.
+        outputs: topics with samples.
+        unread: tags that it ignores.
+        refused: controllers that it could not load.
+    """
+
+    tag: PluginTag
+    acts: bool
+    rate: float = 0.0
+    inputs: Tuple[str, ...] = ()
+    outputs: Tuple[str, ...] = ()
+    unread: Tuple[str, ...] = ()
+    refused: Tuple[str, ...] = ()
+
+
+def survey(instance: ModelInstance) -> Tuple[PluginSurvey, ...]:
+    """Return a survey of the model's plugins, in the order of their tags."""
+    acting = {id(plugin.mount.plugin): plugin for plugin in instance.plugins}
+    found = []
+    for tag in instance.model.plugins:
+        plugin = acting.get(id(tag))
+        if plugin is None:
+            found.append(PluginSurvey(tag, False))
+            continue
+        rate = 0.0 if plugin.schedule is None else 1.0 / plugin.schedule.period
+        inputs = tuple(entry.topic for entry in plugin.inputs)
+        outputs = tuple(dict.fromkeys(entry.topic for entry in plugin.outputs))
+        unread, refused = plugin.mount.unread_tags(), tuple(plugin.refused.values())
+        found.append(PluginSurvey(tag, True, rate, inputs, outputs, unread, refused))
+    return tuple(found)
+
+
+def bounds(instance: ModelInstance) -> Tuple[Vector, Vector]:
+    """Return the lower and upper corner of the box around a model's shapes, in the world (m).
+
+    A model without shapes is a point.
+    """
+    corners = np.array([*_corners(instance), instance.pose().position])
+    near = corners[np.abs(corners).max(axis=1) < FARTHEST_CORNER]
+    corners = near if len(near) else corners
+    return tuple(corners.min(axis=0).tolist()), tuple(corners.max(axis=0).tolist())
+
+
+def _corners(instance: ModelInstance) -> Iterator[Vector]:
+    for link in instance.model.links:
+        place = instance.frame(link.name).pose()
+        for shape in (*link.visuals, *link.collisions):
+            pose = place * shape.pose
+            for corner in product(*shape.geometry.bounds().T.tolist()):
+                yield (pose * Pose(corner)).position

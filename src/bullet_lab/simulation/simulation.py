@@ -1,4 +1,4 @@
-"""A world that is stepped: models, what their plugins do, simulated time, and pictures of it.
+"""The simulation: models and their plugins in a world, simulated time, and pictures.
 
 Example:
     >>> from bullet_lab.simulation.simulation import Simulation
@@ -28,9 +28,8 @@ from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.forces import Forces
 from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose
-from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_name, touching_points
+from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_name
 from bullet_lab.simulation.physics.physics import Body, Physics
-from bullet_lab.simulation.physics.traction import Traction
 from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin, namespace_of
 from bullet_lab.simulation.plugins.plugin import NAMESPACE
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
@@ -44,15 +43,15 @@ from bullet_lab.simulation.world.xml import leaving_out
 __all__ = ["ModelInstance", "Simulation", "SimulationError", "Snapshot", "Timer", "View"]
 
 LOG = logging.getLogger(__name__)
-# Steps between two looks whether all joints are numbers still.
-LONGEST_MARCH = 20
+# Steps between two checks that all poses are finite.
+LONGEST_ADVANCE = 20
 
 TfPrefix = Union[str, Callable[[str], str]]
 
 
 @dataclass(frozen=True)
 class Timer:
-    """Something that is called at its own rate."""
+    """A function that is called at a rate."""
 
     schedule: Schedule
     produce: Callable[[int], None]
@@ -62,7 +61,7 @@ class Simulation:
     """Models in a world, advanced in steps of 1 ms.
 
     The same calls in the same order give the same numbers, to the last bit. Not thread-safe:
-    PyBullet wants all calls from one thread at a time.
+    PyBullet allows calls from one thread at a time.
     """
 
     def __init__(self, world: Optional[World] = None, seed: int = 0):
@@ -76,18 +75,17 @@ class Simulation:
         # Names of the models, and their bodies, by the bodies' unique ids.
         self._owners: Dict[int, str] = {}
         self._bodies: Dict[int, Body] = {}
-        self._tractions: List[Traction] = []
         self._acting: List[Plugin] = []
         self._measuring: List[Union[Plugin, Timer]] = []
         self._timers: List[Union[Plugin, Timer]] = []
         self._on_failure: Optional[Callable[[str, LabError], None]] = None
         self._spent: DefaultDict[Union[Plugin, Timer], float] = defaultdict(float)
         self.forces = Forces()
-        self._known_is_told = False
-        # When (wall s) it was last warned of a model's reset, by its name.
+        self._has_listed_plugins = False
+        # Wall time (s) of the last warning that a model was reset, by its name.
         self._warned_of_reset: Dict[str, float] = {}
         for model in self.world.models:
-            with leaving_out(lambda said: LOG.warning("%s", said)):
+            with leaving_out(lambda message: LOG.warning("%s", message)):
                 instance = self.add(model, namespace="")
                 if model.name in self.world.states:
                     instance.restore(self.world.states[model.name])
@@ -104,7 +102,7 @@ class Simulation:
         self.close()
 
     def close(self) -> None:
-        """Give memory and files back."""
+        """Free memory and files."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
@@ -112,7 +110,7 @@ class Simulation:
 
     @property
     def client(self) -> int:
-        """The PyBullet client, for what this class does not offer."""
+        """The PyBullet client."""
         return self._physics.client
 
     @property
@@ -126,7 +124,7 @@ class Simulation:
         return self._instances
 
     def renderer(self) -> Renderer:
-        """Return what draws this world, loaded once it is asked for; raises RendererError."""
+        """Return the renderer of this world, which the first call loads; raises RendererError."""
         if self._renderer is None:
             self._renderer = Renderer(self.world, self._instances)
         return self._renderer
@@ -143,38 +141,37 @@ class Simulation:
         namespace: str = "/",
         tf_prefix: TfPrefix = "",
     ) -> ModelInstance:
-        """Put a model into the world.
+        """Add a model to the world.
 
         Args:
             model: what to add.
             name: its name in the world; the model's own if empty.
             pose: of the model's frame in the world; the model's own pose if None.
-            namespace: robotNamespace of every plugin that has none; empty for what a plugin
-                does without: some are named by their model.
-            tf_prefix: what stands before the names of its frames on TF; or what gives that for
+            namespace: robotNamespace of every plugin that has none; if empty, each plugin's own
+                default, which for some is the model's name.
+            tf_prefix: prefix of the names of its frames on TF, or a function that returns it for
                 the namespace of a plugin.
 
         Raises:
-            LabError: the name is taken, or nothing of the model can be simulated.
+            LabError: the name is taken or invalid, or the model cannot be simulated.
         """
         name = name or model.name
         if name in self._instances:
             raise SimulationError(f"a model named '{name}' exists already")
         if not name.isprintable():
-            raise SimulationError(f"a model cannot be called {name!r}")
+            raise SimulationError(f"model name {name!r}: has characters that cannot be printed")
         if pose is not None:
             check_pose(pose, name)
         check_proportions(model)
         plugins = tuple(_in_namespace(plugin, namespace) for plugin in model.plugins)
-        model = replace(model, name=name, pose=pose or model.pose, plugins=plugins)
-        model = usable(model)
+        model = usable(replace(model, name=name, pose=pose or model.pose, plugins=plugins))
         bodies = self._physics.add(model)
         plugins = self._make_plugins(model, bodies, tf_prefix)
         instance = ModelInstance(model, bodies, plugins)
         self._instances[name] = instance
         for body in bodies.values():
-            self._owners[body.unique_id], self._bodies[body.unique_id] = name, body
-        self._find_tractions()
+            self._owners[body.unique_id] = name
+            self._bodies[body.unique_id] = body
         self._acting.extend(plugin for plugin in plugins if plugin.acts)
         self._measuring.extend(plugin for plugin in plugins if plugin.schedule is not None)
         return instance
@@ -190,14 +187,13 @@ class Simulation:
             self._spent.pop(plugin, None)
         for body in instance.bodies.values():
             del self._owners[body.unique_id], self._bodies[body.unique_id]
-        self._find_tractions()
         self._acting = [p for p in self._acting if p not in instance.plugins]
         self._measuring = [p for p in self._measuring if p not in instance.plugins]
 
     def contacts(self, name: str) -> Dict[str, Contact]:
-        """Return what a model touched in the last step, by the other models' names.
+        """Return a model's contacts in the last step, by the other models' names.
 
-        What stands on the floor touches the floor.
+        A robot on the floor touches the floor.
 
         Raises:
             SimulationError: there is no such model.
@@ -207,20 +203,20 @@ class Simulation:
         return contacts_of(self._instances[name].bodies.values(), self._owners, name)
 
     def touches(self, name: str) -> Iterator[Tuple[str, str, float]]:
-        """Yield what a model touched in the last step: its own link, and the other model::link.
+        """Yield a model's contacts in the last step: its own link, and the other's model::link.
 
-        The third is the z of the unit normal towards the model: 1 on level ground.
+        The third value is the z of the unit normal towards the model: 1 on level ground.
         """
         for body in self._instances[name].bodies.values():
-            for point in touching_points(body):
-                _, _, second, index, other, _, _, normal, *_ = point
-                if self._owners[second] != name:
-                    link = self._bodies[second].part_at(other).link.name
-                    owner = self._owners[second]
-                    yield body.part_at(index).link.name, f"{owner}::{link}", normal[2]
+            for point in body.touching_points():
+                _, _, second, index, other_index, _, _, normal, *_ = point
+                owner = self._owners[second]
+                if owner != name:
+                    other = self._bodies[second].link_at(other_index).link.name
+                    yield body.link_at(index).link.name, f"{owner}::{other}", normal[2]
 
     def set_gravity(self, gravity: Vector) -> None:
-        """Change gravity, in m/s²; raises SimulationError for what is not finite."""
+        """Change gravity, in m/s²; raises SimulationError if it is not finite."""
         if not all(map(math.isfinite, gravity)):
             raise SimulationError("gravity is not finite")
         self.world = replace(self.world, gravity=gravity)
@@ -237,13 +233,11 @@ class Simulation:
         raise SimulationError(f"light [{name}] not found")
 
     def set_light(self, light: Light) -> None:
-        """Put a light into the world, in the place of one of the same name."""
-        names = [one.name for one in self.world.lights]
-        if light.name not in names:
-            self._set_lights((*self.world.lights, light))
-        else:
-            lights = (light if one.name == light.name else one for one in self.world.lights)
-            self._set_lights(tuple(lights))
+        """Add a light to the world, or replace the one of the same name."""
+        lights = [light if one.name == light.name else one for one in self.world.lights]
+        if light not in lights:
+            lights.append(light)
+        self._set_lights(tuple(lights))
 
     def remove_light(self, name: str) -> None:
         """Take a light out of the world; raises SimulationError for an unknown name."""
@@ -256,19 +250,19 @@ class Simulation:
             self._renderer.relight(self.world)
 
     def snapshot(self) -> Snapshot:
-        """Return all that makes up the present state, to be written by whoever has time."""
+        """Return the world with the present state of its models."""
         models = tuple((i.model, i.state()) for i in self._instances.values())
         return Snapshot(self.world, self.step, models)
 
     def every(self, rate: float, call: Callable[[int], None]) -> None:
-        """Call `call(step)` `rate` times per simulated second, before plugins send theirs."""
+        """Call `call(step)` `rate` times per simulated second, before the plugins' samples."""
         self._timers.append(Timer(Schedule(rate, self.step), call))
 
     def go_on_after(self, failed: Callable[[str, LabError], None]) -> None:
-        """Go on where a plugin cannot measure, as a camera without a driver to draw with.
+        """Continue after the error of a plugin, such as a camera without a driver to draw with.
 
-        `failed` is told the plugin's name and the reason, each time. Without this, `run_until`
-        raises what the plugin raises.
+        `failed` is called with the plugin's name and the error, each time. Without this,
+        `run_until` raises what the plugin raises.
         """
         self._on_failure = failed
 
@@ -277,12 +271,12 @@ class Simulation:
         self.run_until(self.step + round(seconds * STEPS_PER_SECOND))
 
     def run_until(self, step: int) -> None:
-        """Advance to a step; samples are sent as they fall due on the way."""
+        """Advance to a step, and send samples when they are due."""
         timers = self._timers + self._measuring
         while self.step < step:
-            dates = [timer.schedule.next_step for timer in timers]
-            self._march(min([*dates, step, self.step + LONGEST_MARCH]))
-            self._mend()
+            due = [timer.schedule.next_step for timer in timers]
+            self._advance(min([*due, step, self.step + LONGEST_ADVANCE]))
+            self._reset_lost_models()
             for timer in timers:
                 if timer.schedule.next_step <= self.step:
                     timer.schedule.advance()
@@ -296,7 +290,7 @@ class Simulation:
                     self._spent[timer] += time.perf_counter() - start
 
     def take_spent(self) -> Dict[str, float]:
-        """Return the wall seconds that each plugin's samples have taken since the last call."""
+        """Return the wall seconds of each plugin's samples since the last call."""
         taken: DefaultDict[str, float] = defaultdict(float)
         for timer, seconds in self._spent.items():
             taken[_name_of(timer)] += seconds
@@ -304,62 +298,68 @@ class Simulation:
         return taken
 
     def reset_world(self) -> None:
-        """Put all models back to where they were added; time goes on."""
+        """Place all models where they were added; time continues."""
         for instance in self._instances.values():
-            instance.place(instance.model.pose)
-            for plugin in instance.plugins:
-                plugin.reset(self.step)
+            self._reset(instance)
 
     def reset_simulation(self) -> None:
-        """Put all models back and let time start again at 0."""
+        """Place all models where they were added, and restart time at 0."""
         self.step = 0
         self.forces.clear()
         self.reset_world()
         for timer in self._timers + self._measuring:
             timer.schedule.restart(0)
 
-    def _march(self, stop: int) -> None:
-        """Advance the physics; this is the loop that decides the speed."""
+    def _reset(self, instance: ModelInstance) -> None:
+        instance.place(instance.model.pose)
+        for plugin in instance.plugins:
+            plugin.reset(self.step)
+
+    def _advance(self, stop: int) -> None:
+        """Advance the physics. This loop decides the speed of the simulation."""
+        bodies = self._bodies.values()
         acting: List[Callable[[int], None]] = [plugin.before_step for plugin in self._acting]
         if self.forces.active:
             acting.append(self.forces.before_step)
-        if any(body.settling for body in self._bodies.values()):
-            acting.append(self._settle)
-        if any(body.floats for body in self._bodies.values()):
-            acting.append(self._bear)
-        acting += [traction.before_step for traction in self._tractions]
+        acting += [body.settle for body in bodies if body.settling]
+        if any(body.weightless for body in bodies):
+            acting.append(self._cancel_gravity)
+        acting += [body.traction.before_step for body in bodies if body.traction is not None]
         advance = self._physics.step
-        places = [body.com_place for body in self._bodies.values() if body.moves]
+        places = [body.com_place for body in bodies if body.moves]
         step = self.step
         while step < stop:
             for act in acting:
                 act(step)
             advance()
             step += 1
-            # A step later, what is no number any more ruins all that it touches.
+            # Stop at once at a position that is not finite: in the next step it would spread to
+            # all that the body touches.
             for place in places:
                 x = place()[0][0]
                 if x - x != 0.0:
                     stop = step
         self.step = step
 
-    def _mend(self) -> None:
-        """Put back models with a pose that is no number, which would ruin all others in time.
+    def _cancel_gravity(self, _step: int) -> None:
+        for body in self._bodies.values():
+            body.cancel_gravity(self._physics.gravity)
 
-        It may be the floor's: Bullet hands NaN on to whatever it touches.
+    def _reset_lost_models(self) -> None:
+        """Place models where they were added if their pose is not finite.
+
+        The floor may be among them: Bullet passes NaN on to all that a body touches.
         """
         lost = {self._owners[i] for i, body in self._bodies.items() if not body.is_finite()}
         instances = [self._instances[name] for name in sorted(lost)]
-        # What stands still is made anew after that: else Bullet no longer finds what touches it.
+        # Static models come last, and are made anew: otherwise Bullet finds no contacts of them.
         for instance in sorted(instances, key=lambda one: one.model.static):
             self._warn_of_reset(instance.name)
             if instance.model.static and not instance.plugins:
                 self.remove(instance.name)
                 self.add(instance.model)
-                continue
-            instance.place(instance.model.pose)
-            for plugin in instance.plugins:
-                plugin.reset(self.step)
+            else:
+                self._reset(instance)
 
     def _warn_of_reset(self, name: str) -> None:
         """Warn that a model was reset, once a second at most."""
@@ -367,22 +367,6 @@ class Simulation:
         if now - self._warned_of_reset.get(name, -math.inf) >= 1.0:
             self._warned_of_reset[name] = now
             LOG.warning("model '%s': its pose is no longer finite; reset to its first pose", name)
-
-    def _find_tractions(self) -> None:
-        tractions = (body.traction for body in self._bodies.values())
-        self._tractions = [traction for traction in tractions if traction is not None]
-
-    def _settle(self, _: int) -> None:
-        """Let no body be thrown out of what it was put into."""
-        for body in self._bodies.values():
-            if body.settling:
-                body.settle()
-
-    def _bear(self, _: int) -> None:
-        """Hold up what gravity does not pull."""
-        for body in self._bodies.values():
-            if body.floats:
-                body.bear(self._physics.gravity)
 
     def _shape_name(self, unique_id: int, index: int, place: Vector) -> str:
         return shape_name(self._owners[unique_id], self._bodies[unique_id], index, place)
@@ -403,9 +387,10 @@ class Simulation:
                 LOG.warning("%s is left out: %s", what, error)
                 continue
             if plugin is None:
-                known = "" if self._known_is_told else f"; known are {', '.join(known_plugins())}"
-                self._known_is_told = True
-                LOG.warning("%s is not simulated and skipped%s", what, known)
+                known = f"; known are {', '.join(known_plugins())}"
+                hint = "" if self._has_listed_plugins else known
+                self._has_listed_plugins = True
+                LOG.warning("%s is not simulated and skipped%s", what, hint)
                 continue
             plugin.reset(self.step)
             if plugin.schedule is not None:
@@ -417,28 +402,35 @@ class Simulation:
 
 
 def _name_of(timer: Union[Plugin, Timer]) -> str:
-    """Name in messages what takes its time."""
+    """Return the name of a timer or plugin for messages."""
     if isinstance(timer, Timer):
         return "clock and states"
     return f"plugin '{timer.mount.plugin.name}' of '{timer.mount.model.name}'"
 
 
 def _in_namespace(tag: PluginTag, namespace: str) -> PluginTag:
-    # An empty tag is one, as in Gazebo.
-    named = not namespace or NAMESPACE in tag.tags
-    return tag if named else replace(tag, tags={**tag.tags, NAMESPACE: namespace})
+    """Return a plugin's tag with a robotNamespace; as in Gazebo, an empty one counts as one."""
+    if not namespace or NAMESPACE in tag.tags:
+        return tag
+    return replace(tag, tags={**tag.tags, NAMESPACE: namespace})
 
 
 class ViewError(LabError):
-    """A picture that cannot be taken."""
+    """A view with invalid values."""
 
 
 @dataclass(frozen=True)
 class View:
-    """An ideal pinhole camera in the world that looks from `eye` at `target` (both in m), upright.
+    """An ideal pinhole camera in the world, upright, that looks from `eye` at `target`.
 
-    Width and height are in pixels, the field of view in rad; `near` and `far` (m) limit what is
-    drawn.
+    Attributes:
+        eye: in m.
+        target: in m.
+        width: in pixels.
+        height: in pixels.
+        horizontal_fov: in rad.
+        near: distance in m from which things are drawn.
+        far: distance in m up to which things are drawn.
     """
 
     eye: Vector
@@ -457,23 +449,25 @@ def take_picture(simulation: Simulation, view: View, samples: int = 1) -> np.nda
         (height, width, 3) array of uint8, RGB. The same world and view give the same bytes.
 
     Raises:
-        ViewError: the picture has no area or depth, a number is not finite, or the target is
-            straight above or below the eye.
-        LabError: nothing can be drawn here.
+        ViewError: a value of the view is invalid, or the target is straight above or below the
+            eye.
+        LabError: nothing can be drawn on this machine.
     """
     if not all(map(math.isfinite, (*view.eye, *view.target, view.near, view.far))):
-        raise ViewError("the view has a number that is not finite")
+        raise ViewError("view: a number is not finite")
     if not 0.0 < view.near < view.far:
-        raise ViewError(f"no view reaches from {view.near:g} m to {view.far:g} m")
-    if view.width < 1 or view.height < 1 or not 0.0 < view.horizontal_fov < math.pi:
-        raise ViewError(f"no picture has {view.width} x {view.height} pixels and such an angle")
+        raise ViewError(f"view: near {view.near:g} m, far {view.far:g} m; needs 0 < near < far")
+    if view.width < 1 or view.height < 1:
+        raise ViewError(f"view: {view.width} x {view.height} pixels; needs 1 at least")
+    if not 0.0 < view.horizontal_fov < math.pi:
+        raise ViewError(f"view: field of view {view.horizontal_fov:g} rad; needs 0 < fov < pi")
     if math.dist(view.eye[:2], view.target[:2]) == 0.0:
-        raise ViewError("the view is vertical: the picture has no upper side")
+        raise ViewError("view: the target is straight above or below the eye")
     focal = 0.5 * view.width / math.tan(0.5 * view.horizontal_fov)
     centre = (0.5 * (view.width - 1), 0.5 * (view.height - 1))
     camera = PinholeCamera(view.width, view.height, focal, focal, *centre)
     shot = Shot(camera, view.near, view.far, samples)
-    # Along its x axis at the target, without roll.
+    # The camera looks along its x axis, without roll.
     dx, dy, dz = subtract(view.target, view.eye)
     rpy = (0.0, -math.atan2(dz, math.hypot(dx, dy)), math.atan2(dy, dx))
     return simulation.renderer().picture(Pose.from_rpy(view.eye, rpy), shot)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import View, take_picture
 from bullet_lab.simulation.world.description import Box, Cylinder, Inertia, Sphere

@@ -92,7 +92,7 @@ def test_models_links_and_merged_links_are_found(space, robot):
 
 def test_a_name_that_several_models_have_must_be_scoped(space, robot):
     space.add(arm(), "right", Pose((9.0, 0.0, 0.0)))
-    with pytest.raises(EntityError, match="ambiguous: left, right have it; say model::link"):
+    with pytest.raises(EntityError, match="ambiguous: left, right have it; use model::link"):
         find_link(space.models, "upper")
     assert find_link(space.models, "right::upper").instance.name == "right"
 
@@ -196,7 +196,7 @@ def test_absurd_places_are_refused_and_change_nothing(space, robot, pose, linear
 def test_a_joint_that_is_not_there_leaves_the_others_alone(space, robot):
     with pytest.raises(SimulationError, match="no movable joint 'grip'"):
         robot.configure({"elbow": 1.0, "grip": 1.0})
-    with pytest.raises(SimulationError, match="joint 'elbow' at nan"):
+    with pytest.raises(SimulationError, match="joint 'elbow': position nan is not finite"):
         robot.configure({"elbow": math.nan})
     assert robot.state().joints["elbow"] == (0.0, 0.0)
 

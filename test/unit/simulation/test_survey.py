@@ -4,8 +4,8 @@ import pytest
 from conftest import BLOCK_ROBOT
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.models import bounds, survey
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.survey import bounds, survey
 from bullet_lab.simulation.world.urdf import read_urdf
 
 ROBOT = """<robot name="r">

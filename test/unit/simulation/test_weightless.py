@@ -6,9 +6,8 @@ import pytest
 from sensor_worlds import carrier
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.models import find_link
+from bullet_lab.simulation.models import change_link, find_link
 from bullet_lab.simulation.plugins.samples import PlanarCommand
-from bullet_lab.simulation.properties import change_link
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import World
 from bullet_lab.simulation.world.sdf import read_model_text, read_world_file

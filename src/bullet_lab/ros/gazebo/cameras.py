@@ -27,7 +27,7 @@ from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node.node import MASTER_ERRORS
 from bullet_lab.simulation.models import ModelInstance
 from bullet_lab.simulation.plugins.camera import Camera, DepthCamera
-from bullet_lab.simulation.plugins.imu import Imu
+from bullet_lab.simulation.plugins.motion_sensors import Imu
 from bullet_lab.simulation.plugins.samples import ImageSample
 
 # Those of compressed_image_transport, without the restart interval of a JPEG.

@@ -30,13 +30,15 @@ from bullet_lab.ros.messages.poses import pose_message, set_time, time_of, twist
 from bullet_lab.simulation.models import (
     Entity,
     ModelInstance,
+    PluginSurvey,
+    bounds,
     find_model,
     link_entities,
     model_entity,
+    survey,
 )
 from bullet_lab.simulation.plugins import Plugin
 from bullet_lab.simulation.plugins.camera import Camera
-from bullet_lab.simulation.survey import PluginSurvey, bounds, survey
 from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.srv import DescribeModels, SaveWorld
 

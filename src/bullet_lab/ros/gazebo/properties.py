@@ -18,9 +18,8 @@ from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
 from bullet_lab.ros.gazebo.services import GOT, Answer, offer, offer_between_steps
 from bullet_lab.ros.messages.gazebo_types import msg, srv
 from bullet_lab.ros.messages.poses import InputError, normalised_pose, pose_message, vector_of
-from bullet_lab.simulation.models import find_joint, find_link
+from bullet_lab.simulation.models import change_joint, change_link, find_joint, find_link
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
-from bullet_lab.simulation.properties import change_joint, change_link
 from bullet_lab.simulation.world.description import Inertia, Light
 from bullet_lab.simulation.world.inertia import INERTIA_KEYS, matrix_from_elements
 from bullet_lab.srv import SetRtf

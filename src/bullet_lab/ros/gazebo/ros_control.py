@@ -26,7 +26,7 @@ from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
 from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv
 from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
 from bullet_lab.simulation.plugins.controllers.controller import Controller, known_controllers
-from bullet_lab.simulation.plugins.controllers.parameters import ControlError, ControlParameters
+from bullet_lab.simulation.plugins.controllers.description import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.simulation import ModelInstance
 

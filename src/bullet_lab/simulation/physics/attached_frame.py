@@ -1,4 +1,4 @@
-"""A frame that is fixed to a link of a body: where it is, how it moves, what its rays meet."""
+"""Frames that are fixed to a link of a body: their pose, velocity and rays."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Iterable, Tuple
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
-from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.physics.physics import Body
 from bullet_lab.simulation.world.description import Model
 from bullet_lab.simulation.world.inertia import principal_axes
 
 ORIGIN = Pose()
-# PyBullet's limit for one call.
+# PyBullet's limit of rays in one call.
 RAYS_AT_A_TIME = 16_383
 
 
@@ -29,9 +29,9 @@ class AttachedFrame:
         self.body = body
         self.link = link
         self.index = body.link_index(link)
-        inertia = {part.name: part.inertia for part in body.links}[link]
+        inertia = {one.name: one.inertia for one in body.links}[link]
         principal = ORIGIN if inertia is None else principal_axes(inertia)[1]
-        # PyBullet knows a link by its principal frame.
+        # PyBullet gives the pose of a link's principal frame.
         self._in_principal = principal.inverse() * offset
 
     @classmethod
@@ -43,10 +43,10 @@ class AttachedFrame:
         Raises:
             KeyError: there is no such link.
         """
-        keeper, pose = model.frames.get(link, (link, ORIGIN))
+        carrier, pose = model.frames.get(link, (link, ORIGIN))
         for body in bodies:
-            if any(part.name == keeper for part in body.links):
-                return cls(body, keeper, pose * offset)
+            if any(one.name == carrier for one in body.links):
+                return cls(body, carrier, pose * offset)
         raise KeyError(link)
 
     def pose(self) -> Pose:
@@ -64,7 +64,7 @@ class AttachedFrame:
         return add(linear, cross(angular, arm)), angular
 
     def centre_of_mass(self) -> Vector:
-        """Return the place of the link's centre of mass in the world, in m."""
+        """Return the position of the link's centre of mass in the world, in m."""
         return self._principal_pose().position
 
     def rays(self, directions: np.ndarray) -> Rays:
@@ -74,7 +74,7 @@ class AttachedFrame:
     def _principal_pose(self) -> Pose:
         if self.index < 0:
             return self.body.com_pose()
-        # After a link was put somewhere, what PyBullet remembers of it is out of date.
+        # The last argument lets PyBullet compute the pose anew: its copy may be out of date.
         state = pybullet.getLinkState(self.body.unique_id, self.index, 0, 1, self.body.client)
         return Pose(*state[:2])
 
@@ -82,7 +82,7 @@ class AttachedFrame:
 class Rays:
     """Rays that start in one point of a link and move with it.
 
-    A shape that contains the start of a ray is not seen by it.
+    A ray does not see a shape that contains its start.
     """
 
     def __init__(self, body: Body, index: int, frame: Pose, directions: np.ndarray):
@@ -96,16 +96,17 @@ class Rays:
         return len(self._directions)
 
     def select(self, chosen: np.ndarray) -> Rays:
-        """Return some of the rays, by indices or truth values."""
+        """Return the chosen rays: an array of indices, or of bool."""
         rays = copy(self)
         rays._directions, rays._limits = self._directions[chosen], ()
         return rays
 
     def cast(self, start: float, end: float) -> Tuple[np.ndarray, np.ndarray]:
-        """Return what the rays meet between two distances (m) from their origin.
+        """Cast the rays between two distances (m) from their origin.
 
-        Returns distances in m, `end` where nothing is met, and unique ids of bodies, -1 for none,
-        each of shape (n,).
+        Returns:
+            Distances in m, `end` without a hit, and unique ids of the bodies that were hit, -1
+            without a hit; each of shape (n,).
         """
         if (start, end) != self._limits:
             self._limits = (start, end)

@@ -1,10 +1,10 @@
-"""Making bodies by PyBullet's calls, with what their joints allow and resist.
+"""Making bodies by PyBullet's calls, with the limits and resistance of their joints.
 
-PyBullet takes 16 shapes in one call, and a mesh by its corners alone, and has one friction and
-softness for a link. So a link carries the first such group of its shapes, and helper links without
-mass, fixed to it, carry one more each. It gives shapes back only with the whole world, so equal
-ones are made once. Of each body it keeps the list of its shapes, 0.8 kB or more; so the last static
-ones that were taken away wait elsewhere, for models that come back.
+PyBullet's limits: 16 shapes in one call; a mesh by its corners alone; one friction and softness
+for a link. So a link carries the first such group of its shapes, and helper links without mass,
+fixed to it, carry one more group each. PyBullet frees shapes only with the whole world, so equal
+shapes are made once. PyBullet also keeps 0.8 kB or more of each removed body; so the last removed
+static bodies wait far away, for models that come back.
 """
 
 from __future__ import annotations
@@ -15,18 +15,21 @@ from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tupl
 from bullet_lab.core.native_output import hidden_native_output
 from bullet_lab.core.pose import Pose, Vector, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
-from bullet_lab.simulation.physics.surfaces import Surface, axle_of, by_surface, on_treads
+from bullet_lab.simulation.physics import PhysicsError, pybullet
+from bullet_lab.simulation.physics.surfaces import Surface, axle_of, on_treads
 from bullet_lab.simulation.world.description import Collision, Joint, Link
 from bullet_lab.simulation.world.inertia import FARTHEST, FASTEST, mobility, principal_axes
 from bullet_lab.simulation.world.meshes import file_version, hull_corners, triangle_corners
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
-# PyBullet's limits: of shapes in one call, and of links beside the root in one body.
+# PyBullet's limit of shapes in one call.
 MOST_SHAPES = 16
+# PyBullet's limit of links beside the root in one body.
 MOST_LINKS = 127
-# "No shape" and "the root link" in PyBullet's numbers.
-NONE = ROOT = -1
+# PyBullet's index of the root link.
+ROOT = -1
+# PyBullet's id of no shape.
+NO_SHAPE = -1
 JOINT_TYPES = {
     "fixed": pybullet.JOINT_FIXED,
     "continuous": pybullet.JOINT_REVOLUTE,
@@ -34,7 +37,7 @@ JOINT_TYPES = {
     "prismatic": pybullet.JOINT_PRISMATIC,
     "ball": pybullet.JOINT_SPHERICAL,
 }
-# What `createCollisionShapeArray` is told of a shape; a mesh is made by its corners.
+# Arguments of `createCollisionShapeArray` for each kind of shape; meshes are made otherwise.
 SHAPES: Dict[type, Callable[[Any], Dict[str, Any]]] = {
     Box: lambda box: {
         "shapeTypes": pybullet.GEOM_BOX,
@@ -48,44 +51,50 @@ SHAPES: Dict[type, Callable[[Any], Dict[str, Any]]] = {
     Sphere: lambda sphere: {"shapeTypes": pybullet.GEOM_SPHERE, "radii": sphere.radius},
     Plane: lambda plane: {"shapeTypes": pybullet.GEOM_PLANE, "planeNormals": plane.normal},
 }
-# For what a shape has not.
-NO_MEASURES = {
+# Values of the arguments that a shape does not need.
+UNUSED_MEASURES = {
     "radii": 0.0,
     "halfExtents": (0.0, 0.0, 0.0),
     "lengths": 0.0,
     "planeNormals": (0.0, 0.0, 1.0),
 }
-# Around convex meshes, in m, instead of Bullet's 1 mm. Without one, most rays go through them.
-SKIN = 1e-4
+# Margin of convex meshes in m, instead of Bullet's 1 mm. Without one, most rays pass through them.
+MESH_MARGIN = 1e-4
 ORIGIN: Vector = (0.0, 0.0, 0.0)
-# What carries no shapes: none, PyBullet's id of none, and a surface.
-EMPTY = ((), NONE, Surface())
 HELPER_JOINT = Joint("", "fixed", "", "")
-# Bullet's collision group and mask of what never moves: it touches all but its like.
+# Bullet's collision group and mask of static links: they touch everything but each other.
 STATIC_FILTER = (2, ~2)
-# Of what has been taken away: nothing touches it and no ray meets it, wherever it is.
-AWAY_FILTER = (0, 0)
-AWAY: Vector = (0.0, 0.0, -FARTHEST)
-# Bodies that wait there: each takes 0.3 us of a step, which has 5 with the smallest robot.
+# The same of removed bodies: nothing touches them, and no ray meets them.
+REMOVED_FILTER = (0, 0)
+REMOVED_PLACE: Vector = (0.0, 0.0, -FARTHEST)
+# Removed bodies that are kept: each takes 0.3 us of a step, which takes 5 us for a small robot.
 KEPT_BODIES = 6
+# Limit (rad or m) of a joint on the side where it has none, as in SDF.
+NO_LIMIT = 1e16
+LIMITED = ("revolute", "prismatic")
 
 
 @dataclass(frozen=True)
-class Part:
-    """What is one link to PyBullet: a link of the description, or a helper fixed to one.
+class BulletLink:
+    """One of PyBullet's links: a link of the description, or a helper link fixed to one.
 
-    It hangs on `joint`, None for the root; `parent` is its parent's place in the list of parts,
-    and `shape` PyBullet's id of the `shapes` that it carries, which share a `surface`. PyBullet has
-    its joint in its origin, which is at the place `origin` (m) in the frame of the link.
+    Attributes:
+        link: of the description.
+        joint: that it hangs on; None for the root.
+        parent: place of its parent in the list of links.
+        shapes: that it carries.
+        shape: PyBullet's id of those shapes.
+        surface: of those shapes.
+        origin: PyBullet's origin of the link, where its joint is, in the frame of the link (m).
     """
 
     link: Link
     joint: Optional[Joint]
     parent: int
     shapes: Tuple[Collision, ...] = ()
-    shape: int = NONE
+    shape: int = NO_SHAPE
     surface: Surface = Surface()
-    origin: Vector = (0.0, 0.0, 0.0)
+    origin: Vector = ORIGIN
 
     def mass_properties(self) -> Tuple[float, Vector, Pose]:
         """Return mass in kg, principal moments in kg m², and the pose of the principal frame."""
@@ -93,121 +102,135 @@ class Part:
             return 0.0, (0.0, 0.0, 0.0), Pose()
         return (self.link.inertia.mass, *principal_axes(self.link.inertia))
 
+    def joint_place(self, parent_origin: Vector) -> Vector:
+        """Return the place (m) of the joint from PyBullet's origin of the parent."""
+        if self.joint is HELPER_JOINT:
+            return ORIGIN
+        pose = self.joint.pose
+        if any(self.origin):
+            pose = pose * Pose(self.origin)
+        return subtract(pose.position, parent_origin)
+
 
 class BodyMaker:
-    """Makes the bodies of one PyBullet client."""
+    """Makes and removes the bodies of one PyBullet client."""
 
     def __init__(self, client: int):
         self._client = client
+        # PyBullet's ids of shapes by what they are made of.
         self._made: Dict[Hashable, List[int]] = {}
-        # What tells bodies apart that may come back: of those in use, and of those that are away.
+        # Shape and surface by body, of static bodies with one link; None for other bodies.
         self._kinds: Dict[int, Hashable] = {}
-        self._away: Dict[int, Hashable] = {}
+        # The same of removed bodies that are kept, the oldest first.
+        self._removed: Dict[int, Hashable] = {}
 
     @hidden_native_output()
     def make(
         self, links: Sequence[Link], joints: Sequence[Joint], static: bool, pose: Pose
-    ) -> Tuple[int, List[Part]]:
-        """Make a body; return PyBullet's id of it and its parts, all helpers last.
+    ) -> Tuple[int, List[BulletLink]]:
+        """Make a body; return PyBullet's id of it and its links, all helpers last.
 
         Args:
-            links: the root first and each after the one that carries it.
+            links: the root first, and each link after its parent.
             joints: between them.
-            static: whether it never moves; then it keeps the hollows of its meshes.
+            static: whether the body never moves; its meshes then keep their hollows.
             pose: of the root link's frame in the world.
 
         Raises:
             MeshError: a mesh is not usable.
-            PhysicsError: there are more parts than PyBullet can hold, or PyBullet's refusal.
+            PhysicsError: the body needs too many links, or PyBullet refuses it.
         """
         try:
-            parts = self._parts(links, joints, static)
-            if len(parts) - 1 > MOST_LINKS:
-                need = f"its joints and shapes need {len(parts) - 1} links beside the root"
-                raise PhysicsError(f"{need}, and the engine holds {MOST_LINKS}")
-            kind = (parts[0].shape, parts[0].surface) if static and len(parts) == 1 else None
-            body = self._back(kind, pose)
+            made = self._bullet_links(links, joints, static)
+            if len(made) - 1 > MOST_LINKS:
+                need = f"its joints and shapes need {len(made) - 1} links beside the root"
+                raise PhysicsError(f"{need}; the engine allows {MOST_LINKS}")
+            kind = (made[0].shape, made[0].surface) if static and len(made) == 1 else None
+            body = self._restored(kind, pose)
             if body is None:
-                body = self._make(parts, pose)
-            self._tune(body, parts, static)
+                body = self._create(made, pose)
+            self._set_dynamics(body, made, static)
             self._kinds[body] = kind
-            return body, parts
+            return body, made
         except pybullet.error as error:
             raise PhysicsError(f"PyBullet cannot make it: {error}") from error
 
-    def take_away(self, body: int) -> None:
+    def remove(self, body: int) -> None:
         """Take a body out of the world."""
         kind = self._kinds.pop(body)
         if kind is None:
             pybullet.removeBody(body, self._client)
             return
-        self._put(body, Pose(AWAY), AWAY_FILTER)
-        self._away[body] = kind
-        if len(self._away) > KEPT_BODIES:
-            oldest = next(iter(self._away))
-            del self._away[oldest]
+        self._place(body, Pose(REMOVED_PLACE), REMOVED_FILTER)
+        self._removed[body] = kind
+        if len(self._removed) > KEPT_BODIES:
+            oldest = next(iter(self._removed))
+            del self._removed[oldest]
             pybullet.removeBody(oldest, self._client)
 
-    def _back(self, kind: Optional[Hashable], pose: Pose) -> Optional[int]:
-        """Return a body of a kind that was away, now at a pose, or None."""
-        body = next((body for body, one in self._away.items() if one == kind), None)
-        if body is not None:
-            del self._away[body]
-            self._put(body, pose, STATIC_FILTER)
-        return body
+    def _restored(self, kind: Optional[Hashable], pose: Pose) -> Optional[int]:
+        """Return a removed body of a kind, now at a pose; None if there is none."""
+        for body, removed in self._removed.items():
+            if removed == kind:
+                del self._removed[body]
+                self._place(body, pose, STATIC_FILTER)
+                return body
+        return None
 
-    def _put(self, body: int, pose: Pose, groups: Tuple[int, int]) -> None:
-        """Put a static body somewhere, and say what it touches there."""
+    def _place(self, body: int, pose: Pose, groups: Tuple[int, int]) -> None:
         pybullet.resetBasePositionAndOrientation(body, *astuple(pose), physicsClientId=self._client)
-        # This forgets what it touched, too.
+        # This also drops the contacts of the place before.
         pybullet.setCollisionFilterGroupMask(body, ROOT, *groups, self._client)
 
-    def _parts(self, links: Sequence[Link], joints: Sequence[Joint], static: bool) -> List[Part]:
+    def _bullet_links(
+        self, links: Sequence[Link], joints: Sequence[Joint], static: bool
+    ) -> List[BulletLink]:
         above = {joint.child: joint for joint in joints}
         places = {link.name: place for place, link in enumerate(links)}
-        parts, helpers = [], []
+        found, helpers = [], []
         for place, link in enumerate(links):
             joint = above.get(link.name)
             origin, parent = (joint.anchor, places[joint.parent]) if joint else (ORIGIN, ROOT)
-            first, *more = self._shapes(link, axle_of(joint), static, origin) or [EMPTY]
-            parts.append(Part(link, joint, parent, *first, origin))
-            helpers += [Part(link, HELPER_JOINT, place, *group, origin) for group in more]
-        return parts + helpers
+            groups = self._shapes(link, axle_of(joint), static, origin)
+            first, *more = groups or [((), NO_SHAPE, Surface())]
+            found.append(BulletLink(link, joint, parent, *first, origin))
+            helpers += [BulletLink(link, HELPER_JOINT, place, *group, origin) for group in more]
+        return found + helpers
 
-    def _make(self, parts: Sequence[Part], pose: Pose) -> int:
-        (mass, _, centre), *masses = [part.mass_properties() for part in parts]
-        joints = [part.joint for part in parts if part.joint is not None]
+    def _create(self, links: Sequence[BulletLink], pose: Pose) -> int:
+        (mass, _, centre), *masses = [link.mass_properties() for link in links]
+        root, *rest = links
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_MAINTAIN_LINK_ORDER
-        if any(part.link.self_collide for part in parts):
+        if any(link.link.self_collide for link in links):
             flags |= pybullet.URDF_USE_SELF_COLLISION
         return pybullet.createMultiBody(
-            *(mass, parts[0].shape, NONE, *astuple(pose), *astuple(centre)),
+            *(mass, root.shape, NO_SHAPE, *astuple(pose), *astuple(centre)),
             linkMasses=[mass for mass, _, _ in masses],
-            linkCollisionShapeIndices=[part.shape for part in parts[1:]],
-            linkVisualShapeIndices=[NONE for _ in masses],
-            linkPositions=[_joint_place(part, parts) for part in parts[1:]],
-            linkOrientations=[joint.pose.quaternion for joint in joints],
+            linkCollisionShapeIndices=[link.shape for link in rest],
+            linkVisualShapeIndices=[NO_SHAPE for _ in rest],
+            linkPositions=[link.joint_place(links[link.parent].origin) for link in rest],
+            linkOrientations=[link.joint.pose.quaternion for link in rest],
             linkInertialFramePositions=[
-                subtract(centre.position, part.origin)
-                for part, (_, _, centre) in zip(parts[1:], masses)
+                subtract(centre.position, link.origin)
+                for link, (_, _, centre) in zip(rest, masses)
             ],
             linkInertialFrameOrientations=[centre.quaternion for _, _, centre in masses],
-            linkParentIndices=[part.parent for part in parts[1:]],
-            linkJointTypes=[JOINT_TYPES[joint.kind] for joint in joints],
-            linkJointAxis=[joint.axis for joint in joints],
+            linkParentIndices=[link.parent for link in rest],
+            linkJointTypes=[JOINT_TYPES[link.joint.kind] for link in rest],
+            linkJointAxis=[link.joint.axis for link in rest],
             flags=flags,
             physicsClientId=self._client,
         )
 
-    def _tune(self, body: int, parts: Sequence[Part], static: bool) -> None:
-        """Tell PyBullet of a body what `createMultiBody` does not take."""
-        # Not in one call with what is a link's: these turn any link's index into the root's.
+    def _set_dynamics(self, body: int, links: Sequence[BulletLink], static: bool) -> None:
+        """Set the properties of a body that `createMultiBody` does not take."""
+        # A call of its own: together with these, PyBullet takes any link's index for the root's.
         self._change(body, ROOT, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=FASTEST)
-        for index, part in enumerate(parts, start=ROOT):
-            _, moments, frame = part.mass_properties()
-            given = {"localInertiaDiagonal": moments, **part.surface.properties(frame, static)}
-            if part.joint:
-                given.update(joint_properties(part.joint, parts[part.parent].link, part.link))
+        for index, link in enumerate(links, start=ROOT):
+            _, moments, frame = link.mass_properties()
+            given = {"localInertiaDiagonal": moments, **link.surface.properties(frame, static)}
+            if link.joint:
+                given.update(joint_properties(link.joint, links[link.parent].link, link.link))
             self._change(body, index, **given)
             if static and index > ROOT:
                 pybullet.setCollisionFilterGroupMask(body, index, *STATIC_FILTER, self._client)
@@ -218,28 +241,32 @@ class BodyMaker:
     def _shapes(
         self, link: Link, axle: Optional[Vector], static: bool, origin: Vector
     ) -> List[Tuple[Tuple[Collision, ...], int, Surface]]:
-        """Return the shapes of a link as PyBullet takes them in one call, with its ids of them.
+        """Return groups of the link's shapes, each with PyBullet's id and the common surface.
 
-        PyBullet's origin of the link is at a place (m) in its frame.
+        `origin` is PyBullet's origin of the link in the link's frame, in m.
         """
-        groups: List[Tuple[List[Collision], Surface]] = []
-        for surface, shapes in by_surface(link.collisions, axle):
+        by_surface: Dict[Surface, List[Collision]] = {}
+        for shape in link.collisions:
+            by_surface.setdefault(Surface.of(shape, axle), []).append(shape)
+        found = []
+        for surface, shapes in by_surface.items():
             simple = [shape for shape in shapes if not isinstance(shape.geometry, Mesh)]
             starts = range(0, len(simple), MOST_SHAPES)
-            groups += [(simple[start : start + MOST_SHAPES], surface) for start in starts]
-            groups += [([s], surface) for s in shapes if isinstance(s.geometry, Mesh)]
-        return [
-            (tuple(group), made, surface)
-            for group, surface in groups
-            for made in self._once(group, axle, static, origin)
-        ]
+            groups = [simple[start : start + MOST_SHAPES] for start in starts]
+            groups += [[shape] for shape in shapes if isinstance(shape.geometry, Mesh)]
+            for group in groups:
+                ids = self._ids(group, axle, static, origin)
+                found += [(tuple(group), shape_id, surface) for shape_id in ids]
+        return found
 
-    def _once(
+    def _ids(
         self, group: Sequence[Collision], axle: Optional[Vector], static: bool, origin: Vector
     ) -> List[int]:
         """Return PyBullet's ids of a group of shapes, or of the pieces of a mesh."""
-        shapes = [replace(s, pose=_moved(s.pose, origin)) for s in on_treads(group, axle)]
-        mesh, pose = group[0].geometry, shapes[0].pose
+        shapes = on_treads(group, axle)
+        if any(origin):
+            shapes = [replace(shape, pose=_moved(shape.pose, origin)) for shape in shapes]
+        mesh, pose = shapes[0].geometry, shapes[0].pose
         key: Hashable = tuple((shape.geometry, shape.pose) for shape in shapes)
         if isinstance(mesh, Mesh):
             key = (key, file_version(mesh), static)
@@ -250,12 +277,14 @@ class BodyMaker:
             self._made[key] = [self._simple(shapes)]
         return self._made[key]
 
-    def _simple(self, group: Sequence[Collision]) -> int:
-        told = [{**NO_MEASURES, **SHAPES[type(shape.geometry)](shape.geometry)} for shape in group]
+    def _simple(self, shapes: Sequence[Collision]) -> int:
+        given = [
+            {**UNUSED_MEASURES, **SHAPES[type(shape.geometry)](shape.geometry)} for shape in shapes
+        ]
         return pybullet.createCollisionShapeArray(
-            **{key: [measures[key] for measures in told] for key in told[0]},
-            collisionFramePositions=[shape.pose.position for shape in group],
-            collisionFrameOrientations=[shape.pose.quaternion for shape in group],
+            **{key: [measures[key] for measures in given] for key in given[0]},
+            collisionFramePositions=[shape.pose.position for shape in shapes],
+            collisionFrameOrientations=[shape.pose.quaternion for shape in shapes],
             physicsClientId=self._client,
         )
 
@@ -269,60 +298,47 @@ class BodyMaker:
             collisionFrameOrientation=pose.quaternion,
             physicsClientId=self._client,
         )
-        # What is set for a shape of one body's root is so for all that have it.
+        # A margin that is set for the shape of one body's root holds for all bodies that have it.
         body = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
-        self._change(body, ROOT, collisionMargin=0.0 if hollow else SKIN)
+        self._change(body, ROOT, collisionMargin=0.0 if hollow else MESH_MARGIN)
         pybullet.removeBody(body, self._client)
         return shape
 
 
 def _moved(pose: Pose, origin: Vector) -> Pose:
-    """Return a pose in a link's frame as PyBullet has it, whose origin is elsewhere."""
-    return pose if not any(origin) else Pose(subtract(pose.position, origin), pose.quaternion)
-
-
-def _joint_place(part: Part, parts: Sequence[Part]) -> Vector:
-    """Return the place (m) of a part's joint from PyBullet's origin of its parent."""
-    if part.joint is HELPER_JOINT:
-        return ORIGIN
-    at = part.joint.pose * Pose(part.origin) if any(part.origin) else part.joint.pose
-    return subtract(at.position, parts[part.parent].origin)
-
-
-# Where a joint that is limited on one side ends on the other, as in SDF.
-FAR = 1e16
-LIMITED = ("revolute", "prismatic")
+    """Return a pose in a link's frame relative to another origin."""
+    return Pose(subtract(pose.position, origin), pose.quaternion)
 
 
 def joint_properties(joint: Joint, parent: Link, child: Link) -> Dict[str, float]:
-    """Return damping and limits of a joint as PyBullet's properties of the link below it.
+    """Return damping and limits of a joint as PyBullet's properties of the child link.
 
-    PyBullet takes the damping of a step from the velocity before it. A strong damper on a light
-    link would so turn the velocity round, and swing up. It gets no stronger here than what stops
-    the two links at once, if nothing else held them.
+    PyBullet computes the damping in a step from the velocity before the step. A strong damper on
+    a light link would so reverse the velocity, and oscillate ever more. So the damping is limited
+    to what stops the two links at once, if nothing else held them.
     """
     if joint.kind == "ball":
         return {}
     properties = {"jointDamping": joint.damping}
     if joint.damping > 0.0:
-        # The acceleration per effort, if nothing else held the two.
+        # The relative acceleration per effort, if nothing else held the two.
         ends = ((child.inertia, joint.axis), (parent.inertia, joint.pose.rotate(joint.axis)))
         turning = joint.kind != "prismatic"
         loose = sum(mobility(part, axis, turning) for part, axis in ends if part is not None)
         if loose > 0.0:
             properties["jointDamping"] = min(joint.damping, STEPS_PER_SECOND / loose)
     if joint.kind in LIMITED and {"lower", "upper"} & set(joint.limits):
-        # A lower limit above the upper one means none, and PyBullet passes over it.
-        properties["jointLowerLimit"] = joint.limits.get("lower", -FAR)
-        properties["jointUpperLimit"] = joint.limits.get("upper", FAR)
+        # A lower limit above the upper one means no limit; PyBullet ignores both.
+        properties["jointLowerLimit"] = joint.limits.get("lower", -NO_LIMIT)
+        properties["jointUpperLimit"] = joint.limits.get("upper", NO_LIMIT)
     return properties
 
 
 def allowed_effort(joint: Joint, effort: float, velocity: float) -> float:
-    """Return what is left of an effort (N m or N) on a joint with a velocity (rad/s or m/s).
+    """Return an effort (N m or N) within a joint's limits at a velocity (rad/s or m/s).
 
-    As in Gazebo, it is no more than the joint's effort limit, and nothing in the direction in
-    which the joint moves faster than its velocity limit. A negative limit is none.
+    As in Gazebo, the effort is within the joint's effort limit, and zero in the direction in
+    which the joint moves faster than its velocity limit. A negative limit means none.
     """
     most, fastest = (joint.limits.get(key, -1.0) for key in ("effort", "velocity"))
     if 0.0 <= fastest < abs(velocity) and velocity * effort > 0.0:
@@ -331,7 +347,7 @@ def allowed_effort(joint: Joint, effort: float, velocity: float) -> float:
 
 
 def net_motor(joint: Joint, velocity: float, effort: float) -> Tuple[float, float]:
-    """Return the velocity and greatest effort of a motor together with the joint's friction.
+    """Return the velocity and greatest effort of a motor, together with the joint's friction.
 
     Friction helps a motor that stops the joint, and hinders one that moves it.
     """

@@ -1,4 +1,4 @@
-"""Who touches whom, where, with which shapes, and what is exchanged there."""
+"""Contacts: which shapes touch, where, and with which forces."""
 
 from __future__ import annotations
 
@@ -6,20 +6,24 @@ from dataclasses import dataclass
 from typing import Dict, Iterable, List, Mapping, Sequence, Tuple
 
 from bullet_lab.core.pose import Pose, Vector, add
+from bullet_lab.simulation.physics import is_contact, pybullet
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
-from bullet_lab.simulation.physics.engine import pybullet
 from bullet_lab.simulation.physics.physics import Body
 from bullet_lab.simulation.world.description import Collision
 
 
 @dataclass(frozen=True)
 class ContactPoint:
-    """One point of contact in the last step, in the world.
+    """One contact point of a link in the last step, in the world.
 
-    `index` is PyBullet's of the link, or of the helper that carries what touches; `other` the
-    other body's unique id and link's index. Places and depth are in m, the normal points from the
-    other link to this one, and `force` is that on this link in N, friction included but that of
-    wheels with a `Traction` of their own.
+    Attributes:
+        index: PyBullet's index of the link, or of its helper link that carries the shape.
+        other: the other body's unique id and its link's index.
+        place: on this link, in m.
+        place_on_other: on the other link, in m.
+        normal: from the other link to this one.
+        depth: of the overlap, in m.
+        force: on this link in N, with friction unless it is a wheel with a `Traction`.
     """
 
     index: int
@@ -32,26 +36,22 @@ class ContactPoint:
 
 
 def contact_points(body: Body, link: str) -> List[ContactPoint]:
-    """Return the points where a link touches something, by its name."""
+    """Return the contact points of a link, by the link's name."""
     own = [(body.unique_id, index) for index in body.link_indices(link)]
     if not any(body.near_points(linkIndexA=index) for _, index in own):
         return []
-    # All of the world's: asked for one body, PyBullet turns points round to have it first, but
-    # not their friction.
-    everything = pybullet.getContactPoints(physicsClientId=body.client)
-    return [_seen_from(point, end) for point in everything for end in own if _concerns(point, end)]
-
-
-def _concerns(point: tuple, own: Tuple[int, int]) -> bool:
-    _, first, second, first_link, second_link, *_ = point
-    distance, force = point[8:10]
-    # Bullet lists what is merely near, too; what comes apart overlaps without a force.
-    touching = force > 0.0 or distance < 0.0
-    return touching and own in ((first, first_link), (second, second_link))
+    # The points of the whole world: if asked for one body, PyBullet turns points round so that
+    # the body comes first, but not their friction.
+    found = []
+    for point in pybullet.getContactPoints(physicsClientId=body.client):
+        if is_contact(point):
+            first, second = (point[1], point[3]), (point[2], point[4])
+            found += [_seen_from(point, end) for end in own if end in (first, second)]
+    return found
 
 
 def _seen_from(point: tuple, own: Tuple[int, int]) -> ContactPoint:
-    """Return one of PyBullet's points as the link sees it."""
+    """Return one of PyBullet's points as the link `own` (body and index) sees it."""
     first, second, first_link, second_link, on_first, on_second, normal, distance = point[1:9]
     pressure, friction, along, cross_friction, across = point[9:]
     slip = add(_times(friction, along), _times(cross_friction, across))
@@ -70,19 +70,15 @@ def _times(factor: float, vector: Vector) -> Vector:
 
 @dataclass(frozen=True)
 class Contact:
-    """What two models do to each other.
+    """Contact of two models.
 
-    `force` is the sum of all normal forces in N, `position` (m, world) of what presses most.
+    Attributes:
+        force: the sum of all normal forces in N.
+        position: of the point with the greatest force, in the world in m.
     """
 
     force: float
     position: Vector
-
-
-def touching_points(body: Body) -> List[tuple]:
-    """Return PyBullet's points where a body touches something; the body itself comes first."""
-    # Bullet lists what is merely near, too; what comes apart overlaps without a force.
-    return [point for point in body.near_points() if point[9] > 0.0 or point[8] < 0.0]
 
 
 def contacts_of(bodies: Iterable[Body], owners: Mapping[int, str], own: str) -> Dict[str, Contact]:
@@ -93,8 +89,8 @@ def contacts_of(bodies: Iterable[Body], owners: Mapping[int, str], own: str) -> 
     sums: Dict[str, float] = {}
     strongest: Dict[str, Tuple[float, Vector]] = {}
     for body in bodies:
-        for _, _, second, _, _, place, _, _, _, force, *_ in touching_points(body):
-            other = owners[second]
+        for point in body.touching_points():
+            other, place, force = owners[point[2]], point[5], point[9]
             sums[other] = sums.get(other, 0.0) + force
             if other not in strongest or force > strongest[other][0]:
                 strongest[other] = (force, place)
@@ -103,7 +99,7 @@ def contacts_of(bodies: Iterable[Body], owners: Mapping[int, str], own: str) -> 
 
 
 def nearest_shape(collisions: Sequence[Collision], point: Vector) -> Collision:
-    """Return the shape of a link whose surface is next to a point in the link's frame."""
+    """Return the shape of a link whose surface is nearest to a point in the link's frame."""
 
     def distance(shape: Collision) -> float:
         return shape.geometry.distance((shape.pose.inverse() * Pose(point)).position)
@@ -113,10 +109,9 @@ def nearest_shape(collisions: Sequence[Collision], point: Vector) -> Collision:
 
 def shape_name(model: str, body: Body, index: int, place: Vector) -> str:
     """Return the name of the shape at a place (m, world) on a link: model::link::collision."""
-    part = body.part_at(index)
-    if len(part.shapes) == 1:
-        (shape,) = part.shapes
-    else:
-        point = AttachedFrame(body, part.link.name).pose().inverse() * Pose(place)
-        shape = nearest_shape(part.shapes, point.position)
-    return f"{model}::{part.link.name}::{shape.name}"
+    touched = body.link_at(index)
+    link, shapes = touched.link.name, touched.shapes
+    if len(shapes) == 1:
+        return f"{model}::{link}::{shapes[0].name}"
+    point = AttachedFrame(body, link).pose().inverse() * Pose(place)
+    return f"{model}::{link}::{nearest_shape(shapes, point.position).name}"

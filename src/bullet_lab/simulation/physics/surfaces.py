@@ -1,8 +1,10 @@
-"""How links touch: friction and softness in the engine's numbers, and wheels that stand on a tread.
+"""How links touch: friction and softness, the treads of wheels, and which wheels must skid.
 
-Bullet multiplies the friction of the two that touch, ODE takes the smaller. Both agree if one of
-them has 1, so what never moves has no more than that here: on a floor of 100 or 1, a wheel of 0.1
-grips with 0.1.
+Bullet multiplies the friction coefficients of two surfaces that touch; ODE takes the smaller one.
+The results agree if one of the two is 1, so static models are limited to 1 here: on a floor of
+100 or of 1, a wheel of 0.1 has the friction 0.1.
+
+Wheels on parallel axles that are apart cannot all roll while the body turns: they skid.
 """
 
 from __future__ import annotations
@@ -12,34 +14,56 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
+import numpy as np
+
 from bullet_lab.core.pose import Pose, Vector, cross, subtract
 from bullet_lab.simulation.world.description import Collision, Joint, Link
-from bullet_lab.simulation.world.shapes import Cylinder
+from bullet_lab.simulation.world.meshes import hull_corners
+from bullet_lab.simulation.world.shapes import Cylinder, Mesh, Sphere
 
-# Two directions are the same to this cosine: an axle, a principal axis.
+# A place (m) on an axle, and the axle's direction.
+Axle = Tuple[Vector, Vector]
+
+# Two directions count as the same above this cosine.
 ALIGNED = 0.99
-# What Bullet itself takes for a contact that only says the one or the other.
-HARD = 1e18
-DEFAULT_DAMPING = 0.1
-# In m. A wheel is wider, and its rim lower by this share of its radius: nearer than 3 %, Bullet
-# makes points of contact with it as well, which costs half as much time again.
-TREAD = 0.002
-RIM = 0.05
-# In m: two axles are one axle.
+# Two axles at this distance (m) or nearer count as one axle.
 NEAR = 0.005
+# Stiffness (N/m) of a contact that names only a damping, as in Bullet.
+HARD = 1e18
+# Damping (N s/m) of a contact that names only a stiffness, as in Bullet.
+DEFAULT_DAMPING = 0.1
+# Width of a wheel's tread in m.
+TREAD = 0.002
+# The rim beside the tread is lower by this share of the radius. Below 3 %, Bullet makes contact
+# points with the rim, too, and a step takes half as much time again.
+RIM = 0.05
+# Greatest cosine between a level axle and the vertical.
+LEVEL = 0.3
+# Least cosine between a steering axis and the vertical.
+UPRIGHT = 0.7
+# Greatest roundness error of a mesh that counts as a wheel, as a share of its radius.
+ROUND = 0.05
+# A wheel's inertia is at least that of this share of its load at its rim: otherwise friction in a
+# single step would spin it.
+LEAST_RIM = 0.05
+# Gravity in m/s² for the springs of skidding wheels.
+GRAVITY = 9.8
+# How deep (m) and how fast (m/s) a hard skidding wheel sinks in under its load.
+SINKING = 2e-5
+SINKING_SPEED = 0.02
 
 
 @dataclass(frozen=True)
 class Surface:
-    """What a shape is like to touch, in the axes of its link.
+    """Friction and softness of a shape, in the axes of its link.
 
     Attributes:
         friction: Coulomb's coefficient, the greater of the two if it has two.
-        axis: unit vector, along which it has the one, and across which the other.
-        along: the share of `friction` along it.
-        across: the share across it.
-        stiffness: N/m; None for a hard one.
-        damping: N s/m; None for a hard one.
+        axis: unit vector; friction differs along it and across it.
+        along: the share of `friction` along the axis.
+        across: the share of `friction` across the axis.
+        stiffness: N/m; None for a hard surface.
+        damping: N s/m; None for a hard surface.
     """
 
     friction: float = 1.0
@@ -49,91 +73,73 @@ class Surface:
     stiffness: Optional[float] = None
     damping: Optional[float] = None
 
-    @property
-    def directed(self) -> bool:
-        """Whether it rubs more in one direction than in the other."""
-        return self.along != self.across
-
     @classmethod
     def of(cls, shape: Collision, axle: Optional[Vector]) -> Surface:
-        """Return the surface of a shape of a link that turns about an axle, if it does.
+        """Return the surface of a shape of a link; `axle` is what the link turns about, or None.
 
-        A direction that is not that of the axle turns with the wheel. What it means is: along
-        the way the first coefficient, along the axle the second.
+        A direction that is not the axle's turns with the wheel. It then means that the first
+        coefficient acts along the rolling direction, and the second along the axle.
         """
-        spring = (shape.stiffness, shape.damping)
-        one, other = shape.friction, shape.friction
+        first = second = shape.friction
         axis = shape.direction and shape.pose.rotate(shape.direction)
         if axis and shape.cross_friction is not None:
-            other = shape.cross_friction
+            second = shape.cross_friction
             if axle and abs(cosine(axis, axle)) < ALIGNED:
-                axis, one, other = axle, other, one
-        most = max(one, other)
-        if one == other:
-            return cls(most, stiffness=shape.stiffness, damping=shape.damping)
-        return cls(most, axis, one / most, other / most, *spring)
+                axis, first, second = axle, second, first
+        if first == second:
+            return cls(first, stiffness=shape.stiffness, damping=shape.damping)
+        most = max(first, second)
+        return cls(most, axis, first / most, second / most, shape.stiffness, shape.damping)
 
     def properties(self, frame: Pose, static: bool) -> Dict[str, Any]:
-        """Return it as PyBullet's properties of a link with a principal frame in its own.
+        """Return the surface as PyBullet's properties of a link with this principal frame.
 
-        Shapes with a stiffness or damping touch as a spring and damper, which are solved
-        implicitly, as in ODE, so that stiff ones do not blow up.
+        Contacts with a stiffness or damping are a spring and damper, which Bullet solves
+        implicitly, as ODE does, so that stiff ones stay stable.
         """
         friction = min(self.friction, 1.0) if static else self.friction
-        given: Dict[str, Any] = {"lateralFriction": friction}
-        if self.directed:
-            given.update(self._anisotropy(frame))
+        properties: Dict[str, Any] = {"lateralFriction": friction}
+        if self.along != self.across:
+            # Bullet knows principal axes alone: the one next to our axis stands for it.
+            cosines = [abs(value) for value in frame.inverse().rotate(self.axis)]
+            nearest = cosines.index(max(cosines))
+            shares = [self.across, self.across, self.across]
+            shares[nearest] = self.along
+            properties["anisotropicFriction"] = shares
         if self.stiffness is not None or self.damping is not None:
-            given["contactStiffness"] = HARD if self.stiffness is None else self.stiffness
-            given["contactDamping"] = DEFAULT_DAMPING if self.damping is None else self.damping
-        return given
-
-    def _anisotropy(self, frame: Pose) -> Dict[str, Any]:
-        """Return the shares along the principal axes; of the axis next to ours, if none is ours."""
-        cosines = [abs(part) for part in frame.inverse().rotate(self.axis)]
-        ours = cosines.index(max(cosines))
-        return {"anisotropicFriction": [self.along if i == ours else self.across for i in range(3)]}
-
-
-def by_surface(
-    shapes: Sequence[Collision], axle: Optional[Vector]
-) -> List[Tuple[Surface, List[Collision]]]:
-    """Return shapes together that are alike to touch, in the order of the first of each kind."""
-    groups: Dict[Surface, List[Collision]] = {}
-    for shape in shapes:
-        groups.setdefault(Surface.of(shape, axle), []).append(shape)
-    return list(groups.items())
+            properties["contactStiffness"] = HARD if self.stiffness is None else self.stiffness
+            properties["contactDamping"] = DEFAULT_DAMPING if self.damping is None else self.damping
+        return properties
 
 
 def axle_of(joint: Optional[Joint]) -> Optional[Vector]:
-    """Return the axis about which a joint lets its link turn, in the link's axes."""
+    """Return the axis about which a joint lets its child link turn, in that link's axes."""
     turns = joint is not None and joint.kind in ("continuous", "revolute")
     return joint.axis if turns else None
 
 
 def on_treads(shapes: Sequence[Collision], axle: Optional[Vector]) -> List[Collision]:
-    """Return the shapes of a link as they roll best.
+    """Return the shapes of a link, with a wheel replaced by a narrow tread and a lower rim.
 
-    A cylinder that lies touches the floor along a line, of which Bullet keeps one end: all wheels
-    of a robot would roll on their left edges. So one that is a wheel, alone on its axle, stands
-    on a narrow tread in its middle, beside which its rim is lower.
+    A lying cylinder touches the floor along a line, and Bullet keeps one end of it: all wheels of
+    a robot would roll on their left edges. So a cylinder that is alone on its axle gets a tread
+    in its middle.
     """
     if len(shapes) != 1 or axle is None or not isinstance(shapes[0].geometry, Cylinder):
         return list(shapes)
     (wheel,) = shapes
     radius, width = wheel.geometry.radius, wheel.geometry.length
-    aslant = abs(cosine(wheel.pose.rotate((0.0, 0.0, 1.0)), axle)) < ALIGNED
-    if aslant or width <= TREAD:
+    if not _turns_about(wheel, axle) or width <= TREAD:
         return [wheel]
     rim = Cylinder((1.0 - RIM) * radius, width)
     return [replace(wheel, geometry=Cylinder(radius, TREAD)), replace(wheel, geometry=rim)]
 
 
 def wants_friction_pyramid(links: Sequence[Link], joints: Sequence[Joint]) -> bool:
-    """Return whether the friction of a body needs a limit for each direction.
+    """Return whether friction on a body needs a limit for each of two directions.
 
-    So it does where wheels slip while they are driven: slippery ones, and those on parallel axles
-    apart; and if a shape names a direction. Wheels with a `Traction` of their own do not count.
+    It does if wheels slip while they are driven (slippery wheels, or wheels on parallel axles
+    that are apart), or if a shape names a friction direction. Leave out wheels with a `Traction`.
     """
     if any(shape.direction for link in links for shape in link.collisions):
         return True
@@ -142,13 +148,120 @@ def wants_friction_pyramid(links: Sequence[Link], joints: Sequence[Joint]) -> bo
     if any(shape.friction < 1.0 for link in wheels for shape in link.collisions):
         return True
     lines = [(link.pose.position, link.pose.rotate(axles[link.name])) for link in wheels]
-    return any(
-        abs(cosine(one, other)) > ALIGNED
-        and math.hypot(*cross(subtract(place, origin), one)) > NEAR
-        for (origin, one), (place, other) in combinations(lines, 2)
-    )
+    return any(_parallel_and_apart(*pair) for pair in combinations(lines, 2))
 
 
 def cosine(one: Vector, other: Vector) -> float:
-    """Return the cosine between two unit vectors."""
+    """Return the cosine of the angle between two unit vectors."""
     return sum(a * b for a, b in zip(one, other))
+
+
+def _parallel_and_apart(one: Axle, other: Axle) -> bool:
+    (place, axis), (other_place, other_axis) = one, other
+    if abs(cosine(axis, other_axis)) <= ALIGNED:
+        return False
+    return math.hypot(*cross(subtract(other_place, place), axis)) > NEAR
+
+
+def _turns_about(cylinder: Collision, axle: Vector) -> bool:
+    return abs(cosine(cylinder.pose.rotate((0.0, 0.0, 1.0)), axle)) >= ALIGNED
+
+
+@dataclass(frozen=True)
+class SkiddingWheel:
+    """A wheel that skids: the name of its link, the axle in the link's axes, the radius in m."""
+
+    link: str
+    axle: Vector
+    radius: float
+
+
+def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> List[SkiddingWheel]:
+    """Return the wheels of a body that skid sideways as it turns, in the order of its links.
+
+    These are wheels that nothing steers, on level axles that are parallel and apart.
+
+    Args:
+        links: of the body, with their poses in a frame whose z axis points up.
+        joints: between them.
+    """
+    above = {joint.child: joint for joint in joints}
+    poses = {link.name: link.pose for link in links}
+    wheels: List[SkiddingWheel] = []
+    lines: List[Axle] = []
+    for link in links:
+        joint = above.get(link.name)
+        if joint is None or not _turns_freely(joint) or _is_steered(joint, above, poses):
+            continue
+        radius = max((_radius(shape, joint) for shape in link.collisions), default=0.0)
+        axle = link.pose.rotate(joint.axis)
+        if radius > 0.0 and abs(axle[2]) < LEVEL:
+            wheels.append(SkiddingWheel(link.name, joint.axis, radius))
+            lines.append(((link.pose * Pose(joint.anchor)).position, axle))
+    skidding = set()
+    for one, other in combinations(range(len(wheels)), 2):
+        if _parallel_and_apart(lines[one], lines[other]):
+            skidding.update((one, other))
+    return [wheels[index] for index in sorted(skidding)]
+
+
+def _turns_freely(joint: Joint) -> bool:
+    if axle_of(joint) is None:
+        return False
+    least, most = joint.limits.get("lower", -math.inf), joint.limits.get("upper", math.inf)
+    return joint.kind == "continuous" or not 0.0 <= most - least <= math.tau
+
+
+def _is_steered(joint: Joint, above: Dict[str, Joint], poses: Dict[str, Pose]) -> bool:
+    """Return whether a link that carries the joint can turn about the vertical."""
+    while joint.parent in above:
+        joint = above[joint.parent]
+        axis = poses[joint.child].rotate(joint.axis)
+        if joint.kind == "ball" or (axle_of(joint) and abs(axis[2]) > UPRIGHT):
+            return True
+    return False
+
+
+def _radius(shape: Collision, joint: Joint) -> float:
+    """Return the radius of a shape that is round about a joint's axis; 0 if it is not round."""
+    geometry = shape.geometry
+    if isinstance(geometry, Mesh):
+        return _radius_of_mesh(geometry, shape.pose, joint)
+    if not isinstance(geometry, (Cylinder, Sphere)):
+        return 0.0
+    distance = math.hypot(*cross(subtract(shape.pose.position, joint.anchor), joint.axis))
+    is_round = isinstance(geometry, Sphere) or _turns_about(shape, joint.axis)
+    return geometry.radius if is_round and distance <= NEAR else 0.0
+
+
+def _radius_of_mesh(mesh: Mesh, pose: Pose, joint: Joint) -> float:
+    corners = hull_corners(mesh) @ pose.rotation_matrix().T
+    _, _, (_, *across) = np.linalg.svd(np.array([joint.axis]))
+    places = (corners + np.subtract(pose.position, joint.anchor)) @ np.transpose(across)
+    reaches = np.abs([places.min(axis=0), places.max(axis=0)])
+    return float(reaches.max()) if np.ptp(reaches) < ROUND * reaches.max() else 0.0
+
+
+def fit_for_skidding(links: Sequence[Link], wheels: Sequence[SkiddingWheel]) -> List[Link]:
+    """Return the links with wheels that are heavy enough at the rim (`LEAST_RIM`), and soft.
+
+    How hard wheels share the load of a body is undetermined, and Bullet's solver would decide.
+    On springs, the load of each wheel follows from where the wheel is.
+    """
+    load = sum(link.inertia.mass for link in links if link.inertia is not None) / len(wheels)
+    spring = {"stiffness": load * GRAVITY / SINKING, "damping": load * GRAVITY / SINKING_SPEED}
+    by_name = {wheel.link: wheel for wheel in wheels}
+    fitted = []
+    for link in links:
+        wheel = by_name.get(link.name)
+        if wheel is not None and link.inertia is not None:
+            matrix = link.inertia.matrix
+            lacking = LEAST_RIM * load * wheel.radius**2 - wheel.axle @ matrix @ wheel.axle
+            inertia = replace(link.inertia, matrix=matrix + max(0.0, lacking) * np.eye(3))
+            shapes = tuple(
+                replace(shape, **spring) if shape.stiffness is shape.damping is None else shape
+                for shape in link.collisions
+            )
+            link = replace(link, inertia=inertia, collisions=shapes)
+        fitted.append(link)
+    return fitted

@@ -1,11 +1,11 @@
-"""Friction of wheels that steer by slipping: Coulomb's law, along and across each wheel.
+"""Friction of wheels that skid: Coulomb's law, along and across each wheel.
 
-The engine limits friction along two axes of the world, each for itself or by what they move
-(`docs/contact_model.md`), so it only carries these wheels here. Their friction is one step of
-Jacobi's projected iteration before each step of the physics, started from that of the step
-before: what would stop the slip is added to it, and what is beyond the limit is taken back by the
-rule of greatest dissipation (Moreau 1974, "On unilateral constraints, friction and plasticity").
-So friction ends up opposing the slip, or stopping it.
+The engine limits friction along two axes of the world (`docs/contact_model.md`), so it only
+carries these wheels. Their friction is computed here, before each step of the physics, by one
+step of the projected Jacobi iteration, which starts from the friction of the step before. First
+the force is added that would stop the slip; then what exceeds the limit is taken back by the rule
+of greatest dissipation (Moreau 1974, "On unilateral constraints, friction and plasticity"). So
+friction ends up opposing the slip, or stopping it.
 """
 
 from __future__ import annotations
@@ -13,281 +13,319 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Callable, Dict, List, Mapping, Optional, Protocol, Sequence, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    List,
+    Mapping,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+)
 
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.physics.bodies import Part
-from bullet_lab.simulation.physics.engine import pybullet
-from bullet_lab.simulation.physics.skidding import SkiddingWheel, wheel_mobility
-from bullet_lab.simulation.world.description import Link
+from bullet_lab.simulation.physics import is_contact, pybullet
+from bullet_lab.simulation.physics.bodies import BulletLink
+from bullet_lab.simulation.physics.surfaces import SkiddingWheel
+from bullet_lab.simulation.world.description import Joint, Link
 
-# Something along a wheel's way, and across it.
-Both = Tuple[float, float]
-# Of what would stop a slip: the part that acts in a step, and the part of it that is kept for the
-# next ones, as a spring keeps it.
+# Something along a wheel's rolling direction, and the same along its axle.
+Pair = Tuple[float, float]
+# Share of the stopping force that is added in a step.
 STOPPING = 1.5
+# Share of the stopping force that is kept for the next steps, as a spring would.
 KEEPING = 0.2
-# What part of a step's load counts; Bullet may carry a wheel in small pushes.
+# Weight of the newest load in the smoothed load: Bullet may carry a wheel in small pushes.
 LOAD_SMOOTHING = 0.1
-# No load (N) and no coefficient is smaller.
-SLIGHT = SLICK = 1e-6
-# Of Newton's method: how near 1 is near enough, and how many iterations at most.
-NEARLY = 1.0 + 1e-5
+# Least load in N.
+LEAST_LOAD = 1e-6
+# Least coefficient of friction.
+LEAST_COEFFICIENT = 1e-6
+# Newton's method ends when the length is less than this, ...
+NEARLY_ONE = 1.0 + 1e-5
+# ... or after this many iterations.
 ITERATIONS = 20
-# A body that gives way to a push at its rim gives way so much more than its mass says.
+# A body that is pushed at its rim yields as if it had this part less of its mass.
 YIELDING = 4.0
-# Sine of the angle between an axle and the normal of what the wheel's flank touches, at most.
+# Least sine of the angle between an axle and the normal of a contact with the wheel's tread.
 FLANK = 0.05
+UP = np.array((0.0, 0.0, 1.0))
 
 
-def limited(wanted: Both, gains: Both, most: Both) -> Tuple[float, float, float]:
-    """Return friction within its limits, along and across, and what part is left of the one wanted.
+def limit_friction(wanted: Pair, gains: Pair, limits: Pair) -> Tuple[float, float, float]:
+    """Return the wanted friction within its limits, and the share of the wanted that is left.
 
-    The part is that of the direction in which more is left.
+    The share is that of the direction in which more is left.
 
     Args:
         wanted: the force W that would stop the slip, in N.
-        gains: by how much the force changes with the slip, in N s/m.
-        most: half axes of the ellipse that the force stays within, in N.
+        gains: the change of the force with the slip, in N s/m.
+        limits: half axes of the ellipse that the force must stay within, in N.
 
-    The force F is that within the ellipse which is next to W where distances are measured by
-    Σ (F - W)²/gain. So what is taken back, over the gains, is a slip to which the ellipse is
-    normal in F; if its axes are equal, F opposes it, whatever the gains:
+    The force F is the point of the ellipse that is nearest to W if distances are measured by
+    Σ (F - W)²/gain. So the slip (W - F)/gain is normal to the ellipse in F; if the half axes are
+    equal, F opposes that slip, whatever the gains:
 
-    >>> limited((3.0, 4.0), (1.0, 1.0), (10.0, 10.0))
+    >>> limit_friction((3.0, 4.0), (1.0, 1.0), (10.0, 10.0))
     (3.0, 4.0, 1.0)
-    >>> x, y, _ = limited((-300.0, 20.0), (3.0, 1.0), (10.0, 10.0))
+    >>> x, y, _ = limit_friction((-300.0, 20.0), (3.0, 1.0), (10.0, 10.0))
     >>> round((-300.0 - x) / 3.0 / x, 6) == round((20.0 - y) / y, 6), round(math.hypot(x, y), 9)
     (True, 10.0)
     """
-    # In units of the limits: F = W / (1 + s·p), with the s that puts F onto the unit circle. By
-    # Newton's method on 1/|F|, which is concave in s, from where each part alone is within it.
-    x, y = wanted[0] / most[0], wanted[1] / most[1]
+    # In units of the limits, F = W / (1 + s·p), with the s that puts F onto the unit circle.
+    # Newton's method finds it on 1/|F|, which is concave in s. It starts where each component
+    # alone is within its limit.
+    x, y = wanted[0] / limits[0], wanted[1] / limits[1]
     if x * x + y * y <= 1.0:
         return (*wanted, 1.0)
-    p, q = gains[0] / (most[0] * most[0]), gains[1] / (most[1] * most[1])
+    p, q = gains[0] / (limits[0] * limits[0]), gains[1] / (limits[1] * limits[1])
     s = max(0.0, (abs(x) - 1.0) / p, (abs(y) - 1.0) / q)
     for _ in range(ITERATIONS):
         u, v = x / (1.0 + s * p), y / (1.0 + s * q)
         square = u * u + v * v
         length = math.sqrt(square)
-        if length < NEARLY:
+        if length < NEARLY_ONE:
             break
         slope = u * u * p / (1.0 + s * p) + v * v * q / (1.0 + s * q)
         s += (length - 1.0) * square / slope
-    return u / length * most[0], v / length * most[1], 1.0 / (1.0 + s * min(p, q))
+    return u / length * limits[0], v / length * limits[1], 1.0 / (1.0 + s * min(p, q))
 
 
 class Body(Protocol):
-    """What is needed here of `physics.Body`."""
+    """The members of `physics.Body` that are used here."""
 
     unique_id: int
     client: int
     links: Tuple[Link, ...]
-    parts: Tuple[Part, ...]
+    bullet_links: Tuple[BulletLink, ...]
     com_place: Callable[[], Tuple[Vector, Any]]
     near_points: Callable[[], Sequence[tuple]]
     velocity: Callable[[], Tuple[Vector, Vector]]
     link_indices: Callable[[str], Tuple[int, ...]]
-    part_at: Callable[[int], Part]
+    link_at: Callable[[int], BulletLink]
 
 
 @dataclass(frozen=True)
-class Contact:
-    """What a wheel touches: the coefficients of the two, along and across.
+class Partner:
+    """What a wheel touches.
 
-    `other` is the other link, if it gives way; then gains are smaller by a factor, `share`.
+    Attributes:
+        coefficients: of friction between the two.
+        link: body and index of the link that is touched; None if it does not move.
+        share: the factor by which that link, as it yields, reduces the wheel's gains.
     """
 
-    coefficients: Both
-    other: Optional[Tuple[Body, int]] = None
+    coefficients: Pair
+    link: Optional[Tuple[Body, int]] = None
     share: float = 1.0
 
 
-class Wheel:
-    """A wheel in the engine.
+class WheelFriction:
+    """The friction of one wheel.
 
     Attributes:
-        index: PyBullet's of its link.
-        axle: in the principal frame of its link.
-        gains: by how much friction along and across stops a slip in one step, in N s/m.
-        load: what carries it, in N.
+        index: PyBullet's index of the wheel's link.
+        axle: in the principal frame of the link.
+        gains: the friction that stops a slip in one step, in N s/m.
+        load: the smoothed force that carries the wheel, in N.
     """
 
-    gains: Both
+    gains: Pair
 
     def __init__(self, index: int, axle: Vector):
-        self.index, self.axle = index, axle
-        self.let_go()
+        self.index = index
+        self.axle = axle
+        self.reset()
 
-    def let_go(self) -> None:
-        """Have no friction."""
+    def reset(self) -> None:
+        """Have no load and no friction."""
         self.load = 0.0
         self._kept = (0.0, 0.0)
 
-    def carry(self, load: float, touching: bool) -> None:
+    def update_load(self, load: float, touching: bool) -> None:
         """Take over the force (N) that carried the wheel in the last step."""
         self.load += LOAD_SMOOTHING * (load - self.load)
         if not touching:
             self._kept = (0.0, 0.0)
 
-    def rub(self, slip: Both, coefficients: Both, share: float) -> Both:
-        """Return the friction (N) that a slip (m/s) makes, each along and across.
-
-        `share` is the part of the gains that counts.
-        """
-        gain, gain2 = share * self.gains[0], share * self.gains[1]
-        stop, stop2 = gain * slip[0], gain2 * slip[1]
+    def force(self, slip: Pair, coefficients: Pair, share: float) -> Pair:
+        """Return the friction in N at a slip in m/s, with this share of the gains."""
+        gains = share * self.gains[0], share * self.gains[1]
+        stop, stop2 = gains[0] * slip[0], gains[1] * slip[1]
         wanted = self._kept[0] - STOPPING * stop, self._kept[1] - STOPPING * stop2
-        load = max(self.load, SLIGHT)
-        most = coefficients[0] * load, coefficients[1] * load
-        along, across, left = limited(wanted, (gain, gain2), most)
+        load = max(self.load, LEAST_LOAD)
+        limits = coefficients[0] * load, coefficients[1] * load
+        along, across, left = limit_friction(wanted, gains, limits)
         passing = left * (STOPPING - KEEPING)
         self._kept = along + passing * stop, across + passing * stop2
         return along, across
 
 
 class Traction:
-    """Friction of the wheels of a body that steer it by slipping, in place of the engine's.
+    """Friction of the skidding wheels of a body, in place of the engine's.
 
     Args:
-        body: which has the wheels.
-        wheels: of it.
+        body: that has the wheels.
+        wheels: its skidding wheels.
         others: all bodies in the world by their unique ids.
     """
 
     def __init__(self, body: Body, wheels: Sequence[SkiddingWheel], others: Mapping[int, Body]):
-        self._body, self._others, self._told = body, others, tuple(wheels)
-        self._wheels = [
-            Wheel(body.link_indices(w.link)[0], _principal_axle(body, w)) for w in wheels
-        ]
-        self.tune()
-        # By PyBullet's index of a wheel's link or of a helper.
-        self._owners = {
-            index: wheel
-            for wheel, told in zip(self._wheels, wheels)
-            for index in body.link_indices(told.link)
-        }
+        self._body = body
+        self._described = tuple(wheels)
+        self._others = others
+        self._wheels: List[WheelFriction] = []
+        # By PyBullet's index of a wheel's link, or of a helper link of the wheel.
+        self._owners: Dict[int, WheelFriction] = {}
+        for described in wheels:
+            indices = body.link_indices(described.link)
+            frame = body.link_at(indices[0]).mass_properties()[2]
+            wheel = WheelFriction(indices[0], frame.inverse().rotate(described.axle))
+            self._wheels.append(wheel)
+            self._owners.update(dict.fromkeys(indices, wheel))
+        self.update_gains()
         for index in self._owners:
-            self._call(pybullet.changeDynamics, body, index, lateralFriction=0.0)
-        self._contacts: Dict[Tuple[int, int, int], Contact] = {}
-        self._known = False
+            pybullet.changeDynamics(
+                body.unique_id, index, lateralFriction=0.0, physicsClientId=body.client
+            )
+        self._partners: Dict[Tuple[int, int, int], Partner] = {}
+        self._points_are_valid = False
         indices = [wheel.index for wheel in self._wheels]
         self._states = partial(pybullet.getLinkStates, body.unique_id, indices, 1, 0, body.client)
 
-    def tune(self) -> None:
-        """Take over the inertias of the body's links.
+    def update_gains(self) -> None:
+        """Compute the gains from the inertias of the body's links.
 
-        The gains stop a slip in a step, if it is one of all wheels at once and each makes the
-        others' smaller. So the iteration cannot overshoot (Gershgorin's theorem).
+        The gains stop a slip in one step even if all wheels slip and each adds to the slip of
+        the others. So the iteration cannot overshoot (Gershgorin's theorem).
         """
-        joints = [part.joint for part in self._body.parts if part.joint is not None]
-        mobility = wheel_mobility(self._body.links, joints, self._told)
+        joints = [link.joint for link in self._body.bullet_links if link.joint is not None]
+        mobility = wheel_mobility(self._body.links, joints, self._described)
         gains = (STEPS_PER_SECOND / np.abs(mobility).sum(axis=1)).tolist()
         for wheel, along, across in zip(self._wheels, gains[::2], gains[1::2]):
             wheel.gains = (along, across)
 
     def forget_others(self) -> None:
-        """Learn anew what other bodies are like, where one was taken away."""
-        self._contacts.clear()
+        """Forget the properties of other bodies: one was removed, and its id may come back."""
+        self._partners.clear()
 
-    def forget(self) -> None:
-        """Begin anew where the body was put somewhere."""
-        self._known = False
+    def reset(self) -> None:
+        """Start without friction after the body was placed somewhere."""
+        self._points_are_valid = False
         for wheel in self._wheels:
-            wheel.let_go()
+            wheel.reset()
 
-    def rubs(self, index: int) -> bool:
-        """Return whether the friction of the link with PyBullet's index is made here."""
+    def acts_on(self, index: int) -> bool:
+        """Return whether the friction of the link with PyBullet's index is computed here."""
         return index in self._owners
 
     def before_step(self, _: int) -> None:
-        """Let the wheels rub in the coming step."""
-        if not self._known:
-            # What they touch there is not.
-            self._known = True
+        """Apply the wheels' friction in the coming step."""
+        if not self._points_are_valid:
+            # The engine's contact points are still those of the place before.
+            self._points_are_valid = True
             return
         touching: Dict[int, List[tuple]] = {wheel.index: [] for wheel in self._wheels}
         for point in self._body.near_points():
-            # What is merely near does not rub; what comes apart overlaps without a force.
-            if point[3] in self._owners and (point[9] > 0.0 or point[8] < 0.0):
+            if point[3] in self._owners and is_contact(point):
                 touching[self._owners[point[3]].index].append(point)
         for wheel, state in zip(self._wheels, self._states()):
             points = touching[wheel.index]
             load = sum([point[9] for point in points])
-            wheel.carry(load, bool(points))
+            wheel.update_load(load, bool(points))
             if points:
                 weights = [point[9] / load if load else 1.0 / len(points) for point in points]
-                self._rub(wheel, state, list(zip(weights, points)))
+                self._apply_friction(wheel, state, zip(points, weights))
 
-    def _rub(self, wheel: Wheel, state: tuple, points: Sequence[Tuple[float, tuple]]) -> None:
+    def _apply_friction(
+        self, wheel: WheelFriction, state: tuple, points: Iterable[Tuple[tuple, float]]
+    ) -> None:
+        """Push the wheel, and what it touches, at PyBullet's points, which have weights.
+
+        The slip of the wheel is the mean over the points, weighted by their coefficients; each
+        point gets a part of the friction in the same ratio.
+        """
         axle = Pose(quaternion=state[1]).rotate(wheel.axle)
-        # Friction is shared out among the points by what each can hold.
-        one = other = along = across = 0.0
-        gives, touches = 1.0, []
-        for share, point in points:
-            contact, place = self._contact(point), point[5]
-            way, side = _tangents(axle, point[7])
-            slip = add(state[6], cross(state[7], subtract(place, state[0])))
-            if contact.other is not None:
-                slip = subtract(slip, _velocity_of(*contact.other, place))
-            mu, mu2 = share * contact.coefficients[0], share * contact.coefficients[1]
-            one, other = one + mu, other + mu2
-            along += mu * _dot(slip, way)
-            across += mu2 * _dot(slip, side)
-            gives = min(gives, contact.share)
-            touches.append((mu, mu2, contact, place, way, side))
-        one, other = max(one, SLICK), max(other, SLICK)
-        along, across = wheel.rub((along / one, across / other), (one, other), gives)
-        for mu, mu2, contact, place, way, side in touches:
-            x, y = mu / one * along, mu2 / other * across
-            force = (x * way[0] + y * side[0], x * way[1] + y * side[1], x * way[2] + y * side[2])
-            self._push(self._body, wheel.index, force, place)
-            if contact.other is not None:
-                self._push(*contact.other, (-force[0], -force[1], -force[2]), place)
+        mu_along = mu_across = 0.0
+        slip_along = slip_across = 0.0
+        share = 1.0
+        parts = []
+        for point, weight in points:
+            partner, place = self._partner(point), point[5]
+            rolling, lateral = _directions(axle, point[7])
+            slip = _slip(state, place, partner)
+            part_along = weight * partner.coefficients[0]
+            part_across = weight * partner.coefficients[1]
+            mu_along += part_along
+            mu_across += part_across
+            slip_along += part_along * _dot(slip, rolling)
+            slip_across += part_across * _dot(slip, lateral)
+            share = min(share, partner.share)
+            parts.append((partner, place, rolling, lateral, part_along, part_across))
+        mu_along = max(mu_along, LEAST_COEFFICIENT)
+        mu_across = max(mu_across, LEAST_COEFFICIENT)
+        slips = slip_along / mu_along, slip_across / mu_across
+        along, across = wheel.force(slips, (mu_along, mu_across), share)
+        for partner, place, rolling, lateral, part_along, part_across in parts:
+            x = part_along / mu_along * along
+            y = part_across / mu_across * across
+            force = (
+                x * rolling[0] + y * lateral[0],
+                x * rolling[1] + y * lateral[1],
+                x * rolling[2] + y * lateral[2],
+            )
+            _push(self._body, wheel.index, force, place)
+            if partner.link is not None:
+                _push(*partner.link, (-force[0], -force[1], -force[2]), place)
 
-    def _contact(self, point: tuple) -> Contact:
+    def _partner(self, point: tuple) -> Partner:
         key = (point[3], point[2], point[4])
-        if key not in self._contacts:
-            self._contacts[key] = self._new_contact(*key)
-        return self._contacts[key]
+        if key not in self._partners:
+            self._partners[key] = self._new_partner(*key)
+        return self._partners[key]
 
-    def _new_contact(self, index: int, unique_id: int, other_index: int) -> Contact:
+    def _new_partner(self, index: int, unique_id: int, other_index: int) -> Partner:
         other = self._others[unique_id]
-        surface, theirs = self._body.part_at(index).surface, other.part_at(other_index).surface
-        # A wheel that rubs more in one direction has the axle for its axis.
-        shares = (surface.across, surface.along)
-        coefficients = tuple(min(share * surface.friction, theirs.friction) for share in shares)
-        if other.parts[0].link.inertia is None or other is self._body:
-            return Contact(coefficients)
+        own, theirs = self._body.link_at(index).surface, other.link_at(other_index).surface
+        # The axis of a wheel's surface with two coefficients is its axle.
+        along = min(own.across * own.friction, theirs.friction)
+        across = min(own.along * own.friction, theirs.friction)
+        if other.bullet_links[0].link.inertia is None or other is self._body:
+            return Partner((along, across))
         mass = sum(link.inertia.mass for link in other.links if link.inertia is not None)
-        gives = YIELDING * len(self._wheels) * max(self._owners[index].gains) / STEPS_PER_SECOND
-        return Contact(coefficients, (other, other_index), mass / (mass + gives))
-
-    def _push(self, body: Body, index: int, force: Vector, place: Vector) -> None:
-        self._call(pybullet.applyExternalForce, body, index, force, place, pybullet.WORLD_FRAME)
-
-    def _call(self, function: Callable[..., Any], body: Body, *arguments: Any, **more: Any) -> None:
-        function(body.unique_id, *arguments, physicsClientId=body.client, **more)
+        yields = YIELDING * len(self._wheels) * max(self._owners[index].gains) / STEPS_PER_SECOND
+        return Partner((along, across), (other, other_index), mass / (mass + yields))
 
 
-def _principal_axle(body: Body, wheel: SkiddingWheel) -> Vector:
-    frame = body.part_at(body.link_indices(wheel.link)[0]).mass_properties()[2]
-    return frame.inverse().rotate(wheel.axle)
+def _push(body: Body, index: int, force: Vector, place: Vector) -> None:
+    pybullet.applyExternalForce(
+        body.unique_id, index, force, place, pybullet.WORLD_FRAME, body.client
+    )
 
 
-def _tangents(axle: Vector, normal: Vector) -> Tuple[Vector, Vector]:
-    """Return the way that a wheel rolls where it touches something, and the way it does not."""
+def _slip(state: tuple, place: Vector, partner: Partner) -> Vector:
+    """Return the velocity (m/s) of a place on a wheel relative to what it touches there."""
+    slip = add(state[6], cross(state[7], subtract(place, state[0])))
+    if partner.link is None:
+        return slip
+    return subtract(slip, _velocity_of(*partner.link, place))
+
+
+def _directions(axle: Vector, normal: Vector) -> Tuple[Vector, Vector]:
+    """Return a wheel's rolling direction at a contact with this normal, and its lateral one."""
     x, y, z = cross(axle, normal)
     length = math.sqrt(x * x + y * y + z * z)
     if length < FLANK:
-        # Any direction will do.
-        return _tangents((axle[1], axle[2], axle[0]), normal)
-    way = (x / length, y / length, z / length)
-    return way, cross(normal, way)
+        # The wheel's flank touches: any direction will do.
+        return _directions((axle[1], axle[2], axle[0]), normal)
+    rolling = (x / length, y / length, z / length)
+    return rolling, cross(normal, rolling)
 
 
 def _velocity_of(body: Body, index: int, place: Vector) -> Vector:
@@ -302,3 +340,76 @@ def _velocity_of(body: Body, index: int, place: Vector) -> Vector:
 
 def _dot(one: Vector, other: Vector) -> float:
     return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
+# A degree of freedom: its column in a Jacobian, its axis, and a place on the axis; the place is
+# None for a translation.
+Freedom = Tuple[int, np.ndarray, Optional[np.ndarray]]
+
+
+def wheel_mobility(
+    links: Sequence[Link], joints: Sequence[Joint], wheels: Sequence[SkiddingWheel]
+) -> np.ndarray:
+    """Return how easily friction moves the points where wheels touch the floor.
+
+    The matrix J M⁻¹ Jᵀ, of shape (2n, 2n) and in 1/kg, maps impulses along the rolling direction
+    and the axle of each wheel to the changes of velocity there. The body, of inertia M, is free
+    in space, and its joints are loose and at zero.
+    """
+    poses = {link.name: link.pose for link in links}
+    freedoms, count = _freedoms(links, joints)
+    inertia = np.zeros((count, count))
+    for link in links:
+        if link.inertia is not None:
+            centre = np.array((link.pose * Pose(link.inertia.centre)).position)
+            linear, angular = _jacobian(centre, freedoms[link.name], count)
+            turn = link.pose.rotation_matrix().T @ angular
+            inertia += link.inertia.mass * linear.T @ linear + turn.T @ link.inertia.matrix @ turn
+    rows = []
+    for wheel in wheels:
+        axle = np.array(poses[wheel.link].rotate(wheel.axle))
+        rolling = np.cross(axle, UP) / np.linalg.norm(np.cross(axle, UP))
+        above = reversed(freedoms[wheel.link])
+        hub = next(place for _, _, place in above if place is not None)
+        touch = hub - wheel.radius * np.cross(rolling, axle)
+        linear, _ = _jacobian(touch, freedoms[wheel.link], count)
+        rows += [rolling @ linear, axle @ linear]
+    touches = np.array(rows)
+    # Links without inertia of their own change nothing for those that carry them.
+    return touches @ np.linalg.pinv(inertia, hermitian=True) @ touches.T
+
+
+def _freedoms(
+    links: Sequence[Link], joints: Sequence[Joint]
+) -> Tuple[Dict[str, List[Freedom]], int]:
+    """Return the joints' freedoms that move each link, and how many there are with the root's 6."""
+    above = {joint.child: joint for joint in joints}
+    freedoms: Dict[str, List[Freedom]] = {}
+    count = 6
+    for link in links:
+        joint = above.get(link.name)
+        if joint is None:
+            freedoms[link.name] = []
+            continue
+        place = np.array((link.pose * Pose(joint.anchor)).position)
+        turn = link.pose.rotation_matrix()
+        axes = {"ball": turn.T, "fixed": ()}.get(joint.kind, [turn @ joint.axis])
+        at = None if joint.kind == "prismatic" else place
+        own = [(column, axis, at) for column, axis in enumerate(axes, count)]
+        freedoms[link.name] = freedoms[joint.parent] + own
+        count += len(own)
+    return freedoms, count
+
+
+def _jacobian(
+    place: np.ndarray, freedoms: Sequence[Freedom], count: int
+) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the linear and angular Jacobian, (3, count) each, of a place (m) on a link."""
+    linear, angular = np.zeros((3, count)), np.zeros((3, count))
+    linear[:, :3] = angular[:, 3:6] = np.eye(3)
+    linear[:, 3:6] = np.cross(np.eye(3), place).T
+    for column, axis, at in freedoms:
+        linear[:, column] = axis if at is None else np.cross(axis, place - at)
+        if at is not None:
+            angular[:, column] = axis
+    return linear, angular

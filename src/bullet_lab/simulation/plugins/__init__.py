@@ -1,6 +1,6 @@
-"""What the `<plugin>` tags of robots do: one class for each plugin of Gazebo that is simulated.
+"""Plugins of robots: one class for each plugin of Gazebo that is simulated.
 
-Every module of this folder is imported, and with that its plugins are known.
+All modules of this folder are imported, so that their plugins are known.
 """
 
 import importlib

@@ -1,4 +1,4 @@
-"""libgazebo_ros_bumper.so: what the shapes of a link touch."""
+"""libgazebo_ros_bumper.so: the contacts of a link."""
 
 from __future__ import annotations
 
@@ -11,16 +11,15 @@ from bullet_lab.simulation.plugins.plugin import Mount, Output, Plugin, PluginEr
 from bullet_lab.simulation.plugins.samples import ContactsSample, ShapeContact
 from bullet_lab.simulation.world.tree import LUMP
 
-# What Gazebo's conversion of URDF adds to a shape's name.
+# The parts that Gazebo's conversion of URDF adds to a shape's name.
 ADDED = re.compile(rf"^.*{LUMP}|_collision(_\d+)?$")
 
 
 class Bumper(Plugin):
-    """Reports which shapes touch those of its link, where, and how hard.
+    """Reports the contacts of its link's shapes, with their forces in the last step.
 
-    A message is sent at the sensor's rate, without contacts if there are none. Forces are those
-    of the last step. Vectors are given in frameName if that is a link of the model, else in the
-    world. (In Gazebo they are the world's, whatever frameName says.)
+    Samples come at the sensor's rate, also without contacts. Vectors are in frameName if that is
+    a link of the model, else in the world. (In Gazebo they are always in the world.)
     """
 
     filenames = ("libgazebo_ros_bumper.so",)
@@ -43,15 +42,15 @@ class Bumper(Plugin):
         if not self.bumper.wanted:
             return
         frame = Pose() if self._reference is None else self._reference.pose()
-        middle = self._place.centre_of_mass()
+        centre = self._place.centre_of_mass()
         contacts = tuple(
-            _contact(*names, points, frame.inverse(), middle)
+            _contact(*names, points, frame.inverse(), centre)
             for names, points in self._touched().items()
         )
         self.bumper.send(ContactsSample(step, self._frame, contacts))
 
     def _touched(self) -> Dict[Tuple[str, str], List[ContactPoint]]:
-        """Return the points of contact by the names of the two shapes, the own one first."""
+        """Return the contact points by the names of the two shapes, the own one first."""
         pairs: Dict[Tuple[str, str], List[ContactPoint]] = {}
         body, name = self._place.body, self.mount.name_shape
         for point in contact_points(body, self._place.link):
@@ -63,14 +62,14 @@ class Bumper(Plugin):
 
 
 def _contact(
-    first: str, second: str, points: List[ContactPoint], into: Pose, middle: Vector
+    first: str, second: str, points: List[ContactPoint], into: Pose, centre: Vector
 ) -> ShapeContact:
-    """Return two shapes' points of contact in a frame.
+    """Return the contact of two shapes in a frame.
 
-    `into` is the pose of the world in it, `middle` what torques are taken about, in the world.
+    `into` is the pose of the world in that frame; torques are about `centre`, in the world.
     """
     turn = into.rotate
-    torques = [cross(subtract(point.place, middle), point.force) for point in points]
+    torques = [cross(subtract(point.place, centre), point.force) for point in points]
     return ShapeContact(
         first,
         second,
@@ -88,14 +87,12 @@ def _watched(mount: Mount, tag: SensorTag, link: str) -> Tuple[str, ...]:
     wanted = [(element.text or "").strip() for element in tag.element.findall("contact/collision")]
     chosen: List[str] = []
     for name in wanted:
-        # How Gazebo's versions have called a shape of a URDF differs in what they add.
-        found = (
-            [name]
-            if name in known
-            else [k for k in known if ADDED.sub("", k) == ADDED.sub("", name)]
-        )
+        found = [name] if name in known else []
+        if not found:
+            # Gazebo's versions differ in what they add to the name of a shape of a URDF.
+            found = [one for one in known if ADDED.sub("", one) == ADDED.sub("", name)]
         if not found:
             where, shapes = tag.where("collision"), ", ".join(known) or "none"
-            raise PluginError(f"{where}: link '{link}' has no shape '{name}' but {shapes}")
+            raise PluginError(f"{where}: link '{link}' has no shape '{name}'; its shapes: {shapes}")
         chosen += found
     return tuple(f"{mount.model.name}::{link}::{name}" for name in chosen or known)

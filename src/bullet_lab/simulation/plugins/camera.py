@@ -1,4 +1,4 @@
-"""Cameras that see what the simulation draws, and how far away it is.
+"""Cameras: pictures of the simulation, and depth.
 
 libgazebo_ros_camera.so, libgazebo_ros_openni_kinect.so and libgazebo_ros_depth_camera.so.
 """
@@ -33,39 +33,39 @@ ENCODINGS = {"R8G8B8": "rgb8", "B8G8R8": "bgr8", "L8": "mono8"}
 LARGEST_SIDE = 8192
 DEFAULT_RATE = 30.0
 DISTORTION_TAGS = {"K1": "k1", "K2": "k2", "T1": "p1", "T2": "p2", "K3": "k3"}
-# The table of noise is drawn by the generator of a step that never comes.
+# The step of the generator that draws the table of noise; simulated time never reaches it.
 TABLE_STEP = 2**63
-# Gazebo lets these say another geometry than that of the picture.
+# Tags that in Gazebo may contradict the geometry of the picture.
 GEOMETRY_TAGS = ("CxPrime", "Cx", "Cy", "focalLength")
 KINECT = "libgazebo_ros_openni_kinect"
 KINECTS_CUTOFF = 5.0
-# What is published beside points only where somebody has asked Gazebo for it, and not here.
+# Tags of Gazebo's optional normals and reflectance, which are not simulated.
 NOT_SIMULATED = ("reduceNormals", "normalsTopicName", "reflectanceTopicName")
 TO_RGB = {"bgr8": cv2.COLOR_BGR2RGB, "mono8": cv2.COLOR_GRAY2RGB}
-# The view reaches beyond what is measured, by this factor.
+# The view reaches this much farther than what is measured.
 FARTHER = 1.01
-# Times white, up to which a lens that blurs is told how bright it is.
+# Brightness, in units of white, up to which light enters a lens that blurs.
 BRIGHTEST = 4.0
 # The greatest number of millimetres that a 16UC1 image holds.
 MOST_MILLIMETRES = 65535
 
 
 class Camera(Plugin):
-    """Takes pictures along the x axis of its link, the link's z axis upwards.
+    """Takes pictures along the x axis of its link, with the link's z axis upwards.
 
-    The picture is drawn only while somebody wants it; camera_info tells the geometry that it
-    really has, with the principal point in the middle and the lens's distortion, which is
-    simulated. `settings` may be changed at any time, the rate by `set_rate`.
+    A picture is drawn only if it has a listener. camera_info has the true geometry of the
+    picture: the principal point is in the middle, and the distortion of the lens is simulated.
+    `settings` may be changed at any time, the rate by `set_rate`.
 
     Attributes:
-        name: stands before its topics, if it is not empty.
-        calibration: what somebody has set of camera_info, by the names of its fields.
+        name: namespace of its topics; may be empty.
+        calibration: fields of camera_info that were set from outside, by name.
     """
 
     filenames = ("libgazebo_ros_camera.so",)
     named_by_model = (False, True)
     sensors: ClassVar[Tuple[str, ...]] = ("camera",)
-    # Of the topics of pictures, where the plugin names none.
+    # Prefix of the picture's default topics.
     prefix: ClassVar[str] = ""
 
     def __init__(self, mount: Mount):
@@ -74,8 +74,8 @@ class Camera(Plugin):
         self._place = tag.place()
         self.lens = Lens(_geometry(mount, tag))
         if self.lens.black:
-            where, share = tag.where("camera/distortion"), f"{100.0 * self.lens.black:.0f} %"
-            LOG.warning("%s: where it shows nothing the picture is black: %s of it", where, share)
+            where, share = tag.where("camera/distortion"), 100.0 * self.lens.black
+            LOG.warning("%s: %.0f %% of the picture is black: outside of the lens", where, share)
         self.near = tag.number("camera/clip/near", 0.1)
         self.far = tag.number("camera/clip/far", 100.0)
         self.encoding = ENCODINGS[tag.choice("camera/image/format", tuple(ENCODINGS))]
@@ -95,7 +95,7 @@ class Camera(Plugin):
         rates = (tag.number("update_rate", 0.0), mount.number("updateRate", 0.0))
         given = [rate for rate in rates if rate != 0.0]
         try:
-            # The slower of the two; 0 means the other.
+            # The slower of the two; 0 stands for the other one.
             self.schedule = Schedule(min(given, default=DEFAULT_RATE))
         except ScheduleError as error:
             raise PluginError(f"{mount.where('updateRate')}: {error}") from error
@@ -114,11 +114,11 @@ class Camera(Plugin):
         return self._place.pose()
 
     def output(self, tag: str, default: str, kind: type) -> Output:
-        """Return an output on the topic in a tag, which is below the camera's name."""
+        """Return an output on the topic in a tag, in the camera's namespace."""
         return Output(self.topic(self.mount.text(tag, default)), kind)
 
     def topic(self, name: str) -> str:
-        """Return the full name of what is called so below the camera's name, if it has one."""
+        """Return the full name of a topic in the camera's namespace."""
         below = self.name and not name.startswith("/")
         return self.mount.topic(f"{self.name}/{name}" if below else name)
 
@@ -128,7 +128,7 @@ class Camera(Plugin):
         self.send_geometry(step, self.info)
 
     def send_geometry(self, step: int, output: Output) -> None:
-        """Send the geometry of the picture, if somebody wants it there."""
+        """Send the geometry of the picture, if the output has a listener."""
         if output.wanted:
             sample = CameraInfoSample(
                 step, self.frame, self.camera, self._baseline, self.calibration
@@ -136,9 +136,9 @@ class Camera(Plugin):
             output.send(sample)
 
     def take(self, step: int) -> np.ndarray:
-        """Return the picture of this moment, (height, width, 3) or, in grey, (height, width) uint8.
+        """Return the present picture, (height, width, 3) or, in grey, (height, width) uint8.
 
-        Noise follows from the step. Raises LabError where something cannot be drawn.
+        Noise depends on the step. Raises LabError if something cannot be drawn.
         """
         settings = self.settings
         picture = blurred(self.lens.bend(self._picture()), settings.blur)
@@ -151,16 +151,16 @@ class Camera(Plugin):
         return picture
 
     def _picture(self) -> np.ndarray:
-        """Return the picture before a lens; where that blurs, what is brighter than white as well.
+        """Return the picture before the lens; if that blurs, with values brighter than white.
 
-        A lens blurs the light before the sensor cuts it off.
+        A lens blurs the light before the sensor clips it.
         """
         renderer, exposure, shot = self.mount.renderer(), self.settings.exposure, self._shot()
         picture = renderer.picture(self.pose(), shot, exposure)
         if not self.settings.blur or not (picture == WHITE).any():
             return picture
         light = BRIGHTEST * renderer.picture(self.pose(), shot, exposure / BRIGHTEST)
-        # Beside white a part of a pixel was cut off; elsewhere it differs by how it was rounded.
+        # Near white, a part of the pixel was clipped; elsewhere, the two differ by rounding.
         return np.where(light > picture + BRIGHTEST, light, picture).astype(np.float32)
 
     def _shot(self) -> Shot:
@@ -182,46 +182,49 @@ def _geometry(mount: Mount, tag: SensorTag) -> PinholeCamera:
         raise PluginError(f"{tag.where('camera/horizontal_fov')}: {fov:g} is not within 0 … pi")
     for name in GEOMETRY_TAGS:
         if mount.number(name, 0.0) != 0.0:
-            LOG.warning("%s is passed over: the picture has its own", mount.where(name))
+            LOG.warning("%s is ignored; the value is taken from the image", mount.where(name))
     focal = 0.5 * width / math.tan(0.5 * fov)
     centre = (0.5 * (width - 1), 0.5 * (height - 1))
     return PinholeCamera(width, height, focal, focal, *centre, _distortion(mount, tag))
 
 
 def _distortion(mount: Mount, tag: SensorTag) -> Tuple[float, ...]:
-    """Return k1, k2, p1, p2, k3: Gazebo bends by the sensor's and tells the plugin's."""
-    told = tuple(mount.number(f"distortion{key}", 0.0) for key in DISTORTION_TAGS)
-    bent = tuple(tag.number(f"camera/distortion/{key}", 0.0) for key in DISTORTION_TAGS.values())
-    if any(told) and any(bent) and told != bent:
+    """Return k1, k2, p1, p2, k3, of the plugin's tags or the sensor's.
+
+    Gazebo draws with the sensor's and publishes the plugin's.
+    """
+    plugin = tuple(mount.number(f"distortion{key}", 0.0) for key in DISTORTION_TAGS)
+    sensor = tuple(tag.number(f"camera/distortion/{key}", 0.0) for key in DISTORTION_TAGS.values())
+    if any(plugin) and any(sensor) and plugin != sensor:
         where = mount.where("distortionK1")
-        raise PluginError(f"{where}: other coefficients than those of the sensor")
-    return told if any(told) else bent
+        raise PluginError(f"{where}: the coefficients differ from those of the sensor")
+    return plugin if any(plugin) else sensor
 
 
 def _settings(mount: Mount, tag: SensorTag) -> CameraSettings:
-    told = {key: mount.number(key, getattr(CameraSettings, key)) for key in ("exposure", "blur")}
+    given = {key: mount.number(key, getattr(CameraSettings, key)) for key in ("exposure", "blur")}
     kind = tag.text("camera/noise/type", "gaussian")
     if tag.has("camera/noise") and kind == "gaussian":
         for key in ("mean", "stddev"):
-            told[f"noise_{key}"] = tag.number(f"camera/noise/{key}", 0.0)
+            given[f"noise_{key}"] = tag.number(f"camera/noise/{key}", 0.0)
     elif tag.has("camera/noise") and kind != "none":
         raise PluginError(f"{tag.where('camera/noise/type')}: '{kind}' is not gaussian or none")
-    # How many samples a pixel gets: the plugin's own tag, or SDF's `<anti_aliasing>`.
+    # Samples of each pixel: the plugin's own tag, or SDF's `<anti_aliasing>`.
     asked = tag.number("camera/image/anti_aliasing", CameraSettings.samples)
     default = max(number for number in SAMPLES if number <= max(asked, SAMPLES[0]))
     samples = mount.number("samples", default)
-    # What is no whole number is refused as what is not among SAMPLES.
-    told["samples"] = int(samples) if samples == round(samples) else samples
-    return CameraSettings(**told)
+    # `CameraSettings` refuses all numbers that are not among SAMPLES.
+    given["samples"] = int(samples) if samples == round(samples) else samples
+    return CameraSettings(**given)
 
 
 class DepthCamera(Camera):
-    """Takes pictures and measures the distance of what each pixel shows, in the same frame.
+    """Takes pictures, and measures the depth of each pixel.
 
-    Depth is metric, along the optical axis and without noise, as Gazebo's. A pixel has none
-    (NaN) where nothing is within pointCloudCutoff … pointCloudCutoffMax or where something
-    nearer hides it. Picture, depth and points are of one moment and one geometry; each is
-    worked out only while somebody wants it.
+    Depth is in metres along the optical axis and without noise, as in Gazebo. A pixel has none
+    (NaN) if the first surface that it shows is not within pointCloudCutoff …
+    pointCloudCutoffMax. Picture, depth and points are of one moment and one geometry; each is
+    computed only if it has a listener.
     """
 
     filenames = ("libgazebo_ros_openni_kinect.so", "libgazebo_ros_depth_camera.so")
@@ -274,14 +277,13 @@ class DepthCamera(Camera):
     def _depth_image(self, step: int, depths: np.ndarray) -> ImageSample:
         if not self._in_millimetres:
             return ImageSample(step, self.frame, "32FC1", depths)
-        # 0 is for what has no depth, in this format. What is left of a millimetre is cut off, as
-        # in Gazebo.
+        # In this format, 0 means no depth. Millimetres are rounded down, as in Gazebo.
         whole = np.nan_to_num(np.floor(1e3 * depths.astype(float)), nan=0.0)
         pixels = np.where(whole > MOST_MILLIMETRES, 0, whole).astype(np.uint16)
         return ImageSample(step, self.frame, "16UC1", pixels)
 
     def _measured_range(self) -> Tuple[float, float]:
-        """Return between which distances along the view (m) depth is measured."""
+        """Return the least and the greatest depth that is measured, in m."""
         mount = self.mount
         is_kinect = mount.plugin.filename.startswith(KINECT)
         closest = max(self.near, mount.number("pointCloudCutoff", 0.4))
@@ -289,5 +291,6 @@ class DepthCamera(Camera):
         farthest = min(self.far, mount.number("pointCloudCutoffMax", default))
         if not closest < farthest:
             where = mount.where("pointCloudCutoff")
-            raise PluginError(f"{where}: nothing is between {closest:g} m and {farthest:g} m")
+            problem = f"the least depth, {closest:g} m, is not below the greatest, {farthest:g} m"
+            raise PluginError(f"{where}: {problem}")
         return closest, farthest

@@ -1,4 +1,4 @@
-"""What robots that take velocities and report where they are have in common."""
+"""The base of plugins that take velocity commands and send odometry."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from bullet_lab.simulation.plugins.samples import (
 )
 
 STANDSTILL = PlanarCommand()
-# As in Gazebo: x and y are known, what the robot cannot do is not.
+# Variance of what the odometry does not know, as in Gazebo.
 UNKNOWN = 1e12
 POSE_VARIANCES = (1e-5, 1e-5, UNKNOWN, UNKNOWN, UNKNOWN, 1e-3)
 
 
 class MobileBase(Plugin):
-    """A robot that is told velocities and sends odometry and its transform.
+    """A robot that takes velocity commands, and sends odometry and its transform.
 
     Attributes:
-        directions: the parts of a command that count.
+        directions: the components of a command that it uses.
         frame: name of the odometry's frame.
     """
 
@@ -46,10 +46,10 @@ class MobileBase(Plugin):
         """Take over a velocity; it acts from the next update on.
 
         Raises:
-            PluginError: NaN or beyond `LARGEST_COMMAND`; the command before stays in force.
+            PluginError: not finite or beyond `LARGEST_COMMAND`; the last command stays.
         """
         if not is_sound(*(getattr(command, name) for name in self.directions)):
-            raise PluginError(f"the velocity {command} is not finite, or out of all proportion")
+            raise PluginError(f"the velocity {command} is not finite, or too large")
         self._command = command
 
     def reset(self, step: int) -> None:
@@ -58,7 +58,7 @@ class MobileBase(Plugin):
         self.placed()
 
     def _pose(self) -> Pose:
-        """Return the pose of the model's frame in the world, which its first link need not have."""
+        """Return the pose of the model's frame in the world; its first link's may differ."""
         pose = self._body.pose()
         return pose if self._in_root is None else pose * self._in_root
 

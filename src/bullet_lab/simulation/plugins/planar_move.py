@@ -1,8 +1,8 @@
-"""libgazebo_ros_planar_move.so: a body that is pushed over the floor at a given velocity.
+"""libgazebo_ros_planar_move.so: a body that slides over the floor at a commanded velocity.
 
-Bullet's own contact, four points at the corners of the block, all but stops its turns. The
-friction of a planar_move robot is therefore that of one support patch (`docs/contact_model.md`).
-It is the ellipsoidal limit surface of Howe and Cutkosky (1996, "Practical force-motion models for
+Bullet's own contact, four points at the corners of the block, nearly stops its turns. The
+friction of a planar_move robot is therefore that of one support patch (`docs/contact_model.md`):
+the ellipsoidal limit surface of Howe and Cutkosky (1996, "Practical force-motion models for
 sliding manipulation"): force F and moment M about the vertical satisfy (F/μN)² + (M/μNr)² = 1,
 with N the load and r the effective radius of the patch, and oppose the slip.
 """
@@ -27,10 +27,13 @@ PUBLISHED_RADIUS = 0.0102
 
 @dataclass(frozen=True)
 class SupportPatch:
-    """Where a robot touches the floor: Coulomb's coefficient μ and the effective radius r in m.
+    """The contact of a robot with the floor.
 
-    A disc of radius R under even pressure has r = 2R/3. The mass (kg) and the inertia about the
-    vertical through the centre of mass (kg m²) are the robot's.
+    Attributes:
+        friction: Coulomb's coefficient μ.
+        radius: the effective radius r in m; a disc of radius R under even pressure has 2R/3.
+        mass: of the robot, in kg.
+        inertia: of the robot about the vertical through its centre of mass, in kg m².
     """
 
     friction: float
@@ -41,10 +44,9 @@ class SupportPatch:
     def slow_down(
         self, vx: float, vy: float, wz: float, load: float, dt: float
     ) -> Tuple[float, float, float]:
-        """Return the velocity (m/s, m/s, rad/s) that friction leaves after a time `dt` in s.
+        """Return the velocity (m/s, m/s, rad/s) that friction leaves after a short time `dt` (s).
 
-        It is short enough for the `load` (N) on the floor to be constant. Friction brings the
-        robot to rest and never reverses it.
+        The `load` on the floor is in N. Friction brings the robot to rest and never reverses it.
 
         >>> patch = SupportPatch(friction=1.0, radius=0.01, mass=2.0, inertia=0.1)
         >>> vx, vy, wz = patch.slow_down(0.5, 0.0, 0.0, load=19.6, dt=1e-3)
@@ -62,18 +64,18 @@ class SupportPatch:
 
 
 STEP_SQUARED = STEP_SECONDS * STEP_SECONDS
-# Bullet's contact carries a body in small pushes; the load is their mean over some 20 steps.
+# Bullet's contact carries a body in small pushes; the load is their mean over about 20 steps.
 LOAD_SMOOTHING = 0.05
 
 
 class PlanarMove(MobileBase):
-    """Moves the robot as commanded and reports where it is.
+    """Moves the robot as commanded, and sends its true pose as odometry.
 
-    Before each step the body gets the last commanded velocity, turned by its yaw and less what
-    floor friction takes away (`SupportPatch`); it neither rolls, pitches nor rises by itself.
-    Since that starts each step without vertical velocity, a robot in the air does not fall but
-    sinks at g·dt, 1 cm/s, as in Gazebo; without a floor under it, no friction slows it down.
-    The command stays until the next one, or until `cmdTimeout` seconds have passed.
+    Before each step the body gets the last commanded velocity, turned by its yaw and reduced by
+    floor friction (`SupportPatch`), without roll, pitch and vertical velocity. So a robot in the
+    air does not fall but sinks at g·dt, 1 cm/s, as in Gazebo; without a floor under it, no
+    friction slows it down. The command stays until the next one, or until `cmdTimeout` seconds
+    have passed.
     """
 
     filenames = ("libgazebo_ros_planar_move.so",)
@@ -95,7 +97,7 @@ class PlanarMove(MobileBase):
         self.reset(0)
 
     def command(self, command: PlanarCommand) -> None:
-        """Take over a velocity; it acts from the next step on, until the time-out."""
+        """Take over a velocity; it acts from the next step on, until the timeout."""
         super().command(command)
         self._expires = self._now + self._timeout
 
@@ -105,8 +107,8 @@ class PlanarMove(MobileBase):
         if step >= self._expires:
             command = STANDSTILL
         (_, _, height), quaternion = self._body.com_place()
-        # The floor has carried what the step before did not turn into a fall: the body was sent
-        # off without vertical velocity, so this is Newton's law, and no contact need be asked.
+        # The load follows from Newton's law: the body started the last step without vertical
+        # velocity, so the floor has carried what did not become a fall.
         pull = -self.gravity[2] * self._body.weight
         carried = self._mass * (pull + (height - self._height) / STEP_SQUARED)
         self._height = height
@@ -151,7 +153,8 @@ def _support_patch(mount: Mount) -> SupportPatch:
     root = mount.model.root_links()[0]
     masses = [link.inertia.mass for link in mount.model.links if link.inertia is not None]
     radius = mount.coefficient("supportRadius", PUBLISHED_RADIUS)
-    if root.inertia is None or mount.model.static:
-        raise PluginError(f"model '{mount.model.name}': planar_move on what cannot move")
+    mount.require_moving()
+    if root.inertia is None:
+        raise PluginError(f"{mount.name()}: its first link cannot move")
     friction = min((c.friction for c in root.collisions), default=1.0)
     return SupportPatch(friction, radius, sum(masses), float(root.inertia.matrix[2, 2]))

@@ -1,11 +1,10 @@
-"""Plugins: what the `<plugin>` tags of a robot do in this simulation.
+"""Plugins: what simulates the `<plugin>` tags of a robot.
 
 A plugin belongs to one model and stands for one `<plugin>` tag. It may act before each physics
-step, and it produces samples at its own rate. It knows nothing of ROS: it names the topics it
-would use, takes commands through `inputs` and sends samples through `outputs`; whoever wants
-them (the bridge, a test, a script) connects to those. A new kind of plugin is a subclass of
-`Plugin` that names the files of Gazebo's in `filenames`, in a module that is imported: those of
-this package in `plugins/__init__.py`.
+step, and it produces samples at its own rate. It knows nothing of ROS: it names its topics, takes
+commands through `inputs` and sends samples through `outputs`; the bridge, a test or a script
+connects to those. A new kind of plugin is a subclass of `Plugin` that names Gazebo's files in
+`filenames`, in a module of this folder, or in one that is imported before the robot is spawned.
 """
 
 from __future__ import annotations
@@ -31,10 +30,10 @@ LOG = logging.getLogger(__name__)
 
 
 class StepNoise:
-    """Random numbers that follow from a seed, a name and the simulated time, and nothing else.
+    """Random numbers that depend only on a seed, a name and the simulated time.
 
-    What a sensor reads at some time does not depend on who listened before, and a world that
-    is run again gives the same readings.
+    So a sensor's reading does not depend on earlier listeners, and a world that is run again
+    gives the same readings.
     """
 
     def __init__(self, seed: int, name: str):
@@ -45,31 +44,37 @@ class StepNoise:
 
     def at(self, step: int) -> np.random.Generator:
         """Return a generator for one step; the next call changes it."""
-        # The highest word of a counter that is counted up with every four numbers.
+        # The generator adds one to its counter with every four numbers; this is the highest word.
         self._state["state"]["counter"][3] = step
         self._bits.state = self._state
         return self._generator
 
 
-# Tags that Gazebo's plugins themselves pass over, or that only they have a use for.
 NAMESPACE = "robotNamespace"
-# What ROS takes for a name.
+# Names that ROS allows.
 TOPIC = re.compile(r"[~/A-Za-z][\w/]*", re.ASCII)
+# Tags that Gazebo's plugins ignore, or that have no use here.
 QUIET_TAGS = frozenset((NAMESPACE, "rosDebugLevel", "alwaysOn", "visualize"))
 
 
 class PluginError(LabError):
-    """A plugin's tags make no sense, or a command is refused."""
+    """A plugin's tags are invalid, or a command is refused."""
 
 
 @dataclass(frozen=True)
 class Mount(TagReader):
-    """What a plugin is fixed to: a model, its bodies by root link, and its tag.
+    """The model and the tag that a plugin belongs to, and what it needs of the simulation.
 
-    `gravity` is in m/s², in the world; `seed` is the simulation's, `tf_prefix` stands
-    before the names of the robot's frames, `renderer` gives what draws its pictures, and
-    `name_shape` the full name of the shape at a place on a link (`physics.contacts.shape_name`).
-    `namespace` stands before topics.
+    Attributes:
+        model: the model.
+        bodies: of the model, by root link.
+        plugin: the tag.
+        gravity: in the world, in m/s².
+        seed: of the simulation.
+        tf_prefix: prefix of the names of the robot's frames.
+        renderer: returns the renderer of pictures.
+        name_shape: returns the full name of a shape: `physics.contacts.shape_name`.
+        namespace: of relative topics.
     """
 
     model: Model
@@ -85,7 +90,7 @@ class Mount(TagReader):
 
     @property
     def body(self) -> Body:
-        """The body of the model's first link, or of that of the nested model that it is in."""
+        """The body of the first link of the model, or of the nested model with the plugin."""
         scope = self.plugin.scope
         if not scope:
             return self.bodies[self.model.root_links()[0].name]
@@ -97,7 +102,7 @@ class Mount(TagReader):
         return self.plugin.tags.get(key) or default
 
     def required(self, tag: str) -> str:
-        """Return what a tag says; raises PluginError without it."""
+        """Return the text of a tag; raises PluginError if it is missing."""
         text = self.text(tag)
         if not text:
             raise PluginError(f"{self.where(tag)}: is missing")
@@ -112,10 +117,10 @@ class Mount(TagReader):
         return Pose.from_rpy(self.vector("xyzOffset"), self.vector("rpyOffset"))
 
     def doubt(self, error: LabError) -> None:
-        LOG.warning("%s; the default counts", error)
+        LOG.warning("%s; the default is used", error)
 
     def unread_tags(self) -> Tuple[str, ...]:
-        """Return the tags of the plugin that nobody has asked for, but those that mean nothing."""
+        """Return the tags that the plugin has not read, without those that have no effect."""
         return tuple(tag for tag in self.plugin.tags if tag not in self._read | QUIET_TAGS)
 
     def schedule(self, tag: str, default: float) -> Schedule:
@@ -123,32 +128,31 @@ class Mount(TagReader):
         return _schedule(self, tag, default)
 
     def topic(self, name: str) -> str:
-        """Return a topic's name within the plugin's namespace; raises PluginError for none."""
+        """Return a topic's name within the plugin's namespace; raises PluginError if invalid."""
         absolute = name.startswith("/") or not self.namespace
         full = name if absolute else f"/{self.namespace}/{name}"
         if not TOPIC.fullmatch(full):
-            plugin = f"model '{self.model.name}': plugin '{self.plugin.name}'"
-            raise PluginError(f"{plugin}: no topic is called '{full}'")
+            raise PluginError(f"{self.name()}: '{full}' is not a valid topic name")
         return full
 
     def noise(self, part: str = "") -> StepNoise:
         """Return the noise of this plugin, or of a part of it.
 
-        It follows from the simulation's seed and the names of model and plugin, so that another
-        robot in the world does not change it.
+        It depends on the simulation's seed and the names of model and plugin, so that other
+        robots in the world do not change it.
         """
         return StepNoise(self.seed, f"{self.model.name}/{self.plugin.name}{part}")
 
     def frame(self, name: str) -> str:
-        """Return a frame's name on TF: with the robot's prefix, as tf::resolve has it."""
+        """Return a frame's name on TF, with the robot's prefix as in tf::resolve."""
         if name.startswith("/") or not self.tf_prefix:
             return name.lstrip("/")
         return f"{self.tf_prefix.strip('/')}/{name}"
 
     def scoped(self, name: str) -> str:
-        """Return the full name of a link or joint; in a nested model, its own come first."""
-        parts = (*self.model.links_by_name(), *self.model.frames)
-        names = {*parts, *(joint.name for joint in self.model.joints)}
+        """Return the full name of a link or joint; a nested model's own names come first."""
+        links = (*self.model.links_by_name(), *self.model.frames)
+        names = {*links, *(joint.name for joint in self.model.joints)}
         full = self.plugin.scope + name
         return full if full in names else name
 
@@ -157,11 +161,19 @@ class Mount(TagReader):
         try:
             return AttachedFrame.of(self.model, self.bodies.values(), self.scoped(link), offset)
         except KeyError:
-            where = f"model '{self.model.name}': plugin '{self.plugin.name}'"
-            raise PluginError(f"{where}: no link '{link}'") from None
+            raise PluginError(f"{self.name()}: no link '{link}'") from None
+
+    def name(self) -> str:
+        """Return the names of model and plugin, for messages."""
+        return f"model '{self.model.name}': plugin '{self.plugin.name}'"
 
     def where(self, key: str) -> str:
-        return f"model '{self.model.name}': plugin '{self.plugin.name}': <{key}>"
+        return f"{self.name()}: <{key}>"
+
+    def require_moving(self) -> None:
+        """Raise PluginError if the model is static."""
+        if self.model.static:
+            raise PluginError(f"{self.name()} needs a model that can move, but it is static")
 
 
 def _schedule(tags: TagReader, key: str, default: float) -> Schedule:
@@ -173,7 +185,7 @@ def _schedule(tags: TagReader, key: str, default: float) -> Schedule:
 
 
 def slower_of(one: Schedule, other: Schedule) -> Schedule:
-    """Return the schedule with the longer period: it takes both sensor and plugin to send."""
+    """Return the schedule with the longer period: sensor and plugin must both be due."""
     return max(one, other, key=lambda schedule: schedule.period)
 
 
@@ -181,12 +193,11 @@ class SensorTag(ElementReader):
     """The `<sensor>` element around a plugin, which URDF and SDF share.
 
     Raises:
-        PluginError: the plugin stands in no sensor of one of the `kinds`.
+        PluginError: the plugin is not in a sensor of one of the `kinds`.
     """
 
     def __init__(self, mount: Mount, kinds: Tuple[str, ...]):
-        plugin = mount.plugin
-        where = f"model '{mount.model.name}': plugin '{plugin.name}'"
+        plugin, where = mount.plugin, mount.name()
         if plugin.sensor is None or plugin.sensor.get("type") not in kinds:
             found = "" if plugin.sensor is None else f', not "{plugin.sensor.get("type")}"'
             wanted = f'<sensor type="{kinds[0]}">'
@@ -203,8 +214,8 @@ class SensorTag(ElementReader):
         value = self.number(path, default)
         if value == int(value) and 1 <= value <= most:
             return int(value)
-        said = f"{self.where(path)}: {value:g} is no whole number in 1 … {most}"
-        self.doubt(PluginError(said))
+        problem = f"{value:g} is not a whole number in 1 … {most}"
+        self.doubt(PluginError(f"{self.where(path)}: {problem}"))
         return default
 
     def doubt(self, error: LabError) -> None:  # noqa: D102
@@ -222,9 +233,9 @@ class SensorTag(ElementReader):
 
 @dataclass(frozen=True)
 class Input:
-    """A topic that a plugin listens to; `handle(command)` raises PluginError to refuse one.
+    """A topic with commands; `handle(command)` raises PluginError to refuse one.
 
-    With `alone`, commands are refused while several send them.
+    With `alone`, commands are refused while several nodes publish them.
     """
 
     topic: str
@@ -234,7 +245,7 @@ class Input:
 
 
 class Output:
-    """A topic that a plugin speaks on; `kind` is the class of its samples."""
+    """A topic with samples; `kind` is the class of the samples."""
 
     def __init__(self, topic: str, kind: type):
         self.topic = topic
@@ -245,7 +256,10 @@ class Output:
     def connect(
         self, listener: Callable[[Any], None], wanted: Callable[[], bool] = lambda: True
     ) -> None:
-        """Call `listener(sample)` with samples from now on; those that nobody wants are spared."""
+        """Call `listener(sample)` with samples from now on.
+
+        While no `wanted()` is true, plugins may save the work for a sample.
+        """
         self._listeners.append(listener)
         self._wanted.append(wanted)
 
@@ -255,7 +269,7 @@ class Output:
         return any(wanted() for wanted in self._wanted)
 
     def send(self, sample: Any) -> None:
-        """Give a sample to all that are connected."""
+        """Call all listeners with a sample."""
         for listener in self._listeners:
             listener(sample)
 
@@ -264,15 +278,15 @@ class Plugin:
     """Base of all plugins.
 
     Attributes:
-        filenames: the files of Gazebo's plugins that the class stands for.
-        named_by_model: whether the model's name is the namespace where the plugin has no
-            robotNamespace, and where it has an empty one: Gazebo's plugins do not agree.
-        acts: whether `before_step` does anything; the loop skips those that do not.
+        filenames: the files of Gazebo's plugins that the class simulates.
+        named_by_model: whether the namespace is the model's name if the plugin has no
+            robotNamespace, and if it has an empty one: Gazebo's plugins differ.
+        acts: whether `before_step` does anything; the loop skips it otherwise.
         inputs: topics with commands for it.
-        outputs: topics with what it measures.
-        schedule: when `produce` is due; None for a plugin that measures nothing.
-        gravity: in m/s², in the world; may be changed from outside.
-        refused: what it was asked for in vain, by name: controllers with their types.
+        outputs: topics with its samples.
+        schedule: when `produce` is due; None for a plugin without samples.
+        gravity: in the world, in m/s²; may be changed from outside.
+        refused: names and types of controllers that could not be loaded.
     """
 
     filenames: ClassVar[Tuple[str, ...]] = ()
@@ -298,10 +312,10 @@ class Plugin:
         """Measure and send, at the simulated time `step`."""
 
     def placed(self) -> None:
-        """Take note that the model was put somewhere else."""
+        """Handle that the model was placed somewhere else."""
 
     def reset(self, step: int) -> None:
-        """Start anew after the model was put back; simulated time is now `step`."""
+        """Start anew after a reset of the model; simulated time is now `step`."""
 
 
 _KINDS: Dict[str, Type[Plugin]] = {}
@@ -313,21 +327,21 @@ def known_plugins() -> Tuple[str, ...]:
 
 
 def make_plugin(mount: Mount) -> Optional[Plugin]:
-    """Return the plugin for a tag, or None where its kind is not simulated; raises LabError."""
+    """Return the plugin for a tag, or None if its kind is not simulated; raises LabError."""
     kind = _kind_of(mount.plugin)
     namespace = namespace_of(mount.plugin, mount.model.name)
     return None if kind is None else kind(replace(mount, namespace=namespace))
 
 
 def namespace_of(tag: PluginTag, model: str) -> str:
-    """Return the namespace of a plugin of a model's: its robotNamespace, or what stands in for it.
+    """Return the namespace of a model's plugin, without slashes at its ends.
 
-    It has no slash at its ends.
+    That is its robotNamespace, or the default of its kind.
     """
-    kind, told = _kind_of(tag), tag.tags.get(NAMESPACE)
-    if kind is not None and not told and kind.named_by_model[told is not None]:
+    kind, given = _kind_of(tag), tag.tags.get(NAMESPACE)
+    if kind is not None and not given and kind.named_by_model[given is not None]:
         return model
-    return (told or "").strip("/")
+    return (given or "").strip("/")
 
 
 def _kind_of(tag: PluginTag) -> Optional[Type[Plugin]]:

@@ -1,4 +1,4 @@
-"""Sensors that measure distances along rays: laser scanners, and sonars as fans of them.
+"""Sensors that measure distances along rays: laser scanners, and sonars as fans of rays.
 
 libgazebo_ros_laser.so, libgazebo_ros_gpu_laser.so and libgazebo_ros_range.so.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from typing import Tuple
 
 import numpy as np
 
@@ -37,22 +38,27 @@ class Angles:
 
     @property
     def increment(self) -> float:
-        """Angle between two neighbours in rad; 0 for one alone."""
+        """Angle between two neighbours in rad; 0 for a single one."""
         return (self.greatest - self.least) / (self.number - 1) if self.number > 1 else 0.0
 
     def all(self) -> np.ndarray:
-        """Return them, shape (number,); one alone looks straight ahead, as in Gazebo."""
+        """Return the angles, shape (number,); as in Gazebo, a single one is 0."""
         if self.number == 1:
             return np.zeros(1)
         return np.linspace(self.least, self.greatest, self.number)
 
 
 class RayScan:
-    """Casts the rays of a sensor, from its origin, in angles `horizontal` about its z axis.
+    """Casts the rays of a sensor from its origin.
 
-    As in Gazebo, the robot's own shapes are not seen within the least range, and are seen beyond
-    it; and never is a shape that contains the origin. Distances from `least` to `greatest` (m)
-    are measured, in multiples of `resolution` (m; 0 for any).
+    As in Gazebo, the robot's own shapes are invisible within the least range, and visible beyond
+    it; a shape that contains the origin is always invisible.
+
+    Attributes:
+        horizontal: angles of the rays about the sensor's z axis.
+        least: least measured distance in m.
+        greatest: greatest measured distance in m.
+        resolution: distances are multiples of it, in m; 0 for any distance.
     """
 
     def __init__(self, mount: Mount, tag: SensorTag):
@@ -75,8 +81,8 @@ class RayScan:
     def distances(self) -> np.ndarray:
         """Return exact distances in m, row by row from below, shape (rays,).
 
-        +inf where nothing is within the greatest range, -inf where something that is not the
-        robot itself is within the least one, as REP 117 has it.
+        As in REP 117, they are +inf without a hit within the greatest range, and -inf for a hit
+        within the least range that is not the robot itself.
         """
         distances, bodies = self._rays.cast(0.0, self.greatest)
         near = (bodies >= 0) & (distances <= self.least)
@@ -90,11 +96,11 @@ class RayScan:
         return distances
 
     def measure(self, random: np.random.Generator) -> np.ndarray:
-        """Return distances as the sensor reads them: with noise, in steps of its resolution."""
+        """Return measured distances: with noise, as multiples of the resolution."""
         distances = self.distances()
         seen = np.isfinite(distances)
         if self._deviation or self._mean:
-            # For all rays, so that what one ray meets does not change the others' noise.
+            # Drawn for all rays, so that one ray's hit does not change the others' noise.
             noise = random.normal(self._mean, self._deviation, len(distances))
             distances[seen] += noise[seen]
         if self.resolution:
@@ -106,7 +112,7 @@ class RayScan:
 def _angles(tag: SensorTag, path: str) -> Angles:
     samples = tag.count(f"{path}/samples", 1, MOST_RAYS)
     resolution = tag.positive(f"{path}/resolution", 1.0)
-    # As in Gazebo, one is left at least.
+    # As in Gazebo, there is at least one.
     number = max(1, round(samples * resolution))
     if number > MOST_RAYS:
         raise PluginError(f"{tag.where(f'{path}/resolution')}: {resolution:g} makes {number} rays")
@@ -117,7 +123,8 @@ def _angles(tag: SensorTag, path: str) -> Angles:
     return Angles(least, greatest, number)
 
 
-def _noise(tag: SensorTag) -> tuple:
+def _noise(tag: SensorTag) -> Tuple[float, float]:
+    """Return mean and standard deviation of the noise in m."""
     kind = tag.text("ray/noise/type", "")
     if kind not in SIMULATED_NOISE:
         LOG.warning("%s: noise '%s' is not simulated and skipped", tag.where("type"), kind)
@@ -129,8 +136,8 @@ def _noise(tag: SensorTag) -> tuple:
 class Laser(Plugin):
     """Measures distances around itself, all at one moment.
 
-    No ray is cast while nobody listens. The intensities are 0, as those of Gazebo are on
-    surfaces without laser_retro.
+    No ray is cast without a listener. Intensities are 0, as in Gazebo on surfaces without
+    laser_retro.
     """
 
     filenames = ("libgazebo_ros_laser.so", "libgazebo_ros_gpu_laser.so")
@@ -158,10 +165,10 @@ class Laser(Plugin):
 
 
 class RangeSensor(Plugin):
-    """Measures the distance of the nearest thing in a fan of rays.
+    """Measures the distance of the nearest hit in a fan of rays.
 
-    Where there is none, it reads the greatest range, without noise, as in Gazebo; something
-    nearer than the least range reads as that.
+    As in Gazebo, it reads the greatest range, without noise, if there is no hit. A hit nearer
+    than the least range reads as the least range.
     """
 
     filenames = ("libgazebo_ros_range.so",)
@@ -184,7 +191,7 @@ class RangeSensor(Plugin):
             return
         scanner = self._scanner
         noise = self._noise.at(step).normal(0.0, self._deviation)
-        # Infinity stays what it is, and ends as the greatest range.
+        # Infinity stays infinite with noise, and is then limited to the greatest range.
         reading = max(float(np.min(scanner.distances())), scanner.least) + noise
         reading = min(max(reading, scanner.least), scanner.greatest)
         reach = (scanner.least, scanner.greatest)

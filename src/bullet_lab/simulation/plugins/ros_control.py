@@ -8,11 +8,13 @@ from typing import Any, Optional
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
-from bullet_lab.simulation.plugins.controllers.description import RobotDescription
-from bullet_lab.simulation.plugins.controllers.hardware import RobotHardware
-from bullet_lab.simulation.plugins.controllers.manager import ControllerManager
-from bullet_lab.simulation.plugins.controllers.parameters import ControlParameters
-from bullet_lab.simulation.plugins.plugin import Input, Mount, Plugin, PluginError
+from bullet_lab.simulation.plugins.controllers.controller import ControllerManager
+from bullet_lab.simulation.plugins.controllers.description import (
+    ControlParameters,
+    RobotDescription,
+)
+from bullet_lab.simulation.plugins.controllers.hardware import joint_handles
+from bullet_lab.simulation.plugins.plugin import Input, Mount, Plugin
 from bullet_lab.simulation.plugins.samples import Stop
 
 LOG = logging.getLogger(__name__)
@@ -21,14 +23,14 @@ DEFAULT_HARDWARE = "gazebo_ros_control/DefaultRobotHWSim"
 
 
 class RosControl(Plugin):
-    """Lets controllers act on the joints of its model, in lock step with the physics.
+    """Runs controllers on the joints of its model, in lock step with the physics.
 
-    It does nothing until it is told the robot's description, which in ROS is a parameter, by
-    `configure`. Whoever does so loads and starts controllers by its `manager`, whose controllers
-    have inputs and outputs of their own.
+    It does nothing until `configure` gives it the robot's description, which in ROS is a
+    parameter. The caller then loads and starts controllers by its `manager`; controllers have
+    inputs and outputs of their own.
 
     Attributes:
-        namespace: of the robot: that of its parameters, topics and services, with slashes around.
+        namespace: of the robot's parameters, topics and services, with slashes around it.
         description: name of the parameter with the robot's URDF.
         manager: of its controllers; None until it is configured.
     """
@@ -38,41 +40,46 @@ class RosControl(Plugin):
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
-        if mount.model.static:
-            raise PluginError(f"model '{mount.model.name}': controllers on what cannot move")
-        # As in Gazebo, a plugin that is told no namespace has that of its model.
+        mount.require_moving()
+        # As in Gazebo, the default namespace is the model's name.
         space = (mount.text("robotNamespace") or mount.model.name).strip("/")
         self.namespace = f"/{space}/" if space else "/"
         self.description = mount.text("robotParam", "robot_description")
         hardware = mount.text("robotSimType", DEFAULT_HARDWARE)
         if hardware != DEFAULT_HARDWARE:
             where = mount.where("robotSimType")
-            LOG.warning("%s: %s is not simulated: it is %s", where, hardware, DEFAULT_HARDWARE)
-        # Of releases before Noetic, whose plugin passes it over as well.
+            LOG.warning("%s: %s is not simulated; %s is used", where, hardware, DEFAULT_HARDWARE)
+        # Of releases before Noetic; Noetic's plugin ignores it as well.
         mount.text("legacyModeNS")
-        self._period = self._steps(mount.number("controlPeriod", STEP_SECONDS))
+        period = mount.number("controlPeriod", STEP_SECONDS)
+        if period < STEP_SECONDS:
+            where = mount.where("controlPeriod")
+            LOG.warning("%s: %g s is less than a time step; a time step is used", where, period)
+        self._period = max(1, math.ceil(round(period * STEPS_PER_SECOND, 6)))
         stop = mount.text("eStopTopic")
-        self.inputs = (Input(self._topic(stop), Stop, self._press),) if stop else ()
+        if stop:
+            topic = stop if stop.startswith("/") else self.namespace + stop
+            self.inputs = (Input(topic, Stop, self._press),)
         self.manager: Optional[ControllerManager] = None
         self._stopped = self._was_stopped = False
         self._last_step = 0
 
     def configure(self, urdf: str, parameters: Any) -> ControllerManager:
-        """Get ready for controllers, and return their manager.
+        """Read the robot's joints, and return the manager of its controllers.
 
         Args:
             urdf: the robot's description.
-            parameters: those in the robot's namespace, as a tree: of joint_limits/<joint> and
-                gazebo_ros_control/pid_gains/<joint>.
+            parameters: the tree of parameters in the robot's namespace, with joint_limits/<joint>
+                and gazebo_ros_control/pid_gains/<joint>.
 
         Raises:
-            XmlError: that is no description.
+            XmlError: the description is invalid.
         """
         where = f"model '{self.mount.model.name}': {self.description}"
         description = RobotDescription.read(urdf, where)
-        told = ControlParameters(parameters, self.namespace.rstrip("/"))
-        hardware = RobotHardware(list(self.mount.bodies.values()), description, told)
-        self.manager = ControllerManager(hardware, self.namespace)
+        given = ControlParameters(parameters, self.namespace.rstrip("/"))
+        joints = joint_handles(self.mount.bodies, description, given)
+        self.manager = ControllerManager(joints, self.namespace)
         self.manager.step = self._last_step
         return self.manager
 
@@ -84,12 +91,12 @@ class RosControl(Plugin):
         if step - self._last_step >= self._period:
             seconds = (step - self._last_step) / STEPS_PER_SECOND
             self._last_step = manager.step = step
-            manager.hardware.read()
+            manager.read()
             if self._was_stopped and not self._stopped:
                 manager.restart()
             self._was_stopped = self._stopped
             manager.update(seconds)
-        manager.hardware.write(STEP_SECONDS, self._stopped)
+        manager.write(STEP_SECONDS, self._stopped)
 
     def placed(self) -> None:
         if self.manager is not None:
@@ -102,12 +109,3 @@ class RosControl(Plugin):
 
     def _press(self, stop: Stop) -> None:
         self._stopped = stop.pressed
-
-    def _topic(self, name: str) -> str:
-        return name if name.startswith("/") else self.namespace + name
-
-    def _steps(self, period: float) -> int:
-        where = self.mount.where("controlPeriod")
-        if period < STEP_SECONDS:
-            LOG.warning("%s: %g s is less than a step of the physics, which counts", where, period)
-        return max(1, math.ceil(round(period * STEPS_PER_SECOND, 6)))

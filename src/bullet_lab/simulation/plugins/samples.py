@@ -1,7 +1,7 @@
-"""What plugins measure and what they are told, as plain data.
+"""The samples of plugins, and the commands to them, as plain data.
 
-Every sample carries the simulated time `step` in whole milliseconds. The ROS side turns each
-kind into its message in `bullet_lab.ros.messages.conversions`.
+Every sample has the simulated time `step` in whole milliseconds.
+`bullet_lab.ros.messages.conversions` converts each kind to its message.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ Diagonal = Tuple[float, float, float, float, float, float]
 
 @dataclass(frozen=True)
 class Sample:
-    """What was measured at the simulated time `step`, in `frame`."""
+    """A measurement at the simulated time `step`, in `frame`."""
 
     step: int
     frame: str
 
 
 LARGEST_COMMAND = 1e6
-"""Of a velocity, a position or an effort, in SI units; of what is larger the engine makes NaN."""
+"""Greatest velocity, position or effort, in SI units; larger ones become NaN in the engine."""
 
 
 def is_sound(*values: float) -> bool:
-    """Return whether all numbers of a command are finite, and not out of all proportion.
+    """Return whether all numbers of a command are finite and within `LARGEST_COMMAND`.
 
     >>> is_sound(0.5, -1e6), is_sound(1e308), is_sound(float("nan"))
     (True, False, False)
@@ -41,7 +41,7 @@ def is_sound(*values: float) -> bool:
 
 @dataclass(frozen=True)
 class PlanarCommand:
-    """The velocity that a robot shall have: m/s ahead and to the left, rad/s counter-clockwise."""
+    """A velocity command: m/s ahead and to the left, rad/s counter-clockwise."""
 
     vx: float = 0.0
     vy: float = 0.0
@@ -50,14 +50,14 @@ class PlanarCommand:
 
 @dataclass(frozen=True)
 class JointCommand:
-    """What a joint shall do: a position (rad or m), a velocity or an effort."""
+    """A command to a joint: a position (rad or m), a velocity or an effort."""
 
     value: float
 
 
 @dataclass(frozen=True)
 class JointCommands:
-    """What the joints of a group shall do, in their order."""
+    """A command to the joints of a group, in their order."""
 
     values: Tuple[float, ...]
 
@@ -73,8 +73,8 @@ class Stop:
 class OdometrySample(Sample):
     """Pose of `child_frame` in `frame`, and its velocity in its own frame.
 
-    The covariances are diagonal (m² and rad², per s² for the twist's, which is zero for most, as
-    Gazebo sends it).
+    The covariances are diagonal, in m² and rad²; the twist's per s². Most plugins send a zero
+    twist covariance, as Gazebo's do.
     """
 
     child_frame: str
@@ -86,7 +86,7 @@ class OdometrySample(Sample):
 
 @dataclass(frozen=True)
 class VelocitySample(Sample):
-    """The velocity that a robot is told, as far as its limits allow."""
+    """A velocity command after its limits."""
 
     velocity: PlanarCommand
 
@@ -103,7 +103,7 @@ class TransformSample(Sample):
 class JointSample:
     """States of joints: positions in rad or m, velocities per second, efforts in N m or N.
 
-    Velocities and efforts may be left out.
+    Velocities and efforts may be empty.
     """
 
     step: int
@@ -111,16 +111,16 @@ class JointSample:
     positions: Tuple[float, ...]
     velocities: Tuple[float, ...] = ()
     efforts: Tuple[float, ...] = ()
-    # They are in no frame.
+    # Joints have no frame.
     frame: ClassVar[str] = ""
 
 
 @dataclass(frozen=True)
 class LoopSample:
-    """How a control loop of one joint stands, `seconds` after the last time.
+    """The state of a control loop of one joint, `seconds` after the last update.
 
-    `value` is what it brings to `target`, `slope` the velocity of a position, `command` what the
-    joint is told; `gains` are p, i, d and the greatest contribution of the integral.
+    The loop brings `value` to `target`; `slope` is the velocity of a position, `command` the
+    output; `gains` are p, i, d and the greatest contribution of the integral.
     """
 
     step: int
@@ -137,11 +137,11 @@ class LoopSample:
 
 @dataclass(frozen=True)
 class ImageSample(Sample):
-    """An image as `frame`, an optical frame, sees it.
+    """An image in the optical frame `frame`.
 
     `encoding` is one of sensor_msgs/image_encodings; `pixels` are (height, width, 3) or (height,
-    width) and never changed. A depth image holds metres along the optical axis, NaN where nothing
-    was measured (32FC1), or mm and 0 (16UC1).
+    width), and must not be changed. A depth image has metres along the optical axis, or NaN
+    without a measurement (32FC1), or mm, or 0 (16UC1).
     """
 
     encoding: str
@@ -152,7 +152,7 @@ class ImageSample(Sample):
 class CameraInfoSample(Sample):
     """Geometry of the images of one camera; `baseline` in metres is Gazebo's hackBaseline.
 
-    `calibration` has what somebody says instead, by the names of the message's fields.
+    `calibration` has the values that set_camera_info set, by the names of the message's fields.
     """
 
     camera: PinholeCamera
@@ -162,9 +162,9 @@ class CameraInfoSample(Sample):
 
 @dataclass(frozen=True)
 class PointsSample(Sample):
-    """What a depth camera sees, as points in `frame`, an optical one.
+    """The point cloud of a depth camera in the optical frame `frame`.
 
-    `points` are x, y, z in m, NaN where nothing was measured, shape (height, width, 3) float32;
+    `points` are x, y, z in m, NaN without a measurement, shape (height, width, 3) float32;
     `colours` are RGB, shape (height, width, 3) uint8.
     """
 
@@ -174,11 +174,11 @@ class PointsSample(Sample):
 
 @dataclass(frozen=True)
 class LaserSample(Sample):
-    """Distances that a laser scanner has measured, all at one moment.
+    """A scan of a laser scanner, measured at one moment.
 
-    Angles in rad about the z axis of `frame`; `ranges` and `intensities` of shape (rays,), the
-    former in m, +inf for nothing within `range_max` and -inf for something nearer than
-    `range_min`; several rows one after the other.
+    Angles are in rad about the z axis of `frame`. `ranges` (m) and `intensities` have the shape
+    (rays,), row by row; a range is +inf without a hit within `range_max`, and -inf for a hit
+    nearer than `range_min`.
     """
 
     angle_min: float
@@ -203,7 +203,7 @@ class RangeSample(Sample):
 
 @dataclass(frozen=True)
 class ImuSample(Sample):
-    """What an inertial unit measures in its own axes, those of `frame`.
+    """A measurement of an inertial unit in the axes of `frame`.
 
     `orientation` is the unit quaternion of the frame in the world, `angular_velocity` in rad/s,
     `specific_force` in m/s² (+g along z at rest, as an accelerometer reads). Each has one
@@ -220,7 +220,7 @@ class ImuSample(Sample):
 
 @dataclass(frozen=True)
 class MotionSample(Sample):
-    """Pose and full velocity (m/s, rad/s) of `child_frame`; `variance` of every component."""
+    """Pose and velocity (m/s, rad/s) of `child_frame`, with the `variance` of each component."""
 
     child_frame: str
     pose: Pose
@@ -233,9 +233,9 @@ class MotionSample(Sample):
 class ShapeContact:
     """Two shapes that touch.
 
-    `first` and `second` name them as model::link::shape. For each point of contact: the force
-    in N and the torque in N m on the first shape's link (about its centre of mass), the place
-    in m, the normal from the second shape to the first, and how deep they overlap in m.
+    `first` and `second` name them as model::link::shape. For each contact point: the force in N
+    and the torque in N m on the first shape's link (about its centre of mass), the position in m,
+    the normal from the second shape to the first, and the depth of the overlap in m.
     """
 
     first: str

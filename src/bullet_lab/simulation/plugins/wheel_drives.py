@@ -1,4 +1,4 @@
-"""Robots on driven wheels: two that are steered apart, or four that steer as a tank does.
+"""Robots on driven wheels: differential drive, and skid steer with four wheels.
 
 libgazebo_ros_diff_drive.so and libgazebo_ros_skid_steer_drive.so.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import math
 from abc import ABC, abstractmethod
-from typing import ClassVar, Optional, Tuple
+from typing import Optional, Tuple
 
 from bullet_lab.core.pose import Pose, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -25,7 +25,7 @@ from bullet_lab.simulation.world.description import Joint
 
 LOG = logging.getLogger(__name__)
 
-# rad/s; below it a wheel counts as stopped. The solver's leftovers are some 3e-4 rad/s.
+# A wheel below this speed (rad/s) counts as stopped. The solver's residual is about 3e-4 rad/s.
 STANDING = 0.01
 SOURCES = ("world", "encoder")
 WHEEL_JOINTS = ("continuous", "revolute")
@@ -34,13 +34,13 @@ RIGHT = (("rightFrontJoint", "right_front_joint"), ("rightRearJoint", "right_rea
 
 
 class Wheel:
-    """A joint that is driven at a speed with limited torque and acceleration.
+    """A joint that is driven at a speed, with limited torque (N m) and acceleration (rad/s²).
 
-    A wheel that is to stand and has come to rest is held at its angle and sticks to the floor,
-    as with a brake: a motor that only controls the speed lets the robot creep some 0.04 mm/s,
-    and bare friction some 0.02 mm/s, because the engine solves them to a tolerance. What pushes
-    harder than torque (N m) or friction moves the wheel all the same; it is held anew where it
-    stops. The acceleration is in rad/s²; 0 for no limit.
+    A wheel that was commanded to stop and has stopped is held at its angle and sticks to the
+    floor, like a brake: with speed control alone the robot creeps at 0.04 mm/s, and with friction
+    alone at 0.02 mm/s, because the engine solves both to a tolerance. A push beyond the torque or
+    friction still moves the wheel; it is held again where it stops. An acceleration of 0 means no
+    limit.
     """
 
     def __init__(self, body: Body, joint: str, torque: float, acceleration: float = 0.0):
@@ -55,12 +55,12 @@ class Wheel:
         return self._body.joint_state(self.joint)
 
     def stop(self) -> None:
-        """Aim at no speed, at once."""
+        """Drive at speed 0, at once."""
         self._speed = 0.0
         self._release()
 
     def follow(self, speed: float, seconds: float) -> None:
-        """Drive towards a speed in rad/s, `seconds` after the last call, and end at exactly it."""
+        """Drive towards a speed in rad/s, `seconds` after the last call."""
         change = speed - self._speed
         limit = self._acceleration * seconds
         if self._acceleration and abs(change) > limit:
@@ -81,25 +81,22 @@ class Wheel:
 
 
 class WheelDrive(MobileBase, ABC):
-    """What robots on driven wheels have in common.
+    """The base of robots on driven wheels.
 
-    At each update the odometry is sent, then the wheels' motors are given the speeds of the last
-    command, v ∓ ω·separation/2 at the rim. The physics does the rest: wheels roll, slip or stall
-    as torque and friction have it. Commands stay until the next one; there is no time-out, as in
-    Gazebo.
+    Each update sends the odometry, then sets the wheels' motors to the speeds of the last
+    command, v ∓ ω·separation/2 at the rim. The wheels roll, slip or stall by torque and friction.
+    A command stays until the next one; as in Gazebo, there is no timeout.
 
     Attributes:
-        separation: m, of the wheels on both sides, as the tags say.
-        radii: m, of the wheels on the left and on the right, as the tags say.
+        separation: of the left and right wheels in m, by the tags.
+        radii: of the left and right wheels in m, by the tags.
+        wheels: the left ones before as many right ones.
     """
 
-    name: ClassVar[str]
-    # Those on the left before those on the right, as many.
     wheels: Tuple[Wheel, ...] = ()
 
     def __init__(self, mount: Mount, separation: float):
-        if mount.model.static:
-            raise PluginError(f"model '{mount.model.name}': {self.name} on what cannot move")
+        mount.require_moving()
         super().__init__(mount)
         self.separation = mount.positive("wheelSeparation", separation)
         self.radii = 2 * (0.5 * mount.positive("wheelDiameter", 0.15),)
@@ -122,7 +119,7 @@ class WheelDrive(MobileBase, ABC):
 
     @abstractmethod
     def _report(self, step: int, seconds: float) -> None:
-        """Send what is measured, `seconds` after the last time."""
+        """Send the odometry, `seconds` after the last time."""
 
 
 def base_velocity(body: Body, pose: Pose) -> PlanarCommand:
@@ -133,31 +130,33 @@ def base_velocity(body: Body, pose: Pose) -> PlanarCommand:
 
 
 def wheel_joint(mount: Mount, tag: str, default: str) -> Joint:
-    """Return the joint that a tag names; raises PluginError where no wheel can turn on it."""
+    """Return the wheel joint that a tag names; raises PluginError for another joint."""
     name = mount.scoped(mount.text(tag, default))
     joints = {joint.name: joint for joint in mount.model.joints}
     if name not in mount.body.joint_names:
         raise PluginError(f"{mount.where(tag)}: no movable joint '{name}'")
     if joints[name].kind not in WHEEL_JOINTS:
-        kind = joints[name].kind
-        raise PluginError(f"{mount.where(tag)}: joint '{name}' is {kind}: no wheel turns on it")
+        kind, kinds = joints[name].kind, " or ".join(WHEEL_JOINTS)
+        raise PluginError(f"{mount.where(tag)}: joint '{name}' is {kind}; it must be {kinds}")
     return joints[name]
 
 
 class DeadReckoning:
     """Integrates the rotation of two wheels to a planar pose, by exact arcs.
 
-    Between two readings both wheels are taken to turn evenly, so that the middle of the axle
+    Between two readings both wheels are assumed to turn evenly, so that the middle of the axle
     moves on an arc of length s and angle φ; its chord is s·sin(φ/2)/(φ/2) long and points φ/2
-    away from the old heading. What the wheels slip is not noticed.
+    away from the old heading. Slip is not measured.
 
     >>> reckoning = DeadReckoning(separation=0.5, radius=0.1)
     >>> driven, turned = reckoning.advance(left=5.0, right=5.0)
     >>> driven, turned, reckoning.pose
     (0.5, 0.0, (0.5, 0.0, 0.0))
 
-    `separation` is that of the wheels' contacts with the floor, in m; `radius` the wheels', in m,
-    or the left wheel's, where the right one has another, `right_radius`.
+    Args:
+        separation: of the wheels' contacts with the floor, in m.
+        radius: of both wheels in m, or of the left one.
+        right_radius: of the right wheel in m, if it differs.
     """
 
     def __init__(self, separation: float, radius: float, right_radius: Optional[float] = None):
@@ -166,25 +165,25 @@ class DeadReckoning:
         self.restart(0.0, 0.0)
 
     def restart(self, left: float, right: float) -> None:
-        """Be at the origin again, with the wheels at these angles (rad)."""
+        """Start at the origin, with the wheels at these angles (rad)."""
         self._x = self._y = self._yaw = 0.0
         self.resume(left, right)
 
     def resume(self, left: float, right: float) -> None:
-        """Take new angles (rad) of the wheels for the present pose: nothing was driven."""
+        """Set the wheels' angles (rad) without a change of the pose."""
         self._left, self._right = left, right
 
     @property
     def pose(self) -> Tuple[float, float, float]:
-        """Position x, y in m and yaw in rad within [-pi, pi], from where it was last restarted."""
+        """Position x, y in m and yaw in rad within [-pi, pi], since the last restart."""
         return self._x, self._y, self._yaw
 
     def advance(self, left: float, right: float) -> Tuple[float, float]:
-        """Take new angles (rad); return what was driven (m) and turned (rad) since the last."""
-        left_way = (left - self._left) * self._radii[0]
-        right_way = (right - self._right) * self._radii[1]
+        """Set new angles (rad); return the distance (m) and turn (rad) since the last ones."""
+        left_rim = (left - self._left) * self._radii[0]
+        right_rim = (right - self._right) * self._radii[1]
         self.resume(left, right)
-        driven, turned = 0.5 * (left_way + right_way), (right_way - left_way) / self.separation
+        driven, turned = 0.5 * (left_rim + right_rim), (right_rim - left_rim) / self.separation
         half = 0.5 * turned
         chord = driven * math.sin(half) / half if half else driven
         self._x += chord * math.cos(self._yaw + half)
@@ -194,16 +193,15 @@ class DeadReckoning:
 
 
 class DiffDrive(WheelDrive):
-    """Turns two wheels as commanded and reports where the robot is.
+    """Drives two wheels as commanded and sends odometry.
 
-    Odometry of the source `world` is the true pose, with z, and the velocity of the base
-    frame's origin. That of the source `encoder` is reckoned from the wheels' angles, starts at
-    zero where the robot starts, and drifts as the wheels slip.
+    Odometry of the source `world` is the true pose, with z, and the velocity of the base frame's
+    origin. Odometry of the source `encoder` is integrated from the wheels' angles, starts at zero
+    where the robot starts, and drifts as the wheels slip.
 
-    Unlike in Gazebo, publishTf only takes away transforms, never the odometry. legacyMode, with
-    which the plugins of ROS Jade to Lunar took the left wheel for the right one, is passed over,
-    as Noetic's plugin does: leftJoint is the wheel on the left. Each wheel may have a diameter of
-    its own, for which Gazebo has no tag.
+    Unlike in Gazebo, publishTf switches off transforms only, never the odometry. legacyMode, with
+    which the plugins of ROS Jade to Lunar swapped the wheels, is ignored, as in Noetic: leftJoint
+    is the wheel on the left. Each wheel may have its own diameter, for which Gazebo has no tag.
 
     Attributes:
         origin: pose of the odometry's frame in the world, before any drift.
@@ -211,13 +209,12 @@ class DiffDrive(WheelDrive):
 
     filenames = ("libgazebo_ros_diff_drive.so",)
     named_by_model = (True, True)
-    name = "diff_drive"
 
     def __init__(self, mount: Mount):
         super().__init__(mount, 0.34)
         if mount.boolean("legacyMode", False):
             reason = "as in ROS Noetic: <leftJoint> is the wheel on the left"
-            LOG.warning("%s is passed over, %s", mount.where("legacyMode"), reason)
+            LOG.warning("%s is ignored, %s", mount.where("legacyMode"), reason)
         self._from_wheels = mount.choice("odometrySource", SOURCES) == "encoder"
         left = wheel_joint(mount, "leftJoint", "left_joint")
         right = wheel_joint(mount, "rightJoint", "right_joint")
@@ -281,7 +278,7 @@ class DiffDrive(WheelDrive):
             self.wheel_states.send(JointSample(step, names, self._angles()[::-1]))
 
     def _reckoned(self, seconds: float) -> Tuple[Pose, PlanarCommand]:
-        """Return the pose by the wheels, and the mean velocity since the last update."""
+        """Return the pose by the wheels' angles, and the mean velocity since the last update."""
         driven, turned = self._reckoning.advance(*self._angles())
         x, y, yaw = self._reckoning.pose
         pose = Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
@@ -298,22 +295,22 @@ def _hub_pose(joint: Joint, angle: float) -> Pose:
 
 
 class SkidSteer(WheelDrive):
-    """Turns the wheels of each side as commanded and reports where the robot is.
+    """Drives the wheels of each side as commanded and sends odometry.
 
-    To turn, the wheels must slip sideways, so the robot turns less than commanded, as Coulomb's
-    law has it (`physics/traction.py`). The odometry is the true pose (z is 0 in it, not in the
+    To turn, the wheels must slip sideways, so the robot turns less than commanded, by Coulomb's
+    law (`physics/traction.py`). The odometry is the true pose (z is 0 in it, not in the
     transform).
     """
 
     filenames = ("libgazebo_ros_skid_steer_drive.so",)
-    name = "skid_steer_drive"
 
     def __init__(self, mount: Mount):
         super().__init__(mount, 0.4)
         torque = mount.coefficient("torque", 5.0)
         names = [wheel_joint(mount, *tag).name for tag in LEFT + RIGHT]
         if len(set(names)) < len(names):
-            raise PluginError(f"{mount.where('rightRearJoint')}: a joint is named twice")
+            where = mount.where("rightRearJoint")
+            raise PluginError(f"{where}: the four joints must be different, but one is named twice")
         self.wheels = tuple(Wheel(self._body, name, torque) for name in names)
         x, y = (mount.coefficient(f"covariance_{axis}", 1e-4) for axis in "xy")
         yaw = mount.coefficient("covariance_yaw", 1e-2)

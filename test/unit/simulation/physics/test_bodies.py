@@ -12,8 +12,8 @@ import pytest
 from heap import bytes_kept
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.physics import PhysicsError, pybullet
 from bullet_lab.simulation.physics.bodies import MOST_LINKS
-from bullet_lab.simulation.physics.engine import PhysicsError, pybullet
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import (
@@ -263,7 +263,7 @@ def test_every_shape_of_random_trees_acts(space, cube, seed, static):
             start, end = ((middle * Pose((0.0, 0.0, z))).position for z in (height + 0.2, 0.0))
             (found,) = pybullet.rayTest(start, end, physicsClientId=space.client)
             assert found[0] == body.unique_id, (link.name, shape)
-            assert shape in body.part_at(found[1]).shapes
+            assert shape in body.link_at(found[1]).shapes
             surface = (middle * Pose((0.0, 0.0, height))).position
             assert found[3] == pytest.approx(surface, abs=1e-3)
 
@@ -607,7 +607,7 @@ def test_a_helper_stands_and_slides_as_its_shape_alone(hall, cube, meshed):
         hall.run_for(0.5)
         assert hall.contacts(f"m{number}helped")["floor"].force == pytest.approx(2 * G, rel=0.02)
         (touching,) = {point[3] for point in helped.near_points()}
-        assert helped.part_at(touching).shapes == shapes[-1:]
+        assert helped.link_at(touching).shapes == shapes[-1:]
         for body in bodies:
             # Bullet's skin of 1 mm around meshes is nearly taken off.
             assert body.pose().position[2] == pytest.approx(0.1, abs=1.5e-4)
@@ -697,7 +697,7 @@ def test_more_links_than_the_engine_holds_are_refused_by_name(hall, cube):
     shapes = row(MOST_LINKS + 2, cube, 1)
     good = Model("good", (Link("l", Pose(), UNIT, (), shapes[:-1]),), pose=Pose((0, 9, 0.5)))
     hall.add(good)
-    with pytest.raises(PhysicsError, match="^model 'centipede': .* 128 links .* holds 127$"):
+    with pytest.raises(PhysicsError, match="^model 'centipede': .* 128 links .* allows 127$"):
         hall.add(Model("centipede", (Link("l", Pose(), UNIT, (), shapes),)))
     assert list(hall.models) == ["floor", "good"]
     assert pybullet.getNumBodies(hall.client) == 2

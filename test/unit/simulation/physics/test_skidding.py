@@ -1,4 +1,4 @@
-"""Which wheels steer by slipping, and how easily friction moves them."""
+"""Which wheels skid, and how easily friction moves them."""
 
 import math
 from dataclasses import replace
@@ -9,13 +9,13 @@ from rovers import LYING, Rover, Y
 from wheeled_robots import Robot, wheel_mesh
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.physics.skidding import (
+from bullet_lab.simulation.physics.surfaces import (
     LEAST_RIM,
     SkiddingWheel,
     fit_for_skidding,
     skidding_wheels,
-    wheel_mobility,
 )
+from bullet_lab.simulation.physics.traction import wheel_mobility
 from bullet_lab.simulation.world.description import (
     Box,
     Collision,

@@ -7,7 +7,7 @@ import pytest
 from rovers import Drive, G, Rover, coulomb_twist
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.physics.traction import limited
+from bullet_lab.simulation.physics.traction import limit_friction
 from bullet_lab.simulation.world.description import Box, Collision, Inertia, Link, Model
 
 # The law
@@ -18,7 +18,7 @@ from bullet_lab.simulation.world.description import Box, Collision, Inertia, Lin
 def test_what_is_taken_back_is_a_slip_that_the_ellipse_is_normal_to(gains, most):
     random = np.random.default_rng(3)
     for wanted in random.normal(0.0, 20.0, (50, 2)):
-        *friction, left = limited(tuple(wanted), gains, most)
+        *friction, left = limit_friction(tuple(wanted), gains, most)
         assert np.hypot(*np.divide(friction, most)) == pytest.approx(1.0)
         slip, normal = (wanted - friction) / gains, np.divide(friction, np.square(most))
         cosine = slip @ normal / np.hypot(*slip) / np.hypot(*normal)
@@ -27,7 +27,7 @@ def test_what_is_taken_back_is_a_slip_that_the_ellipse_is_normal_to(gains, most)
 
 
 def test_friction_within_its_limits_is_what_is_wanted():
-    assert limited((0.3, -0.4), (2.0, 5.0), (1.0, 0.8)) == (0.3, -0.4, 1.0)
+    assert limit_friction((0.3, -0.4), (2.0, 5.0), (1.0, 0.8)) == (0.3, -0.4, 1.0)
 
 
 # Turning

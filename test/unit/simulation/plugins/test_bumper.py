@@ -210,7 +210,7 @@ def test_names():
 @pytest.mark.parametrize(
     ("model", "message"),
     [
-        (lambda: bumper(["tail"]), "link 'base' has no shape 'tail' but base_collision"),
+        (lambda: bumper(["tail"]), "link 'base' has no shape 'tail'; its shapes: base_collision"),
         (lambda: bumper(rate=-1), "<update_rate>: a rate of -1 Hz"),
     ],
 )

@@ -262,8 +262,8 @@ def test_millimetres_where_they_are_asked_for():
     ("changes", "message"),
     [
         ({"kind": "camera"}, 'needs a <sensor type="depth">'),
-        ({"tags": cutoff(3.0, 2.0)}, "<pointCloudCutoff>: nothing is between 3 m and 2 m"),
-        ({"tags": cutoff(9.0, 20.0)}, "nothing is between 9 m and 8 m"),
+        ({"tags": cutoff(3.0, 2.0)}, "<pointCloudCutoff>: the least depth, 3 m, is not below"),
+        ({"tags": cutoff(9.0, 20.0)}, "the least depth, 9 m, is not below the greatest, 8 m"),
         ({"tags": cutoff("near", 2.0)}, "'near' is not a finite number"),
         ({"near": 3.0, "far": 2.0}, "near 3 m, far 2 m; 0 < near < far is needed"),
         ({"tags": "<useDepth16UC1Format>2</useDepth16UC1Format>"}, "'2' is not true"),

@@ -6,7 +6,7 @@ import pytest
 from conftest import complains
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.physics.physics import JointState
 from bullet_lab.simulation.plugins import PluginError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
@@ -168,7 +168,7 @@ def test_the_legacy_mode_changes_nothing_as_in_noetic(world, spawn, mode, caplog
     robot.command("cmd_vel", PlanarCommand(wz=0.5))
     world.run_for(1.0)
     assert robot.pose().yaw > 0.3
-    told = [line for line in caplog.messages if "<legacyMode> is passed over" in line]
+    told = [line for line in caplog.messages if "<legacyMode> is ignored" in line]
     assert len(caplog.messages) == len(told) == (1 if mode == "true" else 0)
 
 
@@ -546,11 +546,11 @@ def test_a_sliding_joint_is_no_wheel(world, model):
     left, right = model.joints
     joints = (left, replace(right, kind="prismatic"))
     robot = replace(model, joints=joints, plugins=(PluginTag(FILENAME, "drive", TAGS),))
-    with complains("'right_wheel_joint' is prismatic: no wheel turns on it"):
+    with complains("'right_wheel_joint' is prismatic; it must be continuous or revolute"):
         world.add(robot)
 
 
 def test_what_cannot_move_is_refused(world, model):
     plugins = (PluginTag(FILENAME, "drive", TAGS),)
-    with complains("model 'camera_robot': diff_drive on what cannot move"):
+    with complains("model 'camera_robot': plugin 'drive' needs a model that can move"):
         world.add(replace(model, static=True, plugins=plugins))

@@ -9,7 +9,7 @@ from scipy import stats
 from sensor_worlds import carrier, empty, held, record, sensor
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.plugins.imu import Accelerometer
+from bullet_lab.simulation.plugins.motion_sensors import Accelerometer
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.urdf import read_urdf

@@ -372,8 +372,8 @@ def in_range(tag, value):
 @pytest.mark.parametrize(
     ("inner", "message"),
     [
-        (in_range("samples", "0"), "<samples>: 0 is no whole number in 1"),
-        (in_range("samples", "2.5"), "<samples>: 2.5 is no whole number"),
+        (in_range("samples", "0"), "<samples>: 0 is not a whole number in 1"),
+        (in_range("samples", "2.5"), "<samples>: 2.5 is not a whole number"),
         (in_range("samples", "many"), "<samples>: 'many' is not a finite number"),
         (in_range("samples", "1000000000"), "<samples>"),
         (in_range("resolution", "1e9"), "<resolution>"),

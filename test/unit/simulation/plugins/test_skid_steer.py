@@ -185,13 +185,13 @@ def test_commands_that_are_not_finite_are_refused(bad):
         (lambda: rover("<leftFrontJoint>x</leftFrontJoint>"), "<leftFrontJoint>: no movable joint"),
         (
             lambda: rover("<rightRearJoint>left_rear_joint</rightRearJoint>"),
-            "<rightRearJoint>: a joint is named twice",
+            "<rightRearJoint>: the four joints must be different",
         ),
         (lambda: rover("<wheelDiameter>0</wheelDiameter>"), "<wheelDiameter>: 0 is not positive"),
         (lambda: rover("<torque>-1</torque>"), "<torque>: -1 is negative"),
         (lambda: rover("<covariance_x>-1</covariance_x>"), "<covariance_x>: -1 is negative"),
         (lambda: rover("<broadcastTF>maybe</broadcastTF>"), "<broadcastTF>: 'maybe'"),
-        (lambda: rover(kind="prismatic"), "is prismatic: no wheel turns on it"),
+        (lambda: rover(kind="prismatic"), "is prismatic; it must be continuous or revolute"),
     ],
 )
 def test_refusals(model, message):

@@ -90,9 +90,9 @@ def test_what_is_broken_is_named_with_what_and_where(world, text, old, new, said
     ("name", "pose", "said"),
     [
         ("ground_plane", Pose(), "'ground_plane' exists already"),
-        ("new\nline", Pose(), "cannot be called 'new\\\\nline'"),
+        ("new\nline", Pose(), "name 'new\\\\nline': has characters that cannot be printed"),
         ("m", Pose((0.0, math.nan, 0.0)), "'m': its pose is not finite"),
-        ("m", Pose((0.0, -1e7, 0.0)), "'m': its pose is out of all proportion"),
+        ("m", Pose((0.0, -1e7, 0.0)), "'m': its position exceeds 1e\\+06 m"),
         ("m", Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 2.0)), "quaternion of length 2"),
     ],
 )

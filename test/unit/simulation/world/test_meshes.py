@@ -6,7 +6,7 @@ import pytest
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.physics.engine import pybullet
+from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.world import meshes
 from bullet_lab.simulation.world.description import Mesh, Model

@@ -1,6 +1,6 @@
-"""Controllers of ros_control: one class for each kind that is simulated, on joints, without ROS.
+"""Controllers of ros_control, on joints and without ROS: one class for each simulated kind.
 
-Every module of this folder is imported, and with that its controllers are known.
+All modules of this folder are imported, so that their controllers are known.
 """
 
 import importlib

@@ -1,32 +1,115 @@
-"""What ros_control takes from a robot's URDF: its transmissions, and the joints as described."""
+"""What ros_control reads of a robot: parameters, and the joints and transmissions of its URDF."""
 
 from __future__ import annotations
 
 import logging
 import math
 from dataclasses import dataclass, replace
-from typing import Dict, Iterator, Mapping, Optional, Tuple
+from typing import Any, Dict, Mapping, Optional, Tuple
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Vector
-from bullet_lab.simulation.plugins.controllers.parameters import ControlParameters
+from bullet_lab.simulation.plugins.plugin import PluginError
 from bullet_lab.simulation.world.xml import XmlError, child_text, number, numbers, parse_text
 
 LOG = logging.getLogger(__name__)
 
 PREFIX = "hardware_interface/"
-# What a joint can be told, by the name of its hardware interface.
-POSITION, VELOCITY, EFFORT = INTERFACES = (
-    "PositionJointInterface",
-    "VelocityJointInterface",
-    "EffortJointInterface",
-)
-ROLLING = ("cylinder", "sphere")
+POSITION = "PositionJointInterface"
+VELOCITY = "VelocityJointInterface"
+EFFORT = "EffortJointInterface"
+INTERFACES = (POSITION, VELOCITY, EFFORT)
+# Tags of shapes that have a radius.
+ROUND = ("cylinder", "sphere")
+
+
+class ControlError(PluginError):
+    """A controller that cannot be made, or a request that it refuses."""
+
+
+class ControlParameters:
+    """A tree of parameters below the namespace `where`, read by paths such as "linear/x/max_jerk".
+
+    As in ROS, a value of the wrong type is ignored; a warning names it.
+    """
+
+    def __init__(self, tree: Any, where: str):
+        self._tree = tree if isinstance(tree, Mapping) else {}
+        self.where = where
+
+    def value(self, path: str) -> Any:
+        """Return the value at a path, or None."""
+        found: Any = self._tree
+        for key in path.strip("/").split("/"):
+            if not isinstance(found, Mapping) or key not in found:
+                return None
+            found = found[key]
+        return found
+
+    def below(self, path: str) -> ControlParameters:
+        """Return the parameters below a path."""
+        return ControlParameters(self.value(path), f"{self.where}/{path}")
+
+    def number(self, path: str, default: float) -> float:
+        """Return a finite number."""
+        found = self.optional_number(path)
+        return default if found is None else found
+
+    def optional_number(self, path: str) -> Optional[float]:
+        """Return a finite number, or None."""
+        found = self._checked(path, _is_number(self.value(path)), "a finite number")
+        return None if found is None else float(found)
+
+    def boolean(self, path: str, default: bool) -> bool:
+        """Return true or false."""
+        found = self._checked(path, isinstance(self.value(path), bool), "true or false")
+        return default if found is None else found
+
+    def text(self, path: str, default: str = "") -> str:
+        """Return a text."""
+        found = self._checked(path, isinstance(self.value(path), str), "a text")
+        return default if found is None else found
+
+    def names(self, path: str) -> Optional[Tuple[str, ...]]:
+        """Return a list of names, or None; a text is a list of one name."""
+        found = self.value(path)
+        if isinstance(found, str):
+            return (found,)
+        is_list = isinstance(found, list) and all(isinstance(name, str) for name in found)
+        found = self._checked(path, is_list, "a list of names")
+        return None if found is None else tuple(found)
+
+    def required_names(self, path: str) -> Tuple[str, ...]:
+        """Return a list of names; raises ControlError if there are none."""
+        found = self.names(path)
+        if not found:
+            raise ControlError(f"{self.where}/{path} names no joint")
+        return found
+
+    def numbers(self, path: str, count: int) -> Tuple[float, ...]:
+        """Return a list of `count` finite numbers; raises ControlError without one."""
+        found = self.value(path)
+        if not isinstance(found, list) or len(found) != count or not all(map(_is_number, found)):
+            raise ControlError(f"{self.where}/{path} has to be a list of {count} numbers")
+        return tuple(map(float, found))
+
+    def _checked(self, path: str, is_valid: bool, expected: str) -> Any:
+        """Return the value at a path if it is valid; else None, with a warning if there is one."""
+        found = self.value(path)
+        if is_valid or found is None:
+            return found
+        LOG.warning("%s/%s: %.80r is not %s; ignored", self.where, path, found, expected)
+        return None
+
+
+def _is_number(value: Any) -> bool:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return is_number and math.isfinite(value)
 
 
 @dataclass(frozen=True)
 class SoftLimits:
-    """Where a joint is slowed down: URDF's `<safety_controller>`, gains in 1/s and N m s."""
+    """URDF's `<safety_controller>`, which slows a joint down; gains in 1/s and N m s."""
 
     lower: float
     upper: float
@@ -36,7 +119,7 @@ class SoftLimits:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits of what a joint is told, in rad or m, per s and s², and N m or N; inf for none."""
+    """Limits of a joint's commands, in rad or m, per s and s², and N m or N; inf for none."""
 
     lower: float = -math.inf
     upper: float = math.inf
@@ -46,7 +129,7 @@ class JointLimits:
     soft: Optional[SoftLimits] = None
 
     def changed_by(self, given: ControlParameters) -> JointLimits:
-        """Return the limits with what joint_limits/<joint> says: has_…_limits, max_… and min_…."""
+        """Return the limits with those of joint_limits/<joint>: has_…_limits, max_… and min_…."""
         limits = self
         for kind in ("velocity", "acceleration", "effort"):
             most = given.optional_number(f"max_{kind}")
@@ -66,10 +149,15 @@ class JointLimits:
 
 @dataclass(frozen=True)
 class DescribedJoint:
-    """A joint as the URDF has it.
+    """A joint of the URDF.
 
-    `origin` is its place in its parent link in m, `radius` that of the wheel below it in m, by
-    the first collision of its child; None where that is neither cylinder nor sphere.
+    Attributes:
+        name: of the joint.
+        kind: URDF's type.
+        origin: its place in its parent link, in m.
+        limits: of its `<limit>` and `<safety_controller>`.
+        radius: of the wheel below it in m: of the first collision of its child link; None if that
+            is neither a cylinder nor a sphere.
     """
 
     name: str
@@ -79,19 +167,19 @@ class DescribedJoint:
     radius: Optional[float] = None
 
     def error(self, position: float, target: float) -> float:
-        """Return how far (rad or m) it is to a target, on the shorter way that limits allow."""
+        """Return the distance (rad or m) to a target: the shortest one that the limits allow."""
         if self.kind not in ("revolute", "continuous"):
             return target - position
         near = math.remainder(target - position, math.tau)
         if self.kind == "continuous":
             return near
-        for way in (near, near - math.copysign(math.tau, near)):
-            if self.limits.lower <= position + way <= self.limits.upper:
-                return way
+        for distance in (near, near - math.copysign(math.tau, near)):
+            if self.limits.lower <= position + distance <= self.limits.upper:
+                return distance
         return near
 
     def within_limits(self, target: float) -> float:
-        """Return the nearest position that the described limits allow."""
+        """Return the nearest position within the described limits."""
         if self.kind not in ("revolute", "prismatic"):
             return target
         return min(max(target, self.limits.lower), self.limits.upper)
@@ -108,52 +196,54 @@ class RobotDescription:
     def read(cls, urdf: str, source: str) -> RobotDescription:
         """Read the text of a URDF; raises XmlError.
 
-        As in Gazebo, a transmission that makes no sense is named in a warning, and left out.
+        As in Gazebo, an invalid transmission is ignored with a warning.
         """
         robot = parse_text(urdf, source)
-        radii = dict(_radii(robot))
-        joints = {}
-        for element in robot.findall("joint"):
-            joint = _joint(element, f"{source}: joint '{element.get('name', '')}'")
-            child = element.find("child")
-            below = "" if child is None else child.get("link", "")
-            joints[joint.name] = replace(joint, radius=radii.get(below))
-        return cls(joints, _interfaces(robot, source))
+        radii = _radii(robot)
+        joints = [_joint(element, radii, source) for element in robot.findall("joint")]
+        return cls({joint.name: joint for joint in joints}, _interfaces(robot, source))
 
 
-def _joint(element: Element, where: str) -> DescribedJoint:
-    kind, limit = element.get("type", ""), element.find("limit")
-    limits, safety = JointLimits(), element.find("safety_controller")
+def _joint(element: Element, radii: Mapping[str, float], source: str) -> DescribedJoint:
+    name, kind = element.get("name", ""), element.get("type", "")
+    where = f"{source}: joint '{name}'"
+    limits, limit = JointLimits(), element.find("limit")
     if limit is not None:
-        told = {key: _attribute(limit, key, where) for key in limit.attrib}
         ends = ("lower", "upper", "velocity", "effort")
-        values = {key: told.get(key, 0.0) for key in ends}
-        if kind == "continuous":
-            values.update(lower=-math.inf, upper=math.inf)
-        limits = JointLimits(**values, soft=None if safety is None else _soft(safety, where))
-    origin = element.find("origin")
+        values = {key: _attribute(limit, key, where) for key in (*limit.attrib, *ends)}
+        limits = JointLimits(**{key: values[key] for key in ends}, soft=_soft(element, where))
+    if limit is not None and kind == "continuous":
+        limits = replace(limits, lower=-math.inf, upper=math.inf)
+    origin, child = element.find("origin"), element.find("child")
     text = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
     place = numbers(text, 3, f"{where}: <origin>")
-    return DescribedJoint(element.get("name", ""), kind, place, limits)
+    radius = None if child is None else radii.get(child.get("link", ""))
+    return DescribedJoint(name, kind, place, limits, radius)
 
 
-def _soft(safety: Element, where: str) -> SoftLimits:
+def _soft(joint: Element, where: str) -> Optional[SoftLimits]:
+    safety = joint.find("safety_controller")
+    if safety is None:
+        return None
     keys = ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity")
     return SoftLimits(*(_attribute(safety, key, where) for key in keys))
 
 
 def _attribute(element: Element, key: str, where: str) -> float:
     text = element.get(key, "0")
-    # Infinity is no trouble here.
+    # Infinity is a valid limit.
     return math.inf if text.strip() == "inf" else number(text, f"{where}: <{element.tag}> {key}")
 
 
-def _radii(robot: Element) -> Iterator[Tuple[str, float]]:
+def _radii(robot: Element) -> Dict[str, float]:
+    """Return the radius of the first collision by link, if it is a cylinder or a sphere."""
+    radii = {}
     for link in robot.findall("link"):
+        name = link.get("name", "")
         for shape in link.findall("collision[1]/geometry/*"):
-            if shape.tag in ROLLING:
-                where = f"link '{link.get('name', '')}': <{shape.tag}> radius"
-                yield link.get("name", ""), number(shape.get("radius"), where)
+            if shape.tag in ROUND:
+                radii[name] = number(shape.get("radius"), f"link '{name}': <{shape.tag}> radius")
+    return radii
 
 
 def _interfaces(robot: Element, source: str) -> Dict[str, str]:
@@ -166,7 +256,7 @@ def _interfaces(robot: Element, source: str) -> Dict[str, str]:
             LOG.warning("%s %s, and is left out", where, error)
             continue
         if joint in found:
-            LOG.warning("%s: '%s' has one already, which counts", where, joint)
+            LOG.warning("%s: joint '%s' has a transmission already; ignored", where, joint)
         found.setdefault(joint, interface)
     return found
 
@@ -181,14 +271,15 @@ def _transmission(element: Element) -> Tuple[str, str]:
         raise XmlError("has no <actuator>")
     joints = element.findall("joint")
     if len(joints) != 1 or not joints[0].get("name"):
-        raise XmlError(f"has {len(joints) or 'no'} joints, and one with a name is simulated")
-    texts = [(told.text or "").strip() for told in joints[0].findall("hardwareInterface")]
+        raise XmlError(f"has {len(joints) or 'no'} joints; it needs one, with a name")
+    joint = joints[0].get("name", "")
+    texts = [(child.text or "").strip() for child in joints[0].findall("hardwareInterface")]
     if not any(texts):
-        raise XmlError(f"has no <hardwareInterface> in its joint '{joints[0].get('name')}'")
-    # As in Gazebo, the first counts; the prefix is missing in robots of before ROS Indigo.
+        raise XmlError(f"has no <hardwareInterface> in its joint '{joint}'")
+    # As in Gazebo, the first counts; robots older than ROS Indigo have no prefix.
     interface = next(filter(None, texts))
     name = interface[len(PREFIX) :] if interface.startswith(PREFIX) else interface
     if name not in INTERFACES:
         known = ", ".join(PREFIX + one for one in INTERFACES)
-        raise XmlError(f"has the interface '{interface}', which is none of {known}")
-    return joints[0].get("name", ""), name
+        raise XmlError(f"has the interface '{interface}'; known are {known}")
+    return joint, name

@@ -1,17 +1,16 @@
-"""A PID loop with the gains, clamps and wind-up rules of control_toolbox."""
+"""A PID loop with the gains, clamps and anti-windup of control_toolbox."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Optional
 
-from bullet_lab.simulation.plugins.controllers.parameters import ControlError, ControlParameters
+from bullet_lab.simulation.plugins.controllers.description import ControlError, ControlParameters
 
 
 @dataclass(frozen=True)
 class PidGains:
-    """Gains, and the limits of what the integral may contribute.
+    """Gains, and the limits of the integral's contribution.
 
     With `antiwindup` the integral itself is kept within them, else only its contribution.
     """
@@ -45,28 +44,24 @@ class PidGains:
 
 
 class Pid:
-    """The loop: what to do about an error, again and again."""
+    """A PID loop on an error."""
 
     def __init__(self, gains: PidGains):
         self.gains = gains
         self.reset()
 
     def reset(self) -> None:
-        """Forget what has been."""
+        """Forget the errors so far."""
         self._integral = 0.0
-        # As in control_toolbox, the first step of a loop has a derivative: it begins without error.
-        self._last: float = 0.0
+        # As in control_toolbox, the loop starts at error 0, so its first step has a derivative.
+        self._last = 0.0
 
-    def command(self, error: float, seconds: float, slope: Optional[float] = None) -> float:
-        """Return the command for an error, `seconds` after the last one.
-
-        `slope` is the error's derivative, if somebody knows it. What is not finite gives 0.
-        """
+    def command(self, error: float, seconds: float) -> float:
+        """Return the command for an error, `seconds` after the last one; 0 if it is not finite."""
         if seconds <= 0.0 or not math.isfinite(error):
             return 0.0
-        if slope is None:
-            slope = (error - self._last) / seconds
-            self._last = error
+        slope = (error - self._last) / seconds
+        self._last = error
         gains = self.gains
         self._integral += seconds * error
         if gains.antiwindup and gains.i:

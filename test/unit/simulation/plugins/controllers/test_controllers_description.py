@@ -6,11 +6,11 @@ from control_robots import TRANSMISSION, robot_urdf
 from bullet_lab.simulation.plugins.controllers.description import (
     EFFORT,
     VELOCITY,
+    ControlParameters,
     DescribedJoint,
     JointLimits,
     RobotDescription,
 )
-from bullet_lab.simulation.plugins.controllers.parameters import ControlParameters
 
 JOINT = '<joint name="arm"><hardwareInterface>{}</hardwareInterface></joint>'
 TYPE = "<type>transmission_interface/SimpleTransmission</type>"

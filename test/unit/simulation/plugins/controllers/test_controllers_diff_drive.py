@@ -4,8 +4,8 @@ import pytest
 from control_robots import run, spawn
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.plugins.controllers.description import ControlError
 from bullet_lab.simulation.plugins.controllers.diff_drive import SpeedLimiter
-from bullet_lab.simulation.plugins.controllers.parameters import ControlError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 
 KIND = "diff_drive_controller/DiffDriveController"

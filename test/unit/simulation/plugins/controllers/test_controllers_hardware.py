@@ -19,7 +19,7 @@ def turntable(world, interface, command, parameters=None, **robot):
     controller = run(manager, "turn", type=KINDS[interface], joint="turntable_joint")
     world.run_for(0.01)
     controller.command(JointCommand(command))
-    return manager.hardware.joints["turntable_joint"], controller
+    return manager.joints["turntable_joint"], controller
 
 
 def test_an_effort_turns_as_newton_has_it(world):
@@ -120,5 +120,5 @@ def test_a_transmission_on_no_joint_of_the_model_is_named_and_left_out(world, ca
       <type>transmission_interface/SimpleTransmission</type><actuator name="m"/>
       <joint name="tail"><hardwareInterface>EffortJointInterface</hardwareInterface></joint>
       </transmission></robot>"""
-    assert control_of(robot).configure(urdf, {}).hardware.joints == {}
+    assert control_of(robot).configure(urdf, {}).joints == {}
     assert "'tail' is no movable joint" in caplog.text

@@ -2,8 +2,13 @@ import pytest
 from control_robots import control_of, run, spawn
 
 from bullet_lab.simulation.plugins.controllers.controller import known_controllers
-from bullet_lab.simulation.plugins.controllers.description import EFFORT, POSITION, VELOCITY
-from bullet_lab.simulation.plugins.controllers.parameters import ControlError, ControlParameters
+from bullet_lab.simulation.plugins.controllers.description import (
+    EFFORT,
+    POSITION,
+    VELOCITY,
+    ControlError,
+    ControlParameters,
+)
 from bullet_lab.simulation.plugins.samples import JointCommand, JointCommands
 
 STATES = {"type": "joint_state_controller/JointStateController"}

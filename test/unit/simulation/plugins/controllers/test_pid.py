@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from bullet_lab.simulation.plugins.controllers.parameters import ControlError, ControlParameters
+from bullet_lab.simulation.plugins.controllers.description import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.pid import Pid, PidGains
 
 
@@ -14,10 +14,6 @@ def test_the_first_step_has_all_three_terms():
     pid = Pid(gains(p=2.0, i=3.0, d=0.5, i_clamp=10.0))
     assert pid.command(0.4, 0.1) == pytest.approx(2 * 0.4 + 3 * 0.04 + 0.5 * 4.0)
     assert pid.command(0.3, 0.1) == pytest.approx(2 * 0.3 + 3 * 0.07 - 0.5 * 1.0)
-
-
-def test_a_slope_that_is_known_is_taken_instead_of_the_difference():
-    assert Pid(gains(p=1.0, d=2.0)).command(1.0, 0.1, slope=-3.0) == pytest.approx(1.0 - 6.0)
 
 
 def test_without_a_clamp_the_integral_contributes_nothing():

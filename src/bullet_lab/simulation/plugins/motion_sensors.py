@@ -1,4 +1,8 @@
-"""libgazebo_ros_imu.so and libgazebo_ros_imu_sensor.so: an inertial measurement unit."""
+"""Sensors of motion: inertial units, the true pose of a link, and the states of joints.
+
+libgazebo_ros_imu.so, libgazebo_ros_imu_sensor.so, libgazebo_ros_p3d.so and
+libgazebo_ros_joint_state_publisher.so.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +12,21 @@ from typing import ClassVar, Deque, Optional, Tuple
 
 import numpy as np
 
-from bullet_lab.core.pose import Pose, Quaternion, Vector, subtract
+from bullet_lab.core.pose import Pose, Quaternion, Vector, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
-from bullet_lab.simulation.plugins.plugin import Mount, Output, Plugin, SensorTag, slower_of
-from bullet_lab.simulation.plugins.samples import ImuSample
+from bullet_lab.simulation.plugins.plugin import (
+    Mount,
+    Output,
+    Plugin,
+    PluginError,
+    SensorTag,
+    slower_of,
+)
+from bullet_lab.simulation.plugins.samples import ImuSample, JointSample, MotionSample
 
-# Steps over which accelerations are averaged at least.
+WORLD_FRAMES = ("world", "/world", "map", "/map")
+# Least number of steps over which accelerations are averaged.
 AVERAGING = 10
 AXES = ("x", "y", "z")
 
@@ -22,17 +34,17 @@ AXES = ("x", "y", "z")
 class Accelerometer:
     """Mean acceleration of a point, from its velocities.
 
-    Bullet's contacts carry a body in small pushes, and each would show as m/s². So this is the
-    mean since the last reading, over 10 ms at least. Readings up to 100 Hz then add up to exactly
-    the change of velocity, as those of a strapdown unit do; faster ones overlap, as if behind a
-    low-pass filter with its first zero at 100 Hz, which is about what such chips have.
+    Bullet's contacts carry a body in small pushes, and each would appear as an acceleration. So
+    this is the mean since the last reading, over 10 ms at least. Readings up to 100 Hz then add
+    up to exactly the change of velocity, as those of a strapdown unit do. Faster ones overlap, as
+    behind a low-pass filter with its first zero at 100 Hz, which real chips also have.
     """
 
     def __init__(self) -> None:
         self._past: Deque[Tuple[int, Vector]] = deque()
 
     def restart(self, step: int, velocity: Vector) -> None:
-        """Begin with a velocity in m/s."""
+        """Start with a velocity in m/s."""
         self._past.clear()
         self._past.append((step, velocity))
 
@@ -50,7 +62,7 @@ class Accelerometer:
 
 
 class AxisNoise:
-    """Noise of three axes as SDF's `<imu>` has it: gaussian with a mean, and a constant bias.
+    """Noise of three axes by SDF's `<imu>`: gaussian with a mean, and a constant bias.
 
     `quantity` is "angular_velocity" or "linear_acceleration".
     """
@@ -75,12 +87,12 @@ class AxisNoise:
 
 
 class InertialUnit(Plugin):
-    """What the two plugins have in common.
+    """The base of the two inertial units.
 
-    Reports the orientation in the world (REP 145), the angular velocity and what accelerates in
-    the sensor's own axes: the specific force (+9.8 m/s² along z at rest), or what changes the
-    velocity (0 at rest) where `feels_gravity` is false. Frames have no prefix. gaussianNoise is
-    the deviation of each component: in rad/s, in m/s², and in rad as a small turn of the
+    It reports the orientation in the world (REP 145), and in the sensor's axes the angular
+    velocity and the specific force (+9.8 m/s² along z at rest). With `feels_gravity` false, it
+    reports the acceleration instead (0 at rest). Frames have no prefix. gaussianNoise is the
+    standard deviation of each component: in rad/s, in m/s², and in rad as a small turn of the
     orientation.
     """
 
@@ -144,13 +156,13 @@ class InertialUnit(Plugin):
 
 
 class Imu(InertialUnit):
-    """The plugin of a model, which names the link that it sits on.
+    """The plugin of a model, which names its link.
 
-    As in Gazebo it feels no gravity. There, rates and accelerations are turned by the orientation
-    the wrong way round; here they are what the sensor's axes see. Nothing happens by the service.
+    As in Gazebo it feels no gravity. Gazebo turns rates and accelerations the wrong way round by
+    the orientation; here they are in the sensor's axes. The service does nothing.
 
     Attributes:
-        service: name of that to calibrate it, which it need not be.
+        service: name of the service for calibration.
     """
 
     filenames = ("libgazebo_ros_imu.so",)
@@ -193,3 +205,82 @@ def _turned(quaternion: Quaternion, turn: np.ndarray) -> Quaternion:
     x, y, z = (math.sin(0.5 * angle) / angle * turn).tolist()
     small = Pose(quaternion=(x, y, z, math.cos(0.5 * angle)))
     return (Pose(quaternion=quaternion) * small).quaternion
+
+
+class TruePose(Plugin):
+    """Reports the true pose and velocity of a link as odometry (p3d).
+
+    As in Gazebo, the velocity is along the axes of frameName, not of the link. xyzOffset and
+    rpyOffset move the reported pose within frameName, but not the point whose velocity is
+    reported. gaussianNoise, the standard deviation in m/s and rad/s, is on the velocity alone,
+    and its square is in both covariances.
+    """
+
+    filenames = ("libgazebo_ros_p3d.so",)
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        body, topic = mount.required("bodyName"), mount.required("topicName")
+        self._child = mount.frame(body)
+        self._place = mount.attached(body)
+        frame = mount.text("frameName", WORLD_FRAMES[0])
+        self._frame = mount.frame(frame)
+        self._reference = None if frame in WORLD_FRAMES else mount.attached(frame)
+        self._offset = mount.offset()
+        self._deviation = mount.coefficient("gaussianNoise", 0.0)
+        self._noise = mount.noise()
+        self.odometry = Output(mount.topic(topic), MotionSample)
+        self.outputs = (self.odometry,)
+        self.schedule = mount.schedule("updateRate", 0.0)
+
+    def produce(self, step: int) -> None:
+        if not self.odometry.wanted:
+            return
+        pose, linear, angular = self._motion()
+        shifted = add(pose.position, self._offset.position)
+        moved = Pose(shifted, (self._offset * pose).quaternion)
+        if self._deviation:
+            errors = self._noise.at(step).normal(0.0, self._deviation, 6).tolist()
+            linear, angular = add(linear, errors[:3]), add(angular, errors[3:])
+        frames, variance = (self._frame, self._child), self._deviation * self._deviation
+        self.odometry.send(MotionSample(step, *frames, moved, linear, angular, variance))
+
+    def _motion(self) -> Tuple[Pose, Vector, Vector]:
+        """Return pose, linear and angular velocity in the frame of reference."""
+        pose, (linear, angular) = self._place.pose(), self._place.velocity()
+        if self._reference is None:
+            return pose, linear, angular
+        frame, (base, spin) = self._reference.pose(), self._reference.velocity()
+        # The velocity of the frame of reference at the place of the link: base + spin x arm.
+        carried = add(base, cross(spin, subtract(pose.position, frame.position)))
+        into = Pose(quaternion=frame.inverse().quaternion)
+        moves = (into.rotate(subtract(linear, carried)), into.rotate(subtract(angular, spin)))
+        return (frame.inverse() * pose, *moves)
+
+
+class JointStates(Plugin):
+    """Reports positions and velocities of joints."""
+
+    filenames = ("libgazebo_ros_joint_state_publisher.so",)
+    named_by_model = (True, True)
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        self._body = mount.body
+        known = self._body.joint_names
+        listed = [name.strip() for name in mount.text("jointName").split(",")]
+        self._names = tuple(name for name in listed if name) or known
+        missing = [name for name in self._names if name not in known]
+        if missing:
+            raise PluginError(f"{mount.where('jointName')}: no movable joint '{missing[0]}'")
+        self.states = Output(mount.topic("joint_states"), JointSample)
+        self.outputs = (self.states,)
+        self.schedule = mount.schedule("updateRate", 100.0)
+
+    def produce(self, step: int) -> None:
+        if not self._names or not self.states.wanted:
+            return
+        states = [self._body.joint_state(name) for name in self._names]
+        positions, velocities = zip(*((state.position, state.velocity) for state in states))
+        # Without efforts, as in Gazebo.
+        self.states.send(JointSample(step, self._names, positions, velocities))
