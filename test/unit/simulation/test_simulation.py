@@ -374,5 +374,18 @@ def test_a_model_that_is_no_longer_finite_is_named_and_reset_and_harms_no_other(
     assert np.array(after) == pytest.approx(np.array(before), abs=0.02)
 
 
+def test_a_model_alone_that_is_no_longer_finite_leaves_the_floor_whole():
+    with Simulation.of(EMPTY_WORLD) as simulation:
+        lost = simulation.add(thing("lost", pose=Pose((0.0, 0.0, 0.5))))
+        simulation.run_for(0.5)
+        bodies_of(lost)[0].set_velocity((math.nan, 0.0, 0.0), (0.0, 0.0, 0.0))
+        with complains("model 'lost': its pose is no longer finite"):
+            simulation.run_for(0.5)
+        later = simulation.add(thing("later", pose=Pose((8.0, 0.0, 0.5))))
+        simulation.run_for(1.0)
+        for one in (lost, later):
+            assert bodies_of(one)[0].pose().position[2] == pytest.approx(0.1, abs=0.02)
+
+
 def bodies_of(instance):
     return list(instance.bodies.values())
