@@ -67,8 +67,13 @@ def files_of(walk: Walk, folder: Path) -> Dict[str, Set[str]]:
 def main() -> None:
     """Print the files of each walk and their number."""
     parser = argparse.ArgumentParser(prog="house.sh walk", description=__doc__.splitlines()[0])
-    parser.add_argument("walks", nargs="*", choices=[[], *WALKS], default=list(WALKS))
-    for name in parser.parse_args().walks:
+    # argparse checks an empty list against choices, too.
+    parser.add_argument("walks", nargs="*", metavar="|".join(WALKS))
+    wanted = parser.parse_args().walks or list(WALKS)
+    unknown = sorted(set(wanted) - set(WALKS))
+    if unknown:
+        parser.error(f"{unknown[0]!r} is not one of {', '.join(WALKS)}")
+    for name in wanted:
         with tempfile.TemporaryDirectory() as folder:
             found = files_of(WALKS[name], Path(folder))
         for executable, files in found.items():
