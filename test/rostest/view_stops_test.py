@@ -5,7 +5,9 @@ import signal
 import sys
 import time
 import unittest
+from pathlib import Path
 
+import rospkg
 import rospy
 import rostest
 from geometry_msgs.msg import Twist
@@ -69,6 +71,12 @@ class ViewStopsTest(unittest.TestCase):
         """Check that it stands, no farther from there than it drives in the time allowed."""
         wait_for(lambda: abs(self.speed()) < 1e-3, "the robot to stand")
         self.assertLess(abs(self.place()[0] - before[0]), LATEST * SPEED)
+
+    def test_the_url_is_in_no_log(self):
+        token = self.url.rstrip("/").rsplit("/", 1)[1]
+        logs = list(Path(rospkg.get_log_dir()).rglob("*.log*"))
+        self.assertTrue([path for path in logs if "view" in path.name], logs)
+        self.assertFalse([path for path in logs if token in path.read_text(errors="replace")])
 
     def test_a_silent_link(self):
         with self.looker.driver() as driver:

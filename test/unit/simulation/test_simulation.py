@@ -387,5 +387,15 @@ def test_a_model_alone_that_is_no_longer_finite_leaves_the_floor_whole():
             assert bodies_of(one)[0].pose().position[2] == pytest.approx(0.1, abs=0.02)
 
 
+def test_resets_again_and_again_are_warned_of_once_a_second(caplog, monkeypatch):
+    monkeypatch.setattr(time, "monotonic", lambda: 7.0)
+    with Simulation.of(EMPTY_WORLD) as simulation:
+        lost = simulation.add(thing("lost", pose=Pose((0.0, 0.0, 0.5))))
+        for _ in range(5):
+            bodies_of(lost)[0].set_velocity((math.nan, 0.0, 0.0), (0.0, 0.0, 0.0))
+            simulation.run_for(0.02)
+    assert caplog.text.count("model 'lost': its pose is no longer finite") == 1
+
+
 def bodies_of(instance):
     return list(instance.bodies.values())
