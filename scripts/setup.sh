@@ -351,6 +351,10 @@ step_build() {
   if ! grep -qsxF "CMAKE_HOME_DIRECTORY:INTERNAL=$LAB_WS/src" "$LAB_WS/build/CMakeCache.txt"; then
     rm -rf "$LAB_WS/build" "$LAB_WS/devel"
   fi
+  # catkin keeps the relays of executables that have moved, and rosrun would run them.
+  for name in "$LAB_WS"/devel/lib/bullet_lab/*; do
+    [[ -e $LAB_ROOT/scripts/$(basename "$name") ]] || rm -f "$name"
+  done
   run_quietly "$title" "$log" build_workspace
 }
 

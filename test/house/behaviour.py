@@ -25,6 +25,7 @@ from bullet_lab.ros.launcher.jobs import find_jobs
 from bullet_lab.simulation.plugins import known_plugins
 
 PACKAGE = Path(__file__).resolve().parents[2]
+CONTRACT = PACKAGE / "test" / "contract"
 
 
 def jobs() -> Iterator[str]:
@@ -36,7 +37,8 @@ def jobs() -> Iterator[str]:
 
 def executables() -> Iterator[str]:
     """Yield each executable's parameters with their defaults and what is allowed."""
-    for script in sorted((PACKAGE / "scripts").glob("*.py")):
+    sys.path.insert(0, str(CONTRACT))
+    for script in sorted([*(PACKAGE / "scripts").glob("*.py"), CONTRACT / "gazebo_contract.py"]):
         yield f"executable {script.name}"
         module = runpy.run_path(str(script))["MAIN"].partition(":")[0]
         kinds = vars(importlib.import_module(module)).values()
@@ -60,7 +62,7 @@ def types() -> Iterator[str]:
 
 def contract() -> Iterator[str]:
     """Yield the rows of the contract, and the files of plugins that are simulated."""
-    for path in sorted((PACKAGE / "config" / "contract").glob("*.yaml")):
+    for path in sorted((CONTRACT / "rows").glob("*.yaml")):
         content = yaml.safe_load(path.read_text())
         for row in content.get("rows", ()) if isinstance(content, dict) else ():
             yield f"contract {path.stem}: {row.get('name') or row}"

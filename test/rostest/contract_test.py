@@ -14,11 +14,13 @@ import rospy
 import rostest
 from lab_testing import PACKAGE, Master, Node, wait_for
 
-from bullet_lab.ros.contract.rows import read_contract
-from bullet_lab.ros.contract.run import FAILED, PASSED, ContractRun
-from bullet_lab.ros.contract.simulator import Simulator
+sys.path.insert(0, str(PACKAGE / "test" / "contract"))
+from contract_rows import read_contract  # noqa: E402
+from contract_run import FAILED, PASSED, ContractRun  # noqa: E402
+from contract_simulator import Simulator  # noqa: E402
 
 HERE = PACKAGE / "test" / "rostest"
+PROGRAM = PACKAGE / "test" / "contract" / "gazebo_contract.py"
 # All of the contract, with a simulator that is up; wall seconds.
 LONGEST = 60.0
 
@@ -80,7 +82,7 @@ class BridgeContractTest(unittest.TestCase):
         junit = Path(folder.name) / "contract.xml"
         start = time.monotonic()
         run = subprocess.run(
-            [sys.executable, str(PACKAGE / "scripts/gazebo_contract.py"), "--junit", str(junit)],
+            [sys.executable, str(PROGRAM), "--junit", str(junit)],
             env=dict(os.environ, ROS_MASTER_URI=master.uri),
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

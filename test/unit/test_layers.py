@@ -27,7 +27,6 @@ ROOMS = (
     "ros.node",
     "ros.bridge",
     "ros.gazebo",
-    "ros.contract",
     "ros.nodes",
     "ros.view",
     "ros.record",

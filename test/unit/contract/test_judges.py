@@ -3,10 +3,9 @@
 from types import SimpleNamespace
 
 import pytest
+from contract_judges import JUDGES, Evidence, Heard, Scene, judge
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
-
-from bullet_lab.ros.contract.judges import JUDGES, Evidence, Heard, Scene, judge
 
 MD5 = Odometry._md5sum
 TYPES = {"nav_msgs/Odometry": MD5, "std_srvs/Empty": "d41d8cd98f00b204e9800998ecf8427e"}

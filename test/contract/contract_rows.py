@@ -1,4 +1,4 @@
-"""The rows of the contract, as the YAML files in config/contract hold them.
+"""The rows of the contract, as the YAML files in rows/ hold them.
 
 Each file is a chapter. Its `source` is the file of gazebo_ros_pkgs that the rows quote, its
 `probes` are models that are spawned, and its `rows` are expectations. A row has a `name`, the
@@ -18,10 +18,10 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Type, Ty
 from xml.sax.saxutils import escape, quoteattr
 
 import yaml
+from contract_judges import JUDGES
 from rosgraph.names import ns_join
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.contract.judges import JUDGES
 
 COMMIT = "f9e1a4607842afa5888ef01de31cd64a1e3e297f"
 """The commit of ros-simulation/gazebo_ros_pkgs, branch noetic-devel, that all lines refer to."""
@@ -47,7 +47,7 @@ class Probe:
 
     Attributes:
         name: name of the model, without PREFIX.
-        robot: its file in config/contract/probes.
+        robot: its file in rows/probes.
         plugin: file name of its plugin.
         tags: tags of the plugin.
         fill: other values for the placeholders of the robot's file.

@@ -14,12 +14,12 @@ import rosgraph
 import roslib.message
 import rospy
 import rosservice
+from contract_judges import Evidence, Heard
 from rosgraph.names import ns_join
 from rosgraph_msgs.msg import Clock
 from tf2_msgs.msg import TFMessage
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.contract.judges import Evidence, Heard
 
 CALLER = "/gazebo_contract"
 ANSWER_SECONDS = 20.0

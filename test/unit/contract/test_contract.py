@@ -5,9 +5,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-
-from bullet_lab.ros.contract.judges import JUDGES
-from bullet_lab.ros.contract.program import (
+from contract_judges import JUDGES
+from contract_program import (
     ContractParameters,
     deviations_table,
     listing,
@@ -15,8 +14,8 @@ from bullet_lab.ros.contract.program import (
     table,
     write_junit,
 )
-from bullet_lab.ros.contract.rows import ContractError, Deviation, Row, read_contract
-from bullet_lab.ros.contract.run import (
+from contract_rows import ContractError, Deviation, Row, read_contract
+from contract_run import (
     DEVIATES,
     FAILED,
     PASSED,
@@ -25,10 +24,11 @@ from bullet_lab.ros.contract.run import (
     places,
     verdict,
 )
+
 from bullet_lab.simulation.plugins import known_plugins
 
-ROOT = Path(__file__).resolve().parents[4]
-FOLDER = ROOT / "config" / "contract"
+ROOT = Path(__file__).resolve().parents[3]
+FOLDER = ROOT / "test" / "contract" / "rows"
 CONTRACT = read_contract(FOLDER)
 PROBES = [probe for chapter in CONTRACT.chapters for probe in chapter.probes.values()]
 SOURCE = re.compile(r"gazebo_(ros|plugins|ros_control)/[\w/]+\.(cpp|h):\d+(,\d+)*")

@@ -19,19 +19,18 @@ from typing import Dict, Iterable, List, Mapping, Sequence
 from xml.etree import ElementTree
 
 import rospy
+from contract_rows import COMMIT, Contract, Deviation, Row, read_contract
+from contract_run import DEVIATES, FAILED, PASSED, ContractRun, Verdict
+from contract_simulator import Simulator
 
 from bullet_lab.core import parameters
 from bullet_lab.core.files import replace_file
 from bullet_lab.core.parameters import ArgumentParser, ArgumentsError, add_options, read_options
 from bullet_lab.errors import LabError
-from bullet_lab.ros.contract.rows import COMMIT, Contract, Deviation, Row, read_contract
-from bullet_lab.ros.contract.run import DEVIATES, FAILED, PASSED, ContractRun, Verdict
-from bullet_lab.ros.contract.simulator import Simulator
 from bullet_lab.ros.node.node import STATUS_BAD_PARAMETER, NodeError, run_node
-from bullet_lab.simulation.world.resources import ResourceFinder
 
 NAME = "gazebo_contract"
-FILES = "package://bullet_lab/config/contract/services.yaml"
+ROWS = Path(__file__).resolve().parent / "rows"
 BRIDGE = "/bullet_lab/step"
 """A service that only this package's bridge offers."""
 
@@ -56,8 +55,7 @@ def main() -> None:
     """Run the program: status 0 if all rows hold, 1 if one fails, 2 for wrong options."""
     try:
         options = read_command(rospy.myargv(sys.argv)[1:])
-        folder = options.contract or ResourceFinder.anywhere().find(FILES).parent
-        contract = read_contract(Path(folder))
+        contract = read_contract(Path(options.contract) if options.contract else ROWS)
         rows = [row for row in contract.rows if options.only in row.name]
         if not rows:
             raise ArgumentsError(f"no row has '{options.only}' in its name; --list shows all")

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import rospy
+from contract_judges import Evidence, Scene, judge
+from contract_rows import PREFIX, Contract, Deviation, Probe, Row
+from contract_simulator import CallError, Simulator, SimulatorError
 from rosgraph.names import namespace, ns_join
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.contract.judges import Evidence, Scene, judge
-from bullet_lab.ros.contract.rows import PREFIX, Contract, Deviation, Probe, Row
-from bullet_lab.ros.contract.simulator import CallError, Simulator, SimulatorError
 
 Place = Tuple[float, float, float]
 Rows = List[Tuple[Row, Optional[Probe]]]

@@ -1,1 +1,0 @@
-"""The contract: does a simulator keep the promises of Gazebo's ROS interface?"""
