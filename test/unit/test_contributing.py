@@ -1,21 +1,34 @@
 """The worked examples of CONTRIBUTING.md work."""
 
 import re
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from std_msgs.msg import Header
 
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.odometry_noise import MODELS, rule_of
 from bullet_lab.reports import Reading
 from bullet_lab.simulation.plugins import plugin
+from bullet_lab.simulation.plugins.controllers import controller
 from bullet_lab.simulation.world.sdf import read_model_text
 from bullet_lab.studies.noise_study.study import StudySettings, run_study
+from bullet_lab.vision import features
+
+sys.path.insert(0, str(Path(__file__).parent / "simulation" / "plugins" / "controllers"))
+import control_robots  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
-PLUGIN, REPORT, MODEL = re.findall(
-    r"```python\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), flags=re.DOTALL
+# The code of each file, by its name in the line above it.
+FILES = dict(
+    re.findall(
+        r"`src/bullet_lab/([\w/]+)\.py`\n\n```python\n(.*?)```",
+        (ROOT / "CONTRIBUTING.md").read_text(),
+        flags=re.DOTALL,
+    )
 )
 MAST = """
 <sdf version="1.6"><model name="mast"><pose>0 0 1.5 0 0 0</pose><static>true</static>
@@ -23,21 +36,22 @@ MAST = """
 """
 
 
-def named(text, name):
-    """Return what a block of code calls by a name; run as a module of its own."""
+def named(file, name):
+    """Run a file of CONTRIBUTING.md, and return what has a name there."""
     space = {"__name__": "contributed"}
-    exec(text, space)
+    exec(FILES[file], space)
     return space[name]
 
 
 @pytest.fixture
 def forgotten(monkeypatch):
-    """Plugins that a test makes known are unknown afterwards."""
+    """Plugins and controllers that a test makes known are unknown afterwards."""
     monkeypatch.setattr(plugin, "_KINDS", dict(plugin._KINDS))
+    monkeypatch.setattr(controller, "_KINDS", dict(controller._KINDS))
 
 
 def test_the_plugin_measures(world, forgotten):
-    named(PLUGIN, "Altimeter")
+    named("simulation/plugins/altimeter", "Altimeter")
     robot = world.add(read_model_text(MAST, "mast"))
     heights = []
     robot.listen("height", heights.append)
@@ -46,8 +60,36 @@ def test_the_plugin_measures(world, forgotten):
     assert heights[-1].range == pytest.approx(1.5)
 
 
+def test_the_controller_brakes(world, forgotten):
+    named("simulation/plugins/controllers/brake", "JointBrake")
+    _, manager = control_robots.spawn(world)
+    settings = {"type": "my_controllers/JointBrake", "joint": "turntable_joint", "damping": 0.05}
+    control_robots.run(manager, "brake", **settings)
+    joint = manager.joints["turntable_joint"]
+    world.run_for(0.1)
+    assert joint.velocity == pytest.approx(0.0, abs=1e-3)
+    joint.body.set_joint("turntable_joint", 0.0, 2.0)
+    world.run_for(0.01)
+    assert joint.command == pytest.approx(-0.05 * joint.velocity)
+    assert 0.0 < joint.velocity < 2.0
+
+
+def test_the_detector_finds_spots(monkeypatch):
+    monkeypatch.setattr(features, "bright_spots", named("vision/features", "bright_spots"), False)
+    node = object.__new__(named("ros/nodes/bright_spots", "BrightSpots"))
+    node.parameters = named("ros/nodes/bright_spots", "SpotParameters")(least=100)
+    sent = {}
+    node.publish = sent.__setitem__
+    grey = np.zeros((20, 30), np.uint8)
+    grey[4:7, 10:15] = 120
+    figures = node.process(SimpleNamespace(grey=grey, header=Header()))
+    assert figures == {"spots": 1}
+    (point,) = sent["points"].points
+    assert (point.x, point.y, point.z) == (12.0, 5.0, 15.0)
+
+
 def test_the_report_leaves_its_files(tmp_path):
-    report = named(REPORT, "ShakeReport")(tmp_path)
+    report = named("reports/shake", "ShakeReport")(tmp_path)
     for step in range(10):
         report.take("imu", Reading(step * 10**7, (0.0, 0.0, 9.8, 0.0, 0.0, 0.1)))
     assert report.summary(True, {"seed": 1}) == {"finished": True, "readings": 10, "seed": 1}
@@ -64,7 +106,7 @@ def slip(monkeypatch):
 
 
 def test_the_noise_model_is_studied(slip, tmp_path):
-    named(MODEL, "SlipRule")
+    named("noise/odometry_noise", "SlipRule")
     assert rule_of("slip", {"slip": 0.5}).slip == 0.5
     assert "slip" in MODELS
     way = np.column_stack([np.linspace(0.0, 2.0, 50), np.zeros(50), np.zeros(50)])
