@@ -353,7 +353,7 @@ step_build() {
   fi
   # catkin keeps the relays of executables that have moved, and rosrun would run them.
   for name in "$LAB_WS"/devel/lib/bullet_lab/*; do
-    [[ -e $LAB_ROOT/scripts/$(basename "$name") ]] || rm -f "$name"
+    [[ -e $LAB_ROOT/scripts/${name##*/} || -e $LAB_ROOT/test/contract/${name##*/} ]] || rm -f "$name"
   done
   run_quietly "$title" "$log" build_workspace
 }
