@@ -1,16 +1,20 @@
 #!/usr/bin/env bash
 # Installs and builds what is missing; ends at once if nothing is missing.
 #
-# Usage: scripts/setup.sh [--no-build] [--with rviz] [--with test] [--with course] [--with browser]
+# Usage: scripts/setup.sh [--no-build] [--with rviz|test|course|browser|catkin] …
+#        scripts/setup.sh --renew-lock
 #
 # --no-build: you build the package yourself, in your own catkin workspace.
+# --renew-lock: take the newest versions that requirements*.txt allow into requirements*.lock.
 # Debian packages are installed by apt-get (with sudo unless you are root), Python packages into
-# build/venv; the catkin workspace is built in build/ws. If /opt/ros/noetic exists, it is used
-# instead of Debian's ROS. Logs are in build/log.
+# build/venv; build/ws is a catkin workspace that was made without a compiler. If /opt/ros/noetic
+# exists, it is used instead of Debian's ROS. Logs are in build/log.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
 source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
+
+UV=$LAB_DIR/uv/bin/uv
 
 say() { printf 'setup: %s\n' "$*" >&2; }
 
@@ -27,42 +31,53 @@ debian_packages() {
     return
   fi
   case $1 in
+    # What a program needs to be installed beside the other packages.
+    first) echo ca-certificates python3 python3-venv ;;
     base)
-      echo ca-certificates g++ make cmake python3 python3-venv catkin ros-core rosbash \
-        python3-roslaunch python3-rosmaster python3-rospy \
-        ros-message-generation ros-message-runtime \
-        python3-actionlib python3-actionlib-msgs python3-cv-bridge python3-diagnostic-msgs \
-        python3-geometry-msgs python3-message-filters python3-move-base-msgs python3-nav-msgs \
-        python3-rosgraph-msgs python3-sensor-msgs python3-std-msgs python3-std-srvs python3-tf2-msgs python3-tf2-ros python3-visualization-msgs \
-        python3-dynamic-reconfigure python3-trajectory-msgs libtrajectory-msgs-dev \
-        libactionlib-msgs-dev libdiagnostic-msgs-dev \
-        libgeometry-msgs-dev libnav-msgs-dev libsensor-msgs-dev libstd-msgs-dev \
-        libstd-srvs-dev libtf2-ros-dev libvisualization-msgs-dev libroscpp-dev \
-        ros-actionlib-msgs ros-diagnostic-msgs ros-geometry-msgs ros-move-base-msgs ros-nav-msgs \
-        ros-rosgraph-msgs ros-sensor-msgs ros-std-msgs ros-std-srvs ros-tf2-msgs ros-trajectory-msgs ros-visualization-msgs \
-        ros-robot-state-publisher libegl1 libgl1 libgl1-mesa-dri \
-        joint-state-publisher tf-tools libnodeletlib-tools topic-tools
+      echo rosbash rosout topic-tools joint-state-publisher ros-robot-state-publisher \
+        python3-rosbag python3-rosgraph python3-roslaunch python3-rosmaster python3-rosmsg \
+        python3-rosnode python3-rosparam python3-rospy python3-rosservice python3-rostopic \
+        python3-actionlib python3-dynamic-reconfigure python3-genpy python3-message-filters \
+        python3-tf2-ros libegl1 libgl1 libgl1-mesa-dri
+      # Types in Python, and their definitions.
+      printf 'python3-%s\nros-%s\n' {actionlib,diagnostic,geometry,move-base,nav}-msgs{,} \
+        {rosgraph,sensor,std,tf2,trajectory,visualization}-msgs{,} std-srvs{,}
+      ;;
+    catkin)
+      echo g++ make cmake catkin ros-message-generation ros-message-runtime libroscpp-dev \
+        lib{actionlib,diagnostic,geometry,nav,sensor,std,trajectory,visualization}-msgs-dev \
+        libstd-srvs-dev libtf2-ros-dev
       ;;
     rviz) echo rviz xvfb ;;
-    test) echo shellcheck python3-rostest iproute2 sdformat-sdf libxml2-utils xvfb ;;
+    test) echo shellcheck python3-rostest iproute2 libxml2-utils xvfb "$(if_known sdformat-sdf)" ;;
     # Scripts of courses import these; Debian's OpenCV has windows and the old marker functions.
     course)
       echo python3-opencv python3-tf python3-tf-conversions python3-tf2-geometry-msgs \
-        python3-image-geometry python3-matplotlib python3-tk
+        python3-image-geometry python3-matplotlib python3-tk python3-cv-bridge \
+        tf-tools libnodeletlib-tools
       ;;
     browser) echo chromium ;;
   esac
 }
 
+# Prints a package's name if this Debian has it.
+if_known() { ! apt-cache show "$1" >/dev/null 2>&1 || echo "$1"; }
+
 noetic_packages() {
   local name names=()
   case $1 in
     base)
-      names=(actionlib actionlib-msgs catkin control-msgs controller-manager-msgs cv-bridge diagnostic-msgs dynamic-reconfigure gazebo-msgs geometry-msgs
-        joint-state-publisher message-filters message-generation message-runtime move-base-msgs nav-msgs nodelet
-        robot-state-publisher rosbag rosbash
-        rosgraph-msgs roslaunch rosmaster rospy sensor-msgs std-msgs std-srvs tf tf2-msgs tf2-ros topic-tools trajectory-msgs visualization-msgs)
-      echo ca-certificates g++ make cmake python3 python3-venv libegl1 libgl1 libgl1-mesa-dri
+      names=(actionlib actionlib-msgs control-msgs controller-manager-msgs diagnostic-msgs
+        dynamic-reconfigure gazebo-msgs genpy geometry-msgs joint-state-publisher message-filters
+        move-base-msgs nav-msgs nodelet robot-state-publisher rosbag rosbash rosgraph-msgs roslaunch
+        rosmaster rosmsg rosnode rosout rosparam rospy rosservice rostopic sensor-msgs std-msgs
+        std-srvs tf tf2-msgs tf2-ros topic-tools trajectory-msgs visualization-msgs)
+      echo libegl1 libgl1 libgl1-mesa-dri
+      ;;
+    first) echo ca-certificates python3 python3-venv ;;
+    catkin)
+      names=(catkin message-generation message-runtime)
+      echo g++ make cmake
       ;;
     rviz)
       names=(rviz)
@@ -73,7 +88,7 @@ noetic_packages() {
       echo shellcheck iproute2 sdformat-sdf libxml2-utils xvfb
       ;;
     course)
-      names=(tf tf-conversions tf2-geometry-msgs image-geometry)
+      names=(cv-bridge tf tf-conversions tf2-geometry-msgs image-geometry)
       echo python3-opencv python3-matplotlib python3-tk
       ;;
   esac
@@ -91,13 +106,14 @@ inputs_of() {
     debian-*) debian_packages "${1#debian-}" ;;
     python-base)
       readlink -f /usr/bin/python3
-      cat "$LAB_ROOT/requirements.txt"
+      cat "$LAB_ROOT/requirements.lock"
       echo "$OWN_TOOLKITS"
       ;;
-    python-*) cat "$LAB_ROOT/requirements.txt" "$LAB_ROOT/requirements-${1#python-}.txt" ;;
-    build)
+    python-*) cat "$LAB_ROOT/requirements.lock" "$LAB_ROOT/requirements-${1#python-}.lock" ;;
+    build | catkin)
       package_entries
       ls "$LAB_ROOT"/{scripts/*.py,launch/*.launch}
+      cat "$LAB_ROOT/scripts/setup/workspace.py"
       cat "$LAB_ROOT"/{CMakeLists.txt,package.xml,setup.py} "$LAB_ROOT"/{action,msg,srv}/*
       for name in $(stand_ins); do
         ls "$LAB_ROOT/stand_ins/$name"/*
@@ -114,7 +130,7 @@ is_done() {
   case $1 in
     debian-course) has_packages "$1" && [[ -x $LAB_COURSE/python ]] || return 1 ;;
     debian-*) has_packages "$1" || return 1 ;;
-    python-*) [[ -x $LAB_VENV/bin/python ]] && are_all_there "$stamp.system" || return 1 ;;
+    python-*) [[ -x $LAB_VENV/bin/python ]] || return 1 ;;
     build) [[ -e $LAB_WS/devel/setup.bash ]] || return 1 ;;
   esac
   [[ -e $stamp && $(<"$stamp") == "$(checksum_of "$1")" ]]
@@ -128,18 +144,17 @@ has_packages() {
   [[ -z $(missing_of "${packages[@]}") ]]
 }
 
-# are_all_there FILE: whether all paths in a file exist, one per line.
-are_all_there() { xargs -r -d '\n' ls -d <"$1"; } >/dev/null 2>&1
-
 mark_done() { checksum_of "$1" >"$LAB_DIR/stamp/$1"; }
 
 describe() {
   case $1 in
+    debian-first) echo "Debian packages for Python" ;;
     debian-base) echo "Debian packages" ;;
     debian-*) echo "Debian packages for ${1#debian-}" ;;
     python-base) echo "virtual environment" ;;
     python-*) echo "Python packages for ${1#python-}" ;;
-    build) echo "catkin build" ;;
+    build) echo "messages and workspace" ;;
+    catkin) echo "catkin build" ;;
   esac
 }
 
@@ -235,9 +250,23 @@ step_debian() {
 
 # ---- Python packages ----
 
-pip_install() {
-  PIP_USER=0 "$LAB_VENV/bin/python" -m pip install --disable-pip-version-check --no-input \
-    --no-color --progress-bar off "$@"
+# uv installs them in a tenth of pip's time, and its cache serves all clones of a user.
+get_uv() {
+  local pip=(/usr/share/python-wheels/pip-*.whl)
+  [[ ! -x $UV ]] || return 0
+  PYTHONPATH=${pip[0]} PIP_CONFIG_FILE=${PIP_CONFIG_FILE-} /usr/bin/python3 -m pip install \
+    --disable-pip-version-check --no-input --no-color --progress-bar off --quiet \
+    --only-binary :all: --target "$LAB_DIR/uv" uv
+}
+
+# python_install OPTION…: install packages into the virtual environment, by uv or else by pip.
+python_install() {
+  if [[ -x $UV ]]; then
+    UV_NATIVE_TLS=1 "$UV" --no-progress pip install --python "$LAB_VENV" --no-config "$@"
+  else
+    PIP_USER=0 "$LAB_VENV/bin/python" -m pip install --disable-pip-version-check --no-input \
+      --no-color --progress-bar off "$@"
+  fi
 }
 
 # Debian's matplotlib, if it is installed, puts its mpl_toolkits before the ones in build/venv,
@@ -254,54 +283,49 @@ put_own_toolkits_first() {
 
 # ROS's modules are in the system's packages. An old pip does not know newer kinds of wheels.
 create_venv() {
-  /usr/bin/python3 -m venv --system-site-packages "$LAB_VENV" \
-    && pip_install 'pip>=21' \
-    && pip_install -r "$LAB_ROOT/requirements.txt" \
-    && put_own_toolkits_first
-}
-
-# Prints the metadata folders of the system's Python packages that ours require.
-SYSTEM_PACKAGES='
-import re, sys
-from importlib.metadata import distributions
-
-def plain(name):
-    return re.sub("[-_.]+", "-", name).lower()
-
-found, seen = {}, set()
-for one in distributions():
-    found.setdefault(plain(one.metadata["Name"] or ""), one)
-names = list(open(sys.argv[1]))
-while names:
-    name = re.match(r"[\w.-]*", names.pop())[0]
-    one = found.get(plain(name))
-    if one and one not in seen:
-        seen.add(one)
-        names += [line for line in one.requires or () if "extra ==" not in line]
-        if not str(one._path).startswith(sys.prefix):
-            print(one._path)
-'
-
-# note_system_packages STEP LIST: record them, since they may be removed or replaced later.
-note_system_packages() {
-  "$LAB_VENV/bin/python" -c "$SYSTEM_PACKAGES" "$2" >"$LAB_DIR/stamp/$1.system"
+  rm -rf "$LAB_VENV"
+  if get_uv; then
+    "$UV" --no-config venv --quiet --system-site-packages --python /usr/bin/python3 "$LAB_VENV"
+  else
+    /usr/bin/python3 -m venv --system-site-packages "$LAB_VENV" && python_install 'pip>=21'
+  fi && python_install --require-hashes -r "$LAB_ROOT/requirements.lock" && put_own_toolkits_first
 }
 
 step_python() {
-  local title=$1 log=$2 part=$3 list=$LAB_ROOT/requirements.txt
+  local title=$1 log=$2 part=$3
   unset PYTHONPATH PYTHONHOME
   export PYTHONNOUSERSITE=1
   if [[ $part == base ]]; then
     run_quietly "$title" "$log" create_venv
   else
-    list=$LAB_ROOT/requirements-$part.txt
-    run_quietly "$title" "$log" pip_install -r "$list"
+    run_quietly "$title" "$log" \
+      python_install --require-hashes -r "$LAB_ROOT/requirements-$part.lock"
   fi
-  # If this fails on an unusual installation, system packages are not checked later.
-  note_system_packages "python-$part" "$list" 2>>"$log" || true
+}
+
+# The newest versions that all supported Pythons on Linux can have, with their hashes.
+renew_lock() {
+  local part lists=(requirements requirements-test requirements-browser)
+  get_uv
+  for part in "${lists[@]}"; do
+    (
+      cd "$LAB_ROOT"
+      UV_NATIVE_TLS=1 "$UV" pip compile --quiet --upgrade --universal --python-version 3.8 \
+        --generate-hashes --no-header --no-annotate "$part.txt" -o "$part.lock"
+    )
+  done
 }
 
 # ---- The catkin workspace ----
+
+make_workspace() (
+  use_lab_python
+  if [[ $LAB_ROS != /usr ]]; then
+    source_setup_file "$LAB_ROS/setup.bash"
+  fi
+  /usr/bin/python3 "$LAB_ROOT/scripts/setup/workspace.py" "$LAB_WS" "$LAB_ROS" \
+    "$LAB_VENV/bin/python"
+)
 
 # Without the user's Python and other workspaces: catkin would store them in the build.
 build_workspace() (
@@ -340,22 +364,30 @@ stand_ins() {
   done
 }
 
-step_build() {
-  local title=$1 log=$2 name
-  link_package "$LAB_WS/src/bullet_lab"
-  find "$LAB_WS/src" -maxdepth 1 -lname "*/stand_ins/*" -delete
+# link_packages FOLDER: make links to this package, and to stand-ins for what ROS has not.
+link_packages() {
+  local name
+  link_package "$1/bullet_lab"
+  find "$1" -maxdepth 1 -lname "*/stand_ins/*" -delete
   for name in $(stand_ins); do
-    ln -s "$LAB_ROOT/stand_ins/$name" "$LAB_WS/src/$name"
+    ln -s "$LAB_ROOT/stand_ins/$name" "$1/$name"
   done
+}
+
+step_build() {
+  link_packages "$LAB_WS/src"
+  run_quietly "$1" "$2" make_workspace
+}
+
+# The same workspace, by catkin_make, for tests of CMakeLists.txt and for those who extend it.
+step_catkin() {
+  LAB_WS=$LAB_DIR/catkin
+  link_packages "$LAB_WS/src"
   # A build from before the clone was moved cannot be used.
   if ! grep -qsxF "CMAKE_HOME_DIRECTORY:INTERNAL=$LAB_WS/src" "$LAB_WS/build/CMakeCache.txt"; then
     rm -rf "$LAB_WS/build" "$LAB_WS/devel"
   fi
-  # catkin keeps the relays of executables that have moved, and rosrun would run them.
-  for name in "$LAB_WS"/devel/lib/bullet_lab/*; do
-    [[ -e $LAB_ROOT/scripts/${name##*/} || -e $LAB_ROOT/test/contract/${name##*/} ]] || rm -f "$name"
-  done
-  run_quietly "$title" "$log" build_workspace
+  run_quietly "$1" "$2" build_workspace
 }
 
 # ---- Main ----
@@ -367,7 +399,7 @@ take_step() {
   : >"$log"
   say "$title"
   case $step in
-    build) step_build "$title" "$log" ;;
+    build | catkin) "step_$step" "$title" "$log" ;;
     *) "step_${step%-*}" "$title" "$log" "${step#*-}" ;;
   esac
   mark_done "$step"
@@ -383,7 +415,7 @@ open_steps() {
 }
 
 steps_of() {
-  printf '%s\n' debian-base python-base
+  printf '%s\n' debian-first debian-base python-base
   if [[ ${1-} == --no-build ]]; then
     shift
   else
@@ -395,7 +427,8 @@ steps_of() {
       "--with test") printf '%s\n' debian-test python-test ;;
       "--with course") echo debian-course ;;
       "--with browser") printf '%s\n' debian-browser python-browser ;;
-      *) fail "unknown argument '$*'; usage: setup.sh [--no-build] [--with rviz|test|course|browser] …" ;;
+      "--with catkin") printf '%s\n' debian-catkin catkin ;;
+      *) fail "unknown argument '$*'; usage: setup.sh [--no-build] [--with rviz|test|course|browser|catkin] …" ;;
     esac
     shift 2
   done
@@ -417,7 +450,12 @@ take_lock() {
 }
 
 main() {
-  local wanted steps i
+  if [[ "$*" == --renew-lock ]]; then
+    take_lock
+    renew_lock
+    return
+  fi
+  local wanted steps i beside=''
   wanted=$(steps_of "$@") || exit 2
   # shellcheck disable=SC2086
   [[ -n $(open_steps $wanted) ]] || return 0
@@ -428,7 +466,17 @@ main() {
   # shellcheck disable=SC2086
   mapfile -t steps < <(open_steps $wanted)
   for i in "${!steps[@]}"; do
-    take_step "${steps[i]}" $((i + 1)) ${#steps[@]}
+    if [[ ${steps[i]} == debian-base && ${steps[i + 1]-} == python-base ]]; then
+      # PyPI's packages come while Debian's are unpacked.
+      take_step python-base $((i + 2)) ${#steps[@]} 2>"$LAB_DIR/log/beside.log" &
+      beside=$!
+    fi
+    if [[ ${steps[i]} == python-base && -n $beside ]]; then
+      wait "$beside" || fail "$(<"$LAB_DIR/log/beside.log")"
+      tail -n 1 "$LAB_DIR/log/beside.log" >&2
+    else
+      take_step "${steps[i]}" $((i + 1)) ${#steps[@]}
+    fi
   done
   # PyPI's xacro needs ROS 2, and would hide the one that works.
   rm -f "$LAB_VENV/bin/xacro"

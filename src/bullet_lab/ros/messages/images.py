@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Tuple
 
 import cv2
-import cv_bridge
 import numpy as np
 from geometry_msgs.msg import (
     Point,
@@ -29,7 +29,21 @@ from bullet_lab.vision.marker_pose import MarkerPose, ObservedMarker
 
 # px
 _LARGEST_EDGE = 16384
-_BRIDGE = cv_bridge.CvBridge()
+# Encodings with colours, as sensor_msgs/image_encodings.h has them: OpenCV's name and channels.
+_COLOURS = {
+    "mono8": ("GRAY", 1),
+    "mono16": ("GRAY", 1),
+    **{f"{name}{bits}": (name.upper(), len(name))
+       for name in ("bgr", "rgb", "bgra", "rgba") for bits in (8, 16)},
+    # OpenCV names a Bayer pattern by the second row.
+    **{f"bayer_{name}{bits}": (f"Bayer{code}", 1)
+       for name, code in (("rggb", "BG"), ("bggr", "RG"), ("gbrg", "GR"), ("grbg", "GB"))
+       for bits in (8, 16)},
+    "yuv422": ("YUV_UYVY", 2),
+    "yuv422_yuy2": ("YUV_YUY2", 2),
+}
+_PLAIN = re.compile(r"(8U|8S|16U|16S|32S|32F|64F)(?:C([1-9][0-9]?))?")
+_KINDS = {"U": "u", "S": "i", "F": "f"}
 _NO_DISTORTION = (0.0,) * 5
 # As a share of the focal length.
 _ALLOWED_SKEW = 1e-6
@@ -42,15 +56,51 @@ class ImageError(LabError):
 def pixels_of(message: Image, encoding: str) -> np.ndarray:
     """Return the image of a message as (h, w) for mono8 or (h, w, 3) for bgr8, uint8.
 
+    Colours are converted as by cv_bridge. An encoding that is the message's own is left as it is.
+
     Raises:
         ImageError: its sizes are inconsistent, or its encoding cannot be converted.
     """
-    _check_sizes(message)
-    try:
-        return _BRIDGE.imgmsg_to_cv2(message, encoding)
-    except (cv_bridge.CvBridgeError, cv2.error, KeyError, TypeError, ValueError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ImageError(f"an image of encoding '{message.encoding}': {reason}") from error
+    pixels = _stored_pixels(message)
+    if message.encoding == encoding:
+        return pixels
+    colours, wanted = _COLOURS.get(message.encoding), _COLOURS[encoding][0]
+    if colours is None:
+        raise ImageError(f"an image of encoding '{message.encoding}' has no colours to convert")
+    if colours[0] != wanted:
+        pixels = cv2.cvtColor(pixels, _conversion(colours[0], wanted))
+    if pixels.dtype == np.uint16:
+        pixels = cv2.convertScaleAbs(pixels, alpha=255.0 / 65535.0)
+    return pixels
+
+
+def _conversion(colours: str, wanted: str) -> int:
+    """Return OpenCV's code of a conversion between two of its names for colours."""
+    name = f"YUV2{wanted}{colours[3:]}" if colours.startswith("YUV") else f"{colours}2{wanted}"
+    return getattr(cv2, f"COLOR_{name}")
+
+
+def _stored_pixels(message: Image) -> np.ndarray:
+    """Return the pixels as the message has them, (h, w) or (h, w, channels), native byte order."""
+    kind, channels = _layout(message.encoding)
+    _check_sizes(message, channels * kind.itemsize)
+    if message.is_bigendian:
+        kind = kind.newbyteorder(">")
+    rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
+    pixels = rows[:, : message.width * channels * kind.itemsize].copy().view(kind)
+    shape = (message.height, message.width, channels)[: 3 if channels > 1 else 2]
+    return pixels.astype(kind.newbyteorder("="), copy=False).reshape(shape)
+
+
+def _layout(encoding: str) -> Tuple[np.dtype, int]:
+    """Return the type of a channel and the number of channels; raises ImageError."""
+    if encoding in _COLOURS:
+        return np.dtype(np.uint16 if encoding.endswith("16") else np.uint8), _COLOURS[encoding][1]
+    match = _PLAIN.fullmatch(encoding)
+    if match is None:
+        raise ImageError(f"the encoding '{encoding}' is not known")
+    bits, kind = int(match[1][:-1]), _KINDS[match[1][-1]]
+    return np.dtype(f"{kind}{bits // 8}"), int(match[2] or 1)
 
 
 def image_message(header: Header, pixels: np.ndarray, encoding: str) -> Image:
@@ -60,17 +110,12 @@ def image_message(header: Header, pixels: np.ndarray, encoding: str) -> Image:
     return Image(header, height, width, encoding, 0, data.strides[0], data.tobytes())
 
 
-def _check_sizes(message: Image) -> None:
+def _check_sizes(message: Image, bytes_per_pixel: int) -> None:
     width, height = message.width, message.height
     if not (LEAST_EDGE <= width <= _LARGEST_EDGE and LEAST_EDGE <= height <= _LARGEST_EDGE):
         allowed = f"{LEAST_EDGE} to {_LARGEST_EDGE} px are allowed"
         raise ImageError(f"an image of {width} x {height} px; {allowed}")
-    try:
-        kind, channels = _BRIDGE.encoding_to_dtype_with_channels(message.encoding)
-        row = width * channels * np.dtype(kind).itemsize
-    except (cv_bridge.CvBridgeError, KeyError, TypeError, ValueError) as error:
-        raise ImageError(f"the encoding '{message.encoding}' is not known") from error
-    if message.step < row:
+    if message.step < width * bytes_per_pixel:
         raise ImageError(f"rows of {message.step} bytes for {width} px of {message.encoding}")
     if len(message.data) != message.step * height:
         raise ImageError(f"{len(message.data)} bytes for {height} rows of {message.step}")

@@ -1,0 +1,161 @@
+"""Makes a catkin workspace without a compiler: Python messages, links, and its setup files.
+
+Usage: workspace.py WORKSPACE ROS PYTHON, as scripts/setup.sh does: ROS is /usr or
+/opt/ros/noetic, and PYTHON runs the executables.
+
+The packages are those in WORKSPACE/src. WORKSPACE/devel gets what `catkin_make` would leave there
+for Python: rosrun, roslaunch, rostest and other workspaces find it. The messages are those that
+genpy makes for catkin, too.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import genpy.generate_initpy
+import genpy.generator
+
+PYTHON_FOLDER = Path("lib/python3/dist-packages")
+HEADER = "std_msgs/Header header\n"
+# An action is the messages that actionlib exchanges (http://wiki.ros.org/actionlib/DetailedDescription).
+ACTION_MESSAGES = {
+    "ActionGoal": HEADER + "actionlib_msgs/GoalID goal_id\n{0}Goal goal\n",
+    "ActionResult": HEADER + "actionlib_msgs/GoalStatus status\n{0}Result result\n",
+    "ActionFeedback": HEADER + "actionlib_msgs/GoalStatus status\n{0}Feedback feedback\n",
+    "Action": "{0}ActionGoal action_goal\n{0}ActionResult action_result\n"
+    "{0}ActionFeedback action_feedback\n",
+}
+# Of a package whose Python code is in another folder; that of its messages is in this one.
+INIT = """import os
+__path__.append({source!r})
+with open(os.path.join({source!r}, "__init__.py")) as file:
+    exec(file.read())
+del os, file
+"""
+# Where packages have their executables.
+PROGRAMS = ("scripts/*", "xacro*", "test/contract/*.py")
+RELAY = """#!{python}
+with open({file!r}) as program:
+    text = program.read()
+exec(compile(text, {file!r}, "exec"), {{"__name__": "__main__", "__file__": {file!r}}})
+"""
+SETUP = """# Enters this workspace, as the file of a catkin build does.
+export CMAKE_PREFIX_PATH={devel}
+export ROS_PACKAGE_PATH={source}
+export PYTHONPATH={devel}/{python}${{PYTHONPATH:+:$PYTHONPATH}}
+export PATH={devel}/bin:$PATH
+export ROS_MASTER_URI=${{ROS_MASTER_URI:-http://localhost:11311}}
+"""
+# What Debian's ros-environment sets.
+DEBIAN = """export ROS_DISTRO=Debian ROS_VERSION=1 ROS_PYTHON_VERSION=3 ROS_ETC_DIR=/etc/ros
+"""
+# These files come first, and what they set is kept.
+NOETIC = """. {ros}/setup.sh
+export CMAKE_PREFIX_PATH={devel}:$CMAKE_PREFIX_PATH
+export ROS_PACKAGE_PATH={source}:$ROS_PACKAGE_PATH
+"""
+
+
+def action_messages(file: Path, folder: Path) -> list[str]:
+    """Write the messages of an action to a folder; return their files."""
+    name = file.stem
+    texts = dict(zip(("Goal", "Result", "Feedback"), file.read_text().split("\n---\n")))
+    texts.update({part: text.format(name) for part, text in ACTION_MESSAGES.items()})
+    folder.mkdir(parents=True, exist_ok=True)
+    for part, text in texts.items():
+        (folder / f"{name}{part}.msg").write_text(text)
+    return [str(folder / f"{name}{part}.msg") for part in texts]
+
+
+def generate(package: Path, name: str, python: Path, search: dict[str, list[str]]) -> None:
+    """Generate the Python modules of a package's messages, services and actions.
+
+    `search` has the folders of definitions by the names of the packages.
+    """
+    actions = Path(search[name][-1])
+    messages = sorted(map(str, package.glob("msg/*.msg")))
+    for file in sorted(package.glob("action/*.action")):
+        messages += action_messages(file, actions)
+    generators = (
+        ("msg", messages, genpy.generator.MsgGenerator()),
+        ("srv", sorted(map(str, package.glob("srv/*.srv"))), genpy.generator.SrvGenerator()),
+    )
+    for kind, files, generator in generators:
+        folder = python / name / kind
+        if files:
+            folder.mkdir(parents=True)
+            if generator.generate_messages(name, files, str(folder), search):
+                raise SystemExit(f"genpy cannot read the definitions in {package / kind}")
+            genpy.generate_initpy.write_modules(str(folder))
+
+
+def link_python(package: Path, name: str, python: Path) -> None:
+    """Make the package's own Python code importable beside its messages."""
+    source = package / "src" / name
+    folder = python / name
+    if source.is_dir():
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "__init__.py").write_text(INIT.format(source=str(source)))
+    elif folder.is_dir():
+        (folder / "__init__.py").touch()
+
+
+def relay_programs(package: Path, name: str, devel: Path, python: Path) -> None:
+    """Make executables where rosrun and roslaunch look first, and those in PATH."""
+    folder = devel / "lib" / name
+    folder.mkdir(parents=True)
+    for file in (one for pattern in PROGRAMS for one in package.glob(pattern)):
+        if file.is_file() and os.access(file, os.X_OK) and file.suffix != ".sh":
+            write_relay(folder / file.name, file, python)
+    if name == "xacro":
+        write_relay(devel / "bin" / name, package / name, python)
+
+
+def write_relay(relay: Path, file: Path, python: Path) -> None:
+    """Write a program that runs a Python program by a Python."""
+    relay.write_text(RELAY.format(python=python, file=str(file)))
+    relay.chmod(0o755)
+
+
+def write_setup(devel: Path, final: Path, source: Path, ros: Path) -> None:
+    """Write the setup files for bash, sh and zsh, and the mark of a workspace."""
+    names = {"devel": final, "source": source, "python": PYTHON_FOLDER, "ros": ros}
+    quoted = {name: shlex.quote(str(path)) for name, path in names.items()}
+    own = SETUP.format(**quoted)
+    text = own + DEBIAN if ros == Path("/usr") else NOETIC.format(**quoted) + "\n".join(
+        line for line in own.splitlines() if "CMAKE_PREFIX" not in line and "ROS_PACK" not in line
+    )
+    for shell in ("bash", "sh", "zsh"):
+        (devel / f"setup.{shell}").write_text(text)
+    (devel / ".catkin").write_text(str(source))
+
+
+def make(workspace: Path, ros: Path, python: Path) -> None:
+    """Make the workspace anew; the old one stays until it is complete."""
+    source, final = workspace / "src", workspace / "devel"
+    devel = workspace / "devel.part"
+    shutil.rmtree(devel, ignore_errors=True)
+    (devel / "bin").mkdir(parents=True)
+    packages = {
+        file.parent: ElementTree.parse(file).findtext("name").strip()
+        for file in sorted(source.glob("*/package.xml"))
+    }
+    search = {file.parent.name: [str(file)] for file in (ros / "share").glob("*/msg")}
+    for package, name in packages.items():
+        search[name] = [str(package / "msg"), str(workspace / "actions" / name)]
+    for package, name in packages.items():
+        generate(package, name, devel / PYTHON_FOLDER, search)
+        link_python(package, name, devel / PYTHON_FOLDER)
+        relay_programs(package, name, devel, python)
+    write_setup(devel, final, source, ros)
+    shutil.rmtree(final, ignore_errors=True)
+    devel.rename(final)
+
+
+if __name__ == "__main__":
+    make(*map(Path, sys.argv[1:]))
