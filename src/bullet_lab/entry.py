@@ -8,6 +8,7 @@ import importlib
 import os
 import signal
 import sys
+import threading
 from urllib.parse import urlsplit
 
 from bullet_lab.errors import LabError
@@ -37,6 +38,9 @@ def run(target: str) -> None:
     give_memory_back()
     import logging
 
+    # Debian 11's rospy calls by its old name what Python 3.9 has renamed.
+    if not hasattr(threading.Thread, "isAlive"):
+        threading.Thread.isAlive = threading.Thread.is_alive
     # No traceback if the disk is too full for the log.
     logging.raiseExceptions = False
     keep_to_this_machine()
