@@ -2,8 +2,11 @@
 # Installs and builds what is missing; ends at once if nothing is missing.
 #
 # Usage: scripts/setup.sh [--no-build] [--with rviz|test|course|browser|catkin] …
-#        scripts/setup.sh --renew-lock
+#        scripts/setup.sh --download DIR | --offline DIR [--with …] … | --remove | --renew-lock
 #
+# --download: collect all packages in a folder, for machines without internet and with the same
+#   Debian. --offline: install from such a folder.
+# --remove: delete build/, and name the Debian packages that were installed for it.
 # --no-build: you build the package yourself, in your own catkin workspace.
 # --renew-lock: take the newest versions that requirements*.txt allow into requirements*.lock.
 # Debian packages are installed by apt-get (with sudo unless you are root), Python packages into
@@ -15,6 +18,9 @@ set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 
 UV=$LAB_DIR/uv/bin/uv
+# A folder that --download has made, in place of the internet.
+OFFLINE=
+LEAST_MEGABYTES=2000
 
 say() { printf 'setup: %s\n' "$*" >&2; }
 
@@ -217,6 +223,10 @@ become_root() {
 
 apt_get() {
   local command=(env DEBIAN_FRONTEND=noninteractive apt-get -y -o DPkg::Lock::Timeout=600)
+  if [[ -n $OFFLINE ]]; then
+    command+=(--no-download -o Dir::Etc="$OFFLINE/apt"
+      -o Dir::State::lists="$OFFLINE/lists" -o Dir::Cache::archives="$OFFLINE/debs")
+  fi
   if ((EUID)); then
     command=(sudo -n "${command[@]}")
   fi
@@ -232,7 +242,7 @@ link_debians_python() {
 
 # A failed update may concern a list that is not needed; if not, the installation fails.
 apt_install() {
-  apt_get update || true
+  [[ -n $OFFLINE ]] || apt_get update || true
   apt_get install --no-install-recommends "$@"
 }
 
@@ -246,26 +256,36 @@ step_debian() {
   say "$title: installing ${missing[*]}"
   become_root "${missing[@]}"
   run_quietly "$title" "$log" apt_install "${missing[@]}"
+  printf '%s\n' "${missing[@]}" >>"$LAB_DIR/installed"
 }
 
 # ---- Python packages ----
 
 # uv installs them in a tenth of pip's time, and its cache serves all clones of a user.
 get_uv() {
-  local pip=(/usr/share/python-wheels/pip-*.whl)
+  local from=()
   [[ ! -x $UV ]] || return 0
-  PYTHONPATH=${pip[0]} PIP_CONFIG_FILE=${PIP_CONFIG_FILE-} /usr/bin/python3 -m pip install \
-    --disable-pip-version-check --no-input --no-color --progress-bar off --quiet \
-    --only-binary :all: --target "$LAB_DIR/uv" uv
+  [[ -z $OFFLINE ]] || from=(--no-index --find-links "$OFFLINE/wheels")
+  debians_pip install "${from[@]}" --only-binary :all: --target "$LAB_DIR/uv" uv
+}
+
+# pip as python3-venv brings it, without a virtual environment.
+debians_pip() {
+  local pip=(/usr/share/python-wheels/pip-*.whl)
+  PYTHONPATH=${pip[0]} /usr/bin/python3 -m pip --disable-pip-version-check --no-input --no-color \
+    --quiet "$@"
 }
 
 # python_install OPTION…: install packages into the virtual environment, by uv or else by pip.
 python_install() {
+  local from=()
+  [[ -z $OFFLINE ]] || from=(--no-index --find-links "$OFFLINE/wheels")
   if [[ -x $UV ]]; then
-    UV_NATIVE_TLS=1 "$UV" --no-progress pip install --python "$LAB_VENV" --no-config "$@"
+    UV_NATIVE_TLS=1 "$UV" --no-progress --no-config pip install --python "$LAB_VENV" \
+      "${from[@]}" "$@"
   else
     PIP_USER=0 "$LAB_VENV/bin/python" -m pip install --disable-pip-version-check --no-input \
-      --no-color --progress-bar off "$@"
+      --no-color --progress-bar off "${from[@]}" "$@"
   fi
 }
 
@@ -390,7 +410,57 @@ step_catkin() {
   run_quietly "$1" "$2" build_workspace
 }
 
+# ---- Rooms without internet ----
+
+# download DIR: everything that a bare machine with this Debian needs, with all tests.
+download() {
+  local folder part packages=()
+  mkdir -p "$1"/{debs/partial,lists/partial,wheels}
+  folder=$(realpath "$1")
+  become_root "the list of packages"
+  apt_get update
+  rm -rf "$folder/apt"
+  cp -r /etc/apt "$folder/apt"
+  cp /var/lib/apt/lists/*_{Packages,InRelease}* "$folder/lists/"
+  for part in first base rviz test course; do
+    mapfile -t -O "${#packages[@]}" packages < <(debian_packages "$part" | xargs -n 1)
+  done
+  # As on a machine that has nothing; packages that are there need not be written anew.
+  : >"$folder/none"
+  apt-get -y --download-only --no-install-recommends -o Dir::State::status="$folder/none" \
+    -o Dir::Cache::archives="$folder/debs" -o Debug::NoLocking=1 install "${packages[@]}"
+  debians_pip download --only-binary :all: --dest "$folder/wheels" uv
+  for part in "" -test; do
+    debians_pip download --only-binary :all: --no-deps --require-hashes --dest "$folder/wheels" \
+      -r "$LAB_ROOT/requirements$part.lock"
+  done
+  say "$folder: $(du -sh "$folder" | cut -f 1); on the other machines: scripts/setup.sh --offline DIR"
+}
+
+remove() {
+  local packages=()
+  mapfile -t packages < <(sort -u "$LAB_DIR/installed" 2>/dev/null)
+  rm -rf "$LAB_DIR"
+  say "build/ is deleted"
+  ((${#packages[@]} == 0)) \
+    || say "Debian packages that were installed for it: sudo apt-get autoremove ${packages[*]}"
+}
+
 # ---- Main ----
+
+# What would fail after minutes.
+look_ahead() {
+  local free
+  if ! getent hosts localhost >/dev/null; then
+    fail "ROS needs the name localhost: add the line '127.0.0.1 localhost' to /etc/hosts"
+  fi
+  free=$(df --output=avail -BM "$LAB_DIR" | tr -dc '0-9')
+  ((free > LEAST_MEGABYTES)) \
+    || fail "$LAB_DIR: $free MB are free; $LEAST_MEGABYTES MB are needed, and as much in /usr"
+  if [[ -z $OFFLINE ]] && ! grep -qv '^Iface\|^lo' /proc/net/{route,ipv6_route}; then
+    fail "there is no network; without one: scripts/setup.sh --offline DIR"
+  fi
+}
 
 take_step() {
   local step=$1 number=$2 of=$3 start=$SECONDS title log
@@ -450,12 +520,19 @@ take_lock() {
 }
 
 main() {
-  if [[ "$*" == --renew-lock ]]; then
-    take_lock
-    renew_lock
-    return
-  fi
   local wanted steps i beside=''
+  case ${1-} in
+    --renew-lock | --remove | --download)
+      take_lock
+      wanted=${1#--}
+      "${wanted//-/_}" "${@:2}"
+      return
+      ;;
+    --offline)
+      OFFLINE=$(realpath -e "${2:?a folder that --download has made}")
+      shift 2
+      ;;
+  esac
   wanted=$(steps_of "$@") || exit 2
   # shellcheck disable=SC2086
   [[ -n $(open_steps $wanted) ]] || return 0
@@ -463,6 +540,7 @@ main() {
     fail "catkin cannot build in a folder with a space in its name: $LAB_ROOT"
   fi
   take_lock "$@"
+  look_ahead
   # shellcheck disable=SC2086
   mapfile -t steps < <(open_steps $wanted)
   for i in "${!steps[@]}"; do
