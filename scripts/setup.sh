@@ -281,7 +281,7 @@ python_install() {
   local from=()
   [[ -z $OFFLINE ]] || from=(--no-index --find-links "$OFFLINE/wheels")
   if [[ -x $UV ]]; then
-    UV_NATIVE_TLS=1 "$UV" --no-progress --no-config pip install --python "$LAB_VENV" \
+    UV_SYSTEM_CERTS=1 "$UV" --no-progress --no-config pip install --python "$LAB_VENV" \
       "${from[@]}" "$@"
   else
     PIP_USER=0 "$LAB_VENV/bin/python" -m pip install --disable-pip-version-check --no-input \
@@ -330,7 +330,7 @@ renew_lock() {
   for part in "${lists[@]}"; do
     (
       cd "$LAB_ROOT"
-      UV_NATIVE_TLS=1 "$UV" pip compile --quiet --upgrade --universal --python-version 3.8 \
+      UV_SYSTEM_CERTS=1 "$UV" pip compile --quiet --upgrade --universal --python-version 3.8 \
         --generate-hashes --no-header --no-annotate "$part.txt" -o "$part.lock"
     )
   done
@@ -422,13 +422,13 @@ download() {
   rm -rf "$folder/apt"
   cp -r /etc/apt "$folder/apt"
   cp /var/lib/apt/lists/*_{Packages,InRelease}* "$folder/lists/"
-  for part in first base rviz test course; do
-    mapfile -t -O "${#packages[@]}" packages < <(debian_packages "$part" | xargs -n 1)
-  done
-  # As on a machine that has nothing; packages that are there need not be written anew.
+  # As on a machine that has nothing, and part by part: what apt chooses depends on the others.
   : >"$folder/none"
-  apt-get -y --download-only --no-install-recommends -o Dir::State::status="$folder/none" \
-    -o Dir::Cache::archives="$folder/debs" -o Debug::NoLocking=1 install "${packages[@]}"
+  for part in first base rviz test course; do
+    mapfile -t packages < <(debian_packages "$part" | xargs -n 1 | sort -u)
+    apt-get -y --download-only --no-install-recommends -o Dir::State::status="$folder/none" \
+      -o Dir::Cache::archives="$folder/debs" -o Debug::NoLocking=1 install "${packages[@]}"
+  done
   debians_pip download --only-binary :all: --dest "$folder/wheels" uv
   for part in "" -test; do
     debians_pip download --only-binary :all: --no-deps --require-hashes --dest "$folder/wheels" \
@@ -457,7 +457,7 @@ look_ahead() {
   free=$(df --output=avail -BM "$LAB_DIR" | tr -dc '0-9')
   ((free > LEAST_MEGABYTES)) \
     || fail "$LAB_DIR: $free MB are free; $LEAST_MEGABYTES MB are needed, and as much in /usr"
-  if [[ -z $OFFLINE ]] && ! grep -qv '^Iface\|^lo' /proc/net/{route,ipv6_route}; then
+  if [[ -z $OFFLINE ]] && ! grep -hqv '^Iface\|^lo\| lo$' /proc/net/{route,ipv6_route}; then
     fail "there is no network; without one: scripts/setup.sh --offline DIR"
   fi
 }
