@@ -45,14 +45,15 @@ debian_packages() {
         python3-rosnode python3-rosparam python3-rospy python3-rosservice python3-rostopic \
         python3-actionlib python3-dynamic-reconfigure python3-genpy python3-message-filters \
         python3-tf2-ros libegl1 libgl1 libgl1-mesa-dri
-      # Types in Python, and their definitions.
+      # Types in Python, and their definitions, which rosmsg finds by the package.xml of -dev.
       printf 'python3-%s\nros-%s\n' {actionlib,diagnostic,geometry,move-base,nav}-msgs{,} \
         {rosgraph,sensor,std,tf2,trajectory,visualization}-msgs{,} std-srvs{,}
+      printf 'lib%s-dev\n' {actionlib,diagnostic,geometry,move-base,nav,sensor,std,tf2}-msgs \
+        {trajectory,visualization}-msgs ros-rosgraph-msgs std-srvs
       ;;
     catkin)
       echo g++ make cmake catkin ros-message-generation ros-message-runtime libroscpp-dev \
-        lib{actionlib,diagnostic,geometry,nav,sensor,std,trajectory,visualization}-msgs-dev \
-        libstd-srvs-dev libtf2-ros-dev
+        libtf2-ros-dev
       ;;
     rviz) echo rviz xvfb ;;
     test) echo shellcheck python3-rostest iproute2 libxml2-utils xvfb "$(if_known sdformat-sdf)" ;;

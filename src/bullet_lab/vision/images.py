@@ -34,7 +34,7 @@ def grey(pixels: np.ndarray, encoding: str = "") -> np.ndarray:
     Raises:
         VisionError: it is not such an image, or smaller than 16 px.
 
-    >>> grey(np.full((16, 20, 3), (0, 0, 255), dtype=np.uint8), "bgr8")[0, 0]
+    >>> int(grey(np.full((16, 20, 3), (0, 0, 255), dtype=np.uint8), "bgr8")[0, 0])
     76
     """
     pixels = np.asarray(pixels)

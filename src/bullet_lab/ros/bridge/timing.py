@@ -103,7 +103,7 @@ class Lag(NamedTuple):
         )
         rest = 1.0 - self.waiting - sum(share for _, share in self.causes)
         others = [("other threads and programs", rest)] if rest >= SMALLEST_CAUSE else []
-        causes = sorted([*self.causes, *others], key=lambda cause: -cause[1])
+        causes = sorted([*self.causes, *others], key=lambda cause: -round(cause[1], 9))
         shares = ", ".join(f"{what} {100.0 * share:.0f} %" for what, share in causes)
         return f"{line} (of the time: {shares})" if shares else line
 

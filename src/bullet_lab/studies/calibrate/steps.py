@@ -216,7 +216,7 @@ def interpolated(path: Trajectory, stamps: np.ndarray) -> np.ndarray:
 def resolution(path: Trajectory) -> float:
     """Return the standard deviation (m or rad) of the rounding of a file's poses.
 
-    >>> resolution(Trajectory([0.0, 1.0], [(0.0, 0.5, 0.0), (0.25, 1.0, 0.0)]))
+    >>> float(resolution(Trajectory([0.0, 1.0], [(0.0, 0.5, 0.0), (0.25, 1.0, 0.0)])))
     0.005773502691896258
     """
     places = path.poses[:, :2]

@@ -265,7 +265,7 @@ def test_noise_is_gaussian_with_the_given_moments():
     assert abs(z) < stats.norm.ppf(0.9995)
     chi = number * np.mean((errors - 0.01) ** 2) / 0.03**2
     assert stats.chi2.ppf(0.0005, number) < chi < stats.chi2.ppf(0.9995, number)
-    assert stats.kstest(errors, "norm", (0.01, 0.03)).pvalue > 1e-3
+    assert stats.kstest(errors, stats.norm(0.01, 0.03).cdf).pvalue > 1e-3
 
 
 def test_noise_of_rays_and_scans_is_independent():

@@ -90,7 +90,7 @@ def test_a_table_of_what_was_measured_with_a_rule(tmp_path):
     for way, sign in (("ccw", 1.0), ("cw", -1.0)):
         turns = sign * (0.5 * math.pi - alpha) * np.arange(5)
         end = 2.0 * np.exp(1j * turns[:4]).sum()
-        ends[way] = (end.real, end.imag, turns[4] - sign * math.tau)
+        ends[way] = (float(end.real), float(end.imag), float(turns[4]) - sign * math.tau)
     rows = [f"{way},{x!r},{y!r},{yaw!r}" for way, (x, y, yaw) in ends.items()]
     file = tmp_path / "returns.csv"
     file.write_text("\n".join(["direction,x,y,yaw", *rows]))
