@@ -26,8 +26,7 @@ from bullet_lab.simulation.world.description import (
     ModelState,
     PluginTag,
 )
-from bullet_lab.simulation.world.inertia import FARTHEST, FASTEST
-from bullet_lab.simulation.world.tree import check_proportions
+from bullet_lab.simulation.world.tree import FARTHEST, FASTEST, check_proportions
 
 # Names of the world's own frame.
 WORLD_FRAMES = ("", "world", "map", "/map")

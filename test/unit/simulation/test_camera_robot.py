@@ -9,8 +9,8 @@ from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import View, take_picture
 from bullet_lab.simulation.world.description import Box, Cylinder, Inertia, Sphere
-from bullet_lab.simulation.world.inertia import combine
 from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.tree import combine
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 CAMERA_ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"

@@ -19,6 +19,7 @@ from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Spher
 
 Geometry = Union[Box, Cylinder, Sphere, Plane, Mesh]
 Colour = Tuple[float, float, float, float]
+Point = Tuple[float, float]
 
 WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
 # The parent link of joints to the world; no other link has this name.
@@ -28,6 +29,10 @@ SEPARATOR = "::"
 # The limits of a joint that are read.
 LIMITS = ("lower", "upper", "effort", "velocity")
 BLACK: Colour = (0.0, 0.0, 0.0, 1.0)
+# The corners of a footprint, as shares of its sides.
+FOOTPRINT_CORNERS = ((0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5))
+# The footprint of a box that leans more than this (rad) is no rectangle.
+UPRIGHT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -312,3 +317,58 @@ class Snapshot:
     world: World
     step: int
     models: Tuple[Tuple[Model, ModelState], ...]
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """An upright box of the model `name` from above.
+
+    `centre` is x, y in the world, `yaw` that of its sides (rad), `size` along its own x and y,
+    `bottom` and `top` are the heights of its ends; all in m.
+    """
+
+    name: str
+    centre: Point
+    yaw: float
+    size: tuple[float, float]
+    bottom: float
+    top: float
+
+    def corners(self) -> tuple[Point, ...]:
+        """Return the four corners, counter-clockwise."""
+        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
+        sides = [(sx * self.size[0], sy * self.size[1]) for sx, sy in FOOTPRINT_CORNERS]
+        return tuple(
+            (self.centre[0] + cosine * x - sine * y, self.centre[1] + sine * x + cosine * y)
+            for x, y in sides
+        )
+
+    def distance(self, point: Point) -> float:
+        """Return the distance of a point in m, 0 inside."""
+        dx, dy = point[0] - self.centre[0], point[1] - self.centre[1]
+        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
+        beside = abs(cosine * dx + sine * dy) - 0.5 * self.size[0]
+        before = abs(cosine * dy - sine * dx) - 0.5 * self.size[1]
+        return math.hypot(max(beside, 0.0), max(before, 0.0))
+
+
+def footprints(world: World, below: float = math.inf) -> tuple[Footprint, ...]:
+    """Return the upright boxes of static models, which a robot could hit.
+
+    Args:
+        world: the world; shapes other than boxes, and leaning boxes, are left out.
+        below: m; boxes that begin above this height are left out.
+    """
+    found: list[Footprint] = []
+    static = [model for model in world.models if model.static]
+    shapes = [(m, k, shape) for m in static for k in m.links for shape in k.collisions]
+    for model, link, shape in shapes:
+        pose = model.pose * link.pose * shape.pose
+        is_upright = pose.rotate((0.0, 0.0, 1.0))[2] > math.cos(UPRIGHT)
+        if isinstance(shape.geometry, Box) and is_upright:
+            x, y, z = pose.position
+            bottom, top = (z + shape.geometry.bounds()[:, 2]).tolist()
+            found.append(
+                Footprint(model.name, (x, y), pose.yaw, shape.geometry.size[:2], bottom, top)
+            )
+    return tuple(one for one in found if one.bottom < below)

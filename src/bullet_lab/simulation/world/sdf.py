@@ -7,7 +7,7 @@ import math
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Callable, Container, Iterator, List, Optional, Tuple, Union
+from typing import Container, Union
 from xml.etree.ElementTree import Element, SubElement
 
 from bullet_lab.simulation.world.description import (
@@ -16,7 +16,6 @@ from bullet_lab.simulation.world.description import (
     Collision,
     Colour,
     Cone,
-    Inertia,
     Light,
     Link,
     Model,
@@ -24,7 +23,6 @@ from bullet_lab.simulation.world.description import (
     Visual,
     World,
 )
-from bullet_lab.simulation.world.inertia import INERTIA_KEYS, inertia_at
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf_structure import (
     Frames,
@@ -36,7 +34,7 @@ from bullet_lab.simulation.world.sdf_structure import (
     read_states,
     scoped,
 )
-from bullet_lab.simulation.world.shapes import SHAPES, Shape
+from bullet_lab.simulation.world.shapes import Mesh, Shape
 from bullet_lab.simulation.world.tags import (
     NEWEST,
     Document,
@@ -60,7 +58,7 @@ PARTS = ("model", "light", "include")
 Part = Union[Model, Light]
 
 
-def read_world_file(path: Path, finder: Optional[ResourceFinder] = None) -> World:
+def read_world_file(path: Path, finder: ResourceFinder | None = None) -> World:
     """Read a world from an SDF file.
 
     As in Gazebo, an invalid part is reported and left out, and the rest is read.
@@ -76,7 +74,7 @@ def read_world_file(path: Path, finder: Optional[ResourceFinder] = None) -> Worl
     return _world(tag.other(element))
 
 
-def read_description(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
+def read_description(text: str, source: str, finder: ResourceFinder | None = None) -> Model:
     """Return the model in a text, SDF or URDF; `source` names the text in messages.
 
     Raises:
@@ -85,7 +83,7 @@ def read_description(text: str, source: str, finder: Optional[ResourceFinder] = 
     return _read_model(parse_text(text, source), source, finder)
 
 
-def read_spawned(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Part:
+def read_spawned(text: str, source: str, finder: ResourceFinder | None = None) -> Part:
     """Return the model or the light in a text that is to be spawned.
 
     As in Gazebo, the pose of a model that is included by a <world> is ignored.
@@ -105,7 +103,7 @@ def read_spawned(text: str, source: str, finder: Optional[ResourceFinder] = None
     return _read_model(root, source, finder)
 
 
-def read_model_text(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
+def read_model_text(text: str, source: str, finder: ResourceFinder | None = None) -> Model:
     """Read one model from SDF text; raise as `read_world_file`.
 
     As in Gazebo, it may be in a <world>, and only the first model is read.
@@ -114,7 +112,7 @@ def read_model_text(text: str, source: str, finder: Optional[ResourceFinder] = N
     return _first_model(_root_tag(root, source, Document(finder or ResourceFinder())))
 
 
-def _read_model(root: Element, source: str, finder: Optional[ResourceFinder]) -> Model:
+def _read_model(root: Element, source: str, finder: ResourceFinder | None) -> Model:
     if root.tag == "robot":
         return read_urdf_element(root, source, finder)
     if root.tag == "sdf":
@@ -143,7 +141,7 @@ def _first_model(tag: SdfTag) -> Model:
 
 
 def _world(tag: SdfTag) -> World:
-    found: List[Tuple[Part, str]] = []
+    found: list[tuple[Part, str]] = []
     for child in tag.element:
         with leaving_out(tag.document.report):
             if child.tag in PARTS:
@@ -243,9 +241,9 @@ def _model(tag: SdfTag, held: bool = False) -> Model:
     return Model(tag.name, tuple(made), tuple(found), plugins, tag.pose(), static, where)
 
 
-def _nested(tag: SdfTag, held: bool) -> List[Tuple[Model, str]]:
+def _nested(tag: SdfTag, held: bool) -> list[tuple[Model, str]]:
     """Return the models in a model, and the frames that their poses are given in."""
-    found: List[Tuple[Model, str]] = []
+    found: list[tuple[Model, str]] = []
     for child in tag.element:
         with leaving_out(tag.document.report):
             if child.tag in ("model", "include"):
@@ -256,7 +254,7 @@ def _nested(tag: SdfTag, held: bool) -> List[Tuple[Model, str]]:
     return [(model, base) for model, base in found if any(model is one for one in kept)]
 
 
-def _named(tag: SdfTag, kind: str) -> Tuple[SdfTag, ...]:
+def _named(tag: SdfTag, kind: str) -> tuple[SdfTag, ...]:
     """Return the links or joints of a model; those without a unique name are left out."""
     found = []
     for element in tag.element.findall(kind):
@@ -265,7 +263,7 @@ def _named(tag: SdfTag, kind: str) -> Tuple[SdfTag, ...]:
     return first_of_each(found, kind, tag.source)
 
 
-def _plugins(element: Element, frames: Container[str]) -> Tuple[PluginTag, ...]:
+def _plugins(element: Element, frames: Container[str]) -> tuple[PluginTag, ...]:
     found = list(plugins_in(element))
     for link in element.findall("link"):
         for plugin in plugins_in(link, link.get("name", "")):
@@ -276,32 +274,22 @@ def _plugins(element: Element, frames: Container[str]) -> Tuple[PluginTag, ...]:
 
 
 def _link(tag: SdfTag, static: bool) -> Link:
+    inertial = tag.element.find("inertial")
+    inner = tag.other(Element("inertial") if inertial is None else inertial)
     return Link(
         tag.name,
-        inertia=None if static else _inertia(tag),
-        visuals=tuple(_shapes(tag, "visual", _visual)),
-        collisions=tuple(_shapes(tag, "collision", _collision)),
+        # SDF's defaults are 1 kg and moments of 1 kg m².
+        inertia=None if static else inner.inertia(inner.positive("mass", 1.0), 1.0),
+        visuals=tag.shapes("visual", _visual),
+        collisions=tag.shapes("collision", _collision),
         self_collide=tag.boolean("self_collide", False),
         gravity=tag.boolean("gravity", True),
     )
 
 
-def _shapes(link: SdfTag, kind: str, read: Callable[[SdfTag, Shape], Any]) -> Iterator[Any]:
-    """Yield the valid visuals or collisions of a link whose geometry is simulated."""
-    for element in link.element.findall(kind):
-        holder, where = element.find("geometry"), f"{link.source}: <{kind}>"
-        with leaving_out(link.document.report):
-            if holder is None or not len(holder):
-                raise XmlError(f"{where} without a geometry")
-            shape = holder[0]
-            if shape.tag in SHAPES:
-                yield read(link.other(element), SHAPES[shape.tag].read(link.other(shape, where)))
-            elif shape.tag != "empty":
-                LOG.warning("%s: geometry <%s> is not simulated", where, shape.tag)
-
-
 def _visual(tag: SdfTag, geometry: Shape) -> Visual:
-    default = WHITE if geometry.has_own_colours else DEFAULT_COLOUR
+    # A default colour would darken the colours and pictures in the file of a mesh.
+    default = WHITE if isinstance(geometry, Mesh) else DEFAULT_COLOUR
     where = f"{tag.source}: visual '{tag.name}'"
     element, document = tag.element.find("material"), tag.document
     colour, look = document.materials.of_element(element, where, document.finder, default)
@@ -319,18 +307,6 @@ def _collision(tag: SdfTag, geometry: Shape) -> Collision:
     across = tag.friction(mu2, 1.0) if tag.text(mu2) else None
     direction = tag.direction(fdir1, "") if any(tag.numbers(fdir1, 3, "0 0 0")) else None
     return Collision(geometry, tag.pose(), mu, tag.name, *spring, across, direction)
-
-
-def _inertia(link: SdfTag) -> Inertia:
-    # SDF's defaults are 1 kg and moments of 1 kg m².
-    element = link.element.find("inertial")
-    tag = link.other(Element("inertial") if element is None else element)
-    pose = tag.pose()
-    elements = [
-        tag.number(f"inertia/{key}", default)
-        for key, default in zip(INERTIA_KEYS, (1.0, 1.0, 1.0, 0.0, 0.0, 0.0))
-    ]
-    return inertia_at(pose, tag.positive("mass", 1.0), elements)
 
 
 def _light(tag: SdfTag) -> Light:

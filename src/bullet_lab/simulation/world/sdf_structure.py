@@ -20,6 +20,7 @@ from bullet_lab.simulation.world.description import (
     Model,
     ModelState,
 )
+from bullet_lab.simulation.world.shapes import Shape
 from bullet_lab.simulation.world.tags import Document, Tag
 from bullet_lab.simulation.world.tree import lump_fixed_joints, rooted, with_sound_inertias
 from bullet_lab.simulation.world.xml import ElementReader, XmlError, colour
@@ -108,6 +109,12 @@ class SdfTag(Tag):
 
     def other(self, element: Element, source: str = "") -> SdfTag:  # noqa: D102
         return SdfTag(element, source or self.source, self.document, self.frames, self.inside)
+
+    def shape(self, element: Element, where: str) -> Shape | None:  # noqa: D102
+        shape = super().shape(element, where)
+        if shape is None and element.tag != "empty":
+            LOG.warning("%s: geometry <%s> is not simulated", where, element.tag)
+        return shape
 
     def base(self) -> str:
         """Return the frame that its <pose> is given in; empty for the one around it."""

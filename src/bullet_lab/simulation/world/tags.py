@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Iterator, Tuple, TypeVar
+from typing import Any, Callable, Iterator, TypeVar
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import PluginTag
+from bullet_lab.simulation.world.description import Inertia, PluginTag
 from bullet_lab.simulation.world.materials import MaterialLibrary
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
-from bullet_lab.simulation.world.shapes import ShapeTag
-from bullet_lab.simulation.world.xml import ElementReader, ReportOnce, XmlError
+from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Shape, Sphere
+from bullet_lab.simulation.world.tree import INERTIA_KEYS, matrix_from_elements
+from bullet_lab.simulation.world.xml import ElementReader, ReportOnce, XmlError, leaving_out
 
 # The SDF version that Gazebo 11 reads.
 NEWEST = (1, 7)
@@ -70,14 +71,17 @@ class Document:
     """
 
     finder: ResourceFinder
-    version: Tuple[int, ...] = NEWEST
+    version: tuple[int, ...] = NEWEST
     depth: int = 0
     report: ReportOnce = field(default_factory=ReportOnce)
     materials: MaterialLibrary = field(default_factory=MaterialLibrary)
 
 
-class Tag(ElementReader, ShapeTag):
-    """An element of a document; invalid values are reported, and the defaults are used."""
+class Tag(ElementReader):
+    """An element of a document; invalid values are reported, and the defaults are used.
+
+    `file_key` is the key of the file in a <mesh>.
+    """
 
     file_key = "uri"
 
@@ -107,14 +111,56 @@ class Tag(ElementReader, ShapeTag):
             raise XmlError(f"{self.source}: a <{element.tag}> without a name")
         return self.below(element)
 
-    def file(self, uri: str) -> Path:  # noqa: D102
+    def file(self, uri: str) -> Path:
+        """Return the file that a URI means; raise ResourceError."""
         try:
             return self.document.finder.find(uri)
         except ResourceError as error:
             raise ResourceError(f"{self.where(self.file_key)}: {error}") from error
 
+    def shapes(self: AnyTag, kind: str, read: Callable[[AnyTag, Shape], Any]) -> tuple[Any, ...]:
+        """Return what `read` makes of the valid visuals or collisions of a link."""
+        found = []
+        for element in self.element.findall(kind):
+            holder, where = element.find("geometry"), f"{self.source}: <{kind}>"
+            with leaving_out(self.document.report):
+                if holder is None or not len(holder):
+                    raise XmlError(f"{where} without a geometry")
+                shape = self.shape(holder[0], where)
+                if shape is not None:
+                    found.append(read(self.other(element), shape))
+        return tuple(found)
 
-def version_of(root: Element) -> Tuple[int, ...]:
+    def shape(self, element: Element, where: str) -> Shape | None:
+        """Return the shape of a visual or collision, `where` in messages; None if unknown."""
+        read = SHAPE_READERS.get(element.tag)
+        return None if read is None else read(self.other(element, where))
+
+    def inertia(self, mass: float, moment: float) -> Inertia:
+        """Return the inertia in an <inertial>; `moment` is the default of its diagonal, kg m²."""
+        defaults = 3 * (moment,) + 3 * (0.0,)
+        elements = [self.number(f"inertia/{key}", d) for key, d in zip(INERTIA_KEYS, defaults)]
+        pose = self.pose()
+        turn = pose.rotation_matrix()
+        return Inertia(mass, pose.position, turn @ matrix_from_elements(*elements) @ turn.T)
+
+
+def _mesh(tag: Tag) -> Mesh:
+    uri, scale, part = tag.text(tag.file_key), tag.scale("scale"), tag.text("submesh/name")
+    return Mesh(tag.file(uri), uri, scale, part, tag.boolean("submesh/center", False))
+
+
+# The measures of shapes are attributes (URDF) or children (SDF) of the same names.
+SHAPE_READERS: dict[str, Callable[[Tag], Shape]] = {
+    "box": lambda tag: Box(tag.sizes("size", 3)),
+    "cylinder": lambda tag: Cylinder(*tag.sizes("radius", 1), *tag.sizes("length", 1)),
+    "sphere": lambda tag: Sphere(*tag.sizes("radius", 1)),
+    "plane": lambda tag: Plane(tag.direction("normal", "0 0 1"), tag.sizes("size", 2, "1 1")),
+    "mesh": _mesh,
+}
+
+
+def version_of(root: Element) -> tuple[int, ...]:
     """Return the version of an <sdf>, by default the newest."""
     try:
         return tuple(int(part) for part in root.get("version", "").split("."))

@@ -26,8 +26,7 @@ from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Link, Model
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Sphere
-from bullet_lab.simulation.world.urdf import read_urdf_file
-from bullet_lab.simulation.world.xacro import expand_xacro, is_xacro
+from bullet_lab.simulation.world.urdf import expand_xacro, is_xacro, read_urdf_file
 from bullet_lab.simulation.world.xml import read_text
 from bullet_lab.studies.study import UnfinishedError
 from bullet_lab.studies.umbmark.runs import Run

@@ -4,8 +4,15 @@ from dataclasses import replace
 import pytest
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.world.description import Box, Collision, Link, Model, Sphere, World
-from bullet_lab.simulation.world.floor_plan import footprints
+from bullet_lab.simulation.world.description import (
+    Box,
+    Collision,
+    Link,
+    Model,
+    Sphere,
+    World,
+    footprints,
+)
 
 HERE = Pose()
 

@@ -5,7 +5,7 @@ import pytest
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import Inertia
-from bullet_lab.simulation.world.inertia import (
+from bullet_lab.simulation.world.tree import (
     combine,
     principal_axes,
 )

@@ -13,7 +13,7 @@ WITH_EXAMPLES = (
     "core.pose",
     "simulation.plugins.planar_move",
     "simulation.plugins.wheel_drives",
-    "simulation.world.inertia",
+    "simulation.world.tree",
     "simulation.world.shapes",
     "simulation.world.xml",
 )
@@ -61,11 +61,6 @@ def test_a_shape_is_read_as_it_measures(shape):
     text = f"<sdf version='1.6'><model name='m'><link name='l'><collision name='c'>{geometry}"
     model = read_model_text(f"{text}</collision></link></model></sdf>", "here")
     assert model.links[0].collisions[0].geometry == shape
-
-
-def test_only_what_stands_on_a_rectangle_has_one():
-    assert Box((1.0, 2.0, 3.0)).floor_sides() == (1.0, 2.0)
-    assert Sphere(1.0).floor_sides() is None
 
 
 def test_all_that_makes_something_of_shapes_knows_each():

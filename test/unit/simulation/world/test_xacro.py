@@ -4,10 +4,9 @@ import pytest
 from sensor_worlds import INERTIAL
 
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world import xacro as xacro_files
+from bullet_lab.simulation.world import urdf as xacro_files
 from bullet_lab.simulation.world.description import Box
-from bullet_lab.simulation.world.urdf import read_urdf_file
-from bullet_lab.simulation.world.xacro import XacroError, expand_xacro
+from bullet_lab.simulation.world.urdf import XacroError, expand_xacro, read_urdf_file
 
 pytest.importorskip("xacro")
 
