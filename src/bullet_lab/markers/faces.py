@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Optional, Tuple
+from typing import Tuple
 
 import numpy as np
 
@@ -43,7 +43,7 @@ class MarkerError(LabError):
     """A marker that does not exist or cannot be printed as asked."""
 
 
-def dictionary_names() -> Tuple[str, ...]:
+def dictionary_names() -> tuple[str, ...]:
     """Return the names of all dictionaries of this OpenCV, without the prefix, in lower case."""
     return tuple(sorted(simple_name(name).lower() for name in DICTIONARY_NAMES))
 
@@ -201,7 +201,7 @@ def wall_face(marker: Print) -> Face:
     return Face(canvas, WALL_SIZE)
 
 
-def dots_face(marker: Optional[Print], seed: int) -> Face:
+def dots_face(marker: Print | None, seed: int) -> Face:
     """Return a back wall strewn with dots, with a marker if there is one; raises MarkerError."""
     if seed < 0:
         raise MarkerError(f"the seed must be an integer >= 0, not {seed}")

@@ -12,7 +12,7 @@ import argparse
 import re
 import sys
 from pathlib import Path
-from typing import Any, NoReturn, Optional, Sequence
+from typing import Any, NoReturn, Sequence
 
 from bullet_lab.core.parameters import ArgumentParser
 from bullet_lab.errors import LabError
@@ -97,7 +97,7 @@ def parser() -> ArgumentParser:
     return made
 
 
-def main(arguments: Optional[Sequence[str]] = None) -> NoReturn:
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line, and exit: 0 done, 2 bad input, 130 interrupted."""
     words = sys.argv[1:] if arguments is None else arguments
     # roslaunch adds its own: __name:=… and __log:=…

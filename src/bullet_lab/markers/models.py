@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import List, Optional, Sequence, Tuple
+from typing import Sequence, Tuple
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -86,7 +86,7 @@ class _Piece:
     name: str
     size: Vector
     centre: Vector
-    mesh_origin: Optional[Vector] = None
+    mesh_origin: Vector | None = None
 
 
 def write_panel(face: Face, height: float, folder: Path, about: str) -> None:
@@ -130,7 +130,7 @@ def write_dock(face: Face, folder: Path, about: str) -> None:
     _write_model(folder, parts, about)
 
 
-def write_plate(face: Face, thickness: float, folder: Path, name: str) -> Tuple[Path, ...]:
+def write_plate(face: Face, thickness: float, folder: Path, name: str) -> tuple[Path, ...]:
     """Write <name>.obj, <name>.mtl and <name>.png of a box that shows a picture on its front.
 
     The origin is the middle of the front, which looks along -x with z up; the box reaches
@@ -169,7 +169,7 @@ def _obj(face: Face, thickness: float, name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _quad(first: int, texture: Tuple[int, int, int, int], normal: int) -> List[str]:
+def _quad(first: int, texture: tuple[int, int, int, int], normal: int) -> list[str]:
     corners = [f"{first + k}/{texture[k]}/{normal}" for k in range(4)]
     return [f"f {corners[0]} {corners[b]} {corners[c]}" for b, c in ((1, 2), (2, 3))]
 

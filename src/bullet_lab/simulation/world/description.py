@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Dict, Mapping, Optional, Tuple, Union
+from typing import Mapping, Tuple, Union
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -45,8 +45,8 @@ class Texture:
     """
 
     path: Path
-    scale: Tuple[float, float] = (1.0, 1.0)
-    scroll: Tuple[float, float] = (0.0, 0.0)
+    scale: tuple[float, float] = (1.0, 1.0)
+    scroll: tuple[float, float] = (0.0, 0.0)
     rotation: float = 0.0
     repeats: bool = True
     blends: bool = False
@@ -76,13 +76,13 @@ class Material:
         scripts: where it is defined: the URI in the document, and the path.
     """
 
-    ambient: Optional[Colour] = None
+    ambient: Colour | None = None
     emissive: Colour = BLACK
-    texture: Optional[Texture] = None
+    texture: Texture | None = None
     lit: bool = True
     covers: bool = False
     name: str = ""
-    scripts: Tuple[Tuple[str, Path], ...] = ()
+    scripts: tuple[tuple[str, Path], ...] = ()
 
 
 # The diffuse colour of a surface, and the rest of its look.
@@ -114,10 +114,10 @@ class Collision:
     pose: Pose = Pose()
     friction: float = 1.0
     name: str = ""
-    stiffness: Optional[float] = None
-    damping: Optional[float] = None
-    cross_friction: Optional[float] = None
-    direction: Optional[Vector] = None
+    stiffness: float | None = None
+    damping: float | None = None
+    cross_friction: float | None = None
+    direction: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class Inertia:
     centre: Vector
     matrix: np.ndarray
 
-    def elements(self) -> Dict[str, float]:
+    def elements(self) -> dict[str, float]:
         """Return the elements of the matrix by their names, ixx to izz."""
         rows, columns = np.triu_indices(3)
         values = self.matrix[rows, columns].tolist()
@@ -148,9 +148,9 @@ class Link:
 
     name: str
     pose: Pose = Pose()
-    inertia: Optional[Inertia] = None
-    visuals: Tuple[Visual, ...] = ()
-    collisions: Tuple[Collision, ...] = ()
+    inertia: Inertia | None = None
+    visuals: tuple[Visual, ...] = ()
+    collisions: tuple[Collision, ...] = ()
     self_collide: bool = False
     anchored: bool = False
     gravity: bool = True
@@ -188,8 +188,8 @@ class PluginTag:
     name: str
     tags: Mapping[str, str]
     link: str = ""
-    sensor: Optional[Element] = None
-    element: Optional[Element] = field(default=None, compare=False, repr=False)
+    sensor: Element | None = None
+    element: Element | None = field(default=None, compare=False, repr=False)
     scope: str = ""
 
 
@@ -202,14 +202,14 @@ class Model:
     """
 
     name: str
-    links: Tuple[Link, ...]
-    joints: Tuple[Joint, ...] = ()
-    plugins: Tuple[PluginTag, ...] = ()
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...] = ()
+    plugins: tuple[PluginTag, ...] = ()
     pose: Pose = Pose()
     static: bool = False
-    frames: Mapping[str, Tuple[str, Pose]] = field(default_factory=dict)
+    frames: Mapping[str, tuple[str, Pose]] = field(default_factory=dict)
 
-    def root_links(self) -> Tuple[Link, ...]:
+    def root_links(self) -> tuple[Link, ...]:
         """Return the links that are the child of no joint."""
         children = {joint.child for joint in self.joints}
         return tuple(link for link in self.links if link.name not in children)
@@ -223,11 +223,11 @@ class Model:
         hanging = {joint.child for joint in self.joints if joint.parent == WORLD_LINK}
         return next(link for link in self.links if link.name in hanging)
 
-    def own_links(self) -> Tuple[Link, ...]:
+    def own_links(self) -> tuple[Link, ...]:
         """Return the links without WORLD_LINK, which carries links that move on the world."""
         return tuple(link for link in self.links if link.name != WORLD_LINK)
 
-    def links_by_name(self) -> Dict[str, Link]:
+    def links_by_name(self) -> dict[str, Link]:
         """Return the links by their names."""
         return {link.name: link for link in self.links}
 
@@ -290,7 +290,7 @@ class ModelState:
 
     pose: Pose
     links: Mapping[str, FrameState] = field(default_factory=dict)
-    joints: Mapping[str, Tuple[float, float]] = field(default_factory=dict)
+    joints: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -301,8 +301,8 @@ class World:
     """
 
     name: str
-    models: Tuple[Model, ...] = ()
-    lights: Tuple[Light, ...] = ()
+    models: tuple[Model, ...] = ()
+    lights: tuple[Light, ...] = ()
     gravity: Vector = (0.0, 0.0, -9.8)
     ambient: Colour = (0.4, 0.4, 0.4, 1.0)
     background: Colour = (0.7, 0.7, 0.7, 1.0)
@@ -316,7 +316,7 @@ class Snapshot:
 
     world: World
     step: int
-    models: Tuple[Tuple[Model, ModelState], ...]
+    models: tuple[tuple[Model, ModelState], ...]
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def read_parts(path: Path, submesh: str, resolver: Any = None) -> Iterator[MeshP
         return
     smooth = resolver is not None and FACE_WITH_NORMALS.search(read_bytes(path)) is not None
     for part in _scene(path, submesh, resolver).geometry.values():
-        faces, visual = np.asarray(part.faces, dtype=int), part.visual
+        faces, visual = np.asarray(part.faces, dtype=int).reshape(-1, 3), part.visual
         uv = getattr(visual, "uv", None)
         yield MeshPart(
             np.asarray(part.vertices, dtype=float),

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Callable, Iterable, Optional, Tuple
+from typing import Callable, Iterable
 from urllib.parse import quote, unquote, urlsplit
 
 from bullet_lab.errors import LabError
@@ -37,7 +37,7 @@ def package_share() -> Path:
     raise ResourceError(f"the shared files of {PACKAGE} are neither in {source_tree} nor installed")
 
 
-def ros_package_folder(name: str) -> Optional[Path]:
+def ros_package_folder(name: str) -> Path | None:
     """Return the folder of a ROS package, or None if it is unknown or ROS is not installed."""
     if name == PACKAGE:
         return package_share()
@@ -51,7 +51,7 @@ def ros_package_folder(name: str) -> Optional[Path]:
         return None
 
 
-def gazebo_model_folders() -> Tuple[Path, ...]:
+def gazebo_model_folders() -> tuple[Path, ...]:
     """Return the folders of `model://`, in Gazebo's order."""
     home = os.environ.get("HOME", "")
     own = (Path(home) / ".gazebo" / "models",) if home else ()
@@ -64,7 +64,7 @@ RESOURCES = ("", "models", "media/models", "Media/models")
 MEDIA = ("", "materials/scripts", "materials/textures", "materials/programs", "media/models")
 
 
-def gazebo_media_folders() -> Tuple[Path, ...]:
+def gazebo_media_folders() -> tuple[Path, ...]:
     """Return the folders in GAZEBO_RESOURCE_PATH that may hold materials and pictures."""
     found = []
     for folder in listed_folders("GAZEBO_RESOURCE_PATH"):
@@ -73,7 +73,7 @@ def gazebo_media_folders() -> Tuple[Path, ...]:
     return tuple(found)
 
 
-def listed_folders(variable: str) -> Tuple[Path, ...]:
+def listed_folders(variable: str) -> tuple[Path, ...]:
     """Return the folders in an environment variable, which are separated by colons."""
     listed = os.environ.get(variable, "").split(os.pathsep)
     return tuple(Path(folder) for folder in listed if folder)
@@ -102,9 +102,9 @@ class ResourceFinder:
 
     def __init__(
         self,
-        folder: Optional[Path] = None,
-        packages: Callable[[str], Optional[Path]] = ros_package_folder,
-        model_folders: Optional[Iterable[Path]] = None,
+        folder: Path | None = None,
+        packages: Callable[[str], Path | None] = ros_package_folder,
+        model_folders: Iterable[Path] | None = None,
     ):
         self._folder = folder
         self._packages = packages
@@ -187,13 +187,13 @@ class _UserFinder(ResourceFinder):
         return _existing(path, uri)
 
 
-def _package_above(path: Path) -> Tuple[Path, ...]:
+def _package_above(path: Path) -> tuple[Path, ...]:
     """Return the folder of the ROS package that holds a path, if one does."""
     holders = (folder for folder in path.parents if (folder / "package.xml").is_file())
     return tuple(holders)[:1]
 
 
-def _search(folders: Iterable[Path], path: str, uri: str) -> Optional[Path]:
+def _search(folders: Iterable[Path], path: str, uri: str) -> Path | None:
     """Return a path in the first folder that contains it, or None.
 
     Raises:

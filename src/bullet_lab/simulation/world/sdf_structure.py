@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass, replace
-from typing import Dict, Iterable, Iterator, Mapping, Optional, Sequence, Tuple
+from typing import Iterable, Iterator, Mapping, Sequence, Tuple
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
@@ -13,7 +13,6 @@ from bullet_lab.simulation.world.description import (
     LIMITS,
     SEPARATOR,
     WORLD_LINK,
-    Colour,
     FrameState,
     Joint,
     Link,
@@ -23,7 +22,7 @@ from bullet_lab.simulation.world.description import (
 from bullet_lab.simulation.world.shapes import Shape
 from bullet_lab.simulation.world.tags import Document, Tag
 from bullet_lab.simulation.world.tree import lump_fixed_joints, rooted, with_sound_inertias
-from bullet_lab.simulation.world.xml import ElementReader, XmlError, colour
+from bullet_lab.simulation.world.xml import ElementReader, XmlError
 
 LOG = logging.getLogger(__name__)
 
@@ -61,7 +60,7 @@ class Frames:
 
     def __init__(self, source: str):
         self._source = source
-        self._frames: Dict[str, _Frame] = {}
+        self._frames: dict[str, _Frame] = {}
 
     def add(self, name: str, pose: Pose, base: str = "", carrier: str = "") -> None:
         """Add a frame at a pose in another one, by default the outermost."""
@@ -101,7 +100,7 @@ class SdfTag(Tag):
         element: Element,
         source: str,
         document: Document,
-        frames: Optional[Frames] = None,
+        frames: Frames | None = None,
         inside: str = "",
     ):
         super().__init__(element, source, document)
@@ -126,15 +125,6 @@ class SdfTag(Tag):
         if self.frames is None or base in ("", self.inside):
             return pose
         return self.frames.pose(self.inside).inverse() * self.frames.pose(base) * pose
-
-    def colour(self, key: str, default: Colour) -> Colour:
-        """Return a colour; alpha may be left out."""
-        text = self.text(key)
-        try:
-            return colour(text, self.where(key)) if text else default
-        except XmlError as error:
-            self.doubt(error)
-            return default
 
 
 def scoped(model: Model, held: bool) -> Model:
@@ -191,10 +181,10 @@ def model_frames(
 
 def places(
     tag: SdfTag, frames: Frames, links: Sequence[Link], nested: Iterable[Nested]
-) -> Dict[str, Place]:
+) -> dict[str, Place]:
     """Return the link that each <frame> and nested model moves with, and its pose there."""
     names = [element.get("name", "") for element in tag.element.findall("frame")]
-    found: Dict[str, Place] = {}
+    found: dict[str, Place] = {}
     for model, _ in nested:
         found.update(model.frames)
         names.append(model.name)
@@ -274,10 +264,10 @@ def merged(model: Model, source: str) -> Model:
     return with_sound_inertias(replace(found, frames={**frames, **found.frames}), source)
 
 
-def read_states(element: Element, models: Iterable[Model], source: str) -> Dict[str, ModelState]:
+def read_states(element: Element, models: Iterable[Model], source: str) -> dict[str, ModelState]:
     """Return the states of a world's models in a saved `<state>`, by their names."""
     known = {model.name: model for model in models}
-    states: Dict[str, ModelState] = {}
+    states: dict[str, ModelState] = {}
     for child in element.findall("model"):
         name = child.get("name", "")
         where = f"{source}: state of model '{name}'"
@@ -293,7 +283,7 @@ def read_states(element: Element, models: Iterable[Model], source: str) -> Dict[
 
 def _model_state(element: Element, model: Model, source: str) -> ModelState:
     present = model.links_by_name()
-    links: Dict[str, FrameState] = {}
+    links: dict[str, FrameState] = {}
     for name, child in _in_state(element, "link"):
         if name in present:
             tag = ElementReader(child, f"{source}: link '{name}'")
@@ -313,7 +303,7 @@ def _model_state(element: Element, model: Model, source: str) -> ModelState:
     return ModelState(ElementReader(element, source).pose(), links, joints)
 
 
-def _in_state(element: Element, tag: str, scope: str = "") -> Iterator[Tuple[str, Element]]:
+def _in_state(element: Element, tag: str, scope: str = "") -> Iterator[tuple[str, Element]]:
     """Yield the links or joints of a state by their full names, with those of nested models."""
     for child in element.findall(tag):
         yield scope + child.get("name", ""), child
@@ -321,7 +311,7 @@ def _in_state(element: Element, tag: str, scope: str = "") -> Iterator[Tuple[str
         yield from _in_state(nested, tag, f"{scope}{nested.get('name', '')}{SEPARATOR}")
 
 
-def _joint_state(joint: Joint, links: Mapping[str, FrameState]) -> Tuple[float, float]:
+def _joint_state(joint: Joint, links: Mapping[str, FrameState]) -> tuple[float, float]:
     """Return position (rad or m) and velocity of a joint, from the states of its links."""
     if joint.parent not in links or joint.child not in links:
         return 0.0, 0.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 from dataclasses import asdict, astuple
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, Set, Tuple, Union
+from typing import Any, Iterable, Iterator
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from bullet_lab.core.pose import Pose
@@ -44,7 +44,7 @@ NAMESPACE = "robotNamespace"
 ANCHOR = "_to_world"
 
 
-def world_text(snapshot: Snapshot, folder: Path) -> Tuple[str, List[str]]:
+def world_text(snapshot: Snapshot, folder: Path) -> tuple[str, list[str]]:
     """Return a world as SDF.
 
     Args:
@@ -108,9 +108,9 @@ class _Uris:
     """Gives the URIs by which a document in a folder can name other files."""
 
     def __init__(self, folder: Path):
-        self.notes: List[str] = []
+        self.notes: list[str] = []
         self._folder = folder.resolve()
-        self._uris: Dict[Path, str] = {}
+        self._uris: dict[Path, str] = {}
 
     def of(self, uri: str, path: Path) -> str:
         if uri.startswith(("package://", "model://")):
@@ -146,12 +146,12 @@ def _add_model(parent: Element, model: Model, pose: Pose, uris: _Uris) -> None:
         # SDF has no continuous joints; they are revolute joints without limits.
         kind = "revolute" if joint.kind == "continuous" else joint.kind
         _add(element, "joint", _joint(joint), name=joint.name, type=kind)
-    scopes: Dict[str, Element] = {"": element}
+    scopes: dict[str, Element] = {"": element}
     for plugin in (plugin for plugin in model.plugins if plugin.sensor is None):
         _in_scope(scopes, plugin.scope).append(plugin_element(plugin))
 
 
-def _in_scope(scopes: Dict[str, Element], scope: str) -> Element:
+def _in_scope(scopes: dict[str, Element], scope: str) -> Element:
     """Return the element of a nested model; it only holds plugins, as the rest has full names."""
     if scope not in scopes:
         outer, _, name = scope[: -len(SEPARATOR)].rpartition(SEPARATOR)
@@ -161,7 +161,7 @@ def _in_scope(scopes: Dict[str, Element], scope: str) -> Element:
 
 
 def _add_link(parent: Element, link: Link, model: Model, uris: _Uris) -> None:
-    content: Dict[str, Any] = {"pose": link.pose}
+    content: dict[str, Any] = {"pose": link.pose}
     if link.self_collide:
         content["self_collide"] = True
     if not link.gravity:
@@ -185,7 +185,7 @@ def _add_link(parent: Element, link: Link, model: Model, uris: _Uris) -> None:
 def _add_material(parent: Element, visual: Visual, uris: _Uris) -> None:
     """Add the material of a visual, without what is in the file of a mesh."""
     material, shape = visual.material, visual.geometry
-    content: Dict[str, Any] = {}
+    content: dict[str, Any] = {}
     if material.covers or not (isinstance(shape, Mesh) and has_own_looks(shape)):
         content = {"ambient": material.ambient or visual.colour, "diffuse": visual.colour}
         if material.emissive != Material.emissive:
@@ -204,9 +204,9 @@ def _add_material(parent: Element, visual: Visual, uris: _Uris) -> None:
         _add(script, "name", material.name)
 
 
-def _named(shapes: Iterable[Any], kind: str) -> Iterator[Tuple[str, Any]]:
+def _named(shapes: Iterable[Any], kind: str) -> Iterator[tuple[str, Any]]:
     """Yield shapes with unique names."""
-    taken: Set[str] = set()
+    taken: set[str] = set()
     for shape in shapes:
         name, number = shape.name or kind, 0
         while name in taken:
@@ -216,9 +216,9 @@ def _named(shapes: Iterable[Any], kind: str) -> Iterator[Tuple[str, Any]]:
         yield name, shape
 
 
-def _shape(shape: Union[Collision, Visual], uris: _Uris) -> Dict[str, Any]:
+def _shape(shape: Collision | Visual, uris: _Uris) -> dict[str, Any]:
     geometry = shape.geometry
-    content: Dict[str, Any] = {}
+    content: dict[str, Any] = {}
     if isinstance(geometry, Mesh):
         content["uri"] = uris.of(geometry.uri, geometry.path)
         if geometry.submesh:
@@ -226,21 +226,21 @@ def _shape(shape: Union[Collision, Visual], uris: _Uris) -> Dict[str, Any]:
     return {"pose": shape.pose, "geometry": {geometry.tag: {**content, **geometry.measures()}}}
 
 
-def _surface(collision: Collision) -> Dict[str, Any]:
+def _surface(collision: Collision) -> dict[str, Any]:
     mu, cross, direction = collision.friction, collision.cross_friction, collision.direction
     friction = {"mu": mu, "mu2": mu if cross is None else cross, "fdir1": direction}
     contact = _given({"kp": collision.stiffness, "kd": collision.damping})
-    surface: Dict[str, Any] = {"friction": {"ode": _given(friction)}}
+    surface: dict[str, Any] = {"friction": {"ode": _given(friction)}}
     if contact:
         surface["contact"] = {"ode": contact}
     return surface
 
 
-def _given(content: Dict[str, Any]) -> Dict[str, Any]:
+def _given(content: dict[str, Any]) -> dict[str, Any]:
     return {tag: value for tag, value in content.items() if value is not None}
 
 
-def _joint(joint: Joint) -> Dict[str, Any]:
+def _joint(joint: Joint) -> dict[str, Any]:
     limits = {"lower": -FAR, "upper": FAR, **joint.limits}
     if joint.kind == "continuous":
         limits.update(lower=-FAR, upper=FAR)
@@ -273,7 +273,7 @@ def plugin_element(plugin: PluginTag) -> Element:
 
 def _sensors(link: Link, model: Model) -> Iterator[Element]:
     """Yield the sensors of a link and of the links that were merged into it."""
-    written: Set[int] = set()
+    written: set[int] = set()
     for plugin in model.plugins:
         sensor, holder = plugin.sensor, plugin.link or model.canonical_link().name
         base = model.frames[holder][0] if holder in model.frames else holder
@@ -293,7 +293,7 @@ def _sensors(link: Link, model: Model) -> Iterator[Element]:
         yield element
 
 
-def _surroundings(world: World) -> Dict[str, Any]:
+def _surroundings(world: World) -> dict[str, Any]:
     return {
         "gravity": world.gravity,
         "physics": {
@@ -309,7 +309,7 @@ def _surroundings(world: World) -> Dict[str, Any]:
     }
 
 
-def _light(light: Light) -> Dict[str, Any]:
+def _light(light: Light) -> dict[str, Any]:
     content = {
         "pose": light.pose,
         "cast_shadows": light.casts_shadows,

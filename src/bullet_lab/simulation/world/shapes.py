@@ -12,7 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import ClassVar, Sequence, Tuple
+from typing import ClassVar, Sequence
 
 import numpy as np
 
@@ -112,7 +112,7 @@ class Plane(Shape):
     """A plane through the origin; it is infinite for contacts and is drawn with a `size`."""
 
     normal: Vector = (0.0, 0.0, 1.0)
-    size: Tuple[float, float] = (100.0, 100.0)
+    size: tuple[float, float] = (100.0, 100.0)
     tag = "plane"
 
     def bounds(self) -> np.ndarray:

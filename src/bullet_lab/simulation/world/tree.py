@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from itertools import chain
-from typing import Any, Dict, Iterable, Iterator, List, Sequence, Set, Tuple, TypeVar
+from typing import Any, Iterable, Iterator, Sequence, Tuple, TypeVar
 
 import numpy as np
 
@@ -46,9 +46,9 @@ class ModelError(LabError):
     """A model cannot be simulated."""
 
 
-def first_of_each(parts: Iterable[Named], what: str, source: str) -> Tuple[Named, ...]:
+def first_of_each(parts: Iterable[Named], what: str, source: str) -> tuple[Named, ...]:
     """Return the parts without those whose name appeared before; warn of these."""
-    found: Dict[str, Named] = {}
+    found: dict[str, Named] = {}
     for part in parts:
         if part.name in found:
             LOG.warning("%s: %s '%s' appears twice; the first is used", source, what, part.name)
@@ -78,14 +78,14 @@ def check_tree(links: Sequence[Link], joints: Sequence[Joint], source: str) -> N
 
 
 def _refuse_duplicates(names: Iterable[str], what: str, source: str) -> None:
-    seen: Set[str] = set()
+    seen: set[str] = set()
     for name in names:
         if name in seen:
             raise XmlError(f"{source}: {what} '{name}' appears twice")
         seen.add(name)
 
 
-def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> Tuple[Links, Joints]:
+def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> tuple[Links, Joints]:
     """Return links and joints as trees, with all joints leading away from the roots.
 
     A link that is fixed to the world becomes an anchored root. Other joints to the world get an
@@ -95,12 +95,12 @@ def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> Tuple
     names = [WORLD_LINK, *(link.name for link in links)]
     held = [WORLD_LINK, *(link.name for link in links if link.anchored)]
     kept = _without_loops(names, held, joints, source)
-    ends: Dict[str, List[Joint]] = {name: [] for name in names}
+    ends: dict[str, list[Joint]] = {name: [] for name in names}
     for joint in kept:
         ends[joint.parent].append(joint)
         ends[joint.child].append(joint)
     children = {joint.child for joint in kept}
-    away: Dict[str, Joint] = {}
+    away: dict[str, Joint] = {}
     reached = set(held)
     # Links that are no child come before those whose joint would have to be reversed.
     for start in (*held, *(name for name in names if name not in children), *names):
@@ -115,7 +115,7 @@ def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> Tuple
 
 def _without_loops(
     names: Iterable[str], held: Sequence[str], joints: Iterable[Joint], source: str
-) -> List[Joint]:
+) -> list[Joint]:
     """Return the joints that close no loop; the `held` links are connected already."""
     group = {name: {name} for name in names}
     group.update(dict.fromkeys(held, set(held)))
@@ -144,7 +144,7 @@ def _reversed(joint: Joint) -> Joint:
     )
 
 
-def _anchored(links: Sequence[Link], joints: Sequence[Joint]) -> Tuple[Links, Joints]:
+def _anchored(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[Links, Joints]:
     """Return links and joints, with the links anchored that are fixed to the world."""
     to_world = {joint.child: joint.kind for joint in joints if joint.parent == WORLD_LINK}
     fixed = {name for name, kind in to_world.items() if kind == "fixed"}
@@ -155,9 +155,9 @@ def _anchored(links: Sequence[Link], joints: Sequence[Joint]) -> Tuple[Links, Jo
     return tuple(found), tuple(kept)
 
 
-def top_down(root: str, joints: Iterable[Joint]) -> List[str]:
+def top_down(root: str, joints: Iterable[Joint]) -> list[str]:
     """Return the names of the links below a root and its own, each after its parent."""
-    children: Dict[str, List[str]] = {}
+    children: dict[str, list[str]] = {}
     for joint in joints:
         children.setdefault(joint.parent, []).append(joint.child)
     order = [root]
@@ -169,7 +169,7 @@ def top_down(root: str, joints: Iterable[Joint]) -> List[str]:
 def place_links(links: Links, joints: Joints) -> Links:
     """Return the links with their poses in the root's frame, with all joints at zero."""
     above = {joint.child: joint for joint in joints}
-    poses: Dict[str, Pose] = {}
+    poses: dict[str, Pose] = {}
     root = next(link.name for link in links if link.name not in above)
     for name in top_down(root, joints):
         joint = above.get(name)
@@ -188,7 +188,7 @@ def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
     if not fixed:
         return model
     places = {link.name: _place(link.name, fixed) for link in model.links}
-    members: Dict[str, List[Tuple[Link, Pose]]] = {}
+    members: dict[str, list[tuple[Link, Pose]]] = {}
     for link in model.links:
         base, pose = places[link.name]
         members.setdefault(base, []).append((link, pose))
@@ -210,7 +210,7 @@ def _merges(joint: Joint, model: Model) -> bool:
     return parent.anchored or parent.gravity == child.gravity
 
 
-def _place(name: str, fixed: Dict[str, Joint]) -> Tuple[str, Pose]:
+def _place(name: str, fixed: dict[str, Joint]) -> tuple[str, Pose]:
     """Return the link that a link is merged into, and the pose of its frame there."""
     pose = Pose()
     while name in fixed:
@@ -219,7 +219,7 @@ def _place(name: str, fixed: Dict[str, Joint]) -> Tuple[str, Pose]:
     return name, pose
 
 
-def _merge(base: Link, members: List[Tuple[Link, Pose]], rename: bool) -> Link:
+def _merge(base: Link, members: list[tuple[Link, Pose]], rename: bool) -> Link:
     def moved(shape: Collision, link: Link, pose: Pose) -> Collision:
         is_renamed = rename and link.name != base.name
         name = f"{base.name}{LUMP}{shape.name}" if is_renamed else shape.name
@@ -246,7 +246,7 @@ def matrix_from_elements(
     return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]], dtype=float)
 
 
-def combine(parts: Sequence[Tuple[Inertia, Pose]]) -> Inertia:
+def combine(parts: Sequence[tuple[Inertia, Pose]]) -> Inertia:
     """Return the inertia of bodies fixed to each other, by the parallel axis theorem.
 
     `parts` holds each body's inertia and the pose of its frame in the common one.
@@ -279,7 +279,7 @@ def mobility(inertia: Inertia, axis: Vector, turning: bool) -> float:
     return float(np.dot(axis, np.linalg.solve(inertia.matrix, axis)))
 
 
-def principal_axes(inertia: Inertia) -> Tuple[Tuple[float, float, float], Pose]:
+def principal_axes(inertia: Inertia) -> tuple[tuple[float, float, float], Pose]:
     """Return the principal moments and the pose of the principal frame in the link's frame.
 
     A diagonal inertia keeps the axes of the link.
@@ -359,7 +359,7 @@ def usable(model: Model) -> Model:
 
 
 def _with_usable_shapes(link: Link, where: str) -> Link:
-    def used(shapes: Sequence[Any]) -> Tuple[Any, ...]:
+    def used(shapes: Sequence[Any]) -> tuple[Any, ...]:
         found = []
         for shape in shapes:
             with leaving_out(lambda what: LOG.warning("%s: link '%s': %s", where, link.name, what)):
@@ -371,8 +371,8 @@ def _with_usable_shapes(link: Link, where: str) -> Link:
     return replace(link, visuals=used(link.visuals), collisions=used(link.collisions))
 
 
-def _without_massless(links: Links, joints: Joints, where: str) -> Tuple[Links, Joints]:
-    dropped: Set[str] = set()
+def _without_massless(links: Links, joints: Joints, where: str) -> tuple[Links, Joints]:
+    dropped: set[str] = set()
     for link in links:
         massless = link.inertia is None or link.inertia.mass <= 0.0
         if massless and not link.anchored and link.name not in dropped:
@@ -395,7 +395,7 @@ def check_proportions(model: Model) -> None:
                 raise ModelError(f"model '{model.name}': {problem}")
 
 
-def _measures(model: Model) -> Iterator[Tuple[str, Iterable[float], float]]:
+def _measures(model: Model) -> Iterator[tuple[str, Iterable[float], float]]:
     """Yield what is measured, its values, and their limit."""
     yield "pose", model.pose.position, FARTHEST
     for link in model.links:

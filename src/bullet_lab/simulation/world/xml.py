@@ -13,7 +13,7 @@ import re
 import stat
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Callable, Iterator, Match, Optional, Sequence, Set, Tuple, Type
+from typing import Any, Callable, Iterator, Match, Sequence
 from xml.etree.ElementTree import Element, ParseError
 
 import defusedxml.ElementTree
@@ -47,7 +47,7 @@ class ReportOnce:
     """Log each warning once."""
 
     def __init__(self) -> None:
-        self._given: Set[str] = set()
+        self._given: set[str] = set()
 
     def __call__(self, message: str) -> None:
         """Warn, unless the same warning was logged before."""
@@ -114,7 +114,7 @@ def _quoted(value: Match[str]) -> str:
     return f"{before}{quoted}" if bare is None else f"{before}'{bare}'"
 
 
-def file_bytes(path: Path, most: int, error_kind: Type[LabError] = XmlError) -> bytes:
+def file_bytes(path: Path, most: int, error_kind: type[LabError] = XmlError) -> bytes:
     """Return the content of a file; raise `error_kind` if it is missing or over `most` bytes.
 
     A pipe or a device is refused: reading it could block for ever.
@@ -143,7 +143,7 @@ def read_text(path: Path) -> str:
         raise XmlError(f"{path}: not UTF-8 text") from error
 
 
-def numbers(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
+def numbers(text: str | None, count: int, what: str) -> tuple[float, ...]:
     """Return the `count` finite numbers in a text; raise XmlError that begins with `what`."""
     parts = (text or "").split()
     try:
@@ -159,12 +159,12 @@ def numbers(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
     return values
 
 
-def number(text: Optional[str], what: str) -> float:
+def number(text: str | None, what: str) -> float:
     """Return the one finite number in a text; raise XmlError."""
     return numbers(text, 1, what)[0]
 
 
-def colour(text: str, what: str) -> Tuple[float, ...]:
+def colour(text: str, what: str) -> tuple[float, ...]:
     """Return the red, green, blue and alpha in a text, alpha 1 by default; raise XmlError."""
     return numbers(f"{text} 1" if len(text.split()) == 3 else text, 4, what)
 
@@ -193,7 +193,7 @@ class TagReader(ABC):
         """Raise the error of an invalid value; subclasses may log it instead."""
         raise error
 
-    def numbers(self, key: str, count: int, default: str = "") -> Tuple[float, ...]:
+    def numbers(self, key: str, count: int, default: str = "") -> tuple[float, ...]:
         """Return `count` finite numbers."""
         return self._checked(key, count, default, lambda values: False, "")
 
@@ -241,7 +241,7 @@ class TagReader(ABC):
             return self.number(key, default)
         return value if 0.0 <= value < NO_SLIP else NO_SLIP
 
-    def sizes(self, key: str, count: int, default: str = "") -> Tuple[float, ...]:
+    def sizes(self, key: str, count: int, default: str = "") -> tuple[float, ...]:
         """Return `count` positive numbers."""
         return self._checked(key, count, default, lambda v: min(v) <= 0.0, "{:g} is not positive")
 
@@ -268,6 +268,15 @@ class TagReader(ABC):
         self.doubt(XmlError(f"{self.where(key)}: '{word}' is not one of {', '.join(known)}"))
         return known[0]
 
+    def colour(self, key: str, default: Any) -> Any:
+        """Return red, green, blue and alpha, alpha 1 by default; or the default if missing."""
+        text = self.text(key)
+        try:
+            return colour(text, self.where(key)) if text else default
+        except XmlError as error:
+            self.doubt(error)
+            return default
+
     def boolean(self, key: str, default: bool) -> bool:
         """Return the truth value of true, false, 1 or 0."""
         text = self.text(key, repr(default))
@@ -282,9 +291,9 @@ class TagReader(ABC):
         key: str,
         count: int,
         default: str,
-        is_wrong: Callable[[Tuple[float, ...]], bool],
+        is_wrong: Callable[[tuple[float, ...]], bool],
         reason: str,
-    ) -> Tuple[float, ...]:
+    ) -> tuple[float, ...]:
         """Return finite numbers that are not wrong; `reason` is formatted with the least one."""
         try:
             values = numbers(self.text(key, default), count, self.where(key))
