@@ -17,6 +17,7 @@ from typing import Any, NoReturn, Sequence
 from bullet_lab.core.parameters import ArgumentParser
 from bullet_lab.errors import LabError
 from bullet_lab.markers.faces import (
+    PLATE_THICKNESS,
     MarkerError,
     Print,
     dictionary_names,
@@ -24,8 +25,10 @@ from bullet_lab.markers.faces import (
     nested_face,
     plate_face,
     wall_face,
+    write_dock,
+    write_panel,
+    write_plate,
 )
-from bullet_lab.markers.models import PLATE_THICKNESS, write_dock, write_panel, write_plate
 
 STATUS_BAD_INPUT = 2
 STATUS_INTERRUPTED = 130

@@ -301,9 +301,9 @@ class MaterialLibrary:
         blends = _blends(shown)
         diffuse = self._numbers(shown, where, "diffuse") or WHITE
         ambient = self._numbers(shown, where, "ambient") or WHITE
-        emissive = self._numbers(shown, where, "emissive", "self_illumination")
+        emissive = self._numbers(shown, where, "emissive", "self_illumination") or BLACK
         lit = shown.words("lighting") != ("off",)
-        (*rgb, alpha) = diffuse if lit else (1.0, 1.0, 1.0, diffuse[3])
+        colour = (*(diffuse if lit else WHITE)[:3], diffuse[3] if blends else 1.0)
         aliases = {
             line[1]: line[2]
             for line in whole.properties
@@ -311,14 +311,8 @@ class MaterialLibrary:
         }
         texture = None
         for unit in shown.all("texture_unit"):
-            manual = _manual(unit, "colour_op_ex", 3)
-            if manual:
-                rgb, lit = manual, False
-            (alpha,) = _manual(unit, "alpha_op_ex", 1) or (alpha,)
             texture = texture or self._texture(unit, aliases, folders, where, blends)
-        emissive = emissive or Material.emissive
-        material = Material(ambient, emissive, texture, lit, True, name, tuple(scripts))
-        return _clipped((*rgb, alpha if blends else 1.0)), material
+        return colour, Material(ambient, emissive, texture, lit, True, name, tuple(scripts))
 
     def _numbers(self, block: Block, where: str, *keys: str) -> Colour | None:
         """Return the colour in a line of a block; its alpha is 1 by default."""
@@ -411,10 +405,7 @@ class MaterialLibrary:
 
 def _shown_pass(material: Block) -> Block:
     """Return the last pass that is not transparent; without any, the first pass."""
-    techniques = material.all("technique")
-    plain = [t for t in techniques if t.words("scheme") in ((), ("Default",))]
-    passes = [p for t in (plain or techniques)[:1] for p in t.all("pass")]
-    passes = [p for p in passes if p.words("polygon_mode") in ((), ("solid",))] or passes
+    passes = [p for technique in material.all("technique")[:1] for p in technique.all("pass")]
     opaque = [p for p in passes if p.words("scene_blend") in ((), ("replace",), ("one", "zero"))]
     return (opaque[-1:] or passes[:1] or [Block("pass")])[0]
 
@@ -423,13 +414,6 @@ def _blends(shown: Block) -> bool:
     blending = (("alpha_blend",), ("src_alpha", "one_minus_src_alpha"))
     rejects = shown.words("alpha_rejection")[:1] not in ((), ("always_pass",))
     return shown.words("scene_blend") in blending or rejects
-
-
-def _manual(unit: Block, key: str, count: int) -> tuple[float, ...]:
-    """Return the numbers that an operation of a texture unit sets; empty if it sets none."""
-    words = unit.words(key)
-    found = _finite(words[3:]) if words[:2] == ("source1", "src_manual") else ()
-    return found if len(found) == count else ()
 
 
 def _finite(words: Iterable[str]) -> tuple[float, ...]:

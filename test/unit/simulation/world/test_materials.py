@@ -30,7 +30,7 @@ abstract material Shop/Base { technique { pass { lighting on } } }
 material Shop/Glass { technique { pass { scene_blend alpha_blend
   diffuse 0 0 1 0.25 } } }
 material Shop/Lamp { technique { pass { lighting off
-  texture_unit { colour_op_ex source1 src_manual src_current 1 0.5 0 } } } }
+  diffuse 1 0.5 0 } } }
 material Shop/Layers { technique { pass { diffuse 1 0 0 } pass { diffuse 0 1 0 }
   pass { scene_blend add
     diffuse 0 0 1 } } }
@@ -113,7 +113,7 @@ def test_file_uris_and_uris_of_several_models(shop, tmp_path):
     ("name", "colour", "lit"),
     [
         ("Shop/Glass", (0, 0, 1, 0.25), True),
-        ("Shop/Lamp", (1, 0.5, 0, 1), False),
+        ("Shop/Lamp", (1, 1, 1, 1), False),
         ("Shop/Layers", (0, 1, 0, 1), True),
         ("Shop/Plain", (1, 1, 1, 1), True),
         ("Gazebo/RedTransparent", (1, 0, 0, 0.5), False),
