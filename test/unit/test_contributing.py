@@ -10,7 +10,7 @@ from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.odometry_noise import MODELS, rule_of
 from bullet_lab.reports import Reading
 from bullet_lab.simulation.plugins import plugin
-from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.studies.noise_study.study import StudySettings, run_study
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,7 +38,7 @@ def forgotten(monkeypatch):
 
 def test_the_plugin_measures(world, forgotten):
     named(PLUGIN, "Altimeter")
-    robot = world.add(read_model_text(MAST, "mast"))
+    robot = world.add(read_spawned(MAST, "mast"))
     heights = []
     robot.listen("height", heights.append)
     world.run_for(1.0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Callable, Iterable
+from typing import Iterable
 from urllib.parse import quote, unquote, urlsplit
 
 from bullet_lab.errors import LabError
@@ -94,30 +94,16 @@ def package_uri(path: Path) -> str:
 
 
 class ResourceFinder:
-    """Finds the files that a document refers to.
+    """Finds the files that a document in a folder refers to; None for one that came as text."""
 
-    `folder` is that of the document, None if it came as text; `packages` returns the folder of a
-    ROS package by its name, or None; `model_folders` contain models by name.
-    """
-
-    def __init__(
-        self,
-        folder: Path | None = None,
-        packages: Callable[[str], Path | None] = ros_package_folder,
-        model_folders: Iterable[Path] | None = None,
-    ):
+    def __init__(self, folder: Path | None = None):
         self._folder = folder
-        self._packages = packages
-        self._models = gazebo_model_folders() if model_folders is None else tuple(model_folders)
+        self._models = gazebo_model_folders()
 
     @classmethod
     def anywhere(cls) -> ResourceFinder:
         """Return a finder for references by the user, who may name any file."""
         return _UserFinder(Path.cwd())
-
-    def beside(self, path: Path) -> ResourceFinder:
-        """Return a finder for a document at `path`."""
-        return ResourceFinder(path.parent, self._packages, self._models)
 
     def find(self, uri: str) -> Path:
         """Return the file or folder that a URI or a path means.
@@ -138,7 +124,7 @@ class ResourceFinder:
             raise ResourceError("no file is named; a path or a URI is needed")
         parts = urlsplit(uri)
         if parts.scheme == "package":
-            folder = self._packages(parts.netloc)
+            folder = ros_package_folder(parts.netloc)
             if folder is None:
                 raise ResourceError(f"'{uri}': no ROS package '{parts.netloc}'")
             path = unquote(parts.path).lstrip("/")

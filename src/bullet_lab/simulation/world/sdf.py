@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import os
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Container, Union
 from xml.etree.ElementTree import Element, SubElement
@@ -58,7 +58,7 @@ PARTS = ("model", "light", "include")
 Part = Union[Model, Light]
 
 
-def read_world_file(path: Path, finder: ResourceFinder | None = None) -> World:
+def read_world_file(path: Path) -> World:
     """Read a world from an SDF file.
 
     As in Gazebo, an invalid part is reported and left out, and the rest is read.
@@ -70,54 +70,35 @@ def read_world_file(path: Path, finder: ResourceFinder | None = None) -> World:
     element = root.find("world") if root.tag == "sdf" else None
     if element is None:
         raise XmlError(f"{path}: no <sdf> with a <world>")
-    tag = _root_tag(root, str(path), Document((finder or ResourceFinder()).beside(path)))
-    return _world(tag.other(element))
+    return _world(_root_tag(root, str(path), Document(ResourceFinder(path.parent))).other(element))
 
 
-def read_description(text: str, source: str, finder: ResourceFinder | None = None) -> Model:
-    """Return the model in a text, SDF or URDF; `source` names the text in messages.
+def read_spawned(text: str, source: str, folder: Path | None = None) -> Part:
+    """Return the model or the light in a text, SDF or URDF, that is to be spawned.
+
+    As in Gazebo, a model may be in a <world>, where its pose is ignored if it is included, and only
+    the first model is read.
+
+    Args:
+        text: of the document.
+        source: its name in messages.
+        folder: the folder that it belongs to; None for one that came alone.
 
     Raises:
         LabError: neither, or no possible model; the message says what and where.
     """
-    return _read_model(parse_text(text, source), source, finder)
-
-
-def read_spawned(text: str, source: str, finder: ResourceFinder | None = None) -> Part:
-    """Return the model or the light in a text that is to be spawned.
-
-    As in Gazebo, the pose of a model that is included by a <world> is ignored.
-
-    Raises:
-        LabError: as `read_description`.
-    """
-    root = parse_text(text, source)
-    if root.tag == "sdf":
-        light = root.find("light") if root.find("model") is None else None
-        if light is not None:
-            tag = _root_tag(root, source, Document(finder or ResourceFinder()))
-            return _light(tag.below(light))
+    root, document = parse_text(text, source), Document(ResourceFinder(folder))
+    if root.tag == "robot":
+        return read_urdf_element(root, source, document)
+    if root.tag != "sdf":
+        raise XmlError(f"{source}: the root element is <{root.tag}>, neither <sdf> nor <robot>")
+    light = root.find("light") if root.find("model") is None else None
+    if light is None:
         for include in root.iterfind("world/include"):
             if include.find("pose") is None:
                 SubElement(include, "pose").text = "0 0 0 0 0 0"
-    return _read_model(root, source, finder)
-
-
-def read_model_text(text: str, source: str, finder: ResourceFinder | None = None) -> Model:
-    """Read one model from SDF text; raise as `read_world_file`.
-
-    As in Gazebo, it may be in a <world>, and only the first model is read.
-    """
-    root = parse_text(text, source)
-    return _first_model(_root_tag(root, source, Document(finder or ResourceFinder())))
-
-
-def _read_model(root: Element, source: str, finder: ResourceFinder | None) -> Model:
-    if root.tag == "robot":
-        return read_urdf_element(root, source, finder)
-    if root.tag == "sdf":
-        return _first_model(_root_tag(root, source, Document(finder or ResourceFinder())))
-    raise XmlError(f"{source}: the root element is <{root.tag}>, neither <sdf> nor <robot>")
+    tag = _root_tag(root, source, document)
+    return _first_model(tag) if light is None else _light(tag.below(light))
 
 
 def _root_tag(root: Element, source: str, document: Document) -> SdfTag:
@@ -186,7 +167,7 @@ def _included(tag: SdfTag) -> SdfTag:
     where = f"{tag.source}: <include>"
     path = _model_file(tag.other(tag.element, where).file(tag.text("uri")))
     root = parse_text(read_text(path), str(path))
-    finder, depth = tag.document.finder.beside(path), tag.document.depth + 1
+    finder, depth = ResourceFinder(path.parent), tag.document.depth + 1
     outer = _root_tag(root, str(path), replace(tag.document, finder=finder, depth=depth))
     first = next((child for child in root if child.tag in PARTS), None)
     if first is None:
@@ -227,7 +208,10 @@ def _model(tag: SdfTag, held: bool = False) -> Model:
     nested = [(scoped(part, static), base) for part, base in _nested(tag, static)]
     links, joints = _named(tag, "link"), _named(tag, "joint")
     frames = model_frames(tag, links, joints, nested)
-    made = [_link(SdfTag(t.element, t.source, t.document, frames, t.name), static) for t in links]
+    made = []
+    for link in links:
+        document = replace(link.document, frames=frames, inside=link.name)
+        made.append(_link(SdfTag(link.element, link.source, document), static))
     made += [link for model, _ in nested for link in model.links]
     made = [replace(link, pose=frames.pose(link.name)) for link in made]
     by_name = {link.name: link for link in made}
@@ -317,11 +301,14 @@ def _light(tag: SdfTag) -> Light:
         key: tag.coefficient(f"attenuation/{key}", getattr(Attenuation, key))
         for key in ("range", "constant", "linear", "quadratic")
     }
-    inner = tag.number("spot/inner_angle", Cone.inner)
-    outer = tag.number("spot/outer_angle", Cone.outer)
-    falloff = tag.number("spot/falloff", Cone.falloff)
-    if not 0.0 <= inner <= outer <= 2.0 * math.pi or falloff < 0.0:
-        raise XmlError(f"{tag.source}: <spot> is no cone: {inner:g}, {outer:g}, {falloff:g}")
+    cone = Cone(
+        tag.number("spot/inner_angle", Cone.inner),
+        tag.number("spot/outer_angle", Cone.outer),
+        tag.number("spot/falloff", Cone.falloff),
+    )
+    if not 0.0 <= cone.inner <= cone.outer <= 2.0 * math.pi or cone.falloff < 0.0:
+        shown = ", ".join(f"{value:g}" for value in astuple(cone))
+        raise XmlError(f"{tag.source}: <spot> is no cone: {shown}")
     return Light(
         tag.element.get("name", "light"),
         kind,
@@ -330,5 +317,5 @@ def _light(tag: SdfTag) -> Light:
         tag.direction("direction", "0 0 -1"),
         tag.boolean("cast_shadows", False),
         Attenuation(**attenuation),
-        Cone(inner, outer, falloff),
+        cone,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Iterable, Iterator, Mapping, Sequence, Tuple
 from xml.etree.ElementTree import Element
 
@@ -20,7 +20,7 @@ from bullet_lab.simulation.world.description import (
     ModelState,
 )
 from bullet_lab.simulation.world.shapes import Shape
-from bullet_lab.simulation.world.tags import Document, Tag
+from bullet_lab.simulation.world.tags import MODEL_FRAME, Frames, Tag
 from bullet_lab.simulation.world.tree import lump_fixed_joints, rooted, with_sound_inertias
 from bullet_lab.simulation.world.xml import ElementReader, XmlError
 
@@ -33,81 +33,12 @@ NO_BOUND = 1e16
 AXES_IN_JOINTS = (1, 5)
 # Before version 1.7, a frame moved with the one that its pose was given in.
 FRAMES_ATTACHED = (1, 7)
-# The frame of the model or of the world that contains the others.
-MODEL_FRAME = "__model__"
-OUTERMOST = ("", MODEL_FRAME, WORLD_LINK)
-
 # A nested model with full names, and the frame that its pose is given in.
 Nested = Tuple[Model, str]
-Place = Tuple[str, Pose]
-
-
-@dataclass(frozen=True)
-class _Frame:
-    """A frame: `pose` in the frame `base`; it moves with the frame `carrier`."""
-
-    pose: Pose
-    base: str
-    carrier: str
-
-
-class Frames:
-    """The frames of a model or a world, which are given in each other, as in SDF 1.7.
-
-    A model's frames are its links, joints, `<frame>`s and nested models; a world's are its models
-    and `<frame>`s. Frames of a nested model are named `model::name`.
-    """
-
-    def __init__(self, source: str):
-        self._source = source
-        self._frames: dict[str, _Frame] = {}
-
-    def add(self, name: str, pose: Pose, base: str = "", carrier: str = "") -> None:
-        """Add a frame at a pose in another one, by default the outermost."""
-        self._frames.setdefault(name, _Frame(pose, base or MODEL_FRAME, carrier))
-
-    def pose(self, name: str) -> Pose:
-        """Return the pose of a frame in the outermost one.
-
-        An unknown frame, or one that is given in itself, counts as the outermost, with a warning.
-        """
-        pose, seen = Pose(), {name}
-        while name not in OUTERMOST:
-            frame = self._frames.get(name)
-            if frame is None or frame.base in seen - set(OUTERMOST):
-                reason = "is unknown" if frame is None else "is given in itself"
-                what = f"frame '{name}' {reason}; the model's frame is used"
-                LOG.warning("%s: %s", self._source, what)
-                return pose if frame is None else frame.pose * pose
-            pose, name = frame.pose * pose, frame.base
-            seen.add(name)
-        return pose
-
-    def carrier(self, name: str) -> str:
-        """Return the frame at the end of the chain of carriers; empty for an unknown frame."""
-        seen = set()
-        while name in self._frames and self._frames[name].carrier and name not in seen:
-            seen.add(name)
-            name = self._frames[name].carrier
-        return name if name in self._frames or name in OUTERMOST else ""
 
 
 class SdfTag(Tag):
-    """An SDF element. With `frames`, its poses are given in these, and returned in `inside`."""
-
-    def __init__(
-        self,
-        element: Element,
-        source: str,
-        document: Document,
-        frames: Frames | None = None,
-        inside: str = "",
-    ):
-        super().__init__(element, source, document)
-        self.frames, self.inside = frames, inside
-
-    def other(self, element: Element, source: str = "") -> SdfTag:  # noqa: D102
-        return SdfTag(element, source or self.source, self.document, self.frames, self.inside)
+    """An SDF element."""
 
     def shape(self, element: Element, where: str) -> Shape | None:  # noqa: D102
         shape = super().shape(element, where)
@@ -122,9 +53,10 @@ class SdfTag(Tag):
 
     def pose(self) -> Pose:  # noqa: D102
         base, pose = self.base(), super().pose()
-        if self.frames is None or base in ("", self.inside):
+        frames, inside = self.document.frames, self.document.inside
+        if frames is None or base in ("", inside):
             return pose
-        return self.frames.pose(self.inside).inverse() * self.frames.pose(base) * pose
+        return frames.pose(inside).inverse() * frames.pose(base) * pose
 
 
 def scoped(model: Model, held: bool) -> Model:
@@ -181,10 +113,10 @@ def model_frames(
 
 def places(
     tag: SdfTag, frames: Frames, links: Sequence[Link], nested: Iterable[Nested]
-) -> dict[str, Place]:
+) -> dict[str, tuple[str, Pose]]:
     """Return the link that each <frame> and nested model moves with, and its pose there."""
     names = [element.get("name", "") for element in tag.element.findall("frame")]
-    found: dict[str, Place] = {}
+    found: dict[str, tuple[str, Pose]] = {}
     for model, _ in nested:
         found.update(model.frames)
         names.append(model.name)
@@ -201,8 +133,8 @@ def read_joint(tag: SdfTag, frames: Frames, links: Mapping[str, Link], model: st
     """Return a joint; raise XmlError if one of its links is missing."""
     parent, child = (_end(tag, tag.text(end), frames, links, model) for end in ("parent", "child"))
     at = {WORLD_LINK: Pose(), **{name: link.pose for name, link in links.items()}}
-    given = [key for key in LIMITS if tag.text(f"axis/limit/{key}")]
-    limits = {key: tag.bound(f"axis/limit/{key}") for key in given}
+    paths = {key: f"axis/limit/{key}" for key in LIMITS}
+    limits = {key: tag.bound(path) for key, path in paths.items() if tag.text(path)}
     # The pose of the joint in its child.
     place = at[child].inverse() * frames.pose(tag.base() or child) * tag.pose()
     if not tag.base() and child == tag.text("child"):
@@ -255,13 +187,8 @@ def merged(model: Model, source: str) -> Model:
     if not model.links:
         raise XmlError(f"{source}: there is no link")
     links, joints = rooted(model.links, model.joints, source)
-    found = lump_fixed_joints(replace(model, links=links, joints=joints, frames={}))
-    frames = {}
-    for name, (link, pose) in model.frames.items():
-        # The link may have been merged into another.
-        target, offset = found.frames.get(link, (link, Pose()))
-        frames[name] = (target, offset * pose)
-    return with_sound_inertias(replace(found, frames={**frames, **found.frames}), source)
+    found = lump_fixed_joints(replace(model, links=links, joints=joints))
+    return with_sound_inertias(found, source)
 
 
 def read_states(element: Element, models: Iterable[Model], source: str) -> dict[str, ModelState]:

@@ -2,46 +2,49 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Callable, Iterator, TypeVar
 from xml.etree.ElementTree import Element
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import Inertia, PluginTag
+from bullet_lab.simulation.world.description import WORLD_LINK, Inertia, PluginTag
 from bullet_lab.simulation.world.materials import MaterialLibrary
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Shape, Sphere
 from bullet_lab.simulation.world.tree import INERTIA_KEYS, matrix_from_elements
 from bullet_lab.simulation.world.xml import ElementReader, ReportOnce, XmlError, leaving_out
 
+LOG = logging.getLogger(__name__)
+
 # The SDF version that Gazebo 11 reads.
 NEWEST = (1, 7)
 
 # The children of each SDF element that are simulated.
 SDF_READ = {
-    "sdf": {"world", "model", "light", "include"},
-    "world": {"model", "light", "include", "gravity", "scene", "state", "physics"},
-    "model": {"link", "joint", "plugin", "pose", "static", "frame", "include", "model"},
-    "link": {"pose", "inertial", "visual", "collision", "sensor", "plugin"}
-    | {"self_collide", "gravity"},
-    "visual": {"geometry", "pose", "material", "cast_shadows", "transparency"},
-    "collision": {"geometry", "pose", "surface"},
-    "joint": {"parent", "child", "pose", "axis", "axis2"},
-    "surface": {"friction", "contact"},
-    "physics": {"gravity"},
+    "sdf": "world model light include",
+    "world": "model light include gravity scene state physics",
+    "model": "link joint plugin pose static frame include model",
+    "link": "pose inertial visual collision sensor plugin self_collide gravity",
+    "visual": "geometry pose material cast_shadows transparency",
+    "collision": "geometry pose surface",
+    "joint": "parent child pose axis axis2",
+    "surface": "friction contact",
+    "physics": "gravity",
 }
 # Children that Gazebo writes into every saved world, or that have no visible effect here.
 SDF_QUIET = {
-    "world": {"gui", "atmosphere", "wind", "magnetic_field", "spherical_coordinates", "audio"},
-    "model": {"allow_auto_disable"},
-    "link": {"must_be_base_link"},
-    "visual": {"meta", "laser_retro"},
-    "collision": {"max_contacts", "laser_retro"},
-    "joint": {"physics", "sensor"},
+    "world": "gui atmosphere wind magnetic_field spherical_coordinates audio",
+    "model": "allow_auto_disable",
+    "link": "must_be_base_link",
+    "visual": "meta laser_retro",
+    "collision": "max_contacts laser_retro",
+    "joint": "physics sensor",
     # Settings of Gazebo's engines.
-    "physics": {"ode", "bullet", "simbody", "dart", "max_contacts", "real_time_factor"},
+    "physics": "ode bullet simbody dart max_contacts real_time_factor",
 }
 # Values that ask for what the simulation does anyway.
 SDF_DEFAULTS = {
@@ -55,7 +58,53 @@ SDF_DEFAULTS = {
 # Plugins of worlds and of the server that make Gazebo's ROS interface; the bridge provides it.
 SERVER_PLUGINS = ("libgazebo_ros_api_plugin", "libgazebo_ros_paths_plugin", "libgazebo_ros")
 
+# The frame of the model or of the world that contains the others.
+MODEL_FRAME = "__model__"
+OUTERMOST = ("", MODEL_FRAME, WORLD_LINK)
+
 AnyTag = TypeVar("AnyTag", bound="Tag")
+
+
+class Frames:
+    """The frames of a model or a world, which are given in each other, as in SDF 1.7.
+
+    A model's frames are its links, joints, `<frame>`s and nested models; a world's are its models
+    and `<frame>`s. Frames of a nested model are named `model::name`.
+    """
+
+    def __init__(self, source: str):
+        self._source = source
+        # For each frame: its pose, the frame that it is given in, and the one that it moves with.
+        self._frames: dict[str, tuple[Pose, str, str]] = {}
+
+    def add(self, name: str, pose: Pose, base: str = "", carrier: str = "") -> None:
+        """Add a frame at a pose in another one, by default the outermost."""
+        self._frames.setdefault(name, (pose, base or MODEL_FRAME, carrier))
+
+    def pose(self, name: str) -> Pose:
+        """Return the pose of a frame in the outermost one.
+
+        An unknown frame, or one that is given in itself, counts as the outermost, with a warning.
+        """
+        pose, seen = Pose(), {name}
+        while name not in OUTERMOST:
+            own, base, _ = self._frames.get(name, (Pose(), "", ""))
+            if name not in self._frames or base in seen - set(OUTERMOST):
+                reason = "is given in itself" if base else "is unknown"
+                what = f"frame '{name}' {reason}; the model's frame is used"
+                LOG.warning("%s: %s", self._source, what)
+                base = MODEL_FRAME
+            pose, name = own * pose, base
+            seen.add(name)
+        return pose
+
+    def carrier(self, name: str) -> str:
+        """Return the frame at the end of the chain of carriers; empty for an unknown frame."""
+        seen = set()
+        while name in self._frames and self._frames[name][2] and name not in seen:
+            seen.add(name)
+            name = self._frames[name][2]
+        return name if name in self._frames or name in OUTERMOST else ""
 
 
 @dataclass(frozen=True)
@@ -68,6 +117,8 @@ class Document:
         depth: the number of includes around it.
         report: logs each warning once.
         materials: those that were read so far.
+        frames: of the model; None for poses as they are given.
+        inside: the frame that poses are returned in.
     """
 
     finder: ResourceFinder
@@ -75,6 +126,8 @@ class Document:
     depth: int = 0
     report: ReportOnce = field(default_factory=ReportOnce)
     materials: MaterialLibrary = field(default_factory=MaterialLibrary)
+    frames: Frames | None = None
+    inside: str = ""
 
 
 class Tag(ElementReader):
@@ -180,7 +233,7 @@ def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
 
 def report_unknown(element: Element, source: str, report: ReportOnce) -> None:
     """Warn once of each kind of element in an <sdf> that is not simulated."""
-    read, quiet = SDF_READ[element.tag], SDF_QUIET.get(element.tag, ())
+    read, quiet = SDF_READ[element.tag].split(), SDF_QUIET.get(element.tag, "").split()
     ignored = []
     for child in element:
         if child.tag in SDF_READ and child.tag in read:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from dataclasses import replace
 from itertools import chain
 from typing import Any, Iterable, Iterator, Sequence, Tuple, TypeVar
@@ -58,31 +59,27 @@ def first_of_each(parts: Iterable[Named], what: str, source: str) -> tuple[Named
 
 def check_tree(links: Sequence[Link], joints: Sequence[Joint], source: str) -> None:
     """Raise XmlError unless the links and joints make one tree with unique names."""
-    _refuse_duplicates((link.name for link in links), "link", source)
-    _refuse_duplicates((joint.name for joint in joints), "joint", source)
-    _refuse_duplicates((joint.child for joint in joints), "child link", source)
-    names = {link.name for link in links}
+    names = [link.name for link in links]
+    children = [joint.child for joint in joints]
+    joint_names = [joint.name for joint in joints]
+    for what, found in (("link", names), ("joint", joint_names), ("child link", children)):
+        for name, count in Counter(found).items():
+            if count > 1:
+                raise XmlError(f"{source}: {what} '{name}' appears twice")
+    known = set(names)
     for joint in joints:
         for end in (joint.parent, joint.child):
-            if end not in names:
+            if end not in known:
                 raise XmlError(f"{source}: joint '{joint.name}' has an unknown link '{end}'")
-    roots = sorted(names - {joint.child for joint in joints})
+    roots = sorted(known - {*children})
     # Each link has one parent at most, so that only a loop is reached from no root.
-    unreached = names.difference(*(top_down(root, joints) for root in roots))
+    unreached = known.difference(*(top_down(root, joints) for root in roots))
     if unreached:
         raise XmlError(f"{source}: a loop of joints at {', '.join(sorted(unreached))}")
     if len(roots) > 1:
         raise XmlError(f"{source}: several root links: {', '.join(roots)}")
     if not links:
         raise XmlError(f"{source}: there is no link")
-
-
-def _refuse_duplicates(names: Iterable[str], what: str, source: str) -> None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            raise XmlError(f"{source}: {what} '{name}' appears twice")
-        seen.add(name)
 
 
 def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> tuple[Links, Joints]:
@@ -185,21 +182,29 @@ def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
     on which gravity acts differently are not merged, unless they cannot move.
     """
     fixed = {joint.child: joint for joint in model.joints if _merges(joint, model)}
-    if not fixed:
-        return model
     places = {link.name: _place(link.name, fixed) for link in model.links}
+    frames = {}
+    for name, (link, pose) in model.frames.items():
+        base, offset = places[link]
+        frames[name] = (base, offset * pose)
+    frames.update({name: place for name, place in places.items() if name in fixed})
+    if not fixed:
+        return replace(model, frames=frames)
     members: dict[str, list[tuple[Link, Pose]]] = {}
     for link in model.links:
         base, pose = places[link.name]
         members.setdefault(base, []).append((link, pose))
     kept = (link for link in model.links if link.name not in fixed)
-    links = tuple(_merge(link, members[link.name], rename) for link in kept)
     joints = []
     for joint in (joint for joint in model.joints if joint.child not in fixed):
         parent, pose = places[joint.parent]
         joints.append(replace(joint, parent=parent, pose=pose * joint.pose))
-    frames = {name: place for name, place in places.items() if name in fixed}
-    return replace(model, links=links, joints=tuple(joints), frames={**model.frames, **frames})
+    return replace(
+        model,
+        links=tuple(_merge(link, members[link.name], rename) for link in kept),
+        joints=tuple(joints),
+        frames=frames,
+    )
 
 
 def _merges(joint: Joint, model: Model) -> bool:
@@ -302,8 +307,7 @@ def with_sound_inertias(model: Model, source: str) -> Model:
     """
     if model.static:
         return model
-    links = (_with_sound_inertia(link, source) for link in model.links)
-    return replace(model, links=tuple(links))
+    return replace(model, links=tuple(_with_sound_inertia(link, source) for link in model.links))
 
 
 def _with_sound_inertia(link: Link, source: str) -> Link:

@@ -110,31 +110,35 @@ def _reason(done: subprocess.CompletedProcess) -> str:
     return lines[-1][:LONGEST_MESSAGE] if lines else "xacro failed without a message"
 
 
-def read_urdf_file(path: Path, finder: ResourceFinder | None = None) -> Model:
+def read_urdf_file(path: Path) -> Model:
     """Read a robot from a URDF or xacro file; see `read_urdf` and `expand_xacro`."""
     text = expand_xacro(path) if is_xacro(path) else read_text(path)
-    return read_urdf(text, str(path), (finder or ResourceFinder()).beside(path))
+    return read_urdf(text, str(path), path.parent)
 
 
-def read_urdf(text: str, source: str, finder: ResourceFinder | None = None) -> Model:
-    """Read a robot from URDF text; `source` names the text in messages.
+def read_urdf(text: str, source: str, folder: Path | None = None) -> Model:
+    """Read a robot from URDF text.
 
     As in Gazebo, links on fixed joints are merged into their parent links, children of a link
     called "world" are joined to the world, and `<gazebo>` elements hold plugins and friction. An
     invalid shape is reported and left out.
 
+    Args:
+        text: of the document.
+        source: its name in messages.
+        folder: the folder that it belongs to; None for one that came alone.
+
     Raises:
         XmlError: not XML, or no possible robot; the message says what and where.
     """
-    return read_urdf_element(parse_text(text, source), source, finder)
+    return read_urdf_element(parse_text(text, source), source, Document(ResourceFinder(folder)))
 
 
-def read_urdf_element(root: Element, source: str, finder: ResourceFinder | None) -> Model:
+def read_urdf_element(root: Element, source: str, document: Document) -> Model:
     """Read a robot from the root element of a URDF document; as `read_urdf`."""
     if root.tag != "robot":
         raise XmlError(f"{source}: the root element is <{root.tag}>, not <robot>")
-    tag = _UrdfTag(root, source, Document(finder or ResourceFinder()))
-    model = with_sound_inertias(_model(tag), source)
+    model = with_sound_inertias(_model(_UrdfTag(root, source, document)), source)
     return replace(model, links=tuple(map(_with_collision_names, model.links)))
 
 

@@ -8,7 +8,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.materials import GAZEBO_MATERIALS
-from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.urdf import read_urdf
 
 FLOOR = "package://bullet_lab/worlds/empty.world"
@@ -70,7 +70,7 @@ def test_an_unknown_material_is_reported_and_the_colour_stays(caplog):
 
 
 def sdf(visual="", collision="", link="", name="m"):
-    return read_model_text(
+    return read_spawned(
         f"<sdf><model name='{name}'><link name='l'>{link}<visual name='v'><geometry><box>"
         f"<size>1 1 1</size></box></geometry>{visual}</visual><collision name='c'><geometry>"
         f"<box><size>1 1 1</size></box></geometry>{collision}</collision></link></model></sdf>",

@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 from sensor_worlds import carrier
 
+from bullet_lab.simulation.world import resources
 from bullet_lab.simulation.world.description import Material, Texture
-from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.sdf import read_model_text, read_world_file
+from bullet_lab.simulation.world.sdf import read_spawned, read_world_file
 from bullet_lab.simulation.world.urdf import read_urdf
 
 SCRIPT = """
@@ -45,7 +45,7 @@ material Shop/Relabelled : Shop/Labelled { set_texture_alias label crate.png
 
 
 @pytest.fixture
-def shop(tmp_path):
+def shop(tmp_path, monkeypatch):
     """The folder of models with a script and a picture, as Gazebo's models have them."""
     model = tmp_path / "models" / "shop"
     for name in ("scripts", "textures"):
@@ -54,7 +54,10 @@ def shop(tmp_path):
     (model / "materials" / "scripts" / "shop.material").write_text(SCRIPT)
     picture = model / "materials" / "textures" / "crate.png"
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(picture)
-    return tmp_path / "models"
+    models = tmp_path / "models"
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(models))
+    monkeypatch.setattr(resources, "ros_package_folder", lambda name: models / name)
+    return models
 
 
 GAZEBO_SCRIPT = "file://media/materials/scripts/gazebo.material"
@@ -68,12 +71,11 @@ URIS = (
 
 
 def visual_of(models, material, shape=BOX, more=""):
-    finder = ResourceFinder(None, lambda name: models / name, (models,))
     text = (
         "<sdf version='1.6'><model name='m'><static>1</static><link name='l'><visual name='v'>"
         f"{shape}<material>{material}</material>{more}</visual></link></model></sdf>"
     )
-    (visual,) = read_model_text(text, "m.sdf", finder).links[0].visuals
+    (visual,) = read_spawned(text, "m.sdf").links[0].visuals
     return visual
 
 
@@ -168,13 +170,12 @@ def test_colours_without_a_script(shop):
     ],
 )
 def test_what_is_missing_is_said_once_and_the_rest_is_drawn(shop, material, message, caplog):
-    finder = ResourceFinder(None, lambda name: shop / name, (shop,))
     visuals = "".join(
         f"<visual name='v{n}'>{BOX}<material>{material}</material></visual>" for n in range(3)
     )
     text = f"<sdf><model name='m'><link name='l'>{visuals}</link></model></sdf>"
     with caplog.at_level(logging.WARNING):
-        model = read_model_text(text, "m.sdf", finder)
+        model = read_spawned(text, "m.sdf")
     assert len(model.links[0].visuals) == 3
     (line,) = caplog.messages
     assert message in line
@@ -233,8 +234,7 @@ def test_what_one_model_declares_the_next_ones_know(shop, tmp_path):
         f"{BOX}<material>{script('Shop/Crate')}</material></visual></link></model></sdf>"
     )
     (tmp_path / "w.world").write_text(WORLD.format(BOX))
-    finder = ResourceFinder(None, model_folders=(shop,))
-    crate, glass = read_world_file(tmp_path / "w.world", finder).models
+    crate, glass = read_world_file(tmp_path / "w.world").models
     assert crate.links[0].visuals[0].material.texture is not None
     assert glass.links[0].visuals[0].colour == (0, 0, 1, 0.25)
 
@@ -276,8 +276,7 @@ def test_a_material_as_in_sdf_for_a_link_of_a_urdf(shop):
         f"<gazebo reference='base'><visual><material>{script('Shop/Crate')}</material></visual>"
         "</gazebo></robot>"
     )
-    finder = ResourceFinder(None, lambda name: shop / name, (shop,))
-    (visual,) = read_urdf(text, "r.urdf", finder).links[0].visuals
+    (visual,) = read_urdf(text, "r.urdf").links[0].visuals
     assert visual.colour == (0.5, 0.25, 1.0, 1.0)
     assert visual.material.texture is not None
     colours = "<visual><material><diffuse>0 1 0 1</diffuse></material></visual>"

@@ -6,7 +6,7 @@ import pytest
 
 from bullet_lab.simulation.physics.bodies import SHAPES as BODIES
 from bullet_lab.simulation.world.meshes import MeshError
-from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.shapes import SHAPES, Box, Cylinder, Mesh, Plane, Sphere
 
 WITH_EXAMPLES = (
@@ -59,7 +59,7 @@ def test_a_shape_is_read_as_it_measures(shape):
     )
     geometry = f"<geometry><{shape.tag}>{measures}</{shape.tag}></geometry>"
     text = f"<sdf version='1.6'><model name='m'><link name='l'><collision name='c'>{geometry}"
-    model = read_model_text(f"{text}</collision></link></model></sdf>", "here")
+    model = read_spawned(f"{text}</collision></link></model></sdf>", "here")
     assert model.links[0].collisions[0].geometry == shape
 
 
