@@ -54,8 +54,8 @@ DEFAULT_COLOUR: Colour = (0.7, 0.7, 0.7, 1.0)
 DEEPEST_INCLUDE = 10
 
 # The elements of a world or a document that are read here.
-PARTS = ("model", "light", "include")
-Part = Union[Model, Light]
+MODELS_AND_LIGHTS = ("model", "light", "include")
+ModelOrLight = Union[Model, Light]
 
 
 def read_world_file(path: Path) -> World:
@@ -73,7 +73,7 @@ def read_world_file(path: Path) -> World:
     return _world(_root_tag(root, str(path), Document(ResourceFinder(path.parent))).other(element))
 
 
-def read_spawned(text: str, source: str, folder: Path | None = None) -> Part:
+def read_spawned(text: str, source: str, folder: Path | None = None) -> ModelOrLight:
     """Return the model or the light in a text, SDF or URDF, that is to be spawned.
 
     As in Gazebo, a model may be in a <world>, where its pose is ignored if it is included, and only
@@ -112,7 +112,7 @@ def _root_tag(root: Element, source: str, document: Document) -> SdfTag:
 def _first_model(tag: SdfTag) -> Model:
     world = tag.element.find("world")
     held = [*tag.element, *(() if world is None else world)]
-    parts = [_resolved(child, tag) for child in held if child.tag in PARTS]
+    parts = [_resolved(child, tag) for child in held if child.tag in MODELS_AND_LIGHTS]
     models = [part for part in parts if part.element.tag == "model"]
     if not models:
         raise XmlError(f"{tag.source}: there is no model")
@@ -122,10 +122,10 @@ def _first_model(tag: SdfTag) -> Model:
 
 
 def _world(tag: SdfTag) -> World:
-    found: list[tuple[Part, str]] = []
+    found: list[tuple[ModelOrLight, str]] = []
     for child in tag.element:
         with leaving_out(tag.document.report):
-            if child.tag in PARTS:
+            if child.tag in MODELS_AND_LIGHTS:
                 inner = _resolved(child, tag)
                 is_light = inner.element.tag == "light"
                 part = _light(inner) if is_light else merged(_model(inner), inner.source)
@@ -169,7 +169,7 @@ def _included(tag: SdfTag) -> SdfTag:
     root = parse_text(read_text(path), str(path))
     finder, depth = ResourceFinder(path.parent), tag.document.depth + 1
     outer = _root_tag(root, str(path), replace(tag.document, finder=finder, depth=depth))
-    first = next((child for child in root if child.tag in PARTS), None)
+    first = next((child for child in root if child.tag in MODELS_AND_LIGHTS), None)
     if first is None:
         raise XmlError(f"{where}: {path}: neither a <model> nor a <light>")
     found = _resolved(first, outer)

@@ -164,11 +164,6 @@ def number(text: str | None, what: str) -> float:
     return numbers(text, 1, what)[0]
 
 
-def colour(text: str, what: str) -> tuple[float, ...]:
-    """Return the red, green, blue and alpha in a text, alpha 1 by default; raise XmlError."""
-    return numbers(f"{text} 1" if len(text.split()) == 3 else text, 4, what)
-
-
 def child_text(element: Element, tag: str, default: str = "") -> str:
     """Return the stripped text of a child, or the default if it is missing or empty."""
     return (element.findtext(tag) or "").strip() or default
@@ -271,8 +266,10 @@ class TagReader(ABC):
     def colour(self, key: str, default: Any) -> Any:
         """Return red, green, blue and alpha, alpha 1 by default; or the default if missing."""
         text = self.text(key)
+        if not text:
+            return default
         try:
-            return colour(text, self.where(key)) if text else default
+            return numbers(f"{text} 1" if len(text.split()) == 3 else text, 4, self.where(key))
         except XmlError as error:
             self.doubt(error)
             return default
