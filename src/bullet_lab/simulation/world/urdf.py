@@ -9,7 +9,6 @@ files of strangers.
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -69,26 +68,24 @@ class XacroError(XmlError):
     """A xacro file cannot be expanded."""
 
 
-def is_xacro(path: Path) -> bool:
-    """Return whether a file has the suffix of xacro."""
-    return path.suffix.lower() == ".xacro"
+def read_urdf_text(path: Path) -> str:
+    """Return the URDF text of a URDF or xacro file; raise XmlError."""
+    return expand_xacro(path) if path.suffix.lower() == ".xacro" else read_text(path)
 
 
-def expand_xacro(path: Path, arguments: Mapping[str, str] | None = None) -> str:
-    """Return the URDF text of a xacro file, with values for its `<xacro:arg>`.
+def expand_xacro(path: Path) -> str:
+    """Return the URDF text of a xacro file, whose `<xacro:arg>` have their defaults.
 
     Raises:
         XacroError: the xacro package or the file is missing, the file is invalid, or it takes too
             much time or memory; the message says which.
     """
-    limits = {"seconds": SECONDS, "memory_bytes": MEMORY_BYTES}
-    order = {"path": str(path), "arguments": dict(arguments or {}), **limits}
     child = Path(__file__).with_name("xacro_child.py")
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     try:
         done = subprocess.run(
-            [sys.executable, "-B", str(child)],
-            input=json.dumps(order).encode(),
+            [sys.executable, "-B", str(child), str(path), str(SECONDS), str(MEMORY_BYTES)],
+            stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=2 * SECONDS,
             env=environment,
@@ -112,8 +109,7 @@ def _reason(done: subprocess.CompletedProcess) -> str:
 
 def read_urdf_file(path: Path) -> Model:
     """Read a robot from a URDF or xacro file; see `read_urdf` and `expand_xacro`."""
-    text = expand_xacro(path) if is_xacro(path) else read_text(path)
-    return read_urdf(text, str(path), path.parent)
+    return read_urdf(read_urdf_text(path), str(path), path.parent)
 
 
 def read_urdf(text: str, source: str, folder: Path | None = None) -> Model:
