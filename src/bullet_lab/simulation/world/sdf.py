@@ -7,15 +7,20 @@ import math
 import os
 from dataclasses import astuple, replace
 from pathlib import Path
-from typing import Container, Union
+from typing import Container, Iterable, Mapping, Sequence, Tuple, Union
 from xml.etree.ElementTree import Element, SubElement
 
+from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.world.description import (
+    LIMITS,
+    SEPARATOR,
     WHITE,
+    WORLD_LINK,
     Attenuation,
     Collision,
     Colour,
     Cone,
+    Joint,
     Light,
     Link,
     Model,
@@ -24,25 +29,24 @@ from bullet_lab.simulation.world.description import (
     World,
 )
 from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.sdf_structure import (
-    Frames,
-    SdfTag,
-    merged,
-    model_frames,
-    places,
-    read_joint,
-    read_states,
-    scoped,
-)
+from bullet_lab.simulation.world.sdf_writer import read_states
 from bullet_lab.simulation.world.shapes import Mesh, Shape
 from bullet_lab.simulation.world.tags import (
+    MODEL_FRAME,
     NEWEST,
     Document,
+    Frames,
+    SdfTag,
     plugins_in,
     report_unknown,
     version_of,
 )
-from bullet_lab.simulation.world.tree import first_of_each
+from bullet_lab.simulation.world.tree import (
+    first_of_each,
+    lump_fixed_joints,
+    rooted,
+    with_sound_inertias,
+)
 from bullet_lab.simulation.world.urdf import read_urdf_element
 from bullet_lab.simulation.world.xml import XmlError, leaving_out, parse_text, read_text
 
@@ -52,7 +56,15 @@ LOG = logging.getLogger(__name__)
 DEFAULT_COLOUR: Colour = (0.7, 0.7, 0.7, 1.0)
 # A longer chain of models that include models is a circle.
 DEEPEST_INCLUDE = 10
-
+JOINT_KINDS = ("fixed", "revolute", "continuous", "prismatic", "ball")
+# SDF's default limits mean "none".
+NO_BOUND = 1e16
+# Before version 1.5, axes were given in the model's frame.
+AXES_IN_JOINTS = (1, 5)
+# Before version 1.7, a frame moved with the one that its pose was given in.
+FRAMES_ATTACHED = (1, 7)
+# A nested model with full names, and the frame that its pose is given in.
+Nested = Tuple[Model, str]
 # The elements of a world or a document that are read here.
 MODELS_AND_LIGHTS = ("model", "light", "include")
 ModelOrLight = Union[Model, Light]
@@ -118,7 +130,7 @@ def _first_model(tag: SdfTag) -> Model:
         raise XmlError(f"{tag.source}: there is no model")
     if len(models) > 1:
         LOG.warning("%s: %d models; only the first is used", tag.source, len(models))
-    return merged(_model(models[0]), models[0].source)
+    return _merged(_model(models[0]), models[0].source)
 
 
 def _world(tag: SdfTag) -> World:
@@ -128,7 +140,7 @@ def _world(tag: SdfTag) -> World:
             if child.tag in MODELS_AND_LIGHTS:
                 inner = _resolved(child, tag)
                 is_light = inner.element.tag == "light"
-                part = _light(inner) if is_light else merged(_model(inner), inner.source)
+                part = _light(inner) if is_light else _merged(_model(inner), inner.source)
                 found.append((part, inner.base()))
     frames = Frames(tag.source)
     for frame in map(tag.below, tag.element.findall("frame")):
@@ -205,9 +217,9 @@ def _model(tag: SdfTag, held: bool = False) -> Model:
     `held` means that it is in a static model. Parts of nested models are named `model::name`.
     """
     static = held or tag.boolean("static", False)
-    nested = [(scoped(part, static), base) for part, base in _nested(tag, static)]
+    nested = _nested(tag, static)
     links, joints = _named(tag, "link"), _named(tag, "joint")
-    frames = model_frames(tag, links, joints, nested)
+    frames = _model_frames(tag, links, joints, nested)
     made = []
     for link in links:
         document = replace(link.document, frames=frames, inside=link.name)
@@ -218,24 +230,25 @@ def _model(tag: SdfTag, held: bool = False) -> Model:
     found = [joint for model, _ in nested for joint in model.joints]
     for joint in joints:
         with leaving_out(tag.document.report):
-            found.append(read_joint(joint, frames, by_name, tag.name))
-    where = places(tag, frames, made, nested)
+            found.append(_read_joint(joint, frames, by_name, tag.name))
+    where = _places(tag, frames, made, nested)
     plugins = _plugins(tag.element, {*where, *by_name})
     plugins += tuple(plugin for model, _ in nested for plugin in model.plugins)
     return Model(tag.name, tuple(made), tuple(found), plugins, tag.pose(), static, where)
 
 
-def _nested(tag: SdfTag, held: bool) -> list[tuple[Model, str]]:
+def _nested(tag: SdfTag, held: bool) -> list[Nested]:
     """Return the models in a model, and the frames that their poses are given in."""
-    found: list[tuple[Model, str]] = []
+    found: list[Model] = []
+    bases: dict[int, str] = {}
     for child in tag.element:
         with leaving_out(tag.document.report):
             if child.tag in ("model", "include"):
                 inner = _resolved(child, tag)
                 if inner.element.tag == "model":
-                    found.append((_model(inner, held), inner.base()))
-    kept = first_of_each([model for model, _ in found], "model", tag.source)
-    return [(model, base) for model, base in found if any(model is one for one in kept)]
+                    found.append(_scoped(_model(inner, held), held))
+                    bases[id(found[-1])] = inner.base()
+    return [(model, bases[id(model)]) for model in first_of_each(found, "model", tag.source)]
 
 
 def _named(tag: SdfTag, kind: str) -> tuple[SdfTag, ...]:
@@ -319,3 +332,135 @@ def _light(tag: SdfTag) -> Light:
         Attenuation(**attenuation),
         cone,
     )
+
+
+def _scoped(model: Model, held: bool) -> Model:
+    """Return a nested model with its name before the names of its parts.
+
+    `held` means that the outer model is static. A static model in one that is not is anchored,
+    each of its links separately.
+    """
+    prefix = model.name + SEPARATOR
+
+    def named(name: str) -> str:
+        return name if name == WORLD_LINK else prefix + name
+
+    anchored = model.static and not held
+    links = (replace(link, name=named(link.name), anchored=anchored) for link in model.links)
+    joints = (
+        replace(j, name=named(j.name), parent=named(j.parent), child=named(j.child))
+        for j in (() if anchored else model.joints)
+    )
+    plugins = (
+        replace(p, link=named(p.link) if p.link else "", scope=prefix + p.scope)
+        for p in model.plugins
+    )
+    frames = {named(name): (named(link), pose) for name, (link, pose) in model.frames.items()}
+    return replace(
+        model, links=tuple(links), joints=tuple(joints), plugins=tuple(plugins), frames=frames
+    )
+
+
+def _model_frames(
+    tag: SdfTag, links: Iterable[SdfTag], joints: Iterable[SdfTag], nested: Iterable[Nested]
+) -> Frames:
+    """Return the frames of a model: of links, of <frame>s, of nested models and of joints."""
+    frames = Frames(tag.source)
+    for link in links:
+        frames.add(link.name, link.pose(), link.base())
+    for frame in map(tag.below, tag.element.findall("frame")):
+        base, attached = frame.base(), frame.element.get("attached_to", "")
+        if not attached and tag.document.version < FRAMES_ATTACHED:
+            attached = base
+        frames.add(frame.name, frame.pose(), base or attached, attached or MODEL_FRAME)
+    for model, base in nested:
+        carrier = model.links[0].name if model.links else MODEL_FRAME
+        frames.add(model.name, model.pose, base, carrier)
+        for link in model.links:
+            frames.add(link.name, link.pose, model.name)
+        for name, (carrier, pose) in model.frames.items():
+            frames.add(name, pose, carrier, carrier)
+    for joint in joints:
+        child = joint.text("child")
+        frames.add(joint.name, joint.pose(), joint.base() or child, child)
+    return frames
+
+
+def _places(
+    tag: SdfTag, frames: Frames, links: Sequence[Link], nested: Iterable[Nested]
+) -> dict[str, tuple[str, Pose]]:
+    """Return the link that each <frame> and nested model moves with, and its pose there."""
+    names = [element.get("name", "") for element in tag.element.findall("frame")]
+    found: dict[str, tuple[str, Pose]] = {}
+    for model, _ in nested:
+        found.update(model.frames)
+        names.append(model.name)
+    known = {link.name for link in links}
+    for name in names:
+        if links and name not in known:
+            carrier = frames.carrier(name)
+            carrier = carrier if carrier in known else links[0].name
+            found[name] = (carrier, frames.pose(carrier).inverse() * frames.pose(name))
+    return found
+
+
+def _read_joint(tag: SdfTag, frames: Frames, links: Mapping[str, Link], model: str) -> Joint:
+    """Return a joint; raise XmlError if one of its links is missing."""
+    parent, child = (_end(tag, tag.text(end), frames, links, model) for end in ("parent", "child"))
+    at = {WORLD_LINK: Pose(), **{name: link.pose for name, link in links.items()}}
+    paths = {key: f"axis/limit/{key}" for key in LIMITS}
+    limits = {key: tag.bound(path) for key, path in paths.items() if tag.text(path)}
+    # The pose of the joint in its child.
+    place = at[child].inverse() * frames.pose(tag.base() or child) * tag.pose()
+    if not tag.base() and child == tag.text("child"):
+        place = tag.pose()
+    kind = tag.element.get("type", "")
+    if kind not in JOINT_KINDS:
+        what = f"type '{kind}' is not simulated; its links are fixed to each other"
+        tag.document.report(f"{tag.source}: {what}")
+        kind = "fixed"
+    return Joint(
+        tag.name,
+        kind,
+        parent,
+        child,
+        at[parent].inverse() * at[child],
+        _axis(tag, frames, place, at[child]),
+        {key: value for key, value in limits.items() if abs(value) < NO_BOUND},
+        tag.number("axis/dynamics/damping", 0.0),
+        tag.number("axis/dynamics/friction", 0.0),
+        place.position,
+    )
+
+
+def _end(tag: SdfTag, name: str, frames: Frames, links: Mapping[str, Link], model: str) -> str:
+    """Return the link at an end of a joint, which may be given by a frame or a full name."""
+    if name == WORLD_LINK:
+        return name
+    prefix = model + SEPARATOR
+    for candidate in (name, name[len(prefix) :] if name.startswith(prefix) else name):
+        found = candidate if candidate in links else frames.carrier(candidate)
+        if found in links:
+            return found
+    raise XmlError(f"{tag.source}: has an unknown link '{name}'")
+
+
+def _axis(tag: SdfTag, frames: Frames, place: Pose, child: Pose) -> Vector:
+    """Return the axis in the child's frame; `place` is the pose of the joint in the child."""
+    axis = tag.direction("axis/xyz", "0 0 1")
+    xyz = tag.element.find("axis/xyz")
+    base = "" if xyz is None else xyz.get("expressed_in", "")
+    if tag.document.version < AXES_IN_JOINTS or tag.boolean("axis/use_parent_model_frame", False):
+        base = base or MODEL_FRAME
+    if base:
+        return child.inverse().rotate(frames.pose(base).rotate(axis))
+    return place.rotate(axis) if place.quaternion != Pose().quaternion else axis
+
+
+def _merged(model: Model, source: str) -> Model:
+    """Return a model as trees of joints, with links on fixed joints merged; raise XmlError."""
+    if not model.links:
+        raise XmlError(f"{source}: there is no link")
+    links, joints = rooted(model.links, model.joints, source)
+    found = lump_fixed_joints(replace(model, links=links, joints=joints))
+    return with_sound_inertias(found, source)

@@ -1,4 +1,4 @@
-"""Write models and worlds as SDF 1.6.
+"""Write models and worlds as SDF 1.6, and read the states of models.
 
 A saved world loads again to the same state. Models have their present poses, and the `<state>`
 holds the states of links and joints, as in worlds that Gazebo saves.
@@ -7,18 +7,21 @@ holds the states of links and joints, as in worlds that Gazebo saves.
 from __future__ import annotations
 
 import copy
+import logging
+import math
 from dataclasses import asdict, astuple
 from pathlib import Path
-from typing import Any, Iterable, Iterator
+from typing import Any, Iterable, Iterator, Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from bullet_lab.core.pose import Pose
+from bullet_lab.core.pose import Pose, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.world.description import (
     LIMITS,
     SEPARATOR,
     WORLD_LINK,
     Collision,
+    FrameState,
     Joint,
     Light,
     Link,
@@ -33,6 +36,9 @@ from bullet_lab.simulation.world.description import (
 )
 from bullet_lab.simulation.world.mesh_parts import has_own_looks
 from bullet_lab.simulation.world.resources import package_uri
+from bullet_lab.simulation.world.xml import ElementReader, XmlError
+
+LOG = logging.getLogger(__name__)
 
 VERSION = "1.6"
 NANOSECONDS = 10**9
@@ -340,3 +346,70 @@ def _add_state(world: Element, snapshot: Snapshot) -> None:
                 continue
             velocity = (*link.linear, *link.angular)
             _add(child, "link", {"pose": link.pose, "velocity": velocity}, name=name)
+
+
+def read_states(element: Element, models: Iterable[Model], source: str) -> dict[str, ModelState]:
+    """Return the states of a world's models in a saved `<state>`, by their names."""
+    known = {model.name: model for model in models}
+    states: dict[str, ModelState] = {}
+    for child in element.findall("model"):
+        name = child.get("name", "")
+        where = f"{source}: state of model '{name}'"
+        if name not in known:
+            LOG.warning("%s: unknown model", where)
+            continue
+        try:
+            states[name] = _model_state(child, known[name], where)
+        except XmlError as error:
+            LOG.warning("%s; the model keeps its initial state", error)
+    return states
+
+
+def _model_state(element: Element, model: Model, source: str) -> ModelState:
+    present = model.links_by_name()
+    links: dict[str, FrameState] = {}
+    for name, child in _in_state(element, "link"):
+        if name in present:
+            tag = ElementReader(child, f"{source}: link '{name}'")
+            values = tag.numbers("velocity", 6, "0 0 0 0 0 0")
+            links[name] = FrameState(tag.pose(), values[:3], values[3:])
+    if WORLD_LINK in present:
+        links[WORLD_LINK] = FrameState(model.pose)
+    positions = {
+        name: ElementReader(child, source).number("angle", 0.0)
+        for name, child in _in_state(element, "joint")
+    }
+    joints = {}
+    for joint in model.joints:
+        if joint.kind != "ball":
+            position, rate = _joint_state(joint, links)
+            joints[joint.name] = (positions.get(joint.name, position), rate)
+    return ModelState(ElementReader(element, source).pose(), links, joints)
+
+
+def _in_state(element: Element, tag: str, scope: str = "") -> Iterator[tuple[str, Element]]:
+    """Yield the links or joints of a state by their full names, with those of nested models."""
+    for child in element.findall(tag):
+        yield scope + child.get("name", ""), child
+    for nested in element.findall("model"):
+        yield from _in_state(nested, tag, f"{scope}{nested.get('name', '')}{SEPARATOR}")
+
+
+def _joint_state(joint: Joint, links: Mapping[str, FrameState]) -> tuple[float, float]:
+    """Return position (rad or m) and velocity of a joint, from the states of its links."""
+    if joint.parent not in links or joint.child not in links:
+        return 0.0, 0.0
+    parent, child = links[joint.parent], links[joint.child]
+    moved = (parent.pose * joint.pose).inverse() * child.pose
+    axis = child.pose.rotate(joint.axis)
+    if joint.kind == "prismatic":
+        arm = subtract(child.pose.position, parent.pose.position)
+        carried = add(parent.linear, cross(parent.angular, arm))
+        return _dot(joint.axis, moved.position), _dot(axis, subtract(child.linear, carried))
+    *turn, w = moved.quaternion
+    angle = math.remainder(2.0 * math.atan2(_dot(joint.axis, turn), w), math.tau)
+    return angle, _dot(axis, subtract(child.angular, parent.angular))
+
+
+def _dot(one: Sequence[float], other: Sequence[float]) -> float:
+    return sum(a * b for a, b in zip(one, other))

@@ -213,6 +213,28 @@ SHAPE_READERS: dict[str, Callable[[Tag], Shape]] = {
 }
 
 
+class SdfTag(Tag):
+    """An SDF element."""
+
+    def shape(self, element: Element, where: str) -> Shape | None:  # noqa: D102
+        shape = super().shape(element, where)
+        if shape is None and element.tag != "empty":
+            LOG.warning("%s: geometry <%s> is not simulated", where, element.tag)
+        return shape
+
+    def base(self) -> str:
+        """Return the frame that its <pose> is given in; empty for the one around it."""
+        found = self.element.find("pose")
+        return "" if found is None else found.get("relative_to") or found.get("frame") or ""
+
+    def pose(self) -> Pose:  # noqa: D102
+        base, pose = self.base(), super().pose()
+        frames, inside = self.document.frames, self.document.inside
+        if frames is None or base in ("", inside):
+            return pose
+        return frames.pose(inside).inverse() * frames.pose(base) * pose
+
+
 def version_of(root: Element) -> tuple[int, ...]:
     """Return the version of an <sdf>, by default the newest."""
     try:
