@@ -13,7 +13,6 @@ import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Dict, Iterable, Iterator, Mapping, Sequence, Tuple
-from xml.etree.ElementTree import Element
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import (
@@ -160,21 +159,6 @@ def _gazebo_materials() -> dict[str, tuple[Colour, Material, str, Colour]]:
 GAZEBO_MATERIALS = _gazebo_materials()
 
 
-class _MaterialTag(ElementReader):
-    """Reads a `<material>`; invalid colours are reported and ignored."""
-
-    def __init__(self, element: Element, source: str, report: ReportOnce):
-        super().__init__(element, source)
-        self._report = report
-
-    def doubt(self, error: LabError) -> None:
-        self._report(f"{error}; ignored")
-
-    def colour(self, key: str, default: Colour | None) -> Colour | None:
-        found = super().colour(key, default)
-        return None if found is None else _clipped(found)
-
-
 class MaterialLibrary:
     """The materials that a document may name."""
 
@@ -187,26 +171,25 @@ class MaterialLibrary:
         # Names and URIs that were reported as missing.
         self._missing: set[str] = set()
 
-    def of_element(
-        self, element: Element | None, source: str, finder: ResourceFinder, default: Colour
+    def of_tag(
+        self, tag: ElementReader | None, finder: ResourceFinder, default: Colour
     ) -> Appearance:
         """Return the meaning of an SDF `<material>`; `default` is the colour without one."""
-        if element is None:
+        if tag is None:
             return default, Material()
-        tag = _MaterialTag(element, source, self._report)
-        name = tag.text("script/name", tag.text("script", element.get("script", "")))
+        name = tag.text("script/name", tag.text("script", tag.element.get("script", "")))
         found, shown, look = None, default, Material()
         if name not in UNNAMED:
-            scripts = tuple(self._scripts(element, source, finder))
-            found = self.named(name, source, scripts)
+            scripts = tuple(self._scripts(tag, finder))
+            found = self.named(name, tag.source, scripts)
             # An unknown material is written again when the world is saved.
             shown, look = found or (default, Material(name=name, scripts=scripts))
-        diffuse, ambient = tag.colour("diffuse", None), tag.colour("ambient", None)
-        has_ambient = ambient is not None and bool(found or diffuse)
+        keys = ("diffuse", "ambient", "emissive")
+        diffuse, ambient, emissive = (_clipped(tag.colour(key, ())) for key in keys)
         look = replace(
             look,
-            ambient=ambient if has_ambient else look.ambient,
-            emissive=tag.colour("emissive", look.emissive),
+            ambient=ambient if ambient and (found or diffuse) else look.ambient,
+            emissive=emissive or look.emissive,
             lit=look.lit and tag.text("lighting") not in ("0", "false"),
             covers=bool(found or diffuse or ambient),
         )
@@ -236,9 +219,9 @@ class MaterialLibrary:
             self._report(f"{source}: material '{name}' {what}")
         return None
 
-    def _scripts(self, element: Element, source: str, finder: ResourceFinder) -> Iterator[Script]:
+    def _scripts(self, tag: ElementReader, finder: ResourceFinder) -> Iterator[Script]:
         """Yield the scripts and folders that a `<material>` names."""
-        for uri in ((found.text or "").strip() for found in element.findall("script/uri")):
+        for uri in ((found.text or "").strip() for found in tag.element.findall("script/uri")):
             if uri in UNNAMED or uri.startswith(GAZEBO_MEDIA):
                 continue
             try:
@@ -246,7 +229,7 @@ class MaterialLibrary:
             except ResourceError as error:
                 if uri not in self._missing:
                     self._missing.add(uri)
-                    self._report(f"{source}: <script>: {error}")
+                    self._report(f"{tag.source}: <script>: {error}")
 
     def _block(self, kind: str, name: str, places: Iterable[Path]) -> tuple[Block | None, Path]:
         """Return a block of a script in one of the places, and the folder of that script."""

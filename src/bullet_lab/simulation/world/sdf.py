@@ -7,7 +7,7 @@ import math
 import os
 from dataclasses import astuple, replace
 from pathlib import Path
-from typing import Container, Iterable, Mapping, Sequence, Tuple, Union
+from typing import Collection, Container, Iterable, Tuple, Union
 from xml.etree.ElementTree import Element, SubElement
 
 from bullet_lab.core.pose import Pose, Vector
@@ -220,19 +220,16 @@ def _model(tag: SdfTag, held: bool = False) -> Model:
     nested = _nested(tag, static)
     links, joints = _named(tag, "link"), _named(tag, "joint")
     frames = _model_frames(tag, links, joints, nested)
-    made = []
-    for link in links:
-        document = replace(link.document, frames=frames, inside=link.name)
-        made.append(_link(SdfTag(link.element, link.source, document), static))
+    made = [_link(link.inside(frames, link.name), static) for link in links]
     made += [link for model, _ in nested for link in model.links]
     made = [replace(link, pose=frames.pose(link.name)) for link in made]
-    by_name = {link.name: link for link in made}
+    names = dict.fromkeys(link.name for link in made)
     found = [joint for model, _ in nested for joint in model.joints]
     for joint in joints:
         with leaving_out(tag.document.report):
-            found.append(_read_joint(joint, frames, by_name, tag.name))
-    where = _places(tag, frames, made, nested)
-    plugins = _plugins(tag.element, {*where, *by_name})
+            found.append(_joint(joint, frames, names, tag.name))
+    where = _places(tag, frames, names, nested)
+    plugins = _plugins(tag.element, {*where, *names})
     plugins += tuple(plugin for model, _ in nested for plugin in model.plugins)
     return Model(tag.name, tuple(made), tuple(found), plugins, tag.pose(), static, where)
 
@@ -287,9 +284,9 @@ def _link(tag: SdfTag, static: bool) -> Link:
 def _visual(tag: SdfTag, geometry: Shape) -> Visual:
     # A default colour would darken the colours and pictures in the file of a mesh.
     default = WHITE if isinstance(geometry, Mesh) else DEFAULT_COLOUR
-    where = f"{tag.source}: visual '{tag.name}'"
     element, document = tag.element.find("material"), tag.document
-    colour, look = document.materials.of_element(element, where, document.finder, default)
+    inner = None if element is None else tag.other(element, f"{tag.source}: visual '{tag.name}'")
+    colour, look = document.materials.of_tag(inner, document.finder, default)
     colour = (*colour[:3], colour[3] * (1.0 - tag.number("transparency", 0.0)))
     casts = tag.boolean("cast_shadows", True)
     return Visual(geometry, tag.pose(), colour, tag.name, casts, look)
@@ -387,7 +384,7 @@ def _model_frames(
 
 
 def _places(
-    tag: SdfTag, frames: Frames, links: Sequence[Link], nested: Iterable[Nested]
+    tag: SdfTag, frames: Frames, links: Collection[str], nested: Iterable[Nested]
 ) -> dict[str, tuple[str, Pose]]:
     """Return the link that each <frame> and nested model moves with, and its pose there."""
     names = [element.get("name", "") for element in tag.element.findall("frame")]
@@ -395,25 +392,20 @@ def _places(
     for model, _ in nested:
         found.update(model.frames)
         names.append(model.name)
-    known = {link.name for link in links}
     for name in names:
-        if links and name not in known:
+        if links and name not in links:
             carrier = frames.carrier(name)
-            carrier = carrier if carrier in known else links[0].name
+            carrier = carrier if carrier in links else next(iter(links))
             found[name] = (carrier, frames.pose(carrier).inverse() * frames.pose(name))
     return found
 
 
-def _read_joint(tag: SdfTag, frames: Frames, links: Mapping[str, Link], model: str) -> Joint:
+def _joint(tag: SdfTag, frames: Frames, links: Collection[str], model: str) -> Joint:
     """Return a joint; raise XmlError if one of its links is missing."""
     parent, child = (_end(tag, tag.text(end), frames, links, model) for end in ("parent", "child"))
-    at = {WORLD_LINK: Pose(), **{name: link.pose for name, link in links.items()}}
     paths = {key: f"axis/limit/{key}" for key in LIMITS}
     limits = {key: tag.bound(path) for key, path in paths.items() if tag.text(path)}
-    # The pose of the joint in its child.
-    place = at[child].inverse() * frames.pose(tag.base() or child) * tag.pose()
-    if not tag.base() and child == tag.text("child"):
-        place = tag.pose()
+    place = tag.inside(frames, child).pose()
     kind = tag.element.get("type", "")
     if kind not in JOINT_KINDS:
         what = f"type '{kind}' is not simulated; its links are fixed to each other"
@@ -424,8 +416,8 @@ def _read_joint(tag: SdfTag, frames: Frames, links: Mapping[str, Link], model: s
         kind,
         parent,
         child,
-        at[parent].inverse() * at[child],
-        _axis(tag, frames, place, at[child]),
+        frames.pose(parent).inverse() * frames.pose(child),
+        _axis(tag, frames, place, frames.pose(child)),
         {key: value for key, value in limits.items() if abs(value) < NO_BOUND},
         tag.number("axis/dynamics/damping", 0.0),
         tag.number("axis/dynamics/friction", 0.0),
@@ -433,7 +425,7 @@ def _read_joint(tag: SdfTag, frames: Frames, links: Mapping[str, Link], model: s
     )
 
 
-def _end(tag: SdfTag, name: str, frames: Frames, links: Mapping[str, Link], model: str) -> str:
+def _end(tag: SdfTag, name: str, frames: Frames, links: Collection[str], model: str) -> str:
     """Return the link at an end of a joint, which may be given by a frame or a full name."""
     if name == WORLD_LINK:
         return name

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Callable, Iterator, TypeVar
 from xml.etree.ElementTree import Element
@@ -73,7 +73,7 @@ class Frames:
     """
 
     def __init__(self, source: str):
-        self._source = source
+        self._source, self._report = source, ReportOnce()
         # For each frame: its pose, the frame that it is given in, and the one that it moves with.
         self._frames: dict[str, tuple[Pose, str, str]] = {}
 
@@ -92,7 +92,7 @@ class Frames:
             if name not in self._frames or base in seen - set(OUTERMOST):
                 reason = "is given in itself" if base else "is unknown"
                 what = f"frame '{name}' {reason}; the model's frame is used"
-                LOG.warning("%s: %s", self._source, what)
+                self._report(f"{self._source}: {what}")
                 base = MODEL_FRAME
             pose, name = own * pose, base
             seen.add(name)
@@ -221,6 +221,11 @@ class SdfTag(Tag):
         if shape is None and element.tag != "empty":
             LOG.warning("%s: geometry <%s> is not simulated", where, element.tag)
         return shape
+
+    def inside(self, frames: Frames, name: str) -> SdfTag:
+        """Return the reader of the same element that returns poses in one of the frames."""
+        document = replace(self.document, frames=frames, inside=name)
+        return SdfTag(self.element, self.source, document)
 
     def base(self) -> str:
         """Return the frame that its <pose> is given in; empty for the one around it."""

@@ -31,7 +31,7 @@ from bullet_lab.simulation.world.description import (
 )
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Shape
-from bullet_lab.simulation.world.tags import Document, Tag, plugins_in
+from bullet_lab.simulation.world.tags import Document, SdfTag, Tag, plugins_in
 from bullet_lab.simulation.world.tree import (
     check_tree,
     lump_fixed_joints,
@@ -301,16 +301,14 @@ class _GazeboTags:
             for child in element:
                 part = "robot" if name is None else name
                 tag = _LinkTag(child, f"{root.source}: <{child.tag}> of '{part}'")
-                with leaving_out(report):
-                    if name is not None:
-                        self._read(tag, self._fields.setdefault(name, {}))
-                    elif child.tag == "static":
-                        self.static = tag.truth()
-            for child in element:
                 is_default = child.tag == "static" and (child.text or "").strip() in ("0", "false")
-                known = ("static",) if name is None else (*LINK_TAGS, "material")
-                if child.tag not in QUIET_TAGS and child.tag not in known and not is_default:
-                    report(f"{root.source}: <gazebo>: <{child.tag}> is not simulated")
+                with leaving_out(report):
+                    if name is None and child.tag == "static":
+                        self.static = tag.truth()
+                    elif name is not None and child.tag in (*LINK_TAGS, "material", "visual"):
+                        self._read(tag, self._fields.setdefault(name, {}))
+                    elif child.tag not in QUIET_TAGS and not is_default:
+                        report(f"{root.source}: <gazebo>: <{child.tag}> is not simulated")
 
     def apply(self, link: Link) -> Link:
         """Return a link with what the tags describe, but for gravity."""
@@ -354,10 +352,10 @@ class _GazeboTags:
             found = read(tag)
         elif tag.element.tag == "material":
             field, found = "look", materials.named(tag.text("value"), tag.source)
-        elif tag.element.tag == "visual" and material is not None:
+        elif material is not None:
             # The same as in SDF.
-            finder = self._document.finder
-            colour, look = materials.of_element(material, tag.source, finder, WHITE)
+            inner = SdfTag(material, tag.source, self._document)
+            colour, look = materials.of_tag(inner, self._document.finder, WHITE)
             field, found = "look", (colour, look) if look.covers else None
         if found is not None:
             fields[field] = found
