@@ -96,34 +96,34 @@ OrangeTransparentOverlay    |1 0.5088 0.0468           |-                       
 RedTransparent              |1 0 0                     |-                         |-    |0.5|no
 RedTransparentOverlay       |1 0 0                     |-                         |-    |0.5|no
 """
-# Name, diffuse and ambient colour, picture, and the mean colour that replaces a missing picture.
+# The same, with a picture, and the mean colour that replaces a missing one.
 PICTURED = """
-Bricks        | 1 1 1       | 1 1 1       | bricks.png         | 0.55 0.32 0.25
-BuildingFrame | 1 1 1       | 1 1 1       | building_frame.png | 0.6 0.6 0.6
-CeilingTiled  | 1 1 1       | 0.5 0.5 0.5 | ceiling_tiled.jpg  | 0.8 0.8 0.78
-CoM           | 1 1 1       | 0.5 0.5 0.5 | com.png            | 0.9 0.9 0.9
-Footway       | 0.8 0.8 0.8 | 0.1 0.1 0.1 | sidewalk.jpg       | 0.4 0.4 0.4
-Grass         | 1 1 1       | 0.5 0.5 0.5 | grass.jpg          | 0.3 0.42 0.2
-Lane_1        | 0.8 0.8 0.8 | 0.1 0.1 0.1 | secondary.jpg      | 0.4 0.4 0.4
-Lanes_2       | 0.8 0.8 0.8 | 0.1 0.1 0.1 | primary.jpg        | 0.4 0.4 0.4
-Lanes_4       | 0.8 0.8 0.8 | 0.1 0.1 0.1 | trunk.jpg          | 0.4 0.4 0.4
-Lanes_6       | 0.8 0.8 0.8 | 0.1 0.1 0.1 | motorway.jpg       | 0.4 0.4 0.4
-Motorway      | 0.8 0.8 0.8 | 0.1 0.1 0.1 | motorway.jpg       | 0.4 0.4 0.4
-PaintedWall   | 1 1 1       | 1 1 1       | paintedWall.jpg    | 0.85 0.83 0.78
-Pedestrian    | 0.8 0.8 0.8 | 0.1 0.1 0.1 | sidewalk.jpg       | 0.4 0.4 0.4
-PioneerBody   | 1 0 0       | 0.5 0 0     | pioneerBody.jpg    | 1 1 1
-Primary       | 0.8 0.8 0.8 | 0.1 0.1 0.1 | primary.jpg        | 0.4 0.4 0.4
-Residential   | 0.8 0.8 0.8 | 0.1 0.1 0.1 | residential.jpg    | 0.4 0.4 0.4
-Road          | 0.8 0.8 0.8 | 0.1 0.1 0.1 | road1.jpg          | 0.4 0.4 0.4
-Runway        | 1 1 1       | 0.5 0.5 0.5 | runway.png         | 0.4 0.4 0.4
-Secondary     | 0.8 0.8 0.8 | 0.1 0.1 0.1 | secondary.jpg      | 0.4 0.4 0.4
-Steps         | 0.8 0.8 0.8 | 0.1 0.1 0.1 | steps.jpeg         | 0.4 0.4 0.4
-Tertiary      | 0.8 0.8 0.8 | 0.1 0.1 0.1 | residential.jpg    | 0.4 0.4 0.4
-Trunk         | 0.8 0.8 0.8 | 0.1 0.1 0.1 | trunk.jpg          | 0.4 0.4 0.4
-WindowFrame   | 1 1 1       | 1 1 1       | window_frame.png   | 0.85 0.85 0.85
-Wood          | 1 1 1       | 1 1 1       | wood.jpg           | 0.6 0.45 0.3
-WoodFloor     | 1 1 1       | 0.5 0.5 0.5 | hardwood_floor.jpg | 0.6 0.43 0.27
-WoodPallet    | 1 1 1       | 0.5 0.5 0.5 | WoodPallet.png     | 0.65 0.52 0.36
+Bricks        | 1 1 1       | 1 1 1       | - | 1 | yes | bricks.png         | 0.55 0.32 0.25
+BuildingFrame | 1 1 1       | 1 1 1       | - | 1 | yes | building_frame.png | 0.6 0.6 0.6
+CeilingTiled  | 1 1 1       | 0.5 0.5 0.5 | - | 1 | yes | ceiling_tiled.jpg  | 0.8 0.8 0.78
+CoM           | 1 1 1       | 0.5 0.5 0.5 | - | 1 | yes | com.png            | 0.9 0.9 0.9
+Footway       | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | sidewalk.jpg       | 0.4 0.4 0.4
+Grass         | 1 1 1       | 0.5 0.5 0.5 | - | 1 | yes | grass.jpg          | 0.3 0.42 0.2
+Lane_1        | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | secondary.jpg      | 0.4 0.4 0.4
+Lanes_2       | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | primary.jpg        | 0.4 0.4 0.4
+Lanes_4       | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | trunk.jpg          | 0.4 0.4 0.4
+Lanes_6       | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | motorway.jpg       | 0.4 0.4 0.4
+Motorway      | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | motorway.jpg       | 0.4 0.4 0.4
+PaintedWall   | 1 1 1       | 1 1 1       | - | 1 | yes | paintedWall.jpg    | 0.85 0.83 0.78
+Pedestrian    | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | sidewalk.jpg       | 0.4 0.4 0.4
+PioneerBody   | 1 0 0       | 0.5 0 0     | - | 1 | yes | pioneerBody.jpg    | 1 1 1
+Primary       | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | primary.jpg        | 0.4 0.4 0.4
+Residential   | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | residential.jpg    | 0.4 0.4 0.4
+Road          | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | road1.jpg          | 0.4 0.4 0.4
+Runway        | 1 1 1       | 0.5 0.5 0.5 | - | 1 | yes | runway.png         | 0.4 0.4 0.4
+Secondary     | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | secondary.jpg      | 0.4 0.4 0.4
+Steps         | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | steps.jpeg         | 0.4 0.4 0.4
+Tertiary      | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | residential.jpg    | 0.4 0.4 0.4
+Trunk         | 0.8 0.8 0.8 | 0.1 0.1 0.1 | - | 1 | yes | trunk.jpg          | 0.4 0.4 0.4
+WindowFrame   | 1 1 1       | 1 1 1       | - | 1 | yes | window_frame.png   | 0.85 0.85 0.85
+Wood          | 1 1 1       | 1 1 1       | - | 1 | yes | wood.jpg           | 0.6 0.45 0.3
+WoodFloor     | 1 1 1       | 0.5 0.5 0.5 | - | 1 | yes | hardwood_floor.jpg | 0.6 0.43 0.27
+WoodPallet    | 1 1 1       | 0.5 0.5 0.5 | - | 1 | yes | WoodPallet.png     | 0.65 0.52 0.36
 """
 # The scale of pictures that are not to fill a side.
 SCALES = {"Gazebo/Grass": (0.02, 0.02)}
@@ -134,8 +134,6 @@ Script = Tuple[str, Path]
 Blocks = Dict[Tuple[str, str], Block]
 
 
-
-
 def _rgba(text: str) -> Colour | None:
     return None if text == "-" else (*map(float, text.split()), 1.0)
 
@@ -143,16 +141,14 @@ def _rgba(text: str) -> Colour | None:
 def _gazebo_materials() -> dict[str, tuple[Colour, Material, str, Colour]]:
     """Return colour, look, picture and the colour without the picture of Gazebo's materials."""
     found = {}
-    for line in COLOURED.strip().splitlines():
-        name, diffuse, ambient, emissive, alpha, lit = map(str.strip, line.split("|"))
-        name, colour = f"Gazebo/{name}", (*_rgba(diffuse)[:3], float(alpha))
-        glow = _rgba(emissive) or BLACK
-        look = Material(_rgba(ambient), glow, lit=lit == "yes", covers=True, name=name)
-        found[name] = colour, look, "", WHITE
-    for line in PICTURED.strip().splitlines():
-        name, diffuse, ambient, picture, plain = map(str.strip, line.split("|"))
-        look = Material(_rgba(ambient), covers=True, name=f"Gazebo/{name}")
-        found[look.name] = _rgba(diffuse), look, picture, _rgba(plain)
+    for line in (COLOURED + PICTURED).split("\n"):
+        row = [word.strip() for word in line.split("|")]
+        if len(row) > 1:
+            name, diffuse, ambient, emissive, alpha, lit, picture, plain = (*row, "", "1 1 1")[:8]
+            glow = _rgba(emissive) or BLACK
+            name, colour = f"Gazebo/{name}", (*_rgba(diffuse)[:3], float(alpha))
+            look = Material(_rgba(ambient), glow, lit=lit == "yes", covers=True, name=name)
+            found[name] = colour, look, picture, _rgba(plain)
     return found
 
 

@@ -229,7 +229,7 @@ def _model(tag: SdfTag, held: bool = False) -> Model:
         with leaving_out(tag.document.report):
             found.append(_joint(joint, frames, names, tag.name))
     where = _places(tag, frames, names, nested)
-    plugins = _plugins(tag.element, {*where, *names})
+    plugins = _plugins(tag, {*where, *names})
     plugins += tuple(plugin for model, _ in nested for plugin in model.plugins)
     return Model(tag.name, tuple(made), tuple(found), plugins, tag.pose(), static, where)
 
@@ -257,12 +257,11 @@ def _named(tag: SdfTag, kind: str) -> tuple[SdfTag, ...]:
     return first_of_each(found, kind, tag.source)
 
 
-def _plugins(element: Element, frames: Container[str]) -> tuple[PluginTag, ...]:
-    found = list(plugins_in(element))
-    for link in element.findall("link"):
+def _plugins(tag: SdfTag, frames: Container[str]) -> tuple[PluginTag, ...]:
+    found = list(plugins_in(tag.element))
+    for link in tag.element.findall("link"):
         for plugin in plugins_in(link, link.get("name", "")):
-            pose = None if plugin.sensor is None else plugin.sensor.find("pose")
-            frame = "" if pose is None else pose.get("relative_to") or pose.get("frame") or ""
+            frame = "" if plugin.sensor is None else tag.other(plugin.sensor).base()
             found.append(replace(plugin, link=frame) if frame in frames else plugin)
     return tuple(found)
 
@@ -294,12 +293,12 @@ def _visual(tag: SdfTag, geometry: Shape) -> Visual:
 
 def _collision(tag: SdfTag, geometry: Shape) -> Collision:
     friction, contact = "surface/friction/ode", "surface/contact/ode"
-    mu, mu2, fdir1 = tag.friction(f"{friction}/mu", 1.0), f"{friction}/mu2", f"{friction}/fdir1"
+    mu, mu2 = tag.friction(f"{friction}/mu", 1.0), f"{friction}/mu2"
     # Stiffness and damping of its contacts.
     paths = (f"{contact}/kp", f"{contact}/kd")
     spring = [tag.coefficient(path, 0.0) if tag.text(path) else None for path in paths]
     across = tag.friction(mu2, 1.0) if tag.text(mu2) else None
-    direction = tag.direction(fdir1, "") if any(tag.numbers(fdir1, 3, "0 0 0")) else None
+    direction = tag.friction_direction(f"{friction}/fdir1")
     return Collision(geometry, tag.pose(), mu, tag.name, *spring, across, direction)
 
 

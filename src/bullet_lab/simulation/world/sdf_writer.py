@@ -77,13 +77,14 @@ def world_text(snapshot: Snapshot, folder: Path) -> tuple[str, list[str]]:
 def _add(parent: Element, tag: str, content: Any, **attributes: str) -> Element:
     """Add an element with its attributes and its content.
 
-    The content is a dict of child elements by tag, or a text, a truth value, a pose or numbers.
-    Numbers are not rounded.
+    The content is a dict of child elements by tag, in which None stands for none, or a text, a
+    truth value, a pose or numbers. Numbers are not rounded.
     """
     element = SubElement(parent, tag, attributes)
     if isinstance(content, dict):
         for inner, value in content.items():
-            _add(element, inner, value)
+            if value is not None:
+                _add(element, inner, value)
         return element
     if isinstance(content, Pose):
         content = (*content.position, *content.rpy())
@@ -167,23 +168,24 @@ def _in_scope(scopes: dict[str, Element], scope: str) -> Element:
 
 
 def _add_link(parent: Element, link: Link, model: Model, uris: _Uris) -> None:
-    content: dict[str, Any] = {"pose": link.pose}
-    if link.self_collide:
-        content["self_collide"] = True
-    if not link.gravity:
-        content["gravity"] = False
-    if link.inertia is not None:
-        centre = Pose(link.inertia.centre)
-        moments = {"mass": link.inertia.mass, "inertia": link.inertia.elements()}
-        content["inertial"] = {"pose": centre, **moments}
+    inertial = link.inertia and {
+        "pose": Pose(link.inertia.centre),
+        "mass": link.inertia.mass,
+        "inertia": link.inertia.elements(),
+    }
+    content = {
+        "pose": link.pose,
+        "self_collide": True if link.self_collide else None,
+        "gravity": None if link.gravity else False,
+        "inertial": inertial,
+    }
     element = _add(parent, "link", content, name=link.name)
     for name, collision in _named(link.collisions, "collision"):
         content = {**_shape(collision, uris), "surface": _surface(collision)}
         _add(element, "collision", content, name=name)
     for name, visual in _named(link.visuals, "visual"):
-        content = _shape(visual, uris)
-        if not visual.casts_shadows:
-            content["cast_shadows"] = False
+        shadows = None if visual.casts_shadows else False
+        content = {**_shape(visual, uris), "cast_shadows": shadows}
         _add_material(_add(element, "visual", content, name=name), visual, uris)
     element.extend(_sensors(link, model))
 
@@ -193,11 +195,12 @@ def _add_material(parent: Element, visual: Visual, uris: _Uris) -> None:
     material, shape = visual.material, visual.geometry
     content: dict[str, Any] = {}
     if material.covers or not (isinstance(shape, Mesh) and has_own_looks(shape)):
-        content = {"ambient": material.ambient or visual.colour, "diffuse": visual.colour}
-        if material.emissive != Material.emissive:
-            content["emissive"] = material.emissive
-        if not material.lit:
-            content["lighting"] = False
+        content = {
+            "ambient": material.ambient or visual.colour,
+            "diffuse": visual.colour,
+            "emissive": None if material.emissive == Material.emissive else material.emissive,
+            "lighting": None if material.lit else False,
+        }
     elif visual.colour[3] < 1.0:
         _add(parent, "transparency", 1.0 - visual.colour[3])
     if not content and not material.name:
@@ -235,15 +238,9 @@ def _shape(shape: Collision | Visual, uris: _Uris) -> dict[str, Any]:
 def _surface(collision: Collision) -> dict[str, Any]:
     mu, cross, direction = collision.friction, collision.cross_friction, collision.direction
     friction = {"mu": mu, "mu2": mu if cross is None else cross, "fdir1": direction}
-    contact = _given({"kp": collision.stiffness, "kd": collision.damping})
-    surface: dict[str, Any] = {"friction": {"ode": _given(friction)}}
-    if contact:
-        surface["contact"] = {"ode": contact}
-    return surface
-
-
-def _given(content: dict[str, Any]) -> dict[str, Any]:
-    return {tag: value for tag, value in content.items() if value is not None}
+    spring = {"kp": collision.stiffness, "kd": collision.damping}
+    is_hard = collision.stiffness is None and collision.damping is None
+    return {"friction": {"ode": friction}, "contact": None if is_hard else {"ode": spring}}
 
 
 def _joint(joint: Joint) -> dict[str, Any]:
@@ -255,8 +252,8 @@ def _joint(joint: Joint) -> dict[str, Any]:
         "limit": {key: value for key, value in limits.items() if key in LIMITS},
         "dynamics": {"damping": joint.damping, "friction": joint.friction},
     }
-    place = {"pose": Pose(joint.anchor)} if any(joint.anchor) else {}
-    return {**place, "parent": joint.parent, "child": joint.child, "axis": axis}
+    place = Pose(joint.anchor) if any(joint.anchor) else None
+    return {"pose": place, "parent": joint.parent, "child": joint.child, "axis": axis}
 
 
 def plugin_element(plugin: PluginTag) -> Element:
@@ -316,17 +313,15 @@ def _surroundings(world: World) -> dict[str, Any]:
 
 
 def _light(light: Light) -> dict[str, Any]:
-    content = {
+    spot = dict(zip(("inner_angle", "outer_angle", "falloff"), astuple(light.cone)))
+    return {
         "pose": light.pose,
         "cast_shadows": light.casts_shadows,
         "diffuse": light.diffuse,
         "direction": light.direction,
         "attenuation": asdict(light.attenuation),
+        "spot": spot if light.kind == "spot" else None,
     }
-    if light.kind == "spot":
-        inner, outer, falloff = astuple(light.cone)
-        content["spot"] = {"inner_angle": inner, "outer_angle": outer, "falloff": falloff}
-    return content
 
 
 def _add_state(world: Element, snapshot: Snapshot) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Callable, Collection, Mapping
 from xml.etree.ElementTree import Element
 
-from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import (
     LIMITS,
     WHITE,
@@ -263,16 +263,12 @@ class _LinkTag(ElementReader):
         """Return whether it says "true"."""
         return self.boolean("value", False)
 
-    def friction_direction(self) -> Vector | None:
-        """Return the first direction of friction; None if it is zero."""
-        return self.direction("value", "") if any(self.numbers("value", 3)) else None
-
 
 # The tags in `<gazebo reference=…>`, what they describe, and how they are read.
 LINK_TAGS: dict[str, tuple[str, Callable[[_LinkTag], Any]]] = {
     "mu1": ("friction", lambda tag: tag.friction("value", 1.0)),
     "mu2": ("cross_friction", lambda tag: tag.friction("value", 1.0)),
-    "fdir1": ("direction", _LinkTag.friction_direction),
+    "fdir1": ("direction", lambda tag: tag.friction_direction("value")),
     "kp": ("stiffness", lambda tag: tag.coefficient("value", 0.0)),
     "kd": ("damping", lambda tag: tag.coefficient("value", 0.0)),
     "selfCollide": ("self_collide", _LinkTag.truth),

@@ -255,6 +255,10 @@ class TagReader(ABC):
         values = self._checked(key, 3, default, lambda v: _length(v) == 0.0, reason)
         return tuple(value / _length(values) for value in values)
 
+    def friction_direction(self, key: str) -> Vector | None:
+        """Return a unit vector; None for a zero vector or none."""
+        return self.direction(key, "") if any(self.numbers(key, 3, "0 0 0")) else None
+
     def choice(self, key: str, known: Sequence[str]) -> str:
         """Return one of several words, by default the first."""
         word = self.text(key, known[0])

@@ -183,7 +183,8 @@ def test_what_is_missing_is_said_once_and_the_rest_is_drawn(shop, material, mess
 
 def test_a_colour_that_is_none_is_said(shop, caplog):
     assert visual_of(shop, "<diffuse>green</diffuse><ambient>1 0 0</ambient>").colour[0] == 1.0
-    assert "visual 'v': <diffuse>: 'green' is not 4 finite numbers; the default is used" in caplog.text
+    message = "visual 'v': <diffuse>: 'green' is not 4 finite numbers; the default is used"
+    assert message in caplog.text
 
 
 def test_a_script_that_breaks_off_keeps_what_was_before(shop, caplog):
