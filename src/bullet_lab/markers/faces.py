@@ -262,7 +262,7 @@ def wall_face(marker: Print) -> Face:
 
 
 def dots_face(marker: Print, seed: int) -> Face:
-    """Return a back wall strewn with dots around a marker; raises MarkerError."""
+    """Return a back wall with dots around a marker; raises MarkerError."""
     if seed < 0:
         raise MarkerError(f"the seed must be an integer >= 0, not {seed}")
     edge = marker.face_size()
@@ -329,7 +329,7 @@ def _pixels(marker: Print) -> int:
 
 
 def write_panel(face: Face, height: float, folder: Path, about: str) -> None:
-    """Write a model of a plate on a post; its name is that of the folder, made if need be.
+    """Write a model of a plate on a post; its name is that of the folder, which is made.
 
     The middle of the plate is at `height` above the floor, m.
 

@@ -323,16 +323,13 @@ class Snapshot:
 class Footprint:
     """An upright box of the model `name` from above.
 
-    `centre` is x, y in the world, `yaw` that of its sides (rad), `size` along its own x and y,
-    `bottom` and `top` are the heights of its ends; all in m.
+    `centre` is x, y in the world, `size` along its own x and y, m; `yaw` that of its sides, rad.
     """
 
     name: str
     centre: Point
     yaw: float
     size: tuple[float, float]
-    bottom: float
-    top: float
 
     def corners(self) -> tuple[Point, ...]:
         """Return the four corners, counter-clockwise."""
@@ -363,12 +360,9 @@ def footprints(world: World, below: float = math.inf) -> tuple[Footprint, ...]:
     static = [model for model in world.models if model.static]
     shapes = [(m, k, shape) for m in static for k in m.links for shape in k.collisions]
     for model, link, shape in shapes:
-        pose = model.pose * link.pose * shape.pose
+        pose, box = model.pose * link.pose * shape.pose, shape.geometry
         is_upright = pose.rotate((0.0, 0.0, 1.0))[2] > math.cos(UPRIGHT)
-        if isinstance(shape.geometry, Box) and is_upright:
-            x, y, z = pose.position
-            bottom, top = (z + shape.geometry.bounds()[:, 2]).tolist()
-            found.append(
-                Footprint(model.name, (x, y), pose.yaw, shape.geometry.size[:2], bottom, top)
-            )
-    return tuple(one for one in found if one.bottom < below)
+        x, y, z = pose.position
+        if isinstance(box, Box) and is_upright and z - 0.5 * box.size[2] < below:
+            found.append(Footprint(model.name, (x, y), pose.yaw, box.size[:2]))
+    return tuple(found)

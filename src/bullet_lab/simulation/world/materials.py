@@ -164,8 +164,6 @@ class MaterialLibrary:
         # The folders with scripts and pictures, in the order in which they were named.
         self._folders: list[Path] = []
         self._files: dict[Path, dict[str, Path]] = {}
-        # Names and URIs that were reported as missing.
-        self._missing: set[str] = set()
 
     def of_tag(
         self, tag: ElementReader | None, finder: ResourceFinder, default: Colour
@@ -209,10 +207,8 @@ class MaterialLibrary:
             block, folder = self._block("material", name, places)
         if block is not None:
             return self._look(name, block, [*folders, folder], scripts)
-        if name not in self._missing:
-            self._missing.add(name)
-            what = "is in none of the named scripts; the default is drawn"
-            self._report(f"{source}: material '{name}' {what}")
+        what = "is in none of the named scripts; the default is drawn"
+        self._report(f"{source}: material '{name}' {what}", name)
         return None
 
     def _scripts(self, tag: ElementReader, finder: ResourceFinder) -> Iterator[Script]:
@@ -223,9 +219,7 @@ class MaterialLibrary:
             try:
                 yield uri, finder.find(uri)
             except ResourceError as error:
-                if uri not in self._missing:
-                    self._missing.add(uri)
-                    self._report(f"{tag.source}: <script>: {error}")
+                self._report(f"{tag.source}: <script>: {error}", uri)
 
     def _block(self, kind: str, name: str, places: Iterable[Path]) -> tuple[Block | None, Path]:
         """Return a block of a script in one of the places, and the folder of that script."""

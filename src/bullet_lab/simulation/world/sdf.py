@@ -123,8 +123,8 @@ def _root_tag(root: Element, source: str, document: Document) -> SdfTag:
 
 def _first_model(tag: SdfTag) -> Model:
     world = tag.element.find("world")
-    held = [*tag.element, *(() if world is None else world)]
-    parts = [_resolved(child, tag) for child in held if child.tag in MODELS_AND_LIGHTS]
+    children = [*tag.element, *(() if world is None else world)]
+    parts = [_resolved(child, tag) for child in children if child.tag in MODELS_AND_LIGHTS]
     models = [part for part in parts if part.element.tag == "model"]
     if not models:
         raise XmlError(f"{tag.source}: there is no model")
@@ -211,12 +211,12 @@ def _model_file(found: Path) -> Path:
     return ResourceFinder(found).find((best.text or "").strip())
 
 
-def _model(tag: SdfTag, held: bool = False) -> Model:
+def _model(tag: SdfTag, in_static: bool = False) -> Model:
     """Return a model before joints are sorted and links merged.
 
-    `held` means that it is in a static model. Parts of nested models are named `model::name`.
+    `in_static` means that it is in a static model. Parts of nested models are named `model::name`.
     """
-    static = held or tag.boolean("static", False)
+    static = in_static or tag.boolean("static", False)
     nested = _nested(tag, static)
     links, joints = _named(tag, "link"), _named(tag, "joint")
     frames = _model_frames(tag, links, joints, nested)
@@ -234,7 +234,7 @@ def _model(tag: SdfTag, held: bool = False) -> Model:
     return Model(tag.name, tuple(made), tuple(found), plugins, tag.pose(), static, where)
 
 
-def _nested(tag: SdfTag, held: bool) -> list[Nested]:
+def _nested(tag: SdfTag, in_static: bool) -> list[Nested]:
     """Return the models in a model, and the frames that their poses are given in."""
     found: list[Model] = []
     bases: dict[int, str] = {}
@@ -243,7 +243,7 @@ def _nested(tag: SdfTag, held: bool) -> list[Nested]:
             if child.tag in ("model", "include"):
                 inner = _resolved(child, tag)
                 if inner.element.tag == "model":
-                    found.append(_scoped(_model(inner, held), held))
+                    found.append(_scoped(_model(inner, in_static), in_static))
                     bases[id(found[-1])] = inner.base()
     return [(model, bases[id(model)]) for model in first_of_each(found, "model", tag.source)]
 
@@ -330,10 +330,10 @@ def _light(tag: SdfTag) -> Light:
     )
 
 
-def _scoped(model: Model, held: bool) -> Model:
+def _scoped(model: Model, in_static: bool) -> Model:
     """Return a nested model with its name before the names of its parts.
 
-    `held` means that the outer model is static. A static model in one that is not is anchored,
+    `in_static` means that the outer model is static. A static model in one that is not is anchored,
     each of its links separately.
     """
     prefix = model.name + SEPARATOR
@@ -341,7 +341,7 @@ def _scoped(model: Model, held: bool) -> Model:
     def named(name: str) -> str:
         return name if name == WORLD_LINK else prefix + name
 
-    anchored = model.static and not held
+    anchored = model.static and not in_static
     links = (replace(link, name=named(link.name), anchored=anchored) for link in model.links)
     joints = (
         replace(j, name=named(j.name), parent=named(j.parent), child=named(j.child))

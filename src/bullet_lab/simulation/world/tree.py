@@ -90,18 +90,18 @@ def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> tuple
     reversed. A joint that closes a loop is left out with a warning: the engine only knows trees.
     """
     names = [WORLD_LINK, *(link.name for link in links)]
-    held = [WORLD_LINK, *(link.name for link in links if link.anchored)]
-    kept = _without_loops(names, held, joints, source)
+    anchored = [WORLD_LINK, *(link.name for link in links if link.anchored)]
+    kept = _without_loops(names, anchored, joints, source)
     ends: dict[str, list[Joint]] = {name: [] for name in names}
     for joint in kept:
         ends[joint.parent].append(joint)
         ends[joint.child].append(joint)
     children = {joint.child for joint in kept}
     away: dict[str, Joint] = {}
-    reached = set(held)
+    reached = set(anchored)
     # Links that are no child come before those whose joint would have to be reversed.
-    for start in (*held, *(name for name in names if name not in children), *names):
-        queue = [start] if start in held or start not in reached else []
+    for start in (*anchored, *(name for name in names if name not in children), *names):
+        queue = [start] if start in anchored or start not in reached else []
         for name in queue:
             reached.add(name)
             for joint in (joint for joint in ends[name] if joint.name not in away):
@@ -111,11 +111,11 @@ def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> tuple
 
 
 def _without_loops(
-    names: Iterable[str], held: Sequence[str], joints: Iterable[Joint], source: str
+    names: Iterable[str], anchored: Sequence[str], joints: Iterable[Joint], source: str
 ) -> list[Joint]:
-    """Return the joints that close no loop; the `held` links are connected already."""
+    """Return the joints that close no loop; the `anchored` links are connected already."""
     group = {name: {name} for name in names}
-    group.update(dict.fromkeys(held, set(held)))
+    group.update(dict.fromkeys(anchored, set(anchored)))
     kept = []
     for joint in joints:
         one, other = group[joint.parent], group[joint.child]

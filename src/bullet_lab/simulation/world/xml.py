@@ -49,10 +49,11 @@ class ReportOnce:
     def __init__(self) -> None:
         self._given: set[str] = set()
 
-    def __call__(self, message: str) -> None:
-        """Warn, unless the same warning was logged before."""
-        if message not in self._given:
-            self._given.add(message)
+    def __call__(self, message: str, key: str = "") -> None:
+        """Warn, unless the same warning, or one with the same key, was logged before."""
+        key = key or message
+        if key not in self._given:
+            self._given.add(key)
             LOG.warning("%s", message)
 
 
