@@ -145,9 +145,8 @@ class ModelInstance:
 
     def keeper(self, link: str) -> str | None:
         """Return the link that a link was merged into, or itself; None for an unknown one."""
-        if link in self.model.frames:
-            return self.model.frames[link][0]
-        return link if link in self.model.links_by_name() else None
+        name, _ = self.model.frames.get(link, (link, None))
+        return name if name in self.model.links_by_name() else None
 
     def frame(self, link: str = "") -> AttachedFrame:
         """Return the frame of a link, merged or not, or of the model; raises KeyError."""

@@ -150,10 +150,6 @@ class _Materials:
             self._looks[material] = _wavefront_look(statements, file, self._report)
         return "".join(f"newmtl {material}\n" for material in self._looks)
 
-    def get(self, name: str) -> bytes:
-        """Return no pictures."""
-        raise FileNotFoundError(name)
-
     def look(self, material: Any) -> Appearance | None:
         """Return the look of a material of a part; None without any."""
         if material is None or isinstance(material, str):

@@ -189,9 +189,25 @@ class TagReader(ABC):
         """Raise the error of an invalid value; subclasses may log it instead."""
         raise error
 
-    def numbers(self, key: str, count: int, default: str = "") -> tuple[float, ...]:
-        """Return `count` finite numbers."""
-        return self._checked(key, count, default, lambda values: False, "")
+    def numbers(
+        self,
+        key: str,
+        count: int,
+        default: str = "",
+        is_wrong: Callable[[tuple[float, ...]], bool] = lambda values: False,
+        reason: str = "",
+    ) -> tuple[float, ...]:
+        """Return finite numbers that are not wrong; `reason` is formatted with the least one."""
+        try:
+            values = numbers(self.text(key, default), count, self.where(key))
+            if is_wrong(values):
+                raise XmlError(f"{self.where(key)}: {reason.format(min(values))}")
+            return values
+        except XmlError as error:
+            if not default:
+                raise
+            self.doubt(error)
+            return numbers(default, count, self.where(key))
 
     def number(self, key: str, default: float) -> float:
         """Return a finite number."""
@@ -216,7 +232,7 @@ class TagReader(ABC):
 
     def coefficient(self, key: str, default: float) -> float:
         """Return a number that is not negative."""
-        return self._checked(key, 1, repr(default), lambda v: v[0] < 0.0, "{:g} is negative")[0]
+        return self.numbers(key, 1, repr(default), lambda v: v[0] < 0.0, "{:g} is negative")[0]
 
     def friction(self, key: str, default: float) -> float:
         """Return a coefficient of friction; larger or negative ones become NO_SLIP, as in ODE.
@@ -239,7 +255,7 @@ class TagReader(ABC):
 
     def sizes(self, key: str, count: int, default: str = "") -> tuple[float, ...]:
         """Return `count` positive numbers."""
-        return self._checked(key, count, default, lambda v: min(v) <= 0.0, "{:g} is not positive")
+        return self.numbers(key, count, default, lambda v: min(v) <= 0.0, "{:g} is not positive")
 
     def positive(self, key: str, default: float) -> float:
         """Return a positive number."""
@@ -248,12 +264,12 @@ class TagReader(ABC):
     def scale(self, key: str) -> Vector:
         """Return three factors, by default 1; negative ones mirror."""
         reason = "a scale of 0 leaves nothing"
-        return self._checked(key, 3, "1 1 1", lambda v: 0.0 in v, reason)
+        return self.numbers(key, 3, "1 1 1", lambda v: 0.0 in v, reason)
 
     def direction(self, key: str, default: str) -> Vector:
         """Return a unit vector."""
         reason = "a zero vector has no direction"
-        values = self._checked(key, 3, default, lambda v: _length(v) == 0.0, reason)
+        values = self.numbers(key, 3, default, lambda v: _length(v) == 0.0, reason)
         return tuple(value / _length(values) for value in values)
 
     def friction_direction(self, key: str) -> Vector | None:
@@ -287,26 +303,6 @@ class TagReader(ABC):
             return lowered in ("true", "1")
         self.doubt(XmlError(f"{self.where(key)}: '{text}' is not true or false"))
         return default
-
-    def _checked(
-        self,
-        key: str,
-        count: int,
-        default: str,
-        is_wrong: Callable[[tuple[float, ...]], bool],
-        reason: str,
-    ) -> tuple[float, ...]:
-        """Return finite numbers that are not wrong; `reason` is formatted with the least one."""
-        try:
-            values = numbers(self.text(key, default), count, self.where(key))
-            if is_wrong(values):
-                raise XmlError(f"{self.where(key)}: {reason.format(min(values))}")
-            return values
-        except XmlError as error:
-            if not default:
-                raise
-            self.doubt(error)
-            return numbers(default, count, self.where(key))
 
 
 def _length(values: Sequence[float]) -> float:
