@@ -9,6 +9,7 @@ a file outside these folders.
 from __future__ import annotations
 
 import os
+from functools import cached_property
 from pathlib import Path
 from typing import Iterable
 from urllib.parse import quote, unquote, urlsplit
@@ -98,7 +99,10 @@ class ResourceFinder:
 
     def __init__(self, folder: Path | None = None):
         self._folder = folder
-        self._models = gazebo_model_folders()
+
+    @cached_property
+    def _models(self) -> tuple[Path, ...]:
+        return gazebo_model_folders()
 
     @classmethod
     def anywhere(cls) -> ResourceFinder:

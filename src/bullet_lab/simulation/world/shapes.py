@@ -76,6 +76,9 @@ class Box(Shape):
     def bounds(self) -> np.ndarray:
         return np.outer((-0.5, 0.5), self.size)
 
+    def _gaps(self, point: Vector) -> Sequence[float]:
+        return [abs(p) - 0.5 * size for p, size in zip(point, self.size)]
+
 
 @dataclass(frozen=True)
 class Cylinder(Shape):
