@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import os
-from dataclasses import astuple, replace
+from dataclasses import astuple, fields, replace
 from pathlib import Path
 from typing import Collection, Container, Iterable, Tuple, Union
 from xml.etree.ElementTree import Element, SubElement
@@ -306,10 +306,10 @@ def _light(tag: SdfTag) -> Light:
     kind = tag.element.get("type", "")
     if kind not in ("point", "directional", "spot"):
         raise XmlError(f"{tag.source}: type '{kind}' is not point, directional or spot")
-    attenuation = {
-        key: tag.coefficient(f"attenuation/{key}", getattr(Attenuation, key))
-        for key in ("range", "constant", "linear", "quadratic")
-    }
+    attenuation = [
+        tag.coefficient(f"attenuation/{field.name}", field.default)
+        for field in fields(Attenuation)
+    ]
     cone = Cone(
         tag.number("spot/inner_angle", Cone.inner),
         tag.number("spot/outer_angle", Cone.outer),
@@ -325,7 +325,7 @@ def _light(tag: SdfTag) -> Light:
         tag.colour("diffuse", WHITE),
         tag.direction("direction", "0 0 -1"),
         tag.boolean("cast_shadows", False),
-        Attenuation(**attenuation),
+        Attenuation(*attenuation),
         cone,
     )
 

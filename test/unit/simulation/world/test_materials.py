@@ -70,7 +70,7 @@ URIS = (
 )
 
 
-def visual_of(models, material, shape=BOX, more=""):
+def visual_of(material, shape=BOX, more=""):
     text = (
         "<sdf version='1.6'><model name='m'><static>1</static><link name='l'><visual name='v'>"
         f"{shape}<material>{material}</material>{more}</visual></link></model></sdf>"
@@ -85,7 +85,7 @@ def script(name, uris=URIS[0], more=""):
 
 @pytest.mark.parametrize("uris", URIS)
 def test_colours_and_picture_of_a_script(shop, uris):
-    visual = visual_of(shop, script("Shop/Crate", uris))
+    visual = visual_of(script("Shop/Crate", uris))
     # What is not blended is opaque, whatever its alpha.
     assert visual.colour == (0.5, 0.25, 1.0, 1.0)
     found = visual.material
@@ -107,8 +107,8 @@ def test_file_uris_and_uris_of_several_models(shop, tmp_path):
     other.mkdir(parents=True)
     (other / "a.material").write_text("material Other/A { technique { pass { diffuse 0 1 0 } } }")
     uris = f"<uri>file://{other}</uri>{URIS[1]}"
-    assert visual_of(shop, script("Other/A", uris)).colour == (0, 1, 0, 1)
-    assert visual_of(shop, script("Shop/Crate", uris)).material.texture is not None
+    assert visual_of(script("Other/A", uris)).colour == (0, 1, 0, 1)
+    assert visual_of(script("Shop/Crate", uris)).material.texture is not None
 
 
 @pytest.mark.parametrize(
@@ -123,22 +123,22 @@ def test_file_uris_and_uris_of_several_models(shop, tmp_path):
     ],
 )
 def test_passes_and_blending(shop, name, colour, lit):
-    visual = visual_of(shop, script(name))
+    visual = visual_of(script(name))
     assert (visual.colour, visual.material.lit) == (colour, lit)
 
 
 def test_a_picture_by_its_alias(shop):
-    assert visual_of(shop, script("Shop/Relabelled")).material.texture.path.name == "crate.png"
+    assert visual_of(script("Shop/Relabelled")).material.texture.path.name == "crate.png"
 
 
 def test_gazebos_ambient_and_emissive_colours(shop):
-    assert visual_of(shop, script("Gazebo/Grey")).material.ambient == (0.3, 0.3, 0.3, 1.0)
-    assert visual_of(shop, script("Gazebo/RedGlow")).material.emissive == (1.0, 0.0, 0.0, 1.0)
+    assert visual_of(script("Gazebo/Grey")).material.ambient == (0.3, 0.3, 0.3, 1.0)
+    assert visual_of(script("Gazebo/RedGlow")).material.emissive == (1.0, 0.0, 0.0, 1.0)
 
 
 def test_what_the_material_tag_says_goes_over_the_script(shop):
     own = "<diffuse>0 1 0 1</diffuse><emissive>1 0 0 1</emissive>"
-    visual = visual_of(shop, script("Shop/Crate", more=own))
+    visual = visual_of(script("Shop/Crate", more=own))
     assert visual.colour == (0, 1, 0, 1)
     assert visual.material.ambient == (0.1, 0.2, 0.3, 1.0)
     assert visual.material.emissive == (1, 0, 0, 1)
@@ -147,11 +147,11 @@ def test_what_the_material_tag_says_goes_over_the_script(shop):
 
 def test_colours_without_a_script(shop):
     both = "<ambient>1 0 0</ambient><diffuse>0 1 0 0.5</diffuse><lighting>0</lighting>"
-    visual = visual_of(shop, both, more="<transparency>0.5</transparency>")
+    visual = visual_of(both, more="<transparency>0.5</transparency>")
     assert visual.colour == (0, 1, 0, 0.25)
     assert visual.material == Material((1, 0, 0, 1), lit=False, covers=True)
-    assert visual_of(shop, "<ambient>1 0 0 1</ambient>").colour == (1, 0, 0, 1)
-    assert visual_of(shop, "<specular>1 0 0 1</specular>").material == Material()
+    assert visual_of("<ambient>1 0 0 1</ambient>").colour == (1, 0, 0, 1)
+    assert visual_of("<specular>1 0 0 1</specular>").material == Material()
 
 
 @pytest.mark.parametrize(
@@ -182,7 +182,7 @@ def test_what_is_missing_is_said_once_and_the_rest_is_drawn(shop, material, mess
 
 
 def test_a_colour_that_is_none_is_said(shop, caplog):
-    assert visual_of(shop, "<diffuse>green</diffuse><ambient>1 0 0</ambient>").colour[0] == 1.0
+    assert visual_of("<diffuse>green</diffuse><ambient>1 0 0</ambient>").colour[0] == 1.0
     message = "visual 'v': <diffuse>: 'green' is not 4 finite numbers; the default is used"
     assert message in caplog.text
 
@@ -192,7 +192,7 @@ def test_a_script_that_breaks_off_keeps_what_was_before(shop, caplog):
     (scripts / "z.material").write_text(
         "material Z/A { technique { pass { diffuse 0 0 1 } } }\nmaterial Z/B { technique {"
     )
-    assert visual_of(shop, script("Z/A")).colour == (0, 0, 1, 1)
+    assert visual_of(script("Z/A")).colour == (0, 0, 1, 1)
     assert "z.material: 'technique ' is not closed" in caplog.text
 
 
@@ -206,7 +206,7 @@ def test_imports_and_parents_in_other_files(shop):
         'import Base/A from "base.material"\nmaterial Use/A : Base/A { }'
     )
     uri = "<uri>model://shop/materials/scripts/use.material</uri>"
-    assert visual_of(shop, script("Use/A", uri)).colour == (0, 1, 1, 1)
+    assert visual_of(script("Use/A", uri)).colour == (0, 1, 1, 1)
 
 
 def test_pictures_never_lie_outside_of_the_folders(shop, tmp_path, caplog):
@@ -218,7 +218,7 @@ def test_pictures_never_lie_outside_of_the_folders(shop, tmp_path, caplog):
         path.write_text(
             f'material S {{ technique {{ pass {{ texture_unit {{ texture "{name}"\n}}}}}}}}'
         )
-        assert visual_of(shop, script("S")).material.texture is None
+        assert visual_of(script("S")).material.texture is None
     assert caplog.text.count("not found; drawn without it") == 3
 
 
@@ -260,7 +260,7 @@ def test_gazebos_media_folders(scripts, textures, shop, tmp_path, monkeypatch):
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(share / textures / "wood.jpg")
     monkeypatch.setenv("GAZEBO_RESOURCE_PATH", f"{tmp_path / 'gone'}:{tmp_path / 'share'}")
     for name in ("Mine", "Gazebo/Wood"):
-        texture = visual_of(shop, script(name, "")).material.texture
+        texture = visual_of(script(name, "")).material.texture
         assert texture.path == share / textures / "wood.jpg"
         robot = tagged(f"<material>{name}</material>")
         assert robot.links[0].visuals[0].material.texture == texture
