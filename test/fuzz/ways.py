@@ -29,12 +29,11 @@ from bullet_lab.ros.launcher.jobs import find_jobs, read_assignments, read_job
 from bullet_lab.simulation.rendering.drawables import read_pixels
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Model, Texture
-from bullet_lab.simulation.world.meshes import load_triangles
 from bullet_lab.simulation.world.ogre_script import parse_script
 from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.sdf_writer import world_text
-from bullet_lab.simulation.world.shapes import Mesh
-from bullet_lab.simulation.world.xacro import expand_xacro
+from bullet_lab.simulation.world.shapes import Mesh, load_triangles
+from bullet_lab.simulation.world.urdf import expand_xacro
 from bullet_lab.studies.noise_study.paths import read_path
 
 PACKAGE = Path(__file__).resolve().parents[2]

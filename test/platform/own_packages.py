@@ -11,7 +11,7 @@ from pathlib import Path
 import rospkg
 
 from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv, msg, srv
-from bullet_lab.simulation.world.xacro import expand_xacro
+from bullet_lab.simulation.world.urdf import expand_xacro
 
 XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
 <xacro:property name="folder" value="$(find bullet_lab)"/><link name="${folder[:1]}${2 * 3}"/>

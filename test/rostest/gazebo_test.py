@@ -59,7 +59,6 @@ from std_msgs.msg import ColorRGBA
 from std_srvs.srv import Empty
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
 
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
@@ -610,7 +609,7 @@ class SaveTest(GazeboCase):
         self.assertTrue(saved.success, saved.status_message)
         self.assertEqual((3, str(path)), (saved.models, saved.path))
         clock.wait(len(clock.messages) + 10)
-        world = {model.name: model for model in read_world_file(path, ResourceFinder()).models}
+        world = {model.name: model for model in read_world_file(path).models}
         self.assertEqual({"ground_plane", "block_robot", "beacon_7"}, set(world))
         self.assert_near((3.0, 1.0, 0.0), world["beacon_7"].pose.position)
         self.assertAlmostEqual(0.4, world["beacon_7"].pose.yaw, 9)

@@ -2,7 +2,7 @@
 
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import World
-from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.urdf import read_urdf
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
@@ -39,7 +39,7 @@ def sensor(kind, inner, plugin, tags="", link="base", name="the_sensor"):
 
 def thing(geometry, pose="0 0 0 0 0 0", name="thing"):
     """A model that stands still."""
-    return read_model_text(
+    return read_spawned(
         f'<sdf><model name="{name}"><static>true</static><pose>{pose}</pose><link name="l">'
         f'<collision name="c"><geometry>{geometry}</geometry></collision></link></model></sdf>',
         name,

@@ -14,7 +14,7 @@ from bullet_lab.noise.odometry_noise import MODELS, rule_of
 from bullet_lab.reports import Reading
 from bullet_lab.simulation.plugins import plugin
 from bullet_lab.simulation.plugins.controllers import controller
-from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.studies.noise_study.study import StudySettings, run_study
 from bullet_lab.vision import features
 
@@ -52,7 +52,7 @@ def forgotten(monkeypatch):
 
 def test_the_plugin_measures(world, forgotten):
     named("simulation/plugins/altimeter", "Altimeter")
-    robot = world.add(read_model_text(MAST, "mast"))
+    robot = world.add(read_spawned(MAST, "mast"))
     heights = []
     robot.listen("height", heights.append)
     world.run_for(1.0)

@@ -10,7 +10,6 @@ import numpy as np
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf
 
 FLOOR = "package://bullet_lab/worlds/empty.world"
@@ -76,8 +75,7 @@ class Robot:
             f"</odometrySource><wheelAcceleration>{self.acceleration}</wheelAcceleration>"
             "</plugin></gazebo></robot>"
         )
-        finder = ResourceFinder().beside(folder / "wheeled.urdf") if folder else None
-        return read_urdf(text, "wheeled", finder)
+        return read_urdf(text, "wheeled", folder)
 
 
 def _wheel(side, y, radius, mass, shape):

@@ -1,12 +1,22 @@
-"""Faces: pictures of markers, drawn cell by cell, on a plate or on the back wall of a dock."""
+"""Draw markers on plates and walls, and write models that bear them.
+
+The models are in Gazebo's layout: model.config, model.sdf and meshes. The frame of each is the
+dock's: the origin on the floor below the marker's face, x into the face. A docked robot looks
+along x.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Optional, Tuple
+from pathlib import Path
+from typing import Sequence, Tuple
+from xml.sax.saxutils import escape
 
 import numpy as np
+from PIL import Image
 
+from bullet_lab.core.files import make_folder, replace_file
+from bullet_lab.core.pose import Vector
 from bullet_lab.errors import LabError
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named, simple_name
 from bullet_lab.vision.images import VisionError
@@ -36,14 +46,73 @@ DOT_RADIUS = 0.0043
 CLOSEST = 0.0126
 TRIES_PER_DOT = 100
 
+DOCK_DEPTH = 2.0
+WALL_THICKNESS = 0.2
+PLATE_THICKNESS = 0.02
+POST_WIDTH = 0.04
+
 Rectangle = Tuple[float, float, float, float]
+
+# Corners of the front as one sees it, from the lower left one against the clock: depth as 0 or
+# 1, y (to the left) and z as -1 or 1. Then the other sides, normal and corners.
+_CORNERS = ((0, 1, -1), (0, -1, -1), (0, -1, 1), (0, 1, 1))
+_SIDES = (
+    ((1, 0, 0), ((1, -1, -1), (1, 1, -1), (1, 1, 1), (1, -1, 1))),
+    ((0, 1, 0), ((1, 1, -1), (0, 1, -1), (0, 1, 1), (1, 1, 1))),
+    ((0, -1, 0), ((0, -1, -1), (1, -1, -1), (1, -1, 1), (0, -1, 1))),
+    ((0, 0, 1), ((0, 1, 1), (0, -1, 1), (1, -1, 1), (1, 1, 1))),
+    ((0, 0, -1), ((1, 1, -1), (1, -1, -1), (0, -1, -1), (0, 1, -1))),
+)
+
+_SDF = """<?xml version="1.0"?>
+<sdf version="1.6">
+  <model name="{name}">
+    <static>true</static>
+    <link name="link">{shapes}
+    </link>
+  </model>
+</sdf>
+"""
+_SHAPES = """
+      <collision name="{name}">{box}
+      </collision>
+      <visual name="{name}">{visual}
+      </visual>"""
+_BOX = """
+        <pose>{place} 0 0 0</pose>
+        <geometry>
+          <box>
+            <size>{size}</size>
+          </box>
+        </geometry>"""
+_MESH = """
+        <pose>{place} 0 0 0</pose>
+        <geometry>
+          <mesh>
+            <uri>model://{model}/meshes/{name}.obj</uri>
+          </mesh>
+        </geometry>"""
+_GREY = """
+        <material>
+          <ambient>{0} {0} {0} 1</ambient>
+          <diffuse>{0} {0} {0} 1</diffuse>
+        </material>"""
+_MTL = "newmtl face\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd {name}.png\n"
+_CONFIG = """<?xml version="1.0"?>
+<model>
+  <name>{name}</name>
+  <version>1.0</version>
+  <sdf version="1.6">model.sdf</sdf>
+  <description>{about}</description>
+</model>
+"""
 
 
 class MarkerError(LabError):
     """A marker that does not exist or cannot be printed as asked."""
 
 
-def dictionary_names() -> Tuple[str, ...]:
+def dictionary_names() -> tuple[str, ...]:
     """Return the names of all dictionaries of this OpenCV, without the prefix, in lower case."""
     return tuple(sorted(simple_name(name).lower() for name in DICTIONARY_NAMES))
 
@@ -76,16 +145,9 @@ def marker_cells(dictionary: str, identifier: int) -> np.ndarray:
 def marker_image(cells: np.ndarray, pixels: int, quiet: int = 1) -> np.ndarray:
     """Return the picture of a marker with its quiet zone, (side, side) of uint8.
 
-    Its `cells` are as of `marker_cells`, `pixels` wide, with `quiet` white ones on each side.
-
-    Raises:
-        MarkerError: no quiet zone, or cells without pixels. A marker whose border touches
-            something dark has no outline that a detector could find.
+    Its `cells` are as of `marker_cells`, `pixels` wide, with `quiet` white ones on each side. A
+    marker whose border touches something dark has no outline that a detector could find.
     """
-    if quiet < 1:
-        raise MarkerError(f"the quiet zone must be at least one cell wide, not {quiet}")
-    if pixels < 1:
-        raise MarkerError(f"a cell must be at least one pixel wide, not {pixels}")
     framed = np.pad(np.asarray(cells, dtype=bool), quiet, constant_values=True)
     picture = np.where(framed, WHITE, BLACK).astype(np.uint8)
     return np.kron(picture, np.ones((pixels, pixels), dtype=np.uint8))
@@ -196,24 +258,20 @@ def plate_face(marker: Print) -> Face:
 
 def wall_face(marker: Print) -> Face:
     """Return the dock's bare back wall with a marker in its middle; raises MarkerError."""
-    canvas = np.full((WALL_PIXELS, WALL_PIXELS), WALL_GREY, dtype=np.uint8)
-    _paste_middle(canvas, marker)
-    return Face(canvas, WALL_SIZE)
+    return _with_marker(_wall(WALL_GREY), marker)
 
 
-def dots_face(marker: Optional[Print], seed: int) -> Face:
-    """Return a back wall strewn with dots, with a marker if there is one; raises MarkerError."""
+def dots_face(marker: Print, seed: int) -> Face:
+    """Return a back wall with dots around a marker; raises MarkerError."""
     if seed < 0:
         raise MarkerError(f"the seed must be an integer >= 0, not {seed}")
-    edge = 0.0 if marker is None else marker.face_size()
+    edge = marker.face_size()
     low, high = 0.5 * (WALL_SIZE - edge), 0.5 * (WALL_SIZE + edge)
     rng = np.random.default_rng(seed)
     centres = scatter_dots(WALL_SIZE, WALL_SIZE, (low, low, high, high), rng)
-    canvas = np.full((WALL_PIXELS, WALL_PIXELS), WHITE, dtype=np.uint8)
+    canvas = _wall(WHITE)
     draw_dots(canvas, centres, WALL_SIZE / WALL_PIXELS)
-    if marker is not None:
-        _paste_middle(canvas, marker)
-    return Face(canvas, WALL_SIZE)
+    return _with_marker(canvas, marker)
 
 
 def nested_face(marker: Print, around: Print) -> Face:
@@ -226,7 +284,7 @@ def nested_face(marker: Print, around: Print) -> Face:
         MarkerError: the marker does not fit into a cell, the larger one does not fit on the
             wall, or it has no white cell.
     """
-    canvas = np.full((WALL_PIXELS, WALL_PIXELS), WHITE, dtype=np.uint8)
+    canvas = _wall(WHITE)
     pixels = _pixels(around)
     cells = around.cells()
     white = np.argwhere(cells)
@@ -242,14 +300,19 @@ def nested_face(marker: Print, around: Print) -> Face:
         raise MarkerError(
             f"a marker of {marker.face_size():g} m does not fit into a cell of {cell:g} m"
         )
-    _paste_middle(canvas, marker)
-    return Face(canvas, WALL_SIZE)
+    return _with_marker(canvas, marker)
 
 
-def _paste_middle(canvas: np.ndarray, marker: Print) -> None:
+def _wall(grey: int) -> np.ndarray:
+    return np.full((WALL_PIXELS, WALL_PIXELS), grey, dtype=np.uint8)
+
+
+def _with_marker(canvas: np.ndarray, marker: Print) -> Face:
+    """Return a wall with a marker in its middle."""
     patch = marker.image(_pixels(marker))
     corner = (len(canvas) - len(patch)) // 2
     paste(canvas, patch, corner, corner)
+    return Face(canvas, WALL_SIZE)
 
 
 def _pixels(marker: Print) -> int:
@@ -263,3 +326,117 @@ def _pixels(marker: Print) -> int:
         allowed = f"a multiple of {step:g} m, of four or more"
         raise MarkerError(f"on a wall the size must be {allowed}, not {marker.size:g}")
     return steps * (1 + count % 2)
+
+
+def write_panel(face: Face, height: float, folder: Path, about: str) -> None:
+    """Write a model of a plate on a post; its name is that of the folder, which is made.
+
+    The middle of the plate is at `height` above the floor, m.
+
+    Raises:
+        MarkerError: the plate would reach into the floor.
+        FileError: the folder cannot be written to.
+    """
+    below = height - 0.5 * face.size
+    if below < 0.0:
+        raise MarkerError(f"a plate of {face.size:g} m at a height of {height:g} m is in the floor")
+    middle = 0.5 * PLATE_THICKNESS
+    plate = (PLATE_THICKNESS, face.size, face.size)
+    shapes = [_picture("plate", plate, (middle, 0.0, height), folder)]
+    if below > 0.0:
+        post = (PLATE_THICKNESS, POST_WIDTH, below)
+        shapes.append(_box("post", post, (middle, 0.0, 0.5 * below)))
+    write_plate(face, PLATE_THICKNESS, folder / "meshes", "plate")
+    _write_model(folder, shapes, about)
+
+
+def write_dock(face: Face, folder: Path, about: str) -> None:
+    """Write a model of the docking station, whose back wall shows a picture.
+
+    Three boxes as a U, open towards -x; arguments and errors as of `write_panel`.
+    """
+    size, half = WALL_SIZE, 0.5 * WALL_SIZE
+    back = (WALL_THICKNESS, size, size)
+    side = (DOCK_DEPTH + WALL_THICKNESS, WALL_THICKNESS, size)
+    x = 0.5 * (WALL_THICKNESS - DOCK_DEPTH)
+    y = half + 0.5 * WALL_THICKNESS
+    shapes = (
+        _picture("back_wall", back, (0.5 * WALL_THICKNESS, 0.0, half), folder),
+        _box("left_wall", side, (x, y, half)),
+        _box("right_wall", side, (x, -y, half)),
+    )
+    write_plate(face, WALL_THICKNESS, folder / "meshes", "back_wall")
+    _write_model(folder, shapes, about)
+
+
+def write_plate(face: Face, thickness: float, folder: Path, name: str) -> tuple[Path, ...]:
+    """Write <name>.obj, <name>.mtl and <name>.png of a box that shows a picture on its front.
+
+    The origin is the middle of the front, which looks along -x with z up; the box reaches
+    `thickness` metres to +x. The other sides have the colour of the picture's corner. The box
+    is whole, so that nothing has to stand close behind the picture: in a depth buffer of 16
+    bits things some millimetres apart fight for the pixels.
+
+    Returns:
+        The three files.
+
+    Raises:
+        FileError: the folder cannot be written to.
+    """
+    make_folder(folder)
+    obj, mtl, png = (folder / f"{name}.{kind}" for kind in ("obj", "mtl", "png"))
+    replace_file(obj, lambda part: part.write_text(_obj(face, thickness, name)))
+    replace_file(mtl, lambda part: part.write_text(_MTL.format(name=name)))
+    image = Image.fromarray(np.ascontiguousarray(face.image))
+    replace_file(png, lambda part: image.save(part, optimize=True))
+    return obj, mtl, png
+
+
+def _obj(face: Face, thickness: float, name: str) -> str:
+    lines = [f"mtllib {name}.mtl", f"o {name}", "usemtl face"]
+    scale, sides = np.array([thickness, 0.5 * face.size, 0.5 * face.size]), [c for _, c in _SIDES]
+    for corners in (_CORNERS, *sides):
+        lines += [f"v {_numbers(scale * corner)}" for corner in corners]
+    # The picture's corners, and the middle of its corner pixel for all other sides.
+    lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1"]
+    lines.append(f"vt {0.5 / len(face.image):.9g} {0.5 / len(face.image):.9g}")
+    lines.append("vn -1 0 0")
+    lines += ["vn {} {} {}".format(*normal) for normal, _ in _SIDES]
+    lines += _quad(1, (1, 2, 3, 4), 1)
+    for index in range(len(_SIDES)):
+        lines += _quad(5 + 4 * index, (5, 5, 5, 5), 2 + index)
+    return "\n".join(lines) + "\n"
+
+
+def _quad(first: int, texture: tuple[int, int, int, int], normal: int) -> list[str]:
+    corners = [f"{first + k}/{texture[k]}/{normal}" for k in range(4)]
+    return [f"f {corners[0]} {corners[b]} {corners[c]}" for b, c in ((1, 2), (2, 3))]
+
+
+def _write_model(folder: Path, shapes: Sequence[str], about: str) -> None:
+    make_folder(folder)
+    name = folder.absolute().name
+    sdf = _SDF.format(name=name, shapes="".join(shapes))
+    config = _CONFIG.format(name=name, about=escape(about))
+    replace_file(folder / "model.sdf", lambda path: path.write_text(sdf))
+    replace_file(folder / "model.config", lambda path: path.write_text(config))
+
+
+def _box(name: str, size: Vector, centre: Vector) -> str:
+    """Return a grey box of a model."""
+    box = _BOX.format(place=_numbers(centre), size=_numbers(size))
+    visual = box + _GREY.format(f"{WALL_GREY / 255.0:.3f}")
+    return _SHAPES.format(name=name, box=box, visual=visual)
+
+
+def _picture(name: str, size: Vector, centre: Vector, model: Path) -> str:
+    """Return a box of a model that is drawn as the mesh of its name."""
+    box = _BOX.format(place=_numbers(centre), size=_numbers(size))
+    # No <material>: Gazebo would paint it over the texture. The mesh begins at the front.
+    place = _numbers((0.0, *centre[1:]))
+    visual = _MESH.format(place=place, model=model.absolute().name, name=name)
+    return _SHAPES.format(name=name, box=box, visual=visual)
+
+
+def _numbers(values: Vector) -> str:
+    return " ".join(f"{value:.9g}" for value in values)

@@ -12,11 +12,12 @@ import argparse
 import re
 import sys
 from pathlib import Path
-from typing import Any, NoReturn, Optional, Sequence
+from typing import Any, NoReturn, Sequence
 
 from bullet_lab.core.parameters import ArgumentParser
 from bullet_lab.errors import LabError
 from bullet_lab.markers.faces import (
+    PLATE_THICKNESS,
     MarkerError,
     Print,
     dictionary_names,
@@ -24,8 +25,10 @@ from bullet_lab.markers.faces import (
     nested_face,
     plate_face,
     wall_face,
+    write_dock,
+    write_panel,
+    write_plate,
 )
-from bullet_lab.markers.models import PLATE_THICKNESS, write_dock, write_panel, write_plate
 
 STATUS_BAD_INPUT = 2
 STATUS_INTERRUPTED = 130
@@ -97,7 +100,7 @@ def parser() -> ArgumentParser:
     return made
 
 
-def main(arguments: Optional[Sequence[str]] = None) -> NoReturn:
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line, and exit: 0 done, 2 bad input, 130 interrupted."""
     words = sys.argv[1:] if arguments is None else arguments
     # roslaunch adds its own: __name:=… and __log:=…

@@ -11,7 +11,7 @@ from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.models import Entity, ModelInstance
 from bullet_lab.simulation.world.description import FrameState
-from bullet_lab.simulation.world.inertia import FARTHEST
+from bullet_lab.simulation.world.tree import FARTHEST
 
 # Greatest force (N) or torque (N m); beyond it, the engine's numbers overflow.
 STRONGEST = 1e9

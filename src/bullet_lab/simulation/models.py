@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Tuple
+from typing import Any, Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -26,8 +26,7 @@ from bullet_lab.simulation.world.description import (
     ModelState,
     PluginTag,
 )
-from bullet_lab.simulation.world.inertia import FARTHEST, FASTEST
-from bullet_lab.simulation.world.tree import check_proportions
+from bullet_lab.simulation.world.tree import FARTHEST, FASTEST, check_proportions
 
 # Names of the world's own frame.
 WORLD_FRAMES = ("", "world", "map", "/map")
@@ -58,9 +57,9 @@ class ModelInstance:
 
     model: Model
     bodies: Mapping[str, Body]
-    plugins: Tuple[Plugin, ...]
+    plugins: tuple[Plugin, ...]
     moves: int = 0
-    _frames: Dict[str, AttachedFrame] = field(default_factory=dict)
+    _frames: dict[str, AttachedFrame] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -144,11 +143,10 @@ class ModelInstance:
                 return body
         raise SimulationError(f"model '{self.name}' has no movable joint '{name}'")
 
-    def keeper(self, link: str) -> Optional[str]:
+    def keeper(self, link: str) -> str | None:
         """Return the link that a link was merged into, or itself; None for an unknown one."""
-        if link in self.model.frames:
-            return self.model.frames[link][0]
-        return link if link in self.model.links_by_name() else None
+        name, _ = self.model.frames.get(link, (link, None))
+        return name if name in self.model.links_by_name() else None
 
     def frame(self, link: str = "") -> AttachedFrame:
         """Return the frame of a link, merged or not, or of the model; raises KeyError."""
@@ -239,7 +237,7 @@ def find_link(models: Mapping[str, ModelInstance], name: str) -> Entity:
     return found[0]
 
 
-def _split(models: Mapping[str, ModelInstance], name: str) -> Tuple[str, str]:
+def _split(models: Mapping[str, ModelInstance], name: str) -> tuple[str, str]:
     """Return the model that a scoped name begins with (empty if none), and the rest.
 
     The rest may be scoped itself, by the names of nested models.
@@ -267,13 +265,13 @@ def model_entity(instance: ModelInstance) -> Entity:
     return Entity(instance, instance.frame(), instance.model.canonical_link().name)
 
 
-def link_entities(instance: ModelInstance) -> List[Entity]:
+def link_entities(instance: ModelInstance) -> list[Entity]:
     """Return the links of a model."""
     names = [link.name for link in instance.model.own_links()]
     return [Entity(instance, instance.frame(name), name) for name in names]
 
 
-def find_joint(models: Mapping[str, ModelInstance], name: str) -> Tuple[ModelInstance, str]:
+def find_joint(models: Mapping[str, ModelInstance], name: str) -> tuple[ModelInstance, str]:
     """Return model and name of the joint "joint" or "model::joint"; raises EntityError.
 
     As in Gazebo, the first model that has it counts.
@@ -325,9 +323,9 @@ def move_link(entity: Entity, state: FrameState) -> None:
 def change_joint(
     instance: ModelInstance,
     name: str,
-    damping: Optional[float] = None,
-    lower: Optional[float] = None,
-    upper: Optional[float] = None,
+    damping: float | None = None,
+    lower: float | None = None,
+    upper: float | None = None,
 ) -> None:
     """Change damping (N m s or N s/m) and limits (rad or m) of a joint; None keeps a value.
 
@@ -386,13 +384,13 @@ class PluginSurvey:
     tag: PluginTag
     acts: bool
     rate: float = 0.0
-    inputs: Tuple[str, ...] = ()
-    outputs: Tuple[str, ...] = ()
-    unread: Tuple[str, ...] = ()
-    refused: Tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    unread: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()
 
 
-def survey(instance: ModelInstance) -> Tuple[PluginSurvey, ...]:
+def survey(instance: ModelInstance) -> tuple[PluginSurvey, ...]:
     """Return a survey of the model's plugins, in the order of their tags."""
     acting = {id(plugin.mount.plugin): plugin for plugin in instance.plugins}
     found = []
@@ -409,7 +407,7 @@ def survey(instance: ModelInstance) -> Tuple[PluginSurvey, ...]:
     return tuple(found)
 
 
-def bounds(instance: ModelInstance) -> Tuple[Vector, Vector]:
+def bounds(instance: ModelInstance) -> tuple[Vector, Vector]:
     """Return the lower and upper corner of the box around a model's shapes, in the world (m).
 
     A model without shapes is a point.

@@ -10,9 +10,9 @@ from PIL import Image
 from bullet_lab.markers.make_marker import main
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Mesh
-from bullet_lab.simulation.world.meshes import load_triangles
 from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.shapes import load_triangles
 
 ROOT = package_share()
 DOCKS = ("docking", "docking_dots", "docking_nested", "docking_decoy")

@@ -9,8 +9,8 @@ from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import View, take_picture
 from bullet_lab.simulation.world.description import Box, Cylinder, Inertia, Sphere
-from bullet_lab.simulation.world.inertia import combine
-from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.sdf import read_spawned
+from bullet_lab.simulation.world.tree import combine
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 CAMERA_ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
@@ -236,7 +236,7 @@ def test_it_does_not_nod(world, robot, speed):
 
 def test_it_pushes_a_kerb_with_the_torque_of_its_wheels(world, robot):
     world.add(
-        read_model_text(
+        read_spawned(
             '<sdf><model name="kerb"><static>true</static><pose>0.5 0 0.05 0 0 0</pose>'
             '<link name="l"><collision name="c"><geometry><box><size>0.2 4 0.1</size></box>'
             "</geometry></collision></link></model></sdf>",

@@ -10,7 +10,7 @@ from bullet_lab.simulation.models import change_link, find_link
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import World
-from bullet_lab.simulation.world.sdf import read_model_text, read_world_file
+from bullet_lab.simulation.world.sdf import read_spawned, read_world_file
 from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.urdf import read_urdf
 
@@ -28,7 +28,7 @@ def dumbbell(first, second, joint="fixed"):
         for name, x, mass, inner in (("one", 0, 1, first), ("other", 1, 3, second))
     )
     axis = "<axis><xyz>0 0 1</xyz></axis>"
-    return read_model_text(
+    return read_spawned(
         f"<sdf version='1.6'><model name='m'>{links}<joint name='j' type='{joint}'>"
         f"<parent>one</parent><child>other</child>{axis}</joint></model></sdf>",
         "m",

@@ -21,7 +21,7 @@ from bullet_lab.ros.messages.poses import InputError, normalised_pose, pose_mess
 from bullet_lab.simulation.models import change_joint, change_link, find_joint, find_link
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.world.description import Inertia, Light
-from bullet_lab.simulation.world.inertia import INERTIA_KEYS, matrix_from_elements
+from bullet_lab.simulation.world.tree import INERTIA_KEYS, matrix_from_elements
 from bullet_lab.srv import SetRtf
 
 JOINT_TYPES = {

@@ -46,7 +46,7 @@ from bullet_lab.ros.record.recorder import (
     about,
 )
 from bullet_lab.ros.record.rviz import FleetMarkers, PathTopics
-from bullet_lab.simulation.world.floor_plan import footprints
+from bullet_lab.simulation.world.description import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
 

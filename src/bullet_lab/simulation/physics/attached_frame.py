@@ -11,7 +11,7 @@ from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.physics.physics import Body
 from bullet_lab.simulation.world.description import Model
-from bullet_lab.simulation.world.inertia import principal_axes
+from bullet_lab.simulation.world.tree import principal_axes
 
 ORIGIN = Pose()
 # PyBullet's limit of rays in one call.

@@ -18,9 +18,17 @@ from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics import PhysicsError, pybullet
 from bullet_lab.simulation.physics.surfaces import Surface, axle_of, on_treads
 from bullet_lab.simulation.world.description import Collision, Joint, Link
-from bullet_lab.simulation.world.inertia import FARTHEST, FASTEST, mobility, principal_axes
-from bullet_lab.simulation.world.meshes import file_version, hull_corners, triangle_corners
-from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
+from bullet_lab.simulation.world.meshes import file_version
+from bullet_lab.simulation.world.shapes import (
+    Box,
+    Cylinder,
+    Mesh,
+    Plane,
+    Sphere,
+    hull_corners,
+    triangle_corners,
+)
+from bullet_lab.simulation.world.tree import FARTHEST, FASTEST, mobility, principal_axes
 
 # PyBullet's limit of shapes in one call.
 MOST_SHAPES = 16

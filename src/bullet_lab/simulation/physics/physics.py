@@ -30,8 +30,7 @@ from bullet_lab.simulation.physics.surfaces import (
 )
 from bullet_lab.simulation.physics.traction import Traction
 from bullet_lab.simulation.world.description import Inertia, Joint, Link, Model
-from bullet_lab.simulation.world.inertia import principal_axes
-from bullet_lab.simulation.world.tree import top_down
+from bullet_lab.simulation.world.tree import principal_axes, top_down
 
 STEP_SECONDS = 1e-3
 # Share of the distance from its held position that a joint is moved back in one step.

@@ -18,8 +18,7 @@ import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector, cross, subtract
 from bullet_lab.simulation.world.description import Collision, Joint, Link
-from bullet_lab.simulation.world.meshes import hull_corners
-from bullet_lab.simulation.world.shapes import Cylinder, Mesh, Sphere
+from bullet_lab.simulation.world.shapes import Cylinder, Mesh, Sphere, hull_corners
 
 # A place (m) on an axle, and the axle's direction.
 Axle = Tuple[Vector, Vector]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Dict, Mapping, Optional, Tuple, Union
+from typing import Mapping, Tuple, Union
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -19,6 +19,7 @@ from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Spher
 
 Geometry = Union[Box, Cylinder, Sphere, Plane, Mesh]
 Colour = Tuple[float, float, float, float]
+Point = Tuple[float, float]
 
 WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
 # The parent link of joints to the world; no other link has this name.
@@ -28,6 +29,10 @@ SEPARATOR = "::"
 # The limits of a joint that are read.
 LIMITS = ("lower", "upper", "effort", "velocity")
 BLACK: Colour = (0.0, 0.0, 0.0, 1.0)
+# The corners of a footprint, as shares of its sides.
+FOOTPRINT_CORNERS = ((0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5))
+# The footprint of a box that leans more than this (rad) is no rectangle.
+UPRIGHT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -40,8 +45,8 @@ class Texture:
     """
 
     path: Path
-    scale: Tuple[float, float] = (1.0, 1.0)
-    scroll: Tuple[float, float] = (0.0, 0.0)
+    scale: tuple[float, float] = (1.0, 1.0)
+    scroll: tuple[float, float] = (0.0, 0.0)
     rotation: float = 0.0
     repeats: bool = True
     blends: bool = False
@@ -71,13 +76,13 @@ class Material:
         scripts: where it is defined: the URI in the document, and the path.
     """
 
-    ambient: Optional[Colour] = None
+    ambient: Colour | None = None
     emissive: Colour = BLACK
-    texture: Optional[Texture] = None
+    texture: Texture | None = None
     lit: bool = True
     covers: bool = False
     name: str = ""
-    scripts: Tuple[Tuple[str, Path], ...] = ()
+    scripts: tuple[tuple[str, Path], ...] = ()
 
 
 # The diffuse colour of a surface, and the rest of its look.
@@ -109,10 +114,10 @@ class Collision:
     pose: Pose = Pose()
     friction: float = 1.0
     name: str = ""
-    stiffness: Optional[float] = None
-    damping: Optional[float] = None
-    cross_friction: Optional[float] = None
-    direction: Optional[Vector] = None
+    stiffness: float | None = None
+    damping: float | None = None
+    cross_friction: float | None = None
+    direction: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,7 @@ class Inertia:
     centre: Vector
     matrix: np.ndarray
 
-    def elements(self) -> Dict[str, float]:
+    def elements(self) -> dict[str, float]:
         """Return the elements of the matrix by their names, ixx to izz."""
         rows, columns = np.triu_indices(3)
         values = self.matrix[rows, columns].tolist()
@@ -143,9 +148,9 @@ class Link:
 
     name: str
     pose: Pose = Pose()
-    inertia: Optional[Inertia] = None
-    visuals: Tuple[Visual, ...] = ()
-    collisions: Tuple[Collision, ...] = ()
+    inertia: Inertia | None = None
+    visuals: tuple[Visual, ...] = ()
+    collisions: tuple[Collision, ...] = ()
     self_collide: bool = False
     anchored: bool = False
     gravity: bool = True
@@ -183,8 +188,8 @@ class PluginTag:
     name: str
     tags: Mapping[str, str]
     link: str = ""
-    sensor: Optional[Element] = None
-    element: Optional[Element] = field(default=None, compare=False, repr=False)
+    sensor: Element | None = None
+    element: Element | None = field(default=None, compare=False, repr=False)
     scope: str = ""
 
 
@@ -197,14 +202,14 @@ class Model:
     """
 
     name: str
-    links: Tuple[Link, ...]
-    joints: Tuple[Joint, ...] = ()
-    plugins: Tuple[PluginTag, ...] = ()
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...] = ()
+    plugins: tuple[PluginTag, ...] = ()
     pose: Pose = Pose()
     static: bool = False
-    frames: Mapping[str, Tuple[str, Pose]] = field(default_factory=dict)
+    frames: Mapping[str, tuple[str, Pose]] = field(default_factory=dict)
 
-    def root_links(self) -> Tuple[Link, ...]:
+    def root_links(self) -> tuple[Link, ...]:
         """Return the links that are the child of no joint."""
         children = {joint.child for joint in self.joints}
         return tuple(link for link in self.links if link.name not in children)
@@ -218,11 +223,11 @@ class Model:
         hanging = {joint.child for joint in self.joints if joint.parent == WORLD_LINK}
         return next(link for link in self.links if link.name in hanging)
 
-    def own_links(self) -> Tuple[Link, ...]:
+    def own_links(self) -> tuple[Link, ...]:
         """Return the links without WORLD_LINK, which carries links that move on the world."""
         return tuple(link for link in self.links if link.name != WORLD_LINK)
 
-    def links_by_name(self) -> Dict[str, Link]:
+    def links_by_name(self) -> dict[str, Link]:
         """Return the links by their names."""
         return {link.name: link for link in self.links}
 
@@ -285,7 +290,7 @@ class ModelState:
 
     pose: Pose
     links: Mapping[str, FrameState] = field(default_factory=dict)
-    joints: Mapping[str, Tuple[float, float]] = field(default_factory=dict)
+    joints: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -296,8 +301,8 @@ class World:
     """
 
     name: str
-    models: Tuple[Model, ...] = ()
-    lights: Tuple[Light, ...] = ()
+    models: tuple[Model, ...] = ()
+    lights: tuple[Light, ...] = ()
     gravity: Vector = (0.0, 0.0, -9.8)
     ambient: Colour = (0.4, 0.4, 0.4, 1.0)
     background: Colour = (0.7, 0.7, 0.7, 1.0)
@@ -311,4 +316,53 @@ class Snapshot:
 
     world: World
     step: int
-    models: Tuple[Tuple[Model, ModelState], ...]
+    models: tuple[tuple[Model, ModelState], ...]
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """An upright box of the model `name` from above.
+
+    `centre` is x, y in the world, `size` along its own x and y, m; `yaw` that of its sides, rad.
+    """
+
+    name: str
+    centre: Point
+    yaw: float
+    size: tuple[float, float]
+
+    def corners(self) -> tuple[Point, ...]:
+        """Return the four corners, counter-clockwise."""
+        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
+        sides = [(sx * self.size[0], sy * self.size[1]) for sx, sy in FOOTPRINT_CORNERS]
+        return tuple(
+            (self.centre[0] + cosine * x - sine * y, self.centre[1] + sine * x + cosine * y)
+            for x, y in sides
+        )
+
+    def distance(self, point: Point) -> float:
+        """Return the distance of a point in m, 0 inside."""
+        dx, dy = point[0] - self.centre[0], point[1] - self.centre[1]
+        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
+        beside = abs(cosine * dx + sine * dy) - 0.5 * self.size[0]
+        before = abs(cosine * dy - sine * dx) - 0.5 * self.size[1]
+        return math.hypot(max(beside, 0.0), max(before, 0.0))
+
+
+def footprints(world: World, below: float = math.inf) -> tuple[Footprint, ...]:
+    """Return the upright boxes of static models, which a robot could hit.
+
+    Args:
+        world: the world; shapes other than boxes, and leaning boxes, are left out.
+        below: m; boxes that begin above this height are left out.
+    """
+    found: list[Footprint] = []
+    static = [model for model in world.models if model.static]
+    shapes = [(m, k, shape) for m in static for k in m.links for shape in k.collisions]
+    for model, link, shape in shapes:
+        pose, box = model.pose * link.pose * shape.pose, shape.geometry
+        is_upright = pose.rotate((0.0, 0.0, 1.0))[2] > math.cos(UPRIGHT)
+        x, y, z = pose.position
+        if isinstance(box, Box) and is_upright and z - 0.5 * box.size[2] < below:
+            found.append(Footprint(model.name, (x, y), pose.yaw, box.size[:2]))
+    return tuple(found)

@@ -6,13 +6,12 @@ the mesh is drawn without them.
 
 from __future__ import annotations
 
-import functools
 import logging
 import os
-import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Sequence
 from urllib.parse import unquote
 
 import numpy as np
@@ -28,20 +27,17 @@ from bullet_lab.simulation.world.description import (
 )
 from bullet_lab.simulation.world.meshes import (
     MeshError,
-    collada_triangles,
     file_version,
-    load_triangles,
-    middle_of,
     read_bytes,
-    read_scene,
+    read_parts,
     readable,
 )
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
+from bullet_lab.simulation.world.shapes import load_triangles, middle_of
 
 LOG = logging.getLogger(__name__)
 # The word by which a file with own materials is recognised.
 OWN_LOOKS = {".obj": b"usemtl", ".dae": b"instance_material"}
-FACE_WITH_NORMALS = re.compile(rb"^\s*f\s+-?\d+/-?\d*/-?\d", re.MULTILINE)
 
 Report = Callable[[str], None]
 
@@ -58,35 +54,34 @@ class Part:
     """
 
     corners: np.ndarray
-    normals: Optional[np.ndarray] = None
-    picture: Optional[np.ndarray] = None
-    look: Optional[Appearance] = None
+    normals: np.ndarray | None = None
+    picture: np.ndarray | None = None
+    look: Appearance | None = None
 
 
-def mesh_parts(mesh: Mesh, report: Report = LOG.warning) -> List[Part]:
+def mesh_parts(mesh: Mesh, report: Report = LOG.warning) -> list[Part]:
     """Return the parts of a scaled mesh; `report` gets a line for each missing file.
 
     Raises as `load_triangles`.
     """
     # Checks the mesh.
-    triangles = load_triangles(mesh)
+    load_triangles(mesh)
+    materials = _Materials(mesh.path, report)
+    with readable(mesh.path):
+        raw = list(read_parts(mesh.path, mesh.submesh, materials))
+        corners = [part.vertices[part.faces] for part in raw]
+        looks = [materials.look(part.material) for part in raw]
+    middle, scale = middle_of(corners, mesh), np.asarray(mesh.scale)
     # Mirrored triangles are turned over, so that they still face outwards.
     order = slice(None, None, -1 if np.prod(mesh.scale) < 0.0 else 1)
-    suffix = mesh.path.suffix.lower()
-    if suffix == ".stl":
-        return [Part(triangles.vertices[triangles.faces[:, order]])]
-    read = _collada_parts if suffix == ".dae" else _wavefront_parts
-    with readable(mesh.path):
-        parts = list(read(mesh, report))
-    middle, scale = middle_of([part.corners for part in parts], mesh), np.asarray(mesh.scale)
     return [
-        replace(
-            part,
-            corners=((part.corners - middle) * scale)[:, order],
-            normals=None if part.normals is None else (part.normals / scale)[:, order],
-            picture=None if part.picture is None else part.picture[:, order],
+        Part(
+            ((points - middle) * scale)[:, order],
+            None if part.normals is None else (part.normals / scale)[:, order],
+            None if part.picture is None else part.picture[:, order],
+            look,
         )
-        for part in parts
+        for points, part, look in zip(corners, raw, looks)
     ]
 
 
@@ -95,28 +90,13 @@ def has_own_looks(mesh: Mesh) -> bool:
     return _has_own_looks(mesh.path, file_version(mesh))
 
 
-@functools.lru_cache(maxsize=256)
-def _has_own_looks(path: Path, _version: Tuple[int, int]) -> bool:
+@lru_cache(maxsize=256)
+def _has_own_looks(path: Path, _version: tuple[int, int]) -> bool:
     word = OWN_LOOKS.get(path.suffix.lower())
     try:
         return word is not None and word in read_bytes(path)
     except MeshError:
         return False
-
-
-def _collada_parts(mesh: Mesh, report: Report) -> Iterator[Part]:
-    metres, sets = collada_triangles(mesh)
-    for part in sets:
-        corners = metres * np.asarray(part.vertex, float)[part.vertex_index]
-        normals = picture = None
-        if part.normal is not None and len(part.normal):
-            normals = np.asarray(part.normal, float)[part.normal_index]
-        if part.texcoordset:
-            # As in Gazebo, the first of several.
-            picture = np.asarray(part.texcoordset[0], float)[part.texcoord_indexset[0]][..., :2]
-        effect = getattr(part.material, "effect", None)
-        look = None if effect is None else _effect_look(effect, mesh.path, report)
-        yield Part(corners, normals, picture, look)
 
 
 def _effect_look(effect: Any, path: Path, report: Report) -> Appearance:
@@ -137,7 +117,7 @@ def _effect_look(effect: Any, path: Path, report: Report) -> Appearance:
     return (*(diffuse or WHITE)[:3], opacity), rest
 
 
-def _rgb(value: Any) -> Optional[Colour]:
+def _rgb(value: Any) -> Colour | None:
     """Return a COLLADA colour; None for a missing one or a picture."""
     if not isinstance(value, tuple) or len(value) < 3:
         return None
@@ -145,14 +125,15 @@ def _rgb(value: Any) -> Optional[Colour]:
 
 
 class _Materials:
-    """Gives trimesh the .mtl files that an .obj names, and keeps the looks in them.
+    """The materials of a mesh file.
 
-    trimesh only gets the names of materials, which is enough to separate the parts of a mesh.
+    It also gives trimesh the .mtl files that an .obj names, but only the names of the materials in
+    them, which is enough to separate the parts of a mesh.
     """
 
     def __init__(self, path: Path, report: Report):
         self._path, self._report = path, report
-        self.looks: Dict[str, Appearance] = {}
+        self._looks: dict[str, Appearance] = {}
 
     def __getitem__(self, name: str) -> str:
         """Return a material file; many meshes name one that does not exist."""
@@ -166,33 +147,21 @@ class _Materials:
             self._report(f"{error}; drawn without it")
             raise FileNotFoundError(name) from error
         for material, statements in _statements(text).items():
-            self.looks[material] = _wavefront_look(statements, file, self._report)
-        return "".join(f"newmtl {material}\n" for material in self.looks)
+            self._looks[material] = _wavefront_look(statements, file, self._report)
+        return "".join(f"newmtl {material}\n" for material in self._looks)
 
-    def get(self, name: str) -> bytes:
-        """Return no pictures."""
-        raise FileNotFoundError(name)
-
-
-def _wavefront_parts(mesh: Mesh, report: Report) -> Iterator[Part]:
-    materials = _Materials(mesh.path, report)
-    smooth = FACE_WITH_NORMALS.search(read_bytes(mesh.path)) is not None
-    for part in read_scene(mesh, materials).geometry.values():
-        material = getattr(part.visual, "material", None)
-        uv = getattr(part.visual, "uv", None)
-        yield Part(
-            part.vertices[part.faces],
-            part.vertex_normals[part.faces] if smooth else None,
-            None if uv is None else uv[part.faces][..., :2],
+    def look(self, material: Any) -> Appearance | None:
+        """Return the look of a material of a part; None without any."""
+        if material is None or isinstance(material, str):
             # trimesh replaces an unknown material by one without a name.
-            materials.looks.get(getattr(material, "name", None)),
-        )
+            return self._looks.get(material)
+        return _effect_look(material, self._path, self._report)
 
 
-def _statements(text: str) -> Dict[str, Dict[str, str]]:
+def _statements(text: str) -> dict[str, dict[str, str]]:
     """Return the lines of each material in a .mtl by their first words."""
-    found: Dict[str, Dict[str, str]] = {}
-    statements: Dict[str, str] = {}
+    found: dict[str, dict[str, str]] = {}
+    statements: dict[str, str] = {}
     for line in text.splitlines():
         word, _, rest = line.strip().partition(" ")
         if word == "newmtl":
@@ -202,7 +171,7 @@ def _statements(text: str) -> Dict[str, Dict[str, str]]:
     return found
 
 
-def _wavefront_look(statements: Dict[str, str], path: Path, report: Report) -> Appearance:
+def _wavefront_look(statements: dict[str, str], path: Path, report: Report) -> Appearance:
     """Return the look of a material in a .mtl file."""
     def numbers(key: str, count: int) -> Sequence[float]:
         """Return numbers within [0, 1]; empty unless there are as many."""
@@ -227,7 +196,7 @@ def _wavefront_look(statements: Dict[str, str], path: Path, report: Report) -> A
     return (*(diffuse or WHITE[:3]), opacity if opacity > 0.0 else 1.0), rest
 
 
-def _texture(name: str, user: Path, report: Report) -> Optional[Texture]:
+def _texture(name: str, user: Path, report: Report) -> Texture | None:
     try:
         return Texture(_find(name, user))
     except ResourceError as error:

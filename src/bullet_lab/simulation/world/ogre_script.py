@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from typing import Callable, Dict, Iterator, List, Mapping, Optional, Tuple
+from typing import Callable, Iterator, Mapping
 
 from bullet_lab.errors import LabError
 
@@ -46,23 +46,23 @@ class Block:
 
     kind: str = ""
     name: str = ""
-    parents: Tuple[str, ...] = ()
-    properties: List[Tuple[str, ...]] = field(default_factory=list)
-    blocks: List[Block] = field(default_factory=list)
-    variables: Dict[str, str] = field(default_factory=dict)
+    parents: tuple[str, ...] = ()
+    properties: list[tuple[str, ...]] = field(default_factory=list)
+    blocks: list[Block] = field(default_factory=list)
+    variables: dict[str, str] = field(default_factory=dict)
     outer: Mapping[str, str] = field(default_factory=dict)
 
-    def all(self, kind: str) -> List[Block]:
+    def all(self, kind: str) -> list[Block]:
         """Return the blocks of a kind in it."""
         return [block for block in self.blocks if block.kind == kind]
 
-    def words(self, *keys: str) -> Tuple[str, ...]:
+    def words(self, *keys: str) -> tuple[str, ...]:
         """Return the words after the key in the last line that begins with one of the keys."""
         found = [line[1:] for line in self.properties if line[0] in keys]
         return tuple(" ".join(found[-1]).split()) if found else ()
 
 
-def parse_script(text: str) -> Tuple[Block, str]:
+def parse_script(text: str) -> tuple[Block, str]:
     """Return the blocks of a script up to its first mistake, and the mistake or an empty text."""
     stack, line = [Block()], []
     for number, sign, word in _tokens(text):
@@ -89,7 +89,7 @@ def parse_script(text: str) -> Tuple[Block, str]:
     return stack[0], f"'{open_.kind} {open_.name}' is not closed" if len(stack) > 1 else ""
 
 
-def inherited(block: Block, find: Callable[[str, str], Optional[Block]], below=()) -> Block:
+def inherited(block: Block, find: Callable[[str, str], Block | None], below=()) -> Block:
     """Return a block with the content of its parents; `find` returns one by kind and name.
 
     Raises:
@@ -106,7 +106,7 @@ def inherited(block: Block, find: Callable[[str, str], Optional[Block]], below=(
     return _over(replace(block, blocks=own, parents=()), made)
 
 
-def substituted(block: Block, above: Optional[Mapping[str, str]] = None) -> Block:
+def substituted(block: Block, above: Mapping[str, str] | None = None) -> Block:
     """Return a block with variables, its own and those above it, replaced by their values."""
     values = {**block.outer, **(above or {}), **block.variables}
     words = [tuple(_value(word, values) for word in line) for line in block.properties]
@@ -114,7 +114,7 @@ def substituted(block: Block, above: Optional[Mapping[str, str]] = None) -> Bloc
     return replace(block, properties=words, blocks=blocks)
 
 
-def _tokens(text: str) -> Iterator[Tuple[int, str, Optional[str]]]:
+def _tokens(text: str) -> Iterator[tuple[int, str, str | None]]:
     """Yield line number, sign and word; one of the two is missing."""
     number = 1
     for found in TOKEN.finditer(text):
@@ -124,7 +124,7 @@ def _tokens(text: str) -> Iterator[Tuple[int, str, Optional[str]]]:
         number += found[0].count("\n")
 
 
-def _header(words: List[str]) -> Block:
+def _header(words: list[str]) -> Block:
     parts = [part for word in words for part in COLON.split(word) if part]
     parts = parts[1:] if parts[:1] == ["abstract"] else parts
     end = parts.index(":") if ":" in parts else len(parts)
@@ -132,7 +132,7 @@ def _header(words: List[str]) -> Block:
     return Block(kind, name, tuple(part.strip(",") for part in parts[end + 1 :] if part != ","))
 
 
-def _add_line(block: Block, words: List[str]) -> None:
+def _add_line(block: Block, words: list[str]) -> None:
     if words[:1] == ["set"] and len(words) > 2:
         block.variables[words[1].lstrip("$")] = " ".join(words[2:])
     elif words:
@@ -142,7 +142,7 @@ def _add_line(block: Block, words: List[str]) -> None:
 def _over(upper: Block, lower: Block) -> Block:
     """Return a block whose content overrides that of another one of its kind."""
     blocks = list(lower.blocks)
-    counts: Dict[str, int] = {}
+    counts: dict[str, int] = {}
     for block in upper.blocks:
         places = [n for n, other in enumerate(lower.blocks) if other.kind == block.kind]
         if block.name:

@@ -9,8 +9,9 @@ a file outside these folders.
 from __future__ import annotations
 
 import os
+from functools import cached_property
 from pathlib import Path
-from typing import Callable, Iterable, Optional, Tuple
+from typing import Iterable
 from urllib.parse import quote, unquote, urlsplit
 
 from bullet_lab.errors import LabError
@@ -37,7 +38,7 @@ def package_share() -> Path:
     raise ResourceError(f"the shared files of {PACKAGE} are neither in {source_tree} nor installed")
 
 
-def ros_package_folder(name: str) -> Optional[Path]:
+def ros_package_folder(name: str) -> Path | None:
     """Return the folder of a ROS package, or None if it is unknown or ROS is not installed."""
     if name == PACKAGE:
         return package_share()
@@ -51,7 +52,7 @@ def ros_package_folder(name: str) -> Optional[Path]:
         return None
 
 
-def gazebo_model_folders() -> Tuple[Path, ...]:
+def gazebo_model_folders() -> tuple[Path, ...]:
     """Return the folders of `model://`, in Gazebo's order."""
     home = os.environ.get("HOME", "")
     own = (Path(home) / ".gazebo" / "models",) if home else ()
@@ -64,7 +65,7 @@ RESOURCES = ("", "models", "media/models", "Media/models")
 MEDIA = ("", "materials/scripts", "materials/textures", "materials/programs", "media/models")
 
 
-def gazebo_media_folders() -> Tuple[Path, ...]:
+def gazebo_media_folders() -> tuple[Path, ...]:
     """Return the folders in GAZEBO_RESOURCE_PATH that may hold materials and pictures."""
     found = []
     for folder in listed_folders("GAZEBO_RESOURCE_PATH"):
@@ -73,7 +74,7 @@ def gazebo_media_folders() -> Tuple[Path, ...]:
     return tuple(found)
 
 
-def listed_folders(variable: str) -> Tuple[Path, ...]:
+def listed_folders(variable: str) -> tuple[Path, ...]:
     """Return the folders in an environment variable, which are separated by colons."""
     listed = os.environ.get(variable, "").split(os.pathsep)
     return tuple(Path(folder) for folder in listed if folder)
@@ -94,30 +95,19 @@ def package_uri(path: Path) -> str:
 
 
 class ResourceFinder:
-    """Finds the files that a document refers to.
+    """Finds the files that a document in a folder refers to; None for one that came as text."""
 
-    `folder` is that of the document, None if it came as text; `packages` returns the folder of a
-    ROS package by its name, or None; `model_folders` contain models by name.
-    """
-
-    def __init__(
-        self,
-        folder: Optional[Path] = None,
-        packages: Callable[[str], Optional[Path]] = ros_package_folder,
-        model_folders: Optional[Iterable[Path]] = None,
-    ):
+    def __init__(self, folder: Path | None = None):
         self._folder = folder
-        self._packages = packages
-        self._models = gazebo_model_folders() if model_folders is None else tuple(model_folders)
+
+    @cached_property
+    def _models(self) -> tuple[Path, ...]:
+        return gazebo_model_folders()
 
     @classmethod
     def anywhere(cls) -> ResourceFinder:
         """Return a finder for references by the user, who may name any file."""
         return _UserFinder(Path.cwd())
-
-    def beside(self, path: Path) -> ResourceFinder:
-        """Return a finder for a document at `path`."""
-        return ResourceFinder(path.parent, self._packages, self._models)
 
     def find(self, uri: str) -> Path:
         """Return the file or folder that a URI or a path means.
@@ -138,7 +128,7 @@ class ResourceFinder:
             raise ResourceError("no file is named; a path or a URI is needed")
         parts = urlsplit(uri)
         if parts.scheme == "package":
-            folder = self._packages(parts.netloc)
+            folder = ros_package_folder(parts.netloc)
             if folder is None:
                 raise ResourceError(f"'{uri}': no ROS package '{parts.netloc}'")
             path = unquote(parts.path).lstrip("/")
@@ -187,13 +177,13 @@ class _UserFinder(ResourceFinder):
         return _existing(path, uri)
 
 
-def _package_above(path: Path) -> Tuple[Path, ...]:
+def _package_above(path: Path) -> tuple[Path, ...]:
     """Return the folder of the ROS package that holds a path, if one does."""
     holders = (folder for folder in path.parents if (folder / "package.xml").is_file())
     return tuple(holders)[:1]
 
 
-def _search(folders: Iterable[Path], path: str, uri: str) -> Optional[Path]:
+def _search(folders: Iterable[Path], path: str, uri: str) -> Path | None:
     """Return a path in the first folder that contains it, or None.
 
     Raises:

@@ -5,18 +5,22 @@ from __future__ import annotations
 import logging
 import math
 import os
-from dataclasses import replace
+from dataclasses import astuple, fields, replace
 from pathlib import Path
-from typing import Any, Callable, Container, Iterator, List, Optional, Tuple, Union
+from typing import Collection, Container, Iterable, Tuple, Union
 from xml.etree.ElementTree import Element, SubElement
 
+from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.world.description import (
+    LIMITS,
+    SEPARATOR,
     WHITE,
+    WORLD_LINK,
     Attenuation,
     Collision,
     Colour,
     Cone,
-    Inertia,
+    Joint,
     Light,
     Link,
     Model,
@@ -24,27 +28,25 @@ from bullet_lab.simulation.world.description import (
     Visual,
     World,
 )
-from bullet_lab.simulation.world.inertia import INERTIA_KEYS, inertia_at
 from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.sdf_structure import (
-    Frames,
-    SdfTag,
-    merged,
-    model_frames,
-    places,
-    read_joint,
-    read_states,
-    scoped,
-)
-from bullet_lab.simulation.world.shapes import SHAPES, Shape
+from bullet_lab.simulation.world.sdf_writer import read_states
+from bullet_lab.simulation.world.shapes import Mesh, Shape
 from bullet_lab.simulation.world.tags import (
+    MODEL_FRAME,
     NEWEST,
     Document,
+    Frames,
+    SdfTag,
     plugins_in,
     report_unknown,
     version_of,
 )
-from bullet_lab.simulation.world.tree import first_of_each
+from bullet_lab.simulation.world.tree import (
+    first_of_each,
+    lump_fixed_joints,
+    rooted,
+    with_sound_inertias,
+)
 from bullet_lab.simulation.world.urdf import read_urdf_element
 from bullet_lab.simulation.world.xml import XmlError, leaving_out, parse_text, read_text
 
@@ -54,13 +56,21 @@ LOG = logging.getLogger(__name__)
 DEFAULT_COLOUR: Colour = (0.7, 0.7, 0.7, 1.0)
 # A longer chain of models that include models is a circle.
 DEEPEST_INCLUDE = 10
-
+JOINT_KINDS = ("fixed", "revolute", "continuous", "prismatic", "ball")
+# SDF's default limits mean "none".
+NO_BOUND = 1e16
+# Before version 1.5, axes were given in the model's frame.
+AXES_IN_JOINTS = (1, 5)
+# Before version 1.7, a frame moved with the one that its pose was given in.
+FRAMES_ATTACHED = (1, 7)
+# A nested model with full names, and the frame that its pose is given in.
+Nested = Tuple[Model, str]
 # The elements of a world or a document that are read here.
-PARTS = ("model", "light", "include")
-Part = Union[Model, Light]
+MODELS_AND_LIGHTS = ("model", "light", "include")
+ModelOrLight = Union[Model, Light]
 
 
-def read_world_file(path: Path, finder: Optional[ResourceFinder] = None) -> World:
+def read_world_file(path: Path) -> World:
     """Read a world from an SDF file.
 
     As in Gazebo, an invalid part is reported and left out, and the rest is read.
@@ -72,54 +82,35 @@ def read_world_file(path: Path, finder: Optional[ResourceFinder] = None) -> Worl
     element = root.find("world") if root.tag == "sdf" else None
     if element is None:
         raise XmlError(f"{path}: no <sdf> with a <world>")
-    tag = _root_tag(root, str(path), Document((finder or ResourceFinder()).beside(path)))
-    return _world(tag.other(element))
+    return _world(_root_tag(root, str(path), Document(ResourceFinder(path.parent))).other(element))
 
 
-def read_description(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
-    """Return the model in a text, SDF or URDF; `source` names the text in messages.
+def read_spawned(text: str, source: str, folder: Path | None = None) -> ModelOrLight:
+    """Return the model or the light in a text, SDF or URDF, that is to be spawned.
+
+    As in Gazebo, a model may be in a <world>, where its pose is ignored if it is included, and only
+    the first model is read.
+
+    Args:
+        text: of the document.
+        source: its name in messages.
+        folder: the folder that it belongs to; None for one that came alone.
 
     Raises:
         LabError: neither, or no possible model; the message says what and where.
     """
-    return _read_model(parse_text(text, source), source, finder)
-
-
-def read_spawned(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Part:
-    """Return the model or the light in a text that is to be spawned.
-
-    As in Gazebo, the pose of a model that is included by a <world> is ignored.
-
-    Raises:
-        LabError: as `read_description`.
-    """
-    root = parse_text(text, source)
-    if root.tag == "sdf":
-        light = root.find("light") if root.find("model") is None else None
-        if light is not None:
-            tag = _root_tag(root, source, Document(finder or ResourceFinder()))
-            return _light(tag.below(light))
+    root, document = parse_text(text, source), Document(ResourceFinder(folder))
+    if root.tag == "robot":
+        return read_urdf_element(root, source, document)
+    if root.tag != "sdf":
+        raise XmlError(f"{source}: the root element is <{root.tag}>, neither <sdf> nor <robot>")
+    light = root.find("light") if root.find("model") is None else None
+    if light is None:
         for include in root.iterfind("world/include"):
             if include.find("pose") is None:
                 SubElement(include, "pose").text = "0 0 0 0 0 0"
-    return _read_model(root, source, finder)
-
-
-def read_model_text(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
-    """Read one model from SDF text; raise as `read_world_file`.
-
-    As in Gazebo, it may be in a <world>, and only the first model is read.
-    """
-    root = parse_text(text, source)
-    return _first_model(_root_tag(root, source, Document(finder or ResourceFinder())))
-
-
-def _read_model(root: Element, source: str, finder: Optional[ResourceFinder]) -> Model:
-    if root.tag == "robot":
-        return read_urdf_element(root, source, finder)
-    if root.tag == "sdf":
-        return _first_model(_root_tag(root, source, Document(finder or ResourceFinder())))
-    raise XmlError(f"{source}: the root element is <{root.tag}>, neither <sdf> nor <robot>")
+    tag = _root_tag(root, source, document)
+    return _first_model(tag) if light is None else _light(tag.below(light))
 
 
 def _root_tag(root: Element, source: str, document: Document) -> SdfTag:
@@ -132,24 +123,24 @@ def _root_tag(root: Element, source: str, document: Document) -> SdfTag:
 
 def _first_model(tag: SdfTag) -> Model:
     world = tag.element.find("world")
-    held = [*tag.element, *(() if world is None else world)]
-    parts = [_resolved(child, tag) for child in held if child.tag in PARTS]
+    children = [*tag.element, *(() if world is None else world)]
+    parts = [_resolved(child, tag) for child in children if child.tag in MODELS_AND_LIGHTS]
     models = [part for part in parts if part.element.tag == "model"]
     if not models:
         raise XmlError(f"{tag.source}: there is no model")
     if len(models) > 1:
         LOG.warning("%s: %d models; only the first is used", tag.source, len(models))
-    return merged(_model(models[0]), models[0].source)
+    return _merged(_model(models[0]), models[0].source)
 
 
 def _world(tag: SdfTag) -> World:
-    found: List[Tuple[Part, str]] = []
+    found: list[tuple[ModelOrLight, str]] = []
     for child in tag.element:
         with leaving_out(tag.document.report):
-            if child.tag in PARTS:
+            if child.tag in MODELS_AND_LIGHTS:
                 inner = _resolved(child, tag)
                 is_light = inner.element.tag == "light"
-                part = _light(inner) if is_light else merged(_model(inner), inner.source)
+                part = _light(inner) if is_light else _merged(_model(inner), inner.source)
                 found.append((part, inner.base()))
     frames = Frames(tag.source)
     for frame in map(tag.below, tag.element.findall("frame")):
@@ -188,9 +179,9 @@ def _included(tag: SdfTag) -> SdfTag:
     where = f"{tag.source}: <include>"
     path = _model_file(tag.other(tag.element, where).file(tag.text("uri")))
     root = parse_text(read_text(path), str(path))
-    finder, depth = tag.document.finder.beside(path), tag.document.depth + 1
+    finder, depth = ResourceFinder(path.parent), tag.document.depth + 1
     outer = _root_tag(root, str(path), replace(tag.document, finder=finder, depth=depth))
-    first = next((child for child in root if child.tag in PARTS), None)
+    first = next((child for child in root if child.tag in MODELS_AND_LIGHTS), None)
     if first is None:
         raise XmlError(f"{where}: {path}: neither a <model> nor a <light>")
     found = _resolved(first, outer)
@@ -220,43 +211,44 @@ def _model_file(found: Path) -> Path:
     return ResourceFinder(found).find((best.text or "").strip())
 
 
-def _model(tag: SdfTag, held: bool = False) -> Model:
+def _model(tag: SdfTag, in_static: bool = False) -> Model:
     """Return a model before joints are sorted and links merged.
 
-    `held` means that it is in a static model. Parts of nested models are named `model::name`.
+    `in_static` means that it is in a static model. Parts of nested models are named `model::name`.
     """
-    static = held or tag.boolean("static", False)
-    nested = [(scoped(part, static), base) for part, base in _nested(tag, static)]
+    static = in_static or tag.boolean("static", False)
+    nested = _nested(tag, static)
     links, joints = _named(tag, "link"), _named(tag, "joint")
-    frames = model_frames(tag, links, joints, nested)
-    made = [_link(SdfTag(t.element, t.source, t.document, frames, t.name), static) for t in links]
+    frames = _model_frames(tag, links, joints, nested)
+    made = [_link(link.inside(frames, link.name), static) for link in links]
     made += [link for model, _ in nested for link in model.links]
     made = [replace(link, pose=frames.pose(link.name)) for link in made]
-    by_name = {link.name: link for link in made}
+    names = dict.fromkeys(link.name for link in made)
     found = [joint for model, _ in nested for joint in model.joints]
     for joint in joints:
         with leaving_out(tag.document.report):
-            found.append(read_joint(joint, frames, by_name, tag.name))
-    where = places(tag, frames, made, nested)
-    plugins = _plugins(tag.element, {*where, *by_name})
+            found.append(_joint(joint, frames, names, tag.name))
+    where = _places(tag, frames, names, nested)
+    plugins = _plugins(tag, {*where, *names})
     plugins += tuple(plugin for model, _ in nested for plugin in model.plugins)
     return Model(tag.name, tuple(made), tuple(found), plugins, tag.pose(), static, where)
 
 
-def _nested(tag: SdfTag, held: bool) -> List[Tuple[Model, str]]:
+def _nested(tag: SdfTag, in_static: bool) -> list[Nested]:
     """Return the models in a model, and the frames that their poses are given in."""
-    found: List[Tuple[Model, str]] = []
+    found: list[Model] = []
+    bases: dict[int, str] = {}
     for child in tag.element:
         with leaving_out(tag.document.report):
             if child.tag in ("model", "include"):
                 inner = _resolved(child, tag)
                 if inner.element.tag == "model":
-                    found.append((_model(inner, held), inner.base()))
-    kept = first_of_each([model for model, _ in found], "model", tag.source)
-    return [(model, base) for model, base in found if any(model is one for one in kept)]
+                    found.append(_scoped(_model(inner, in_static), in_static))
+                    bases[id(found[-1])] = inner.base()
+    return [(model, bases[id(model)]) for model in first_of_each(found, "model", tag.source)]
 
 
-def _named(tag: SdfTag, kind: str) -> Tuple[SdfTag, ...]:
+def _named(tag: SdfTag, kind: str) -> tuple[SdfTag, ...]:
     """Return the links or joints of a model; those without a unique name are left out."""
     found = []
     for element in tag.element.findall(kind):
@@ -265,46 +257,35 @@ def _named(tag: SdfTag, kind: str) -> Tuple[SdfTag, ...]:
     return first_of_each(found, kind, tag.source)
 
 
-def _plugins(element: Element, frames: Container[str]) -> Tuple[PluginTag, ...]:
-    found = list(plugins_in(element))
-    for link in element.findall("link"):
+def _plugins(tag: SdfTag, frames: Container[str]) -> tuple[PluginTag, ...]:
+    found = list(plugins_in(tag.element))
+    for link in tag.element.findall("link"):
         for plugin in plugins_in(link, link.get("name", "")):
-            pose = None if plugin.sensor is None else plugin.sensor.find("pose")
-            frame = "" if pose is None else pose.get("relative_to") or pose.get("frame") or ""
+            frame = "" if plugin.sensor is None else tag.other(plugin.sensor).base()
             found.append(replace(plugin, link=frame) if frame in frames else plugin)
     return tuple(found)
 
 
 def _link(tag: SdfTag, static: bool) -> Link:
+    inertial = tag.element.find("inertial")
+    inner = tag.other(Element("inertial") if inertial is None else inertial)
     return Link(
         tag.name,
-        inertia=None if static else _inertia(tag),
-        visuals=tuple(_shapes(tag, "visual", _visual)),
-        collisions=tuple(_shapes(tag, "collision", _collision)),
+        # SDF's defaults are 1 kg and moments of 1 kg m².
+        inertia=None if static else inner.inertia(inner.positive("mass", 1.0), 1.0),
+        visuals=tag.shapes("visual", _visual),
+        collisions=tag.shapes("collision", _collision),
         self_collide=tag.boolean("self_collide", False),
         gravity=tag.boolean("gravity", True),
     )
 
 
-def _shapes(link: SdfTag, kind: str, read: Callable[[SdfTag, Shape], Any]) -> Iterator[Any]:
-    """Yield the valid visuals or collisions of a link whose geometry is simulated."""
-    for element in link.element.findall(kind):
-        holder, where = element.find("geometry"), f"{link.source}: <{kind}>"
-        with leaving_out(link.document.report):
-            if holder is None or not len(holder):
-                raise XmlError(f"{where} without a geometry")
-            shape = holder[0]
-            if shape.tag in SHAPES:
-                yield read(link.other(element), SHAPES[shape.tag].read(link.other(shape, where)))
-            elif shape.tag != "empty":
-                LOG.warning("%s: geometry <%s> is not simulated", where, shape.tag)
-
-
 def _visual(tag: SdfTag, geometry: Shape) -> Visual:
-    default = WHITE if geometry.has_own_colours else DEFAULT_COLOUR
-    where = f"{tag.source}: visual '{tag.name}'"
+    # A default colour would darken the colours and pictures in the file of a mesh.
+    default = WHITE if isinstance(geometry, Mesh) else DEFAULT_COLOUR
     element, document = tag.element.find("material"), tag.document
-    colour, look = document.materials.of_element(element, where, document.finder, default)
+    inner = None if element is None else tag.other(element, f"{tag.source}: visual '{tag.name}'")
+    colour, look = document.materials.of_tag(inner, document.finder, default)
     colour = (*colour[:3], colour[3] * (1.0 - tag.number("transparency", 0.0)))
     casts = tag.boolean("cast_shadows", True)
     return Visual(geometry, tag.pose(), colour, tag.name, casts, look)
@@ -312,40 +293,31 @@ def _visual(tag: SdfTag, geometry: Shape) -> Visual:
 
 def _collision(tag: SdfTag, geometry: Shape) -> Collision:
     friction, contact = "surface/friction/ode", "surface/contact/ode"
-    mu, mu2, fdir1 = tag.friction(f"{friction}/mu", 1.0), f"{friction}/mu2", f"{friction}/fdir1"
+    mu, mu2 = tag.friction(f"{friction}/mu", 1.0), f"{friction}/mu2"
     # Stiffness and damping of its contacts.
     paths = (f"{contact}/kp", f"{contact}/kd")
     spring = [tag.coefficient(path, 0.0) if tag.text(path) else None for path in paths]
     across = tag.friction(mu2, 1.0) if tag.text(mu2) else None
-    direction = tag.direction(fdir1, "") if any(tag.numbers(fdir1, 3, "0 0 0")) else None
+    direction = tag.friction_direction(f"{friction}/fdir1")
     return Collision(geometry, tag.pose(), mu, tag.name, *spring, across, direction)
-
-
-def _inertia(link: SdfTag) -> Inertia:
-    # SDF's defaults are 1 kg and moments of 1 kg m².
-    element = link.element.find("inertial")
-    tag = link.other(Element("inertial") if element is None else element)
-    pose = tag.pose()
-    elements = [
-        tag.number(f"inertia/{key}", default)
-        for key, default in zip(INERTIA_KEYS, (1.0, 1.0, 1.0, 0.0, 0.0, 0.0))
-    ]
-    return inertia_at(pose, tag.positive("mass", 1.0), elements)
 
 
 def _light(tag: SdfTag) -> Light:
     kind = tag.element.get("type", "")
     if kind not in ("point", "directional", "spot"):
         raise XmlError(f"{tag.source}: type '{kind}' is not point, directional or spot")
-    attenuation = {
-        key: tag.coefficient(f"attenuation/{key}", getattr(Attenuation, key))
-        for key in ("range", "constant", "linear", "quadratic")
-    }
-    inner = tag.number("spot/inner_angle", Cone.inner)
-    outer = tag.number("spot/outer_angle", Cone.outer)
-    falloff = tag.number("spot/falloff", Cone.falloff)
-    if not 0.0 <= inner <= outer <= 2.0 * math.pi or falloff < 0.0:
-        raise XmlError(f"{tag.source}: <spot> is no cone: {inner:g}, {outer:g}, {falloff:g}")
+    attenuation = [
+        tag.coefficient(f"attenuation/{field.name}", field.default)
+        for field in fields(Attenuation)
+    ]
+    cone = Cone(
+        tag.number("spot/inner_angle", Cone.inner),
+        tag.number("spot/outer_angle", Cone.outer),
+        tag.number("spot/falloff", Cone.falloff),
+    )
+    if not 0.0 <= cone.inner <= cone.outer <= 2.0 * math.pi or cone.falloff < 0.0:
+        shown = ", ".join(f"{value:g}" for value in astuple(cone))
+        raise XmlError(f"{tag.source}: <spot> is no cone: {shown}")
     return Light(
         tag.element.get("name", "light"),
         kind,
@@ -353,6 +325,133 @@ def _light(tag: SdfTag) -> Light:
         tag.colour("diffuse", WHITE),
         tag.direction("direction", "0 0 -1"),
         tag.boolean("cast_shadows", False),
-        Attenuation(**attenuation),
-        Cone(inner, outer, falloff),
+        Attenuation(*attenuation),
+        cone,
     )
+
+
+def _scoped(model: Model, in_static: bool) -> Model:
+    """Return a nested model with its name before the names of its parts.
+
+    `in_static` means that the outer model is static. A static model in one that is not is anchored,
+    each of its links separately.
+    """
+    prefix = model.name + SEPARATOR
+
+    def named(name: str) -> str:
+        return name if name == WORLD_LINK else prefix + name
+
+    anchored = model.static and not in_static
+    links = (replace(link, name=named(link.name), anchored=anchored) for link in model.links)
+    joints = (
+        replace(j, name=named(j.name), parent=named(j.parent), child=named(j.child))
+        for j in (() if anchored else model.joints)
+    )
+    plugins = (
+        replace(p, link=named(p.link) if p.link else "", scope=prefix + p.scope)
+        for p in model.plugins
+    )
+    frames = {named(name): (named(link), pose) for name, (link, pose) in model.frames.items()}
+    return replace(
+        model, links=tuple(links), joints=tuple(joints), plugins=tuple(plugins), frames=frames
+    )
+
+
+def _model_frames(
+    tag: SdfTag, links: Iterable[SdfTag], joints: Iterable[SdfTag], nested: Iterable[Nested]
+) -> Frames:
+    """Return the frames of a model: of links, of <frame>s, of nested models and of joints."""
+    frames = Frames(tag.source)
+    for link in links:
+        frames.add(link.name, link.pose(), link.base())
+    for frame in map(tag.below, tag.element.findall("frame")):
+        base, attached = frame.base(), frame.element.get("attached_to", "")
+        if not attached and tag.document.version < FRAMES_ATTACHED:
+            attached = base
+        frames.add(frame.name, frame.pose(), base or attached, attached or MODEL_FRAME)
+    for model, base in nested:
+        carrier = model.links[0].name if model.links else MODEL_FRAME
+        frames.add(model.name, model.pose, base, carrier)
+        for link in model.links:
+            frames.add(link.name, link.pose, model.name)
+        for name, (carrier, pose) in model.frames.items():
+            frames.add(name, pose, carrier, carrier)
+    for joint in joints:
+        child = joint.text("child")
+        frames.add(joint.name, joint.pose(), joint.base() or child, child)
+    return frames
+
+
+def _places(
+    tag: SdfTag, frames: Frames, links: Collection[str], nested: Iterable[Nested]
+) -> dict[str, tuple[str, Pose]]:
+    """Return the link that each <frame> and nested model moves with, and its pose there."""
+    names = [element.get("name", "") for element in tag.element.findall("frame")]
+    found: dict[str, tuple[str, Pose]] = {}
+    for model, _ in nested:
+        found.update(model.frames)
+        names.append(model.name)
+    for name in names:
+        if links and name not in links:
+            carrier = frames.carrier(name)
+            carrier = carrier if carrier in links else next(iter(links))
+            found[name] = (carrier, frames.pose(carrier).inverse() * frames.pose(name))
+    return found
+
+
+def _joint(tag: SdfTag, frames: Frames, links: Collection[str], model: str) -> Joint:
+    """Return a joint; raise XmlError if one of its links is missing."""
+    parent, child = (_end(tag, tag.text(end), frames, links, model) for end in ("parent", "child"))
+    paths = {key: f"axis/limit/{key}" for key in LIMITS}
+    limits = {key: tag.bound(path) for key, path in paths.items() if tag.text(path)}
+    place = tag.inside(frames, child).pose()
+    kind = tag.element.get("type", "")
+    if kind not in JOINT_KINDS:
+        what = f"type '{kind}' is not simulated; its links are fixed to each other"
+        tag.document.report(f"{tag.source}: {what}")
+        kind = "fixed"
+    return Joint(
+        tag.name,
+        kind,
+        parent,
+        child,
+        frames.pose(parent).inverse() * frames.pose(child),
+        _axis(tag, frames, place, frames.pose(child)),
+        {key: value for key, value in limits.items() if abs(value) < NO_BOUND},
+        tag.number("axis/dynamics/damping", 0.0),
+        tag.number("axis/dynamics/friction", 0.0),
+        place.position,
+    )
+
+
+def _end(tag: SdfTag, name: str, frames: Frames, links: Collection[str], model: str) -> str:
+    """Return the link at an end of a joint, which may be given by a frame or a full name."""
+    if name == WORLD_LINK:
+        return name
+    prefix = model + SEPARATOR
+    for candidate in (name, name[len(prefix) :] if name.startswith(prefix) else name):
+        found = candidate if candidate in links else frames.carrier(candidate)
+        if found in links:
+            return found
+    raise XmlError(f"{tag.source}: has an unknown link '{name}'")
+
+
+def _axis(tag: SdfTag, frames: Frames, place: Pose, child: Pose) -> Vector:
+    """Return the axis in the child's frame; `place` is the pose of the joint in the child."""
+    axis = tag.direction("axis/xyz", "0 0 1")
+    xyz = tag.element.find("axis/xyz")
+    base = "" if xyz is None else xyz.get("expressed_in", "")
+    if tag.document.version < AXES_IN_JOINTS or tag.boolean("axis/use_parent_model_frame", False):
+        base = base or MODEL_FRAME
+    if base:
+        return child.inverse().rotate(frames.pose(base).rotate(axis))
+    return place.rotate(axis) if place.quaternion != Pose().quaternion else axis
+
+
+def _merged(model: Model, source: str) -> Model:
+    """Return a model as trees of joints, with links on fixed joints merged; raise XmlError."""
+    if not model.links:
+        raise XmlError(f"{source}: there is no link")
+    links, joints = rooted(model.links, model.joints, source)
+    found = lump_fixed_joints(replace(model, links=links, joints=joints))
+    return with_sound_inertias(found, source)

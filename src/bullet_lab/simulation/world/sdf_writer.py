@@ -1,4 +1,4 @@
-"""Write models and worlds as SDF 1.6.
+"""Write models and worlds as SDF 1.6, and read the states of models.
 
 A saved world loads again to the same state. Models have their present poses, and the `<state>`
 holds the states of links and joints, as in worlds that Gazebo saves.
@@ -7,18 +7,21 @@ holds the states of links and joints, as in worlds that Gazebo saves.
 from __future__ import annotations
 
 import copy
+import logging
+import math
 from dataclasses import asdict, astuple
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, Set, Tuple, Union
+from typing import Any, Iterable, Iterator, Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from bullet_lab.core.pose import Pose
+from bullet_lab.core.pose import Pose, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.world.description import (
     LIMITS,
     SEPARATOR,
     WORLD_LINK,
     Collision,
+    FrameState,
     Joint,
     Light,
     Link,
@@ -33,6 +36,9 @@ from bullet_lab.simulation.world.description import (
 )
 from bullet_lab.simulation.world.mesh_parts import has_own_looks
 from bullet_lab.simulation.world.resources import package_uri
+from bullet_lab.simulation.world.xml import ElementReader, XmlError
+
+LOG = logging.getLogger(__name__)
 
 VERSION = "1.6"
 NANOSECONDS = 10**9
@@ -44,7 +50,7 @@ NAMESPACE = "robotNamespace"
 ANCHOR = "_to_world"
 
 
-def world_text(snapshot: Snapshot, folder: Path) -> Tuple[str, List[str]]:
+def world_text(snapshot: Snapshot, folder: Path) -> tuple[str, list[str]]:
     """Return a world as SDF.
 
     Args:
@@ -71,13 +77,14 @@ def world_text(snapshot: Snapshot, folder: Path) -> Tuple[str, List[str]]:
 def _add(parent: Element, tag: str, content: Any, **attributes: str) -> Element:
     """Add an element with its attributes and its content.
 
-    The content is a dict of child elements by tag, or a text, a truth value, a pose or numbers.
-    Numbers are not rounded.
+    The content is a dict of child elements by tag, in which None stands for none, or a text, a
+    truth value, a pose or numbers. Numbers are not rounded.
     """
     element = SubElement(parent, tag, attributes)
     if isinstance(content, dict):
         for inner, value in content.items():
-            _add(element, inner, value)
+            if value is not None:
+                _add(element, inner, value)
         return element
     if isinstance(content, Pose):
         content = (*content.position, *content.rpy())
@@ -108,9 +115,9 @@ class _Uris:
     """Gives the URIs by which a document in a folder can name other files."""
 
     def __init__(self, folder: Path):
-        self.notes: List[str] = []
+        self.notes: list[str] = []
         self._folder = folder.resolve()
-        self._uris: Dict[Path, str] = {}
+        self._uris: dict[Path, str] = {}
 
     def of(self, uri: str, path: Path) -> str:
         if uri.startswith(("package://", "model://")):
@@ -146,12 +153,12 @@ def _add_model(parent: Element, model: Model, pose: Pose, uris: _Uris) -> None:
         # SDF has no continuous joints; they are revolute joints without limits.
         kind = "revolute" if joint.kind == "continuous" else joint.kind
         _add(element, "joint", _joint(joint), name=joint.name, type=kind)
-    scopes: Dict[str, Element] = {"": element}
+    scopes: dict[str, Element] = {"": element}
     for plugin in (plugin for plugin in model.plugins if plugin.sensor is None):
         _in_scope(scopes, plugin.scope).append(plugin_element(plugin))
 
 
-def _in_scope(scopes: Dict[str, Element], scope: str) -> Element:
+def _in_scope(scopes: dict[str, Element], scope: str) -> Element:
     """Return the element of a nested model; it only holds plugins, as the rest has full names."""
     if scope not in scopes:
         outer, _, name = scope[: -len(SEPARATOR)].rpartition(SEPARATOR)
@@ -161,23 +168,24 @@ def _in_scope(scopes: Dict[str, Element], scope: str) -> Element:
 
 
 def _add_link(parent: Element, link: Link, model: Model, uris: _Uris) -> None:
-    content: Dict[str, Any] = {"pose": link.pose}
-    if link.self_collide:
-        content["self_collide"] = True
-    if not link.gravity:
-        content["gravity"] = False
-    if link.inertia is not None:
-        centre = Pose(link.inertia.centre)
-        moments = {"mass": link.inertia.mass, "inertia": link.inertia.elements()}
-        content["inertial"] = {"pose": centre, **moments}
+    inertial = link.inertia and {
+        "pose": Pose(link.inertia.centre),
+        "mass": link.inertia.mass,
+        "inertia": link.inertia.elements(),
+    }
+    content = {
+        "pose": link.pose,
+        "self_collide": True if link.self_collide else None,
+        "gravity": None if link.gravity else False,
+        "inertial": inertial,
+    }
     element = _add(parent, "link", content, name=link.name)
     for name, collision in _named(link.collisions, "collision"):
         content = {**_shape(collision, uris), "surface": _surface(collision)}
         _add(element, "collision", content, name=name)
     for name, visual in _named(link.visuals, "visual"):
-        content = _shape(visual, uris)
-        if not visual.casts_shadows:
-            content["cast_shadows"] = False
+        shadows = None if visual.casts_shadows else False
+        content = {**_shape(visual, uris), "cast_shadows": shadows}
         _add_material(_add(element, "visual", content, name=name), visual, uris)
     element.extend(_sensors(link, model))
 
@@ -185,13 +193,14 @@ def _add_link(parent: Element, link: Link, model: Model, uris: _Uris) -> None:
 def _add_material(parent: Element, visual: Visual, uris: _Uris) -> None:
     """Add the material of a visual, without what is in the file of a mesh."""
     material, shape = visual.material, visual.geometry
-    content: Dict[str, Any] = {}
+    content: dict[str, Any] = {}
     if material.covers or not (isinstance(shape, Mesh) and has_own_looks(shape)):
-        content = {"ambient": material.ambient or visual.colour, "diffuse": visual.colour}
-        if material.emissive != Material.emissive:
-            content["emissive"] = material.emissive
-        if not material.lit:
-            content["lighting"] = False
+        content = {
+            "ambient": material.ambient or visual.colour,
+            "diffuse": visual.colour,
+            "emissive": None if material.emissive == Material.emissive else material.emissive,
+            "lighting": None if material.lit else False,
+        }
     elif visual.colour[3] < 1.0:
         _add(parent, "transparency", 1.0 - visual.colour[3])
     if not content and not material.name:
@@ -204,9 +213,9 @@ def _add_material(parent: Element, visual: Visual, uris: _Uris) -> None:
         _add(script, "name", material.name)
 
 
-def _named(shapes: Iterable[Any], kind: str) -> Iterator[Tuple[str, Any]]:
+def _named(shapes: Iterable[Any], kind: str) -> Iterator[tuple[str, Any]]:
     """Yield shapes with unique names."""
-    taken: Set[str] = set()
+    taken: set[str] = set()
     for shape in shapes:
         name, number = shape.name or kind, 0
         while name in taken:
@@ -216,9 +225,9 @@ def _named(shapes: Iterable[Any], kind: str) -> Iterator[Tuple[str, Any]]:
         yield name, shape
 
 
-def _shape(shape: Union[Collision, Visual], uris: _Uris) -> Dict[str, Any]:
+def _shape(shape: Collision | Visual, uris: _Uris) -> dict[str, Any]:
     geometry = shape.geometry
-    content: Dict[str, Any] = {}
+    content: dict[str, Any] = {}
     if isinstance(geometry, Mesh):
         content["uri"] = uris.of(geometry.uri, geometry.path)
         if geometry.submesh:
@@ -226,21 +235,15 @@ def _shape(shape: Union[Collision, Visual], uris: _Uris) -> Dict[str, Any]:
     return {"pose": shape.pose, "geometry": {geometry.tag: {**content, **geometry.measures()}}}
 
 
-def _surface(collision: Collision) -> Dict[str, Any]:
+def _surface(collision: Collision) -> dict[str, Any]:
     mu, cross, direction = collision.friction, collision.cross_friction, collision.direction
     friction = {"mu": mu, "mu2": mu if cross is None else cross, "fdir1": direction}
-    contact = _given({"kp": collision.stiffness, "kd": collision.damping})
-    surface: Dict[str, Any] = {"friction": {"ode": _given(friction)}}
-    if contact:
-        surface["contact"] = {"ode": contact}
-    return surface
+    spring = {"kp": collision.stiffness, "kd": collision.damping}
+    is_hard = collision.stiffness is None and collision.damping is None
+    return {"friction": {"ode": friction}, "contact": None if is_hard else {"ode": spring}}
 
 
-def _given(content: Dict[str, Any]) -> Dict[str, Any]:
-    return {tag: value for tag, value in content.items() if value is not None}
-
-
-def _joint(joint: Joint) -> Dict[str, Any]:
+def _joint(joint: Joint) -> dict[str, Any]:
     limits = {"lower": -FAR, "upper": FAR, **joint.limits}
     if joint.kind == "continuous":
         limits.update(lower=-FAR, upper=FAR)
@@ -249,8 +252,8 @@ def _joint(joint: Joint) -> Dict[str, Any]:
         "limit": {key: value for key, value in limits.items() if key in LIMITS},
         "dynamics": {"damping": joint.damping, "friction": joint.friction},
     }
-    place = {"pose": Pose(joint.anchor)} if any(joint.anchor) else {}
-    return {**place, "parent": joint.parent, "child": joint.child, "axis": axis}
+    place = Pose(joint.anchor) if any(joint.anchor) else None
+    return {"pose": place, "parent": joint.parent, "child": joint.child, "axis": axis}
 
 
 def plugin_element(plugin: PluginTag) -> Element:
@@ -273,7 +276,7 @@ def plugin_element(plugin: PluginTag) -> Element:
 
 def _sensors(link: Link, model: Model) -> Iterator[Element]:
     """Yield the sensors of a link and of the links that were merged into it."""
-    written: Set[int] = set()
+    written: set[int] = set()
     for plugin in model.plugins:
         sensor, holder = plugin.sensor, plugin.link or model.canonical_link().name
         base = model.frames[holder][0] if holder in model.frames else holder
@@ -293,7 +296,7 @@ def _sensors(link: Link, model: Model) -> Iterator[Element]:
         yield element
 
 
-def _surroundings(world: World) -> Dict[str, Any]:
+def _surroundings(world: World) -> dict[str, Any]:
     return {
         "gravity": world.gravity,
         "physics": {
@@ -309,18 +312,16 @@ def _surroundings(world: World) -> Dict[str, Any]:
     }
 
 
-def _light(light: Light) -> Dict[str, Any]:
-    content = {
+def _light(light: Light) -> dict[str, Any]:
+    spot = dict(zip(("inner_angle", "outer_angle", "falloff"), astuple(light.cone)))
+    return {
         "pose": light.pose,
         "cast_shadows": light.casts_shadows,
         "diffuse": light.diffuse,
         "direction": light.direction,
         "attenuation": asdict(light.attenuation),
+        "spot": spot if light.kind == "spot" else None,
     }
-    if light.kind == "spot":
-        inner, outer, falloff = astuple(light.cone)
-        content["spot"] = {"inner_angle": inner, "outer_angle": outer, "falloff": falloff}
-    return content
 
 
 def _add_state(world: Element, snapshot: Snapshot) -> None:
@@ -340,3 +341,70 @@ def _add_state(world: Element, snapshot: Snapshot) -> None:
                 continue
             velocity = (*link.linear, *link.angular)
             _add(child, "link", {"pose": link.pose, "velocity": velocity}, name=name)
+
+
+def read_states(element: Element, models: Iterable[Model], source: str) -> dict[str, ModelState]:
+    """Return the states of a world's models in a saved `<state>`, by their names."""
+    known = {model.name: model for model in models}
+    states: dict[str, ModelState] = {}
+    for child in element.findall("model"):
+        name = child.get("name", "")
+        where = f"{source}: state of model '{name}'"
+        if name not in known:
+            LOG.warning("%s: unknown model", where)
+            continue
+        try:
+            states[name] = _model_state(child, known[name], where)
+        except XmlError as error:
+            LOG.warning("%s; the model keeps its initial state", error)
+    return states
+
+
+def _model_state(element: Element, model: Model, source: str) -> ModelState:
+    present = model.links_by_name()
+    links: dict[str, FrameState] = {}
+    for name, child in _in_state(element, "link"):
+        if name in present:
+            tag = ElementReader(child, f"{source}: link '{name}'")
+            values = tag.numbers("velocity", 6, "0 0 0 0 0 0")
+            links[name] = FrameState(tag.pose(), values[:3], values[3:])
+    if WORLD_LINK in present:
+        links[WORLD_LINK] = FrameState(model.pose)
+    positions = {
+        name: ElementReader(child, source).number("angle", 0.0)
+        for name, child in _in_state(element, "joint")
+    }
+    joints = {}
+    for joint in model.joints:
+        if joint.kind != "ball":
+            position, rate = _joint_state(joint, links)
+            joints[joint.name] = (positions.get(joint.name, position), rate)
+    return ModelState(ElementReader(element, source).pose(), links, joints)
+
+
+def _in_state(element: Element, tag: str, scope: str = "") -> Iterator[tuple[str, Element]]:
+    """Yield the links or joints of a state by their full names, with those of nested models."""
+    for child in element.findall(tag):
+        yield scope + child.get("name", ""), child
+    for nested in element.findall("model"):
+        yield from _in_state(nested, tag, f"{scope}{nested.get('name', '')}{SEPARATOR}")
+
+
+def _joint_state(joint: Joint, links: Mapping[str, FrameState]) -> tuple[float, float]:
+    """Return position (rad or m) and velocity of a joint, from the states of its links."""
+    if joint.parent not in links or joint.child not in links:
+        return 0.0, 0.0
+    parent, child = links[joint.parent], links[joint.child]
+    moved = (parent.pose * joint.pose).inverse() * child.pose
+    axis = child.pose.rotate(joint.axis)
+    if joint.kind == "prismatic":
+        arm = subtract(child.pose.position, parent.pose.position)
+        carried = add(parent.linear, cross(parent.angular, arm))
+        return _dot(joint.axis, moved.position), _dot(axis, subtract(child.linear, carried))
+    *turn, w = moved.quaternion
+    angle = math.remainder(2.0 * math.atan2(_dot(joint.axis, turn), w), math.tau)
+    return angle, _dot(axis, subtract(child.angular, parent.angular))
+
+
+def _dot(one: Sequence[float], other: Sequence[float]) -> float:
+    return sum(a * b for a, b in zip(one, other))

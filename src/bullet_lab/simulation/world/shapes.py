@@ -1,55 +1,39 @@
-"""Describe the shapes of bodies, with one class for each.
+"""Describe the shapes of bodies, and read the triangles of mesh files.
 
 Lengths are metres in the shape's frame, whose origin is in the middle of all but planes and meshes.
-A new shape is a class here, in SHAPES, and an entry in the tables of `physics.bodies`,
-`rendering.surfaces` and `ros.messages.world`.
+A new shape is a class here, in SHAPES, in the table of `tags`, and an entry in the tables of
+`physics.bodies`, `rendering.surfaces` and `ros.messages.world`.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar, Dict, Optional, Sequence, Tuple, Type
+from typing import ClassVar, Sequence
 
 import numpy as np
 
 from bullet_lab.core.pose import Vector
-from bullet_lab.simulation.world.meshes import mesh_bounds
-from bullet_lab.simulation.world.xml import TagReader
+from bullet_lab.simulation.world.meshes import MeshError, file_version, read_parts, readable
 
-
-class ShapeTag(TagReader):
-    """A tag that describes a shape, with its measures as attributes (URDF) or children (SDF).
-
-    `file_key` is the key of a mesh's file.
-    """
-
-    file_key: ClassVar[str]
-
-    @abstractmethod
-    def file(self, uri: str) -> Path:
-        """Return the file that a URI means; raise ResourceError."""
+KNOWN_SUFFIXES = (".dae", ".stl", ".obj")
+# Meshes that are kept in memory, since many models may share one.
+CACHED_MESHES = 16
+# PyBullet accepts so many corners in one call.
+MOST_CORNERS = 131_072
+# The directions in which corners of a large convex hull are searched.
+DIRECTIONS = 4096
 
 
 class Shape(ABC):
-    """Base of all shapes.
-
-    `tag` is its name in SDF and, if `in_urdf`, in URDF. If it `has_own_colours`, its default colour
-    is white.
-    """
+    """Base of all shapes; `tag` is its name in SDF."""
 
     tag: ClassVar[str]
-    in_urdf: ClassVar[bool] = True
-    has_own_colours: ClassVar[bool] = False
 
-    @classmethod
-    @abstractmethod
-    def read(cls, tag: ShapeTag) -> Any:
-        """Return the shape that a tag describes; raise LabError."""
-
-    def measures(self) -> Dict[str, Tuple[float, ...]]:
+    def measures(self) -> dict[str, tuple[float, ...]]:
         """Return the sizes of the shape by their names in SDF."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: v if isinstance(v, tuple) else (v,) for name, v in values.items()}
@@ -76,10 +60,6 @@ class Shape(ABC):
         # The first term is 0 inside, the second outside.
         return abs(math.hypot(*(max(gap, 0.0) for gap in gaps)) + min(max(gaps), 0.0))
 
-    def floor_sides(self) -> Optional[Tuple[float, float]]:
-        """Return the sides (m) of its rectangular footprint; None if it is no rectangle."""
-        return None
-
     def _gaps(self, point: Vector) -> Sequence[float]:
         """Return how far a point is beyond each of the shape's extents, m."""
         low, high = self.bounds()
@@ -93,15 +73,8 @@ class Box(Shape):
     size: Vector
     tag = "box"
 
-    @classmethod
-    def read(cls, tag: ShapeTag) -> Box:
-        return cls(tag.sizes("size", 3))
-
     def bounds(self) -> np.ndarray:
         return np.outer((-0.5, 0.5), self.size)
-
-    def floor_sides(self) -> Tuple[float, float]:
-        return self.size[:2]
 
     def _gaps(self, point: Vector) -> Sequence[float]:
         return [abs(p) - 0.5 * size for p, size in zip(point, self.size)]
@@ -114,10 +87,6 @@ class Cylinder(Shape):
     radius: float
     length: float
     tag = "cylinder"
-
-    @classmethod
-    def read(cls, tag: ShapeTag) -> Cylinder:
-        return cls(*tag.sizes("radius", 1), *tag.sizes("length", 1))
 
     def bounds(self) -> np.ndarray:
         return np.outer((-1.0, 1.0), (self.radius, self.radius, 0.5 * self.length))
@@ -134,10 +103,6 @@ class Sphere(Shape):
     radius: float
     tag = "sphere"
 
-    @classmethod
-    def read(cls, tag: ShapeTag) -> Sphere:
-        return cls(*tag.sizes("radius", 1))
-
     def bounds(self) -> np.ndarray:
         return np.outer((-1.0, 1.0), 3 * (self.radius,))
 
@@ -150,13 +115,8 @@ class Plane(Shape):
     """A plane through the origin; it is infinite for contacts and is drawn with a `size`."""
 
     normal: Vector = (0.0, 0.0, 1.0)
-    size: Tuple[float, float] = (100.0, 100.0)
+    size: tuple[float, float] = (100.0, 100.0)
     tag = "plane"
-    in_urdf = False
-
-    @classmethod
-    def read(cls, tag: ShapeTag) -> Plane:
-        return cls(tag.direction("normal", "0 0 1"), tag.sizes("size", 2, "1 1"))
 
     def bounds(self) -> np.ndarray:
         return np.outer((-math.inf, math.inf), (1.0, 1.0, 1.0))
@@ -182,19 +142,107 @@ class Mesh(Shape):
     submesh: str = ""
     centred: bool = False
     tag = "mesh"
-    # A default colour would darken the colours and pictures in the file.
-    has_own_colours = True
 
-    @classmethod
-    def read(cls, tag: ShapeTag) -> Mesh:
-        uri, scale, part = tag.text(tag.file_key), tag.scale("scale"), tag.text("submesh/name")
-        return cls(tag.file(uri), uri, scale, part, tag.boolean("submesh/center", False))
-
-    def measures(self) -> Dict[str, Tuple[float, ...]]:
+    def measures(self) -> dict[str, tuple[float, ...]]:
         return {"scale": self.scale}
 
     def bounds(self) -> np.ndarray:
-        return mesh_bounds(self)
+        return _bounds(self, file_version(self))
 
 
-SHAPES: Dict[str, Type[Shape]] = {kind.tag: kind for kind in (Box, Cylinder, Sphere, Plane, Mesh)}
+SHAPES = {kind.tag: kind for kind in (Box, Cylinder, Sphere, Plane, Mesh)}
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """A triangle mesh: `vertices` (n, 3) in metres, `faces` (m, 3) indices of vertices."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+def load_triangles(mesh: Mesh) -> Triangles:
+    """Read a mesh, with the transforms of its file and the scale of the description applied.
+
+    The transforms matter: Blender writes the size into the `<matrix>` of a COLLADA node. So does
+    the `<unit>` of a COLLADA file. As in Gazebo, its `<up_axis>` does not.
+
+    Raises:
+        MeshError: unknown kind of file, too large, malformed, empty, or with coordinates that
+            are not finite.
+        XmlError: a COLLADA file that is missing, not well-formed or has a document type.
+    """
+    return _load(mesh, file_version(mesh))
+
+
+@functools.lru_cache(maxsize=CACHED_MESHES)
+def _load(mesh: Mesh, _version: tuple[int, int]) -> Triangles:
+    path = mesh.path
+    if path.suffix.lower() not in KNOWN_SUFFIXES:
+        raise MeshError(f"{path}: unknown kind of mesh; use {', '.join(KNOWN_SUFFIXES)}")
+    arrays, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=int)], 0
+    with readable(path):
+        for part in read_parts(path, mesh.submesh):
+            if part.vertices.ndim != 2 or part.vertices.shape[1] != 3:
+                raise MeshError(f"{path}: a corner needs three coordinates")
+            arrays.append(part.vertices)
+            faces.append(part.faces + count)
+            count += len(part.vertices)
+    vertices = np.concatenate(arrays)
+    vertices = (vertices - middle_of([vertices], mesh)) * np.asarray(mesh.scale)
+    triangles = Triangles(vertices, np.concatenate(faces))
+    if len(triangles.faces) == 0 or not np.isfinite(vertices).all():
+        raise MeshError(f"{path}: no triangles with finite corners")
+    if triangles.faces.min() < 0 or triangles.faces.max() >= count:
+        raise MeshError(f"{path}: a triangle has an unknown corner")
+    # Callers share these arrays.
+    triangles.vertices.setflags(write=False)
+    triangles.faces.setflags(write=False)
+    return triangles
+
+
+def middle_of(parts: Sequence[np.ndarray], mesh: Mesh) -> np.ndarray:
+    """Return the point, among the points (…, 3) of an unscaled mesh, that becomes its origin."""
+    if not (mesh.submesh and mesh.centred and any(map(len, parts))):
+        return np.zeros(3)
+    points = np.concatenate([part.reshape(-1, 3) for part in parts])
+    return 0.5 * (points.min(axis=0) + points.max(axis=0))
+
+
+@functools.lru_cache(maxsize=64)
+def _bounds(mesh: Mesh, _version: tuple[int, int]) -> np.ndarray:
+    vertices = load_triangles(mesh).vertices
+    bounds = np.array((vertices.min(axis=0), vertices.max(axis=0)))
+    bounds.setflags(write=False)
+    return bounds
+
+
+def hull_corners(mesh: Mesh) -> np.ndarray:
+    """Return at most MOST_CORNERS corners (n, 3) with the same convex hull as a mesh.
+
+    Bullet itself drops corners inside the hull. Of a larger mesh, the farthest corner in each of
+    many directions is kept: the hull is the same to a thousandth of its size. Raises as
+    `load_triangles`.
+    """
+    corners = np.unique(load_triangles(mesh).vertices, axis=0)
+    if len(corners) <= MOST_CORNERS:
+        return corners
+    spans = np.ptp(corners, axis=0)
+    normalised = (corners / np.where(spans > 0.0, spans, 1.0)).T
+    # Evenly spread unit vectors: a Fibonacci sphere.
+    number = np.arange(DIRECTIONS) + 0.5
+    height, turn = 1.0 - 2.0 * number / DIRECTIONS, number * np.pi * (3.0 - np.sqrt(5.0))
+    level = np.sqrt(1.0 - height * height)
+    directions = np.column_stack((level * np.cos(turn), level * np.sin(turn), height))
+    blocks = np.array_split(directions, DIRECTIONS // 32)
+    return corners[np.unique([np.argmax(block @ normalised, axis=1) for block in blocks])]
+
+
+def triangle_corners(mesh: Mesh) -> list[np.ndarray]:
+    """Return a mesh in pieces for PyBullet: corners (n, 3), three for each triangle."""
+    triangles = load_triangles(mesh)
+    corners = triangles.vertices[triangles.faces.ravel()]
+    piece = MOST_CORNERS // 3 * 3
+    return [corners[start : start + piece] for start in range(0, len(corners), piece)]
+
+

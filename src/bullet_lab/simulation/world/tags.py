@@ -2,45 +2,49 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import logging
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Iterator, Tuple, TypeVar
+from typing import Any, Callable, Iterator, TypeVar
 from xml.etree.ElementTree import Element
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import PluginTag
+from bullet_lab.simulation.world.description import WORLD_LINK, Inertia, PluginTag
 from bullet_lab.simulation.world.materials import MaterialLibrary
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
-from bullet_lab.simulation.world.shapes import ShapeTag
-from bullet_lab.simulation.world.xml import ElementReader, ReportOnce, XmlError
+from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Shape, Sphere
+from bullet_lab.simulation.world.tree import INERTIA_KEYS, matrix_from_elements
+from bullet_lab.simulation.world.xml import ElementReader, ReportOnce, XmlError, leaving_out
+
+LOG = logging.getLogger(__name__)
 
 # The SDF version that Gazebo 11 reads.
 NEWEST = (1, 7)
 
 # The children of each SDF element that are simulated.
 SDF_READ = {
-    "sdf": {"world", "model", "light", "include"},
-    "world": {"model", "light", "include", "gravity", "scene", "state", "physics"},
-    "model": {"link", "joint", "plugin", "pose", "static", "frame", "include", "model"},
-    "link": {"pose", "inertial", "visual", "collision", "sensor", "plugin"}
-    | {"self_collide", "gravity"},
-    "visual": {"geometry", "pose", "material", "cast_shadows", "transparency"},
-    "collision": {"geometry", "pose", "surface"},
-    "joint": {"parent", "child", "pose", "axis", "axis2"},
-    "surface": {"friction", "contact"},
-    "physics": {"gravity"},
+    "sdf": "world model light include",
+    "world": "model light include gravity scene state physics",
+    "model": "link joint plugin pose static frame include model",
+    "link": "pose inertial visual collision sensor plugin self_collide gravity",
+    "visual": "geometry pose material cast_shadows transparency",
+    "collision": "geometry pose surface",
+    "joint": "parent child pose axis axis2",
+    "surface": "friction contact",
+    "physics": "gravity",
 }
 # Children that Gazebo writes into every saved world, or that have no visible effect here.
 SDF_QUIET = {
-    "world": {"gui", "atmosphere", "wind", "magnetic_field", "spherical_coordinates", "audio"},
-    "model": {"allow_auto_disable"},
-    "link": {"must_be_base_link"},
-    "visual": {"meta", "laser_retro"},
-    "collision": {"max_contacts", "laser_retro"},
-    "joint": {"physics", "sensor"},
+    "world": "gui atmosphere wind magnetic_field spherical_coordinates audio",
+    "model": "allow_auto_disable",
+    "link": "must_be_base_link",
+    "visual": "meta laser_retro",
+    "collision": "max_contacts laser_retro",
+    "joint": "physics sensor",
     # Settings of Gazebo's engines.
-    "physics": {"ode", "bullet", "simbody", "dart", "max_contacts", "real_time_factor"},
+    "physics": "ode bullet simbody dart max_contacts real_time_factor",
 }
 # Values that ask for what the simulation does anyway.
 SDF_DEFAULTS = {
@@ -54,7 +58,53 @@ SDF_DEFAULTS = {
 # Plugins of worlds and of the server that make Gazebo's ROS interface; the bridge provides it.
 SERVER_PLUGINS = ("libgazebo_ros_api_plugin", "libgazebo_ros_paths_plugin", "libgazebo_ros")
 
+# The frame of the model or of the world that contains the others.
+MODEL_FRAME = "__model__"
+OUTERMOST = ("", MODEL_FRAME, WORLD_LINK)
+
 AnyTag = TypeVar("AnyTag", bound="Tag")
+
+
+class Frames:
+    """The frames of a model or a world, which are given in each other, as in SDF 1.7.
+
+    A model's frames are its links, joints, `<frame>`s and nested models; a world's are its models
+    and `<frame>`s. Frames of a nested model are named `model::name`.
+    """
+
+    def __init__(self, source: str):
+        self._source, self._report = source, ReportOnce()
+        # For each frame: its pose, the frame that it is given in, and the one that it moves with.
+        self._frames: dict[str, tuple[Pose, str, str]] = {}
+
+    def add(self, name: str, pose: Pose, base: str = "", carrier: str = "") -> None:
+        """Add a frame at a pose in another one, by default the outermost."""
+        self._frames.setdefault(name, (pose, base or MODEL_FRAME, carrier))
+
+    def pose(self, name: str) -> Pose:
+        """Return the pose of a frame in the outermost one.
+
+        An unknown frame, or one that is given in itself, counts as the outermost, with a warning.
+        """
+        pose, seen = Pose(), {name}
+        while name not in OUTERMOST:
+            own, base, _ = self._frames.get(name, (Pose(), "", ""))
+            if name not in self._frames or base in seen - set(OUTERMOST):
+                reason = "is given in itself" if base else "is unknown"
+                what = f"frame '{name}' {reason}; the model's frame is used"
+                self._report(f"{self._source}: {what}")
+                base = MODEL_FRAME
+            pose, name = own * pose, base
+            seen.add(name)
+        return pose
+
+    def carrier(self, name: str) -> str:
+        """Return the frame at the end of the chain of carriers; empty for an unknown frame."""
+        seen = set()
+        while name in self._frames and self._frames[name][2] and name not in seen:
+            seen.add(name)
+            name = self._frames[name][2]
+        return name if name in self._frames or name in OUTERMOST else ""
 
 
 @dataclass(frozen=True)
@@ -67,17 +117,24 @@ class Document:
         depth: the number of includes around it.
         report: logs each warning once.
         materials: those that were read so far.
+        frames: of the model; None for poses as they are given.
+        inside: the frame that poses are returned in.
     """
 
     finder: ResourceFinder
-    version: Tuple[int, ...] = NEWEST
+    version: tuple[int, ...] = NEWEST
     depth: int = 0
     report: ReportOnce = field(default_factory=ReportOnce)
     materials: MaterialLibrary = field(default_factory=MaterialLibrary)
+    frames: Frames | None = None
+    inside: str = ""
 
 
-class Tag(ElementReader, ShapeTag):
-    """An element of a document; invalid values are reported, and the defaults are used."""
+class Tag(ElementReader):
+    """An element of a document; invalid values are reported, and the defaults are used.
+
+    `file_key` is the key of the file in a <mesh>.
+    """
 
     file_key = "uri"
 
@@ -107,14 +164,83 @@ class Tag(ElementReader, ShapeTag):
             raise XmlError(f"{self.source}: a <{element.tag}> without a name")
         return self.below(element)
 
-    def file(self, uri: str) -> Path:  # noqa: D102
+    def file(self, uri: str) -> Path:
+        """Return the file that a URI means; raise ResourceError."""
         try:
             return self.document.finder.find(uri)
         except ResourceError as error:
             raise ResourceError(f"{self.where(self.file_key)}: {error}") from error
 
+    def shapes(self: AnyTag, kind: str, read: Callable[[AnyTag, Shape], Any]) -> tuple[Any, ...]:
+        """Return what `read` makes of the valid visuals or collisions of a link."""
+        found = []
+        for element in self.element.findall(kind):
+            holder, where = element.find("geometry"), f"{self.source}: <{kind}>"
+            with leaving_out(self.document.report):
+                if holder is None or not len(holder):
+                    raise XmlError(f"{where} without a geometry")
+                shape = self.shape(holder[0], where)
+                if shape is not None:
+                    found.append(read(self.other(element), shape))
+        return tuple(found)
 
-def version_of(root: Element) -> Tuple[int, ...]:
+    def shape(self, element: Element, where: str) -> Shape | None:
+        """Return the shape of a visual or collision, `where` in messages; None if unknown."""
+        read = SHAPE_READERS.get(element.tag)
+        return None if read is None else read(self.other(element, where))
+
+    def inertia(self, mass: float, moment: float) -> Inertia:
+        """Return the inertia in an <inertial>; `moment` is the default of its diagonal, kg m²."""
+        defaults = 3 * (moment,) + 3 * (0.0,)
+        elements = [self.number(f"inertia/{key}", d) for key, d in zip(INERTIA_KEYS, defaults)]
+        pose = self.pose()
+        turn = pose.rotation_matrix()
+        return Inertia(mass, pose.position, turn @ matrix_from_elements(*elements) @ turn.T)
+
+
+def _mesh(tag: Tag) -> Mesh:
+    uri, scale, part = tag.text(tag.file_key), tag.scale("scale"), tag.text("submesh/name")
+    return Mesh(tag.file(uri), uri, scale, part, tag.boolean("submesh/center", False))
+
+
+# The measures of shapes are attributes (URDF) or children (SDF) of the same names.
+SHAPE_READERS: dict[str, Callable[[Tag], Shape]] = {
+    "box": lambda tag: Box(tag.sizes("size", 3)),
+    "cylinder": lambda tag: Cylinder(*tag.sizes("radius", 1), *tag.sizes("length", 1)),
+    "sphere": lambda tag: Sphere(*tag.sizes("radius", 1)),
+    "plane": lambda tag: Plane(tag.direction("normal", "0 0 1"), tag.sizes("size", 2, "1 1")),
+    "mesh": _mesh,
+}
+
+
+class SdfTag(Tag):
+    """An SDF element."""
+
+    def shape(self, element: Element, where: str) -> Shape | None:  # noqa: D102
+        shape = super().shape(element, where)
+        if shape is None and element.tag != "empty":
+            LOG.warning("%s: geometry <%s> is not simulated", where, element.tag)
+        return shape
+
+    def inside(self, frames: Frames, name: str) -> SdfTag:
+        """Return the reader of the same element that returns poses in one of the frames."""
+        document = replace(self.document, frames=frames, inside=name)
+        return SdfTag(self.element, self.source, document)
+
+    def base(self) -> str:
+        """Return the frame that its <pose> is given in; empty for the one around it."""
+        found = self.element.find("pose")
+        return "" if found is None else found.get("relative_to") or found.get("frame") or ""
+
+    def pose(self) -> Pose:  # noqa: D102
+        base, pose = self.base(), super().pose()
+        frames, inside = self.document.frames, self.document.inside
+        if frames is None or base in ("", inside):
+            return pose
+        return frames.pose(inside).inverse() * frames.pose(base) * pose
+
+
+def version_of(root: Element) -> tuple[int, ...]:
     """Return the version of an <sdf>, by default the newest."""
     try:
         return tuple(int(part) for part in root.get("version", "").split("."))
@@ -134,7 +260,7 @@ def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
 
 def report_unknown(element: Element, source: str, report: ReportOnce) -> None:
     """Warn once of each kind of element in an <sdf> that is not simulated."""
-    read, quiet = SDF_READ[element.tag], SDF_QUIET.get(element.tag, ())
+    read, quiet = SDF_READ[element.tag].split(), SDF_QUIET.get(element.tag, "").split()
     ignored = []
     for child in element:
         if child.tag in SDF_READ and child.tag in read:

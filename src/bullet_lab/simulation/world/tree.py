@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from dataclasses import replace
 from itertools import chain
-from typing import Any, Dict, Iterable, Iterator, List, Sequence, Set, Tuple, TypeVar
+from typing import Any, Iterable, Iterator, Sequence, Tuple, TypeVar
 
 import numpy as np
 
-from bullet_lab.core.pose import Pose
+from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import WORLD_LINK, Collision, Joint, Link, Model
-from bullet_lab.simulation.world.inertia import FARTHEST, HEAVIEST, combine
+from bullet_lab.simulation.world.description import (
+    WORLD_LINK,
+    Collision,
+    Inertia,
+    Joint,
+    Link,
+    Model,
+)
 from bullet_lab.simulation.world.xml import XmlError, leaving_out
 
 LOG = logging.getLogger(__name__)
 
+INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+# The limits of simulated models: m.
+FARTHEST = 1e6
+# m/s and rad/s.
+FASTEST = 1e6
+# kg.
+HEAVIEST = 1e12
 # Rounded numbers in a file may exceed the limits of physical inertias by this share.
 RELATIVE_TOLERANCE = 1e-3
 # The radius in m of the ball that replaces a link without shapes.
@@ -33,9 +47,9 @@ class ModelError(LabError):
     """A model cannot be simulated."""
 
 
-def first_of_each(parts: Iterable[Named], what: str, source: str) -> Tuple[Named, ...]:
+def first_of_each(parts: Iterable[Named], what: str, source: str) -> tuple[Named, ...]:
     """Return the parts without those whose name appeared before; warn of these."""
-    found: Dict[str, Named] = {}
+    found: dict[str, Named] = {}
     for part in parts:
         if part.name in found:
             LOG.warning("%s: %s '%s' appears twice; the first is used", source, what, part.name)
@@ -45,17 +59,21 @@ def first_of_each(parts: Iterable[Named], what: str, source: str) -> Tuple[Named
 
 def check_tree(links: Sequence[Link], joints: Sequence[Joint], source: str) -> None:
     """Raise XmlError unless the links and joints make one tree with unique names."""
-    _refuse_duplicates((link.name for link in links), "link", source)
-    _refuse_duplicates((joint.name for joint in joints), "joint", source)
-    _refuse_duplicates((joint.child for joint in joints), "child link", source)
-    names = {link.name for link in links}
+    names = [link.name for link in links]
+    children = [joint.child for joint in joints]
+    joint_names = [joint.name for joint in joints]
+    for what, found in (("link", names), ("joint", joint_names), ("child link", children)):
+        for name, count in Counter(found).items():
+            if count > 1:
+                raise XmlError(f"{source}: {what} '{name}' appears twice")
+    known = set(names)
     for joint in joints:
         for end in (joint.parent, joint.child):
-            if end not in names:
+            if end not in known:
                 raise XmlError(f"{source}: joint '{joint.name}' has an unknown link '{end}'")
-    roots = sorted(names - {joint.child for joint in joints})
+    roots = sorted(known - {*children})
     # Each link has one parent at most, so that only a loop is reached from no root.
-    unreached = names.difference(*(top_down(root, joints) for root in roots))
+    unreached = known.difference(*(top_down(root, joints) for root in roots))
     if unreached:
         raise XmlError(f"{source}: a loop of joints at {', '.join(sorted(unreached))}")
     if len(roots) > 1:
@@ -64,15 +82,7 @@ def check_tree(links: Sequence[Link], joints: Sequence[Joint], source: str) -> N
         raise XmlError(f"{source}: there is no link")
 
 
-def _refuse_duplicates(names: Iterable[str], what: str, source: str) -> None:
-    seen: Set[str] = set()
-    for name in names:
-        if name in seen:
-            raise XmlError(f"{source}: {what} '{name}' appears twice")
-        seen.add(name)
-
-
-def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> Tuple[Links, Joints]:
+def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> tuple[Links, Joints]:
     """Return links and joints as trees, with all joints leading away from the roots.
 
     A link that is fixed to the world becomes an anchored root. Other joints to the world get an
@@ -80,18 +90,18 @@ def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> Tuple
     reversed. A joint that closes a loop is left out with a warning: the engine only knows trees.
     """
     names = [WORLD_LINK, *(link.name for link in links)]
-    held = [WORLD_LINK, *(link.name for link in links if link.anchored)]
-    kept = _without_loops(names, held, joints, source)
-    ends: Dict[str, List[Joint]] = {name: [] for name in names}
+    anchored = [WORLD_LINK, *(link.name for link in links if link.anchored)]
+    kept = _without_loops(names, anchored, joints, source)
+    ends: dict[str, list[Joint]] = {name: [] for name in names}
     for joint in kept:
         ends[joint.parent].append(joint)
         ends[joint.child].append(joint)
     children = {joint.child for joint in kept}
-    away: Dict[str, Joint] = {}
-    reached = set(held)
+    away: dict[str, Joint] = {}
+    reached = set(anchored)
     # Links that are no child come before those whose joint would have to be reversed.
-    for start in (*held, *(name for name in names if name not in children), *names):
-        queue = [start] if start in held or start not in reached else []
+    for start in (*anchored, *(name for name in names if name not in children), *names):
+        queue = [start] if start in anchored or start not in reached else []
         for name in queue:
             reached.add(name)
             for joint in (joint for joint in ends[name] if joint.name not in away):
@@ -101,11 +111,11 @@ def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> Tuple
 
 
 def _without_loops(
-    names: Iterable[str], held: Sequence[str], joints: Iterable[Joint], source: str
-) -> List[Joint]:
-    """Return the joints that close no loop; the `held` links are connected already."""
+    names: Iterable[str], anchored: Sequence[str], joints: Iterable[Joint], source: str
+) -> list[Joint]:
+    """Return the joints that close no loop; the `anchored` links are connected already."""
     group = {name: {name} for name in names}
-    group.update(dict.fromkeys(held, set(held)))
+    group.update(dict.fromkeys(anchored, set(anchored)))
     kept = []
     for joint in joints:
         one, other = group[joint.parent], group[joint.child]
@@ -131,7 +141,7 @@ def _reversed(joint: Joint) -> Joint:
     )
 
 
-def _anchored(links: Sequence[Link], joints: Sequence[Joint]) -> Tuple[Links, Joints]:
+def _anchored(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[Links, Joints]:
     """Return links and joints, with the links anchored that are fixed to the world."""
     to_world = {joint.child: joint.kind for joint in joints if joint.parent == WORLD_LINK}
     fixed = {name for name, kind in to_world.items() if kind == "fixed"}
@@ -142,9 +152,9 @@ def _anchored(links: Sequence[Link], joints: Sequence[Joint]) -> Tuple[Links, Jo
     return tuple(found), tuple(kept)
 
 
-def top_down(root: str, joints: Iterable[Joint]) -> List[str]:
+def top_down(root: str, joints: Iterable[Joint]) -> list[str]:
     """Return the names of the links below a root and its own, each after its parent."""
-    children: Dict[str, List[str]] = {}
+    children: dict[str, list[str]] = {}
     for joint in joints:
         children.setdefault(joint.parent, []).append(joint.child)
     order = [root]
@@ -156,7 +166,7 @@ def top_down(root: str, joints: Iterable[Joint]) -> List[str]:
 def place_links(links: Links, joints: Joints) -> Links:
     """Return the links with their poses in the root's frame, with all joints at zero."""
     above = {joint.child: joint for joint in joints}
-    poses: Dict[str, Pose] = {}
+    poses: dict[str, Pose] = {}
     root = next(link.name for link in links if link.name not in above)
     for name in top_down(root, joints):
         joint = above.get(name)
@@ -172,21 +182,29 @@ def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
     on which gravity acts differently are not merged, unless they cannot move.
     """
     fixed = {joint.child: joint for joint in model.joints if _merges(joint, model)}
-    if not fixed:
-        return model
     places = {link.name: _place(link.name, fixed) for link in model.links}
-    members: Dict[str, List[Tuple[Link, Pose]]] = {}
+    frames = {}
+    for name, (link, pose) in model.frames.items():
+        base, offset = places[link]
+        frames[name] = (base, offset * pose)
+    frames.update({name: place for name, place in places.items() if name in fixed})
+    if not fixed:
+        return replace(model, frames=frames)
+    members: dict[str, list[tuple[Link, Pose]]] = {}
     for link in model.links:
         base, pose = places[link.name]
         members.setdefault(base, []).append((link, pose))
     kept = (link for link in model.links if link.name not in fixed)
-    links = tuple(_merge(link, members[link.name], rename) for link in kept)
     joints = []
     for joint in (joint for joint in model.joints if joint.child not in fixed):
         parent, pose = places[joint.parent]
         joints.append(replace(joint, parent=parent, pose=pose * joint.pose))
-    frames = {name: place for name, place in places.items() if name in fixed}
-    return replace(model, links=links, joints=tuple(joints), frames={**model.frames, **frames})
+    return replace(
+        model,
+        links=tuple(_merge(link, members[link.name], rename) for link in kept),
+        joints=tuple(joints),
+        frames=frames,
+    )
 
 
 def _merges(joint: Joint, model: Model) -> bool:
@@ -197,7 +215,7 @@ def _merges(joint: Joint, model: Model) -> bool:
     return parent.anchored or parent.gravity == child.gravity
 
 
-def _place(name: str, fixed: Dict[str, Joint]) -> Tuple[str, Pose]:
+def _place(name: str, fixed: dict[str, Joint]) -> tuple[str, Pose]:
     """Return the link that a link is merged into, and the pose of its frame there."""
     pose = Pose()
     while name in fixed:
@@ -206,7 +224,7 @@ def _place(name: str, fixed: Dict[str, Joint]) -> Tuple[str, Pose]:
     return name, pose
 
 
-def _merge(base: Link, members: List[Tuple[Link, Pose]], rename: bool) -> Link:
+def _merge(base: Link, members: list[tuple[Link, Pose]], rename: bool) -> Link:
     def moved(shape: Collision, link: Link, pose: Pose) -> Collision:
         is_renamed = rename and link.name != base.name
         name = f"{base.name}{LUMP}{shape.name}" if is_renamed else shape.name
@@ -222,6 +240,65 @@ def _merge(base: Link, members: List[Tuple[Link, Pose]], rename: bool) -> Link:
     )
 
 
+def matrix_from_elements(
+    ixx: float, iyy: float, izz: float, ixy: float = 0.0, ixz: float = 0.0, iyz: float = 0.0
+) -> np.ndarray:
+    """Return the 3x3 inertia matrix in kg m².
+
+    >>> matrix_from_elements(1.0, 2.0, 3.0, ixy=0.5).tolist()
+    [[1.0, 0.5, 0.0], [0.5, 2.0, 0.0], [0.0, 0.0, 3.0]]
+    """
+    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]], dtype=float)
+
+
+def combine(parts: Sequence[tuple[Inertia, Pose]]) -> Inertia:
+    """Return the inertia of bodies fixed to each other, by the parallel axis theorem.
+
+    `parts` holds each body's inertia and the pose of its frame in the common one.
+
+    >>> ball = Inertia(1.0, (0.0, 0.0, 0.0), np.eye(3))
+    >>> both = combine([(ball, Pose((-2.0, 0.0, 0.0))), (ball, Pose((2.0, 0.0, 0.0)))])
+    >>> both.mass, both.centre, both.matrix.diagonal().tolist()
+    (2.0, (0.0, 0.0, 0.0), [2.0, 10.0, 10.0])
+    """
+    mass = sum(inertia.mass for inertia, _ in parts)
+    centres = [np.array((pose * Pose(inertia.centre)).position) for inertia, pose in parts]
+    weights = [inertia.mass for inertia, _ in parts]
+    centre = np.average(centres, axis=0, weights=weights) if mass > 0.0 else np.mean(centres, 0)
+    matrix = np.zeros((3, 3))
+    for (inertia, pose), own_centre in zip(parts, centres):
+        turn = pose.rotation_matrix()
+        arm = own_centre - centre
+        steiner = inertia.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        matrix += turn @ inertia.matrix @ turn.T + steiner
+    return Inertia(float(mass), tuple(float(value) for value in centre), matrix)
+
+
+def mobility(inertia: Inertia, axis: Vector, turning: bool) -> float:
+    """Return the acceleration of a free body per torque about an axis, or per force along it.
+
+    The axis is a unit vector in the axes of the inertia, which has a mass.
+    """
+    if not turning:
+        return 1.0 / inertia.mass
+    return float(np.dot(axis, np.linalg.solve(inertia.matrix, axis)))
+
+
+def principal_axes(inertia: Inertia) -> tuple[tuple[float, float, float], Pose]:
+    """Return the principal moments and the pose of the principal frame in the link's frame.
+
+    A diagonal inertia keeps the axes of the link.
+    """
+    matrix = inertia.matrix
+    off_diagonal = matrix - np.diag(np.diag(matrix))
+    if np.abs(off_diagonal).max() <= 1e-9 * np.abs(matrix).max():
+        return tuple(float(value) for value in np.diag(matrix)), Pose(inertia.centre)
+    moments, axes = np.linalg.eigh(matrix)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] = -axes[:, 0]
+    return tuple(float(value) for value in moments), Pose.from_matrix(inertia.centre, axes)
+
+
 def with_sound_inertias(model: Model, source: str) -> Model:
     """Return a model with positive principal moments for all links that have a mass.
 
@@ -230,8 +307,7 @@ def with_sound_inertias(model: Model, source: str) -> Model:
     """
     if model.static:
         return model
-    links = (_with_sound_inertia(link, source) for link in model.links)
-    return replace(model, links=tuple(links))
+    return replace(model, links=tuple(_with_sound_inertia(link, source) for link in model.links))
 
 
 def _with_sound_inertia(link: Link, source: str) -> Link:
@@ -287,7 +363,7 @@ def usable(model: Model) -> Model:
 
 
 def _with_usable_shapes(link: Link, where: str) -> Link:
-    def used(shapes: Sequence[Any]) -> Tuple[Any, ...]:
+    def used(shapes: Sequence[Any]) -> tuple[Any, ...]:
         found = []
         for shape in shapes:
             with leaving_out(lambda what: LOG.warning("%s: link '%s': %s", where, link.name, what)):
@@ -299,8 +375,8 @@ def _with_usable_shapes(link: Link, where: str) -> Link:
     return replace(link, visuals=used(link.visuals), collisions=used(link.collisions))
 
 
-def _without_massless(links: Links, joints: Joints, where: str) -> Tuple[Links, Joints]:
-    dropped: Set[str] = set()
+def _without_massless(links: Links, joints: Joints, where: str) -> tuple[Links, Joints]:
+    dropped: set[str] = set()
     for link in links:
         massless = link.inertia is None or link.inertia.mass <= 0.0
         if massless and not link.anchored and link.name not in dropped:
@@ -323,7 +399,7 @@ def check_proportions(model: Model) -> None:
                 raise ModelError(f"model '{model.name}': {problem}")
 
 
-def _measures(model: Model) -> Iterator[Tuple[str, Iterable[float], float]]:
+def _measures(model: Model) -> Iterator[tuple[str, Iterable[float], float]]:
     """Yield what is measured, its values, and their limit."""
     yield "pose", model.pose.position, FARTHEST
     for link in model.links:

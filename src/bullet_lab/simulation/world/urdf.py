@@ -1,10 +1,20 @@
-"""Read robots from URDF, with the tags that Gazebo adds to it."""
+"""Read robots from URDF, with the tags that Gazebo adds to it, and from xacro.
+
+A xacro file is a program: its `${…}` are Python expressions. The xacro package restricts the names
+in them, but this is no protection. So a file is only expanded if the user names its path, never if
+it came as text. A separate process expands it, which has limited time and memory and cannot write
+files. It can read everything that the user can read, with the environment: do not expand xacro
+files of strangers.
+"""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Callable, Collection, Dict, Iterable, Mapping, Optional, Tuple
+from typing import Any, Callable, Collection, Mapping
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Pose
@@ -14,16 +24,14 @@ from bullet_lab.simulation.world.description import (
     WORLD_LINK,
     Collision,
     Colour,
-    Inertia,
     Joint,
     Link,
     Model,
     Visual,
 )
-from bullet_lab.simulation.world.inertia import INERTIA_KEYS, inertia_at
 from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.shapes import SHAPES, Shape
-from bullet_lab.simulation.world.tags import Document, Tag, plugins_in
+from bullet_lab.simulation.world.shapes import Shape
+from bullet_lab.simulation.world.tags import Document, SdfTag, Tag, plugins_in
 from bullet_lab.simulation.world.tree import (
     check_tree,
     lump_fixed_joints,
@@ -31,25 +39,24 @@ from bullet_lab.simulation.world.tree import (
     rooted,
     with_sound_inertias,
 )
-from bullet_lab.simulation.world.xacro import expand_xacro, is_xacro
 from bullet_lab.simulation.world.xml import (
-    TagReader,
+    MAXIMUM_BYTES,
+    ElementReader,
     XmlError,
     leaving_out,
     parse_text,
     read_text,
 )
 
+# The limits of the process that expands xacro, and of its message.
+SECONDS = 30
+MEMORY_BYTES = 1 << 30
+LONGEST_MESSAGE = 300
+
 SIMULATED_JOINTS = ("fixed", "revolute", "continuous", "prismatic")
 # Gazebo makes no joint of these: their child links are free.
 LOOSE_JOINTS = ("floating", "planar")
 
-# Tags in `<gazebo reference=…>`: coefficients of friction, and stiffness and damping of contacts.
-FRICTION = {"mu1": "friction", "mu2": "cross_friction"}
-SPRING = {"kp": "stiffness", "kd": "damping"}
-# Whether "true" in the tag means that gravity pulls the link.
-GRAVITY = {"gravity": True, "turnGravityOff": False}
-LINK_TAGS = (*FRICTION, *SPRING, *GRAVITY, "fdir1", "material", "selfCollide")
 # These are read elsewhere, are only for Gazebo's window, or are settings of its engine ODE.
 QUIET_TAGS = frozenset(
     ("plugin", "sensor", "visualize", "visual")
@@ -57,31 +64,77 @@ QUIET_TAGS = frozenset(
 )
 
 
-def read_urdf_file(path: Path, finder: Optional[ResourceFinder] = None) -> Model:
+class XacroError(XmlError):
+    """A xacro file cannot be expanded."""
+
+
+def read_urdf_text(path: Path) -> str:
+    """Return the URDF text of a URDF or xacro file; raise XmlError."""
+    return expand_xacro(path) if path.suffix.lower() == ".xacro" else read_text(path)
+
+
+def expand_xacro(path: Path) -> str:
+    """Return the URDF text of a xacro file, whose `<xacro:arg>` have their defaults.
+
+    Raises:
+        XacroError: the xacro package or the file is missing, the file is invalid, or it takes too
+            much time or memory; the message says which.
+    """
+    child = Path(__file__).with_name("xacro_child.py")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-B", str(child), str(path), str(SECONDS), str(MEMORY_BYTES)],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=2 * SECONDS,
+            env=environment,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise XacroError(f"{path}: xacro took longer than {2 * SECONDS} s") from error
+    if done.returncode != 0:
+        raise XacroError(f"{path}: {_reason(done)}")
+    if len(done.stdout) > MAXIMUM_BYTES:
+        raise XacroError(f"{path}: xacro makes more than {MAXIMUM_BYTES} bytes of it")
+    return done.stdout.decode()
+
+
+def _reason(done: subprocess.CompletedProcess) -> str:
+    if done.returncode < 0:
+        return f"xacro took more than {SECONDS} s"
+    lines = done.stderr.decode(errors="replace").strip().splitlines()
+    return lines[-1][:LONGEST_MESSAGE] if lines else "xacro failed without a message"
+
+
+def read_urdf_file(path: Path) -> Model:
     """Read a robot from a URDF or xacro file; see `read_urdf` and `expand_xacro`."""
-    text = expand_xacro(path) if is_xacro(path) else read_text(path)
-    return read_urdf(text, str(path), (finder or ResourceFinder()).beside(path))
+    return read_urdf(read_urdf_text(path), str(path), path.parent)
 
 
-def read_urdf(text: str, source: str, finder: Optional[ResourceFinder] = None) -> Model:
-    """Read a robot from URDF text; `source` names the text in messages.
+def read_urdf(text: str, source: str, folder: Path | None = None) -> Model:
+    """Read a robot from URDF text.
 
     As in Gazebo, links on fixed joints are merged into their parent links, children of a link
     called "world" are joined to the world, and `<gazebo>` elements hold plugins and friction. An
     invalid shape is reported and left out.
 
+    Args:
+        text: of the document.
+        source: its name in messages.
+        folder: the folder that it belongs to; None for one that came alone.
+
     Raises:
         XmlError: not XML, or no possible robot; the message says what and where.
     """
-    return read_urdf_element(parse_text(text, source), source, finder)
+    return read_urdf_element(parse_text(text, source), source, Document(ResourceFinder(folder)))
 
 
-def read_urdf_element(root: Element, source: str, finder: Optional[ResourceFinder]) -> Model:
+def read_urdf_element(root: Element, source: str, document: Document) -> Model:
     """Read a robot from the root element of a URDF document; as `read_urdf`."""
     if root.tag != "robot":
         raise XmlError(f"{source}: the root element is <{root.tag}>, not <robot>")
-    tag = _UrdfTag(root, source, Document(finder or ResourceFinder()))
-    model = with_sound_inertias(_model(tag), source)
+    model = with_sound_inertias(_model(_UrdfTag(root, source, document)), source)
     return replace(model, links=tuple(map(_with_collision_names, model.links)))
 
 
@@ -103,15 +156,25 @@ class _UrdfTag(Tag):
         xyz, rpy = (self.numbers(f"origin/{key}", 3, "0 0 0") for key in ("xyz", "rpy"))
         return Pose.from_rpy(xyz, rpy)
 
+    def shape(self, element: Element, where: str) -> Shape:
+        shape = None if element.tag == "plane" else super().shape(element, self.source)
+        if shape is None:
+            raise XmlError(f"{self.source}: unknown geometry <{element.tag}>")
+        return shape
+
+    def colour(self) -> Colour:
+        """Return the colour in a <material>; raise XmlError."""
+        return self.numbers("color/rgba", 4)
+
 
 def _model(root: _UrdfTag) -> Model:
     """Return a robot, with links on fixed joints merged into their parents."""
     element, source = root.element, root.source
-    colours: Dict[str, Colour] = {}
+    colours: dict[str, Colour] = {}
     for material in map(root.other, element.iter("material")):
         with leaving_out(root.document.report):
             if material.element.find("color") is not None:
-                colours[material.name] = _colour(material)
+                colours[material.name] = material.colour()
     links = tuple(_link(root.named(link), colours) for link in element.findall("link"))
     joints = tuple(_joint(root.named(joint)) for joint in element.findall("joint"))
     check_tree(links, joints, source)
@@ -132,53 +195,25 @@ def _model(root: _UrdfTag) -> Model:
 
 
 def _link(tag: _UrdfTag, colours: Mapping[str, Colour]) -> Link:
+    def visual(tag: _UrdfTag, shape: Shape) -> Visual:
+        material = tag.element.find("material")
+        if material is None or material.find("color") is None:
+            colour = colours.get(tag.text("material/name"), WHITE)
+        else:
+            colour = tag.other(material).colour()
+        return Visual(shape, tag.pose(), colour, tag.name)
+
+    def collision(inner: _UrdfTag, shape: Shape) -> Collision:
+        return Collision(shape, inner.pose(), name=inner.name or tag.name)
+
+    inertial = tag.element.find("inertial")
+    inner = None if inertial is None else tag.other(inertial)
     return Link(
         tag.name,
-        inertia=_inertia(tag),
-        visuals=_shapes(tag, "visual", lambda visual: _visual(visual, colours)),
-        collisions=_shapes(tag, "collision", lambda shape: _collision(shape, tag.name)),
+        inertia=inner and inner.inertia(inner.coefficient("mass/value", 0.0), 0.0),
+        visuals=tag.shapes("visual", visual),
+        collisions=tag.shapes("collision", collision),
     )
-
-
-def _shapes(link: _UrdfTag, kind: str, read: Callable[[_UrdfTag], Any]) -> Tuple[Any, ...]:
-    """Return the valid visuals or collisions of a link."""
-    found = []
-    for element in link.element.findall(kind):
-        with leaving_out(link.document.report):
-            found.append(read(link.other(element)))
-    return tuple(found)
-
-
-def _collision(tag: _UrdfTag, link: str) -> Collision:
-    return Collision(_geometry(tag), tag.pose(), name=tag.name or link)
-
-
-def _visual(tag: _UrdfTag, colours: Mapping[str, Colour]) -> Visual:
-    if tag.element.find("material/color") is None:
-        colour = colours.get(tag.text("material/name"), WHITE)
-    else:
-        colour = _colour(tag.other(tag.element.find("material")))
-    return Visual(_geometry(tag), tag.pose(), colour, tag.name)
-
-
-def _inertia(tag: _UrdfTag) -> Optional[Inertia]:
-    element = tag.element.find("inertial")
-    if element is None:
-        return None
-    tag = tag.other(element)
-    mass = tag.coefficient("mass/value", 0.0)
-    elements = [tag.number(f"inertia/{key}", 0.0) for key in INERTIA_KEYS]
-    return inertia_at(tag.pose(), mass, elements)
-
-
-def _geometry(tag: _UrdfTag) -> Shape:
-    holder = tag.element.find("geometry")
-    if holder is None or not len(holder):
-        raise XmlError(f"{tag.source}: <{tag.element.tag}> without a geometry")
-    kind = SHAPES.get(holder[0].tag)
-    if kind is None or not kind.in_urdf:
-        raise XmlError(f"{tag.source}: unknown geometry <{holder[0].tag}>")
-    return kind.read(tag.other(holder[0]))
 
 
 def _joint(tag: _UrdfTag) -> Joint:
@@ -206,10 +241,6 @@ def _joint(tag: _UrdfTag) -> Joint:
     )
 
 
-def _colour(material: _UrdfTag) -> Colour:
-    return material.numbers("color/rgba", 4)
-
-
 def _with_collision_names(link: Link) -> Link:
     """Return a link whose collisions have the names that Gazebo gives: link_collision_1."""
     collisions = []
@@ -219,18 +250,31 @@ def _with_collision_names(link: Link) -> Link:
     return replace(link, collisions=tuple(collisions))
 
 
-class _LinkTag(TagReader):
+class _LinkTag(ElementReader):
     """Reads both spellings of a tag's value, as Gazebo does: <mu1>1</mu1>, <mu1 value="1"/>."""
 
-    def __init__(self, element: Element, where: str):
-        self._element = element
-        self._where = where
-
     def text(self, key: str, default: str = "") -> str:
-        return (self._element.get(key) or self._element.text or "").strip()
+        return (self.element.get(key) or self.element.text or "").strip()
 
     def where(self, key: str) -> str:
-        return self._where
+        return self.source
+
+    def truth(self) -> bool:
+        """Return whether it says "true"."""
+        return self.boolean("value", False)
+
+
+# The tags in `<gazebo reference=…>`, what they describe, and how they are read.
+LINK_TAGS: dict[str, tuple[str, Callable[[_LinkTag], Any]]] = {
+    "mu1": ("friction", lambda tag: tag.friction("value", 1.0)),
+    "mu2": ("cross_friction", lambda tag: tag.friction("value", 1.0)),
+    "fdir1": ("direction", lambda tag: tag.friction_direction("value")),
+    "kp": ("stiffness", lambda tag: tag.coefficient("value", 0.0)),
+    "kd": ("damping", lambda tag: tag.coefficient("value", 0.0)),
+    "selfCollide": ("self_collide", _LinkTag.truth),
+    "gravity": ("gravity", _LinkTag.truth),
+    "turnGravityOff": ("gravity", lambda tag: not tag.truth()),
+}
 
 
 class _GazeboTags:
@@ -241,24 +285,26 @@ class _GazeboTags:
     """
 
     def __init__(self, root: _UrdfTag, names: Collection[str]):
-        self._root, self._report = root, root.document.report
+        self._source, self._document = root.source, root.document
         # For each link: fields of its collisions, and its `look`, `gravity` and `self_collide`.
-        self._fields: Dict[str, Dict[str, Any]] = {}
+        self._fields: dict[str, dict[str, Any]] = {}
         self.static = False
+        report = root.document.report
         for element in root.element.findall("gazebo"):
             name = element.get("reference")
-            if name is None:
-                for child in element.findall("static"):
-                    with leaving_out(self._report):
-                        self.static = self._tag(child, "robot").boolean("value", False)
-                self._report_unknown(element, ("static",))
-                continue
-            if name not in names:
-                self._report(f"<gazebo reference='{name}'>: unknown link or joint")
+            if name not in (None, *names):
+                report(f"<gazebo reference='{name}'>: unknown link or joint")
             for child in element:
-                with leaving_out(self._report):
-                    self._read(child, self._fields.setdefault(name, {}), name)
-            self._report_unknown(element, LINK_TAGS)
+                part = "robot" if name is None else name
+                tag = _LinkTag(child, f"{root.source}: <{child.tag}> of '{part}'")
+                is_default = child.tag == "static" and (child.text or "").strip() in ("0", "false")
+                with leaving_out(report):
+                    if name is None and child.tag == "static":
+                        self.static = tag.truth()
+                    elif name is not None and child.tag in (*LINK_TAGS, "material", "visual"):
+                        self._read(tag, self._fields.setdefault(name, {}))
+                    elif child.tag not in QUIET_TAGS and not is_default:
+                        report(f"{root.source}: <gazebo>: <{child.tag}> is not simulated")
 
     def apply(self, link: Link) -> Link:
         """Return a link with what the tags describe, but for gravity."""
@@ -267,14 +313,13 @@ class _GazeboTags:
         if cross is not None and "direction" not in fields:
             mu = fields.setdefault("friction", cross)
             if mu != cross:
-                where = f"{self._root.source}: <mu2> of '{link.name}'"
+                where = f"{self._source}: <mu2> of '{link.name}'"
                 what = f"without <fdir1>, friction has one coefficient here, <mu1>: {mu:g}"
-                self._report(f"{where}: {what}")
-        look = fields.pop("look", None)
+                self._document.report(f"{where}: {what}")
         fields.pop("gravity", None)
         link = replace(link, self_collide=fields.pop("self_collide", link.self_collide))
-        if look is not None:
-            colour, material = look
+        if "look" in fields:
+            colour, material = fields.pop("look")
             painted = (replace(v, colour=colour, material=material) for v in link.visuals)
             link = replace(link, visuals=tuple(painted))
         return replace(link, collisions=tuple(replace(c, **fields) for c in link.collisions))
@@ -291,40 +336,22 @@ class _GazeboTags:
             is_pulled = not names or self._fields[names[-1]]["gravity"]
             if not is_pulled and names[-1] != link.name:
                 what = f"'{names[-1]}', which is fixed to '{link.name}', turns gravity off"
-                self._report(f"{self._root.source}: {what} for both")
+                self._document.report(f"{self._source}: {what} for both")
             links.append(replace(link, gravity=is_pulled))
         return replace(model, links=tuple(links))
 
-    def _tag(self, child: Element, part: str) -> _LinkTag:
-        return _LinkTag(child, f"{self._root.source}: <{child.tag}> of '{part}'")
-
-    def _read(self, child: Element, fields: Dict[str, Any], link: str) -> None:
-        tag, document = self._tag(child, link), self._root.document
-        where = tag.where("value")
-        if child.tag in FRICTION:
-            fields[FRICTION[child.tag]] = tag.friction("value", 1.0)
-        elif child.tag in SPRING:
-            fields[SPRING[child.tag]] = tag.coefficient("value", 0.0)
-        elif child.tag in GRAVITY:
-            fields["gravity"] = tag.boolean("value", False) == GRAVITY[child.tag]
-        elif child.tag == "fdir1":
-            if any(tag.numbers("value", 3)):
-                fields["direction"] = tag.direction("value", "")
-        elif child.tag == "selfCollide":
-            fields["self_collide"] = tag.boolean("value", False)
-        elif child.tag == "material":
-            look = document.materials.named(tag.text("value"), where)
-            if look is not None:
-                fields["look"] = look
-        elif child.tag == "visual" and child.find("material") is not None:
+    def _read(self, tag: _LinkTag, fields: dict[str, Any]) -> None:
+        materials, material = self._document.materials, tag.element.find("material")
+        found = None
+        if tag.element.tag in LINK_TAGS:
+            field, read = LINK_TAGS[tag.element.tag]
+            found = read(tag)
+        elif tag.element.tag == "material":
+            field, found = "look", materials.named(tag.text("value"), tag.source)
+        elif material is not None:
             # The same as in SDF.
-            element = child.find("material")
-            colour, look = document.materials.of_element(element, where, document.finder, WHITE)
-            if look.covers:
-                fields["look"] = (colour, look)
-
-    def _report_unknown(self, element: Element, known: Iterable[str]) -> None:
-        for child in element:
-            is_default = child.tag == "static" and (child.text or "").strip() in ("0", "false")
-            if child.tag not in QUIET_TAGS and child.tag not in known and not is_default:
-                self._report(f"{self._root.source}: <gazebo>: <{child.tag}> is not simulated")
+            inner = SdfTag(material, tag.source, self._document)
+            colour, look = materials.of_tag(inner, self._document.finder, WHITE)
+            field, found = "look", (colour, look) if look.covers else None
+        if found is not None:
+            fields[field] = found

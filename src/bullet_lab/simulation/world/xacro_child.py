@@ -1,35 +1,37 @@
-"""Expand one xacro file in a separate process, see `xacro`; find packages for xacro."""
+"""Expand a xacro file in a process of its own: xacro_child.py FILE SECONDS MEMORY_BYTES.
+
+It is a part of `urdf`. `xacro` as a command finds its packages with it as well.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import resource
 import sys
 import types
 from io import StringIO
-from typing import Any, Mapping
+from typing import Any
 
 
 def main() -> int:
-    """Read the order from standard input; write URDF, or one line of error."""
+    """Write URDF, or one line of error."""
+    path, seconds, memory_bytes = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
     # Otherwise Python would import modules beside this file first.
     del sys.path[0]
-    order = json.load(sys.stdin)
     try:
         import xacro
     except ImportError:
         return _fail("the Python package xacro is not installed")
     find_packages_of_ros1()
-    _limit(order)
+    _limit(seconds, memory_bytes)
     try:
         # Messages of xacro are not URDF.
         with contextlib.redirect_stdout(StringIO()):
-            document = xacro.process_file(order["path"], mappings=order["arguments"], verbosity=0)
+            document = xacro.process_file(path, mappings={}, verbosity=0)
         text = document.toxml()
     except (Exception, SystemExit) as error:
         if _is_memory_error(error):
-            return _fail(f"xacro took more than {order['memory_bytes'] >> 20} MB of memory")
+            return _fail(f"xacro took more than {memory_bytes >> 20} MB of memory")
         return _fail(" ".join(f"xacro: {error or type(error).__name__}".split()))
     sys.stdout.write(text)
     return 0
@@ -58,10 +60,10 @@ def _is_memory_error(error: Any) -> bool:
     return error is not None
 
 
-def _limit(order: Mapping[str, Any]) -> None:
+def _limit(seconds: int, memory_bytes: int) -> None:
     for kind, most in (
-        (resource.RLIMIT_CPU, order["seconds"]),
-        (resource.RLIMIT_AS, order["memory_bytes"]),
+        (resource.RLIMIT_CPU, seconds),
+        (resource.RLIMIT_AS, memory_bytes),
         (resource.RLIMIT_FSIZE, 0),
         (resource.RLIMIT_CORE, 0),
     ):

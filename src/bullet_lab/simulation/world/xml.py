@@ -13,7 +13,7 @@ import re
 import stat
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Callable, Iterator, Match, Optional, Sequence, Set, Tuple, Type
+from typing import Any, Callable, Iterator, Match, Sequence
 from xml.etree.ElementTree import Element, ParseError
 
 import defusedxml.ElementTree
@@ -47,12 +47,13 @@ class ReportOnce:
     """Log each warning once."""
 
     def __init__(self) -> None:
-        self._given: Set[str] = set()
+        self._given: set[str] = set()
 
-    def __call__(self, message: str) -> None:
-        """Warn, unless the same warning was logged before."""
-        if message not in self._given:
-            self._given.add(message)
+    def __call__(self, message: str, key: str = "") -> None:
+        """Warn, unless the same warning, or one with the same key, was logged before."""
+        key = key or message
+        if key not in self._given:
+            self._given.add(key)
             LOG.warning("%s", message)
 
 
@@ -114,7 +115,7 @@ def _quoted(value: Match[str]) -> str:
     return f"{before}{quoted}" if bare is None else f"{before}'{bare}'"
 
 
-def file_bytes(path: Path, most: int, error_kind: Type[LabError] = XmlError) -> bytes:
+def file_bytes(path: Path, most: int, error_kind: type[LabError] = XmlError) -> bytes:
     """Return the content of a file; raise `error_kind` if it is missing or over `most` bytes.
 
     A pipe or a device is refused: reading it could block for ever.
@@ -143,7 +144,7 @@ def read_text(path: Path) -> str:
         raise XmlError(f"{path}: not UTF-8 text") from error
 
 
-def numbers(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
+def numbers(text: str | None, count: int, what: str) -> tuple[float, ...]:
     """Return the `count` finite numbers in a text; raise XmlError that begins with `what`."""
     parts = (text or "").split()
     try:
@@ -159,14 +160,9 @@ def numbers(text: Optional[str], count: int, what: str) -> Tuple[float, ...]:
     return values
 
 
-def number(text: Optional[str], what: str) -> float:
+def number(text: str | None, what: str) -> float:
     """Return the one finite number in a text; raise XmlError."""
     return numbers(text, 1, what)[0]
-
-
-def colour(text: str, what: str) -> Tuple[float, ...]:
-    """Return the red, green, blue and alpha in a text, alpha 1 by default; raise XmlError."""
-    return numbers(f"{text} 1" if len(text.split()) == 3 else text, 4, what)
 
 
 def child_text(element: Element, tag: str, default: str = "") -> str:
@@ -193,9 +189,25 @@ class TagReader(ABC):
         """Raise the error of an invalid value; subclasses may log it instead."""
         raise error
 
-    def numbers(self, key: str, count: int, default: str = "") -> Tuple[float, ...]:
-        """Return `count` finite numbers."""
-        return self._checked(key, count, default, lambda values: False, "")
+    def numbers(
+        self,
+        key: str,
+        count: int,
+        default: str = "",
+        is_wrong: Callable[[tuple[float, ...]], bool] = lambda values: False,
+        reason: str = "",
+    ) -> tuple[float, ...]:
+        """Return finite numbers that are not wrong; `reason` is formatted with the least one."""
+        try:
+            values = numbers(self.text(key, default), count, self.where(key))
+            if is_wrong(values):
+                raise XmlError(f"{self.where(key)}: {reason.format(min(values))}")
+            return values
+        except XmlError as error:
+            if not default:
+                raise
+            self.doubt(error)
+            return numbers(default, count, self.where(key))
 
     def number(self, key: str, default: float) -> float:
         """Return a finite number."""
@@ -220,7 +232,7 @@ class TagReader(ABC):
 
     def coefficient(self, key: str, default: float) -> float:
         """Return a number that is not negative."""
-        return self._checked(key, 1, repr(default), lambda v: v[0] < 0.0, "{:g} is negative")[0]
+        return self.numbers(key, 1, repr(default), lambda v: v[0] < 0.0, "{:g} is negative")[0]
 
     def friction(self, key: str, default: float) -> float:
         """Return a coefficient of friction; larger or negative ones become NO_SLIP, as in ODE.
@@ -241,9 +253,9 @@ class TagReader(ABC):
             return self.number(key, default)
         return value if 0.0 <= value < NO_SLIP else NO_SLIP
 
-    def sizes(self, key: str, count: int, default: str = "") -> Tuple[float, ...]:
+    def sizes(self, key: str, count: int, default: str = "") -> tuple[float, ...]:
         """Return `count` positive numbers."""
-        return self._checked(key, count, default, lambda v: min(v) <= 0.0, "{:g} is not positive")
+        return self.numbers(key, count, default, lambda v: min(v) <= 0.0, "{:g} is not positive")
 
     def positive(self, key: str, default: float) -> float:
         """Return a positive number."""
@@ -252,13 +264,17 @@ class TagReader(ABC):
     def scale(self, key: str) -> Vector:
         """Return three factors, by default 1; negative ones mirror."""
         reason = "a scale of 0 leaves nothing"
-        return self._checked(key, 3, "1 1 1", lambda v: 0.0 in v, reason)
+        return self.numbers(key, 3, "1 1 1", lambda v: 0.0 in v, reason)
 
     def direction(self, key: str, default: str) -> Vector:
         """Return a unit vector."""
         reason = "a zero vector has no direction"
-        values = self._checked(key, 3, default, lambda v: _length(v) == 0.0, reason)
+        values = self.numbers(key, 3, default, lambda v: _length(v) == 0.0, reason)
         return tuple(value / _length(values) for value in values)
+
+    def friction_direction(self, key: str) -> Vector | None:
+        """Return a unit vector; None for a zero vector or none."""
+        return self.direction(key, "") if any(self.numbers(key, 3, "0 0 0")) else None
 
     def choice(self, key: str, known: Sequence[str]) -> str:
         """Return one of several words, by default the first."""
@@ -268,6 +284,17 @@ class TagReader(ABC):
         self.doubt(XmlError(f"{self.where(key)}: '{word}' is not one of {', '.join(known)}"))
         return known[0]
 
+    def colour(self, key: str, default: Any) -> Any:
+        """Return red, green, blue and alpha, alpha 1 by default; or the default if missing."""
+        text = self.text(key)
+        if not text:
+            return default
+        try:
+            return numbers(f"{text} 1" if len(text.split()) == 3 else text, 4, self.where(key))
+        except XmlError as error:
+            self.doubt(error)
+            return default
+
     def boolean(self, key: str, default: bool) -> bool:
         """Return the truth value of true, false, 1 or 0."""
         text = self.text(key, repr(default))
@@ -276,26 +303,6 @@ class TagReader(ABC):
             return lowered in ("true", "1")
         self.doubt(XmlError(f"{self.where(key)}: '{text}' is not true or false"))
         return default
-
-    def _checked(
-        self,
-        key: str,
-        count: int,
-        default: str,
-        is_wrong: Callable[[Tuple[float, ...]], bool],
-        reason: str,
-    ) -> Tuple[float, ...]:
-        """Return finite numbers that are not wrong; `reason` is formatted with the least one."""
-        try:
-            values = numbers(self.text(key, default), count, self.where(key))
-            if is_wrong(values):
-                raise XmlError(f"{self.where(key)}: {reason.format(min(values))}")
-            return values
-        except XmlError as error:
-            if not default:
-                raise
-            self.doubt(error)
-            return numbers(default, count, self.where(key))
 
 
 def _length(values: Sequence[float]) -> float:

@@ -15,7 +15,7 @@ from bullet_lab.docking.controllers import CONTROLLERS
 from bullet_lab.docking.types import DockingError
 from bullet_lab.docking.verdict import ERRORS, judge, largest_errors
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.floor_plan import Footprint, footprints
+from bullet_lab.simulation.world.description import Footprint, footprints
 from bullet_lab.studies.dock_campaign.docking import (
     MARKER_POSE,
     TURNING_RADIUS,

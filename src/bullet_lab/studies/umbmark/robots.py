@@ -26,9 +26,7 @@ from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Link, Model
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Sphere
-from bullet_lab.simulation.world.urdf import read_urdf_file
-from bullet_lab.simulation.world.xacro import expand_xacro, is_xacro
-from bullet_lab.simulation.world.xml import read_text
+from bullet_lab.simulation.world.urdf import read_urdf_file, read_urdf_text
 from bullet_lab.studies.study import UnfinishedError
 from bullet_lab.studies.umbmark.runs import Run
 
@@ -261,8 +259,7 @@ class ControlledRobot(FloorRobot):
         parameters["publish_rate"] = max(CLOSED_LOOP_RATE, parameters.get("publish_rate", 0.0))
         for key, wrong in multipliers(errors).items():
             parameters[key] = parameters.get(key, 1.0) / wrong * multipliers(correction)[key]
-        urdf = expand_xacro(found) if is_xacro(found) else read_text(found)
-        manager = plugin.configure(urdf, tree)
+        manager = plugin.configure(read_urdf_text(found), tree)
         controller = manager.load(name, ControlParameters(parameters, f"{plugin.namespace}{name}"))
         manager.switch([name], [])
         left, right = (2.0 * radius for radius in controller.radii)

@@ -6,7 +6,7 @@ from bullet_lab.core.parameters import ParameterError, read_parameters
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import numbered
 from bullet_lab.ros.nodes.populate import PopulateParameters, description_of, names_of, places_of
-from bullet_lab.simulation.world.sdf import read_description
+from bullet_lab.simulation.world.sdf import read_spawned
 
 
 def wanted(**given):
@@ -15,7 +15,7 @@ def wanted(**given):
 
 def test_by_default_the_three_beacons_of_the_report():
     assert places_of(wanted()) == [(1.0, 1.0, 0.0), (5.0, 1.0, 0.0), (-5.0, 1.0, 0.0)]
-    model = read_description(description_of(wanted().model), "beacon")
+    model = read_spawned(description_of(wanted().model), "beacon")
     assert model.static
     assert model.links[0].collisions[0].geometry.path.name == "beacon.dae"
 
@@ -41,7 +41,7 @@ def test_descriptions_are_files_or_references(package, tmp_path):
     path = package / "urdf" / "beacon.urdf"
     assert description_of(str(path)) == path.read_text()
     assert description_of("package://bullet_lab/urdf/beacon.urdf") == path.read_text()
-    folder = read_description(description_of(str(package / "models" / "beacon")), "folder")
+    folder = read_spawned(description_of(str(package / "models" / "beacon")), "folder")
     assert folder.name == "beacon"
     assert "model://a&amp;b" in description_of("model://a&b")
     with pytest.raises(LabError, match="no such file"):

@@ -29,8 +29,8 @@ from bullet_lab.simulation.world.description import (
     Sphere,
     World,
 )
-from bullet_lab.simulation.world.inertia import principal_axes
 from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.tree import principal_axes
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 UNIT = Inertia(2.0, (0.1, 0.2, 0.3), np.diag([0.1, 0.15, 0.2]))

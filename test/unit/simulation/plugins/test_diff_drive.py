@@ -13,7 +13,7 @@ from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning, Wheel
 from bullet_lab.simulation.simulation import SimulationError
 from bullet_lab.simulation.world.description import PluginTag
-from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 FILENAME = "libgazebo_ros_diff_drive.so"
@@ -62,7 +62,7 @@ def with_friction(link, friction):
 
 def kerb(x):
     """A low wall across the way, with its near face at x."""
-    return read_model_text(
+    return read_spawned(
         f'<sdf><model name="kerb"><static>true</static><pose>{x + 0.1} 0 0.05 0 0 0</pose>'
         '<link name="l"><collision name="c"><geometry><box><size>0.2 9 0.1</size></box>'
         "</geometry></collision></link></model></sdf>",
@@ -227,7 +227,7 @@ def test_odometry_of_the_world(world, spawn):
         '<link name="l"><collision name="c"><geometry><box><size>4 4 0.2</size></box>'
         "</geometry></collision></link></model></sdf>"
     )
-    world.add(read_model_text(stage, "stage"))
+    world.add(read_spawned(stage, "stage"))
     robot = spawn(Pose.from_rpy((5.0, 5.0, 0.2), (0.0, 0.0, math.pi / 2)))
     samples = record(robot)
     robot.command("cmd_vel", PlanarCommand(vx=0.2, wz=0.4))

@@ -3,7 +3,7 @@
 import pytest
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.world.sdf import read_description
+from bullet_lab.simulation.world.sdf import read_spawned
 
 WHEEL = """<link name="{0}"><pose>{1} {2} 0.1 0 0 0</pose>
   <inertial><mass>1</mass><inertia><ixx>0.01</ixx><iyy>0.01</iyy><izz>0.01</izz></inertia></inertial>
@@ -22,7 +22,7 @@ SKID = [(f"{side}_{end}", x, y) for side, y in (("left", 0.2), ("right", -0.2))
 )
 def test_odometry_is_of_the_model_and_not_of_its_first_link(world, plugin, wheels):
     text = ROBOT.format("".join(WHEEL.format(*wheel) for wheel in wheels), plugin)
-    robot = world.add(read_description(text, "robot"), "", Pose((1.0, 2.0, 0.0)))
+    robot = world.add(read_spawned(text, "robot"), "", Pose((1.0, 2.0, 0.0)))
     told = []
     robot.listen("odom", told.append)
     world.run_for(0.06)

@@ -11,7 +11,7 @@ from bullet_lab.simulation.plugins import PluginError
 from bullet_lab.simulation.plugins.planar_move import PUBLISHED_RADIUS
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import SimulationError
-from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.urdf import read_urdf
 
 FRICTION_LOSS = 9.8e-3  # m/s at each step of 1 ms
@@ -32,7 +32,7 @@ def block(tags="", mu="1", inertial_origin="0 0 0.025"):
 
 
 def wall(yaw=0.0):
-    return read_model_text(
+    return read_spawned(
         f'<sdf><model name="wall"><static>true</static><pose>1 0 0.5 0 0 {yaw}</pose>'
         '<link name="l"><collision name="c"><geometry><box><size>0.2 20 1</size></box>'
         "</geometry></collision></link></model></sdf>",
@@ -190,7 +190,7 @@ def test_a_wall_stops_the_block(world, robot, yaw, speed):
 
 
 def test_pushing_a_box_does_not_blow_up(world, robot):
-    crate = read_model_text(
+    crate = read_spawned(
         '<sdf><model name="crate"><pose>0.5 0 0.1 0 0 0</pose><link name="l"><inertial>'
         "<mass>1</mass><inertia><ixx>0.0067</ixx><iyy>0.0067</iyy><izz>0.0067</izz></inertia>"
         '</inertial><collision name="c"><geometry><box><size>0.2 0.2 0.2</size></box></geometry>'

@@ -23,8 +23,7 @@ from bullet_lab.simulation.world.description import (
     Texture,
     Visual,
 )
-from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
 
 # By quarters: upper left, upper right, lower left, lower right.
@@ -218,9 +217,9 @@ def tags(tmp_path):
         ("0 0 0 0 0 3.1416", "<plane><normal>1 0 0</normal><size>0.5 0.5</size></plane>"),
     ],
 )
-def test_a_marker_by_a_script_is_detected(tags, pose, shape):
-    finder = ResourceFinder(None, model_folders=(tags,))
-    model = read_model_text(TAG.format(pose, shape), "tag.sdf", finder)
+def test_a_marker_by_a_script_is_detected(tags, monkeypatch, pose, shape):
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tags))
+    model = read_spawned(TAG.format(pose, shape), "tag.sdf")
     with simulation_of(model) as simulation:
         picture = simulation.renderer().picture(Pose((-1.5, 0.05, 0.02)), Shot(CAMERA))
     detector = MarkerDetector(DetectorSettings(dictionary="apriltag_36h11"))

@@ -10,7 +10,7 @@ from conftest import BLOCK_ROBOT, complains
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
-from bullet_lab.simulation.world.sdf import read_description
+from bullet_lab.simulation.world.sdf import read_spawned
 
 SDF = """<sdf version="1.6"><model name="m">
   <link name="a"><inertial><mass>1</mass>
@@ -82,7 +82,7 @@ BROKEN = [
 def test_what_is_broken_is_named_with_what_and_where(world, text, old, new, said):
     assert old in text
     with complains(said):
-        world.add(read_description(text.replace(old, new), "model_xml of 'm'"))
+        world.add(read_spawned(text.replace(old, new), "model_xml of 'm'"))
     world.run_for(0.01)
 
 
@@ -98,7 +98,7 @@ def test_what_is_broken_is_named_with_what_and_where(world, text, old, new, said
 )
 def test_names_and_poses_that_cannot_be(world, name, pose, said):
     with pytest.raises(LabError, match=said):
-        world.add(read_description(SDF, "text"), name, pose)
+        world.add(read_spawned(SDF, "text"), name, pose)
     assert list(world.models) == ["ground_plane"]
 
 
@@ -134,7 +134,7 @@ def test_whatever_is_spawned_a_robot_drives_on(world, package):
     for _ in range(150):
         text = spoilt(random_.choice(texts), random_)
         try:
-            model = read_description(text, "text")
+            model = read_spawned(text, "text")
             world.add(model, "odd", Pose((3.0, 3.0, 0.5)) * model.pose)
             accepted += 1
         except LabError as error:

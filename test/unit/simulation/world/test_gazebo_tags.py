@@ -7,8 +7,8 @@ from sensor_worlds import INERTIAL, carrier, empty
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.gazebo_materials import MATERIALS, gazebo_material
-from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.materials import GAZEBO_MATERIALS
+from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.urdf import read_urdf
 
 FLOOR = "package://bullet_lab/worlds/empty.world"
@@ -53,11 +53,12 @@ def test_without_a_material_the_urdfs_colour_stays():
 
 
 def test_the_table_of_colours():
-    assert len(MATERIALS) >= 60
-    colours = [c for m in MATERIALS.values() for c in (m.diffuse, m.ambient or m.diffuse)]
-    assert all(0.0 <= part <= 1.0 for colour in colours for part in colour)
-    assert gazebo_material("Red") is None
-    assert gazebo_material("Gazebo/Plaid") is None
+    assert len(GAZEBO_MATERIALS) >= 60
+    for colour, look, _, plain in GAZEBO_MATERIALS.values():
+        colours = (colour, look.ambient or colour, plain)
+        assert all(0.0 <= part <= 1.0 for one in colours for part in one)
+    assert "Red" not in GAZEBO_MATERIALS
+    assert "Gazebo/Plaid" not in GAZEBO_MATERIALS
 
 
 def test_an_unknown_material_is_reported_and_the_colour_stays(caplog):
@@ -69,7 +70,7 @@ def test_an_unknown_material_is_reported_and_the_colour_stays(caplog):
 
 
 def sdf(visual="", collision="", link="", name="m"):
-    return read_model_text(
+    return read_spawned(
         f"<sdf><model name='{name}'><link name='l'>{link}<visual name='v'><geometry><box>"
         f"<size>1 1 1</size></box></geometry>{visual}</visual><collision name='c'><geometry>"
         f"<box><size>1 1 1</size></box></geometry>{collision}</collision></link></model></sdf>",

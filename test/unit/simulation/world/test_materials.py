@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 from sensor_worlds import carrier
 
+from bullet_lab.simulation.world import resources
 from bullet_lab.simulation.world.description import Material, Texture
-from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.sdf import read_model_text, read_world_file
+from bullet_lab.simulation.world.sdf import read_spawned, read_world_file
 from bullet_lab.simulation.world.urdf import read_urdf
 
 SCRIPT = """
@@ -30,7 +30,7 @@ abstract material Shop/Base { technique { pass { lighting on } } }
 material Shop/Glass { technique { pass { scene_blend alpha_blend
   diffuse 0 0 1 0.25 } } }
 material Shop/Lamp { technique { pass { lighting off
-  texture_unit { colour_op_ex source1 src_manual src_current 1 0.5 0 } } } }
+  diffuse 1 0.5 0 } } }
 material Shop/Layers { technique { pass { diffuse 1 0 0 } pass { diffuse 0 1 0 }
   pass { scene_blend add
     diffuse 0 0 1 } } }
@@ -45,7 +45,7 @@ material Shop/Relabelled : Shop/Labelled { set_texture_alias label crate.png
 
 
 @pytest.fixture
-def shop(tmp_path):
+def shop(tmp_path, monkeypatch):
     """The folder of models with a script and a picture, as Gazebo's models have them."""
     model = tmp_path / "models" / "shop"
     for name in ("scripts", "textures"):
@@ -54,7 +54,10 @@ def shop(tmp_path):
     (model / "materials" / "scripts" / "shop.material").write_text(SCRIPT)
     picture = model / "materials" / "textures" / "crate.png"
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(picture)
-    return tmp_path / "models"
+    models = tmp_path / "models"
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(models))
+    monkeypatch.setattr(resources, "ros_package_folder", lambda name: models / name)
+    return models
 
 
 GAZEBO_SCRIPT = "file://media/materials/scripts/gazebo.material"
@@ -67,13 +70,12 @@ URIS = (
 )
 
 
-def visual_of(models, material, shape=BOX, more=""):
-    finder = ResourceFinder(None, lambda name: models / name, (models,))
+def visual_of(material, shape=BOX, more=""):
     text = (
         "<sdf version='1.6'><model name='m'><static>1</static><link name='l'><visual name='v'>"
         f"{shape}<material>{material}</material>{more}</visual></link></model></sdf>"
     )
-    (visual,) = read_model_text(text, "m.sdf", finder).links[0].visuals
+    (visual,) = read_spawned(text, "m.sdf").links[0].visuals
     return visual
 
 
@@ -83,7 +85,7 @@ def script(name, uris=URIS[0], more=""):
 
 @pytest.mark.parametrize("uris", URIS)
 def test_colours_and_picture_of_a_script(shop, uris):
-    visual = visual_of(shop, script("Shop/Crate", uris))
+    visual = visual_of(script("Shop/Crate", uris))
     # What is not blended is opaque, whatever its alpha.
     assert visual.colour == (0.5, 0.25, 1.0, 1.0)
     found = visual.material
@@ -105,15 +107,15 @@ def test_file_uris_and_uris_of_several_models(shop, tmp_path):
     other.mkdir(parents=True)
     (other / "a.material").write_text("material Other/A { technique { pass { diffuse 0 1 0 } } }")
     uris = f"<uri>file://{other}</uri>{URIS[1]}"
-    assert visual_of(shop, script("Other/A", uris)).colour == (0, 1, 0, 1)
-    assert visual_of(shop, script("Shop/Crate", uris)).material.texture is not None
+    assert visual_of(script("Other/A", uris)).colour == (0, 1, 0, 1)
+    assert visual_of(script("Shop/Crate", uris)).material.texture is not None
 
 
 @pytest.mark.parametrize(
     ("name", "colour", "lit"),
     [
         ("Shop/Glass", (0, 0, 1, 0.25), True),
-        ("Shop/Lamp", (1, 0.5, 0, 1), False),
+        ("Shop/Lamp", (1, 1, 1, 1), False),
         ("Shop/Layers", (0, 1, 0, 1), True),
         ("Shop/Plain", (1, 1, 1, 1), True),
         ("Gazebo/RedTransparent", (1, 0, 0, 0.5), False),
@@ -121,22 +123,22 @@ def test_file_uris_and_uris_of_several_models(shop, tmp_path):
     ],
 )
 def test_passes_and_blending(shop, name, colour, lit):
-    visual = visual_of(shop, script(name))
+    visual = visual_of(script(name))
     assert (visual.colour, visual.material.lit) == (colour, lit)
 
 
 def test_a_picture_by_its_alias(shop):
-    assert visual_of(shop, script("Shop/Relabelled")).material.texture.path.name == "crate.png"
+    assert visual_of(script("Shop/Relabelled")).material.texture.path.name == "crate.png"
 
 
 def test_gazebos_ambient_and_emissive_colours(shop):
-    assert visual_of(shop, script("Gazebo/Grey")).material.ambient == (0.3, 0.3, 0.3, 1.0)
-    assert visual_of(shop, script("Gazebo/RedGlow")).material.emissive == (1.0, 0.0, 0.0, 1.0)
+    assert visual_of(script("Gazebo/Grey")).material.ambient == (0.3, 0.3, 0.3, 1.0)
+    assert visual_of(script("Gazebo/RedGlow")).material.emissive == (1.0, 0.0, 0.0, 1.0)
 
 
 def test_what_the_material_tag_says_goes_over_the_script(shop):
     own = "<diffuse>0 1 0 1</diffuse><emissive>1 0 0 1</emissive>"
-    visual = visual_of(shop, script("Shop/Crate", more=own))
+    visual = visual_of(script("Shop/Crate", more=own))
     assert visual.colour == (0, 1, 0, 1)
     assert visual.material.ambient == (0.1, 0.2, 0.3, 1.0)
     assert visual.material.emissive == (1, 0, 0, 1)
@@ -145,11 +147,11 @@ def test_what_the_material_tag_says_goes_over_the_script(shop):
 
 def test_colours_without_a_script(shop):
     both = "<ambient>1 0 0</ambient><diffuse>0 1 0 0.5</diffuse><lighting>0</lighting>"
-    visual = visual_of(shop, both, more="<transparency>0.5</transparency>")
+    visual = visual_of(both, more="<transparency>0.5</transparency>")
     assert visual.colour == (0, 1, 0, 0.25)
     assert visual.material == Material((1, 0, 0, 1), lit=False, covers=True)
-    assert visual_of(shop, "<ambient>1 0 0 1</ambient>").colour == (1, 0, 0, 1)
-    assert visual_of(shop, "<specular>1 0 0 1</specular>").material == Material()
+    assert visual_of("<ambient>1 0 0 1</ambient>").colour == (1, 0, 0, 1)
+    assert visual_of("<specular>1 0 0 1</specular>").material == Material()
 
 
 @pytest.mark.parametrize(
@@ -168,21 +170,21 @@ def test_colours_without_a_script(shop):
     ],
 )
 def test_what_is_missing_is_said_once_and_the_rest_is_drawn(shop, material, message, caplog):
-    finder = ResourceFinder(None, lambda name: shop / name, (shop,))
     visuals = "".join(
         f"<visual name='v{n}'>{BOX}<material>{material}</material></visual>" for n in range(3)
     )
     text = f"<sdf><model name='m'><link name='l'>{visuals}</link></model></sdf>"
     with caplog.at_level(logging.WARNING):
-        model = read_model_text(text, "m.sdf", finder)
+        model = read_spawned(text, "m.sdf")
     assert len(model.links[0].visuals) == 3
     (line,) = caplog.messages
     assert message in line
 
 
 def test_a_colour_that_is_none_is_said(shop, caplog):
-    assert visual_of(shop, "<diffuse>green</diffuse><ambient>1 0 0</ambient>").colour[0] == 1.0
-    assert "visual 'v': <diffuse>: 'green' is not 4 finite numbers; ignored" in caplog.text
+    assert visual_of("<diffuse>green</diffuse><ambient>1 0 0</ambient>").colour[0] == 1.0
+    message = "visual 'v': <diffuse>: 'green' is not 4 finite numbers; the default is used"
+    assert message in caplog.text
 
 
 def test_a_script_that_breaks_off_keeps_what_was_before(shop, caplog):
@@ -190,7 +192,7 @@ def test_a_script_that_breaks_off_keeps_what_was_before(shop, caplog):
     (scripts / "z.material").write_text(
         "material Z/A { technique { pass { diffuse 0 0 1 } } }\nmaterial Z/B { technique {"
     )
-    assert visual_of(shop, script("Z/A")).colour == (0, 0, 1, 1)
+    assert visual_of(script("Z/A")).colour == (0, 0, 1, 1)
     assert "z.material: 'technique ' is not closed" in caplog.text
 
 
@@ -204,7 +206,7 @@ def test_imports_and_parents_in_other_files(shop):
         'import Base/A from "base.material"\nmaterial Use/A : Base/A { }'
     )
     uri = "<uri>model://shop/materials/scripts/use.material</uri>"
-    assert visual_of(shop, script("Use/A", uri)).colour == (0, 1, 1, 1)
+    assert visual_of(script("Use/A", uri)).colour == (0, 1, 1, 1)
 
 
 def test_pictures_never_lie_outside_of_the_folders(shop, tmp_path, caplog):
@@ -216,7 +218,7 @@ def test_pictures_never_lie_outside_of_the_folders(shop, tmp_path, caplog):
         path.write_text(
             f'material S {{ technique {{ pass {{ texture_unit {{ texture "{name}"\n}}}}}}}}'
         )
-        assert visual_of(shop, script("S")).material.texture is None
+        assert visual_of(script("S")).material.texture is None
     assert caplog.text.count("not found; drawn without it") == 3
 
 
@@ -233,8 +235,7 @@ def test_what_one_model_declares_the_next_ones_know(shop, tmp_path):
         f"{BOX}<material>{script('Shop/Crate')}</material></visual></link></model></sdf>"
     )
     (tmp_path / "w.world").write_text(WORLD.format(BOX))
-    finder = ResourceFinder(None, model_folders=(shop,))
-    crate, glass = read_world_file(tmp_path / "w.world", finder).models
+    crate, glass = read_world_file(tmp_path / "w.world").models
     assert crate.links[0].visuals[0].material.texture is not None
     assert glass.links[0].visuals[0].colour == (0, 0, 1, 0.25)
 
@@ -259,7 +260,7 @@ def test_gazebos_media_folders(scripts, textures, shop, tmp_path, monkeypatch):
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(share / textures / "wood.jpg")
     monkeypatch.setenv("GAZEBO_RESOURCE_PATH", f"{tmp_path / 'gone'}:{tmp_path / 'share'}")
     for name in ("Mine", "Gazebo/Wood"):
-        texture = visual_of(shop, script(name, "")).material.texture
+        texture = visual_of(script(name, "")).material.texture
         assert texture.path == share / textures / "wood.jpg"
         robot = tagged(f"<material>{name}</material>")
         assert robot.links[0].visuals[0].material.texture == texture
@@ -276,8 +277,7 @@ def test_a_material_as_in_sdf_for_a_link_of_a_urdf(shop):
         f"<gazebo reference='base'><visual><material>{script('Shop/Crate')}</material></visual>"
         "</gazebo></robot>"
     )
-    finder = ResourceFinder(None, lambda name: shop / name, (shop,))
-    (visual,) = read_urdf(text, "r.urdf", finder).links[0].visuals
+    (visual,) = read_urdf(text, "r.urdf").links[0].visuals
     assert visual.colour == (0.5, 0.25, 1.0, 1.0)
     assert visual.material.texture is not None
     colours = "<visual><material><diffuse>0 1 0 1</diffuse></material></visual>"

@@ -8,10 +8,11 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.samples import PlanarCommand
-from bullet_lab.simulation.world import meshes
+from bullet_lab.simulation.world import meshes, shapes
 from bullet_lab.simulation.world.description import Mesh, Model
 from bullet_lab.simulation.world.mesh_parts import mesh_parts
-from bullet_lab.simulation.world.meshes import MeshError, load_triangles
+from bullet_lab.simulation.world.meshes import MeshError
+from bullet_lab.simulation.world.shapes import load_triangles
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 MATRIX = "0.25 0 0 0 0 0.25 0 0 0 0 1 1 0 0 0 1"
@@ -303,14 +304,14 @@ def random_ball(count):
 
 def test_a_hull_has_each_corner_once(tmp_path):
     mesh = stored(CORNERS + CORNERS[::-1], tmp_path)
-    assert sorted(meshes.hull_corners(mesh).tolist()) == sorted(CORNERS)
+    assert sorted(shapes.hull_corners(mesh).tolist()) == sorted(CORNERS)
 
 
 def test_a_hull_of_too_many_corners_is_the_same_to_a_thousandth(tmp_path, monkeypatch):
-    monkeypatch.setattr(meshes, "MOST_CORNERS", 20_000)
+    monkeypatch.setattr(shapes, "MOST_CORNERS", 20_000)
     points = random_ball(30_000)
     mesh = stored(points, tmp_path)
-    corners = meshes.hull_corners(mesh)
+    corners = shapes.hull_corners(mesh)
     assert len(corners) <= 20_000
     assert {*map(tuple, corners.tolist())} <= {*map(tuple, points.tolist())}
     for direction in np.random.default_rng(4).normal(size=(50, 3)):
@@ -320,10 +321,10 @@ def test_a_hull_of_too_many_corners_is_the_same_to_a_thousandth(tmp_path, monkey
 
 
 def test_triangles_in_pieces(tmp_path, monkeypatch):
-    monkeypatch.setattr(meshes, "MOST_CORNERS", 8)
+    monkeypatch.setattr(shapes, "MOST_CORNERS", 8)
     points = random_ball(12)
     mesh = stored(points, tmp_path)
-    pieces = meshes.triangle_corners(mesh)
+    pieces = shapes.triangle_corners(mesh)
     assert [len(piece) for piece in pieces] == [6, 6]
     assert np.array_equal(np.concatenate(pieces), points)
 

@@ -1,5 +1,6 @@
 import pytest
 
+from bullet_lab.simulation.world import resources
 from bullet_lab.simulation.world.resources import (
     ResourceError,
     ResourceFinder,
@@ -22,11 +23,11 @@ def files(tmp_path):
 
 
 @pytest.fixture
-def finder(files):
+def finder(files, monkeypatch):
     packages = {"pkg": files / "pkg"}
-    return ResourceFinder(
-        files / "pkg" / "urdf", packages.get, [files / "first", files / "second"]
-    )
+    monkeypatch.setattr(resources, "ros_package_folder", packages.get)
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", f"{files}/first:{files}/second")
+    return ResourceFinder(files / "pkg" / "urdf")
 
 
 def test_what_may_be_found(finder, files):
@@ -108,7 +109,7 @@ def test_the_user_may_name_any_file(files, monkeypatch):
     with pytest.raises(ResourceError, match="no such file"):
         anywhere.find("nix")
     with pytest.raises(ResourceError, match="outside the folders"):
-        anywhere.beside(files / "pkg/urdf/a.urdf").find("/etc/passwd")
+        ResourceFinder(files / "pkg/urdf").find("/etc/passwd")
 
 
 def test_the_lab_finds_itself_and_gazebo_model_path_comes_first(package, tmp_path, monkeypatch):
@@ -147,6 +148,6 @@ def test_relative_paths_are_looked_up_in_gazebo_resource_path(finder, files, mon
     assert finder.find("file://media/m.stl") == files / "media/m.stl"
     assert finder.find("media/m.stl") == files / "media/m.stl"
     assert finder.find("a.urdf") == files / "pkg/urdf/a.urdf"
-    assert ResourceFinder(None, {}.get, []).find("media/m.stl") == files / "media/m.stl"
+    assert ResourceFinder().find("media/m.stl") == files / "media/m.stl"
     with pytest.raises(ResourceError, match="leaves its folder"):
         finder.find("file://media/../../x")

@@ -5,8 +5,7 @@ from conftest import complains
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import Box, Cylinder, Mesh, Plane, Sphere
-from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.sdf import DEFAULT_COLOUR, read_model_text, read_world_file
+from bullet_lab.simulation.world.sdf import DEFAULT_COLOUR, read_spawned, read_world_file
 
 BEACON = "package://bullet_lab/meshes/beacon.dae"
 
@@ -37,13 +36,15 @@ def include(inside):
 
 
 @pytest.fixture
-def read_world(tmp_path):
+def read_world(tmp_path, monkeypatch):
     """Write a world with the given content, and read it with models/ as the model folder."""
+
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tmp_path / "models"))
 
     def read(inside):
         path = tmp_path / "test.world"
         path.write_text(sdf(f'<world name="w">{inside}</world>'))
-        return read_world_file(path, ResourceFinder(model_folders=[tmp_path / "models"]))
+        return read_world_file(path)
 
     return read
 
@@ -103,13 +104,13 @@ def test_the_beacons_stand_where_the_report_has_them(package):
 )
 def test_shapes(text, geometry):
     parts = shape(text) + shape(text, tag="visual")
-    (found,) = read_model_text(model(link(parts)), "s").links
+    (found,) = read_spawned(model(link(parts)), "s").links
     assert found.collisions[0].geometry == found.visuals[0].geometry == geometry
 
 
 def test_meshes(package):
     text = f"<mesh><uri>{BEACON}</uri><scale>1 2 3</scale></mesh>"
-    (found,) = read_model_text(model(link(shape(text))), "s").links
+    (found,) = read_spawned(model(link(shape(text))), "s").links
     path = package / "meshes/beacon.dae"
     assert found.collisions[0].geometry == Mesh(path, BEACON, (1, 2, 3))
 
@@ -117,10 +118,10 @@ def test_meshes(package):
 def test_shapes_throw_shadows_unless_they_say_otherwise():
     said = ("", "<cast_shadows>true</cast_shadows>", "<cast_shadows>0</cast_shadows>")
     shapes = "".join(shape("<sphere><radius>1</radius></sphere>", s, "visual") for s in said)
-    (body,) = read_model_text(model(link(shapes)), "s").links
+    (body,) = read_spawned(model(link(shapes)), "s").links
     assert [visual.casts_shadows for visual in body.visuals] == [True, True, False]
     with complains("cast_shadows"):
-        read_model_text(model(link(shapes.replace(">0<", ">some<"))), "s")
+        read_spawned(model(link(shapes.replace(">0<", ">some<"))), "s")
 
 
 def test_poses_colours_friction_and_static():
@@ -139,7 +140,7 @@ def test_poses_colours_friction_and_static():
             + shape(ball, "", "visual")
         )
     )
-    read = read_model_text(text, "s")
+    read = read_spawned(text, "s")
     assert read.static
     (body,) = read.links
     for placed in (read, body, body.collisions[0]):
@@ -157,10 +158,10 @@ def test_what_moves_has_the_inertia_of_the_file_or_that_of_the_format():
         "<inertial><pose>0 0 1 0 0 1.5707963267948966</pose><mass>2</mass>"
         "<inertia><ixx>1</ixx><iyy>2</iyy><izz>2.5</izz></inertia></inertial>"
     )
-    (own,) = read_model_text(model(link(inertial)), "s").links
+    (own,) = read_spawned(model(link(inertial)), "s").links
     assert (own.inertia.mass, own.inertia.centre) == (2.0, (0, 0, 1))
     assert own.inertia.matrix.diagonal() == pytest.approx((2, 1, 2.5))
-    (default,) = read_model_text(model(link()), "s").links
+    (default,) = read_spawned(model(link()), "s").links
     assert default.inertia.mass == 1.0
     assert default.inertia.matrix.diagonal() == pytest.approx((1, 1, 1))
 
@@ -171,12 +172,12 @@ def test_joints_hang_where_the_links_stand():
         "<dynamics><damping>0.1</damping></dynamics></axis>"
     )
     high = link("<pose>0 0 1 0 0 0</pose>") + link("<pose>1 0 1 0 0 0</pose>", "b")
-    (found,) = read_model_text(model(high + joint("revolute", inside=axis)), "s").joints
+    (found,) = read_spawned(model(high + joint("revolute", inside=axis)), "s").joints
     assert found.pose.position == pytest.approx((1, 0, 0))
     assert found.axis == (0, 0, 1)
     assert found.limits == {"lower": -1, "upper": 1}
     assert found.damping == 0.1
-    lumped = read_model_text(model(high + joint("fixed")), "s")
+    lumped = read_spawned(model(high + joint("fixed")), "s")
     assert [part.name for part in lumped.links] == ["a"]
     assert lumped.links[0].inertia.mass == 2.0
     assert lumped.links[0].inertia.centre == pytest.approx((0.5, 0, 0))
@@ -188,7 +189,7 @@ def test_limits_beyond_all_bounds_are_none(caplog):
         "<velocity>3</velocity></limit>"
     )
     parts = "".join(f"<link name='{name}'/>" for name in "ab")
-    (joint,) = read_model_text(
+    (joint,) = read_spawned(
         f"<sdf><model name='m'>{parts}<joint name='j' type='revolute'><parent>a</parent>"
         f"<child>b</child><axis><xyz>0 0 1</xyz>{limit}</axis></joint></model></sdf>",
         "m",
@@ -202,7 +203,7 @@ def test_plugins_of_the_model_and_of_links_sensors():
         '<plugin name="p" filename="libp.so"><x>1</x></plugin>'
         + link('<sensor name="s" type="ray"><plugin name="q" filename="libq.so"/></sensor>')
     )
-    outer, inner = read_model_text(text, "s").plugins
+    outer, inner = read_spawned(text, "s").plugins
     assert (outer.filename, outer.tags, outer.link) == ("libp.so", {"x": "1"}, "")
     assert (inner.filename, inner.link, inner.sensor.get("name")) == ("libq.so", "a", "s")
 
@@ -267,7 +268,7 @@ def test_gazebo_model_path(tmp_path, save_model, monkeypatch):
     [("<heightmap/>", "geometry <heightmap> is not simulated"), ("<empty/>", None)],
 )
 def test_unsupported_shapes_are_named_and_skipped(geometry, warning, caplog):
-    (found,) = read_model_text(model(link(shape(geometry))), "s").links
+    (found,) = read_spawned(model(link(shape(geometry))), "s").links
     assert found.collisions == ()
     lines = [record.getMessage() for record in caplog.records]
     assert lines == ([f"s: model 'm': link 'a': <collision>: {warning}"] if warning else [])
@@ -350,7 +351,7 @@ BAD_MODELS = {
         model(link() + link("", "b") + joint("fixed") + joint("fixed", "b", "a", name="k")),
         "joint 'k' closes a loop and is left out",
     ),
-    "wrong root": ("<robot/>", "the root element is <robot>, not <sdf>"),
+    "wrong root": ("<mesh/>", "the root element is <mesh>, neither <sdf> nor <robot>"),
     "malformed": ("<sdf>", "not well-formed XML"),
     "DTD": ("<!DOCTYPE sdf><sdf/>", "document types and entities are refused"),
     "none": (sdf(""), "there is no model"),
@@ -364,7 +365,7 @@ BAD_MODELS = {
 @pytest.mark.parametrize(("text", "message"), BAD_MODELS.values(), ids=BAD_MODELS)
 def test_a_bad_model_is_one_line_that_names_source_and_place(text, message):
     with complains(f"^s: (.*: )?{message}"):
-        read_model_text(text, "s")
+        read_spawned(text, "s")
 
 
 BAD_WORLDS = {

@@ -3,7 +3,6 @@ import pytest
 from conftest import complains
 
 from bullet_lab.simulation.world.description import Attenuation, Cone
-from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_spawned, read_world_file
 
 
@@ -76,6 +75,5 @@ def test_an_include_in_a_world_has_the_last_word_on_the_pose(tmp_path, world, po
     )
     include = f"<include><uri>thing.sdf</uri>{pose}</include>"
     inner = f'<world name="default">{include}</world>' if world else include
-    finder = ResourceFinder(tmp_path)
-    found = read_spawned(f'<sdf version="1.4">{inner}</sdf>', "here", finder)
+    found = read_spawned(f'<sdf version="1.4">{inner}</sdf>', "here", tmp_path)
     assert found.pose.position == (0.0, 0.0, height)

@@ -1,7 +1,7 @@
 import pytest
 
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.sdf import read_model_text, read_world_file
+from bullet_lab.simulation.world.sdf import read_spawned, read_world_file
 
 MODEL = """<model name="m">{model}<link name="l">{link}
   <collision name="c"><geometry><sphere><radius>1</radius></sphere></geometry>{collision}
@@ -29,7 +29,7 @@ def model_text(**parts):
     ],
 )
 def test_what_is_not_simulated_is_told_once(part, xml, said, caplog):
-    read_model_text(model_text(**{part: xml + xml}), "the text")
+    read_spawned(model_text(**{part: xml + xml}), "the text")
     assert caplog.messages == [f"the text: {said} is not simulated"]
 
 
@@ -52,7 +52,7 @@ def test_what_is_not_simulated_is_told_once(part, xml, said, caplog):
     ],
 )
 def test_what_changes_nothing_is_not_told(part, xml, caplog):
-    read_model_text(model_text(**{part: xml}), "the text")
+    read_spawned(model_text(**{part: xml}), "the text")
     assert caplog.messages == []
 
 
@@ -92,7 +92,7 @@ def test_what_physics_asks_for_is_one_line(tmp_path, caplog):
 
 def test_the_known_plugins_are_named_once(caplog):
     plugins = "".join(f'<plugin name="{n}" filename="lib{n}.so"/>' for n in ("fly", "swim"))
-    model = read_model_text(model_text(model=plugins), "text")
+    model = read_spawned(model_text(model=plugins), "text")
     with Simulation() as simulation:
         simulation.add(model)
         simulation.add(model, "another")
@@ -115,7 +115,7 @@ def test_plugins_of_sdf_models_and_their_tags(caplog):
         '<plugin name="fly" filename="libfly.so"/>'
         '<plugin name="move" filename="libgazebo_ros_planar_move.so"><speed>1</speed></plugin>'
     )
-    model = read_model_text(model_text(model=plugins), "text")
+    model = read_spawned(model_text(model=plugins), "text")
     with Simulation() as simulation:
         simulation.add(model)
     assert len(caplog.messages) == 2
@@ -124,7 +124,7 @@ def test_plugins_of_sdf_models_and_their_tags(caplog):
 
 
 def test_a_model_in_an_include(caplog):
-    read_model_text("<sdf><include><uri>model://beacon</uri></include></sdf>", "text")
+    read_spawned("<sdf><include><uri>model://beacon</uri></include></sdf>", "text")
     assert caplog.messages == []
 
 

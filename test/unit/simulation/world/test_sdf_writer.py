@@ -13,7 +13,7 @@ from conftest import BLOCK_ROBOT, EMPTY_WORLD
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.sdf import read_description, read_world_file
+from bullet_lab.simulation.world.sdf import read_spawned, read_world_file
 from bullet_lab.simulation.world.sdf_writer import world_text
 
 CAMERA_ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
@@ -105,7 +105,7 @@ def busy():
             "falling",
             Pose.from_rpy((0.0, 3.0, 0.5), (0.3, 0.2, 0.1)),
         )
-        machine = simulation.add(read_description(MACHINE, "machine"))
+        machine = simulation.add(read_spawned(MACHINE, "machine"))
         machine.configure({"turn": 0.4, "push": 0.2})
         machine.move(machine.pose(), (0.0, 0.0, 1.0), (1.0, 2.0, 0.5))
         block.command("/left/cmd_vel", PlanarCommand(0.3, 0.0, 0.5))
@@ -210,7 +210,7 @@ def test_plugins_keep_all_their_tags_their_link_and_their_sensor(busy, tmp_path)
 )
 def test_the_namespace_that_a_plugin_was_given_is_saved(tmp_path, world, tag, given, saved):
     text = MACHINE.replace("<updateRate>", f"{tag}<updateRate>")
-    world.add(read_description(text, "machine"), namespace=given)
+    world.add(read_spawned(text, "machine"), namespace=given)
     path, _ = save(world, tmp_path)
     plugins = read_world_file(path).models[-1].plugins
     assert {plugin.tags["robotNamespace"] for plugin in plugins} == saved
@@ -301,7 +301,7 @@ def test_meshes_are_named_so_that_they_are_found(tmp_path, package):
         plain = (package / "models/beacon/model.sdf").read_text()
         plain = plain.replace("package://bullet_lab", package.as_uri())
         simulation.remove("packaged")
-        simulation.add(read_description(plain, "plain"), "plain", Pose((5.0, 0.0, 0.0)))
+        simulation.add(read_spawned(plain, "plain"), "plain", Pose((5.0, 0.0, 0.0)))
         text = save(simulation, tmp_path)[0].read_text()
         assert set(re.findall("<uri>(.*)</uri>", text)) == uris
         # Elsewhere, the mesh is named by its place, and whoever saves is told.
@@ -313,7 +313,7 @@ def test_meshes_are_named_so_that_they_are_found(tmp_path, package):
 
 def test_names_that_occur_twice_in_a_link_get_numbers(tmp_path, world):
     shape = re.search("<visual.*?</visual>", MACHINE, re.DOTALL).group()
-    world.add(read_description(MACHINE.replace(shape, 3 * shape), "machine"))
+    world.add(read_spawned(MACHINE.replace(shape, 3 * shape), "machine"))
     path, _ = save(world, tmp_path)
     assert re.findall('<visual name="(v.?.?)">', path.read_text()) == ["v", "v_1", "v_2"]
 
@@ -321,7 +321,7 @@ def test_names_that_occur_twice_in_a_link_get_numbers(tmp_path, world):
 def test_the_state_of_a_world_that_gazebo_has_saved(tmp_path):
     """Gazebo says where links are and leaves the joints to whoever reads it."""
     with Simulation.of(EMPTY_WORLD) as simulation:
-        machine = simulation.add(read_description(MACHINE, "machine"))
+        machine = simulation.add(read_spawned(MACHINE, "machine"))
         machine.configure({"turn": 1.3, "push": -0.2})
         path, _ = save(simulation, tmp_path)
         text = path.read_text()

@@ -6,14 +6,14 @@ import pytest
 
 from bullet_lab.simulation.physics.bodies import SHAPES as BODIES
 from bullet_lab.simulation.world.meshes import MeshError
-from bullet_lab.simulation.world.sdf import read_model_text
+from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.shapes import SHAPES, Box, Cylinder, Mesh, Plane, Sphere
 
 WITH_EXAMPLES = (
     "core.pose",
     "simulation.plugins.planar_move",
     "simulation.plugins.wheel_drives",
-    "simulation.world.inertia",
+    "simulation.world.tree",
     "simulation.world.shapes",
     "simulation.world.xml",
 )
@@ -59,13 +59,8 @@ def test_a_shape_is_read_as_it_measures(shape):
     )
     geometry = f"<geometry><{shape.tag}>{measures}</{shape.tag}></geometry>"
     text = f"<sdf version='1.6'><model name='m'><link name='l'><collision name='c'>{geometry}"
-    model = read_model_text(f"{text}</collision></link></model></sdf>", "here")
+    model = read_spawned(f"{text}</collision></link></model></sdf>", "here")
     assert model.links[0].collisions[0].geometry == shape
-
-
-def test_only_what_stands_on_a_rectangle_has_one():
-    assert Box((1.0, 2.0, 3.0)).floor_sides() == (1.0, 2.0)
-    assert Sphere(1.0).floor_sides() is None
 
 
 def test_all_that_makes_something_of_shapes_knows_each():

@@ -9,7 +9,7 @@ from conftest import EMPTY_WORLD, complains
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.sdf import read_description
+from bullet_lab.simulation.world.sdf import read_spawned
 
 ROBOT = """<robot name="r"><link name="base"><inertial><mass value="2"/>
   <inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
@@ -25,7 +25,7 @@ def robot(moments="0.001 0.001 0.001", mass="0.3", shape=CYLINDER):
     said = " ".join(f'{key}="{m}"' for key, m in zip(("ixx", "iyy", "izz"), moments.split()))
     inertia = f'<inertia {said} ixy="0" ixz="0" iyz="0"/>'
     inertial = f'<inertial><mass value="{mass}"/>{inertia}</inertial>'
-    return read_description(ROBOT.format(inertial=inertial, shape=shape), "robot")
+    return read_spawned(ROBOT.format(inertial=inertial, shape=shape), "robot")
 
 
 def matrix(model):
@@ -51,7 +51,7 @@ def test_moments_that_are_not_positive_come_from_the_shape(moments):
 def test_off_diagonal_elements_that_no_body_has():
     text = ROBOT.format(inertial="", shape=CYLINDER).replace('ixy="0"', 'ixy="0.05"')
     with complains("link 'base': no body can have the principal moments -0.03, 0.02, 0.07"):
-        model = read_description(text, "robot")
+        model = read_spawned(text, "robot")
     assert np.linalg.eigvalsh(model.links[0].inertia.matrix).min() > 0.0
 
 
@@ -98,14 +98,14 @@ def test_a_static_robot_needs_no_mass():
     text = ROBOT.format(inertial="", shape=CYLINDER)
     text = text.replace("</robot>", "<gazebo><static>true</static></gazebo></robot>")
     with Simulation.of(EMPTY_WORLD) as world:
-        instance = world.add(read_description(text, "robot"), pose=Pose((0.0, 0.0, 1.0)))
+        instance = world.add(read_spawned(text, "robot"), pose=Pose((0.0, 0.0, 1.0)))
         world.run_for(0.1)
         assert instance.model.static
         assert instance.frame("wheel").pose().position == pytest.approx((0, 0.15, 1))
 
 
 def test_a_robot_that_is_only_the_world_is_refused():
-    model = read_description('<robot name="r"><link name="world"/></robot>', "robot")
+    model = read_spawned('<robot name="r"><link name="world"/></robot>', "robot")
     refused = pytest.raises(LabError, match="link 'world' moves and has no mass")
     with Simulation.of(EMPTY_WORLD) as world, refused:
         world.add(model)

@@ -7,8 +7,7 @@ import pytest
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import World
-from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.sdf import read_description, read_world_file
+from bullet_lab.simulation.world.sdf import read_spawned, read_world_file
 from bullet_lab.simulation.world.sdf_writer import world_text
 
 BOX = "<geometry><box><size>0.2 0.2 0.2</size></box></geometry>"
@@ -34,7 +33,7 @@ def axis(xyz, extra="", said=""):
 
 def model(inside, version="1.7", name="m"):
     text = f'<sdf version="{version}"><model name="{name}">{inside}</model></sdf>'
-    return read_description(text, "s")
+    return read_spawned(text, "s")
 
 
 def poses(described):
@@ -175,7 +174,7 @@ URDF_BODY = (
 
 @pytest.mark.parametrize("kind", ["fixed", "continuous"])
 def test_a_urdf_on_the_link_world_stays(kind):
-    robot = read_description(URDF.format(body=URDF_BODY, kind=kind), "s")
+    robot = read_spawned(URDF.format(body=URDF_BODY, kind=kind), "s")
     with Simulation(World("w")) as world:
         instance = world.add(robot, pose=Pose((2.0, 0.0, 0.0)))
         world.run_for(0.3)
@@ -184,7 +183,7 @@ def test_a_urdf_on_the_link_world_stays(kind):
 
 
 def test_a_floating_joint_lets_go(caplog):
-    robot = read_description(URDF.format(body=URDF_BODY, kind="floating"), "s")
+    robot = read_spawned(URDF.format(body=URDF_BODY, kind="floating"), "s")
     assert "type 'floating' is not simulated" in caplog.text
     with Simulation(World("w")) as world:
         instance = world.add(robot)
@@ -243,14 +242,14 @@ PLUGIN = """<plugin name="p" filename="libgazebo_ros_p3d.so"><bodyName>l</bodyNa
 
 
 @pytest.fixture
-def load(tmp_path):
+def load(tmp_path, monkeypatch):
     """Write a world, read it, and return it with what was said."""
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tmp_path / "models"))
 
     def read(inside, version="1.7"):
         path = tmp_path / "a.world"
         path.write_text(f'<sdf version="{version}"><world name="w">{inside}</world></sdf>')
-        folder = tmp_path / "models"
-        return read_world_file(path, ResourceFinder(model_folders=[folder]))
+        return read_world_file(path)
 
     return read
 
@@ -336,8 +335,8 @@ def test_what_is_nested_and_held_is_saved(load, chair, tmp_path):
         assert set(frames) == set(world.models[0].frames)
 
 
-def test_what_spawn_model_sends_of_the_database_is_a_model(chair, tmp_path):
+def test_what_spawn_model_sends_of_the_database_is_a_model(chair, tmp_path, monkeypatch):
     """The real one wraps the <include> in a <world>."""
     text = f'<sdf version="1.4"><world name="default">{chair.format("")}</world></sdf>'
-    finder = ResourceFinder(model_folders=[tmp_path / "models"])
-    assert read_description(text, "s", finder).name == "chair"
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tmp_path / "models"))
+    assert read_spawned(text, "s").name == "chair"

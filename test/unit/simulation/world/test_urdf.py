@@ -6,7 +6,6 @@ from conftest import complains
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import WHITE, Box, Cylinder, Mesh, Sphere
-from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
@@ -268,4 +267,4 @@ def test_meshes_beside_the_file_are_found_and_links_out_of_its_folder_are_not(tm
     for name in ("link.stl", "../secret.stl", str(tmp_path / "secret.stl")):
         (inner / "r.urdf").write_text(with_shape(f'<mesh filename="{name}"/>'))
         with complains("leaves its folder|outside the folders"):
-            read_urdf_file(inner / "r.urdf", ResourceFinder(model_folders=[]))
+            read_urdf_file(inner / "r.urdf")

@@ -11,7 +11,7 @@ from test_dock_campaign import assert_same_results, fake_trial, in_order, outcom
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.docking.types import Calibration, Learned
-from bullet_lab.simulation.world.floor_plan import footprints
+from bullet_lab.simulation.world.description import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf_file
 from bullet_lab.studies.dock_campaign import study
