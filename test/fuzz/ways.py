@@ -35,7 +35,7 @@ from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.shapes import Mesh
 from bullet_lab.simulation.world.xacro import expand_xacro
-from bullet_lab.studies.noise_study.paths import read_path
+from bullet_lab.studies.paths import read_path
 
 PACKAGE = Path(__file__).resolve().parents[2]
 EMPTY = "package://bullet_lab/worlds/empty.world"

@@ -26,7 +26,7 @@ from typing import Dict, Iterator, Sequence, Tuple
 import numpy as np
 from scipy.stats import chi2
 
-from bullet_lab.noise.problem import SYSTEMATIC, Problem
+from bullet_lab.noise.likelihood import SYSTEMATIC, Problem
 
 __all__ = ["SYSTEMATIC", "Fit", "Problem", "covariance", "fit", "intervals", "profile"]
 
@@ -63,12 +63,6 @@ class Optimum:
         """Return those of some of the odometries."""
         return Optimum(self.coordinates[rows], self.log_likelihood[rows], self.information[rows])
 
-    def replace(self, rows: np.ndarray, other: Optimum) -> None:
-        """Replace those of some of the odometries."""
-        self.coordinates[rows] = other.coordinates[rows]
-        self.log_likelihood[rows] = other.log_likelihood[rows]
-        self.information[rows] = other.information[rows]
-
 
 @dataclass(frozen=True, eq=False)
 class Fit(Optimum):
@@ -99,13 +93,16 @@ def fit(problem: Problem) -> Fit:
     best = search.maximise(np.arange(len(problem)), problem.start)
     if not problem.known:
         for _, other in search.mirrored(best):
-            best.replace(other.log_likelihood > best.log_likelihood, other)
+            better = other.log_likelihood > best.log_likelihood
+            best.coordinates[better] = other.coordinates[better]
+            best.log_likelihood[better] = other.log_likelihood[better]
+            best.information[better] = other.information[better]
     is_zero = problem.logarithmic & (best.coordinates <= problem.low)
     return Fit(
         best.coordinates,
         best.log_likelihood,
         best.information,
-        problem.kind.name,
+        problem.model,
         problem.names,
         np.where(is_zero, 0.0, problem.values(best.coordinates)),
     )
@@ -218,20 +215,21 @@ class Search:
     ) -> np.ndarray:
         """Return the lower (side -1) or upper (1) end of the interval of parameter j."""
         limit = (self._low if side < 0.0 else self._high)[j]
+        tangent, reach = self._ahead(optimum, j)
         warm = optimum.coordinates.copy()
-        tangent = self._tangent(optimum, j)
-        inner = warm[:, j].copy()
-        below = beyond_end(best, optimum.log_likelihood)
-        outer = np.full(len(rows), side * np.inf)
-        above = np.full(len(rows), np.nan)
-        reach = self._first_reach(optimum, j)
+        # The farthest point within the end and the nearest one beyond it, with how far they are
+        # beyond the end: a negative distance for the inner one.
+        inner, outer = warm[:, j].copy(), np.full(len(rows), side * np.inf)
+        below, above = beyond_end(best, optimum.log_likelihood), np.full(len(rows), np.nan)
         running = np.arange(len(rows))
         for _ in range(_MAX_STEPS):
             running = running[side * (limit - inner[running]) > 0.0]
             if not running.size:
                 break
-            tried = _next(
-                inner[running], below[running], outer[running], above[running], reach[running], side
+            tried = np.where(
+                np.isfinite(outer[running]),
+                _between(inner[running], below[running], outer[running], above[running]),
+                inner[running] + side * reach[running],
             )
             tried = np.minimum(side * tried, side * limit) * side
             start = warm[running]
@@ -240,7 +238,9 @@ class Search:
             reached = self.maximise(rows[running], start, j, _PROFILE_STEPS)
             warm[running] = reached.coordinates
             beyond = beyond_end(best[running], reached.log_likelihood)
-            _narrow(running, tried, beyond, inner, below, outer, above)
+            out = beyond >= 0.0
+            outer[running[out]], above[running[out]] = tried[out], beyond[out]
+            inner[running[~out]], below[running[~out]] = tried[~out], beyond[~out]
             reach[running] *= 2.0
             close = (np.abs(beyond) < _CLOSE) | (np.abs(outer[running] - inner[running]) < 1e-6)
             running = running[~close]
@@ -250,18 +250,20 @@ class Search:
         nothing = 0.0 if side < 0.0 and self._problem.logarithmic[j] else side * np.inf
         return np.where(at_limit, nothing, self._problem.values(x)[:, j])
 
-    def _first_reach(self, found: Optimum, j: int) -> np.ndarray:
-        """Return about the half width of the interval of parameter j, from the information."""
-        inverse, scale = covariance(found.information)
-        error = np.sqrt(np.maximum(inverse[:, j, j], 1.0)) / scale[:, j]
-        return 1.02 * ROOT * np.minimum(error, 0.5 * self._longest[j])
+    def _ahead(self, optimum: Optimum, j: int) -> Tuple[np.ndarray, np.ndarray]:
+        """Return the way to the ends of the interval of parameter j, by the information.
 
-    def _tangent(self, found: Optimum, j: int) -> np.ndarray:
-        """Return by how much all coordinates change with that of parameter j, (b, k)."""
-        inverse, scale = covariance(found.information)
-        along = inverse[:, :, j] / inverse[:, j, j, np.newaxis]
+        Returns:
+            By how much all coordinates change with that of the parameter, (b, k), and about the
+            half width of the interval, (b,).
+        """
+        inverse, scale = covariance(optimum.information)
+        variance = inverse[:, j, j]
+        along = inverse[:, :, j] / variance[:, np.newaxis]
         slopes = along * scale[:, j, np.newaxis] / scale
-        return np.where(found.coordinates > self._low, slopes, 0.0)
+        error = np.sqrt(np.maximum(variance, 1.0)) / scale[:, j]
+        half = 1.02 * ROOT * np.minimum(error, 0.5 * self._longest[j])
+        return np.where(optimum.coordinates > self._low, slopes, 0.0), half
 
     def _step(
         self,
@@ -296,18 +298,12 @@ def beyond_end(best: np.ndarray, logarithm: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(2.0 * (best - logarithm), 0.0)) - ROOT
 
 
-def _next(inner, below, outer, above, reach, side: float) -> np.ndarray:
-    """Return the next point to try: farther out, or between points on both sides of the root."""
+def _between(inner, below, outer, above) -> np.ndarray:
+    """Return the false position between points on both sides of the root, or the middle.
+
+    The middle is taken where the outer point is too far for the false position to be accurate.
+    """
     with np.errstate(invalid="ignore"):
-        # The false position, or the middle if the outer point is too far for it to be accurate.
         share = np.clip(-below / (above - below), 0.05, 0.95)
         share = np.where(above > 4.0 * ROOT, 0.5, share)
-        between = inner + share * (outer - inner)
-    return np.where(np.isfinite(outer), between, inner + side * reach)
-
-
-def _narrow(rows, tried, beyond, inner, below, outer, above) -> None:
-    """Replace the inner or the outer point by the one that was tried."""
-    out = beyond >= 0.0
-    outer[rows[out]], above[rows[out]] = tried[out], beyond[out]
-    inner[rows[~out]], below[rows[~out]] = tried[~out], beyond[~out]
+        return inner + share * (outer - inner)

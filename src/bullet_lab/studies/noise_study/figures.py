@@ -23,9 +23,9 @@ from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import Moments
 from bullet_lab.noise.noisy_paths import noisy_steps
 from bullet_lab.noise.odometry_noise import MODELS
-from bullet_lab.studies.noise_study.paths import find_corners, resample
 from bullet_lab.studies.noise_study.regions import GAUSSIAN_SHARE, METHODS, level_rule, theory
 from bullet_lab.studies.noise_study.statistics import Case
+from bullet_lab.studies.paths import find_corners, resample
 from bullet_lab.studies.results import labelled, legend_below, legend_entry, panels
 
 COLUMNS = 5

@@ -29,7 +29,6 @@ from bullet_lab.studies.noise_study.figures import (
     levels_figure,
     rates_figure,
 )
-from bullet_lab.studies.noise_study.paths import check_path, read_path, resample, tum_text
 from bullet_lab.studies.noise_study.region_figures import (
     banana_figure,
     distances_figure,
@@ -37,6 +36,7 @@ from bullet_lab.studies.noise_study.region_figures import (
 )
 from bullet_lab.studies.noise_study.regions import HEADER, MEANT, METHODS, right_up_to
 from bullet_lab.studies.noise_study.statistics import Case, study_case
+from bullet_lab.studies.paths import check_path, read_path, resample, tum_text
 from bullet_lab.studies.results import write_results
 from bullet_lab.studies.squares import drive_square
 from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent

@@ -15,7 +15,7 @@ from matplotlib import path as drawing
 
 from bullet_lab.core.trajectory import finite_numbers
 from bullet_lab.errors import LabError
-from bullet_lab.studies.noise_study.paths import read_table
+from bullet_lab.studies.paths import read_table
 
 SIDES = 4
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.core.se2 import wrap
-from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
+from bullet_lab.noise.published_noise import ALL, DEFECTS, NONE, Defects
 from bullet_lab.studies.published_noise.drawn_paths import LENGTHS, PublishedFigure
 from bullet_lab.studies.published_noise.results import EVIDENCE, PValue, Result, groups_of_same
 from bullet_lab.studies.results import legend_below, legend_entry, panels

@@ -14,7 +14,7 @@ from typing import Any, Dict, List, Mapping, Sequence, Tuple
 import numpy as np
 from scipy.stats import beta
 
-from bullet_lab.studies.published_noise.defects import DEFECTS, Defects
+from bullet_lab.noise.published_noise import DEFECTS, Defects
 from bullet_lab.studies.published_noise.drawn_paths import LENGTHS, SIDES
 
 SIGNIFICANCE = 0.05

@@ -16,18 +16,18 @@ import numpy as np
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import integer, number
 from bullet_lab.drive.square import OPEN_LOOP_RATE, Square
-from bullet_lab.noise.odometry_noise import MIN_TRANSLATION, make_generator
-from bullet_lab.noise.published_noise import PUBLISHED_RATE
-from bullet_lab.simulation.world.resources import package_share
-from bullet_lab.studies.published_noise.defects import (
+from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
+from bullet_lab.noise.published_noise import (
     ALL,
     DEFECTS,
     NONE,
+    PUBLISHED_RATE,
     Defects,
     combinations,
     noisy_paths,
     sampled,
 )
+from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.studies.published_noise.drawn_paths import (
     LENGTHS,
     SIDES,
@@ -127,7 +127,7 @@ class Replay:
     def noisy(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
         """Return noisy poses, shape (n, m, 3), of the m paths with these numbers."""
         poses = self.drive.poses[self.messages(defects, paths)]
-        generators = [make_generator(self._settings.seed + int(path)) for path in paths]
+        generators = [np.random.default_rng(self._settings.seed + int(path)) for path in paths]
         draws = np.stack([g.standard_normal((len(poses) - 1, 3)) for g in generators], axis=1)
         return noisy_paths(poses, draws, self._settings.std, defects)
 

@@ -10,7 +10,6 @@ from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory, path_error, read_tum
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
-from bullet_lab.studies.noise_study.paths import resample, tum_text
 from bullet_lab.studies.noise_study.regions import level_rule
 from bullet_lab.studies.noise_study.statistics import (
     PathMetrics,
@@ -19,6 +18,7 @@ from bullet_lab.studies.noise_study.statistics import (
     pairs_at_distance,
     study_case,
 )
+from bullet_lab.studies.paths import resample, tum_text
 
 CASES = [
     ("report", 0.5, 0.9),

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.figures import save
-from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
+from bullet_lab.noise.published_noise import ALL, DEFECTS, NONE, Defects
 from bullet_lab.studies.published_noise.drawn_paths import LENGTHS, PublishedFigure
 from bullet_lab.studies.published_noise.figures import (
     compare_figure,

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.studies.published_noise.defects import NONE, Defects, combinations
+from bullet_lab.noise.published_noise import NONE, Defects, combinations
 from bullet_lab.studies.published_noise.results import (
     EVIDENCE,
     NEEDED,

@@ -186,12 +186,8 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
         rate: Hz, > 0.
 
     Raises:
-        ResamplingError: the path has one pose, or the rate is invalid or too high for it.
+        ResamplingError: the rate is too high for the path.
     """
-    if len(trajectory) < 2:
-        raise ResamplingError("the path has only one pose")
-    if not 0.0 < rate < math.inf:
-        raise ResamplingError(f"a rate must be finite and > 0 Hz, not {rate!r}")
     start, end = trajectory.stamps[[0, -1]]
     count = (end - start) * rate
     if count >= MOST_POSES:
