@@ -12,10 +12,10 @@ from dataclasses import astuple, dataclass
 from typing import Any, Dict, List, Mapping, Sequence, Tuple
 
 import numpy as np
-from scipy.stats import beta
 
 from bullet_lab.noise.published_noise import DEFECTS, Defects
 from bullet_lab.studies.published_noise.drawn_paths import LENGTHS, SIDES
+from bullet_lab.studies.shares import clopper_pearson
 
 SIGNIFICANCE = 0.05
 """Smallest p-value of a combination that explains the figure."""
@@ -78,9 +78,9 @@ def p_value(measured, runs) -> PValue:
     runs = np.asarray(runs)
     count, tails = len(runs), 2 * len(measured)
     further_out = min((runs <= measured).sum(axis=0).min(), (runs >= measured).sum(axis=0).min())
-    bound = beta.isf((1.0 - CONFIDENCE) / tails, further_out + 1, count - further_out)
+    _, bound = clopper_pearson(further_out, count, (1.0 - CONFIDENCE) / tails)
     return PValue(
-        min(1.0, tails * float(further_out + 1) / (count + 1)), min(1.0, tails * float(bound))
+        min(1.0, tails * float(further_out + 1) / (count + 1)), min(1.0, tails * bound)
     )
 
 

@@ -26,10 +26,10 @@ from bullet_lab.studies.noise_study.regions import (
     Regions,
     checkpoints,
     level_rule,
-    share_band,
     theory,
 )
 from bullet_lab.studies.noise_study.study import where_right_rows
+from bullet_lab.studies.shares import clopper_pearson
 
 
 def trajectory_of(moves):
@@ -66,7 +66,8 @@ def counted(trajectory, model, std, paths, seed=80):
 @pytest.mark.parametrize(("inside", "trials"), [(0, 10), (10, 10), (9_500, 10_000), (1, 3)])
 def test_bands_are_those_of_clopper_and_pearson(inside, trials):
     expected = stats.binomtest(inside, trials).proportion_ci(0.95, "exact")
-    assert share_band(inside, trials) == pytest.approx((expected.low, expected.high))
+    found = clopper_pearson(inside, trials, 0.025)
+    assert found == pytest.approx((expected.low, expected.high))
 
 
 def test_checkpoints_are_at_equal_distances_and_end_with_the_path():
