@@ -63,17 +63,17 @@ _RATES_ON_CURVE = 24
 # Points per side of a grid of densities.
 _GRID = 160
 
-Window = Tuple[float, float, float, float]
-"""Limits of x and of y (m)."""
+Window = Tuple[np.ndarray, np.ndarray]
+"""The least and the largest x and y that are drawn (m)."""
 
 
 def levels_figure(cases: Sequence[Case]) -> Figure:
     """Draw a sheet of noisy paths for each of the cases, which are levels, all to one scale."""
     rows = -(-len(cases) // COLUMNS)
     columns = min(COLUMNS, len(cases))
-    window = _window(cases)
-    height = 2.6 * (window[3] - window[2]) / (window[1] - window[0])
-    size = 0.8 + 2.6 * columns, 1.3 + rows * (min(height, 5.0) + 0.35)
+    least, most = window = _window(cases)
+    width, height = most - least
+    size = 0.8 + 2.6 * columns, 1.3 + rows * (min(2.6 * height / width, 5.0) + 0.35)
     first = cases[0]
     title = (
         f"{MODELS[first.model].title} noise at {first.rate:g} Hz: "
@@ -160,20 +160,13 @@ def coverage_figure(cases: Sequence[Case]) -> Figure:
         _draw_coverage(shares, known)
         shares.set_title(MODELS[model].title)
         ratios.axhspan(1e-3, GAUSSIAN_SHARE, color=GREY, alpha=0.35, linewidth=0.0)
-        for name, values, label in (
-            (
-                "exact",
-                [case.theory.quadratic_share() for case in known],
-                "variance quadratic in the noise / exact",
-            ),
-            (
-                "first_order",
-                [case.theory.area_ratio() for case in known],
-                "area of the ellipse, first order / exact",
-            ),
-        ):
-            style, colour = STYLES[name]
-            ratios.plot([case.std for case in known], values, style, color=colour, label=label)
+        std = [case.std for case in known]
+        quadratic = [case.theory.quadratic_share() for case in known]
+        label = "variance quadratic in the noise / exact"
+        ratios.plot(std, quadratic, "o-", color=BLACK, label=label)
+        areas = [case.theory.area_ratio() for case in known]
+        label = "area of the ellipse, first order / exact"
+        ratios.plot(std, areas, "s--", color=VERMILION, label=label)
         ratios.set(xlabel="std", yscale="log", ylim=(1e-3, 10.0))
         ratios.grid(alpha=0.3)
         _plain_numbers(ratios.yaxis)
@@ -258,10 +251,9 @@ def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
         column[-1].set_xlabel("error of x (m)")
     for axes in grid[:, 0]:
         axes.set_ylabel("error of y (m)")
-    perfect = {"linestyle": "", "color": ORANGE, "markeredgewidth": 2.5}
     handles = [
         legend_entry("noisy", linestyle="", marker=".", color=BLUE),
-        legend_entry("perfect", marker="+", **perfect),
+        legend_entry("perfect", linestyle="", marker="+", color=ORANGE, markeredgewidth=2.5),
         legend_entry(METHODS["first_order"], linestyle="--", color=VERMILION),
         legend_entry(METHODS["exact"], color=BLACK),
         legend_entry(METHODS["exponential"], color=GREEN, linewidth=2.0),
@@ -315,39 +307,42 @@ def _draw_coverage(axes: Axes, cases: Sequence[Case]) -> None:
 
 
 def _draw_sheet(axes: Axes, case: Case, window: Window) -> None:
-    start = complex(*case.trajectory.poses[0, :2])
-    perfect = case.trajectory.poses[:, 0] + 1j * case.trajectory.poses[:, 1]
-    lines = start + case.kept
-    points = np.stack([lines.real, lines.imag], axis=-1)
-    axes.add_collection(LineCollection(points, colors=BLUE, linewidths=0.5, alpha=0.3))
+    paths = LineCollection(_kept_places(case), colors=BLUE, linewidths=0.5, alpha=0.3)
+    axes.add_collection(paths)
     outline = [withStroke(linewidth=2.6, foreground="white")]
-    axes.plot(perfect.real, perfect.imag, color=ORANGE, linewidth=1.5, path_effects=outline)
+    perfect = case.trajectory.poses[:, :2].T
+    axes.plot(*perfect, color=ORANGE, linewidth=1.5, path_effects=outline)
     for index in find_corners(case.trajectory):
         for moments, style, colour in (
             (case.theory.exact, "-", BLACK),
             (case.theory.first_order, (0, (3, 2)), VERMILION),
         ):
-            ellipse = _ellipse_at(case, moments, index)
-            axes.plot(ellipse.real, ellipse.imag, linestyle=style, color=colour, linewidth=1.1)
+            ellipse = _ellipse_at(case, moments, index).T
+            axes.plot(*ellipse, linestyle=style, color=colour, linewidth=1.1)
     axes.set_aspect("equal")
-    axes.set(xlim=window[:2], ylim=window[2:])
+    (left, bottom), (right, top) = window
+    axes.set(xlim=(left, right), ylim=(bottom, top))
     axes.tick_params(labelsize=8)
+
+
+def _kept_places(case: Case) -> np.ndarray:
+    """Return x and y (m) of the kept paths, shape (k, n+1, 2)."""
+    places = np.stack([case.kept.real, case.kept.imag], axis=-1)
+    return case.trajectory.poses[0, :2] + places
 
 
 def _ellipse_at(case: Case, moments: Moments, index: int) -> np.ndarray:
     centre = case.trajectory.poses[index, :2] + moments.mean[index, :2]
-    x, y = ellipse_points(moments.covariance[index]).T
-    return complex(*centre) + x + 1j * y
+    return centre + ellipse_points(moments.covariance[index])
 
 
 def _add_sheet_legend(figure: Figure) -> None:
     ellipse = f"{100 * LEVEL:g} % ellipse"
-    first_order = {"linestyle": "--", "color": VERMILION, "linewidth": 1.2}
     handles = [
         legend_entry("noisy", color=BLUE, linewidth=1.0),
         legend_entry("perfect", color=ORANGE, linewidth=2.0),
         legend_entry(f"{ellipse}, exact", color=BLACK, linewidth=1.2),
-        legend_entry(f"{ellipse}, first order", **first_order),
+        legend_entry(f"{ellipse}, first order", linestyle="--", color=VERMILION, linewidth=1.2),
     ]
     legend_below(figure, handles)
     figure.tight_layout(rect=(0.01, 0.35 / figure.get_figheight(), 1.0, 1.0), pad=0.8)
@@ -355,22 +350,20 @@ def _add_sheet_legend(figure: Figure) -> None:
 
 def _window(cases: Sequence[Case]) -> Window:
     """Return limits that hold paths and ellipses, within a margin around the perfect path."""
-    poses = cases[0].trajectory.poses
-    size = max(np.ptp(poses[:, 0]), np.ptp(poses[:, 1]))
-    start = complex(*poses[0, :2])
+    perfect = cases[0].trajectory.poses[:, :2]
+    low, high = perfect.min(axis=0), perfect.max(axis=0)
+    size = (high - low).max()
     curves = []
     for case in cases:
+        places = _kept_places(case)
         for index in find_corners(case.trajectory):
-            curves.append(start + case.kept[:, index])
-            curves.append(_ellipse_at(case, case.theory.exact, index))
+            curves += [places[:, index], _ellipse_at(case, case.theory.exact, index)]
     shown = np.concatenate(curves)
-    sides = []
-    for perfect, others in ((poses[:, 0], shown.real), (poses[:, 1], shown.imag)):
-        low, high = perfect.min(), perfect.max()
-        least, most = others.min() - 0.05 * size, others.max() + 0.05 * size
-        sides.append(np.clip(least, low - _LARGEST_MARGIN * size, low - 0.08 * size))
-        sides.append(np.clip(most, high + 0.08 * size, high + _LARGEST_MARGIN * size))
-    return tuple(sides)
+    least, most = shown.min(axis=0) - 0.05 * size, shown.max(axis=0) + 0.05 * size
+    return (
+        np.clip(least, low - _LARGEST_MARGIN * size, low - 0.08 * size),
+        np.clip(most, high + 0.08 * size, high + _LARGEST_MARGIN * size),
+    )
 
 
 def _draw_error(axes: Axes, case: Case, colour) -> None:
@@ -387,8 +380,9 @@ def _draw_error(axes: Axes, case: Case, colour) -> None:
 
 
 def _label(axes: Axes, text: str, point: Tuple[float, float], gap: float) -> None:
-    offset = {"xytext": (gap, 0), "textcoords": "offset points"}
-    axes.annotate(text, point, va="center", fontsize=9, **offset)
+    axes.annotate(
+        text, point, (gap, 0), textcoords="offset points", va="center", fontsize=9
+    )
 
 
 def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> None:
@@ -428,16 +422,16 @@ def _draw_shares(
     """Draw the coverage of a method's regions with its bands, where there are any."""
     goal, width = 100.0 * LEVELS[level], 100.0 * TOLERANCE
     axes.axhspan(goal - width, goal + width, color=GREY, alpha=0.12, linewidth=0.0)
-    known = [(x, r.coverage[level], *r.bands[level]) for x, r in zip(places, found) if r]
-    _draw_band(axes, [(x, *(100.0 * share for share in shares)) for x, *shares in known], method)
+    rows = [(x, r.coverage[level], *r.bands[level]) for x, r in zip(places, found) if r]
+    _draw_band(axes, np.reshape(rows, (-1, 4)) * (1.0, 100.0, 100.0, 100.0), method)
 
 
-def _draw_band(axes: Axes, rows: Sequence[Sequence[float]], method: str) -> None:
+def _draw_band(axes: Axes, rows: Sequence, method: str) -> None:
     """Draw a line with its band from rows of place, value, and the ends of the band."""
     axes.grid(alpha=0.3)
-    if rows:
+    if len(rows):
         style, colour = STYLES[method]
-        x, values, low, high = zip(*rows)
+        x, values, low, high = np.transpose(rows)
         axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0.0)
         axes.plot(x, values, style, color=colour, markersize=4, label=METHODS[method])
 
@@ -497,9 +491,7 @@ def shown_levels(cases: Sequence[Case], count: int = CURVES) -> List[Case]:
 
 def _spread(values: Sequence, count: int) -> List:
     """Return some of the values, evenly spread, with the first and the last."""
-    if len(values) <= count:
-        return list(values)
-    indices = np.linspace(0, len(values) - 1, count).round().astype(int)
+    indices = np.linspace(0, len(values) - 1, min(count, len(values))).round().astype(int)
     return [values[i] for i in indices]
 
 

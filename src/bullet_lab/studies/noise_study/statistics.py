@@ -78,9 +78,9 @@ def find_laps(trajectory: Trajectory) -> Laps:
     goals = math.tau * np.arange(1, MOST_LAPS + 1)
     ends = np.searchsorted(turned, goals)
     ends, last = ends[ends < len(turned)], len(turned) - 1
-    if len(ends) < MOST_LAPS and last not in ends:
-        if turned[-1] >= goals[len(ends)] - LAP_TOLERANCE:
-            ends = np.append(ends, last)
+    is_whole = len(ends) == MOST_LAPS or last in ends
+    if not is_whole and turned[-1] >= goals[len(ends)] - LAP_TOLERANCE:
+        ends = np.append(ends, last)
     return Laps(np.append(0, ends)[: len(ends)], ends)
 
 
