@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.errors import LabError
-from bullet_lab.studies.published_noise.drawn_paths import (
+from bullet_lab.studies.published_noise.results import (
     DrawnPathError,
     drawn,
     find_corners,
