@@ -85,13 +85,11 @@ class NoisyBlock:
         position: x + iy (m) of each pose, relative to the first pose but not rotated: b paths of
             n + 1 poses, shape (b, n+1).
         heading_error: rad, noisy minus perfect, not wrapped, shape (b, n+1).
-        direction: exp(i psi) of each noisy step, shape (b, n).
     """
 
     first: int
     position: np.ndarray
     heading_error: np.ndarray
-    direction: np.ndarray
 
     def __len__(self) -> int:
         return len(self.position)
@@ -106,7 +104,7 @@ def noisy_blocks(
     """Yield noisy paths in blocks, so that memory does not grow with their number.
 
     For any block size they equal, to rounding, those of `NoisyPath` with the same generator,
-    restarted before each path. The arrays of a block are overwritten by the next block.
+    restarted before each path.
 
     Args:
         steps: of the perfect path.
@@ -115,30 +113,26 @@ def noisy_blocks(
         steps_per_block: about how many steps a block has; a path is not divided.
     """
     n = len(steps)
-    size = max(1, min(count, steps_per_block // n))
-    std1, std_trans, std2 = map(np.sqrt, (steps.variance1, steps.variance_trans, steps.variance2))
-    draws = np.empty((size, n, 3))
-    first_turn, error, angle = (np.empty((size, n)) for _ in range(3))
-    heading = np.zeros((size, n + 1))
-    position = np.zeros((size, n + 1), dtype=complex)
-    direction, moves = (np.empty((size, n), dtype=complex) for _ in range(2))
+    size = max(1, steps_per_block // n)
+    stds = np.sqrt(np.stack([steps.variance_trans, steps.variance1, steps.variance2], axis=-1))
     for first in range(0, count, size):
         b = min(size, count - first)
-        generator.standard_normal(out=draws[:b])
-        np.multiply(draws[:b, :, 1], std1, out=first_turn[:b])
-        np.multiply(draws[:b, :, 2], std2, out=error[:b])
-        error[:b] += first_turn[:b]
-        np.cumsum(error[:b], axis=1, out=heading[:b, 1:])
-
-        np.add(heading[:b, :-1], first_turn[:b], out=angle[:b])
-        angle[:b] += steps.angle
-        np.cos(angle[:b], out=direction.real[:b])
-        np.sin(angle[:b], out=direction.imag[:b])
-        np.multiply(draws[:b, :, 0], std_trans, out=error[:b])
-        error[:b] += steps.trans
-        np.multiply(direction[:b], error[:b], out=moves[:b])
-        np.cumsum(moves[:b], axis=1, out=position[:b, 1:])
-        yield NoisyBlock(first, position[:b], heading[:b], direction[:b])
+        draws = generator.standard_normal((b, n, 3))
+        draws *= stds
+        angle, turn = draws[..., 1], draws[..., 2]
+        turn += angle
+        heading = np.zeros((b, n + 1))
+        np.cumsum(turn, axis=1, out=heading[:, 1:])
+        angle += heading[:, :-1]
+        angle += steps.angle
+        trans = draws[..., 0]
+        trans += steps.trans
+        moves = np.empty((b, n), dtype=complex)
+        np.multiply(np.cos(angle), trans, out=moves.real)
+        np.multiply(np.sin(angle), trans, out=moves.imag)
+        position = np.zeros((b, n + 1), dtype=complex)
+        np.cumsum(moves, axis=1, out=position[:, 1:])
+        yield NoisyBlock(first, position, heading)
 
 
 def study_generator(seed: int, model: str, std: float, rate: float) -> np.random.Generator:

@@ -189,7 +189,8 @@ def test_the_table_says_how_far_each_method_is_right():
     class Case:
         model, rate, std = "rate_invariant", 10.0, 0.5
         trajectory, theory = line(), theory(noisy_steps(line().poses, level_rule("report", 0.1)))
-        sample = type("Sample", (), {"regions": counted(line(), "rate_invariant", 0.5, 4000)})
+        regions = counted(line(), "rate_invariant", 0.5, 4000)
+        key = {"model": model, "rate_hz": rate, "std": std}
 
     header, row = where_right_rows([Case])
     values = dict(zip(header, row))
