@@ -184,6 +184,7 @@ class Problem:
         start: coordinates to begin at, shape (b, k).
         low: limits of the coordinates, shape (k,).
         high: likewise.
+        longest: longest step of a search along each coordinate, shape (k,).
     """
 
     def __init__(
@@ -203,6 +204,7 @@ class Problem:
         self.names = (*own, *systematic)
         self._own = len(own)
         self.logarithmic = np.arange(len(self.names)) < len(own)
+        self.longest = np.where(self.logarithmic, 4.0, 30.0)
         self._true = part_errors(pairs)
         largest = [_LARGEST.get(name, LARGEST_PARAMETER) for name in self.names]
         self.high = self.coordinates(np.array(largest) // _LIMIT_STEP * _LIMIT_STEP)
