@@ -233,9 +233,9 @@ def _correlations(seen: np.ndarray, follows: np.ndarray):
     now, before = np.where(both, now, 0.0), np.where(both, before, 0.0)
     count = both.sum(axis=0)
     scale = np.sqrt(np.sum(now**2, axis=0) * np.sum(before**2, axis=0))
-    enough = (count >= _MIN_COUNT) & (scale > 0.0)
-    found = np.where(enough, np.sum(now * before, axis=0) / np.where(enough, scale, 1.0), np.nan)
-    return found, count
+    with np.errstate(invalid="ignore"):
+        found = np.sum(now * before, axis=0) / scale
+    return np.where(count >= _MIN_COUNT, found, np.nan), count
 
 
 def _smallest_p(deviations: np.ndarray) -> float:

@@ -37,7 +37,7 @@ from bullet_lab.studies.noise_study.regions import (
     position_density,
     theory,
 )
-from bullet_lab.studies.noise_study.statistics import Case
+from bullet_lab.studies.noise_study.statistics import Case, by_model_of, shown_levels, spread
 from bullet_lab.studies.paths import find_corners, resample
 from bullet_lab.studies.results import labelled, legend_below, legend_entry, panels
 
@@ -98,7 +98,7 @@ def distance_figure(cases: Sequence[Case]) -> Figure:
     title = "Error against distance"
     figure, (row,), by_model = _model_panels(cases, 1, (4.3, 0.6), 4.6, title)
     for axes, (model, of_model) in zip(row, by_model.items()):
-        shown = shown_levels(of_model)
+        shown = shown_levels(of_model, CURVES)
         for case, colour in zip(shown, _colours(len(shown))):
             _draw_error(axes, case, colour)
         axes.set(title=MODELS[model].title, xlabel="distance travelled (m)", yscale="log")
@@ -122,7 +122,7 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
     The cases are of all models, rates and levels; the trajectory is the given path.
     """
     by_model = by_model_of(cases)
-    rates = _spread(sorted({case.rate for case in cases}), SHOWN_RATES)
+    rates = spread(sorted({case.rate for case in cases}), SHOWN_RATES)
     level = min({case.std for case in cases}, key=lambda std: abs(std - TYPICAL_LEVEL))
     sheets = [case for case in cases if case.std == level and case.rate in rates]
     window = _window(sheets)
@@ -388,7 +388,7 @@ def _label(axes: Axes, text: str, point: Tuple[float, float], gap: float) -> Non
 def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> None:
     """Draw the error at the end against the rate: samples, and the exact curve through them."""
     all_rates = sorted({case.rate for case in cases})
-    shown = shown_levels([case for case in cases if case.rate == all_rates[0]])
+    shown = shown_levels([case for case in cases if case.rate == all_rates[0]], CURVES)
     rates = np.unique(
         [*np.geomspace(0.8 * all_rates[0], 1.25 * all_rates[-1], _RATES_ON_CURVE), *all_rates]
     )
@@ -474,25 +474,6 @@ def _plain_numbers(axis: Axis) -> None:
     """Format the numbers of a logarithmic axis without powers of ten."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(LogFormatter())
-
-
-def by_model_of(cases: Sequence[Case]) -> Dict[str, List[Case]]:
-    """Return the cases of each model, in the given order."""
-    result: Dict[str, List[Case]] = {}
-    for case in cases:
-        result.setdefault(case.model, []).append(case)
-    return result
-
-
-def shown_levels(cases: Sequence[Case], count: int = CURVES) -> List[Case]:
-    """Return some of the cases with noise, from low to high."""
-    return _spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), count)
-
-
-def _spread(values: Sequence, count: int) -> List:
-    """Return some of the values, evenly spread, with the first and the last."""
-    indices = np.linspace(0, len(values) - 1, min(count, len(values))).round().astype(int)
-    return [values[i] for i in indices]
 
 
 def _colours(count: int) -> np.ndarray:

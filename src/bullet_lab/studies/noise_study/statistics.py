@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Dict, List, NamedTuple, Optional
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence
 
 import numpy as np
 
@@ -296,6 +296,25 @@ class Case:
             "metrics": self.metrics,
             "perfect_closure_m": self.perfect_closure,
         }
+
+
+def by_model_of(cases: Sequence[Case]) -> Dict[str, List[Case]]:
+    """Return the cases of each model, in the given order."""
+    result: Dict[str, List[Case]] = {}
+    for case in cases:
+        result.setdefault(case.model, []).append(case)
+    return result
+
+
+def shown_levels(cases: Sequence[Case], count: int) -> List[Case]:
+    """Return some of the cases with noise, from low to high."""
+    return spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), count)
+
+
+def spread(values: Sequence, count: int) -> List:
+    """Return some of the values, evenly spread, with the first and the last."""
+    indices = np.linspace(0, len(values) - 1, min(count, len(values))).round().astype(int)
+    return [values[i] for i in indices]
 
 
 def study_case(

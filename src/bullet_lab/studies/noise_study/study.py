@@ -24,7 +24,6 @@ from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.figures import (
     banana_figure,
-    by_model_of,
     coverage_figure,
     distance_figure,
     distances_figure,
@@ -33,7 +32,7 @@ from bullet_lab.studies.noise_study.figures import (
     regions_figure,
 )
 from bullet_lab.studies.noise_study.regions import HEADER, MEANT, METHODS, right_up_to
-from bullet_lab.studies.noise_study.statistics import Case, study_case
+from bullet_lab.studies.noise_study.statistics import Case, by_model_of, study_case
 from bullet_lab.studies.paths import check_path, read_path, resample, tum_text
 from bullet_lab.studies.results import rows_of, write_results
 from bullet_lab.studies.squares import drive_square
