@@ -25,10 +25,10 @@ from typing import Any, Callable, Dict  # noqa: E402
 from bullet_lab.core.trajectory import Trajectory  # noqa: E402
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator  # noqa: E402
 from bullet_lab.noise.odometry_noise import NoisyPath  # noqa: E402
-from bullet_lab.studies.noise_study.paths import resample  # noqa: E402
 from bullet_lab.studies.noise_study.regions import level_rule  # noqa: E402
 from bullet_lab.studies.noise_study.statistics import study_case  # noqa: E402
 from bullet_lab.studies.noise_study.study import StudySettings, simulated_square  # noqa: E402
+from bullet_lab.studies.paths import resample  # noqa: E402
 
 RATE = 20.0
 MODEL = "report"

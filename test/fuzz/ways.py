@@ -34,7 +34,7 @@ from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.shapes import Mesh, load_triangles
 from bullet_lab.simulation.world.urdf import expand_xacro
-from bullet_lab.studies.noise_study.paths import read_path
+from bullet_lab.studies.paths import read_path
 
 PACKAGE = Path(__file__).resolve().parents[2]
 EMPTY = "package://bullet_lab/worlds/empty.world"

@@ -26,7 +26,7 @@ from typing import Dict, Iterator, Sequence, Tuple
 import numpy as np
 from scipy.stats import chi2
 
-from bullet_lab.noise.problem import SYSTEMATIC, Problem
+from bullet_lab.noise.likelihood import SYSTEMATIC, Problem
 
 __all__ = ["SYSTEMATIC", "Fit", "Problem", "covariance", "fit", "intervals", "profile"]
 
@@ -63,12 +63,6 @@ class Optimum:
         """Return those of some of the odometries."""
         return Optimum(self.coordinates[rows], self.log_likelihood[rows], self.information[rows])
 
-    def replace(self, rows: np.ndarray, other: Optimum) -> None:
-        """Replace those of some of the odometries."""
-        self.coordinates[rows] = other.coordinates[rows]
-        self.log_likelihood[rows] = other.log_likelihood[rows]
-        self.information[rows] = other.information[rows]
-
 
 @dataclass(frozen=True, eq=False)
 class Fit(Optimum):
@@ -95,17 +89,19 @@ class Fit(Optimum):
 
 def fit(problem: Problem) -> Fit:
     """Return the fit with the largest likelihood."""
-    search = Search(problem)
-    best = search.maximise(np.arange(len(problem)), problem.start)
+    best = _maximise(problem, np.arange(len(problem)), problem.start)
     if not problem.known:
-        for _, other in search.mirrored(best):
-            best.replace(other.log_likelihood > best.log_likelihood, other)
+        for _, other in _mirrored(problem, best):
+            better = other.log_likelihood > best.log_likelihood
+            best.coordinates[better] = other.coordinates[better]
+            best.log_likelihood[better] = other.log_likelihood[better]
+            best.information[better] = other.information[better]
     is_zero = problem.logarithmic & (best.coordinates <= problem.low)
     return Fit(
         best.coordinates,
         best.log_likelihood,
         best.information,
-        problem.kind.name,
+        problem.model,
         problem.names,
         np.where(is_zero, 0.0, problem.values(best.coordinates)),
     )
@@ -119,16 +115,15 @@ def intervals(problem: Problem, found: Fit) -> np.ndarray:
     likelihood has a second maximum that cannot be excluded, with an error of the other sign, the
     interval goes from the lowest to the highest value of both.
     """
-    search = Search(problem)
-    ends = search.ends(np.arange(len(problem)), found, found.log_likelihood)
-    for j, other in search.mirrored(found):
+    result = _ends(problem, np.arange(len(problem)), found, found.log_likelihood)
+    for j, other in _mirrored(problem, found):
         elsewhere = other.coordinates[:, j] * found.coordinates[:, j] < 0.0
-        possible = beyond_end(found.log_likelihood, other.log_likelihood) < 0.0
+        possible = _beyond_end(found.log_likelihood, other.log_likelihood) < 0.0
         rows = np.flatnonzero(elsewhere & possible)
-        more = search.ends(rows, other.some(rows), found.log_likelihood[rows])
-        ends[rows, :, 0] = np.minimum(ends[rows, :, 0], more[..., 0])
-        ends[rows, :, 1] = np.maximum(ends[rows, :, 1], more[..., 1])
-    return ends
+        more = _ends(problem, rows, other.some(rows), found.log_likelihood[rows])
+        result[rows, :, 0] = np.minimum(result[rows, :, 0], more[..., 0])
+        result[rows, :, 1] = np.maximum(result[rows, :, 1], more[..., 1])
+    return result
 
 
 def profile(problem: Problem, found: Fit, name: str, values: Sequence[float]) -> np.ndarray:
@@ -143,145 +138,142 @@ def profile(problem: Problem, found: Fit, name: str, values: Sequence[float]) ->
     Returns:
         The falls, >= 0, in the order of the values; the interval ends at 3.84.
     """
-    search = Search(problem)
     j = found.names.index(name)
     falls = []
     start = found.coordinates.copy()
     for value in values:
         held = np.full_like(found.coordinates, value)
         start[:, j] = np.maximum(problem.coordinates(held)[:, j], problem.low[j])
-        reached = search.maximise(np.arange(1), start, held=j)
+        reached = _maximise(problem, np.arange(1), start, held=j)
         start = reached.coordinates.copy()
         falls.append(2.0 * (found.log_likelihood[0] - reached.log_likelihood[0]))
     return np.maximum(falls, 0.0)
 
 
-class Search:
-    """Finds maxima of the likelihood, and ends of intervals."""
+def _maximise(
+    problem: Problem, rows: np.ndarray, start: np.ndarray, held: int = -1, most: int = _MAX_STEPS
+) -> Optimum:
+    """Find the maximum for some of the odometries; coordinate `held`, if >= 0, is fixed."""
+    x = np.clip(start, problem.low, problem.high)
+    count, k = x.shape
+    best = problem.logarithm(x, rows)
+    information = np.zeros((count, k, k))
+    damping = np.full(count, 1e-4)
+    running = np.arange(count)
+    for _ in range(most):
+        if not running.size:
+            break
+        here = x[running]
+        gradient, information[running] = problem.slopes(here, rows[running])
+        step, gain = _step(problem, here, gradient, information[running], damping[running], held)
+        there = np.clip(here + step, problem.low, problem.high)
+        reached = problem.logarithm(there, rows[running])
+        better = reached > best[running]
+        moved = running[better]
+        x[moved], best[moved] = there[better], reached[better]
+        damping[running] *= np.where(better, 0.1, 10.0)
+        running = running[(gain > _ENOUGH) & (damping[running] < 1e6)]
+    return Optimum(x, best, information)
 
-    def __init__(self, problem: Problem):
-        self._problem = problem
-        self._low = problem.low
-        self._high = problem.high
-        self._longest = np.where(problem.logarithmic, 4.0, 30.0)
 
-    def maximise(
-        self, rows: np.ndarray, start: np.ndarray, held: int = -1, most: int = _MAX_STEPS
-    ) -> Optimum:
-        """Find the maximum for some of the odometries; coordinate `held`, if >= 0, is fixed."""
-        x = np.clip(start, self._low, self._high)
-        count, k = x.shape
-        best = self._problem.logarithm(x, rows)
-        information = np.zeros((count, k, k))
-        damping = np.full(count, 1e-4)
-        running = np.arange(count)
-        for _ in range(most):
-            if not running.size:
-                break
-            here = x[running]
-            gradient, information[running] = self._problem.slopes(here, rows[running])
-            step, gain = self._step(here, gradient, information[running], damping[running], held)
-            there = np.clip(here + step, self._low, self._high)
-            reached = self._problem.logarithm(there, rows[running])
-            better = reached > best[running]
-            moved = running[better]
-            x[moved], best[moved] = there[better], reached[better]
-            damping[running] *= np.where(better, 0.1, 10.0)
-            running = running[(gain > _ENOUGH) & (damping[running] < 1e6)]
-        return Optimum(x, best, information)
+def _mirrored(problem: Problem, best: Optimum) -> Iterator[Tuple[int, Optimum]]:
+    """Yield the index of each systematic error, and the maxima found from its other sign.
 
-    def mirrored(self, best: Optimum) -> Iterator[Tuple[int, Optimum]]:
-        """Yield the index of each systematic error, and the maxima found from its other sign.
+    If the noise is in proportion to a part that only an error causes, the noise vanishes as the
+    error goes through 0, and there is a maximum on either side.
+    """
+    for j in np.flatnonzero(~problem.logarithmic):
+        start = best.coordinates.copy()
+        start[:, j] *= -1.0
+        yield int(j), _maximise(problem, np.arange(len(start)), start, most=_MIRRORED_STEPS)
 
-        If the noise is in proportion to a part that only an error causes, the noise vanishes as the
-        error goes through 0, and there is a maximum on either side.
-        """
-        for j in np.flatnonzero(~self._problem.logarithmic):
-            start = best.coordinates.copy()
-            start[:, j] *= -1.0
-            yield int(j), self.maximise(np.arange(len(start)), start, most=_MIRRORED_STEPS)
 
-    def ends(self, rows: np.ndarray, optimum: Optimum, best: np.ndarray) -> np.ndarray:
-        """Return the ends of the intervals around a maximum, (rows, k, 2).
+def _ends(problem: Problem, rows: np.ndarray, optimum: Optimum, best: np.ndarray) -> np.ndarray:
+    """Return the ends of the intervals around a maximum of some of the odometries, (rows, k, 2).
 
-        Args:
-            rows: of the odometries.
-            optimum: for each of them.
-            best: logarithm of the largest likelihood, (rows,).
-        """
-        every = range(optimum.coordinates.shape[1])
-        found = [[self._end(rows, optimum, best, j, s) for s in (-1.0, 1.0)] for j in every]
-        return np.moveaxis(np.array(found), -1, 0)
+    `best` is the logarithm of the largest likelihood, (rows,).
+    """
+    every = range(optimum.coordinates.shape[1])
+    found = [[_end(problem, rows, optimum, best, j, s) for s in (-1.0, 1.0)] for j in every]
+    return np.moveaxis(np.array(found), -1, 0)
 
-    def _end(
-        self, rows: np.ndarray, optimum: Optimum, best: np.ndarray, j: int, side: float
-    ) -> np.ndarray:
-        """Return the lower (side -1) or upper (1) end of the interval of parameter j."""
-        limit = (self._low if side < 0.0 else self._high)[j]
-        warm = optimum.coordinates.copy()
-        tangent = self._tangent(optimum, j)
-        inner = warm[:, j].copy()
-        below = beyond_end(best, optimum.log_likelihood)
-        outer = np.full(len(rows), side * np.inf)
-        above = np.full(len(rows), np.nan)
-        reach = self._first_reach(optimum, j)
-        running = np.arange(len(rows))
-        for _ in range(_MAX_STEPS):
-            running = running[side * (limit - inner[running]) > 0.0]
-            if not running.size:
-                break
-            tried = _next(
-                inner[running], below[running], outer[running], above[running], reach[running], side
-            )
-            tried = np.minimum(side * tried, side * limit) * side
-            start = warm[running]
-            start += tangent[running] * (tried - start[:, j])[:, np.newaxis]
-            start[:, j] = tried
-            reached = self.maximise(rows[running], start, j, _PROFILE_STEPS)
-            warm[running] = reached.coordinates
-            beyond = beyond_end(best[running], reached.log_likelihood)
-            _narrow(running, tried, beyond, inner, below, outer, above)
-            reach[running] *= 2.0
-            close = (np.abs(beyond) < _CLOSE) | (np.abs(outer[running] - inner[running]) < 1e-6)
-            running = running[~close]
-        at_limit = side * (limit - inner) <= 0.0
-        x = optimum.coordinates.copy()
-        x[:, j] = np.where(np.abs(above) < np.abs(below), outer, inner)
-        nothing = 0.0 if side < 0.0 and self._problem.logarithmic[j] else side * np.inf
-        return np.where(at_limit, nothing, self._problem.values(x)[:, j])
 
-    def _first_reach(self, found: Optimum, j: int) -> np.ndarray:
-        """Return about the half width of the interval of parameter j, from the information."""
-        inverse, scale = covariance(found.information)
-        error = np.sqrt(np.maximum(inverse[:, j, j], 1.0)) / scale[:, j]
-        return 1.02 * ROOT * np.minimum(error, 0.5 * self._longest[j])
+def _end(
+    problem: Problem, rows: np.ndarray, optimum: Optimum, best: np.ndarray, j: int, side: float
+) -> np.ndarray:
+    """Return the lower (side -1) or upper (1) end of the interval of parameter j."""
+    limit = (problem.low if side < 0.0 else problem.high)[j]
+    tangent, reach = _ahead(problem, optimum, j)
+    warm = optimum.coordinates.copy()
+    # The farthest point within the end and the nearest one beyond it, with how far they are
+    # beyond the end: a negative distance for the inner one.
+    inner, outer = warm[:, j].copy(), np.full(len(rows), side * np.inf)
+    below, above = _beyond_end(best, optimum.log_likelihood), np.full(len(rows), np.nan)
+    running = np.arange(len(rows))
+    for _ in range(_MAX_STEPS):
+        running = running[side * (limit - inner[running]) > 0.0]
+        if not running.size:
+            break
+        tried = np.where(
+            np.isfinite(outer[running]),
+            _between(inner[running], below[running], outer[running], above[running]),
+            inner[running] + side * reach[running],
+        )
+        tried = np.minimum(side * tried, side * limit) * side
+        start = warm[running]
+        start += tangent[running] * (tried - start[:, j])[:, np.newaxis]
+        start[:, j] = tried
+        reached = _maximise(problem, rows[running], start, j, _PROFILE_STEPS)
+        warm[running] = reached.coordinates
+        beyond = _beyond_end(best[running], reached.log_likelihood)
+        out = beyond >= 0.0
+        outer[running[out]], above[running[out]] = tried[out], beyond[out]
+        inner[running[~out]], below[running[~out]] = tried[~out], beyond[~out]
+        reach[running] *= 2.0
+        close = (np.abs(beyond) < _CLOSE) | (np.abs(outer[running] - inner[running]) < 1e-6)
+        running = running[~close]
+    at_limit = side * (limit - inner) <= 0.0
+    x = optimum.coordinates.copy()
+    x[:, j] = np.where(np.abs(above) < np.abs(below), outer, inner)
+    nothing = 0.0 if side < 0.0 and problem.logarithmic[j] else side * np.inf
+    return np.where(at_limit, nothing, problem.values(x)[:, j])
 
-    def _tangent(self, found: Optimum, j: int) -> np.ndarray:
-        """Return by how much all coordinates change with that of parameter j, (b, k)."""
-        inverse, scale = covariance(found.information)
-        along = inverse[:, :, j] / inverse[:, j, j, np.newaxis]
-        slopes = along * scale[:, j, np.newaxis] / scale
-        return np.where(found.coordinates > self._low, slopes, 0.0)
 
-    def _step(
-        self,
-        x: np.ndarray,
-        gradient: np.ndarray,
-        information: np.ndarray,
-        damping: np.ndarray,
-        held: int,
-    ) -> Tuple[np.ndarray, np.ndarray]:
-        """Return the step, and its gain if the likelihood were a parabola."""
-        outwards = ((x <= self._low) & (gradient < 0.0)) | ((x >= self._high) & (gradient > 0.0))
-        free = ~outwards & (np.arange(x.shape[1]) != held)
-        gradient = np.where(free, gradient, 0.0)
-        diagonal = np.diagonal(information, axis1=1, axis2=2)
-        extra = np.where(free, damping[:, np.newaxis] * diagonal + 1e-14, 1.0)
-        both = free[:, :, np.newaxis] & free[:, np.newaxis, :]
-        matrix = np.where(both, information, 0.0) + extra[:, :, np.newaxis] * np.eye(x.shape[1])
-        step = np.linalg.solve(matrix, gradient[..., np.newaxis])[..., 0]
-        gain = 0.5 * np.sum(gradient * step, axis=1)
-        return np.clip(step, -self._longest, self._longest), gain
+def _ahead(problem: Problem, optimum: Optimum, j: int) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the way to the ends of the interval of parameter j, by the information.
+
+    Returns:
+        By how much all coordinates change with that of the parameter, (b, k), and about the
+        half width of the interval, (b,).
+    """
+    inverse, scale = covariance(optimum.information)
+    variance = inverse[:, j, j]
+    along = inverse[:, :, j] / variance[:, np.newaxis]
+    slopes = along * scale[:, j, np.newaxis] / scale
+    error = np.sqrt(np.maximum(variance, 1.0)) / scale[:, j]
+    half = 1.02 * ROOT * np.minimum(error, 0.5 * problem.longest[j])
+    return np.where(optimum.coordinates > problem.low, slopes, 0.0), half
+
+
+def _step(
+    problem: Problem,
+    x: np.ndarray,
+    gradient: np.ndarray,
+    information: np.ndarray,
+    damping: np.ndarray,
+    held: int,
+) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the step, and its gain if the likelihood were a parabola."""
+    outwards = ((x <= problem.low) & (gradient < 0.0)) | ((x >= problem.high) & (gradient > 0.0))
+    free = ~outwards & (np.arange(x.shape[1]) != held)
+    gradient = np.where(free, gradient, 0.0)
+    diagonal = np.diagonal(information, axis1=1, axis2=2)
+    extra = np.where(free, damping[:, np.newaxis] * diagonal + 1e-14, 1.0)
+    both = free[:, :, np.newaxis] & free[:, np.newaxis, :]
+    matrix = np.where(both, information, 0.0) + extra[:, :, np.newaxis] * np.eye(x.shape[1])
+    step = np.linalg.solve(matrix, gradient[..., np.newaxis])[..., 0]
+    gain = 0.5 * np.sum(gradient * step, axis=1)
+    return np.clip(step, -problem.longest, problem.longest), gain
 
 
 def covariance(information: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
@@ -291,23 +283,17 @@ def covariance(information: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
     return np.linalg.inv(relative + 1e-9 * np.eye(scale.shape[1])), scale
 
 
-def beyond_end(best: np.ndarray, logarithm: np.ndarray) -> np.ndarray:
+def _beyond_end(best: np.ndarray, logarithm: np.ndarray) -> np.ndarray:
     """Return how far beyond the end of an interval a likelihood is, in standard deviations."""
     return np.sqrt(np.maximum(2.0 * (best - logarithm), 0.0)) - ROOT
 
 
-def _next(inner, below, outer, above, reach, side: float) -> np.ndarray:
-    """Return the next point to try: farther out, or between points on both sides of the root."""
+def _between(inner, below, outer, above) -> np.ndarray:
+    """Return the false position between points on both sides of the root, or the middle.
+
+    The middle is taken where the outer point is too far for the false position to be accurate.
+    """
     with np.errstate(invalid="ignore"):
-        # The false position, or the middle if the outer point is too far for it to be accurate.
         share = np.clip(-below / (above - below), 0.05, 0.95)
         share = np.where(above > 4.0 * ROOT, 0.5, share)
-        between = inner + share * (outer - inner)
-    return np.where(np.isfinite(outer), between, inner + side * reach)
-
-
-def _narrow(rows, tried, beyond, inner, below, outer, above) -> None:
-    """Replace the inner or the outer point by the one that was tried."""
-    out = beyond >= 0.0
-    outer[rows[out]], above[rows[out]] = tried[out], beyond[out]
-    inner[rows[~out]], below[rows[~out]] = tried[~out], beyond[~out]
+        return inner + share * (outer - inner)

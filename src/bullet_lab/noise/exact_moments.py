@@ -126,17 +126,17 @@ def exact_moments(steps: NoisySteps) -> Moments:
 
     earlier = _fading_sum(-step.conj() * lost, np.exp(-0.5 * np.diff(v)))
     c = s2 - d * d * lost + 2.0 * (step * earlier).real
-    earlier = _from_zero(np.cumsum(step * faded * lost))[:-1]
+    earlier = _sums(step * faded * lost)[:-1]
     g = unit * unit * (s2 * np.exp(-2.0 * v) + d * d * np.exp(-v) * lost)
     g += 2.0 * step * faded * earlier
     heading = 1j * v * step * faded
 
     # The mean of P minus the perfect P, without subtracting numbers that are nearly equal.
     shift = step * np.expm1(-0.5 * v)
-    mean = _from_zero(np.cumsum(shift))
+    mean = _sums(shift)
     return Moments(
         np.column_stack([mean.real, mean.imag, np.zeros(len(mean))]),
-        _covariance(*(_from_zero(np.cumsum(terms)) for terms in (c, g, heading, turned))),
+        _covariance(*map(_sums, (c, g, heading, turned))),
     )
 
 
@@ -145,10 +145,9 @@ def _fading_sum(terms: np.ndarray, factors: np.ndarray) -> np.ndarray:
 
     The closed form would divide by products of factors, which may be zero to rounding.
     """
-    result, value = [0j], 0j
-    for term, factor in zip(terms[:-1].tolist(), factors.tolist()):
-        value = (value + term) * factor
-        result.append(value)
+    result = [0j]
+    for term, factor in zip(terms.tolist(), factors.tolist()):
+        result.append((result[-1] + term) * factor)
     return np.array(result)
 
 
@@ -156,20 +155,15 @@ def first_order_moments(steps: NoisySteps) -> Moments:
     """Return the moments to first order: no bias, and the covariance along the perfect path."""
     end, before, after = steps.position, steps.position[:-1], steps.position[1:]
     a, b = steps.variance1, steps.variance2
-    sums = (
-        a + b,
-        a * before + b * after,
-        a * before**2 + b * after**2,
-        a * np.abs(before) ** 2 + b * np.abs(after) ** 2,
-        steps.variance_trans,
-        steps.variance_trans * steps.direction**2,
-    )
-    turned, first, second, square, driven, along = (_from_zero(np.cumsum(t)) for t in sums)
+    turned = _sums(a + b)
+    first = _sums(a * before + b * after)
+    second = _sums(a * before**2 + b * after**2)
+    square = _sums(a * np.abs(before) ** 2 + b * np.abs(after) ** 2)
+    c = np.abs(end) ** 2 * turned - 2.0 * (end.conj() * first).real + square
+    c += _sums(steps.variance_trans)
     levers = end * end * turned - 2.0 * end * first + second
-    square_levers = np.abs(end) ** 2 * turned - 2.0 * (end.conj() * first).real + square
-    covariance = _covariance(
-        square_levers + driven, along - levers, 1j * (end * turned - first), turned
-    )
+    g = _sums(steps.variance_trans * steps.direction**2) - levers
+    covariance = _covariance(c, g, 1j * (end * turned - first), turned)
     return Moments(np.zeros((len(covariance), 3)), covariance)
 
 
@@ -194,11 +188,11 @@ def quadratic_covariances(steps: NoisySteps) -> np.ndarray:
     v = _acting_variances(steps)
     step = steps.trans * unit
     bent = step * v * v
-    before = _from_zero(np.cumsum(bent))[:-1]
+    before = _sums(bent)[:-1]
     c = s2 * v + 0.5 * (bent * step.conj()).real + (step * before.conj()).real
     g = -s2 * v * unit * unit + 0.5 * bent * step + step * before
-    c, g = (_from_zero(np.cumsum(terms)) for terms in (c, g))
-    return _covariance(c, g, 0.0 * g, 0.0)
+    g = _sums(g)
+    return _covariance(_sums(c), g, 0.0 * g, 0.0)
 
 
 def quadratic_shares(quadratic, covariance) -> np.ndarray:
@@ -331,5 +325,6 @@ def _covariance(c, g, heading, turned) -> np.ndarray:
     return result
 
 
-def _from_zero(sums: np.ndarray) -> np.ndarray:
-    return np.concatenate([np.zeros(1, dtype=sums.dtype), sums])
+def _sums(terms: np.ndarray) -> np.ndarray:
+    """Return the sums of the terms before each pose, 0 for the first, shape (n+1,)."""
+    return np.concatenate([np.zeros(1, dtype=terms.dtype), np.cumsum(terms)])

@@ -22,8 +22,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from bullet_lab.noise.calibration import Fit, Problem, fit
-from bullet_lab.noise.likelihood import PARTS, StepPairs, drawn_pairs, whitened
-from bullet_lab.noise.odometry_noise import rule_of
+from bullet_lab.noise.likelihood import PARTS, StepPairs, part_errors
+from bullet_lab.noise.odometry_noise import NoiseRule, line_of_travel, rule_of
 
 SIGNIFICANCE = 0.05
 _REPLICAS = 199
@@ -44,7 +44,7 @@ class Goodness:
     """How well a fitted model describes the steps.
 
     Attributes:
-        whitened: residuals over their standard deviations, NaN as of `likelihood.whitened`, (n, 3).
+        whitened: residuals over their standard deviations, NaN as of `whitened`, (n, 3).
         distance: of their distribution from the normal one (Kolmogorov and Smirnov), 0 to 1.
         shape_p: p-value of that.
         mean_squares: of the parts rot1, trans and rot2; 1 is right, NaN if too few, (3,).
@@ -100,6 +100,51 @@ class Goodness:
         return found
 
 
+def whitened(pairs: StepPairs, rule: NoiseRule, expected=None) -> np.ndarray:
+    """Return the errors of all parts over their standard deviations, shape (b, n, 3).
+
+    If rule and expectation are right, they are standard normal. NaN if the rule gives the part less
+    noise than the truth's poses have, and the error is not larger than that.
+
+    Args:
+        pairs: b odometries of n steps.
+        rule: the noise rule.
+        expected: as of `part_errors`.
+    """
+    errors = part_errors(pairs, expected)
+    error, variance = errors.residuals(rule)
+    floor = np.array(errors.floor)
+    shown = (variance > 2.0 * floor) | (error * error > 25.0 * floor)
+    return np.where(shown, error / np.sqrt(variance), np.nan)
+
+
+def drawn_pairs(
+    true, rule: NoiseRule, generator: np.random.Generator, count: int, expected=None, **truth
+) -> StepPairs:
+    """Draw odometries whose `whitened` errors are standard normal.
+
+    Args:
+        true: the true steps, shape (n, 3).
+        rule: the noise rule.
+        generator: of the normal draws, three for each step.
+        count: how many odometries.
+        expected: steps without noise, shape (n, 3); the true ones by default.
+        truth: truth_std_m and truth_std_rad as of `StepPairs`.
+    """
+    expected = true if expected is None else expected
+    errors = part_errors(StepPairs(true, expected[np.newaxis], **truth), expected)
+    _, variance = errors.residuals(rule)
+    draws = generator.standard_normal((count, len(true), 3)) * np.sqrt(variance)
+    moved = errors.lever * rule.variances(*errors.parts)[0]
+    turned = draws[..., 2] + moved / (errors.lever * moved + errors.floor[0]) * draws[..., 0]
+    direction, trans = line_of_travel(expected[:, 0], expected[:, 1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        direction = direction + np.where(errors.lever > 0.0, draws[..., 0] / errors.lever, 0.0)
+    trans = trans + draws[..., 1]
+    steps = (trans * np.cos(direction), trans * np.sin(direction), expected[:, 2] + turned)
+    return StepPairs(true, np.stack(steps, axis=-1), **truth)
+
+
 def goodness(problem: Problem, found: Fit, follows: np.ndarray, seed: int) -> Goodness:
     """Test the fit of a problem with one odometry.
 
@@ -142,19 +187,12 @@ def _replicas(problem: Problem, found: Fit, seed: int):
     chosen = np.arange(len(pairs.true))
     if len(chosen) > _MAX_STEPS:
         chosen = np.sort(generator.choice(chosen, _MAX_STEPS, replace=False))
-    part = StepPairs(
-        pairs.true[chosen], pairs.odometry[:, chosen], pairs.truth_std_m, pairs.truth_std_rad
-    )
-    values = problem.values(found.coordinates)
-    smaller = Problem(
-        part, found.model, problem.systematic, problem.wheel_base, found.coordinates[0]
-    )
     drawn = drawn_pairs(
-        part.true,
+        pairs.true[chosen],
         rule_of(found.model, found.values()),
         generator,
         _REPLICAS,
-        smaller.expected(values)[0],
+        problem.expected(problem.values(found.coordinates))[0][chosen],
         truth_std_m=pairs.truth_std_m,
         truth_std_rad=pairs.truth_std_rad,
     )
@@ -195,9 +233,9 @@ def _correlations(seen: np.ndarray, follows: np.ndarray):
     now, before = np.where(both, now, 0.0), np.where(both, before, 0.0)
     count = both.sum(axis=0)
     scale = np.sqrt(np.sum(now**2, axis=0) * np.sum(before**2, axis=0))
-    enough = (count >= _MIN_COUNT) & (scale > 0.0)
-    found = np.where(enough, np.sum(now * before, axis=0) / np.where(enough, scale, 1.0), np.nan)
-    return found, count
+    with np.errstate(invalid="ignore"):
+        found = np.sum(now * before, axis=0) / scale
+    return np.where(count >= _MIN_COUNT, found, np.nan), count
 
 
 def _smallest_p(deviations: np.ndarray) -> float:

@@ -15,29 +15,53 @@ is three independent Gaussians for each step. p and q also cover the rounding of
 them a robot that drives exactly straight, by a rule that gives no noise to turns of 0, would have a
 likelihood of 0 or infinity.
 
+`Problem` is the logarithm of this likelihood for many odometries at once, as a function of the
+parameters that are to be calibrated. Those that cannot be negative are represented by their
+logarithm.
+
 The Jacobian of the odometry's (x, y) in polar coordinates depends on no parameter, and D is the
 truth's, so likelihoods of all models and systematic errors are comparable.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Tuple
+import math
+from dataclasses import astuple, dataclass, replace
+from typing import Optional, Sequence, Tuple
 
 import numpy as np
 
+from bullet_lab.core.parameters import declarations
 from bullet_lab.core.se2 import wrap
 from bullet_lab.noise.odometry_noise import (
+    LARGEST_PARAMETER,
     MIN_TRANSLATION,
-    NoiseError,
     NoiseRule,
     line_of_travel,
+    model_named,
 )
+from bullet_lab.noise.systematic import LARGEST_BIAS, LARGEST_ERROR, SystematicErrors
 
 RESOLUTION = 1e-9
 """m and rad; standard deviation of the truth's poses by default."""
 
 PARTS = ("rot1", "trans", "rot2")
+
+SYSTEMATIC = ("scale_error", "base_error", "diameter_error", "gyro_bias_per_metre")
+"""Those of `SystematicErrors` that a path determines; its wheel_base has to be known."""
+
+_LARGEST = {**dict.fromkeys(SYSTEMATIC, LARGEST_ERROR), "gyro_bias_per_metre": LARGEST_BIAS}
+# The limit of an estimate is the largest multiple that is less than the largest parameter.
+_LIMIT_STEP = 1e6 / 2.0**60
+_LEVELS = np.geomspace(1e-6, 10.0, 36)
+# Of a coordinate that may be negative.
+_UNIT = 0.01
+_ROBUST_STEPS = 30
+_DIFFERENCE = 1e-4
+# Change of a residual by _DIFFERENCE; a larger one is an angle that wraps.
+_LARGEST_JUMP = 0.01
+# This share of the start value is taken for 0.
+_ZERO = math.log(1e-10)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +73,6 @@ class StepPairs:
         odometry: the same as the odometries report it, shape (b, n, 3).
         truth_std_m: standard deviation of the truth's position, on each axis, > 0.
         truth_std_rad: standard deviation of the truth's heading, > 0.
-
-    Raises:
-        NoiseError: the shapes do not match.
     """
 
     true: np.ndarray
@@ -59,19 +80,9 @@ class StepPairs:
     truth_std_m: float = RESOLUTION
     truth_std_rad: float = RESOLUTION
 
-    def __post_init__(self) -> None:
-        shape = self.true.shape
-        if self.true.ndim != 2 or shape[1] != 3 or self.odometry.shape[1:] != shape:
-            raise NoiseError(f"steps of shape {shape} and {self.odometry.shape}")
-
-    @property
-    def truth_variances(self) -> Tuple[float, float]:
-        """Variances of a step from the truth's errors: p (m²) and q (rad²)."""
-        return 2.0 * self.truth_std_m**2, 2.0 * self.truth_std_rad**2
-
     def some(self, rows) -> StepPairs:
         """Return some of the odometries, by their indices."""
-        return StepPairs(self.true, self.odometry[rows], self.truth_std_m, self.truth_std_rad)
+        return replace(self, odometry=self.odometry[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +95,7 @@ class PartErrors:
         along: m, error of trans, shape (b, n).
         turned: rad, error of rot1 and rot2 together, in [-pi, pi), shape (b, n).
         parts: rot1, trans and rot2 of the steps without noise, shape (3, n) or (3, b, n).
+        floor: variances of a step from the truth's errors: p, p (m²) and q (rad²).
     """
 
     lever: np.ndarray
@@ -91,30 +103,45 @@ class PartErrors:
     along: np.ndarray
     turned: np.ndarray
     parts: np.ndarray
+    floor: Tuple[float, float, float]
 
-    def some(self, rows) -> PartErrors:
-        """Return those of some of the odometries, by their indices."""
-        own = (self.sideways[rows], self.along[rows], self.turned[rows])
-        parts = self.parts[:, rows] if self.parts.ndim > 2 else self.parts
-        return PartErrors(self.lever, *own, parts)
+    def residuals(self, rule: NoiseRule) -> Tuple[np.ndarray, np.ndarray]:
+        """Return the noise that was added to each part of each step, and its variance by a rule.
 
-    def residuals(self, rule: NoiseRule, p: float, q: float) -> Tuple[np.ndarray, np.ndarray]:
-        """Return independent errors and their variances by a rule, see `residuals`."""
+        Args:
+            rule: its parameters may be arrays of shape (b, 1).
+
+        Returns:
+            The errors of the parts rot1 (as m at the end of the true step), trans (m) and rot2
+            (rad, made independent of rot1), and their variances, both of shape (b, n, 3). Under
+            the rule the errors are independent and Gaussian.
+
+        >>> from bullet_lab.noise.odometry_noise import ReportRule
+        >>> pairs = StepPairs(np.array([[1.0, 0.0, 0.0]]), np.array([[[1.2, 0.0, 0.0]]]))
+        >>> error, variance = part_errors(pairs).residuals(ReportRule(0.1))
+        >>> error.round(6), variance.round(6)
+        (array([[[0. , 0.2, 0. ]]]), array([[[0.  , 0.01, 0.  ]]]))
+        """
+        p, _, q = self.floor
         variance1, variance_trans, variance2 = rule.variances(*self.parts)
         moved = self.lever * variance1
         variance_sideways = self.lever * moved + p
-        rest = variance2 + q + variance1 * (p / variance_sideways)
         errors = np.empty((*self.turned.shape, 3))
         errors[..., 0], errors[..., 1] = self.sideways, self.along
         errors[..., 2] = self.turned - moved / variance_sideways * self.sideways
         variances = np.empty_like(errors)
         variances[..., 0], variances[..., 1] = variance_sideways, variance_trans + p
-        variances[..., 2] = rest
+        variances[..., 2] = variance2 + q + variance1 * (p / variance_sideways)
         return errors, variances
 
 
 def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
-    """Compare the reported steps with those expected without noise; see `residuals`."""
+    """Compare the reported steps with those that the odometries would report without the noise.
+
+    Args:
+        pairs: b odometries of n steps.
+        expected: the steps without noise, shape (n, 3) or (b, n, 3); the true ones by default.
+    """
     expected = pairs.true if expected is None else expected
     direction, trans = line_of_travel(expected[..., 0], expected[..., 1])
     cos, sin = np.cos(direction), np.sin(direction)
@@ -126,76 +153,186 @@ def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
     lever = np.hypot(pairs.true[:, 0], pairs.true[:, 1])
     lever = np.where(lever >= MIN_TRANSLATION, lever, 0.0)
     rot1 = np.where(lever > 0.0, direction, 0.0)
+    variance = 2.0 * pairs.truth_std_m**2
     return PartErrors(
         lever=lever,
         sideways=lever * np.arctan2(side * aside, np.abs(ahead)),
         along=side * np.hypot(ahead, aside) - trans,
         turned=wrap(turn - expected[..., 2]),
         parts=np.stack((rot1, trans, wrap(expected[..., 2] - rot1))),
+        floor=(variance, variance, 2.0 * pairs.truth_std_rad**2),
     )
 
 
-def residuals(pairs: StepPairs, rule: NoiseRule, expected=None) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the noise that was added to each part of each step, and its variance under a rule.
+class Problem:
+    """The likelihood of steps by some parameters, with its derivatives and a start of the search.
 
     Args:
-        pairs: b odometries of n steps.
-        rule: the noise rule; its parameters may be arrays of shape (b, 1).
-        expected: steps that the odometry would report without the noise, shape (n, 3) or
-            (b, n, 3); the true ones by default.
+        pairs: steps with truth, of b odometries.
+        model: the noise model, one of `MODELS`.
+        systematic: which of `SYSTEMATIC` are fitted beside its parameters; the others are 0.
+        wheel_base: m, as of `SystematicErrors`.
+        start: coordinates to begin at, shape (k,), if they are known.
 
-    Returns:
-        The errors of the parts rot1 (as m at the end of the true step), trans (m) and rot2 (rad,
-        made independent of rot1), and their variances, both of shape (b, n, 3). Under the rule
-        the errors are independent and Gaussian.
+    Raises:
+        NoiseError: the model is unknown.
 
-    >>> from bullet_lab.noise.odometry_noise import ReportRule
-    >>> pairs = StepPairs(np.array([[1.0, 0.0, 0.0]]), np.array([[[1.2, 0.0, 0.0]]]))
-    >>> error, variance = residuals(pairs, ReportRule(0.1))
-    >>> error.round(6), variance.round(6)
-    (array([[[0. , 0.2, 0. ]]]), array([[[0.  , 0.01, 0.  ]]]))
+    Attributes:
+        names: of the k parameters, those of the model first.
+        logarithmic: which coordinates are logarithms, shape (k,).
+        known: whether the start is known.
+        start: coordinates to begin at, shape (b, k).
+        low: limits of the coordinates, shape (k,).
+        high: likewise.
+        longest: longest step of a search along each coordinate, shape (k,).
     """
-    return part_errors(pairs, expected).residuals(rule, *pairs.truth_variances)
+
+    def __init__(
+        self,
+        pairs: StepPairs,
+        model: str,
+        systematic: Sequence[str] = (),
+        wheel_base: float = SystematicErrors.wheel_base,
+        start: Optional[np.ndarray] = None,
+    ):
+        self.pairs = pairs
+        self.model = model
+        self._kind = model_named(model)
+        self.systematic = tuple(systematic)
+        self.wheel_base = wheel_base
+        own = tuple(declarations(self._kind))
+        self.names = (*own, *systematic)
+        self._own = len(own)
+        self.logarithmic = np.arange(len(self.names)) < len(own)
+        self.longest = np.where(self.logarithmic, 4.0, 30.0)
+        self._true = part_errors(pairs)
+        largest = [_LARGEST.get(name, LARGEST_PARAMETER) for name in self.names]
+        self.high = self.coordinates(np.array(largest) // _LIMIT_STEP * _LIMIT_STEP)
+        self.known = start is not None
+        self.start = self._start() if start is None else np.tile(start, (len(self), 1))
+        self.low = np.where(self.logarithmic, self.start.min(axis=0) + _ZERO, -self.high)
+
+    def __len__(self) -> int:
+        return len(self.pairs.odometry)
+
+    def values(self, coordinates: np.ndarray) -> np.ndarray:
+        """Return the parameters of coordinates, shapes (b, k)."""
+        return np.where(self.logarithmic, np.exp(coordinates), _UNIT * coordinates)
+
+    def coordinates(self, values: np.ndarray) -> np.ndarray:
+        """Return the coordinates of parameters; the logarithm of 0 is that of 1e-300."""
+        positive = np.log(np.maximum(values, 1e-300))
+        return np.where(self.logarithmic, positive, values / _UNIT)
+
+    def rule(self, values: np.ndarray) -> NoiseRule:
+        """Return the rule of b sets of parameters, (b, k), with arrays of shape (b, 1)."""
+        return self._kind(*values.T[: self._own, :, np.newaxis])
+
+    def expected(self, values: np.ndarray) -> np.ndarray:
+        """Return the steps that odometry without noise would report, shape (b, n, 3)."""
+        if not self.systematic:
+            return np.broadcast_to(self.pairs.true, (len(values), *self.pairs.true.shape))
+        columns = dict.fromkeys(SYSTEMATIC, np.zeros((len(values), 1)))
+        columns.update(zip(self.systematic, values.T[self._own :, :, np.newaxis]))
+        return SystematicErrors(**columns, wheel_base=self.wheel_base).steps(self.pairs.true)
+
+    def _errors(self, values: np.ndarray, rows: np.ndarray) -> PartErrors:
+        """Return the errors of the parts for some of the odometries, by parameters (rows, k)."""
+        if self.systematic:
+            return part_errors(self.pairs.some(rows), self.expected(values))
+        true = self._true
+        return replace(
+            true,
+            sideways=true.sideways[rows],
+            along=true.along[rows],
+            turned=true.turned[rows],
+        )
+
+    def _evaluate(self, values: np.ndarray, errors: PartErrors) -> Tuple[np.ndarray, np.ndarray]:
+        """Return residuals and the logarithms of their variances, (rows, 3 n)."""
+        found, variances = errors.residuals(self.rule(values))
+        shape = (len(values), -1)
+        return found.reshape(shape), np.log(variances).reshape(shape)
+
+    def logarithm(self, coordinates: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return the logarithm of the likelihood of some of the odometries, (rows,)."""
+        values = self.values(coordinates)
+        return _logarithm(*self._evaluate(values, self._errors(values, rows)))
+
+    def slopes(self, coordinates: np.ndarray, rows: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Return gradient, (rows, k), and Fisher's information, (rows, k, k), of some of them."""
+        values = self.values(coordinates)
+        errors = self._errors(values, rows)
+        found, logarithms = self._evaluate(values, errors)
+        by_found = np.empty((len(rows), len(self.names), found.shape[1]))
+        by_log = np.empty_like(by_found)
+        for j in range(len(self.names)):
+            moved = coordinates.copy()
+            moved[:, j] += _DIFFERENCE
+            values = self.values(moved)
+            # The noise that was added does not depend on the rule.
+            there = errors if j < self._own else self._errors(values, rows)
+            change, log_there = self._evaluate(values, there)
+            change -= found
+            by_found[:, j] = np.where(np.abs(change) < _LARGEST_JUMP, change, 0.0)
+            by_log[:, j] = log_there - logarithms
+        by_found /= _DIFFERENCE
+        by_log /= _DIFFERENCE
+        weight = np.exp(-logarithms)
+        weighted = by_found * weight[:, np.newaxis]
+        excess = 0.5 * (found * found * weight - 1.0)
+        gradient = by_log @ excess[..., np.newaxis] - weighted @ found[..., np.newaxis]
+        information = weighted @ by_found.swapaxes(1, 2) + 0.5 * (by_log @ by_log.swapaxes(1, 2))
+        return gradient[..., 0], information
+
+    def _start(self) -> np.ndarray:
+        """Return the level of noise that fits best, as coordinates, shape (b, k)."""
+        values = np.zeros((len(self), len(self.names)))
+        errors = self._true
+        if self.systematic:
+            values[:, self._own :] = self._robust()
+            errors = part_errors(self.pairs, self.expected(values))
+        found, best = np.full(len(self), -np.inf), values.copy()
+        for level in _LEVELS.tolist():
+            own = astuple(self._kind.at_level(level))
+            values[:, : self._own] = np.maximum(own, 1e-3 * level**2)
+            logarithms = _logarithm(*self._evaluate(values, errors))
+            better = logarithms > found
+            found[better], best[better] = logarithms[better], values[better]
+        return self.coordinates(best)
+
+    def _robust(self) -> np.ndarray:
+        """Return systematic errors that minimise the absolute errors of the parts, (b, s).
+
+        With least squares, the large errors of turns would outweigh the far smaller ones of
+        translations: noise in proportion to a part is small where the part is.
+        """
+        values = np.zeros((len(self), len(self.names)))
+        for share in np.geomspace(1.0, 1e-4, _ROBUST_STEPS):
+            here = self._raw(values)
+            columns = []
+            for j in range(self._own, len(self.names)):
+                moved = values.copy()
+                moved[:, j] += _UNIT * _DIFFERENCE
+                columns.append((self._raw(moved) - here) / (_UNIT * _DIFFERENCE))
+            slopes = np.stack(columns, axis=1)
+            typical = np.median(np.abs(here), axis=1, keepdims=True) + 1e-12
+            weighted = slopes / (here**2 + (share * typical) ** 2)[:, np.newaxis]
+            flat = (len(self), len(self.systematic), -1)
+            weighted, slopes = weighted.reshape(flat), slopes.reshape(flat)
+            matrix = weighted @ slopes.swapaxes(1, 2)
+            least = 1e-9 * np.trace(matrix, axis1=1, axis2=2) + 1e-12
+            matrix += least[:, np.newaxis, np.newaxis] * np.eye(flat[1])
+            pull = weighted @ here.reshape(len(self), -1, 1)
+            values[:, self._own :] -= np.linalg.solve(matrix, pull)[..., 0]
+            values = self.values(np.clip(self.coordinates(values), -self.high, self.high))
+        return values[:, self._own :]
+
+    def _raw(self, values: np.ndarray) -> np.ndarray:
+        errors = part_errors(self.pairs, self.expected(values))
+        return np.stack((errors.sideways, errors.along, errors.turned), axis=-1)
 
 
-def whitened(pairs: StepPairs, rule: NoiseRule, expected=None) -> np.ndarray:
-    """Return the errors of `residuals` over their standard deviations, shape (b, n, 3).
-
-    If rule and expectation are right, they are standard normal. NaN if the rule gives the part less
-    noise than the truth's poses have, and the error is not larger than that.
-    """
-    error, variance = residuals(pairs, rule, expected)
-    p, q = pairs.truth_variances
-    floor = np.array((p, p, q))
-    shown = (variance > 2.0 * floor) | (error * error > 25.0 * floor)
-    return np.where(shown, error / np.sqrt(variance), np.nan)
-
-
-def drawn_pairs(
-    true, rule: NoiseRule, generator: np.random.Generator, count: int, expected=None, **truth
-) -> StepPairs:
-    """Draw odometries whose `whitened` errors are standard normal.
-
-    Args:
-        true: the true steps, shape (n, 3).
-        rule: the noise rule.
-        generator: of the normal draws, three for each step.
-        count: how many odometries.
-        expected: steps without noise, shape (n, 3); the true ones by default.
-        truth: truth_std_m and truth_std_rad as of `StepPairs`.
-    """
-    expected = true if expected is None else expected
-    exact = StepPairs(true, np.asarray(expected)[np.newaxis], **truth)
-    _, variance = residuals(exact, rule, expected)
-    errors = part_errors(exact, expected)
-    p, _ = exact.truth_variances
-    draws = generator.standard_normal((count, len(true), 3)) * np.sqrt(variance)
-    moved = errors.lever * np.broadcast_to(rule.variances(*errors.parts)[0], errors.lever.shape)
-    turned = draws[..., 2] + moved / (errors.lever * moved + p) * draws[..., 0]
-    direction, trans = line_of_travel(expected[:, 0], expected[:, 1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error1 = np.where(errors.lever > 0.0, draws[..., 0] / errors.lever, 0.0)
-    direction = direction + error1
-    trans = trans + draws[..., 1]
-    steps = (trans * np.cos(direction), trans * np.sin(direction), expected[:, 2] + turned)
-    return StepPairs(true, np.stack(steps, axis=-1), **truth)
+def _logarithm(found: np.ndarray, logarithms: np.ndarray) -> np.ndarray:
+    terms = found * found * np.exp(-logarithms) + logarithms
+    return -0.5 * (terms.sum(axis=1) + terms.shape[1] * math.log(2.0 * math.pi))

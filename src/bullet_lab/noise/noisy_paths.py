@@ -18,13 +18,7 @@ from typing import Iterator
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.noise.odometry_noise import (
-    NoiseError,
-    NoiseRule,
-    decompose_steps,
-    line_of_travel,
-    model_named,
-)
+from bullet_lab.noise.odometry_noise import MODELS, NoiseRule, decompose_steps, line_of_travel
 
 STEPS_PER_BLOCK = 16384
 """Steps of a block: their arrays, about 1.5 MB, fit into the processor's cache."""
@@ -61,11 +55,8 @@ def noisy_steps(poses, rule: NoiseRule) -> NoisySteps:
     """Return the steps of a perfect path.
 
     Args:
-        poses: x (m), y (m) and yaw (rad), shape (n+1, 3), n >= 1.
+        poses: x (m), y (m) and yaw (rad), finite, shape (n+1, 3), n >= 1.
         rule: gives the variances of a step.
-
-    Raises:
-        NoiseError: the shape is wrong, or a pose is not finite.
 
     >>> from bullet_lab.noise.odometry_noise import ReportRule
     >>> steps = noisy_steps([(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)], ReportRule(0.5))
@@ -73,10 +64,6 @@ def noisy_steps(poses, rule: NoiseRule) -> NoisySteps:
     (1, array([2.]), array([1.]))
     """
     poses = np.asarray(poses, dtype=float)
-    if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < 2:
-        raise NoiseError(f"two poses at least are needed, shape (n, 3), not {poses.shape}")
-    if not np.isfinite(poses).all():
-        raise NoiseError("a pose is not finite")
     body = se2.steps(poses)
     parts = decompose_steps(body)
     # As in NoisyPath, a step that is too short for a rot1 keeps its direction.
@@ -98,13 +85,11 @@ class NoisyBlock:
         position: x + iy (m) of each pose, relative to the first pose but not rotated: b paths of
             n + 1 poses, shape (b, n+1).
         heading_error: rad, noisy minus perfect, not wrapped, shape (b, n+1).
-        direction: exp(i psi) of each noisy step, shape (b, n).
     """
 
     first: int
     position: np.ndarray
     heading_error: np.ndarray
-    direction: np.ndarray
 
     def __len__(self) -> int:
         return len(self.position)
@@ -119,7 +104,7 @@ def noisy_blocks(
     """Yield noisy paths in blocks, so that memory does not grow with their number.
 
     For any block size they equal, to rounding, those of `NoisyPath` with the same generator,
-    restarted before each path. The arrays of a block are overwritten by the next block.
+    restarted before each path.
 
     Args:
         steps: of the perfect path.
@@ -128,30 +113,26 @@ def noisy_blocks(
         steps_per_block: about how many steps a block has; a path is not divided.
     """
     n = len(steps)
-    size = max(1, min(count, steps_per_block // n))
-    std1, std_trans, std2 = map(np.sqrt, (steps.variance1, steps.variance_trans, steps.variance2))
-    draws = np.empty((size, n, 3))
-    first_turn, error, angle = (np.empty((size, n)) for _ in range(3))
-    heading = np.zeros((size, n + 1))
-    position = np.zeros((size, n + 1), dtype=complex)
-    direction, moves = (np.empty((size, n), dtype=complex) for _ in range(2))
+    size = max(1, steps_per_block // n)
+    stds = np.sqrt(np.stack([steps.variance_trans, steps.variance1, steps.variance2], axis=-1))
     for first in range(0, count, size):
         b = min(size, count - first)
-        generator.standard_normal(out=draws[:b])
-        np.multiply(draws[:b, :, 1], std1, out=first_turn[:b])
-        np.multiply(draws[:b, :, 2], std2, out=error[:b])
-        error[:b] += first_turn[:b]
-        np.cumsum(error[:b], axis=1, out=heading[:b, 1:])
-
-        np.add(heading[:b, :-1], first_turn[:b], out=angle[:b])
-        angle[:b] += steps.angle
-        np.cos(angle[:b], out=direction.real[:b])
-        np.sin(angle[:b], out=direction.imag[:b])
-        np.multiply(draws[:b, :, 0], std_trans, out=error[:b])
-        error[:b] += steps.trans
-        np.multiply(direction[:b], error[:b], out=moves[:b])
-        np.cumsum(moves[:b], axis=1, out=position[:b, 1:])
-        yield NoisyBlock(first, position[:b], heading[:b], direction[:b])
+        draws = generator.standard_normal((b, n, 3))
+        draws *= stds
+        angle, turn = draws[..., 1], draws[..., 2]
+        turn += angle
+        heading = np.zeros((b, n + 1))
+        np.cumsum(turn, axis=1, out=heading[:, 1:])
+        angle += heading[:, :-1]
+        angle += steps.angle
+        trans = draws[..., 0]
+        trans += steps.trans
+        moves = np.empty((b, n), dtype=complex)
+        np.multiply(np.cos(angle), trans, out=moves.real)
+        np.multiply(np.sin(angle), trans, out=moves.imag)
+        position = np.zeros((b, n + 1), dtype=complex)
+        np.cumsum(moves, axis=1, out=position[:, 1:])
+        yield NoisyBlock(first, position, heading)
 
 
 def study_generator(seed: int, model: str, std: float, rate: float) -> np.random.Generator:
@@ -166,22 +147,13 @@ def study_generator(seed: int, model: str, std: float, rate: float) -> np.random
         std: the level.
         rate: Hz.
 
-    Raises:
-        NoiseError: the seed cannot be used, or the model is unknown.
-
     >>> one, other = (study_generator(1, "report", std, 20.0) for std in (0.1, 0.2))
     >>> one.standard_normal() == other.standard_normal()
     False
     """
     # Not the index of the model in a list, which another model might change.
-    key = (model_named(model).stream, *_words(std), *_words(rate))
-    try:
-        sequence = np.random.SeedSequence(seed, spawn_key=key)
-    except (TypeError, ValueError):
-        raise NoiseError(f"seed must be an integer >= 0, not {seed!r}") from None
+    # Adding 0.0 turns -0.0 into 0.0.
+    words = struct.unpack("<4I", struct.pack("<2d", std + 0.0, rate + 0.0))
+    sequence = np.random.SeedSequence(seed, spawn_key=(MODELS[model].stream, *words))
     # Normal draws take half of the time, and numpy's default generator a third longer.
     return np.random.Generator(np.random.SFC64(sequence))
-
-
-def _words(value: float) -> tuple[int, ...]:
-    return struct.unpack("<2I", struct.pack("<d", value + 0.0))

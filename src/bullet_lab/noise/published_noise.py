@@ -1,89 +1,196 @@
-"""The noise of the report exactly as it was published, with its defects, for comparison.
+"""The noise of the report as it was published, with a switch for each of its defects.
 
-`odometry_noise` is the corrected version.
+With all defects it is the algorithm of listings 3 to 7 of the report, to the last bit. Without
+defects it is `odometry_noise.NoisyPath` with `ReportRule`, except that a step backwards counts as a
+half turn, a step forwards and another half turn, as in the report, with noise accordingly.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from dataclasses import astuple, dataclass, fields
+from types import SimpleNamespace
+from typing import Any, Optional, Tuple
 
-from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
-from bullet_lab.noise.odometry_noise import check_pose, make_generator
+import numpy as np
+
+from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
 
 PUBLISHED_RATE = 0.9
 """Hz; rate at which the published node samples the odometry."""
 
 # s; the resolution of present-day stamps as doubles is not much finer.
 _STAMP_TOLERANCE = 1e-6
+# For floats; the functions of numpy are for arrays.
+_MATH = SimpleNamespace(sin=math.sin, cos=math.cos, arctan2=math.atan2, hypot=math.hypot)
+
+
+@dataclass(frozen=True)
+class Defects:
+    """The report's defects that are enabled; by default none.
+
+    Attributes:
+        aliasing: the message that is kept as the last perfect one is overwritten with the noisy
+            pose, so that each step starts from the noisy pose.
+        unwrapped: rot1 and rot2 are differences of angles that are not wrapped.
+        noise_at_rest: a robot at rest has rot1 = atan2(0, 0) - yaw = -yaw, and noise for it.
+        sampled: only the newest message is used, 0.9 times a second.
+        unbent: a step follows the perfect heading, not the noisy one.
+    """
+
+    aliasing: bool = False
+    unwrapped: bool = False
+    noise_at_rest: bool = False
+    sampled: bool = False
+    unbent: bool = False
+
+    @property
+    def names(self) -> Tuple[str, ...]:
+        """The names of the enabled defects."""
+        return tuple(name for name in DEFECTS if getattr(self, name))
+
+    def __str__(self) -> str:
+        return " + ".join(self.names) or "none"
+
+
+DEFECTS = tuple(field.name for field in fields(Defects))
+"""The names of the defects, in the order in which the listings have them."""
+
+ALL = Defects(*[True] * len(DEFECTS))
+"""The report's algorithm as published."""
+
+NONE = Defects()
+"""The corrected algorithm."""
+
+
+def combinations() -> Tuple[Defects, ...]:
+    """Return all 32 combinations, sorted by their number of defects."""
+    switches = itertools.product((False, True), repeat=len(DEFECTS))
+    return tuple(sorted((Defects(*s) for s in switches), key=lambda d: sum(astuple(d))))
+
+
+@dataclass(frozen=True)
+class PublishedAlgorithm:
+    """A step of the report's algorithm, with the switches, for one path or many.
+
+    Attributes:
+        std: standard deviation per metre and per radian.
+        defects: the enabled ones; `sampled` has no effect on a step.
+        functions: module with sin, cos, arctan2 and hypot for the numbers.
+    """
+
+    std: float
+    defects: Defects
+    functions: Any
+
+    def step(self, pose, noisy_yaw, before, now, draws):
+        """Return the summed pose (x, y and an unwrapped yaw) after one more step.
+
+        Args:
+            pose: the summed pose so far.
+            noisy_yaw: its yaw as published.
+            before: the last perfect pose; not used with aliasing.
+            now: the new perfect pose.
+            draws: standard normal, for trans, rot1 and rot2.
+        """
+        x, y, summed_yaw = pose
+        remembered = (x, y, noisy_yaw) if self.defects.aliasing else before
+        dx, dy = now[0] - remembered[0], now[1] - remembered[1]
+        turn = now[2] - remembered[2]
+        trans = self.functions.hypot(dx, dy)
+        rot1 = self.functions.arctan2(dy, dx) - remembered[2]
+        rot2 = turn - rot1
+        if not self.defects.unwrapped:
+            rot1, rot2, turn = wrap(rot1), wrap(rot2), wrap(turn)
+        noise1, noise2 = rot1, rot2
+        if not self.defects.noise_at_rest:
+            at_rest = trans < MIN_TRANSLATION
+            noise1, noise2 = np.where(at_rest, 0.0, rot1), np.where(at_rest, turn, rot2)
+
+        trans = trans + abs(self.std * trans) * draws[0]
+        rot1 = rot1 + abs(self.std * noise1) * draws[1]
+        rot2 = rot2 + abs(self.std * noise2) * draws[2]
+        direction = (remembered[2] if self.defects.unbent else noisy_yaw) + rot1
+        return (
+            x + trans * self.functions.cos(direction),
+            y + trans * self.functions.sin(direction),
+            summed_yaw + rot1 + rot2,
+        )
+
+    def through_message(self, yaw):
+        """Return a yaw (rad) after conversion to the quaternion of a message and back."""
+        z, w = self.functions.sin(0.5 * yaw), self.functions.cos(0.5 * yaw)
+        return self.functions.arctan2(2.0 * (w * z + 0.0), w * w - z * z)
+
+
+def noisy_paths(poses, draws, std: float, defects: Defects, functions: Any = np) -> np.ndarray:
+    """Return noisy versions of the poses that the algorithm sees.
+
+    `Defects.sampled` has no effect here: it decides which poses these are, see `sampled`.
+
+    Args:
+        poses: perfect x (m), y (m) and yaw (rad), finite, shape (n, m, 3) for m different paths or
+            (n, 1, 3) for m noisy versions of one.
+        draws: standard normal, for trans, rot1 and rot2 of each step, shape (n - 1, m, 3). Path
+            k is that of a `PublishedNoise` whose generator draws `draws[:, k]`.
+        std: standard deviation per metre and per radian, for each step, >= 0.
+        defects: the enabled ones.
+        functions: module with sin, cos, arctan2 and hypot for arrays. Numpy's are the fastest, and
+            their last bit depends on the processor.
+
+    Returns:
+        Noisy poses, shape (n, m, 3), yaw in [-pi, pi].
+    """
+    algorithm = PublishedAlgorithm(std, defects, functions)
+    count = draws.shape[1]
+    perfect = np.empty((len(poses), 3, count))
+    perfect[:] = np.moveaxis(poses, 2, 1)
+    perfect[:, 2] = algorithm.through_message(perfect[:, 2])
+
+    noisy = np.empty((len(poses), count, 3))
+    pose = tuple(perfect[0])
+    noisy[0] = np.transpose(pose)
+    for k, draw in enumerate(draws, start=1):
+        pose = algorithm.step(pose, noisy[k - 1, :, 2], perfect[k - 1], perfect[k], draw.T)
+        noisy[k, :, 0], noisy[k, :, 1] = pose[:2]
+        noisy[k, :, 2] = algorithm.through_message(pose[2])
+    return noisy
 
 
 class PublishedNoise:
-    """The algorithm of listings 3 to 7 of the report.
-
-    Its defects are kept on purpose: it stores the last perfect message and then overwrites it with
-    the noisy pose; rot1 is not wrapped; a robot at rest gets noise in proportion to its heading;
-    the noise depends on the message rate; and a step is laid along the stored heading, not along
-    the noisy one.
+    """The algorithm with all defects, pose by pose.
 
     Args:
         std: standard deviation per metre and per radian, >= 0.
         seed: of its random generator, >= 0; None for a different one each time.
-
-    Raises:
-        NoiseError: the seed is invalid.
 
     >>> published = PublishedNoise(0.0, seed=1)
     >>> [published.update(x, 0.0, 0.0) for x in (0.0, 0.5)]
     [(0.0, 0.0, 0.0), (0.5, 0.0, 0.0)]
     """
 
-    def __init__(self, std: float, seed: int | None):
-        self._std = std
-        self._generator = make_generator(seed)
-        # As the node accumulates it: its yaw is never wrapped.
-        self._pose = None
-        self._last_yaw = 0.0
+    def __init__(self, std: float, seed: Optional[int]):
+        self._algorithm = PublishedAlgorithm(std, ALL, _MATH)
+        self._generator = np.random.default_rng(seed)
+        self._yaw = 0.0
+        self.restart()
 
     def restart(self) -> None:
         """Start a new path with the next pose. The random generator is not reset."""
-        self._pose = None
+        self._pose: Optional[PlanarPose] = None
 
-    def update(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
-        """Return the noisy pose, yaw in [-pi, pi], for the next perfect pose (m, m, rad).
-
-        Raises:
-            NoiseError: the pose is not finite. The state and the generator are unchanged then.
-        """
-        check_pose(x, y, yaw)
-        yaw = _through_message(yaw)
+    def update(self, x: float, y: float, yaw: float) -> PlanarPose:
+        """Return the noisy pose, yaw in [-pi, pi], for the next perfect pose (m, m, rad)."""
+        now = x, y, self._algorithm.through_message(yaw)
         if self._pose is None:
-            self._pose = (x, y, yaw)
+            self._pose = now
         else:
-            self._add_step(x, y, yaw)
-        # Aliasing: the stored last perfect message is the noisy one.
-        self._last_yaw = _through_message(self._pose[2])
-        return self._pose[0], self._pose[1], self._last_yaw
-
-    def _add_step(self, x: float, y: float, yaw: float) -> None:
-        last_x, last_y, summed_yaw = self._pose
-        trans = math.hypot(x - last_x, y - last_y)
-        rot1 = math.atan2(y - last_y, x - last_x) - self._last_yaw
-        rot2 = yaw - self._last_yaw - rot1
-        trans, rot1, rot2 = self._corrupt(trans, rot1, rot2)
-        self._pose = (
-            last_x + trans * math.cos(self._last_yaw + rot1),
-            last_y + trans * math.sin(self._last_yaw + rot1),
-            summed_yaw + rot1 + rot2,
-        )
-
-    def _corrupt(self, *parts: float) -> list[float]:
-        draws = self._generator.standard_normal(len(parts)).tolist()
-        return [part + abs(self._std * part) * draw for part, draw in zip(parts, draws)]
-
-
-def _through_message(yaw: float) -> float:
-    """Return a yaw (rad) as it is read back from the quaternion of a message."""
-    return yaw_from_quaternion(*quaternion_from_yaw(yaw))
+            draws = self._generator.standard_normal(3).tolist()
+            self._pose = self._algorithm.step(self._pose, self._yaw, None, now, draws)
+        self._yaw = self._algorithm.through_message(self._pose[2])
+        return self._pose[0], self._pose[1], self._yaw
 
 
 class Sampler:
@@ -102,12 +209,12 @@ class Sampler:
 
     def __init__(self, rate: float):
         self._rate = rate
-        self._start = None
-        self._tick = 1
+        self.restart()
 
     def restart(self) -> None:
         """Count ticks from the next stamp."""
-        self._start = None
+        self._start: Optional[float] = None
+        self._tick = 1
 
     def due(self, stamp: float) -> bool:
         """Return whether this message (stamp in s) is the first at or after a tick.
@@ -116,10 +223,27 @@ class Sampler:
         """
         if self._start is None:
             self._start = stamp
-            self._tick = 1
             return False
         ticks = math.floor((stamp - self._start + _STAMP_TOLERANCE) * self._rate)
         if ticks < self._tick:
             return False
         self._tick = ticks + 1
         return True
+
+
+def sampled(stamps, rate: float, phases) -> np.ndarray:
+    """Return the messages that a node sees which polls at a fixed rate.
+
+    Args:
+        stamps: of the messages, s, increasing, shape (n,).
+        rate: Hz, > 0.
+        phases: s, >= 0, from the first stamp to the first poll, one for each path, shape (m,).
+
+    Returns:
+        The index of the first message at or after each poll, shape (number of polls, m): the polls
+        that every path makes before the messages end.
+    """
+    stamps, phases = np.asarray(stamps, dtype=float), np.asarray(phases, dtype=float)
+    polls = math.floor((stamps[-1] - stamps[0] - phases.max()) * rate) + 1
+    times = stamps[0] + phases + np.arange(polls)[:, np.newaxis] / rate
+    return np.searchsorted(stamps, times - _STAMP_TOLERANCE)

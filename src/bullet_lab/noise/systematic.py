@@ -20,21 +20,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import NamedTuple, Optional, Tuple
+from typing import Any, NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from bullet_lab.core.parameters import ParameterError, check_parameters, number
+from bullet_lab.core.parameters import number
 from bullet_lab.core.se2 import PlanarPose, wrap
-from bullet_lab.noise.odometry_noise import NoiseError, body_step, check_pose
+from bullet_lab.noise.odometry_noise import body_step
 
-_LARGEST_ERROR = 0.5
-# rad/m; more than a turn on each metre.
-_LARGEST_BIAS = 10.0
+LARGEST_ERROR = 0.5
+"""Of the diameters and of the base."""
+
+LARGEST_BIAS = 10.0
+"""rad/m; more than a turn on each metre."""
 
 
-def _relative(doc: str):
-    return number(0.0, doc, minimum=-_LARGEST_ERROR, maximum=_LARGEST_ERROR)
+def _error(doc: str, largest: float = LARGEST_ERROR) -> Any:
+    return number(0.0, doc, minimum=-largest, maximum=largest)
 
 
 @dataclass(frozen=True)
@@ -53,28 +55,16 @@ class SystematicErrors:
             -gyro_bias_per_metre · wheel_base.
         wheel_base: m, the nominal base; used only by diameter_error.
 
-    Raises:
-        NoiseError: a value is not allowed.
-
     >>> SystematicErrors(base_error=0.25).steps([[0.0, 0.0, 0.8], [1.0, 0.0, 0.0]])
     array([[0., 0., 1.],
            [1., 0., 0.]])
     """
 
-    scale_error: float = _relative("mean diameter of the wheels / what odometry believes - 1")
-    base_error: float = _relative("distance of the wheels / what odometry believes - 1")
-    diameter_error: float = _relative("right diameter / left diameter of the wheels - 1")
-    gyro_bias_per_metre: float = number(
-        0.0, "rad that the heading gains on each metre", -_LARGEST_BIAS, maximum=_LARGEST_BIAS
-    )
+    scale_error: float = _error("mean diameter of the wheels / what odometry believes - 1")
+    base_error: float = _error("distance of the wheels / what odometry believes - 1")
+    diameter_error: float = _error("right diameter / left diameter of the wheels - 1")
+    gyro_bias_per_metre: float = _error("rad that the heading gains on each metre", LARGEST_BIAS)
     wheel_base: float = number(0.38, "m, distance of the wheels that diameter_error is for", 0.01)
-
-    def __post_init__(self) -> None:
-        """Raise NoiseError where a parameter is not allowed."""
-        try:
-            check_parameters(self)
-        except ParameterError as error:
-            raise NoiseError(str(error)) from None
 
     @classmethod
     def of(cls, parameters) -> SystematicErrors:
@@ -207,12 +197,7 @@ class SystematicPath:
         self._reported: PlanarPose = _NO_ERROR
 
     def update(self, x: float, y: float, yaw: float) -> SystematicStep:
-        """Return the reported pose for the next true pose (m, m, rad).
-
-        Raises:
-            NoiseError: the pose is not finite; the state is unchanged then.
-        """
-        check_pose(x, y, yaw)
+        """Return the reported pose for the next true pose (m, m, rad), which is finite."""
         before, self._true = self._true, (x, y, yaw)
         if before is None or self._errors.none:
             self._reported = (x, y, yaw)

@@ -19,7 +19,7 @@ from bullet_lab.core.parameters import boolean, choice, integer, number
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.drive.square import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
-from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, rule_of
+from bullet_lab.noise.odometry_noise import LARGEST_PARAMETER, MODELS, NoisyPath, rule_of
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath
 from bullet_lab.reports.squares import PathsRecording, noise_figure, squares_summary
@@ -104,7 +104,7 @@ def _planar(pose: Pose) -> PlanarPose:
 class SquaresSettings(SystematicErrors):
     """Settings of a run, with the names of the job's arguments."""
 
-    std: float = number(0.1, "parameter of the noise", 0.0)
+    std: float = number(0.1, "parameter of the noise", 0.0, maximum=LARGEST_PARAMETER)
     seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
     model: str = choice("report", "rule of the noise", MODELS)
     mode: str = choice(OPEN_LOOP, "condition that ends a side", MODES)
@@ -117,7 +117,7 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
     The same settings give the same files, byte for byte.
 
     Raises:
-        LabError: a setting is invalid, or the folder cannot be written to.
+        LabError: the folder cannot be written to.
     """
     noisy = _noise(settings)
     recording = PathsRecording(folder)
@@ -144,10 +144,9 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
 
 def _noise(settings: SquaresSettings) -> Callable[[int, Sequence[float]], List[PlanarPose]]:
     """Return a function that returns the noisy poses (0 or 1) for a perfect one, as noisy_odom."""
-    rule = rule_of(settings.model, {"std": settings.std})
     errors = SystematicPath(SystematicErrors.of(settings))
     if not settings.as_published:
-        path = NoisyPath(rule, settings.seed)
+        path = NoisyPath(rule_of(settings.model, {"std": settings.std}), settings.seed)
         return lambda step, pose: [path.update(*errors.update(*pose).pose).pose]
     published, sampler = PublishedNoise(settings.std, settings.seed), Sampler(PUBLISHED_RATE)
 

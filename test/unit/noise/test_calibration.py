@@ -8,8 +8,8 @@ from scipy import optimize, stats
 
 from bullet_lab.core.parameters import number
 from bullet_lab.noise.calibration import SYSTEMATIC, Problem, fit, intervals, profile
-from bullet_lab.noise.goodness import goodness
-from bullet_lab.noise.likelihood import StepPairs, drawn_pairs
+from bullet_lab.noise.goodness import drawn_pairs, goodness
+from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.odometry_noise import (
     MODELS,
     NoiseError,

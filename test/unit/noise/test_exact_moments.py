@@ -203,12 +203,12 @@ def no_noise_case():
 
 def test_no_noise_is_no_error():
     case = no_noise_case()
-    assert np.abs(case.sample.covariance).max() < 1e-24
-    assert case.sample.metrics["ape_rmse_m"]["p95"] < 1e-12
-    assert {name: set(found) for name, found in case.sample.regions.found.items()} == {
+    assert np.abs(case.covariance).max() < 1e-24
+    assert case.metrics["ape_rmse_m"]["p95"] < 1e-12
+    assert {name: set(found) for name, found in case.regions.found.items()} == {
         name: {None} for name in METHODS
     }
-    assert set(case.sample.coverage.values()) == {None}
+    assert set(case.coverage.values()) == {None}
     assert case.theory.gaussian_enough()
 
 
@@ -226,13 +226,13 @@ def case_of(name, model, std, paths=PATHS):
 def test_the_study_says_where_the_error_is_not_gaussian(which):
     case = case_of(*which)
     assert not case.theory.gaussian_enough()
-    assert case.sample.coverage["first_order"] < 0.935
+    assert case.coverage["first_order"] < 0.935
     assert case.theory.shift() > 0.3
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_nees_of_the_published_covariance_is_chi_square_where_noise_is_small(model):
-    published = case_of("square", model, 0.01).sample.regions.found["published"][-1]
+    published = case_of("square", model, 0.01).regions.found["published"][-1]
     tail = 0.5 * FAMILY / (2 * len(MODELS))
     total = published.nees * PATHS
     assert stats.chi2.ppf(tail, 3 * PATHS) < total < stats.chi2.isf(tail, 3 * PATHS)
@@ -246,7 +246,7 @@ def test_noise_without_measure_is_not_gaussian(model):
 
 
 def test_nees_tells_that_noise_is_too_large_for_first_order():
-    found = case_of("square", "rate_invariant", 0.3, 2000).sample.regions.found
+    found = case_of("square", "rate_invariant", 0.3, 2000).regions.found
     assert found["first_order"][-1].nees > 3.8
     # A mean of e' M^-1 e is 3 whatever the noise, if M is the mean of e e'.
     low, high = found["published"][-1].nees_band
@@ -257,10 +257,10 @@ def test_a_mean_of_blocks_is_the_mean_of_all():
     case = case_of("square", "rate_invariant", 0.2)
     steps = noisy_steps(PATHS_BY_NAME["square"], level_rule("rate_invariant", 0.2))
     errors = final_errors(steps, study_generator(52, "rate_invariant", 0.2, 5.0))
-    np.testing.assert_allclose(case.sample.mean, errors.mean(axis=0), rtol=1e-9)
-    np.testing.assert_allclose(case.sample.covariance, np.cov(errors.T), rtol=1e-9)
+    np.testing.assert_allclose(case.mean, errors.mean(axis=0), rtol=1e-9)
+    np.testing.assert_allclose(case.covariance, np.cov(errors.T), rtol=1e-9)
     distances = np.hypot(errors[:, 0], errors[:, 1])
-    metric = case.sample.metrics["final_error_m"]
+    metric = case.metrics["final_error_m"]
     assert metric["mean"] == pytest.approx(distances.mean())
     assert metric["p50"] == pytest.approx(np.median(distances))
     assert metric["p95"] == pytest.approx(np.quantile(distances, 0.95))
@@ -269,8 +269,8 @@ def test_a_mean_of_blocks_is_the_mean_of_all():
         off = errors[:, :2] - moments.mean[-1, :2]
         inverse = np.linalg.inv(moments.covariance[-1, :2, :2])
         inside = np.einsum("ni,ij,nj->n", off, inverse, off) <= SQUARE_RADIUS
-        assert case.sample.coverage[name] == pytest.approx(inside.mean(), abs=2e-4)
-    assert case.sample.rms_distance[-1] == pytest.approx(math.sqrt(np.mean(distances**2)))
+        assert case.coverage[name] == pytest.approx(inside.mean(), abs=2e-4)
+    assert case.rms_distance[-1] == pytest.approx(math.sqrt(np.mean(distances**2)))
 
 
 def test_bounds_are_quantiles_of_chi_square():

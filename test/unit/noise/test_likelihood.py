@@ -7,15 +7,14 @@ import pytest
 from scipy import stats
 
 from bullet_lab.core import se2
-from bullet_lab.noise.likelihood import StepPairs, drawn_pairs, residuals, whitened
+from bullet_lab.noise.goodness import drawn_pairs, whitened
+from bullet_lab.noise.likelihood import Problem, StepPairs, part_errors
 from bullet_lab.noise.odometry_noise import (
-    NoiseError,
     NoisyPath,
     ProbabilisticRule,
     RateInvariantRule,
     ReportRule,
 )
-from bullet_lab.noise.problem import Problem
 from bullet_lab.noise.systematic import SystematicErrors
 
 RULES = [ReportRule(0.1), RateInvariantRule(0.03), ProbabilisticRule(0.01, 0.02, 0.03, 0.004)]
@@ -46,7 +45,7 @@ def test_the_draws_of_a_noisy_path_are_found_again(rule, errors):
     ahead = np.hypot(*steps[:, :2].T) > 1e-3
     assert np.isfinite(found[ahead, 1]).all()
     # Where a rule gives next to no noise there is none to be found.
-    _, variance = residuals(pairs, rule, errors.steps(steps))
+    _, variance = part_errors(pairs, errors.steps(steps)).residuals(rule)
     seen = (variance[0].min(axis=1) > 1e-12) & ahead
     assert seen.sum() > 80
     np.testing.assert_allclose(found[seen], draws[seen], atol=2e-5)
@@ -89,8 +88,3 @@ def test_what_is_drawn_is_whitened_to_standard_normal_numbers(rule):
     # Two-sided at 99.9 %.
     assert stats.kstest(values, "norm").pvalue > 1e-3
     assert abs(np.mean(values**2) - 1.0) < 3.3 * np.sqrt(2.0 / values.size)
-
-
-def test_steps_of_other_shapes_are_refused():
-    with pytest.raises(NoiseError, match=r"steps of shape \(2, 3\) and \(1, 3, 3\)"):
-        StepPairs(np.zeros((2, 3)), np.zeros((1, 3, 3)))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recorded_paths import make_rule, recover_noise
 
-from bullet_lab.core.parameters import declarations, number
+from bullet_lab.core.parameters import ParameterError, check_parameters, declarations, number
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import (
@@ -64,8 +64,8 @@ def test_a_model_that_is_registered_is_known_by_its_name(slip):
     assert make_rule("slip", 0.2, [0.5]) == SlipRule(0.2, 0.5)
     with pytest.raises(NoiseError, match="the slip model takes 1 alphas, not 2"):
         make_rule("slip", 0.2, [0.5, 0.5])
-    with pytest.raises(NoiseError, match="slip is 2.0: it must be a number >= 0 and <= 1"):
-        rule_of("slip", {"slip": 2.0})
+    with pytest.raises(ParameterError, match="slip is 2.0: it must be a number >= 0 and <= 1"):
+        check_parameters(rule_of("slip", {"slip": 2.0}))
 
 
 def test_its_noise_is_put_on_pose_by_pose(slip):

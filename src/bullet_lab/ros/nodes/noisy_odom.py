@@ -30,13 +30,14 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
-from bullet_lab.core.parameters import boolean, choice, integer, number
+from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, number
 from bullet_lab.core.se2 import PlanarPose, ellipse_points, quaternion_from_yaw
+from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import (
     MODELS,
-    NoiseError,
     NoisyPath,
     NoisyStep,
+    ReportRule,
     derived_seed,
     named_alphas,
     noise_fields,
@@ -143,11 +144,15 @@ class NoisyOdometry:
             return SetNoiseResponse(False, "set_noise: as_published has the report's noise only")
         model, noise = request.model or self._model, {**self._noise, "std": request.std}
         try:
+            # Also for a model without it: the next request may name another one.
+            check_parameters(ReportRule(request.std))
             if request.alphas:
                 noise.update(named_alphas(model, request.alphas))
-            self._path.change_rule(rule_of(model, noise))
-        except NoiseError as error:
+            rule = rule_of(model, noise)
+            check_parameters(rule)
+        except LabError as error:
             return SetNoiseResponse(False, str(error))
+        self._path.change_rule(rule)
         self.std = request.std
         self._model = model
         self._noise = noise

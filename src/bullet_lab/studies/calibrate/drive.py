@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 
 import numpy as np
-from scipy.stats import beta
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import choice, integer, number
@@ -17,6 +16,7 @@ from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, noise_fields, rule_of
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, chords
 from bullet_lab.studies.calibrate.recordings import Recording
+from bullet_lab.studies.shares import clopper_pearson
 
 _STEPS_AT_A_TIME = 50_000
 _COMMANDS = (
@@ -104,11 +104,7 @@ class Coverage:
 
     def band(self) -> Tuple[float, float]:
         """Return the 95 % band (Clopper and Pearson) of the share of `held`."""
-        held, paths = self.held, self.paths
-        return (
-            float(beta.ppf(0.025, held, paths - held + 1)) if held else 0.0,
-            float(beta.ppf(0.975, held + 1, paths - held)) if held < paths else 1.0,
-        )
+        return clopper_pearson(self.held, self.paths, 0.025)
 
     def summary(self) -> Dict[str, object]:
         """Return the figures for summary.json."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 
 from bullet_lab.core.trajectory import Trajectory, TrajectoryError
-from bullet_lab.studies.noise_study.paths import read_path
+from bullet_lab.studies.paths import read_path
 
 NAMES = (
     ("odom", "noisy_odom"),

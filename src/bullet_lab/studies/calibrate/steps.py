@@ -19,7 +19,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.noise.likelihood import RESOLUTION
 from bullet_lab.noise.systematic import arcs, chords
 from bullet_lab.studies.calibrate.recordings import Recording
-from bullet_lab.studies.noise_study.paths import snapped
+from bullet_lab.studies.paths import snapped
 
 FEWEST_STEPS = 30
 """Smallest number of steps for a calibration."""

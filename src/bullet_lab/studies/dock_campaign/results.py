@@ -14,7 +14,6 @@ from typing import Any, Dict, Iterable, List, Mapping, Sequence, Tuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.special import betaincinv
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, draw_plan, new_figure
 from bullet_lab.core.files import FileError, replace_file
@@ -23,6 +22,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import Footprint
 from bullet_lab.studies.dock_campaign.trial import CRASHED, TOLERANCES
 from bullet_lab.studies.results import Record
+from bullet_lab.studies.shares import clopper_pearson
 
 LOG = "dockings.jsonl"
 
@@ -38,18 +38,12 @@ QUANTITIES = {
 def lower_bound(successes: int, trials: int, confidence: float = 0.95) -> float:
     """Return Clopper and Pearson's one-sided lower bound of a probability of success.
 
-    It is the p for which at least so many successes have the probability 1 - confidence, a
-    quantile of the beta distribution. The true probability, whatever its value, lies above it in
-    at least that share of all experiments.
-    (C. J. Clopper and E. S. Pearson, Biometrika 26, 1934. Without a failure it is
-    (1 - confidence)^(1 / trials), some 1 - 3 / trials at 95 %.)
+    Without a failure it is (1 - confidence)^(1 / trials), some 1 - 3 / trials at 95 %.
 
     >>> round(lower_bound(200, 200), 4)
     0.9851
     """
-    if successes == 0:
-        return 0.0
-    return float(betaincinv(successes, trials - successes + 1, 1.0 - confidence))
+    return clopper_pearson(successes, trials, 1.0 - confidence)[0]
 
 
 def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:

@@ -6,7 +6,7 @@ first-order ones vermilion and dashed.
 
 from __future__ import annotations
 
-from typing import Dict, List, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,21 +17,37 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogFormatter, NullLocator
 
-from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
+from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.core.se2 import LEVEL, ellipse_points
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import Moments
-from bullet_lab.noise.noisy_paths import noisy_steps
+from bullet_lab.noise.noisy_paths import noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import MODELS
-from bullet_lab.studies.noise_study.paths import find_corners, resample
-from bullet_lab.studies.noise_study.regions import GAUSSIAN_SHARE, METHODS, level_rule, theory
-from bullet_lab.studies.noise_study.statistics import Case
+from bullet_lab.studies.noise_study.regions import (
+    GAUSSIAN_SHARE,
+    LEVELS,
+    MEANT,
+    METHODS,
+    TOLERANCE,
+    Cloud,
+    Region,
+    inverse_of,
+    level_rule,
+    line_cloud,
+    position_density,
+    theory,
+)
+from bullet_lab.studies.noise_study.statistics import Case, by_model_of, shown_levels, spread
+from bullet_lab.studies.paths import find_corners, resample
 from bullet_lab.studies.results import labelled, legend_below, legend_entry, panels
 
 COLUMNS = 5
 CURVES = 5
+PANELS = 3
 SHOWN_RATES = 3
 TYPICAL_LEVEL = 0.1
+
+BANDS = "; bands: 95 % confidence"
 
 STYLES = {
     "exact": ("o-", BLACK),
@@ -41,23 +57,27 @@ STYLES = {
 }
 """Lines and colours of the methods."""
 
-_LARGEST_MARGIN = 0.6  # of the size of the path; the rest is cut off
+# Of the size of the path; the rest is cut off.
+_LARGEST_MARGIN = 0.6
 _RATES_ON_CURVE = 24
+# Points per side of a grid of densities.
+_GRID = 160
 
-Window = Tuple[float, float, float, float]
+Window = Tuple[np.ndarray, np.ndarray]
+"""The least and the largest x and y that are drawn (m)."""
 
 
 def levels_figure(cases: Sequence[Case]) -> Figure:
     """Draw a sheet of noisy paths for each of the cases, which are levels, all to one scale."""
     rows = -(-len(cases) // COLUMNS)
     columns = min(COLUMNS, len(cases))
-    window = _window(cases)
-    height = 2.6 * (window[3] - window[2]) / (window[1] - window[0])
-    size = 0.8 + 2.6 * columns, 1.3 + rows * (min(height, 5.0) + 0.35)
+    least, most = window = _window(cases)
+    width, height = most - least
+    size = 0.8 + 2.6 * columns, 1.3 + rows * (min(2.6 * height / width, 5.0) + 0.35)
     first = cases[0]
     title = (
         f"{MODELS[first.model].title} noise at {first.rate:g} Hz: "
-        f"{len(first.sample.kept)} of {first.sample.paths} paths at each level"
+        f"{len(first.kept)} of {first.paths} paths at each level"
     )
     figure, grid = panels((rows, columns), size, title, sharex=True, sharey=True)
     for axes, case in zip(grid.flat, cases):
@@ -74,20 +94,15 @@ def levels_figure(cases: Sequence[Case]) -> Figure:
 
 
 def distance_figure(cases: Sequence[Case]) -> Figure:
-    """Draw the error against the distance travelled, and the closed form over it.
-
-    The cases are of one rate; each model has a panel.
-    """
-    by_model = by_model_of(cases)
-    title = f"Error against distance, at {cases[0].rate:g} Hz"
-    size = 4.3 * len(by_model) + 0.6, 4.6
-    figure, (row,) = panels((1, len(by_model)), size, title, sharey=True)
+    """Draw the error against the distance travelled, and the closed form over it; one rate."""
+    title = "Error against distance"
+    figure, (row,), by_model = _model_panels(cases, 1, (4.3, 0.6), 4.6, title)
     for axes, (model, of_model) in zip(row, by_model.items()):
-        shown = shown_levels(of_model)
+        shown = shown_levels(of_model, CURVES)
         for case, colour in zip(shown, _colours(len(shown))):
             _draw_error(axes, case, colour)
         axes.set(title=MODELS[model].title, xlabel="distance travelled (m)", yscale="log")
-        plain_numbers(axes.yaxis)
+        _plain_numbers(axes.yaxis)
         axes.grid(alpha=0.3)
         axes.margins(x=0.0)
         axes.set_xlim(right=1.2 * cases[0].trajectory.length())
@@ -107,7 +122,7 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
     The cases are of all models, rates and levels; the trajectory is the given path.
     """
     by_model = by_model_of(cases)
-    rates = _spread(sorted({case.rate for case in cases}), SHOWN_RATES)
+    rates = spread(sorted({case.rate for case in cases}), SHOWN_RATES)
     level = min({case.std for case in cases}, key=lambda std: abs(std - TYPICAL_LEVEL))
     sheets = [case for case in cases if case.std == level and case.rate in rates]
     window = _window(sheets)
@@ -137,73 +152,197 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
 
 def coverage_figure(cases: Sequence[Case]) -> Figure:
     """Draw the levels at which the 95 % ellipses are right, and why not at others; one rate."""
-    by_model = by_model_of(cases)
-    title = f"How far to trust an ellipse: last position, at {cases[0].rate:g} Hz"
-    size = 4.0 * len(by_model) + 0.8, 6.0
-    figure, grid = panels((2, len(by_model)), size, title, sharex=True, sharey="row")
-    for column, (model, of_model) in zip(grid.T, by_model.items()):
-        known = [case for case in of_model if case.sample.coverage["first_order"] is not None]
-        _draw_coverage(column[0], known)
-        column[0].set_title(MODELS[model].title)
+    figure, grid, by_model = _model_panels(
+        cases, 2, (4.0, 0.8), 6.0, "How far to trust an ellipse: last position"
+    )
+    for (shares, ratios), (model, of_model) in zip(grid.T, by_model.items()):
+        known = [case for case in of_model if case.coverage["first_order"] is not None]
+        _draw_coverage(shares, known)
+        shares.set_title(MODELS[model].title)
+        ratios.axhspan(1e-3, GAUSSIAN_SHARE, color=GREY, alpha=0.35, linewidth=0.0)
         std = [case.std for case in known]
-        shares, title = [c.theory.quadratic_share() for c in known], "quadratic in the noise"
-        column[1].axhspan(1e-3, GAUSSIAN_SHARE, color=GREY, alpha=0.35, linewidth=0.0)
-        column[1].plot(std, shares, "o-", color=BLACK, label=f"variance {title} / exact")
-        areas, label = [c.theory.area_ratio() for c in known], "area of the ellipse, first order"
-        column[1].plot(std, areas, "s--", color=VERMILION, label=f"{label} / exact")
-        column[1].set(xlabel="std", yscale="log", ylim=(1e-3, 10.0))
-        column[1].grid(alpha=0.3)
-        plain_numbers(column[1].yaxis)
+        quadratic = [case.theory.quadratic_share() for case in known]
+        label = "variance quadratic in the noise / exact"
+        ratios.plot(std, quadratic, "o-", color=BLACK, label=label)
+        areas = [case.theory.area_ratio() for case in known]
+        label = "area of the ellipse, first order / exact"
+        ratios.plot(std, areas, "s--", color=VERMILION, label=label)
+        ratios.set(xlabel="std", yscale="log", ylim=(1e-3, 10.0))
+        ratios.grid(alpha=0.3)
+        _plain_numbers(ratios.yaxis)
     grid[0, 0].set_ylabel("in the 95 % ellipse (%)")
     grid[1, 0].set_ylabel("ratio; grey: Gaussian enough")
-    legend_below(figure, labelled(*grid.flat), bottom=0.05, fontsize=9)
+    _add_method_legend(figure, grid)
     return figure
+
+
+def regions_figure(cases: Sequence[Case]) -> Figure:
+    """Draw coverage at each level of confidence, and the NEES, at the end; one rate."""
+    figure, grid, by_model = _model_panels(
+        cases, len(LEVELS) + 1, (4.0, 0.8), 10.5, "Regions of x, y and heading at the end", BANDS
+    )
+    for column, (model, of_model) in zip(grid.T, by_model.items()):
+        *shares, nees = column
+        column[0].set_title(MODELS[model].title)
+        std = [case.std for case in of_model]
+        for method in METHODS:
+            found = [case.regions.found[method][-1] for case in of_model]
+            for level, axes in enumerate(shares):
+                _draw_shares(axes, std, found, method, level)
+            rows = [(x, r.nees, *r.nees_band) for x, r in zip(std, found) if r]
+            _draw_band(nees, rows, method)
+        nees.axhline(3.0, color=GREY, linewidth=5.0, alpha=0.5, zorder=0.5)
+        nees.set(yscale="log", xlabel="std")
+        _plain_numbers(nees.yaxis)
+    for level, axes in zip(LEVELS, grid[:, 0]):
+        axes.set_ylabel(f"in the {100 * level:g} % region (%)")
+    grid[-1, 0].set_ylabel("mean NEES; 3 is right")
+    _add_method_legend(figure, grid)
+    return figure
+
+
+def distances_figure(cases: Sequence[Case]) -> Figure:
+    """Draw the coverage of 95 % regions against distance, for some levels; one rate."""
+    shown = {m: shown_levels(its, PANELS) for m, its in by_model_of(cases).items()}
+    rows = max(1, *map(len, shown.values()))
+    title = "95 % regions of x, y and heading along the path"
+    figure, grid, _ = _model_panels(cases, rows, (4.0, 0.8), 2.7 * rows + 0.8, title, BANDS)
+    for column, (model, levels) in zip(grid.T, shown.items()):
+        for axes, case in zip(column, levels):
+            regions = case.regions
+            for method in METHODS:
+                _draw_shares(axes, regions.travelled, regions.found[method], method, MEANT)
+            axes.set_title(f"{MODELS[model].title}, std {case.std:g}", fontsize=10)
+        column[-1].set_xlabel("distance travelled (m)")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("in the 95 % region (%)")
+    _add_method_legend(figure, grid)
+    return figure
+
+
+def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
+    """Draw clouds of noisy positions and their 95 % regions, for some levels.
+
+    The model is the one whose clouds are most bent. Above: at the pose of the path with the most
+    bent cloud. Below: at the end of a straight line of the same length.
+
+    Args:
+        cases: of one rate, one of them with noise.
+        seed: of the noise on the straight line.
+    """
+    most = max(cases, key=lambda case: case.theory.quadratic_share())
+    bent = [case for case in cases if case.model == most.model and case.std > 0.0]
+    strong = [case for case in bent if not case.theory.first_order_enough()]
+    levels = shown_levels(strong if len(strong) >= PANELS else bent, PANELS)
+    title = (
+        f"{MODELS[most.model].title} noise: where the robot is, and 95 % regions; "
+        "above the path where it is bent most, below a straight line"
+    )
+    figure, grid = panels((2, len(levels)), (4.0 * max(2, len(levels)) + 0.6, 8.4), title)
+    for column, case in zip(grid.T, levels):
+        rule = level_rule(case.model, case.std)
+        # A rate that no case has selects draws that no case has.
+        generator = study_generator(seed, case.model, case.std, -1.0)
+        length, count = case.trajectory.length(), len(case.trajectory)
+        on_line = line_cloud(length, count, rule, generator)
+        for axes, cloud in zip(column, (case.regions.bent_cloud(case.theory), on_line)):
+            _draw_cloud(axes, cloud)
+            axes.set_title(f"std {case.std:g}, after {cloud.travelled:.1f} m", fontsize=10)
+        column[-1].set_xlabel("error of x (m)")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("error of y (m)")
+    handles = [
+        legend_entry("noisy", linestyle="", marker=".", color=BLUE),
+        legend_entry("perfect", linestyle="", marker="+", color=ORANGE, markeredgewidth=2.5),
+        legend_entry(METHODS["first_order"], linestyle="--", color=VERMILION),
+        legend_entry(METHODS["exact"], color=BLACK),
+        legend_entry(METHODS["exponential"], color=GREEN, linewidth=2.0),
+    ]
+    legend_below(figure, handles, bottom=0.45 / figure.get_figheight())
+    return figure
+
+
+def _model_panels(
+    cases: Sequence[Case],
+    rows: int,
+    width: Tuple[float, float],
+    height: float,
+    title: str,
+    note: str = "",
+) -> Tuple[Figure, np.ndarray, Dict[str, List[Case]]]:
+    """Return a figure with a column for each model, its axes, and the cases of each model.
+
+    Args:
+        cases: of one rate, which is added to the title.
+        rows: their number.
+        width: of a column, and of the rest of the figure, in inches.
+        height: of the figure, in inches.
+        title: of the figure.
+        note: added to the title.
+    """
+    by_model = by_model_of(cases)
+    figure, grid = panels(
+        (rows, len(by_model)),
+        (width[0] * len(by_model) + width[1], height),
+        f"{title}, at {cases[0].rate:g} Hz{note}",
+        sharex=True,
+        sharey="row",
+    )
+    return figure, grid, by_model
+
+
+def _add_method_legend(figure: Figure, grid: np.ndarray) -> None:
+    bottom = 0.3 / figure.get_figheight()
+    legend_below(figure, labelled(*grid.flat), bottom=bottom, fontsize=9)
 
 
 def _draw_coverage(axes: Axes, cases: Sequence[Case]) -> None:
     axes.axhspan(94.0, 96.0, color=GREY, alpha=0.35, linewidth=0.0)
     std = [case.std for case in cases]
-    for name in cases[0].sample.coverage if cases else ():
-        values = [100.0 * case.sample.coverage[name] for case in cases]
+    for name in cases[0].coverage if cases else ():
+        values = [100.0 * case.coverage[name] for case in cases]
         style, colour = STYLES[name]
         axes.plot(std, values, style, color=colour, label=METHODS[name], markersize=5)
     axes.grid(alpha=0.3)
 
 
 def _draw_sheet(axes: Axes, case: Case, window: Window) -> None:
-    start = complex(*case.trajectory.poses[0, :2])
-    perfect = case.trajectory.poses[:, 0] + 1j * case.trajectory.poses[:, 1]
-    lines = start + case.sample.kept
-    points = np.stack([lines.real, lines.imag], axis=-1)
-    axes.add_collection(LineCollection(points, colors=BLUE, linewidths=0.5, alpha=0.3))
+    paths = LineCollection(_kept_places(case), colors=BLUE, linewidths=0.5, alpha=0.3)
+    axes.add_collection(paths)
     outline = [withStroke(linewidth=2.6, foreground="white")]
-    axes.plot(perfect.real, perfect.imag, color=ORANGE, linewidth=1.5, path_effects=outline)
+    perfect = case.trajectory.poses[:, :2].T
+    axes.plot(*perfect, color=ORANGE, linewidth=1.5, path_effects=outline)
     for index in find_corners(case.trajectory):
         for moments, style, colour in (
             (case.theory.exact, "-", BLACK),
             (case.theory.first_order, (0, (3, 2)), VERMILION),
         ):
-            ellipse = _ellipse_at(case, moments, index)
-            axes.plot(ellipse.real, ellipse.imag, linestyle=style, color=colour, linewidth=1.1)
+            ellipse = _ellipse_at(case, moments, index).T
+            axes.plot(*ellipse, linestyle=style, color=colour, linewidth=1.1)
     axes.set_aspect("equal")
-    axes.set(xlim=window[:2], ylim=window[2:])
+    (left, bottom), (right, top) = window
+    axes.set(xlim=(left, right), ylim=(bottom, top))
     axes.tick_params(labelsize=8)
+
+
+def _kept_places(case: Case) -> np.ndarray:
+    """Return x and y (m) of the kept paths, shape (k, n+1, 2)."""
+    places = np.stack([case.kept.real, case.kept.imag], axis=-1)
+    return case.trajectory.poses[0, :2] + places
 
 
 def _ellipse_at(case: Case, moments: Moments, index: int) -> np.ndarray:
     centre = case.trajectory.poses[index, :2] + moments.mean[index, :2]
-    x, y = ellipse_points(moments.covariance[index]).T
-    return complex(*centre) + x + 1j * y
+    return centre + ellipse_points(moments.covariance[index])
 
 
 def _add_sheet_legend(figure: Figure) -> None:
     ellipse = f"{100 * LEVEL:g} % ellipse"
-    first_order = {"linestyle": "--", "color": VERMILION, "linewidth": 1.2}
     handles = [
         legend_entry("noisy", color=BLUE, linewidth=1.0),
         legend_entry("perfect", color=ORANGE, linewidth=2.0),
         legend_entry(f"{ellipse}, exact", color=BLACK, linewidth=1.2),
-        legend_entry(f"{ellipse}, first order", **first_order),
+        legend_entry(f"{ellipse}, first order", linestyle="--", color=VERMILION, linewidth=1.2),
     ]
     legend_below(figure, handles)
     figure.tight_layout(rect=(0.01, 0.35 / figure.get_figheight(), 1.0, 1.0), pad=0.8)
@@ -211,22 +350,20 @@ def _add_sheet_legend(figure: Figure) -> None:
 
 def _window(cases: Sequence[Case]) -> Window:
     """Return limits that hold paths and ellipses, within a margin around the perfect path."""
-    poses = cases[0].trajectory.poses
-    size = max(np.ptp(poses[:, 0]), np.ptp(poses[:, 1]))
-    start = complex(*poses[0, :2])
+    perfect = cases[0].trajectory.poses[:, :2]
+    low, high = perfect.min(axis=0), perfect.max(axis=0)
+    size = (high - low).max()
     curves = []
     for case in cases:
+        places = _kept_places(case)
         for index in find_corners(case.trajectory):
-            curves.append(start + case.sample.kept[:, index])
-            curves.append(_ellipse_at(case, case.theory.exact, index))
+            curves += [places[:, index], _ellipse_at(case, case.theory.exact, index)]
     shown = np.concatenate(curves)
-    sides = []
-    for perfect, others in ((poses[:, 0], shown.real), (poses[:, 1], shown.imag)):
-        low, high = perfect.min(), perfect.max()
-        least, most = others.min() - 0.05 * size, others.max() + 0.05 * size
-        sides.append(np.clip(least, low - _LARGEST_MARGIN * size, low - 0.08 * size))
-        sides.append(np.clip(most, high + 0.08 * size, high + _LARGEST_MARGIN * size))
-    return tuple(sides)
+    least, most = shown.min(axis=0) - 0.05 * size, shown.max(axis=0) + 0.05 * size
+    return (
+        np.clip(least, low - _LARGEST_MARGIN * size, low - 0.08 * size),
+        np.clip(most, high + 0.08 * size, high + _LARGEST_MARGIN * size),
+    )
 
 
 def _draw_error(axes: Axes, case: Case, colour) -> None:
@@ -234,23 +371,24 @@ def _draw_error(axes: Axes, case: Case, colour) -> None:
     # A logarithmic axis cannot show the start, where the error is 0.
     shown = slice(int(np.searchsorted(travelled, 0.02 * travelled[-1])), None)
     far = travelled[shown]
-    axes.plot(far, case.sample.rms_distance[shown], color=colour, linewidth=3.2)
+    axes.plot(far, case.rms_distance[shown], color=colour, linewidth=3.2)
     axes.plot(far, case.theory.exact.rms_distance()[shown], "--", color=BLACK, linewidth=1.0)
     axes.plot(
         far, case.theory.first_order.rms_distance()[shown], ":", color=VERMILION, linewidth=1.6
     )
-    _label(axes, f"{case.std:g}", (far[-1], case.sample.rms_distance[-1]), 5)
+    _label(axes, f"{case.std:g}", (far[-1], case.rms_distance[-1]), 5)
 
 
 def _label(axes: Axes, text: str, point: Tuple[float, float], gap: float) -> None:
-    offset = {"xytext": (gap, 0), "textcoords": "offset points"}
-    axes.annotate(text, point, va="center", fontsize=9, **offset)
+    axes.annotate(
+        text, point, (gap, 0), textcoords="offset points", va="center", fontsize=9
+    )
 
 
 def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> None:
     """Draw the error at the end against the rate: samples, and the exact curve through them."""
     all_rates = sorted({case.rate for case in cases})
-    shown = shown_levels([case for case in cases if case.rate == all_rates[0]])
+    shown = shown_levels([case for case in cases if case.rate == all_rates[0]], CURVES)
     rates = np.unique(
         [*np.geomspace(0.8 * all_rates[0], 1.25 * all_rates[-1], _RATES_ON_CURVE), *all_rates]
     )
@@ -260,7 +398,7 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
         ends = [theory(noisy_steps(p.poses, rule)).exact.rms_distance()[-1] for p in paths]
         axes.plot(rates, ends, "-", color=BLACK, linewidth=1.0)
         of_level = [case for case in cases if case.std == first.std]
-        found = [case.sample.rms_distance[-1] for case in of_level]
+        found = [case.rms_distance[-1] for case in of_level]
         style = {"color": colour, "markeredgecolor": BLACK, "markersize": 6}
         axes.plot([case.rate for case in of_level], found, "o", **style)
         _label(axes, f"{first.std:g}", (rates[-1], ends[-1]), 4)
@@ -269,36 +407,73 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
     axes.xaxis.set_major_locator(FixedLocator(all_rates))
     axes.xaxis.set_minor_locator(NullLocator())
     for axis in (axes.xaxis, axes.yaxis):
-        plain_numbers(axis)
+        _plain_numbers(axis)
     axes.tick_params(labelsize=8)
     axes.grid(alpha=0.3)
 
 
-def plain_numbers(axis: Axis) -> None:
+def _draw_shares(
+    axes: Axes,
+    places: Sequence[float],
+    found: Sequence[Optional[Region]],
+    method: str,
+    level: int,
+) -> None:
+    """Draw the coverage of a method's regions with its bands, where there are any."""
+    goal, width = 100.0 * LEVELS[level], 100.0 * TOLERANCE
+    axes.axhspan(goal - width, goal + width, color=GREY, alpha=0.12, linewidth=0.0)
+    rows = [(x, r.coverage[level], *r.bands[level]) for x, r in zip(places, found) if r]
+    _draw_band(axes, np.reshape(rows, (-1, 4)) * (1.0, 100.0, 100.0, 100.0), method)
+
+
+def _draw_band(axes: Axes, rows: Sequence, method: str) -> None:
+    """Draw a line with its band from rows of place, value, and the ends of the band."""
+    axes.grid(alpha=0.3)
+    if len(rows):
+        style, colour = STYLES[method]
+        x, values, low, high = np.transpose(rows)
+        axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0.0)
+        axes.plot(x, values, style, color=colour, markersize=4, label=METHODS[method])
+
+
+def _draw_cloud(axes: Axes, cloud: Cloud) -> None:
+    points = cloud.points
+    axes.plot(points.real, points.imag, ".", color=BLUE, markersize=2.0, alpha=0.4)
+    axes.plot([0.0], [0.0], "+", color=ORANGE, markersize=11.0, markeredgewidth=2.5)
+    curves = [points]
+    for (mean, covariance), style, colour in (
+        (cloud.exact, "-", BLACK),
+        (cloud.first_order, "--", VERMILION),
+    ):
+        x, y = (ellipse_points(covariance) + mean[:2]).T
+        axes.plot(x, y, style, color=colour, linewidth=1.4)
+        curves.append(x + 1j * y)
+    _draw_bent_region(axes, *cloud.exponential, np.concatenate(curves))
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.grid(alpha=0.3)
+
+
+def _draw_bent_region(axes: Axes, mean, covariance, around: np.ndarray) -> None:
+    """Draw the region of 95 % of the positions, if they are Gaussian in exponential coordinates."""
+    if inverse_of(covariance) is None:
+        return
+    sides = np.array([around.real, around.imag])
+    margins = 0.2 * np.ptp(sides, axis=1)
+    x, y = np.linspace(sides.min(axis=1) - margins, sides.max(axis=1) + margins, _GRID).T
+    density = position_density(mean, covariance, x[None, :] + 1j * y[:, None])
+    falling = np.sort(density.ravel())[::-1]
+    held = np.cumsum(falling) / falling.sum()
+    level = falling[np.searchsorted(held, LEVEL)]
+    # Copied from another figure, as a contour would widen the limits to its whole grid.
+    contour = new_figure(1.0, 1.0).subplots().contour(x, y, density, levels=[level])
+    for curve in contour.allsegs[0]:
+        axes.plot(*curve.T, color=GREEN, linewidth=2.0)
+
+
+def _plain_numbers(axis: Axis) -> None:
     """Format the numbers of a logarithmic axis without powers of ten."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(LogFormatter())
-
-
-def by_model_of(cases: Sequence[Case]) -> Dict[str, List[Case]]:
-    """Return the cases of each model, in the given order."""
-    result: Dict[str, List[Case]] = {}
-    for case in cases:
-        result.setdefault(case.model, []).append(case)
-    return result
-
-
-def shown_levels(cases: Sequence[Case], count: int = CURVES) -> List[Case]:
-    """Return some of the cases with noise, from low to high."""
-    return _spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), count)
-
-
-def _spread(values: Sequence, count: int) -> List:
-    """Return some of the values, evenly spread, with the first and the last."""
-    if len(values) <= count:
-        return list(values)
-    indices = np.linspace(0, len(values) - 1, count).round().astype(int)
-    return [values[i] for i in indices]
 
 
 def _colours(count: int) -> np.ndarray:

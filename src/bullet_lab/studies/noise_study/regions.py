@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
-from scipy.special import betaincinv, chdtri, ndtri
+from scipy.special import chdtri, ndtri
 
-from bullet_lab.core.se2 import logarithm, wrap
+from bullet_lab.core.se2 import logarithm, straightening, wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import (
     Moments,
@@ -25,19 +25,23 @@ from bullet_lab.noise.exact_moments import (
     quadratic_covariances,
     quadratic_shares,
 )
-from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps
-from bullet_lab.noise.odometry_noise import NoiseRule, model_named
+from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps, noisy_blocks, noisy_steps
+from bullet_lab.noise.odometry_noise import MODELS, NoiseRule
+from bullet_lab.studies.shares import clopper_pearson
 
 FIRST_ORDER_SHARE = 0.05
 GAUSSIAN_SHARE = 0.1
 """Largest share of the variance that is quadratic in the noise; see `Theory`."""
 
 _SINGULAR = 1e-12
+# Headings of a mean over headings, and their reach in standard deviations.
+_HEADINGS = 41
+_REACH = 4.5
 
 
 def level_rule(model: str, std: float) -> NoiseRule:
-    """Return the rule of a model at a level of noise; raises NoiseError."""
-    return model_named(model).at_level(std)
+    """Return the rule of a model at a level of noise."""
+    return MODELS[model].at_level(std)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +136,8 @@ CLOUD = 1000
 BAND = 0.95
 """Confidence of the bands."""
 
+_TAIL = 0.5 * (1.0 - BAND)
+
 
 def checkpoints(trajectory: Trajectory) -> np.ndarray:
     """Return the indices of `CHECKPOINTS` poses at equal distances along a path, with the last.
@@ -141,18 +147,6 @@ def checkpoints(trajectory: Trajectory) -> np.ndarray:
     travelled = trajectory.travelled()
     goals = travelled[-1] * np.arange(1, CHECKPOINTS) / CHECKPOINTS
     return np.unique([*np.maximum(np.searchsorted(travelled, goals), 1), len(travelled) - 1])
-
-
-def share_band(inside: int, trials: int) -> Tuple[float, float]:
-    """Return the 95 % interval of Clopper and Pearson (1934) around a share.
-
-    >>> [round(bound, 3) for bound in share_band(95, 100)]
-    [0.887, 0.984]
-    """
-    tail = 0.5 * (1.0 - BAND)
-    low = betaincinv(inside, trials - inside + 1, tail) if inside else 0.0
-    high = betaincinv(inside + 1, trials - inside, 1.0 - tail) if inside < trials else 1.0
-    return float(low), float(high)
 
 
 @dataclass(frozen=True)
@@ -193,6 +187,50 @@ def right_up_to(
     return limit
 
 
+Gaussian = Tuple[np.ndarray, np.ndarray]
+"""Its mean (3,) and covariance (3, 3), in m and rad."""
+
+
+class Cloud(NamedTuple):
+    """Errors of many positions at a pose, and their Gaussians by three methods.
+
+    Attributes:
+        points: x + iy (m), shape (b,).
+        travelled: m, up to the pose.
+        exact: by exact moments.
+        first_order: by those of first order.
+        exponential: in exponential coordinates.
+    """
+
+    points: np.ndarray
+    travelled: float
+    exact: Gaussian
+    first_order: Gaussian
+    exponential: Gaussian
+
+
+def line_cloud(length: float, count: int, rule: NoiseRule, generator) -> Cloud:
+    """Return the cloud at the end of a straight line.
+
+    Args:
+        length: m.
+        count: number of poses.
+        rule: of the noise.
+        generator: of the normal draws.
+    """
+    along = np.linspace(0.0, length, count)
+    steps = noisy_steps(np.column_stack([along, np.zeros((count, 2))]), rule)
+    blocks = noisy_blocks(steps, generator, CLOUD)
+    points = np.concatenate([block.position[:, -1] - length for block in blocks])
+    every = (exact_moments(steps), first_order_moments(steps))
+    exponential = exponential_moments(steps, [count - 1])
+    return Cloud(points, length, *(_gaussian_at(moments, -1) for moments in (*every, exponential)))
+
+
+def _gaussian_at(moments: Moments, pose: int) -> Gaussian:
+    return moments.mean[pose], moments.covariance[pose]
+
+
 @dataclass(frozen=True, eq=False)
 class Regions:
     """The regions of a case.
@@ -212,6 +250,14 @@ class Regions:
     found: Dict[str, List[Optional[Region]]]
     exponential: Moments
     cloud: np.ndarray
+
+    def bent_cloud(self, known: Theory) -> Cloud:
+        """Return the cloud at the pose where it is bent most, by the moments of the case."""
+        k = int(np.argmax([known.quadratic_share(pose) for pose in self.poses]))
+        moments, pose = (known.exact, known.first_order), self.poses[k]
+        gaussians = [_gaussian_at(one, pose) for one in moments]
+        gaussians.append(_gaussian_at(self.exponential, k))
+        return Cloud(self.cloud[:, k], float(self.travelled[k]), *gaussians)
 
     def right_until(self, method: str) -> Optional[float]:
         """Return the distance (m) up to which the 95 % region is right, None without regions."""
@@ -235,6 +281,34 @@ HEADER = (
 )
 
 
+class Ellipsoids:
+    """Regions around the means of errors by several methods, at several poses.
+
+    Args:
+        means: shape (m, k, d), of m methods at k poses.
+        covariances: shape (m, k, d, d).
+
+    Attributes:
+        known: whether a region has a volume, shape (m, k).
+    """
+
+    def __init__(self, means, covariances):
+        self._means = np.asarray(means)
+        found = [[inverse_of(c) for c in of_method] for of_method in covariances]
+        self.known = np.array([[inverse is not None for inverse in row] for row in found])
+        nothing = np.zeros((self._means.shape[-1],) * 2)
+        self._inverses = np.array([[nothing if i is None else i for i in row] for row in found])
+
+    def nees(self, errors: np.ndarray) -> np.ndarray:
+        """Return the square Mahalanobis lengths of b errors, (m, b, k, d) to (m, b, k)."""
+        off = errors - self._means[:, None]
+        return np.einsum("mbki,mkij,mbkj->mbk", off, self._inverses, off, optimize=_ORDER)
+
+
+# The product of the errors and the inverses comes first.
+_ORDER = ["einsum_path", (0, 1), (0, 1)]
+
+
 class RegionCounter:
     """Counts the noisy paths in the regions, in memory that does not grow with their number.
 
@@ -245,31 +319,24 @@ class RegionCounter:
     """
 
     def __init__(self, trajectory: Trajectory, steps: NoisySteps, known: Theory):
-        self._poses = checkpoints(trajectory)
-        self._travelled = trajectory.travelled()[self._poses]
-        self._enough = [known.gaussian_enough(pose) for pose in self._poses]
-        self._perfect = steps.position[self._poses]
-        at = self._poses
+        self._poses = at = checkpoints(trajectory)
+        self._travelled = trajectory.travelled()[at]
+        self._enough = [known.gaussian_enough(pose) for pose in at]
+        self._perfect = steps.position[at]
         self._exponential = exponential = exponential_moments(steps, at)
         nothing = np.zeros((len(at), 3))
-        centres = {
-            "first_order": (nothing, known.first_order.covariance[at]),
-            "exact": (known.exact.mean[at], known.exact.covariance[at]),
-            "exponential": (exponential.mean, exponential.covariance),
-            "published": (nothing, known.exact.about_perfect()[at]),
-        }
-        inverses = [[inverse_of(c) for c in covariances] for _, covariances in centres.values()]
-        self._known = np.array([[i is not None for i in row] for row in inverses])
-        self._inverses = np.array(
-            [[np.zeros((3, 3)) if i is None else i for i in row] for row in inverses]
+        first_order, exact = known.first_order.covariance[at], known.exact.covariance[at]
+        published = known.exact.about_perfect()[at]
+        # In the order of `METHODS`.
+        self._ellipsoids = Ellipsoids(
+            (nothing, known.exact.mean[at], exponential.mean, nothing),
+            (first_order, exact, exponential.covariance, published),
         )
-        self._centres = np.array([centre for centre, _ in centres.values()])
-        self._in_exponential = np.array([name == "exponential" for name in centres])
-        self._names = list(centres)
         self._paths = 0
         self._cloud: List[np.ndarray] = []
-        self._inside = np.zeros((*self._known.shape, len(LEVELS)), dtype=int)
-        self._sums = np.zeros((2, *self._known.shape))
+        shape = self._ellipsoids.known.shape
+        self._inside = np.zeros((*shape, len(LEVELS)), dtype=int)
+        self._sums = np.zeros((2, *shape))
 
     def add(self, block: NoisyBlock) -> None:
         """Count the paths of a block."""
@@ -278,9 +345,7 @@ class RegionCounter:
         if self._paths < CLOUD:
             self._cloud.append(off[: CLOUD - self._paths])
         errors = np.stack([off.real, off.imag, heading], axis=-1)
-        errors = np.where(self._in_exponential[:, None, None, None], logarithm(errors), errors)
-        errors -= self._centres[:, None]
-        nees = np.einsum("mbki,mkij,mbkj->mbk", errors, self._inverses, errors, optimize=_ORDER)
+        nees = self._ellipsoids.nees(np.stack([errors, errors, logarithm(errors), errors]))
         self._paths += len(block)
         self._inside += np.count_nonzero(nees[..., None] <= BOUNDS, axis=1)
         self._sums += nees.sum(axis=1), np.square(nees).sum(axis=1)
@@ -289,25 +354,40 @@ class RegionCounter:
         """Return the statistics of all paths."""
         found = {
             name: [self._region(row, k) for k in range(len(self._poses))]
-            for row, name in enumerate(self._names)
+            for row, name in enumerate(METHODS)
         }
         cloud = np.concatenate(self._cloud)
         return Regions(self._poses, self._travelled, self._enough, found, self._exponential, cloud)
 
     def _region(self, row: int, k: int) -> Optional[Region]:
-        if not self._known[row, k]:
+        if not self._ellipsoids.known[row, k]:
             return None
         n, inside = self._paths, self._inside[row, k].tolist()
-        mean = self._sums[0, row, k] / n
-        variance = max(0.0, self._sums[1, row, k] / n - mean * mean)
-        half = float(ndtri(0.5 + 0.5 * BAND)) * math.sqrt(variance / n)
+        mean, squares = (self._sums[:, row, k] / n).tolist()
+        half = float(ndtri(0.5 + 0.5 * BAND)) * math.sqrt(max(0.0, squares - mean * mean) / n)
         return Region(
             tuple(count / n for count in inside),
-            tuple(share_band(count, n) for count in inside),
-            float(mean),
-            (float(mean - half), float(mean + half)),
+            tuple(clopper_pearson(count, n, _TAIL) for count in inside),
+            mean,
+            (mean - half, mean + half),
         )
 
 
-# The product of the errors and the inverses comes first.
-_ORDER = ["einsum_path", (0, 1), (0, 1)]
+def position_density(mean: np.ndarray, covariance: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return the density of positions x + iy (m) whose exponential coordinates are Gaussian.
+
+    For each heading the first two coordinates are a linear function of the position; the density is
+    the mean of theirs over the headings.
+    """
+    deviation = math.sqrt(covariance[2, 2])
+    result = np.zeros(place.shape)
+    slope = covariance[:2, 2] / covariance[2, 2]
+    inverse = np.linalg.inv(covariance[:2, :2] - np.outer(slope, covariance[2, :2]))
+    for h in np.linspace(-_REACH, _REACH, _HEADINGS) * deviation:
+        if abs(h) < math.pi:
+            straight = straightening(h)
+            off = straight * place - complex(*(mean[:2] + slope * h))
+            square = inverse[0, 0] * off.real**2 + inverse[1, 1] * off.imag**2
+            square += 2.0 * inverse[0, 1] * off.real * off.imag + (h / deviation) ** 2
+            result += np.exp(-0.5 * square) * abs(straight) ** 2
+    return result

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Dict, List, NamedTuple, Optional
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence
 
 import numpy as np
 
@@ -20,10 +20,10 @@ from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps, noisy_blocks, n
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
 from bullet_lab.studies.noise_study.regions import (
     MEANT,
+    Ellipsoids,
     RegionCounter,
     Regions,
     Theory,
-    inverse_of,
     level_rule,
     position_of,
     theory,
@@ -74,18 +74,14 @@ def find_laps(trajectory: Trajectory) -> Laps:
     `MOST_LAPS` count.
     """
     heading = np.unwrap(trajectory.poses[:, 2])
-    turned = np.abs(heading - heading[0])
-    ends = []
-    while len(ends) < MOST_LAPS:
-        goal = (len(ends) + 1) * math.tau
-        there = np.flatnonzero(turned >= goal)
-        if not there.size:
-            there = np.flatnonzero(turned >= goal - LAP_TOLERANCE)
-            if there.size and len(trajectory) - 1 > (ends[-1] if ends else 0):
-                ends.append(len(trajectory) - 1)
-            break
-        ends.append(int(there[0]))
-    return Laps(np.array([0, *ends[:-1]][: len(ends)], dtype=int), np.array(ends, dtype=int))
+    turned = np.maximum.accumulate(np.abs(heading - heading[0]))
+    goals = math.tau * np.arange(1, MOST_LAPS + 1)
+    ends = np.searchsorted(turned, goals)
+    ends, last = ends[ends < len(turned)], len(turned) - 1
+    is_whole = len(ends) == MOST_LAPS or last in ends
+    if not is_whole and turned[-1] >= goals[len(ends)] - LAP_TOLERANCE:
+        ends = np.append(ends, last)
+    return Laps(np.append(0, ends)[: len(ends)], ends)
 
 
 def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray, np.ndarray]:
@@ -98,10 +94,8 @@ def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray,
         Indices of the first and second poses, two arrays of the same length.
 
     Raises:
-        PathMetricsError: delta is not > 0, or there is no pair.
+        PathMetricsError: there is no pair.
     """
-    if not 0.0 < delta < math.inf:
-        raise PathMetricsError(f"delta must be finite and > 0, not {delta!r}")
     travelled = trajectory.travelled()
     count = len(travelled)
     # The nearest is the last one at or below the wanted distance or the first one above it. Of
@@ -218,37 +212,8 @@ def _tangents(steps: NoisySteps) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
-    """Statistics of many noisy versions of a path.
-
-    Attributes:
-        paths: number of paths.
-        mean: of the errors of the last pose: x (m), y (m), heading (rad, not wrapped), (3,).
-        covariance: of the same, (3, 3).
-        metrics: for each metric its mean, 50 % and 95 % quantile.
-        coverage: share of the paths whose last position lies in the 95 % ellipse, by the ellipse:
-            "first_order" and "exact", each around its mean, and "published", the one that
-            noisy_odom publishes, around the published pose. None for an ellipse without area.
-        regions: coverage of the regions of all three coordinates along the path.
-        rms_distance: m, root mean square distance from the perfect path at each pose, (n+1,).
-        kept: x + iy (m), the first paths, relative to their start, (k, n+1).
-        kept_heading: rad, their heading errors, (k, n+1).
-    """
-
-    paths: int
-    mean: np.ndarray
-    covariance: np.ndarray
-    metrics: Dict[str, Dict[str, float]]
-    coverage: Dict[str, Optional[float]]
-    regions: Regions
-    rms_distance: np.ndarray
-    kept: np.ndarray
-    kept_heading: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Case:
-    """One level of noise, model and message rate on one path.
+    """Statistics of many noisy versions of a path, for one noise level, model and message rate.
 
     Attributes:
         trajectory: the perfect path at this rate.
@@ -256,8 +221,18 @@ class Case:
         rate: Hz.
         std: the level.
         theory: moments in closed form.
-        sample: statistics of the paths.
         perfect_closure: m, closure error of the perfect path in each lap.
+        regions: coverage of the regions of all three coordinates along the path.
+        paths: number of paths.
+        mean: of the errors of the last pose: x (m), y (m), heading (rad, not wrapped), (3,).
+        covariance: of the same, (3, 3).
+        metrics: for each metric its mean, 50 % and 95 % quantile.
+        coverage: share of the paths whose last position lies in the 95 % ellipse, by the ellipse:
+            "first_order" and "exact", each around its mean, and "published", the one that
+            noisy_odom publishes, around the published pose. None for an ellipse without area.
+        rms_distance: m, root mean square distance from the perfect path at each pose, (n+1,).
+        kept: x + iy (m), the first paths, relative to their start, (k, n+1).
+        kept_heading: rad, their heading errors, (k, n+1).
     """
 
     trajectory: Trajectory
@@ -265,30 +240,40 @@ class Case:
     rate: float
     std: float
     theory: Theory
-    sample: Sample
     perfect_closure: List[float]
+    regions: Regions
+    paths: int
+    mean: np.ndarray
+    covariance: np.ndarray
+    metrics: Dict[str, Dict[str, float]]
+    coverage: Dict[str, Optional[float]]
+    rms_distance: np.ndarray
+    kept: np.ndarray
+    kept_heading: np.ndarray
+
+    @property
+    def key(self) -> Dict[str, Any]:
+        """The case in the tables, by the names of their columns."""
+        return {"model": self.model, "rate_hz": self.rate, "std": self.std}
 
     def kept_path(self, number: int) -> Trajectory:
         """Return one of the kept noisy paths."""
-        perfect, position = self.trajectory.poses, self.sample.kept[number]
+        perfect, position = self.trajectory.poses, self.kept[number]
         x, y = perfect[0, 0] + position.real, perfect[0, 1] + position.imag
-        yaw = perfect[:, 2] + self.sample.kept_heading[number]
+        yaw = perfect[:, 2] + self.kept_heading[number]
         return Trajectory(self.trajectory.stamps, np.column_stack([x, y, yaw]))
 
     def summary(self) -> Dict[str, Any]:
         """Return the figures of the case for summary.json; None if they are not defined."""
-        sample, known = self.sample, self.theory
-        published = sample.regions.found["published"][-1]
+        known, published = self.theory, self.regions.found["published"][-1]
         return {
-            "model": self.model,
-            "rate_hz": self.rate,
-            "std": self.std,
+            **self.key,
             "messages": len(self.trajectory),
-            "paths": sample.paths,
+            "paths": self.paths,
             "final_pose_error": {
-                "sample_mean": sample.mean.tolist(),
+                "sample_mean": self.mean.tolist(),
                 "exact_mean": known.exact.mean[-1].tolist(),
-                "sample_covariance": sample.covariance.tolist(),
+                "sample_covariance": self.covariance.tolist(),
                 "exact_covariance": known.exact.covariance[-1].tolist(),
                 "first_order_covariance": known.first_order.covariance[-1].tolist(),
             },
@@ -299,18 +284,37 @@ class Case:
             },
             "quadratic_share": known.quadratic_share(),
             "gaussian_enough": known.gaussian_enough(),
-            "coverage_of_95_percent_ellipse": dict(sample.coverage),
+            "coverage_of_95_percent_ellipse": self.coverage,
             "nees": {
                 "mean": published and published.nees,
                 "expected": 3.0,
                 "share_within_95_percent": published and published.coverage[MEANT],
             },
             "region_right_until_m": {
-                name: sample.regions.right_until(name) for name in sample.regions.found
+                name: self.regions.right_until(name) for name in self.regions.found
             },
-            "metrics": sample.metrics,
+            "metrics": self.metrics,
             "perfect_closure_m": self.perfect_closure,
         }
+
+
+def by_model_of(cases: Sequence[Case]) -> Dict[str, List[Case]]:
+    """Return the cases of each model, in the given order."""
+    result: Dict[str, List[Case]] = {}
+    for case in cases:
+        result.setdefault(case.model, []).append(case)
+    return result
+
+
+def shown_levels(cases: Sequence[Case], count: int) -> List[Case]:
+    """Return some of the cases with noise, from low to high."""
+    return spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), count)
+
+
+def spread(values: Sequence, count: int) -> List:
+    """Return some of the values, evenly spread, with the first and the last."""
+    indices = np.linspace(0, len(values) - 1, min(count, len(values))).round().astype(int)
+    return [values[i] for i in indices]
 
 
 def study_case(
@@ -332,22 +336,31 @@ def study_case(
         keep: number of paths to keep.
 
     Raises:
-        LabError: the level, path or delta is invalid.
+        PathMetricsError: no two poses of the path are delta apart.
     """
     model, std, rate = case
     steps = noisy_steps(trajectory.poses, level_rule(model, std))
     known = theory(steps)
     metrics = PathMetrics(trajectory, steps, delta)
-    sampler = _Sampler(steps, known, metrics, paths, keep)
+    sums = _CaseSums(steps, known, metrics, paths, keep)
     counter = RegionCounter(trajectory, steps, known)
     for block in noisy_blocks(steps, generator, paths):
-        sampler.add(block)
+        sums.add(block)
         counter.add(block)
-    sample = sampler.sample(counter.regions())
-    return Case(trajectory, model, rate, std, known, sample, metrics.perfect_closure())
+    return Case(
+        trajectory,
+        model,
+        rate,
+        std,
+        known,
+        metrics.perfect_closure(),
+        counter.regions(),
+        paths,
+        **sums.statistics(),
+    )
 
 
-class _Sampler:
+class _CaseSums:
     """Sums over blocks of noisy paths, in memory that does not grow with their number."""
 
     def __init__(
@@ -355,25 +368,22 @@ class _Sampler:
     ):
         self._steps = steps
         self._metrics = metrics
+        self._paths = paths
         self._exact_mean = known.exact.mean[-1]
-        # Centre and inverse covariance.
-        self._ellipses = {
-            "first_order": (np.zeros(2), inverse_of(position_of(known.first_order))),
-            "exact": (self._exact_mean[:2], inverse_of(position_of(known.exact))),
-            "published": (np.zeros(2), inverse_of(known.exact.about_perfect()[-1, :2, :2])),
-        }
-        self._paths = 0
+        published = known.exact.about_perfect()[-1, :2, :2]
+        covariances = (position_of(known.first_order), position_of(known.exact), published)
+        means = (np.zeros(2), self._exact_mean[:2], np.zeros(2))
+        self._ellipses = Ellipsoids(np.array(means)[:, None], np.array(covariances)[:, None])
         self._sum = np.zeros(3)
         self._squares = np.zeros((3, 3))
         self._metric_sums = np.zeros(len(metrics.names))
         self._metric_values = np.empty((min(paths, QUANTILE_PATHS), len(metrics.names)))
-        self._inside = dict.fromkeys(self._ellipses, 0)
+        self._inside = np.zeros(len(means), dtype=int)
         self._distance_squares = np.zeros(len(steps) + 1)
         self._kept = np.empty((min(keep, paths), len(steps) + 1), dtype=complex)
         self._kept_heading = np.empty(self._kept.shape)
 
     def add(self, block: NoisyBlock) -> None:
-        self._paths += len(block)
         error = block.position - self._steps.position
         self._distance_squares += np.einsum("ij,ij->j", error.real, error.real)
         self._distance_squares += np.einsum("ij,ij->j", error.imag, error.imag)
@@ -382,6 +392,8 @@ class _Sampler:
         centred = last - self._exact_mean
         self._sum += centred.sum(axis=0)
         self._squares += centred.T @ centred
+        nees = self._ellipses.nees(last[:, None, :2])
+        self._inside += np.count_nonzero(nees <= SQUARE_RADIUS, axis=(1, 2))
         values = self._metrics.values(block)
         self._metric_sums += values.sum(axis=0)
         for kept, new in (
@@ -389,34 +401,26 @@ class _Sampler:
             (self._kept, block.position),
             (self._kept_heading, block.heading_error),
         ):
-            room = max(0, min(len(kept) - block.first, len(block)))
-            kept[block.first : block.first + room] = new[:room]
-        for name, (centre, inverse) in self._ellipses.items():
-            if inverse is not None:
-                off = last[:, :2] - centre
-                lengths = np.einsum("ni,ij,nj->n", off, inverse, off)
-                self._inside[name] += int(np.count_nonzero(lengths <= SQUARE_RADIUS))
+            # A slice beyond the end of an array is empty.
+            room = kept[block.first : block.first + len(block)]
+            room[:] = new[: len(room)]
 
-    def sample(self, regions: Regions) -> Sample:
-        n = self._paths
+    def statistics(self) -> Dict[str, Any]:
+        """Return the statistics as attributes of `Case`."""
+        n, names = self._paths, ("first_order", "exact", "published")
         shift = self._sum / n
-        known = {name: inverse is not None for name, (_, inverse) in self._ellipses.items()}
-        return Sample(
-            paths=n,
-            mean=self._exact_mean + shift,
-            covariance=(self._squares - n * np.outer(shift, shift)) / (n - 1),
-            metrics=self._metric_summaries(),
-            coverage={k: self._inside[k] / n if regular else None for k, regular in known.items()},
-            regions=regions,
-            rms_distance=np.sqrt(self._distance_squares / n),
-            kept=self._kept,
-            kept_heading=self._kept_heading,
-        )
-
-    def _metric_summaries(self) -> Dict[str, Dict[str, float]]:
-        means = self._metric_sums / self._paths
         median, high = np.quantile(self._metric_values, [0.5, 0.95], axis=0)
+        columns = zip((self._metric_sums / n).tolist(), median.tolist(), high.tolist())
+        shares = np.where(self._ellipses.known[:, 0], self._inside / n, None)
         return {
-            name: {"mean": float(means[i]), "p50": float(median[i]), "p95": float(high[i])}
-            for i, name in enumerate(self._metrics.names)
+            "mean": self._exact_mean + shift,
+            "covariance": (self._squares - n * np.outer(shift, shift)) / (n - 1),
+            "metrics": {
+                name: dict(zip(("mean", "p50", "p95"), values))
+                for name, values in zip(self._metrics.names, columns)
+            },
+            "coverage": dict(zip(names, shares.tolist())),
+            "rms_distance": np.sqrt(self._distance_squares / n),
+            "kept": self._kept,
+            "kept_heading": self._kept_heading,
         }

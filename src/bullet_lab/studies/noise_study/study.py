@@ -11,7 +11,7 @@ import functools
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Sequence, Tuple
+from typing import Any, Dict, Iterable, Iterator, List, Sequence, Tuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -23,21 +23,18 @@ from bullet_lab.drive.square import Square
 from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.figures import (
-    by_model_of,
+    banana_figure,
     coverage_figure,
     distance_figure,
+    distances_figure,
     levels_figure,
     rates_figure,
-)
-from bullet_lab.studies.noise_study.paths import check_path, read_path, resample, tum_text
-from bullet_lab.studies.noise_study.region_figures import (
-    banana_figure,
-    distances_figure,
     regions_figure,
 )
 from bullet_lab.studies.noise_study.regions import HEADER, MEANT, METHODS, right_up_to
-from bullet_lab.studies.noise_study.statistics import Case, study_case
-from bullet_lab.studies.results import write_results
+from bullet_lab.studies.noise_study.statistics import Case, by_model_of, study_case
+from bullet_lab.studies.paths import check_path, read_path, resample, tum_text
+from bullet_lab.studies.results import rows_of, write_results
 from bullet_lab.studies.squares import drive_square
 from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent
 
@@ -129,7 +126,7 @@ def _verdict(cases: Sequence[Case]) -> str:
     levels = [case.std for case in noisy]
     limits = []
     for method, title in METHODS.items():
-        limit = right_up_to(levels, [case.sample.regions.found[method][-1] for case in noisy])
+        limit = right_up_to(levels, [case.regions.found[method][-1] for case in noisy])
         if limit is not None:
             limits.append(f"{title} {f'up to {limit:g}' if limit else 'nowhere'}")
     return f"95 % regions are right at the end: {', '.join(limits)}" if limits else "no regions"
@@ -182,68 +179,76 @@ def run_study(
     return write_results(folder, summary, tables, figures, texts)
 
 
-def metrics_rows(cases: Sequence[Case]) -> List[List[Any]]:
+def metrics_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
     """Return a header and a row for each case: metrics, coverage, NEES, errors of first order."""
     # At a low rate a lap may be missing.
-    fullest = max((case.sample.metrics for case in cases), key=len)
-    metrics = [(name, part) for name, parts in fullest.items() for part in parts]
-    header = [
-        *("model", "rate_hz", "std", "paths", *(f"{name}_{part}" for name, part in metrics)),
-        *("coverage_first_order", "coverage_exact", "coverage_published"),
-        *("nees_mean", "nees_within_95", "mean_missed_by_std", "area_over_exact"),
-        *("quadratic_share", "gaussian_enough"),
-    ]
-    rows: List[List[Any]] = [header]
+    fullest = max((case.metrics for case in cases), key=len)
+    records = []
     for case in cases:
-        sample, known = case.sample, case.theory
-        published = sample.regions.found["published"][-1]
-        rows.append(
-            [
-                *(case.model, case.rate, case.std, sample.paths),
-                *(sample.metrics.get(name, {}).get(part) for name, part in metrics),
-                *sample.coverage.values(),
-                *((published.nees, published.coverage[MEANT]) if published else (None, None)),
-                *(known.shift(), known.area_ratio(), known.quadratic_share()),
-                str(known.gaussian_enough()).lower(),
-            ]
+        known, published = case.theory, case.regions.found["published"][-1]
+        records.append(
+            {
+                **case.key,
+                "paths": case.paths,
+                **{
+                    f"{name}_{part}": case.metrics.get(name, {}).get(part)
+                    for name, parts in fullest.items()
+                    for part in parts
+                },
+                **{f"coverage_{name}": share for name, share in case.coverage.items()},
+                "nees_mean": published and published.nees,
+                "nees_within_95": published and published.coverage[MEANT],
+                "mean_missed_by_std": known.shift(),
+                "area_over_exact": known.area_ratio(),
+                "quadratic_share": known.quadratic_share(),
+                "gaussian_enough": str(known.gaussian_enough()).lower(),
+            }
         )
-    return rows
+    return rows_of(records)
 
 
-def distance_rows(cases: Sequence[Case]) -> Iterator[List[Any]]:
-    """Yield a header and rows with the rms distance from the perfect path, sampled and exact."""
-    names = ("travelled_m", "sample_rms_m", "exact_rms_m", "first_order_rms_m")
-    yield ["model", "rate_hz", "std", *names]
+def distance_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
+    """Return a header and rows with the rms distance from the perfect path, sampled and exact."""
+    records = []
     for case in cases:
-        travelled, theory = case.trajectory.travelled(), case.theory
-        moments = (theory.exact, theory.first_order)
-        columns = (travelled, case.sample.rms_distance, *(m.rms_distance() for m in moments))
-        count = min(_DISTANCES_PER_CASE, len(travelled))
-        for index in np.unique(np.linspace(0, len(travelled) - 1, count).round().astype(int)):
-            yield [case.model, case.rate, case.std, *(float(column[index]) for column in columns)]
+        columns = {
+            "travelled_m": case.trajectory.travelled(),
+            "sample_rms_m": case.rms_distance,
+            "exact_rms_m": case.theory.exact.rms_distance(),
+            "first_order_rms_m": case.theory.first_order.rms_distance(),
+        }
+        last = len(case.trajectory) - 1
+        places = np.linspace(0, last, min(_DISTANCES_PER_CASE, last + 1)).round().astype(int)
+        for index in np.unique(places):
+            own = {name: float(column[index]) for name, column in columns.items()}
+            records.append({**case.key, **own})
+    return rows_of(records)
 
 
-def region_rows(cases: Sequence[Case]) -> Iterator[List[Any]]:
+def region_rows(cases: Sequence[Case]) -> Iterator[Iterable[Any]]:
     """Yield a header and rows with the regions of each case, method and pose; see `Regions`."""
-    yield ["model", "rate_hz", "std", *HEADER]
+    yield [*cases[0].key, *HEADER]
     for case in cases:
-        yield from ([case.model, case.rate, case.std, *row] for row in case.sample.regions.rows())
+        yield from ([*case.key.values(), *row] for row in case.regions.rows())
 
 
-def where_right_rows(cases: Sequence[Case]) -> Iterator[List[Any]]:
-    """Yield a header and a row for each case: the distance (m) up to which 95 % regions are right.
+def where_right_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
+    """Return a header and a row for each case: the distance (m) up to which 95 % regions are right.
 
     A region is right as long as the band around its share overlaps 95 ± 1 %. None: it has no
     volume.
     """
-    yield [
-        *("model", "rate_hz", "std", "length_m", "quadratic_share"),
-        *(f"{method}_right_until_m" for method in METHODS),
-    ]
-    for case in cases:
-        until = (case.sample.regions.right_until(method) for method in METHODS)
-        length, share = case.trajectory.length(), case.theory.quadratic_share()
-        yield [case.model, case.rate, case.std, length, share, *until]
+    return rows_of(
+        [
+            {
+                **case.key,
+                "length_m": case.trajectory.length(),
+                "quadratic_share": case.theory.quadratic_share(),
+                **{f"{name}_right_until_m": case.regions.right_until(name) for name in METHODS},
+            }
+            for case in cases
+        ]
+    )
 
 
 def _figures(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Mapping, Optional, Sequence, Tuple
+from dataclasses import replace
+from typing import Callable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,9 +13,15 @@ from matplotlib.patches import Patch
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.core.se2 import wrap
-from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
-from bullet_lab.studies.published_noise.drawn_paths import LENGTHS, PublishedFigure
-from bullet_lab.studies.published_noise.results import EVIDENCE, PValue, Result, groups_of_same
+from bullet_lab.noise.published_noise import ALL, DEFECTS, NONE, Defects
+from bullet_lab.studies.published_noise.results import (
+    EVIDENCE,
+    LENGTHS,
+    PublishedFigure,
+    PValue,
+    Result,
+    groups_of_same,
+)
 from bullet_lab.studies.results import legend_below, legend_entry, panels
 
 PLAIN_NAMES = {
@@ -34,7 +41,8 @@ _OTHERS = {"color": BLUE, "linewidth": 0.5, "alpha": 0.3, "zorder": 2}
 _PERFECT_MARKS = {"color": ORANGE, "marker": "s", "linestyle": "", "markersize": 4}
 _SMALLEST_DRAWN = 1e-4  # m; smaller lengths are drawn here
 
-Shown = Mapping[Defects, Tuple[np.ndarray, PValue]]
+Shown = Callable[[Defects], Tuple[np.ndarray, PValue]]
+"""Returns noisy paths (m), shape (n, m, 2), and the p-value of figure 1b."""
 
 
 def compare_figure(
@@ -75,8 +83,7 @@ def defects_figure(
     Args:
         figure_1b: digitised.
         corners: of the simulated perfect path (m), shape (5, 2).
-        shown: some noisy paths (m), shape (n, m, 2), and the p-value of figure 1b for each
-            combination that is drawn; the first path is drawn in bold.
+        shown: returns some noisy paths of a combination, of which the first is drawn in bold.
         best: the combination with the largest p-value.
         std: of the noise.
     """
@@ -95,12 +102,11 @@ def defects_figure(
         (first[2], found, best),
         (first[3], "none: mended", NONE),
     ]
-    for one, other, name in zip(alone, all_but, DEFECTS):
-        others = Defects(**{other: other != name for other in DEFECTS})
-        drawn.append((one, f"only {PLAIN_NAMES[name]}", Defects(**{name: True})))
-        drawn.append((other, f"all but {PLAIN_NAMES[name]}", others))
+    for one, other, (name, plain) in zip(alone, all_but, PLAIN_NAMES.items()):
+        drawn.append((one, f"only {plain}", replace(NONE, **{name: True})))
+        drawn.append((other, f"all but {plain}", replace(ALL, **{name: False})))
     for axes, title, defects in drawn:
-        _draw_paths(axes, title, corners, *shown[defects])
+        _draw_paths(axes, title, corners, *shown(defects))
     _draw_legend(first[4], std)
     return figure
 

@@ -1,4 +1,7 @@
-"""P-values of figure 1b under each combination of defects, and the verdict on each defect.
+"""Lengths read from paths around a square, and what they say of each combination of defects.
+
+Figure 1b and the replays are treated alike: the plot draws a path, its vertices are read, its
+corners are found among them, and lengths are measured from the drawing only.
 
 Each length read from figure 1b has a rank among those of the replays. Its two-sided p-value is
 twice the share of replays, including the figure, that are at least as extreme on the figure's side.
@@ -8,14 +11,36 @@ their correlation nor their distributions.
 
 from __future__ import annotations
 
+import math
 from dataclasses import astuple, dataclass
-from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from pathlib import Path
+from typing import Any, Dict, Iterable, List, Mapping, Sequence, Tuple
 
 import numpy as np
-from scipy.stats import beta
+from matplotlib import path as drawing
 
-from bullet_lab.studies.published_noise.defects import DEFECTS, Defects
-from bullet_lab.studies.published_noise.drawn_paths import LENGTHS, SIDES
+from bullet_lab.core.trajectory import finite_numbers
+from bullet_lab.errors import LabError
+from bullet_lab.noise.published_noise import DEFECTS, Defects
+from bullet_lab.studies.paths import read_table
+from bullet_lab.studies.results import rows_of
+from bullet_lab.studies.shares import clopper_pearson
+
+SIDES = 4
+
+LENGTHS = (*(f"side{side}" for side in range(1, SIDES + 1)), "start", "corners")
+"""Names of the lengths that `measure` returns, in this order."""
+
+# Points of 1/72 inch per metre along x and y of figure 1b, by its axes. matplotlib leaves out
+# vertices that are less than 1/9 of a point beside the line: 0.7 mm in x, 0.9 mm in y.
+_POINTS_PER_METRE = (170.6, 122.9)
+_STRAIGHT = 1.0 / 9.0
+
+_MOST_CANDIDATES = 100
+# m; shorter steps of the drawn path are at the corners.
+_LEAST_STEP = 0.1
+_COLUMNS = ("series", "x_m", "y_m")
+
 
 SIGNIFICANCE = 0.05
 """Smallest p-value of a combination that explains the figure."""
@@ -36,8 +61,158 @@ _SHARES = ("q05", "q25", "q50", "q75", "q95")
 
 NEEDED, RULED_OUT, UNKNOWN = "needed", "ruled out", "cannot be told"
 
-_SMALL = 1e-3  # m; much smaller lengths count as equal
-_SAME = 1e-12  # m
+# m; much smaller lengths count as equal.
+_SMALL = 1e-3
+# m; equal except for rounding.
+_SAME = 1e-12
+
+
+class DrawnPathError(LabError):
+    """A path has no square, or the digitised figure lacks a path."""
+
+
+def drawn(points) -> np.ndarray:
+    """Return the vertices that matplotlib draws of a path on the axes of figure 1b.
+
+    Args:
+        points: x and y (m), shape (n, 2).
+
+    Returns:
+        m, shape (k, 2), without those that lie on a line with their neighbours, as in the vector
+        graphic of the report; some are duplicates.
+
+    >>> drawn([(0, 0), (0.5, 0.0002), (1, 0), (1, 0.5), (1, 1)]).round(3).tolist()
+    [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [1.0, 1.0]]
+    """
+    path = drawing.Path(np.asarray(points, dtype=float) * _POINTS_PER_METRE)
+    path.simplify_threshold = _STRAIGHT
+    # The last vertex only marks the end of the path.
+    return path.cleaned(simplify=True).vertices[:-1] / _POINTS_PER_METRE
+
+
+def find_corners(vertices) -> np.ndarray:
+    """Find the corners of a drawn path around a square.
+
+    The first and the last vertex and three others make four sides. The three are those with the
+    smallest sum of distances of all vertices from the lines of their sides. (With a sum of squares,
+    a zigzag on one side would move the corners of its neighbours.) Of a path of more than 100
+    vertices, whose sides are not straight anyway, 100 are candidates.
+
+    Args:
+        vertices: x and y (m) in the order driven, shape (n, 2).
+
+    Returns:
+        Indices of the vertices, shape (5,), from the first to the last.
+
+    Raises:
+        DrawnPathError: the path has no four sides.
+
+    >>> find_corners([(0, 0), (1, 0.1), (2, 0), (2, -2), (1, -2), (0, -2), (0, 0)]).tolist()
+    [0, 2, 3, 5, 6]
+    """
+    vertices = np.asarray(vertices, dtype=float)
+    count = min(len(vertices), _MOST_CANDIDATES)
+    candidates = np.linspace(0, len(vertices) - 1, count).astype(int)
+    distances = _distances_beside_lines(vertices[candidates])
+    least, choices = distances[0], []
+    for _ in range(SIDES - 1):
+        sums = least[:, np.newaxis] + distances
+        choices.append(sums.argmin(axis=0))
+        least = sums.min(axis=0)
+    if not np.isfinite(least[-1]):
+        raise DrawnPathError("the path has no four sides")
+    corners = [len(distances) - 1]
+    for choice in reversed(choices):
+        corners.append(int(choice[corners[-1]]))
+    return candidates[[0, *reversed(corners)]]
+
+
+def _distances_beside_lines(vertices: np.ndarray) -> np.ndarray:
+    """Return the sum of distances (m) of the vertices i to j from the line through i and j."""
+    count = len(vertices)
+    sums = np.full((count, count), np.inf)
+    is_up_to_j = np.tri(count)
+    for i, vertex in enumerate(vertices[:-1]):
+        x, y = (vertices[i + 1 :] - vertex).T
+        areas = np.abs(np.outer(x, y) - np.outer(y, x))
+        lengths, is_line = np.hypot(x, y), (x != 0.0) | (y != 0.0)
+        summed = (areas * is_up_to_j[: len(x), : len(x)]).sum(axis=1)
+        sums[i, i + 1 :][is_line] = summed[is_line] / lengths[is_line]
+    return sums
+
+
+def measure(vertices, perfect_corners) -> np.ndarray:
+    """Return the `LENGTHS` (m) of a noisy path, from its own corners; shape (6,).
+
+    - `side1` to `side4`: the largest distance from the line of each side.
+    - `start`: the same within the first half of the first side.
+    - `corners`: the largest distance of the corners 1 to 3 from those of the perfect path in the
+      same figure.
+
+    Args:
+        vertices: of the noisy path (m), shape (n, 2).
+        perfect_corners: m, shape (5, 2).
+
+    Raises:
+        DrawnPathError: the path has no four sides.
+    """
+    vertices = np.asarray(vertices, dtype=float)
+    indices = find_corners(vertices)
+    corners = vertices[indices]
+    across = []
+    for first, last in zip(indices, indices[1:]):
+        x, y = (vertices[first : last + 1] - vertices[first]).T
+        across.append(np.abs(x * y[-1] - y * x[-1]) / math.hypot(x[-1], y[-1]))
+    from_start = np.hypot(*(vertices[: indices[1] + 1] - vertices[0]).T)
+    start = across[0][from_start < 0.5 * from_start[-1]].max()
+    apart = np.hypot(*(corners - perfect_corners)[1:SIDES].T).max()
+    return np.array([*(side.max() for side in across), start, apart])
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedFigure:
+    """Digitised figure 1b.
+
+    Attributes:
+        points: vertices of the noisy path (m), shape (n, 2).
+        corners: of the noisy path, indices of its points, shape (5,).
+        perfect_corners: of the perfect path (m), shape (5, 2).
+        lengths: see `measure`.
+    """
+
+    points: np.ndarray
+    corners: np.ndarray
+    perfect_corners: np.ndarray
+    lengths: np.ndarray
+
+    @property
+    def third_side_steps(self) -> int:
+        """Number of steps of the third side."""
+        third = self.points[self.corners[2] : self.corners[3] + 1]
+        return int(np.count_nonzero(np.hypot(*np.diff(third, axis=0).T) > _LEAST_STEP))
+
+
+def read_published_figure(path: Path) -> PublishedFigure:
+    """Read figure 1b from a CSV file.
+
+    Raises:
+        LabError: the file cannot be read or does not hold two paths around a square.
+    """
+    noisy, perfect = (_read_series(path, f"fig1b_{name}") for name in ("noisy", "perfect"))
+    corners = perfect[find_corners(perfect)]
+    return PublishedFigure(noisy, find_corners(noisy), corners, measure(noisy, corners))
+
+
+def _read_series(path: Path, name: str) -> np.ndarray:
+    _, rows = read_table(path, _COLUMNS)
+    points = [
+        finite_numbers([row["x_m"], row["y_m"]], where)
+        for where, row in rows
+        if row["series"] == name
+    ]
+    if not points:
+        raise DrawnPathError(f"{path} has no path {name}")
+    return np.array(points)
 
 
 @dataclass(frozen=True)
@@ -66,7 +241,7 @@ class PValue:
 
 
 def p_value(measured, runs) -> PValue:
-    """Return the p-value of a measurement among runs; see this module.
+    """Return the p-value of a measurement among runs; see the module.
 
     Args:
         measured: k lengths (m), shape (k,).
@@ -78,9 +253,9 @@ def p_value(measured, runs) -> PValue:
     runs = np.asarray(runs)
     count, tails = len(runs), 2 * len(measured)
     further_out = min((runs <= measured).sum(axis=0).min(), (runs >= measured).sum(axis=0).min())
-    bound = beta.isf((1.0 - CONFIDENCE) / tails, further_out + 1, count - further_out)
+    _, bound = clopper_pearson(further_out, count, (1.0 - CONFIDENCE) / tails)
     return PValue(
-        min(1.0, tails * float(further_out + 1) / (count + 1)), min(1.0, tails * float(bound))
+        min(1.0, tails * float(further_out + 1) / (count + 1)), min(1.0, tails * bound)
     )
 
 
@@ -128,22 +303,21 @@ def ranked(results: Sequence[Result]) -> List[Result]:
     """Return the results, those with the largest p-value first."""
 
     def key(result: Result) -> Tuple[float, float]:
-        values = [p.value for p in result.p_values.values()]
-        return -result.p_values["all"].value, -sum(values)
+        return result.p_values["all"].value, sum(p.value for p in result.p_values.values())
 
-    return sorted(results, key=key)
+    # Of equal ones the first stays first.
+    return sorted(results, key=key, reverse=True)
 
 
 def groups_of_same(results: Sequence[Result]) -> List[List[Result]]:
     """Return groups of equal results, in the given order."""
     groups: List[List[Result]] = []
     for result in results:
-        for group in groups:
-            if group[0].does_the_same_as(result):
-                group.append(result)
-                break
-        else:
+        same = next((group for group in groups if group[0].does_the_same_as(result)), None)
+        if same is None:
             groups.append([result])
+        else:
+            same.append(result)
     return groups
 
 
@@ -193,7 +367,6 @@ def published_summary(
 
 
 def _describe(result: Result, results: Sequence[Result]) -> Dict[str, Any]:
-    quantiles = result.quantiles
     return {
         "name": str(result.defects),
         "defects": list(result.defects.names),
@@ -203,7 +376,7 @@ def _describe(result: Result, results: Sequence[Result]) -> Dict[str, Any]:
         },
         "lengths_m": {
             length: dict(zip(_SHARES, rounded(column)))
-            for length, column in zip(LENGTHS, quantiles.T)
+            for length, column in zip(LENGTHS, result.quantiles.T)
         },
         "percentiles_of_figure_1b": dict(zip(LENGTHS, rounded(100.0 * result.percentiles, 1))),
         "same_as": [
@@ -219,22 +392,18 @@ def rounded(values: Sequence[float], digits: int = 5) -> List[float]:
     return [round(float(value), digits) for value in values]
 
 
-def combination_rows(results: Sequence[Result]) -> List[List[Any]]:
-    """Return combinations.csv: a header, and a row for each combination, ranked; m and %."""
-    header = ["rank", *DEFECTS]
-    for evidence in EVIDENCE:
-        header += [f"p_{evidence}", f"p_{evidence}_below"]
-    for length in LENGTHS:
-        header += [f"{length}_{share}_m" for share in _SHARES] + [f"{length}_percentile"]
-    rows: List[List[Any]] = [header]
-    for rank, result in enumerate(results, start=1):
-        row = [rank, *map(int, astuple(result.defects))]
-        for p in result.p_values.values():
-            row += rounded((p.value, p.high))
-        for quantiles, percentile in zip(result.quantiles.T, result.percentiles):
-            row += rounded(quantiles) + rounded([100.0 * percentile], 1)
-        rows.append(row)
-    return rows
+def combination_rows(summary: Mapping[str, Any]) -> List[Iterable[Any]]:
+    """Return combinations.csv: the combinations of the summary as a table; m and %."""
+    records = []
+    for one in summary["combinations"]:
+        record = {"rank": one["rank"], **{name: int(name in one["defects"]) for name in DEFECTS}}
+        for evidence, p in one["p_values"].items():
+            record.update({f"p_{evidence}": p["p"], f"p_{evidence}_below": p["below"]})
+        for length, quantiles in one["lengths_m"].items():
+            record.update({f"{length}_{share}_m": value for share, value in quantiles.items()})
+            record[f"{length}_percentile"] = one["percentiles_of_figure_1b"][length]
+        records.append(record)
+    return rows_of(records)
 
 
 def length_rows(results: Sequence[Result], first_seed: int) -> List[List[Any]]:

@@ -9,34 +9,24 @@ from __future__ import annotations
 import functools
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import integer, number
 from bullet_lab.drive.square import OPEN_LOOP_RATE, Square
-from bullet_lab.noise.odometry_noise import MIN_TRANSLATION, make_generator
-from bullet_lab.noise.published_noise import PUBLISHED_RATE
-from bullet_lab.simulation.world.resources import package_share
-from bullet_lab.studies.published_noise.defects import (
+from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
+from bullet_lab.noise.published_noise import (
     ALL,
-    DEFECTS,
     NONE,
+    PUBLISHED_RATE,
     Defects,
     combinations,
     noisy_paths,
     sampled,
 )
-from bullet_lab.studies.published_noise.drawn_paths import (
-    LENGTHS,
-    SIDES,
-    PublishedFigure,
-    drawn,
-    find_corners,
-    measure,
-    read_published_figure,
-)
+from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.studies.published_noise.figures import (
     compare_figure,
     corners_figure,
@@ -45,12 +35,20 @@ from bullet_lab.studies.published_noise.figures import (
     lengths_figure,
 )
 from bullet_lab.studies.published_noise.results import (
+    LENGTHS,
+    SIDES,
+    PublishedFigure,
+    PValue,
     Result,
     combination_rows,
+    drawn,
+    find_corners,
     length_rows,
+    measure,
     nearest,
     published_summary,
     ranked,
+    read_published_figure,
     rounded,
     verdict_lines,
 )
@@ -66,6 +64,7 @@ REST_SECONDS = 2.0 / PUBLISHED_RATE + 0.1
 LARGEST_STD = 1.0
 FEWEST_SEEDS, MOST_SEEDS = 20, 20000
 _SEEDS_AT_A_TIME = 500
+# Not more than `FEWEST_SEEDS`.
 _EXAMPLES = 12
 
 
@@ -127,7 +126,7 @@ class Replay:
     def noisy(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
         """Return noisy poses, shape (n, m, 3), of the m paths with these numbers."""
         poses = self.drive.poses[self.messages(defects, paths)]
-        generators = [make_generator(self._settings.seed + int(path)) for path in paths]
+        generators = [np.random.default_rng(self._settings.seed + int(path)) for path in paths]
         draws = np.stack([g.standard_normal((len(poses) - 1, 3)) for g in generators], axis=1)
         return noisy_paths(poses, draws, self._settings.std, defects)
 
@@ -159,7 +158,7 @@ def run_published_noise(
     results = ranked(_results(replay, figure, settings, tell))
     summary = published_summary(asdict(settings), _figure_facts(figure, replay.drive), results)
     tables = {
-        "combinations.csv": combination_rows(results),
+        "combinations.csv": combination_rows(summary),
         "lengths.csv": length_rows(results, settings.seed),
     }
     figures = _figures(replay, figure, results, settings)
@@ -213,31 +212,30 @@ def _figures(
     drive, corners = replay.drive, replay.corners
     by_defects = {result.defects: result for result in results}
     example = nearest(figure.lengths, by_defects[ALL].lengths)
-    best = results[0].defects
-    alone = [Defects(**{name: True}) for name in DEFECTS]
-    all_but = {name: replace(ALL, **{name: False}) for name in DEFECTS}
-    examples = range(min(_EXAMPLES, settings.seeds))
-    paths = {
-        defects: replay.noisy(defects, examples)[..., :2]
-        for defects in dict.fromkeys([ALL, best, NONE, *alone, *all_but.values()])
-    }
-    shown = {defects: (p, by_defects[defects].p_values["all"]) for defects, p in paths.items()}
+
+    def examples(defects: Defects) -> np.ndarray:
+        return replay.noisy(defects, range(_EXAMPLES))[..., :2]
+
+    def shown(defects: Defects) -> Tuple[np.ndarray, PValue]:
+        return examples(defects), by_defects[defects].p_values["all"]
+
     moved = np.hypot(*np.diff(drive.poses[:, :2], axis=0, prepend=np.nan).T)
     third = drive.stamps[(drive.sides == 2) & (moved > MIN_TRANSLATION)]
     turns = {}
-    for defects in (ALL, all_but["unwrapped"]):
+    for defects in (ALL, replace(ALL, unwrapped=False)):
         seen = replay.messages(defects, [example])[:, 0]
         noisy = replay.noisy(defects, [example])[:, 0]
         turns[defects] = drive.stamps[seen], drive.poses[seen], noisy
     replays = [replay.noisy(defects, [example])[:, 0, :2] for defects in (ALL, NONE)]
+    aliasing = {
+        "as published": examples(ALL),
+        "all but aliasing": examples(replace(ALL, aliasing=False)),
+    }
+    best, std = results[0].defects, settings.std
     return {
         "compare.png": compare_figure(figure, corners, replays, settings.seed + example),
-        "corners.png": corners_figure(
-            figure,
-            corners,
-            {"as published": paths[ALL], "all but aliasing": paths[all_but["aliasing"]]},
-        ),
-        "defects.png": defects_figure(figure, corners, shown, best, settings.std),
+        "corners.png": corners_figure(figure, corners, aliasing),
+        "defects.png": defects_figure(figure, corners, shown, best, std),
         "first_turns.png": first_turns_figure(turns, (third[0], third[-1])),
         "lengths.png": lengths_figure(results, figure.lengths),
     }

@@ -11,7 +11,7 @@ import numpy as np
 from bullet_lab.core.parameters import choice, integer, number, text
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.drive.square import Square
-from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, derived_seed, model_named
+from bullet_lab.noise.odometry_noise import LARGEST_PARAMETER, MODELS, NoisyPath, derived_seed
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.study import MOST_SEED, Settings
 from bullet_lab.studies.umbmark.estimate import LARGEST, Estimate, Umbmark, fit, umbmark
@@ -59,7 +59,9 @@ class DriveSettings(Settings):
     runs: int = integer(5, "squares in each direction", 1, 1000)
     speed: float = number(0.2, "m/s, on the sides", above=0.0)
     turn_speed: float = number(0.5236, "rad/s, at the corners", above=0.0)
-    std: float = number(0.0005, "level of random noise on the odometry", 0.0)
+    std: float = number(
+        0.0005, "level of random noise on the odometry", 0.0, maximum=LARGEST_PARAMETER
+    )
     model: str = choice("rate_invariant", "rule of the noise", MODELS)
     seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
 
@@ -82,7 +84,7 @@ class DriveSettings(Settings):
         """Return a function that makes the noisy pose of each odometry pose of a run."""
         if self.std == 0.0:
             return lambda pose: pose
-        rule = model_named(self.model).at_level(self.std)
+        rule = MODELS[self.model].at_level(self.std)
         path = NoisyPath(rule, derived_seed(derived_seed(self.seed, laps), number))
         return lambda pose: path.update(*pose).pose
 

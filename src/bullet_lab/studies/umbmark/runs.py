@@ -13,7 +13,7 @@ from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, finite_numbers
 from bullet_lab.errors import LabError
-from bullet_lab.studies.noise_study.paths import read_path, read_table
+from bullet_lab.studies.paths import read_path, read_table
 
 CLOCKWISE, COUNTER_CLOCKWISE = "cw", "ccw"
 DIRECTIONS = (CLOCKWISE, COUNTER_CLOCKWISE)

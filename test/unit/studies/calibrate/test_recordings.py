@@ -5,7 +5,7 @@ import pytest
 
 from bullet_lab.core.trajectory import Trajectory, TrajectoryError
 from bullet_lab.studies.calibrate.recordings import Topics, find_recordings, read_pair
-from bullet_lab.studies.noise_study.paths import tum_text
+from bullet_lab.studies.paths import tum_text
 
 TOPICS = Topics("/truth", "/odom")
 

@@ -26,10 +26,10 @@ from bullet_lab.studies.noise_study.regions import (
     Regions,
     checkpoints,
     level_rule,
-    share_band,
     theory,
 )
 from bullet_lab.studies.noise_study.study import where_right_rows
+from bullet_lab.studies.shares import clopper_pearson
 
 
 def trajectory_of(moves):
@@ -66,7 +66,8 @@ def counted(trajectory, model, std, paths, seed=80):
 @pytest.mark.parametrize(("inside", "trials"), [(0, 10), (10, 10), (9_500, 10_000), (1, 3)])
 def test_bands_are_those_of_clopper_and_pearson(inside, trials):
     expected = stats.binomtest(inside, trials).proportion_ci(0.95, "exact")
-    assert share_band(inside, trials) == pytest.approx((expected.low, expected.high))
+    found = clopper_pearson(inside, trials, 0.025)
+    assert found == pytest.approx((expected.low, expected.high))
 
 
 def test_checkpoints_are_at_equal_distances_and_end_with_the_path():
@@ -188,7 +189,8 @@ def test_the_table_says_how_far_each_method_is_right():
     class Case:
         model, rate, std = "rate_invariant", 10.0, 0.5
         trajectory, theory = line(), theory(noisy_steps(line().poses, level_rule("report", 0.1)))
-        sample = type("Sample", (), {"regions": counted(line(), "rate_invariant", 0.5, 4000)})
+        regions = counted(line(), "rate_invariant", 0.5, 4000)
+        key = {"model": model, "rate_hz": rate, "std": std}
 
     header, row = where_right_rows([Case])
     values = dict(zip(header, row))

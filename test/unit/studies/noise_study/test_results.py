@@ -11,7 +11,6 @@ import pytest
 from bullet_lab.core.files import FileError
 from bullet_lab.core.trajectory import Trajectory, read_tum
 from bullet_lab.errors import LabError
-from bullet_lab.studies.noise_study.paths import PathFileError, read_path, tum_text
 from bullet_lab.studies.noise_study.study import (
     StudySettings,
     main,
@@ -20,6 +19,7 @@ from bullet_lab.studies.noise_study.study import (
     simulated_square,
     study,
 )
+from bullet_lab.studies.paths import PathFileError, read_path, tum_text
 from bullet_lab.studies.study import whole_results, write_table
 
 SMALL = StudySettings(levels=(0.0, 0.1), rates=(0.9, 5.0), paths=20)
@@ -152,8 +152,8 @@ def test_a_case_does_not_depend_on_what_else_is_studied():
     settings = StudySettings(levels=(0.1,), models=("report",), rates=(5.0,), paths=20)
     (alone,) = study(bend(), settings)
     (same,) = [c for c in both if (c.model, c.rate, c.std) == ("report", 5.0, 0.1)]
-    np.testing.assert_array_equal(alone.sample.covariance, same.sample.covariance)
-    assert alone.sample.metrics == same.sample.metrics
+    np.testing.assert_array_equal(alone.covariance, same.covariance)
+    assert alone.metrics == same.metrics
 
 
 def test_the_simulated_square():

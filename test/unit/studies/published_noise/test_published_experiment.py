@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bullet_lab.noise.published_noise import PublishedNoise
-from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
+from bullet_lab.noise.published_noise import ALL, DEFECTS, NONE, Defects, PublishedNoise
 from bullet_lab.studies.published_noise.study import (
     PublishedNoiseSettings,
     Replay,

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.figures import save
-from bullet_lab.studies.published_noise.defects import ALL, DEFECTS, NONE, Defects
-from bullet_lab.studies.published_noise.drawn_paths import LENGTHS, PublishedFigure
+from bullet_lab.noise.published_noise import ALL, DEFECTS, NONE, Defects
 from bullet_lab.studies.published_noise.figures import (
     compare_figure,
     corners_figure,
@@ -11,7 +10,14 @@ from bullet_lab.studies.published_noise.figures import (
     first_turns_figure,
     lengths_figure,
 )
-from bullet_lab.studies.published_noise.results import EVIDENCE, QUANTILES, PValue, Result
+from bullet_lab.studies.published_noise.results import (
+    EVIDENCE,
+    LENGTHS,
+    QUANTILES,
+    PublishedFigure,
+    PValue,
+    Result,
+)
 
 CORNERS = np.array([(0, 0), (2, 0), (2, -2), (0, -2), (0, 0)], dtype=float)
 FIGURE_1B = PublishedFigure(CORNERS + 0.01, np.arange(5), CORNERS, np.zeros(6))
@@ -45,7 +51,7 @@ def test_sheet_shows_the_published_figure_first_then_each_combination(tmp_path, 
     every = [ALL, best, NONE, *alone, *all_but]
     shown = {d: (paths, EXPLAINS if d in (ALL, best) else EXCLUDED) for d in every}
     shown[alone[-1]] = paths, OPEN
-    figure = defects_figure(FIGURE_1B, CORNERS, shown, best, 0.1)
+    figure = defects_figure(FIGURE_1B, CORNERS, shown.get, best, 0.1)
     first, *others = figure.axes
     assert "1b" in first.get_title()
     assert first.lines[0].get_xdata()[0] == 0.01

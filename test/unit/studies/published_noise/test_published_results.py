@@ -1,20 +1,28 @@
+"""Lengths read from drawn paths, and the p-values and verdicts that follow from them."""
+
 import math
 
 import numpy as np
 import pytest
 
-from bullet_lab.studies.published_noise.defects import NONE, Defects, combinations
+from bullet_lab.errors import LabError
+from bullet_lab.noise.published_noise import NONE, Defects, combinations
 from bullet_lab.studies.published_noise.results import (
     EVIDENCE,
     NEEDED,
     RULED_OUT,
     UNKNOWN,
+    DrawnPathError,
     PValue,
     Result,
+    drawn,
+    find_corners,
     groups_of_same,
+    measure,
     nearest,
     p_value,
     ranked,
+    read_published_figure,
     verdict,
 )
 
@@ -108,3 +116,112 @@ def test_ranks_and_groups():
 def test_nearest():
     runs = np.array([[0.1, 0.001], [0.2, 0.001], [0.4, 0.001], [0.4, 0.3]])
     assert nearest(np.array([0.41, 0.001]), runs) == 2
+
+
+CORNERS = np.array([(0, 0), (2, 0), (2, -2), (0, -2), (0, 0)], dtype=float)
+# Beside each side by 1, 2, 3 and 4 cm; beyond a corner, where that must not count.
+VERTICES = np.array(
+    [
+        *((0, 0), (0.5, 0.005), (1.5, 0.01), (2.1, 0)),
+        *((2, 0), (1.98, -1)),
+        *((2, -2), (1, -2.03), (0.5, -1.99)),
+        *((0, -2), (0.04, -1.5), (0, -1), (0, 0)),
+    ]
+)
+FOUND = [0, 4, 6, 9, 12]
+
+
+def test_a_line_is_drawn_from_end_to_end():
+    line = np.outer(np.linspace(0, 1, 200), (1.9, 0.3))
+    # matplotlib draws the end twice.
+    np.testing.assert_allclose(drawn(line), line[[0, -1, -1]], atol=1e-12)
+
+
+def test_what_is_left_out_is_hardly_beside_the_line():
+    rng = np.random.default_rng(1)
+    path = np.column_stack([np.linspace(0, 2, 300), 0.002 * rng.standard_normal(300)])
+    shown = drawn(path)
+    assert 50 < len(shown) < 290
+    # 1/9 point is 0.9 mm along y; the vertices on either side may be moved by as much.
+    off = np.abs(np.interp(path[:, 0], *shown.T) - path[:, 1])
+    assert 1e-4 < off.max() < 2.0 / 9.0 / 122.9
+
+
+def test_points_at_rest_are_drawn_where_they_are():
+    shown = drawn(np.repeat(VERTICES, 20, axis=0))
+    kept = shown[np.append(True, np.abs(np.diff(shown, axis=0)).max(axis=1) > 1e-9)]
+    np.testing.assert_allclose(kept, VERTICES, atol=1e-9)
+
+
+def test_the_way_back_is_drawn_as_well():
+    assert drawn([(0, 0), (2.008, 0), (2, 0), (2, -2)])[:, 0].max() == pytest.approx(2.008)
+
+
+def test_corners_wherever_the_square_is():
+    assert find_corners(VERTICES).tolist() == FOUND
+    angle = 0.7
+    turn = np.array([(np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))])
+    assert find_corners(VERTICES @ turn + [3, 4]).tolist() == FOUND
+
+
+def test_a_zigzag_moves_no_corner():
+    zigzag = [(2 - 0.2 * k, -2 + 0.2 * (-1) ** k) for k in range(1, 10)]
+    path = [(0, 0), (1, 0), (2, 0), (2, -1), (2, -2), *zigzag, (0, -2), (0, -1), (0, 0)]
+    assert find_corners(path).tolist() == [0, 2, 4, 14, 16]
+
+
+def test_a_path_of_many_vertices_has_corners_too():
+    sides = [np.linspace(a, b, 150, endpoint=False) for a, b in zip(CORNERS, CORNERS[1:])]
+    path = np.concatenate([*sides, CORNERS[-1:]])
+    beside = path[find_corners(path)] - CORNERS
+    assert np.hypot(*beside.T).max() < 0.1
+
+
+def test_four_vertices_are_no_square():
+    with pytest.raises(DrawnPathError, match="four sides"):
+        find_corners(CORNERS[:4])
+    with pytest.raises(DrawnPathError, match="four sides"):
+        find_corners(np.zeros((8, 2)))
+
+
+def test_lengths():
+    perfect = CORNERS + [(9, 9), (0.003, 0.004), (0, 0.002), (0, 0), (9, 9)]
+    expected = [0.01, 0.02, 0.03, 0.04, 0.005, 0.005]
+    np.testing.assert_allclose(measure(VERTICES, perfect), expected, atol=1e-12)
+
+
+def test_lengths_do_not_depend_on_where_the_square_is():
+    angle = -2.2
+    turn = np.array([(np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))])
+    moved = measure(VERTICES @ turn + [3, 4], CORNERS @ turn + [3, 4])
+    np.testing.assert_allclose(moved, measure(VERTICES, CORNERS), atol=1e-12)
+
+
+def test_what_figure_1b_shows(package):
+    figure = read_published_figure(package / "data" / "fig1_paths.csv")
+    expected = [1.6, 3.0, 213.6, 1.55, 1.6, 0.41]
+    np.testing.assert_allclose(1e3 * figure.lengths, expected, atol=0.06)
+    assert figure.third_side_steps == 9
+    # The noisy path ends where the perfect one does.
+    assert np.hypot(*(figure.points[-1] - figure.perfect_corners[-1])) < 1e-3
+
+
+@pytest.mark.parametrize(
+    "text, error",
+    [
+        ("", "has to name the columns series, x_m, y_m"),
+        ("a,b\n1,2\n", "has to name the columns"),
+        ("series,x_m,y_m\nfig1b_noisy,1\n", "line 2: a value is not a number"),
+        ("series,x_m,y_m\nfig1b_noisy,1,here\n", "line 2: a value is not a number"),
+        ("series,x_m,y_m\nfig1b_noisy,1,nan\n", "not finite"),
+        ("series,x_m,y_m\nfig1b_noisy,0,0\n", "no path fig1b_perfect"),
+        ("series,x_m,y_m\nfig1b_noisy,0,0\nfig1b_perfect,1,1\n", "four sides"),
+    ],
+)
+def test_a_bad_figure_file(tmp_path, text, error):
+    path = tmp_path / "figure.csv"
+    with pytest.raises(LabError, match="cannot read"):
+        read_published_figure(path)
+    path.write_text(text)
+    with pytest.raises(LabError, match=error):
+        read_published_figure(path)

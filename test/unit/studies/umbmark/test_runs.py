@@ -10,7 +10,7 @@ from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
 from bullet_lab.drive.square import Square
 from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.studies.noise_study.paths import tum_text
+from bullet_lab.studies.paths import tum_text
 from bullet_lab.studies.umbmark.estimate import fit
 from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels, drive_square
 from bullet_lab.studies.umbmark.runs import RunError, perfect_square, read_runs

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, List, Mapping, Sequence, Tuple
 
@@ -28,12 +29,14 @@ SHORTEST_PATH = 1e-3
 ODOMETRY = "nav_msgs/Odometry"
 
 _POSES = {
-    ODOMETRY: lambda message: message.pose.pose,
-    "geometry_msgs/PoseStamped": lambda message: message.pose,
-    "geometry_msgs/PoseWithCovarianceStamped": lambda message: message.pose.pose,
-    "geometry_msgs/TransformStamped": lambda message: message.transform,
+    ODOMETRY: attrgetter("pose.pose.position", "pose.pose.orientation"),
+    "geometry_msgs/PoseStamped": attrgetter("pose.position", "pose.orientation"),
+    "geometry_msgs/PoseWithCovarianceStamped": attrgetter(
+        "pose.pose.position", "pose.pose.orientation"
+    ),
+    "geometry_msgs/TransformStamped": attrgetter("transform.translation", "transform.rotation"),
 }
-"""Functions that return the pose of a message, by type."""
+"""Functions that return position and orientation of a message, by type."""
 
 
 class PathFileError(TrajectoryError):
@@ -121,10 +124,10 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
         from roslib.message import get_message_class
     except ImportError as error:
         raise PathFileError(f"cannot read {path} without ROS's rosbag: {error}") from None
-    kinds = {kind: get_message_class(kind) for kind in _POSES}
+    kinds = list(filter(None, map(get_message_class, _POSES)))
     # rosbag would compile the message types in a bag, which may contain any program.
-    rosbag.bag._message_types.update((kind._md5sum, kind) for kind in kinds.values() if kind)
-    known = {(kind._type, kind._md5sum) for kind in kinds.values() if kind}
+    rosbag.bag._message_types.update((kind._md5sum, kind) for kind in kinds)
+    known = {(kind._type, kind._md5sum) for kind in kinds}
     try:
         with rosbag.Bag(str(path)) as bag:
             there = list(bag._get_connections())
@@ -150,11 +153,7 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
 
 
 def _pose_row(message: Any) -> List[float]:
-    pose = _POSES[message._type](message)
-    if message._type.endswith("TransformStamped"):
-        place, turn = pose.translation, pose.rotation
-    else:
-        place, turn = pose.position, pose.orientation
+    place, turn = _POSES[message._type](message)
     yaw = yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
     return [message.header.stamp.to_sec(), place.x, place.y, yaw]
 
@@ -186,12 +185,8 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
         rate: Hz, > 0.
 
     Raises:
-        ResamplingError: the path has one pose, or the rate is invalid or too high for it.
+        ResamplingError: the rate is too high for the path.
     """
-    if len(trajectory) < 2:
-        raise ResamplingError("the path has only one pose")
-    if not 0.0 < rate < math.inf:
-        raise ResamplingError(f"a rate must be finite and > 0 Hz, not {rate!r}")
     start, end = trajectory.stamps[[0, -1]]
     count = (end - start) * rate
     if count >= MOST_POSES:
@@ -229,12 +224,10 @@ def find_corners(trajectory: Trajectory, most: int = 12) -> np.ndarray:
     tolerance = 0.05 * max(np.ptp(x), np.ptp(y))
     kept = [0, len(position) - 1]
     while len(kept) <= most:
-        farthest = max(
-            (_farthest(position, i, j) for i, j in zip(kept[:-1], kept[1:])), default=(0.0, 0)
-        )
-        if farthest[0] <= tolerance:
+        distance, index = max(_farthest(position, i, j) for i, j in zip(kept, kept[1:]))
+        if distance <= tolerance:
             break
-        kept = sorted([*kept, farthest[1]])
+        kept = sorted([*kept, index])
     return np.array(kept[1:])
 
 

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
-from bullet_lab.noise.odometry_noise import NoiseError, NoisyPath, ReportRule
-from bullet_lab.noise.published_noise import PublishedNoise, Sampler
-from bullet_lab.studies.published_noise.defects import (
+from bullet_lab.noise.odometry_noise import NoisyPath, ReportRule
+from bullet_lab.noise.published_noise import (
     ALL,
     DEFECTS,
     NONE,
     Defects,
+    PublishedNoise,
+    Sampler,
     combinations,
     noisy_paths,
     sampled,
@@ -203,18 +204,3 @@ def test_sampled_with_phases():
     stamps = np.arange(41) / 20
     indices = sampled(stamps, 2.0, [0.0, 0.12, 0.49])
     np.testing.assert_array_equal(indices, [[0, 3, 10], [10, 13, 20], [20, 23, 30], [30, 33, 40]])
-
-
-def test_noisy_paths_refuse():
-    poses = square()
-    good = poses[:, np.newaxis], draws(poses)
-    with pytest.raises(NoiseError, match="std"):
-        noisy_paths(*good, -0.1, ALL)
-    with pytest.raises(NoiseError, match="not finite"):
-        noisy_paths(good[0] * np.nan, good[1], STD, ALL)
-    with pytest.raises(NoiseError, match="shape"):
-        noisy_paths(poses, good[1], STD, ALL)
-    with pytest.raises(NoiseError, match="fit"):
-        noisy_paths(good[0], good[1][:-1], STD, ALL)
-    with pytest.raises(NoiseError, match="fit"):
-        noisy_paths(np.repeat(good[0], 3, axis=1), good[1], STD, ALL)
